@@ -2,17 +2,21 @@
 r"""Set planish up in this folder and run it. Needs Python 3.11, 3.12 or 3.13, and nothing else.
 
     python3 run.py demo     link a made-up specimen; prints the table and the path of the report
-    python3 run.py test     run the fast tests; what follows goes to pytest: python3 run.py test -k flatten
+    python3 run.py test     run the fast tests; what follows goes to pytest: python3 run.py test -k
+    flatten
                             --ci runs those that link, open a browser or read whole formats instead
-                            --all runs these and all others (Monte Carlo, certificates, whole corpora of damage)
-    python3 run.py check    format, lint, types, import contracts, tests (--no-tests leaves the tests out)
+                            --all runs these and all others (Monte Carlo, certificates, whole
+                            corpora of damage)
+    python3 run.py check    format, lint, types, import contracts, tests (--no-tests leaves the
+    tests out)
     python3 run.py bench    run the benchmarks
-    python3 run.py docs     write what documents say of the program, and build the site into docs/_build/html
+    python3 run.py docs     write what documents say of the program, and build the site into
+    docs/_build/html
     python3 run.py wheel    build wheel and source archive into dist/; same sources, same bytes
     python3 run.py lock     renew requirements/*.lock (needs uv; --upgrade for newer versions)
 
-The first call makes .venv and fills it from the locked requirements, which takes the network and under a
-minute; later calls start at once. Afterwards the program itself is .venv/bin/planish
+The first call makes .venv and fills it from the locked requirements, which takes the network and
+under a minute; later calls start at once. Afterwards the program itself is .venv/bin/planish
 (.venv\Scripts\planish.exe on Windows).
 """
 
@@ -24,7 +28,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-# Everything above and at the left margin below is read by any Python 3.6, so that an old one gets this sentence.
+# Everything above and at the left margin below is read by any Python 3.6, so that an old one gets
+# this sentence.
 OLDEST, NEWEST = (3, 11), (3, 13)
 if not OLDEST <= sys.version_info[:2] <= NEWEST or sys.maxsize < 2**32:
     _found = [name for name in ("python3.13", "python3.12", "python3.11") if shutil.which(name)]
@@ -58,8 +63,9 @@ LOCK_NAMES = ("run.lock", "docs.lock", "dev.lock")
 # What was installed; written last, so without it the folder is unfinished.
 STAMP = VENV / "planish-setup.json"
 
-# Settings of the user's pip that would send the packages elsewhere or choose others than the lock does.
-# Where to get them from (index, folder of wheels, proxy, certificate) stays the user's choice.
+# Settings of the user's pip that would send the packages elsewhere or choose others than the lock
+# does. Where to get them from (index, folder of wheels, proxy, certificate) stays the user's
+# choice.
 UNWANTED_PIP = [
     *(
         "CONSTRAINT",
@@ -75,7 +81,7 @@ UNWANTED_PIP = [
 ]
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments: list[str]) -> int:  # noqa: PLR0911
     """Carry out one subcommand and return its exit code."""
     name, rest = (arguments[0], arguments[1:]) if arguments else ("--help", [])
     os.chdir(ROOT)
@@ -106,7 +112,7 @@ def main(arguments: list[str]) -> int:
     return 2
 
 
-# --- the checks ----------------------------------------------------------------------------------------------
+# --- the checks -----------------------------------------------------------------------------------
 
 
 def check(*, tests: bool) -> int:
@@ -134,7 +140,10 @@ def check(*, tests: bool) -> int:
 
 
 def docs(options: list[str]) -> int:
-    """Write the pages that the program makes itself, build the site, check its links; warnings are errors."""
+    """Write the pages that the program makes itself, build the site, check its links.
+
+    Warnings are errors.
+    """
     python, site = str(PYTHON), str(ROOT / "docs" / "_build" / "html")
     doctrees = str(ROOT / "docs" / "_build" / "doctrees")
     build = [
@@ -197,7 +206,7 @@ def lock(options: list[str]) -> int:
     return 0
 
 
-# --- what is handed on ---------------------------------------------------------------------------------------
+# --- what is handed on ----------------------------------------------------------------------------
 
 
 def wheel() -> int:
@@ -212,11 +221,14 @@ def wheel() -> int:
     return 0
 
 
-# --- setting up ----------------------------------------------------------------------------------------------
+# --- setting up -----------------------------------------------------------------------------------
 
 
 def set_up(lock_name: str) -> None:
-    """Bring .venv to the state that the lock and pyproject.toml describe; does nothing where it is there already."""
+    """Bring .venv to the state that the lock and pyproject.toml describe.
+
+    Does nothing where it is there already.
+    """
     stamp = read_stamp()
     locks = {name: digest(LOCKS / name) for name in LOCK_NAMES}
     project = digest(ROOT / "pyproject.toml", ROOT / "src" / "planish" / "__init__.py")
@@ -268,7 +280,7 @@ def digest(*paths: Path) -> str:
 
 
 def usable() -> bool:
-    """Tell whether .venv holds an interpreter that starts, is of a fitting version and is its own environment."""
+    """Tell if .venv holds an interpreter that starts, has the version, and is an environment."""
     question = (
         "import sys; print(sys.version_info[0], sys.version_info[1], sys.prefix != sys.base_prefix)"
     )
@@ -303,12 +315,16 @@ def make_venv() -> None:
             "This Python lacks the module venv. On Debian and Ubuntu: apt install python3-venv"
         )
     say("Making .venv ...")
-    # Without pip: where ensurepip is missing (Debian without python3-venv) making it with pip stops half way.
+    # Without pip: where ensurepip is missing (Debian without python3-venv) making it with pip stops
+    # half way.
     venv.EnvBuilder(clear=True, symlinks=os.name != "nt", with_pip=False).create(VENV)
 
 
 def find_pip() -> list[str]:
-    """Return the command of a pip that installs into .venv: its own, one made by ensurepip, or this Python's."""
+    """Return the command of a pip that installs into .venv.
+
+    It is that of .venv itself, one made by ensurepip, or this Python's.
+    """
     own = [str(PYTHON), "-m", "pip"]
     if runs([*own, "--version"]) or runs([str(PYTHON), "-m", "ensurepip", "--default-pip"]):
         return own
@@ -330,8 +346,8 @@ def install(pip: list[str], *options: str) -> None:
         "--progress-bar=off",
         "--no-warn-script-location",
     ]
-    # Not compiled to bytecode ahead: that takes as long as the rest, and most modules are never imported. The first
-    # run compiles what it uses; environment() lets it keep that.
+    # Not compiled to bytecode ahead: that takes as long as the rest, and most modules are never
+    # imported. The first run compiles what it uses; environment() lets it keep that.
     if call([*pip, "install", *quiet, "--no-compile", *options]):
         sys.exit(
             "\nThe installation into .venv failed; pip's reason stands above. Wheels of the locked"
@@ -340,11 +356,14 @@ def install(pip: list[str], *options: str) -> None:
         )
 
 
-# --- running -------------------------------------------------------------------------------------------------
+# --- running --------------------------------------------------------------------------------------
 
 
 def environment() -> dict[str, str]:
-    """Return the environment for everything started here: .venv comes first, and nothing leaks in from outside."""
+    """Return the environment for everything started here.
+
+    In it, .venv comes first, and nothing leaks in from outside.
+    """
     kept = {
         key: value
         for key, value in os.environ.items()
@@ -367,7 +386,10 @@ def runs(command: list[str]) -> bool:
 
 
 def call(command: list[str]) -> int:
-    """Run a command with our output and return its exit code; on Ctrl-C the command ends itself first."""
+    """Run a command with our output and return its exit code.
+
+    On Ctrl-C the command ends itself first.
+    """
     with subprocess.Popen(command, env=environment()) as process:
         while True:
             try:
@@ -377,7 +399,10 @@ def call(command: list[str]) -> int:
 
 
 def hand_over(command: list[str]) -> int:
-    """Become the command, so that signals and exit codes are its own; Windows cannot, there it is waited for."""
+    """Become the command, so that signals and exit codes are its own.
+
+    Windows cannot, there it is waited for.
+    """
     if os.name == "nt":
         return call(command)
     sys.stdout.flush()

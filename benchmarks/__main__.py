@@ -6,8 +6,8 @@ import os
 import sys
 from importlib import import_module
 
-# Each is the function ``main`` of the module of its name, which is imported when it is run: no benchmark needs the
-# libraries of another.
+# Each is the function ``main`` of the module of its name, which is imported when it is run: no
+# benchmark needs the libraries of another.
 _ALL = (
     "flattening",
     "relaxation",
@@ -41,7 +41,8 @@ _BY_NAME = ("installs", "pictures", "same")
 
 
 def main(arguments):
-    """Run what is named; the exit code is 1 when a limit was missed or a library is not installed."""
+    """Run what is named; the exit code is 1 when a limit was missed or a library is not
+    installed."""
     names = arguments[:1] or _ALL
     # Else each program that is timed compiles its modules anew.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

@@ -2,8 +2,9 @@
 
     python -m benchmarks app [--folder DIR] [--rows 10944] [--cols 14592]
 
-Not below 7000 x 9400. The run is written as a link of two images would be, and served by ``planish view``; Chromium
-clicks. Times are on the clock, from the act to the screen, beside the machine's load.
+Not below 7000 x 9400. The run is written as a link of two images would be, and served by ``planish
+view``; Chromium clicks. Times are on the clock, from the act to the screen, beside the machine's
+load.
 """
 
 from __future__ import annotations
@@ -88,7 +89,8 @@ def _maps(tile, grid, k, rng):
 
 @contextmanager
 def opened(run):
-    """An empty page of a browser, the address of a run in the app, and the process that serves it."""
+    """An empty page of a browser, the address of a run in the app, and the process that serves
+    it."""
     from playwright.sync_api import sync_playwright
 
     shutil.rmtree(run / "edits", ignore_errors=True)  # marks of the last time
@@ -187,8 +189,8 @@ def _click(page, view):
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
 
 
-# Milliseconds from the last click to the frame after the table had another row or residual, and to the one after the
-# chosen model's own fit was there.
+# Milliseconds from the last click to the frame after the table had another row or residual, and to
+# the one after the chosen model's own fit was there.
 _WATCH = """() => {
   window.clicked = {};
   let begun = 0;
@@ -213,12 +215,16 @@ _WATCH = """() => {
       if (!clicked.rows) clicked.rows = ms;
       else clicked.followed = ms;
     });
-  }).observe(document.querySelector("#panel-marks"), { childList: true, characterData: true, subtree: true });
+  }).observe(
+    document.querySelector("#panel-marks"),
+    { childList: true, characterData: true, subtree: true },
+  );
 }"""
 
 
 def _times(page, names, count, act):
-    """Seconds from each of some acts until the views show something else and load nothing any more."""
+    """Seconds from each of some acts until the views show something else and load nothing any
+    more."""
     found = []
     for _ in range(count):
         before, begun = page.evaluate(_SHOWN, list(names)), time.perf_counter()

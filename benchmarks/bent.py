@@ -1,7 +1,8 @@
-"""Bent sheets whose every length is known, as height fields: general cylinders, cones, and what a scan finds of them.
+"""Bent sheets whose every length is known, as height fields: general cylinders, cones, and what a
+scan finds of them.
 
-Nothing here is that of planish's own specimens but the formulas that must be: a cylinder's profile is any curve given
-by its angle over arc length, a cone any curve on a sphere around its apex.
+Nothing here is that of planish's own specimens but the formulas that must be: a cylinder's profile
+is any curve given by its angle over arc length, a cone any curve on a sphere around its apex.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ class Cylinder:
         angle = waves(rng, at) + rng.uniform(-0.3, 0.3)
         angle *= np.arctan(slope) / np.abs(angle[7500:-7500]).max()
         steps = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        # Simpson's rule with the middle of each step from a finer evaluation of the same smooth function.
+        # Simpson's rule with the middle of each step from a finer evaluation of the same smooth
+        # function.
         curve = np.concatenate(
             [np.zeros((1, 2)), np.cumsum(0.5 * (steps[1:] + steps[:-1]), axis=0)]
         )
@@ -67,7 +69,8 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Cone:
-    """Straight lines from an apex far outside the field: the distance from it and the angle between lines are kept."""
+    """Straight lines from an apex far outside the field: the distance from it and the angle between
+    lines are kept."""
 
     apex: float
     turn: float
@@ -199,7 +202,8 @@ class _Fields:
         return mean + sd * (0.85 * fine + 0.5 * wide)
 
     def under(self, places, start, field):
-        """(u, v) and height of the face ``field`` over the neutral surface at the columns ``places`` (..., 2)."""
+        """(u, v) and height of the face ``field`` over the neutral surface at the columns
+        ``places`` (..., 2)."""
         uv = start.copy()
         for _ in range(8):
             by_u, by_v, normal = tangents(self.surface, uv)
@@ -220,7 +224,8 @@ def _noise(rng, rows, cols, sigma):
 
 
 def _scattered(rng, count, height):
-    """Places (n, 2) of holes, far enough apart, away from the border; most of the field is between them."""
+    """Places (n, 2) of holes, far enough apart, away from the border; most of the field is between
+    them."""
     found = []
     apart = 420.0
     while len(found) < count:

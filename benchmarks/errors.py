@@ -1,10 +1,11 @@
-"""What planish states of the error of a place, against the true one: sheets of many bends, marks and neutral surfaces.
+"""What planish states of the error of a place, against the true one: sheets of many bends, marks
+and neutral surfaces.
 
 ``python -m benchmarks errors [sheets of each class] [file]``
 
-The sheets are drawn as surfaces with the noise of a scan, flattened, and registered by marks with drawn errors; the
-neutral surface lies where coatings of 0 to 3 times the base's modulus put it. Each sheet is a line of the file: what is
-there is not done again.
+The sheets are drawn as surfaces with the noise of a scan, flattened, and registered by marks with
+drawn errors; the neutral surface lies where coatings of 0 to 3 times the base's modulus put it.
+Each sheet is a line of the file: what is there is not done again.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ def _registered(sheet, flat, pose, noise, rng):
 
 
 def alone(slope, sheets=6):
-    """What the flattening leaves where the neutral surface is known, rms over some sheets of 9 holes, in um."""
+    """What the flattening leaves where the neutral surface is known, rms over some sheets of 9
+    holes, in um."""
     found = []
     for seed in range(sheets):
         sheet = Bent.drawn(np.random.default_rng([seed, 9]), slope, 9)

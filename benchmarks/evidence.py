@@ -2,8 +2,9 @@
 
 ``python -m benchmarks evidence [PAIRS] [RUN]``
 
-Gaussian maps of 150 x 200 pixels unless said; lengths are the 1/e lengths of the correlation, as shares of the shorter
-side. ``RUN`` is the folder of a link, whose maps are then compared with drawn images that have nothing to do with it.
+Gaussian maps of 150 x 200 pixels unless said; lengths are the 1/e lengths of the correlation, as
+shares of the shorter side. ``RUN`` is the folder of a link, whose maps are then compared with drawn
+images that have nothing to do with it.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ SHAPE, SIDE = (150, 200), 150
 
 
 def field(rng, shape, length, kind):
-    """Two unrelated maps of variance 1 and correlation exp(-h / length), or exp(-(h / length)^2), by embedding."""
+    """Two unrelated maps of variance 1 and correlation exp(-h / length), or exp(-(h / length)^2),
+    by embedding."""
     down, across = length if isinstance(length, tuple) else (length, length)
     size = [fft.next_fast_len(2 * n) for n in shape]
     lags = [np.abs(fft.fftfreq(n, 1 / n)) for n in size]
@@ -44,7 +46,8 @@ def field(rng, shape, length, kind):
 
 
 def related(rng, r, length, noise=None, kind="exp", shape=SHAPE):
-    """Two maps of correlation r; what the second does not share with the first has its own length."""
+    """Two maps of correlation r; what the second does not share with the first has its own
+    length."""
     a, rest = field(rng, shape, length, kind)
     if noise is not None:
         rest = field(rng, shape, noise, kind)[0]
@@ -96,7 +99,8 @@ def exact_n_eff(length, kind="exp"):
 
 
 def statements(make, r, seed, count):
-    """For each pair: whether the interval holds r, p < .05, naive p < .05, n_eff, width, whether a sign is named.
+    """For each pair: whether the interval holds r, p < .05, naive p < .05, n_eff, width, whether a
+    sign is named.
 
     NaN where withheld.
     """
@@ -163,7 +167,8 @@ def differences(length, seed, count):
 
 
 def against(run, seed, count):
-    """Of drawn images and a run's maps: whether a direction is named, and whether any p of the table is below .05."""
+    """Of drawn images and a run's maps: whether a direction is named, and whether any p of the
+    table is below .05."""
     linked = xr.open_zarr(run / "maps.zarr", group="linked", consolidated=False).load()
     pixel = float(linked["x"].values[1] - linked["x"].values[0])
     sheet, shape, rng, out = (
@@ -196,7 +201,10 @@ _THICK_SD_UM, _THICK_ERROR_UM, _PLACE_ERROR_UM = 4.5, 0.35, 1.5  # errors: docs/
 
 
 def brightness(r2, seed, count):
-    """Fields of 8 x 6 mm at points of 100 um: r, limits, n_eff, n. Thickness and places are measured with errors."""
+    """Fields of 8 x 6 mm at points of 100 um: r, limits, n_eff, n.
+
+    Thickness and places are measured with errors.
+    """
     rng, out = np.random.default_rng(seed + round(1e6 * r2)), []
     for _ in range(count):
         a, b = related(rng, math.sqrt(r2), 150.0 / FIELD_UM, shape=FIELD)
@@ -206,7 +214,8 @@ def brightness(r2, seed, count):
 
 
 def _measured(rng, a):
-    """A map of thickness as it is measured: with noise, and each pixel from a place that is a little wrong."""
+    """A map of thickness as it is measured: with noise, and each pixel from a place that is a
+    little wrong."""
     moves = [ndimage.gaussian_filter(rng.normal(size=a.shape), 20, mode="wrap") for _ in range(2)]
     size = _PLACE_ERROR_UM / FIELD_UM / math.sqrt(2)
     at = [k + m / m.std() * size for k, m in zip(np.indices(a.shape), moves, strict=True)]
@@ -215,7 +224,8 @@ def _measured(rng, a):
 
 
 def prints(seed, count):
-    """Prints with a screen of 60 lines/cm at 45 degrees: r² with it taken off, r² without any screen, n_eff, n."""
+    """Prints with a screen of 60 lines/cm at 45 degrees: r² with it taken off, r² without any
+    screen, n_eff, n."""
     rng, out, pixel = np.random.default_rng(seed), [], 12.0
     rows, cols = np.indices((500, 667)) * pixel
     along = 2 * math.pi * 60.0 / 1e4
@@ -253,7 +263,8 @@ def stored(folder, rows, cols):
 
 
 def cost_of(folder, whole, what):
-    """Correlate the stored maps, in a process of its own: processor time and what the memory grew by."""
+    """Correlate the stored maps, in a process of its own: processor time and what the memory grew
+    by."""
     data = xr.open_zarr(folder, consolidated=False)
     data = data.load() if whole else data
     a, b, mask = (data[k] for k in ("a", "b", "mask"))

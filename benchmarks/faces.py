@@ -1,6 +1,7 @@
 """Faces, coatings and base of flat sheets whose surfaces are formulas, found without any option.
 
-``python -m benchmarks faces [part of a case's name]``, or ``thin`` for the table of thin layers alone.
+``python -m benchmarks faces [part of a case's name]``, or ``thin`` for the table of thin layers
+alone.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _TILTS = (
 )
 
 
-def _families():
+def _families():  # noqa: C901
     """Name of each case, and how its sheet differs from the plain one."""
     yield "plain", {}
     for dtype, inverted in product(("uint8", "uint16", "float32"), (False, True)):
@@ -100,9 +101,11 @@ def cases():
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Bias and rms in um, of faces (top, bottom) and layers (coatings, base; NaN where there is none).
+    """Bias and rms in um, of faces (top, bottom) and layers (coatings, base; NaN where there is
+    none).
 
-    ``share`` is that of the columns that were measured; ``coated`` whether both sides were rightly recognised.
+    ``share`` is that of the columns that were measured; ``coated`` whether both sides were rightly
+    recognised.
     """
 
     faces: list[tuple[float, float]]
@@ -188,7 +191,8 @@ def main(*only):
 
 
 def wedge(most, voxel, seed=0):
-    """A sheet whose top coating grows from 0 to ``most`` um along the columns, and its thickness per column."""
+    """A sheet whose top coating grows from 0 to ``most`` um along the columns, and its thickness
+    per column."""
     count = 160
     thickness = np.linspace(0.0, most, count)
     parts = [
@@ -207,7 +211,8 @@ def wedge(most, voxel, seed=0):
 
 
 def thin_layers():
-    """Print true against found thickness of layers thinner than the blur: 4 um of blur, voxels of 1.37 um."""
+    """Print true against found thickness of layers thinner than the blur: 4 um of blur, voxels of
+    1.37 um."""
     print("found thickness in um of thin coatings, blur 4 um, voxel 1.37 um, noise 5 %")
     print(f"{'true':>6s}{'even':>14s}{'other side 15':>16s}{'grey given':>12s}{'in a wedge':>13s}")
     grey, truth = wedge(12.0, 1.37)

@@ -1,4 +1,5 @@
-"""How right the flattening is on developable sheets, time and memory by size, and other solvers on the same sheets.
+"""How right the flattening is on developable sheets, time and memory by size, and other solvers on
+the same sheets.
 
 ``python -m benchmarks flattening [all | exact | peers | sizes] [largest]``
 """
@@ -31,7 +32,8 @@ def timed(call, repeats=5):
 
 
 def sizes(largest, repeats=5):
-    """Nanoseconds a node and bytes a node from 128 x 96 to 8192 x 6144, each in a process of its own."""
+    """Nanoseconds a node and bytes a node from 128 x 96 to 8192 x 6144, each in a process of its
+    own."""
     print(
         "\nsizes: rough sheets, arcs\n cols x rows      nodes  ns/node  bytes/node beyond the input"
     )
@@ -112,7 +114,8 @@ def spring_energy(points, uv):
 
 
 def peers(name="M"):
-    """Other solvers on the same sheet: the paper's relaxation, scipy's least squares, and libigl where installed."""
+    """Other solvers on the same sheet: the paper's relaxation, scipy's least squares, and libigl
+    where installed."""
     rows, cols = SIZES[name]
     print(
         f"\npeers ({name}, chords)\nsheet    solver                     seconds   ratio  energy /"
@@ -140,8 +143,8 @@ def peers(name="M"):
         lowest = min(row[2] for row in rows_out)
         for solver, seconds, energy, inverted in rows_out:
             print(
-                f"{kind:<9}{solver:<25}{seconds:>9.4f}{seconds / rows_out[0][1]:>8.0f}{energy / lowest:>14.6f}"
-                f"{inverted:>9}"
+                f"{kind:<9}{solver:<25}{seconds:>9.4f}{seconds / rows_out[0][1]:>8.0f}"
+                f"{energy / lowest:>14.6f}{inverted:>9}"
             )
     return 0
 

@@ -2,9 +2,10 @@
 
     python -m benchmarks fuzz [PART] [COUNT] [CASE]
 
-Parts: files (run.toml, results.json, marks.json), chunks (the maps of a run). Each case has its number as its seed, so
-that one can be made again alone. Commands run in this process, as `planish.cli.main`. Damaged images, volumes and marks
-are read in tests: `tests/io/test_damage.py`, `tests/io/test_damage_formats.py`, `tests/marks/test_files_faults.py`.
+Parts: files (run.toml, results.json, marks.json), chunks (the maps of a run). Each case has its
+number as its seed, so that one can be made again alone. Commands run in this process, as
+`planish.cli.main`. Damaged images, volumes and marks are read in tests: `tests/io/test_damage.py`,
+`tests/io/test_damage_formats.py`, `tests/marks/test_files_faults.py`.
 """
 
 from __future__ import annotations
@@ -141,7 +142,7 @@ def entries(folder):
     return {p.relative_to(folder).as_posix() for p in folder.rglob("*")}
 
 
-# --- one command ---------------------------------------------------------------------------------------------
+# --- one command ----------------------------------------------------------------------------------
 
 
 class _Hangs(BaseException):
@@ -204,7 +205,7 @@ def _logged(text):
     return f" ({' < '.join(re.sub(r'.*/planish/', '', place) for place in places[:-4:-1])})"
 
 
-# --- damages -------------------------------------------------------------------------------------------------
+# --- damages --------------------------------------------------------------------------------------
 
 
 def damaged(data, rng, *, text=False):
@@ -306,7 +307,7 @@ def _places(content):
         yield from _places(content[key])
 
 
-# --- the parts -----------------------------------------------------------------------------------------------
+# --- the parts ------------------------------------------------------------------------------------
 
 
 def of_files(rng, place, image):

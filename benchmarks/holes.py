@@ -1,9 +1,10 @@
-"""How well laser holes are found and centred: diameters of 8 to 80 pixels on eleven papers, among ten look-alikes each.
+"""How well laser holes are found and centred: diameters of 8 to 80 pixels on eleven papers, among
+ten look-alikes each.
 
 ``python -m benchmarks holes [synthetic | rims | scorched | fibres] [times]``
 
-Two truths: the centre the laser aimed at, and the area centroid of the outline it cut. The rim's roughness moves the
-second against the first, and no image shows by how much.
+Two truths: the centre the laser aimed at, and the area centroid of the outline it cut. The rim's
+roughness moves the second against the first, and no image shows by how much.
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ class Scene:
 
 @dataclass(slots=True)
 class Score:
-    """What was found of what there was; errors by their names, each (n, 2) in um, and stated variances."""
+    """What was found of what there was; errors by their names, each (n, 2) in um, and stated
+    variances."""
 
     found: int = 0
     missed: int = 0
@@ -70,7 +72,8 @@ class Score:
     errors: dict[str, list[Floats]] = field(default_factory=lambda: defaultdict(list))
 
     def add(self, scene, holes, variance, centres=None):
-        """Compare what was found (n, 2) with a scene; ``centres`` (m, 2) instead of the nominal ones."""
+        """Compare what was found (n, 2) with a scene; ``centres`` (m, 2) instead of the nominal
+        ones."""
         nominal = np.array([(h.x, h.y) for h in scene.holes])
         true = nominal if centres is None else centres
         drawn = np.array([h.centroid for h in scene.holes]) + (true - nominal)
@@ -126,8 +129,9 @@ def around(rng, sd, length, perimeter):
 def least_error(rough_um=4.0, length=30.0, diameter=DIAMETER_UM):
     """Standard deviation per axis of the first wave of a rim, um.
 
-    The waves of a stationary Gaussian rim are independent: the others say nothing about the first, and the first is a
-    displacement. No estimator that sees the rim alone comes closer to the place aimed at.
+    The waves of a stationary Gaussian rim are independent: the others say nothing about the first,
+    and the first is a displacement. No estimator that sees the rim alone comes closer to the place
+    aimed at.
     """
     perimeter = np.pi * diameter
     wave = 2 * np.sqrt(np.pi) * length / perimeter * np.exp(-((np.pi * length / perimeter) ** 2))
@@ -157,7 +161,7 @@ def make_hole(rng, x, y, rough_um=4.0):
     )
 
 
-# --- papers: grey (rows, columns), mean about 1 ---------------------------------------------------------------------
+# --- papers: grey (rows, columns), mean about 1 ---------------------------------------------------
 
 
 def gauss(rng, shape, length_um, pixel, sd):
@@ -282,7 +286,7 @@ PAPERS = {
 }
 
 
-# --- look-alikes ----------------------------------------------------------------------------------------------------
+# --- look-alikes ----------------------------------------------------------------------------------
 
 
 def _spot(paper, pixel, x, y, radius, factor, soft, ring=0.0):
@@ -302,7 +306,8 @@ def _spot(paper, pixel, x, y, radius, factor, soft, ring=0.0):
 
 
 def _look_alikes(rng, paper, pixel, places, bright):
-    """Two printed dots, two blots, two stains, a pit and a ring; the half holes are drawn with the holes."""
+    """Two printed dots, two blots, two stains, a pit and a ring; the half holes are drawn with the
+    holes."""
     kinds = ("dot", "dot", "blot", "blot", "stain", "stain", "pit", "ring")
     for kind, (x, y) in zip(kinds, places, strict=False):
         if kind == "dot":
@@ -326,11 +331,12 @@ def _look_alikes(rng, paper, pixel, places, bright):
             _spot(paper, pixel, x, y, rng.uniform(80, 110), 0.4, 5.0, ring=12.0)
 
 
-# --- scenes ---------------------------------------------------------------------------------------------------------
+# --- scenes ---------------------------------------------------------------------------------------
 
 
 def places(rng):
-    """Places (x, y) of the holes, three diameters apart, and of eight look-alikes, two diameters from everything."""
+    """Places (x, y) of the holes, three diameters apart, and of eight look-alikes, two diameters
+    from everything."""
     while True:
         found = []
         for count, gap in ((HOLES, 3.0), (HOLES + 8, 2.0)):
@@ -345,7 +351,8 @@ def places(rng):
 
 
 def fine_window(hole, pixel, shape, beyond):
-    """Pixels around a hole, coordinates of their sub-pixels from its centre, and how many those are along a side."""
+    """Pixels around a hole, coordinates of their sub-pixels from its centre, and how many those are
+    along a side."""
     box = _around(hole.x, hole.y, hole.outline.max() + beyond, pixel, shape)
     sub = int(np.clip(np.ceil(pixel / 1.5), 3, 15))
     offsets = (np.arange(sub) + 0.5) / sub - 0.5
@@ -378,7 +385,8 @@ def polar(v, u):
 
 
 def make_scene(seed, paper, across, *, bright=False, rough_um=4.0):
-    """An image of one paper with twelve holes, eight look-alikes and two holes cut by the border."""
+    """An image of one paper with twelve holes, eight look-alikes and two holes cut by the
+    border."""
     rng = np.random.default_rng([seed, list(PAPERS).index(paper), round(across), int(bright)])
     pixel = DIAMETER_UM / across
     shape = (int(FIELD_UM[0] / pixel), int(FIELD_UM[1] / pixel))
@@ -414,7 +422,8 @@ def make_scene(seed, paper, across, *, bright=False, rough_um=4.0):
 
 
 def make_presence(seed, across, depth, *, rough_um=4.0):
-    """Where there is sheet at one depth (0 top, 1 bottom): 0 or 1 and noise; with the true centres there."""
+    """Where there is sheet at one depth (0 top, 1 bottom): 0 or 1 and noise; with the true centres
+    there."""
     rng = np.random.default_rng([seed, round(across)])
     pixel = DIAMETER_UM / across
     shape = (int(FIELD_UM[0] / pixel), int(FIELD_UM[1] / pixel))

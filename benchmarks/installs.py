@@ -1,10 +1,13 @@
-"""Installed as users do: wheel and source archive, fresh environments, the locked and the lowest versions.
+"""Installed as users do: wheel and source archive, fresh environments, the locked and the lowest
+versions.
 
     python -m benchmarks installs [PART] [PYTHON]
 
-Parts: demo (also ``planish doctor``); tests (the same, and the fast tests from the unpacked source archive), where none
+Parts: demo (also ``planish doctor``); tests (the same, and the fast tests from the unpacked source
+archive), where none
 is given.
-Without PYTHON (3.11, 3.12, 3.13) all interpreters that are found are tried. It takes the network, and for the lowest
+Without PYTHON (3.11, 3.12, 3.13) all interpreters that are found are tried. It takes the network,
+and for the lowest
 versions uv; what is missing is named and left out.
 """
 

@@ -3,13 +3,13 @@
     python -m benchmarks large_image [--memory 4GB] [--folder DIR] [--rows 3416,10944]
     python -m benchmarks large_image --texture [--hand] [--near]
 
-A specimen is made with a voxel of 5 um and a pixel of 1.37 um, so large that its image has so many rows and 4/3 as many
-columns; ``planish link`` maps and links it in a process of its own. The specimen of 160 million pixels takes some nine
-minutes and 10 GB to make.
+A specimen is made with a voxel of 5 um and a pixel of 1.37 um, so large that its image has so many
+rows and 4/3 as many columns; ``planish link`` maps and links it in a process of its own. The
+specimen of 160 million pixels takes some nine minutes and 10 GB to make.
 
-With ``--texture`` a map of 2.5 x 2 mm without holes is found in an image of 60 x 45 mm at 4 um, with either hand, or
-with the right one (``--hand``), or about a place known to 150 um, as a hole gives it (``--near``): time, peak memory,
-and how far off.
+With ``--texture`` a map of 2.5 x 2 mm without holes is found in an image of 60 x 45 mm at 4 um,
+with either hand, or with the right one (``--hand``), or about a place known to 150 um, as a hole
+gives it (``--near``): time, peak memory, and how far off.
 """
 
 from __future__ import annotations
@@ -102,7 +102,8 @@ def specimen(rows, cols, folder):
         if made.image_shape[0] >= rows and made.image_shape[1] >= cols:
             break
         height, width = 1.01 * height, 1.01 * width
-    # Another specimen of the same sheet: what it keeps of its scan is gone before the image is drawn.
+    # Another specimen of the same sheet: what it keeps of its scan is gone before the image is
+    # drawn.
     write_instruments(make_specimen(made.params, sheet=made.sheet), folder, image=False)
     values = tifffile.imread(write_image(made, folder / "image.tif"))[:rows, :cols]
     per_cm = 1e4 / PIXEL_UM
@@ -111,7 +112,8 @@ def specimen(rows, cols, folder):
 
 
 def find_texture(*, mirrored, is_near=False):
-    """Find a map with a texture r of .5 in a large image, and print what that took; 1 where it lies 6 um off."""
+    """Find a map with a texture r of .5 in a large image, and print what that took; 1 where it lies
+    6 um off."""
     rng, pixel, (rows, cols), (ny, nx) = np.random.default_rng(1), 4.0, (11250, 15000), (500, 625)
 
     def field(shape):

@@ -1,13 +1,16 @@
-"""How often a sheet without holes is found in an image by texture, how far off, and how often in the wrong image.
+"""How often a sheet without holes is found in an image by texture, how far off, and how often in
+the wrong image.
 
 ``python -m benchmarks no_holes [RIGHT [WRONG [FIRST [HOLES [LIGHT]]]]]``
 
-Sheets are laid fibre by fibre. Their maps are the truth with the noise of a scan; images have another pixel, any
-rotation, a scale off by up to 2 %, light from one side, and a mottle that has nothing to do with the sheet, so that the
-texture r, of the leading map and the image at the true place from 18 to 150 um, lies between .15 and .8. A wrong pair
-is the image of another sheet. Printed are, by texture r, the share that is linked, the distance to the truth, true over
-stated error, and the time of a link. With HOLES, 1 or 2, each sheet has so many, which are found in the image. LIGHT is
-the most by which light from the side changes the brightness, in thousandths for each .1 of slope (6).
+Sheets are laid fibre by fibre. Their maps are the truth with the noise of a scan; images have
+another pixel, any rotation, a scale off by up to 2 %, light from one side, and a mottle that has
+nothing to do with the sheet, so that the texture r, of the leading map and the image at the true
+place from 18 to 150 um, lies between .15 and .8. A wrong pair is the image of another sheet.
+Printed are, by texture r, the share that is linked, the distance to the truth, true over stated
+error, and the time of a link. With HOLES, 1 or 2, each sheet has so many, which are found in the
+image. LIGHT is the most by which light from the side changes the brightness, in thousandths for
+each .1 of slope (6).
 """
 
 from __future__ import annotations
@@ -147,7 +150,8 @@ def _texture_r(maps, image, pose):
 
 
 def main(right=60, wrong=120, first=0, holes=0, light=6):
-    """Print the power by texture r, the errors, and the wrong pairs that were linked; 1 where a limit is missed."""
+    """Print the power by texture r, the errors, and the wrong pairs that were linked; 1 where a
+    limit is missed."""
     started, off, ratios, seconds = time.process_time(), [], [], []
     drawn = partial(draw_pair, holes=holes, light=light / 1000)
     power = []

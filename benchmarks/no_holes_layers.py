@@ -1,10 +1,12 @@
-"""How far off layers without holes are linked: a CT scan and serial sections, a chain of three, and two images.
+"""How far off layers without holes are linked: a CT scan and serial sections, a chain of three, and
+two images.
 
 ``python -m benchmarks no_holes_layers [SHEETS]``
 
-Coated sheets of the demo's kind, 1.5 x 1.2 mm, without holes. Printed are distances in the plane of the sheet: for two
-volumes between the pieces of paper that they show at one pixel; for the chain of sections, scan and image, and for two
-images of different cameras, to where the pixel truly lies. At most 1.5 um between volumes, and 1 pixel between images.
+Coated sheets of the demo's kind, 1.5 x 1.2 mm, without holes. Printed are distances in the plane of
+the sheet: for two volumes between the pieces of paper that they show at one pixel; for the chain of
+sections, scan and image, and for two images of different cameras, to where the pixel truly lies. At
+most 1.5 um between volumes, and 1 pixel between images.
 """
 
 from __future__ import annotations
@@ -81,7 +83,8 @@ def _measured(seed, folder):
 
 
 def _off_image(specimen, files, run, name):
-    """Distances in the plane between what a layer shows at the pixels of the image and what truly lies there."""
+    """Distances in the plane between what a layer shows at the pixels of the image and what truly
+    lies there."""
     maps = run.groups[f"layers/{name}"]
     valid = maps["valid"].values
     places = np.stack([maps[f"volume_{axis}"].values[valid] for axis in ("x", "y", "z")], axis=-1)

@@ -1,10 +1,11 @@
-"""How many laser holes are found in images of fibre paper that is mottled, printed or full of shives.
+"""How many laser holes are found in images of fibre paper that is mottled, printed or full of
+shives.
 
 ``python -m benchmarks holes fibres [TIMES]``: 60 images, or so many times 60.
 
-Sheets are laid fibre by fibre and photographed by ``planish.synthetic``; every image has holes of its own. The texture
-is that of the coating and of a mottle that has nothing to do with it, from a faint one to one whose darkest places are
-nearly as dark as a hole.
+Sheets are laid fibre by fibre and photographed by ``planish.synthetic``; every image has holes of
+its own. The texture is that of the coating and of a mottle that has nothing to do with it, from a
+faint one to one whose darkest places are nearly as dark as a hole.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ _SAME_UM = 40.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Photograph:
-    """An image, its pixel in um, the centres (n, 2) of the holes wholly inside, and what was drawn."""
+    """An image, its pixel in um, the centres (n, 2) of the holes wholly inside, and what was
+    drawn."""
 
     image: Floats
     pixel: float
@@ -148,7 +150,8 @@ def make_photograph(number, look):
 
 
 def main(images=60):
-    """Print holes found and false marks by look; 1 if fewer than 97 % are found or a mark is false."""
+    """Print holes found and false marks by look; 1 if fewer than 97 % are found or a mark is
+    false."""
     print(f"{'':>12} images  found      of  false  r2 with the coating  texture")
     counts = {look: np.zeros(3, int) for look in LOOKS}
     drawn = {look: [] for look in LOOKS}

@@ -2,10 +2,11 @@
 
 ``python -m benchmarks optics [fields [seed]]``
 
-Fields of 60 x 80 points of 100 um. The coating weighs 17 +- 4.5 g/m2 and has a 1/e correlation length; the rest of the
-brightness has one of its own, and the line carries a quarter of the variance. Independent points are those of
-``independent_points``; in the second table those of ``correlate`` for the coating and the brightness, one number for
-slope, bend and level, which is the simple way.
+Fields of 60 x 80 points of 100 um. The coating weighs 17 +- 4.5 g/m2 and has a 1/e correlation
+length; the rest of the brightness has one of its own, and the line carries a quarter of the
+variance. Independent points are those of ``independent_points``; in the second table those of
+``correlate`` for the coating and the brightness, one number for slope, bend and level, which is the
+simple way.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ BASE = float(pile(scattering=45.0, absorption=1.2))
 
 
 def cover(fields, seed, lengths_um, *, of_rest=True):
-    """Shares of fields whose interval holds S, the base, and the slope and straightness of a line; and a row."""
+    """Shares of fields whose interval holds S, the base, and the slope and straightness of a line;
+    and a row."""
     rng, held, n_effs = np.random.default_rng(seed), [], []
     for _ in range(fields):
         x = np.maximum(_WEIGHT + _SPREAD * _field(rng, lengths_um[0]), 0.0)

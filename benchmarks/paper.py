@@ -2,13 +2,14 @@
 
     python -m benchmarks paper [KIND ...] [--count 10]
 
-The sheets are laid fibre by fibre (``planish.synthetic.fibres``); grades, greys, blur, noise, bends and what lies
-beside the sheet are drawn. A coating's truth is the layer itself; the face of a sheet without one is the outermost
-place at which the wall under the stated blur reaches half of its own grey, loose fibres left out. Per specimen: mean
-error of each thickness and how many of its stated errors that is; standard deviation of a column's error; rms of error
-less mean over the stated one, with its robust twin; coverage. Of a coating also: the mean error in classes of the true
-one, r with the image beside that of the true coating at the same columns, and how many of the places below 3 um are
-found and how many named so are it. A sheet on film is measured again without it.
+The sheets are laid fibre by fibre (``planish.synthetic.fibres``); grades, greys, blur, noise, bends
+and what lies beside the sheet are drawn. A coating's truth is the layer itself; the face of a sheet
+without one is the outermost place at which the wall under the stated blur reaches half of its own
+grey, loose fibres left out. Per specimen: mean error of each thickness and how many of its stated
+errors that is; standard deviation of a column's error; rms of error less mean over the stated one,
+with its robust twin; coverage. Of a coating also: the mean error in classes of the true one, r with
+the image beside that of the true coating at the same columns, and how many of the places below 3 um
+are found and how many named so are it. A sheet on film is measured again without it.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ _SIZE_UM = (1500.0, 1100.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Sized:
-    """A thickness of a specimen: its name, errors over the columns that show it, and the share of these."""
+    """A thickness of a specimen: its name, errors over the columns that show it, and the share of
+    these."""
 
     name: str
     true: Floats
@@ -73,7 +75,8 @@ class Sized:
 
     @property
     def ratios(self):
-        """Rms of (error less its mean) over the stated error, and the same from the median deviation."""
+        """Rms of (error less its mean) over the stated error, and the same from the median
+        deviation."""
         ratio = ((self.error - self.mean) / self.stated)[self.stated > 0]
         return float(np.sqrt(np.mean(ratio**2))), 1.4826 * float(np.median(np.abs(ratio)))
 
@@ -85,7 +88,8 @@ class Sized:
 
     @property
     def thin(self):
-        """Of the places truly below 3 um the share found, and of those named the share that are it."""
+        """Of the places truly below 3 um the share found, and of those named the share that are
+        it."""
         is_thin, is_named = self.true < _THIN_UM, self.true + self.error < _THIN_UM
         if is_thin.mean() < 0.02:
             return None
@@ -254,7 +258,8 @@ KINDS = {
 
 
 def main(*arguments):
-    """Draw, measure and print, and sum up each kind; 0 in any case: the limits stand in docs/accuracy.md."""
+    """Draw, measure and print, and sum up each kind; 0 in any case: the limits stand in
+    docs/accuracy.md."""
     parser = argparse.ArgumentParser(prog="paper")
     parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("--count", type=int, default=10)

@@ -1,6 +1,7 @@
 """Pictures of the documents: made from runs, so that they show what the program gives.
 
-``python -m benchmarks pictures [NAME ...]`` writes docs/images/NAME.png; all of them where none is named.
+``python -m benchmarks pictures [NAME ...]`` writes docs/images/NAME.png; all of them where none is
+named.
 """
 
 from __future__ import annotations
@@ -76,7 +77,8 @@ def linked(path, folder):
 
 
 def tutorial(path, folder):
-    """What the tutorial shows: sections through the scan, the first page of the report, two of its figures."""
+    """What the tutorial shows: sections through the scan, the first page of the report, two of its
+    figures."""
     page = (IMAGES.parent / "tutorial.md").read_text(encoding="utf-8")
     outcomes = console.run(page, folder)
     if faults := console.report(outcomes):

@@ -2,9 +2,10 @@
 
     python -m benchmarks programs [--run RUN] [--folder DIR] [--pictures DIR]
 
-ImageJ (`ij.jar`, through JPype), GNU Octave, Gwyddion, R, ParaView (`pvpython`) and elastix (`transformix`). A program
-that is not installed is skipped, and said. Without ``--run`` a small specimen is linked first. The last column is the
-largest difference to what the run holds. The libraries of Python that read these files do so in `tests/exports`.
+ImageJ (`ij.jar`, through JPype), GNU Octave, Gwyddion, R, ParaView (`pvpython`) and elastix
+(`transformix`). A program that is not installed is skipped, and said. Without ``--run`` a small
+specimen is linked first. The last column is the largest difference to what the run holds. The
+libraries of Python that read these files do so in `tests/exports`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ _NAMES = ("coating_top", "image", "valid")
 
 
 class Row(NamedTuple):
-    """What was compared: program with version, its command, the file, what of it, the largest difference."""
+    """What was compared: program with version, its command, the file, what of it, the largest
+    difference."""
 
     program: str
     command: str
@@ -78,7 +80,8 @@ class Missing(Exception):
 
 
 def bent_run(folder):
-    """A run whose registration no affine map holds, so that fields of displacements are tried too."""
+    """A run whose registration no affine map holds, so that fields of displacements are tried
+    too."""
     run = folder / "bent"
     if not run.exists():
         files = small_specimen(folder / "bent-specimen", holes=8)
@@ -138,7 +141,7 @@ def output(command, **more):
     return subprocess.run(command, capture_output=True, text=True, check=True, **more).stdout
 
 
-# --- the programs ----------------------------------------------------------------------------------------------------
+# --- the programs ---------------------------------------------------------------------------------
 
 _IMAGEJ = """
 import json, sys
@@ -149,9 +152,11 @@ import numpy as np
 image = IJ.openImage(sys.argv[2])
 c = image.getCalibration()
 stack = image.getStack()
-planes = [np.array(stack.getProcessor(k + 1).convertToFloat().getPixels()[:]) for k in range(image.getStackSize())]
+numbers = range(1, image.getStackSize() + 1)
+planes = [np.array(stack.getProcessor(k).convertToFloat().getPixels()[:]) for k in numbers]
 np.save(sys.argv[3], np.stack(planes).reshape(len(planes), image.getHeight(), image.getWidth()))
-print(json.dumps({"version": str(IJ.getVersion()), "pixel": [c.pixelHeight, c.pixelWidth], "unit": str(c.getUnit()),
+print(json.dumps({"version": str(IJ.getVersion()), "pixel": [c.pixelHeight, c.pixelWidth],
+    "unit": str(c.getUnit()),
     "labels": [str(stack.getSliceLabel(k + 1)) for k in range(image.getStackSize())],
     "info": str(image.getInfoProperty())}))
 """
@@ -252,15 +257,17 @@ def function(name, kind, *takes, of=process):
     return found
 text = open(sys.argv[1], "rb").read()
 assert text[:4] == b"GWYP"
-read = function("gwy_serializable_deserialize", c.c_void_p, c.c_char_p, c.c_size_t, c.POINTER(c.c_size_t), of=base)
+takes = c.c_char_p, c.c_size_t, c.POINTER(c.c_size_t)
+read = function("gwy_serializable_deserialize", c.c_void_p, *takes, of=base)
 file = read(text[4:], len(text) - 4, c.byref(c.c_size_t(0)))
 quark = function("g_quark_from_string", c.c_uint32, c.c_char_p, of=glib)
 held = function("gwy_container_get_object", c.c_void_p, c.c_void_p, c.c_uint32, of=base)
 has = function("gwy_container_contains", c.c_int, c.c_void_p, c.c_uint32, of=base)
 def field(key):
     at = held(file, quark(key.encode()))
-    rows, cols = (function(f"gwy_data_field_get_{n}", c.c_int, c.c_void_p)(at) for n in ("yres", "xres"))
-    size = [function(f"gwy_data_field_get_{n}", c.c_double, c.c_void_p)(at) for n in ("yreal", "xreal")]
+    get = lambda name, kind: function(f"gwy_data_field_get_{name}", kind, c.c_void_p)(at)
+    rows, cols = (get(name, c.c_int) for name in ("yres", "xres"))
+    size = [get(name, c.c_double) for name in ("yreal", "xreal")]
     data = function("gwy_data_field_get_data_const", c.POINTER(c.c_double), c.c_void_p)(at)
     return np.ctypeslib.as_array(data, (rows, cols)).copy(), size
 values, size = field("/0/data")

@@ -1,7 +1,9 @@
-"""How near the registration comes to the truth, against the best model in hindsight, and what it says of its error.
+"""How near the registration comes to the truth, against the best model in hindsight, and what it
+says of its error.
 
-``python -m benchmarks registration [truths]`` draws similarities (27 %), affine maps (27 %) and smooth warps (46 %)
-whose deviation from a similarity is 0 to 5 times the noise of the marks, 6 to 60 marks, and one wrong mark in ten.
+``python -m benchmarks registration [truths]`` draws similarities (27 %), affine maps (27 %) and
+smooth warps (46 %) whose deviation from a similarity is 0 to 5 times the noise of the marks, 6 to
+60 marks, and one wrong mark in ten.
 """
 
 from __future__ import annotations
@@ -43,7 +45,8 @@ class Drawn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """Held-out errors of one truth, rms over the hull of its marks, in um; NaN where a model refuses."""
+    """Held-out errors of one truth, rms over the hull of its marks, in um; NaN where a model
+    refuses."""
 
     kind: str
     true_um: dict[str, float]
@@ -55,7 +58,8 @@ class Row:
 
 
 def spread_marks(n, rng):
-    """Marks anywhere in the field, no two closer than a quarter of the mean distance, as lasered holes are."""
+    """Marks anywhere in the field, no two closer than a quarter of the mean distance, as lasered
+    holes are."""
     apart = 0.25 * np.sqrt(np.prod(EXTENT_UM) / n)
     marks = np.empty((0, 2))
     while len(marks) < n:

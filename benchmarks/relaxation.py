@@ -1,7 +1,9 @@
-"""The relaxation of Hirn et al. (2009), section 2.3: accuracy on its Fig. 5, and steps against fixed parameters.
+"""The relaxation of Hirn et al.
 
-``python -m benchmarks relaxation [1]``; with 1, the deformed mesh of 128 x 96 nodes is relaxed with fixed parameters,
-too, which takes some minutes.
+(2009), section 2.3: accuracy on its Fig. 5, and steps against fixed parameters.
+
+``python -m benchmarks relaxation [1]``; with 1, the deformed mesh of 128 x 96 nodes is relaxed with
+fixed parameters, too, which takes some minutes.
 """
 
 from __future__ import annotations
@@ -43,9 +45,10 @@ _REPEATS = 5
 class Case:
     """A start and the flat mesh that it came from, in pitches.
 
-    ``fixed_dt`` is the time step for forward Euler with c = 0.02. c / 8 = 0.0025 is the limit of stability: there a
-    mode of the highest frequency neither grows nor decays, so that a rough start comes to rest sooner with a shorter
-    step. For Fig. 5, 0.0015 is the best of 0.001, 0.00125, 0.0015 and 0.002, and 0.0025 does not come to rest.
+    ``fixed_dt`` is the time step for forward Euler with c = 0.02. c / 8 = 0.0025 is the limit of
+    stability: there a mode of the highest frequency neither grows nor decays, so that a rough start
+    comes to rest sooner with a shorter step. For Fig. 5, 0.0015 is the best of 0.001, 0.00125,
+    0.0015 and 0.002, and 0.0025 does not come to rest.
     """
 
     name: str

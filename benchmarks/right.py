@@ -1,10 +1,13 @@
-"""Does planish stay quiet where nothing is wrong? Right specimens of two makers and two instruments, and real volumes.
+"""Does planish stay quiet where nothing is wrong?
+
+Right specimens of two makers and two instruments, and real volumes.
 
 ``python -m benchmarks right [--count 60] [--out FOLDER]``
 
-Goal: no check fails, each looks in at most 5 %, at least 80 % of the runs have neither. Half of the sheets are laid
-fibre by fibre: coated, uncoated, on film, in resin, as a volume and as sections. Drawn are the paper, slopes to 60
-degrees, 4 to 30 holes, the voxel, the scanner's artefacts, a stack or slices across the sheet or serial sections.
+Goal: no check fails, each looks in at most 5 %, at least 80 % of the runs have neither. Half of the
+sheets are laid fibre by fibre: coated, uncoated, on film, in resin, as a volume and as sections.
+Drawn are the paper, slopes to 60 degrees, 4 to 30 holes, the voxel, the scanner's artefacts, a
+stack or slices across the sheet or serial sections.
 """
 
 from __future__ import annotations

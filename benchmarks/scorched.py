@@ -1,6 +1,7 @@
 """Holes with scorched rims: two edges around a hole, and which of them is taken for the rim.
 
-Beside ``benchmarks.holes``: looks of a burnt rim, drawn with other levels, widths, light and noise for each image.
+Beside ``benchmarks.holes``: looks of a burnt rim, drawn with other levels, widths, light and noise
+for each image.
 """
 
 from __future__ import annotations
@@ -103,7 +104,8 @@ def make_scorched(seed, name):
 
 
 def beyond(scene):
-    """Errors of the centres (n, 2) in um and in stated ones (n,) against the outlines cut; how many holes are false."""
+    """Errors of the centres (n, 2) in um and in stated ones (n,) against the outlines cut; how many
+    holes are false."""
     found = find_holes(scene.image, pixel_um=scene.pixel)
     at = np.stack([found["x"].values, found["y"].values], axis=1)
     centres = np.array([hole.centroid for hole in scene.holes])
@@ -120,7 +122,8 @@ def beyond(scene):
 
 
 def main(seeds=3):
-    """Print a table; 1 if a centre is beyond three times its stated error, or something false was found."""
+    """Print a table; 1 if a centre is beyond three times its stated error, or something false was
+    found."""
     print(
         f"scorched rims\n{'':>16} found missed false  rms um  max um  largest in stated errors,"
         " beyond 3"

@@ -2,8 +2,9 @@
 
 ``python -m benchmarks series [STUDIES] [MAPS]``
 
-``STUDIES`` (4000) are drawn of each kind, a tenth of it with random maps in place of random z; ``MAPS`` (2000) pairs of
-maps of two instruments. Exit code 1 where a share is outside of what is promised.
+``STUDIES`` (4000) are drawn of each kind, a tenth of it with random maps in place of random z;
+``MAPS`` (2000) pairs of maps of two instruments. Exit code 1 where a share is outside of what is
+promised.
 """
 
 from __future__ import annotations
@@ -57,11 +58,12 @@ def holds(interval, truth):
     return math.nan if math.isnan(interval[0]) else float(interval[0] <= truth <= interval[1])
 
 
-# --- r and properties over sheets ------------------------------------------------------------------------------------
+# --- r and properties over sheets -----------------------------------------------------------------
 
 
 def ways(z, n_eff, names):
-    """What is pooled of fields, and the intervals of z by the fields and by their numbers of points alone."""
+    """What is pooled of fields, and the intervals of z by the fields and by their numbers of points
+    alone."""
     found = pooled_r(Fields(np.tanh(z).tolist(), names), n_eff.tolist())
     wide = 1.96 / math.sqrt(float(np.sum(n_eff - 3)))
     middle = float(np.average(z, weights=n_eff - 3))
@@ -69,7 +71,8 @@ def ways(z, n_eff, names):
 
 
 def pooled(sheets, between, uneven, seed, count):
-    """Whether the interval of r holds it: by sheets, by weights (Hartung-Knapp), by fields, by n_eff alone."""
+    """Whether the interval of r holds it: by sheets, by weights (Hartung-Knapp), by fields, by
+    n_eff alone."""
     rng, out, truth = np.random.default_rng((seed, sheets)), [], math.tanh(MEAN_Z)
     sheet = np.repeat(np.arange(sheets), EACH)
     for _ in range(count):
@@ -95,7 +98,8 @@ def pooled(sheets, between, uneven, seed, count):
 
 
 def properties(counts, between, seed, count):
-    """Whether the intervals hold the mean, and the share of variance between sheets; and the mean by fields."""
+    """Whether the intervals hold the mean, and the share of variance between sheets; and the mean
+    by fields."""
     rng, out = np.random.default_rng((seed, len(counts))), []
     sheets, share = names_of(counts), between**2 / (between**2 + 1)
     for _ in range(count):
@@ -115,7 +119,8 @@ def properties(counts, between, seed, count):
 
 
 def differences(sheets, seed, count):
-    """Whether intervals of differences hold the truth: a property and r before and after, r², and of two papers.
+    """Whether intervals of differences hold the truth: a property and r before and after, r², and
+    of two papers.
 
     And how often a difference as large as the margin is called equivalent.
     """
@@ -160,13 +165,14 @@ def differences(sheets, seed, count):
     return np.array(out, dtype=float)
 
 
-# --- with random maps ------------------------------------------------------------------------------------------------
+# --- with random maps -----------------------------------------------------------------------------
 
 SHAPE, LENGTH = (60, 80), 4.0
 
 
 def with_maps(sheets, between, seed, count):
-    """The same with maps that correlate: r pooled, by fields, by n_eff alone; r and r² before and after."""
+    """The same with maps that correlate: r pooled, by fields, by n_eff alone; r and r² before and
+    after."""
     rng, out, names = np.random.default_rng((seed, sheets, 1)), [], names_of([EACH] * sheets)
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)
     before = float(
@@ -200,7 +206,7 @@ def with_maps(sheets, between, seed, count):
     return np.array(out)
 
 
-# --- designs ---------------------------------------------------------------------------------------------------------
+# --- designs --------------------------------------------------------------------------------------
 
 DESIGNS = (
     {
@@ -272,7 +278,7 @@ def designed_with_maps(paired, seed, count):
 MAPS_R2, MAPS_BETWEEN = (0.2, 0.3), 0.05
 
 
-# --- two instruments -------------------------------------------------------------------------------------------------
+# --- two instruments ------------------------------------------------------------------------------
 
 FIELD = (90, 120)
 
@@ -312,7 +318,8 @@ INSTRUMENTS = {
 
 
 def instruments(name, seed, count):
-    """Whether the intervals of bias, scatter and both limits hold the truth; and what the limits are off by."""
+    """Whether the intervals of bias, scatter and both limits hold the truth; and what the limits
+    are off by."""
     make, holes = INSTRUMENTS[name]
     rng, out, mask = np.random.default_rng((seed, *name.encode())), [], pierced() if holes else None
     for _ in range(count):
@@ -335,7 +342,7 @@ def instruments(name, seed, count):
     return np.array(out)
 
 
-# --- all of them -----------------------------------------------------------------------------------------------------
+# --- all of them ----------------------------------------------------------------------------------
 
 
 def _missed(low, high, *shares):
@@ -375,7 +382,8 @@ def _over_sheets(parts, count):
             f"r, {sheets} sheets, z varies by"
             f" {between:g}{', one of large fields' if uneven else ''}"
         )
-        # With one sheet of large fields, means of sheets scatter unlike: then it may hold more often.
+        # With one sheet of large fields, means of sheets scatter unlike: then it may hold more
+        # often.
         most = 0.995 if uneven and between == 0 else 0.97
         shares = _named("by sheets, weighted (HK), fields as independent, n_eff alone", share)
         yield line, shares | {"width": float(np.median(found[:, 4]))}, _missed(0.93, most, share[0])

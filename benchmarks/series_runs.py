@@ -1,4 +1,5 @@
-"""A series of specimens of the demo's size beside single links: processor time, memory as it goes on, the same bytes.
+"""A series of specimens of the demo's size beside single links: processor time, memory as it goes
+on, the same bytes.
 
 python -m benchmarks series_runs [--count 40] [--folder DIR] [--jobs 1]
 """
@@ -57,7 +58,8 @@ def make(folder, count):
 
 
 def watched(command):
-    """Run a command; its processor time, the GB that it and all below it held, twice a second, and how long it took."""
+    """Run a command; its processor time, the GB that it and all below it held, twice a second, and
+    how long it took."""
     before, begun, held = children_s(), time.perf_counter(), []
     process = subprocess.Popen(command)
     while process.poll() is None:

@@ -1,4 +1,5 @@
-"""What several benchmarks need: options, a folder, planish in processes of its own, and what these take."""
+"""What several benchmarks need: options, a folder, planish in processes of its own, and what these
+take."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ import numpy as np
 
 
 def options(name, words, **defaults):
-    """Options of a benchmark: flags where the default is False, paths where None, else of the default's type."""
+    """Options of a benchmark: flags where the default is False, paths where None, else of the
+    default's type."""
     parser = argparse.ArgumentParser(prog=name)
     for option, default in defaults.items():
         flag = f"--{option.replace('_', '-')}"
@@ -45,10 +47,11 @@ def planish(*arguments):
 
 @dataclass
 class Ran:
-    """How a command ended, what it took, and what it said; seconds from each stage that it names to the next one.
+    """How a command ended, what it took, and what it said; seconds from each stage that it names to
+    the next one.
 
-    The peak in bytes is read while it runs: what the system reports of a child begins with the size of the process
-    that started it, and that has just made a specimen.
+    The peak in bytes is read while it runs: what the system reports of a child begins with the size
+    of the process that started it, and that has just made a specimen.
     """
 
     code: int = 0
@@ -151,6 +154,7 @@ def rms(values):
 
 
 def in_parts(pool, work, count, chunk=50):
-    """Do ``work(seed, count)`` in parts, each with its first number as its seed, and put the rows together."""
+    """Do ``work(seed, count)`` in parts, each with its first number as its seed, and put the rows
+    together."""
     seeds = range(0, count, chunk)
     return np.concatenate([*pool.map(work, seeds, [min(chunk, count - k) for k in seeds])])

@@ -1,8 +1,10 @@
-"""Which side an image shows, whether it is the specimen, and where it lies: rates over drawn sheets.
+"""Which side an image shows, whether it is the specimen, and where it lies: rates over drawn
+sheets.
 
-``python -m benchmarks sides [SHEETS]``: sheets of a generator of its own, as maps (coating, base, light from one
-side, grain, print, uneven light, burnt rims at the same places in every specimen). Each is judged as it is, with its
-faces exchanged, and with the image of another specimen that was burnt by the same program.
+``python -m benchmarks sides [SHEETS]``: sheets of a generator of its own, as maps (coating, base,
+light from one side, grain, print, uneven light, burnt rims at the same places in every specimen).
+Each is judged as it is, with its faces exchanged, and with the image of another specimen that was
+burnt by the same program.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ class _Fields:
         ]
 
     def draw(self):
-        """A field of sd 1: Gaussian, exponential, power law or fibrous, of some length and direction."""
+        """A field of sd 1: Gaussian, exponential, power law or fibrous, of some length and
+        direction."""
         kind, length = (
             self.rng.integers(4),
             float(np.exp(self.rng.uniform(np.log(8.0), np.log(60.0)))),
@@ -76,7 +79,8 @@ class _Fields:
 
 
 def draw_sheet(seed, *, program=None):
-    """Draw a sheet with its image; field, pixel and holes are drawn by ``program``, all else by the seed."""
+    """Draw a sheet with its image; field, pixel and holes are drawn by ``program``, all else by the
+    seed."""
     frame, rng = (
         np.random.default_rng([7, seed if program is None else program]),
         np.random.default_rng([8, seed]),
@@ -143,7 +147,8 @@ def draw_sheet(seed, *, program=None):
 
 
 def _photograph(fields, coating, height):
-    """The image of a face: its coating on some scale and with either sign, light, grain, print and noise."""
+    """The image of a face: its coating on some scale and with either sign, light, grain, print and
+    noise."""
     rng = fields.rng
     tone = (coating, 1 - np.exp(-coating / rng.uniform(5, 20)), np.sqrt(coating))[rng.integers(3)]
     unit = [(m - m.mean()) / m.std() for m in (tone, *fields.slopes(height), height, fields.draw())]
@@ -190,7 +195,8 @@ def _told(check):
 
 
 def main(sheets=100):
-    """Judge each as it is, exchanged, and with a foreign image; 1 on a wrong answer, or few answers."""
+    """Judge each as it is, exchanged, and with a foreign image; 1 on a wrong answer, or few
+    answers."""
     told = {k: Counter() for k in ("stated", "other", "none")}  # by what should be told
     positions, errors = Counter(), []
     false_lags = 0

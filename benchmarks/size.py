@@ -1,13 +1,17 @@
-"""A volume larger than memory through surfaces and six maps: peak memory, and time against one plain pass of reading.
+"""A volume larger than memory through surfaces and six maps: peak memory, and time against one
+plain pass of reading.
 
-    python -m benchmarks size [--gvoxel 0.5,8] [--times 5] [--folder DIR] [--column-um 4.11] [--memory 2GB]
+    python -m benchmarks size [--gvoxel 0.5,8] [--times 5] [--folder DIR] [--column-um 4.11]
+    [--memory 2GB]
                               [--slices]
 
-With ``--slices`` the same greys in 16 bits, from a store and from folders of plain and of deflated slices. Each may
-take 1.3 times as long as from the store, and what decoding alone takes. Medians of ``--times``.
+With ``--slices`` the same greys in 16 bits, from a store and from folders of plain and of deflated
+slices. Each may take 1.3 times as long as from the store, and what decoding alone takes. Medians of
+``--times``.
 
-The sheet is a formula: a warped mid-surface, coatings of varying thickness, laser holes, a blur and noise. It is
-written into a working store block by block, then mapped by the command line in a process of its own.
+The sheet is a formula: a warped mid-surface, coatings of varying thickness, laser holes, a blur and
+noise. It is written into a working store block by block, then mapped by the command line in a
+process of its own.
 """
 
 from __future__ import annotations
@@ -46,7 +50,8 @@ def smooth_step(x):
 
 @njit(cache=True, nogil=True)
 def mixed(number):
-    """64 bits without a pattern (splitmix64): slices whose noise repeats would be what the checks look for."""
+    """64 bits without a pattern (splitmix64): slices whose noise repeats would be what the checks
+    look for."""
     number = number * np.uint64(0x9E3779B97F4A7C15)
     number = (number ^ (number >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     number = (number ^ (number >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -31,7 +31,8 @@ _SIZE_UM = (1500.0, 1100.0)
 
 
 def main(seed=7):
-    """Draw one sheet a preset: both volumes in cross-section, the image, the print, and the coating."""
+    """Draw one sheet a preset: both volumes in cross-section, the image, the print, and the
+    coating."""
     for name in PRESETS:
         path = _FOLDER / f"specimen-{name}.png"
         draw(name, seed, path)

@@ -1,10 +1,12 @@
-"""What it takes to start: help, a look at a file, the demo's link warm, and the demo on a machine that compiles first.
+"""What it takes to start: help, a look at a file, the demo's link warm, and the demo on a machine
+that compiles first.
 
 ``python -m benchmarks startup [TIMES [COLD]]``
 
-Times by the clock for ``planish --help`` (.25 s) and ``planish info`` of a TIFF (.55 s), processor time for the demo's
-link with everything compiled (7.5 s); medians. With COLD, 1, the demo whole with an empty cache of compiled functions,
-once, and what of it is not there with a full one. What a module costs is in ``python -X importtime -m planish VERB``.
+Times by the clock for ``planish --help`` (.25 s) and ``planish info`` of a TIFF (.55 s), processor
+time for the demo's link with everything compiled (7.5 s); medians. With COLD, 1, the demo whole
+with an empty cache of compiled functions, once, and what of it is not there with a full one. What a
+module costs is in ``python -X importtime -m planish VERB``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Warped sheets for the flattening benchmarks: developable ones with their flat truth, smooth bumps, and rough ones."""
+"""Warped sheets for the flattening benchmarks: developable ones with their flat truth, smooth
+bumps, and rough ones."""
 
 from __future__ import annotations
 
@@ -7,9 +8,11 @@ from scipy.interpolate import CubicSpline
 
 
 def developable(rows, cols, *, angle=0.0, slope=1.0, waves=1.5):
-    """Cylinder over a sine with slopes up to ``slope``; ``angle`` turns its rulings away from the rows' normal.
+    """Cylinder over a sine with slopes up to ``slope``; ``angle`` turns its rulings away from the
+    rows' normal.
 
-    Returns points (rows, cols, 3) at pitch 1 in x and y, and their true flat places (rows, cols, 2).
+    Returns points (rows, cols, 3) at pitch 1 in x and y, and their true flat places (rows, cols,
+    2).
     """
     size = max(rows, cols)
     k = 2 * np.pi * waves / size
@@ -29,7 +32,8 @@ def developable(rows, cols, *, angle=0.0, slope=1.0, waves=1.5):
 
 
 def smooth(rows, cols, *, seed=0, stretch=0.015):
-    """Bumps of 1.5 to 5 waves a side; the springs of the projection are ``stretch`` too short in the mean."""
+    """Bumps of 1.5 to 5 waves a side; the springs of the projection are ``stretch`` too short in
+    the mean."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:rows, :cols].astype(np.float64)
     z = np.zeros((rows, cols))
@@ -49,7 +53,8 @@ def smooth(rows, cols, *, seed=0, stretch=0.015):
 
 
 def roughness(rows, cols, *, slope=0.2, seed=1, shortest=2.0, longest=10.0, tile=1024):
-    """Heights with equal power at all waves of 2 to 10 nodes and the given RMS slope (central differences).
+    """Heights with equal power at all waves of 2 to 10 nodes and the given RMS slope (central
+    differences).
 
     Larger sheets repeat a tile, which costs less than making them.
     """
@@ -71,7 +76,8 @@ def rough(rows, cols, *, slope=0.2, seed=1):
 
 
 def misplaced(uv, truth):
-    """Root mean square distance of ``uv`` from ``truth`` after turning and shifting, over the nodes known in uv."""
+    """Root mean square distance of ``uv`` from ``truth`` after turning and shifting, over the nodes
+    known in uv."""
     there = np.isfinite(uv).all(axis=-1) & np.isfinite(truth).all(axis=-1)
     a, b = uv[there], truth[there]
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)

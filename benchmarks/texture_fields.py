@@ -1,12 +1,14 @@
-"""How often fields that share nothing are linked by texture, which related ones are, and what is said of r then.
+"""How often fields that share nothing are linked by texture, which related ones are, and what is
+said of r then.
 
 ``python -m benchmarks texture_fields [SEARCHES [FIELDS [POWER]]]``
 
-Fields are Gaussian, or with heavy tails, with correlation lengths of 8 to 60 um, on maps of 0.9 to 1.6 mm and images up
-to four times as large. At most 4 of 3000 may be linked. With the place known, r is tuned and held out as a link by
-texture does: of unrelated fields 3 to 7 % may be called related, and r of related ones may be off by .01 on average,
-with intervals that hold it in 92 to 98 %. Last, the share that is linked of POWER related pairs of each texture r and
-area, with a correlation length as paper has it, any rotation, and an image of four times the area.
+Fields are Gaussian, or with heavy tails, with correlation lengths of 8 to 60 um, on maps of 0.9 to
+1.6 mm and images up to four times as large. At most 4 of 3000 may be linked. With the place known,
+r is tuned and held out as a link by texture does: of unrelated fields 3 to 7 % may be called
+related, and r of related ones may be off by .01 on average, with intervals that hold it in 92 to 98
+%. Last, the share that is linked of POWER related pairs of each texture r and area, with a
+correlation length as paper has it, any rotation, and an image of four times the area.
 """
 
 from __future__ import annotations
@@ -55,7 +57,8 @@ def searched(number):
 
 
 def held_out(number, r):
-    """r of two fields whose correlation is known, its interval, and whether they are called related."""
+    """r of two fields whose correlation is known, its interval, and whether they are called
+    related."""
     rng = np.random.default_rng([number, 8])
     shape, length_um = (
         (int(rng.integers(150, 200)), int(rng.integers(190, 240))),

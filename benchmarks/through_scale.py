@@ -1,10 +1,12 @@
-"""The scale through the sheet: how often a wrong voxel spacing is seen, and how often a right one is doubted.
+"""The scale through the sheet: how often a wrong voxel spacing is seen, and how often a right one
+is doubted.
 
 ``python -m benchmarks through_scale [cases [seed]]``
 
-Sheets are general cylinders and cones, whose development is exact, another one in each case; none is made by the warp
-of ``planish.synthetic``. Marks are material points with an error, the sheet is stretched by up to 0.2 % in any
-direction, and its thickness varies as paper's does. Fields: 600 x 500 columns of a scanner, 5 times as many sections'.
+Sheets are general cylinders and cones, whose development is exact, another one in each case; none
+is made by the warp of ``planish.synthetic``. Marks are material points with an error, the sheet is
+stretched by up to 0.2 % in any direction, and its thickness varies as paper's does. Fields: 600 x
+500 columns of a scanner, 5 times as many sections'.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ _THICK_UM, _FORMATION, _GRAIN_UM = 90.0, 0.05, 150.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """What is drawn of a sheet: tilt at the 95th percentile, marks, error of a mark in the plane, pitch of columns."""
+    """What is drawn of a sheet: tilt at the 95th percentile, marks, error of a mark in the plane,
+    pitch of columns."""
 
     tilt_deg: float
     marks: int
@@ -107,7 +110,8 @@ def cone(rng, tilt, shape_um):
 
 
 def examine(case, rng):
-    """Draw a sheet, state its spacing wrongly, flatten, register and check it: the check, and the estimate."""
+    """Draw a sheet, state its spacing wrongly, flatten, register and check it: the check, and the
+    estimate."""
     rows, cols = 250, 300  # every second column of the scanner
     step = 2 * case.pitch_um
     shape_um = (cols * step, rows * step)
@@ -145,7 +149,8 @@ def examine(case, rng):
 
 
 def _thickness(rng, height, stated, step):
-    """Thickness along the normals as they are seen: the paper's own, by the relation of parallel surfaces."""
+    """Thickness along the normals as they are seen: the paper's own, by the relation of parallel
+    surfaces."""
     square = np.sum(np.square(np.gradient(height, step)), axis=0)
     noise = ndimage.gaussian_filter(rng.normal(size=height.shape), _GRAIN_UM / step / 2)
     own = _THICK_UM * (1 + _FORMATION * noise / noise.std())
@@ -153,7 +158,8 @@ def _thickness(rng, height, stated, step):
 
 
 def _stretch(rng):
-    """A rotation, a scale as two calibrations differ, and a stretch by up to 0.2 % in any direction."""
+    """A rotation, a scale as two calibrations differ, and a stretch by up to 0.2 % in any
+    direction."""
     turn, along = rng.uniform(-np.pi, np.pi, 2)
     way = np.array([np.cos(along), np.sin(along)])
     rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
@@ -165,7 +171,8 @@ def _stretch(rng):
 
 
 def draw(rng, *, tilts=(0.0, 60.0), marks=(4, 31), errors=(0.5, 5.0)):
-    """A case of either instrument: a scanner's voxels of 1.5 to 5 um, photographs' of 4 to 10 um."""
+    """A case of either instrument: a scanner's voxels of 1.5 to 5 um, photographs' of 4 to 10
+    um."""
     low, high = (1.5, 5.0) if rng.random() < 0.5 else (4.0, 10.0)
     return Case(
         tilt_deg=rng.uniform(*tilts),
@@ -204,7 +211,8 @@ def main(cases=200, seed=1):
     """Print the table; 1 if a limit is missed."""
     rng = np.random.default_rng(seed)
     print(
-        f"{'':34}{'cases':>7}{'seen %':>8}{'fail %':>8}{'unknown %':>11}{'error of s':>12}{'z, rms':>8}{'s CPU':>8}"
+        f"{'':34}{'cases':>7}{'seen %':>8}{'fail %':>8}{'unknown %':>11}"
+        f"{'error of s':>12}{'z, rms':>8}{'s CPU':>8}"
     )
     missed = 0
     for words, drawn, stated, part, least in _LINES:
@@ -220,7 +228,8 @@ def main(cases=200, seed=1):
         share = {state: states.count(state) / count for state in ("look", "fail", "unknown")}
         seen, seconds = share["look"] + share["fail"], (time.process_time() - began) / count
         print(
-            f"{words:34}{count:>7}{100 * seen:>8.1f}{100 * share['fail']:>8.1f}{100 * share['unknown']:>11.1f}"
+            f"{words:34}{count:>7}{100 * seen:>8.1f}"
+            f"{100 * share['fail']:>8.1f}{100 * share['unknown']:>11.1f}"
             f"{np.median(errors):>12.3f}{rms(z):>8.2f}{seconds:>8.2f}",
             flush=True,
         )

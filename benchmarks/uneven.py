@@ -1,10 +1,12 @@
-"""Intervals of r where the maps vary alike everywhere, and where they do not: as stated, and as the second opinion.
+"""Intervals of r where the maps vary alike everywhere, and where they do not: as stated, and as the
+second opinion.
 
 ``python -m benchmarks uneven [fields [seed]]``
 
-Fields of 100 x 133 pixels with an exponential correlation, r .5. Uneven ones are multiplied, the part that both maps
-share as well as the rest or the rest alone, by the exponential of a Gaussian map (standard deviation .5, as long as a
-quarter of the side), so that the spread varies by x/÷ 1.65; the r that counts is that of these maps.
+Fields of 100 x 133 pixels with an exponential correlation, r .5. Uneven ones are multiplied, the
+part that both maps share as well as the rest or the rest alone, by the exponential of a Gaussian
+map (standard deviation .5, as long as a quarter of the side), so that the spread varies by x/÷
+1.65; the r that counts is that of these maps.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ _CASES = (
 
 
 def cover(fields, seed, share, what):
-    """Shares of fields whose r lies in the interval as stated and in the second opinion; warned; ratio of widths."""
+    """Shares of fields whose r lies in the interval as stated and in the second opinion; warned;
+    ratio of widths."""
     rng, side = np.random.default_rng(seed), _SHAPE[0]
     found = np.zeros(4)
     for _ in range(fields):
@@ -55,7 +58,8 @@ def cover(fields, seed, share, what):
 
 
 def main(fields=200, seed=0):
-    """Print the table; the number of cases in which the interval as stated covers less than it promises."""
+    """Print the table; the number of cases in which the interval as stated covers less than it
+    promises."""
     print("maps, length          as stated  second opinion  warned  second over first, width")
     failed = 0
     for name, share, what in _CASES:

@@ -16,14 +16,16 @@ release = version = planish.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "from_code"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build", "_ext"]
-# Docstrings name a class by its short name, which several packages may have: that is no broken link.
+# Docstrings name a class by its short name, which several packages may have: that is no broken
+# link.
 suppress_warnings = ["ref.python"]
 
 # Headings get the anchors that the files have where they are read as Markdown: `page.md#a-heading`.
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]
 
-# The signature says names and defaults; what each of them is stands in the docstring, with shape and unit.
+# The signature says names and defaults; what each of them is stands in the docstring, with shape
+# and unit.
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
@@ -37,7 +39,8 @@ html_title = "planish"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_favicon = "_static/planish.svg"
-# A page may be read from a folder without a server: then a script cannot fetch other pages for their first lines.
+# A page may be read from a folder without a server: then a script cannot fetch other pages for
+# their first lines.
 html_show_search_summary = False
 html_copy_source = False
 html_show_sourcelink = False

@@ -1,6 +1,7 @@
 """Read a volume and an image, and look at them before anything is measured.
 
-``python examples/01_read.py [FOLDER]`` writes ``01_read.png``. At the terminal: ``planish info volume.tif``.
+``python examples/01_read.py [FOLDER]`` writes ``01_read.png``. At the terminal: ``planish info
+volume.tif``.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ params = SpecimenParams(
 with tempfile.TemporaryDirectory() as folder:
     files = pl.make_specimen(params, Path(folder) / "sheet").files
 
-    # Sizes come from the files. Where a file does not state its size, give it: voxel_um=(z, y, x), pixel_um=(y, x).
+    # Sizes come from the files. Where a file does not state its size, give it: voxel_um=(z, y, x),
+    # pixel_um=(y, x).
     volume = pl.read_volume(files.volume)
     image = pl.read_image(files.image)
 

@@ -1,4 +1,6 @@
-"""Link a volume to an image by hand, step by step; ``planish link VOLUME IMAGE`` gives the same bytes.
+"""Link a volume to an image by hand, step by step.
+
+``planish link VOLUME IMAGE`` gives the same bytes.
 
 ``python examples/02_line_by_hand.py [FOLDER]`` writes ``02_line_by_hand.png``.
 """

@@ -1,4 +1,6 @@
-"""A property of your own: how bright the sheet is near its faces against its core, along the true normals.
+"""A property of your own: how bright the sheet is near its faces against its core.
+
+It is taken along the true normals.
 
 ``python examples/03_own_property.py [FOLDER]`` writes ``03_own_property.png``.
 """
@@ -17,8 +19,8 @@ from planish.measure import Rays, measure_along_rays, ray_property
 from planish.synthetic import BurnParams, ScannerParams, SpecimenParams, Warp
 
 
-# All that a new property needs. `rays.core` is the base without its blurred ends; `rays.mean` is the mean grey above
-# the air between two places on each ray, in um from the centre surface.
+# All that a new property needs. `rays.core` is the base without its blurred ends; `rays.mean` is
+# the mean grey above the air between two places on each ray, in um from the centre surface.
 @ray_property(
     "skin", units="1", long_name="Brightness of the base near its faces over that of its core"
 )

@@ -1,7 +1,7 @@
 """A format of your own: any array becomes a volume with its frame and its sizes.
 
-Here a volume comes from a NumPy archive. To let ``planish map sheet.npz`` and ``read_volume`` open it too, make it a
-module and one line in the table of formats: CONTRIBUTING.md shows the diff.
+Here a volume comes from a NumPy archive. To let ``planish map sheet.npz`` and ``read_volume`` open
+it too, make it a module and one line in the table of formats: CONTRIBUTING.md shows the diff.
 
 ``python examples/04_own_format.py [FOLDER]`` writes ``04_own_format.png``.
 """

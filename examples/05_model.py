@@ -1,7 +1,10 @@
-"""Choose the registration model: the residuals always fall with more parameters, the leave-one-out error does not.
+"""Choose the registration model.
 
-Fits every model to the same marks and compares the residuals, the leave-one-out error, the expected error and, because
-the data are synthetic, the true error. ``python examples/05_model.py [FOLDER]`` writes ``05_model.png``.
+The residuals always fall with more parameters, but the leave-one-out error does not.
+
+Fits every model to the same marks and compares the residuals, the leave-one-out error, the expected
+error and, because the data are synthetic, the true error. ``python examples/05_model.py [FOLDER]``
+writes ``05_model.png``.
 """
 
 from __future__ import annotations
@@ -18,8 +21,8 @@ from planish.register import fit_transform
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 
-# Twelve marks in a field of 8 x 6 mm. The sheet is 0.3 % longer in x: paper that took up water. Each mark is found
-# to 1.5 um (standard deviation in x and in y).
+# Twelve marks in a field of 8 x 6 mm. The sheet is 0.3 % longer in x: paper that took up water.
+# Each mark is found to 1.5 um (standard deviation in x and in y).
 rng = np.random.default_rng(1)
 truth = Affine(
     linear=((1.003, -0.05), (0.05, 1.0)), source=(4000.0, 3000.0), target=(5000.0, 2000.0)

@@ -1,7 +1,8 @@
 """Register with points that were clicked in BigWarp (Fiji), instead of laser holes.
 
-``planish link VOLUME IMAGE --marks landmarks.csv`` does the same; the formats are in docs/marks-files.md.
-``python examples/06_marks_from_bigwarp.py [FOLDER]`` writes ``06_marks_from_bigwarp.png``.
+``planish link VOLUME IMAGE --marks landmarks.csv`` does the same; the formats are in
+docs/marks-files.md. ``python examples/06_marks_from_bigwarp.py [FOLDER]`` writes
+``06_marks_from_bigwarp.png``.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from planish.register import fit_transform
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 
-# The landmarks as BigWarp exports them: name, active, moving x, moving y, target x, target y. No header. The unit is
-# that of the images in Fiji; um where nothing is said. The last point was switched off.
+# The landmarks as BigWarp exports them: name, active, moving x, moving y, target x, target y. No
+# header. The unit is that of the images in Fiji; um where nothing is said. The last point was
+# switched off.
 rng = np.random.default_rng(4)
 moving = rng.uniform(0, 3000, (8, 2))
 angle = np.radians(4.0)
@@ -36,7 +38,8 @@ with tempfile.TemporaryDirectory() as folder:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     # All marks, used or not; `planish marks convert` does this at the terminal.
     marks = read_any(path)
-    # JSON keeps everything that planish knows of marks: covariance, diameter, source, and what was not used.
+    # JSON keeps everything that planish knows of marks: covariance, diameter, source, and what was
+    # not used.
     write_any(marks, Path(folder) / "marks.json")
 
 pairs = used_pairs(marks)

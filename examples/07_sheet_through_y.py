@@ -1,4 +1,6 @@
-"""A scan in which the sheet stands on edge: the axis through the sheet is y, and its top side lies at the low end.
+"""A scan in which the sheet stands on edge.
+
+The axis through the sheet is y, and its top side lies at the low end.
 
 ``planish link VOLUME IMAGE --through y --top low --image-side bottom`` does the same.
 ``python examples/07_sheet_through_y.py [FOLDER]`` writes ``07_sheet_through_y.png``.
@@ -27,8 +29,8 @@ params = SpecimenParams(
 )
 specimen = pl.make_specimen(params)
 
-# The same specimen as another scanner would hold it: turned about x, so that the sheet's normal runs along y and its
-# top faces the low end. From below, the image of the sheet is mirrored.
+# The same specimen as another scanner would hold it: turned about x, so that the sheet's normal
+# runs along y and its top faces the low end. From below, the image of the sheet is mirrored.
 grey = np.ascontiguousarray(specimen.volume.values[::-1].transpose(1, 0, 2))
 coords = {
     d: (d, 4.0 * np.arange(n), {"units": "um"}) for d, n in zip("zyx", grey.shape, strict=True)
@@ -36,14 +38,16 @@ coords = {
 volume = xr.DataArray(grey, coords=coords, dims=("z", "y", "x"), attrs=specimen.volume.attrs)
 image = specimen.image.copy(data=specimen.image.values[:, ::-1])
 
-# How the sheet lies in the volume is never guessed: the frame states it, here and in all that follows.
+# How the sheet lies in the volume is never guessed: the frame states it, here and in all that
+# follows.
 frame = pl.Frame(through="y", top="low")
 surfaces = pl.find_surfaces(volume, frame=frame)
 measured = pl.measure_properties(surfaces, volume=volume)
 flat = pl.flatten_sheet(surfaces).flat
 maps = pl.resample_maps(measured, flat)
 
-# The image shows the bottom side: its holes are searched in that face, and the match is that of opposite views.
+# The image shows the bottom side: its holes are searched in that face, and the match is that of
+# opposite views.
 side = "bottom"
 registration = pl.register_marks(pl.find_holes(maps, side=side), pl.find_holes(image, side=side))
 linked = pl.resample_maps(measured, flat, onto=image, registration=registration)

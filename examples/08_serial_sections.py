@@ -20,7 +20,8 @@ from planish.synthetic import BurnParams, SectionsParams, SpecimenParams, write_
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 
-# The microtome cuts across the sheet every 4 um; each photograph is shifted, turned, and exposed a little differently.
+# The microtome cuts across the sheet every 4 um; each photograph is shifted, turned, and exposed a
+# little differently.
 params = SpecimenParams(
     size_um=(800.0, 600.0),
     holes=BurnParams(pattern="irregular", count=1),
@@ -32,8 +33,9 @@ with tempfile.TemporaryDirectory() as folder:
     files = write_instruments(specimen, Path(folder), volume="sections", image=False)
     print((files.volume / "sections.csv").read_text().splitlines()[:4])
 
-    # The rows of a photograph run through the sheet: the axis is y. Sections are aligned, made equally bright, and
-    # joined to a volume first. A study holds every parameter of a run, as its file run.toml does.
+    # The rows of a photograph run through the sheet: the axis is y. Sections are aligned, made
+    # equally bright, and joined to a volume first. A study holds every parameter of a run, as its
+    # file run.toml does.
     run = run_study(as_study({"volume": {"path": str(files.volume), "through": "y"}}))
 
 facts = run.results.layers[0].sheet.sections

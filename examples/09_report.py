@@ -1,7 +1,8 @@
 """Two instruments and one image: one run with a page to read and hand on.
 
-A scan and another scan of the same sheet are linked onto a micrograph, as ``planish link ct=A fine=B lm=IMAGE`` does.
-``python examples/09_report.py [FOLDER]`` writes ``09_report.png`` and the run folder ``09_run`` with ``report.html``.
+A scan and another scan of the same sheet are linked onto a micrograph, as ``planish link ct=A
+fine=B lm=IMAGE`` does. ``python examples/09_report.py [FOLDER]`` writes ``09_report.png`` and the
+run folder ``09_run`` with ``report.html``.
 """
 
 from __future__ import annotations

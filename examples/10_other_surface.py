@@ -16,8 +16,8 @@ from planish.flatten import curvature_check, measure_distortion, relax_grid
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 
-# A spiral of two and a half turns: neighbours in the grid are neighbours in the foil, nothing else is asked for.
-# It overhangs, so no projection can flatten it.
+# A spiral of two and a half turns: neighbours in the grid are neighbours in the foil, nothing else
+# is asked for. It overhangs, so no projection can flatten it.
 angle, along = np.meshgrid(np.linspace(0, 5 * np.pi, 400), np.linspace(0, 3000, 60))
 radius = 400.0 + 40.0 * angle
 foil = np.stack([radius * np.cos(angle), along, radius * np.sin(angle)], axis=-1)

@@ -1,6 +1,7 @@
 """Measured data: a folded letter in the X-ray scanner; its outer flap found where others put it.
 
-The folder ``letterpacket_ct`` is looked for in PLANISH_DATA or ../shared/data (UnlockingHistory, virtual-unfolding,
+The folder ``letterpacket_ct`` is looked for in PLANISH_DATA or ../shared/data (UnlockingHistory,
+virtual-unfolding,
 MIT licence; sizes are in voxels, because none is stated).
 ``python examples/12_letter_packet.py [FOLDER]`` writes ``12_letter_packet.png``.
 """
@@ -25,7 +26,8 @@ volume = pl.read_volume(data / "volume_zyx_uint8.tif", voxel_um=(1.0, 1.0, 1.0))
 with np.load(data / "reference_midsurface.npz") as reference:
     points = reference["points_xyz_voxel"][reference["mesh_number"] == 0]
 
-# Several sheets lie behind each other: a point in the one that is meant, and a part of the volume where it lies once.
+# Several sheets lie behind each other: a point in the one that is meant, and a part of the volume
+# where it lies once.
 flap = volume.isel(y=slice(30, 58), x=slice(0, 30))
 surfaces = pl.find_surfaces(
     flap,

@@ -1,6 +1,7 @@
 """Measured data: the dots of a calibration target, found as laser holes are.
 
-The folder ``dot_patterns`` is looked for in PLANISH_DATA or ../shared/data (Diamond Light Source, discorpy,
+The folder ``dot_patterns`` is looked for in PLANISH_DATA or ../shared/data (Diamond Light Source,
+discorpy,
 Apache-2.0 licence).
 ``python examples/13_dot_pattern.py [FOLDER]`` writes ``13_dot_pattern.png``.
 """

@@ -1,4 +1,4 @@
-"""Measured data: the surface of a tissue, flattened with less strain than by the map of its authors.
+"""Measured data: the surface of a tissue, flattened with less strain than by its authors' map.
 
 The folder ``tissue_sheet_mesh`` is looked for in PLANISH_DATA or ../shared/data (nikolas-claussen,
 blender-tissue-cartography, Apache-2.0 licence).

@@ -1,6 +1,9 @@
-"""Measured data: the height map of an instrument, its roughness, and how much larger its surface is than its outline.
+"""Measured data: the height map of an instrument, and its roughness.
 
-The folder ``heightmaps`` is looked for in PLANISH_DATA or ../shared/data (ContactEngineering, SurfaceTopography, MIT
+Also how much larger its surface is than its outline.
+
+The folder ``heightmaps`` is looked for in PLANISH_DATA or ../shared/data (ContactEngineering,
+SurfaceTopography, MIT
 licence). ``planish.io.read_topography`` reads the files of the instruments themselves.
 ``python examples/15_height_map.py [FOLDER]`` writes ``15_height_map.png``.
 """

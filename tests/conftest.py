@@ -38,14 +38,16 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def compile_once(locks: Path) -> None:
-    """Let one worker compile a kernel while the others that need it wait, and then find it in numba's cache."""
+    """Let one worker compile a kernel while the others that need it wait, and then find it in
+    numba's cache."""
     compile_here = Dispatcher.compile
 
     def compile_locked(self: Dispatcher, sig: object) -> object:
         name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
         if not name.startswith("planish."):
             return compile_here(self, sig)
-        # The lock among threads comes first: a thread that held a file and waited for it would stop the others.
+        # The lock among threads comes first: a thread that held a file and waited for it would stop
+        # the others.
         with (
             global_compiler_lock,
             FileLock(locks / f"{name}.lock", is_singleton=True),
@@ -56,10 +58,11 @@ def compile_once(locks: Path) -> None:
     Dispatcher.compile = compile_locked
 
 
-# --- what tests share ----------------------------------------------------------------------------------------
+# --- what tests share -----------------------------------------------------------------------------
 @pytest.fixture(scope="session")
 def shared_data() -> Callable[[str], Path]:
-    """Return a function from the name of a data set to its folder; it skips the test where the data are absent."""
+    """Return a function from the name of a data set to its folder; it skips the test where the data
+    are absent."""
     folder = Path(os.environ.get("PLANISH_DATA") or ROOT.parent / "shared" / "data")
 
     def find(name: str) -> Path:
@@ -132,7 +135,8 @@ def unread(monkeypatch):
 
 @pytest.fixture
 def planish(capsys):
-    """Call the command line in-process: a function from arguments to (exit code, stdout, stderr)."""
+    """Call the command line in-process: a function from arguments to (exit code, stdout,
+    stderr)."""
 
     def call(*arguments: object) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as end:
@@ -145,7 +149,8 @@ def planish(capsys):
 
 @pytest.fixture
 def passes(planish):
-    """Call a command that ends well, by default without a check that fails: what it prints, and its messages."""
+    """Call a command that ends well, by default without a check that fails: what it prints, and its
+    messages."""
 
     def call(*command: object, codes: tuple[int, ...] = (0,)) -> tuple[str, str]:
         code, out, err = planish(*command)
@@ -157,7 +162,8 @@ def passes(planish):
 
 @pytest.fixture
 def refuses(planish, tmp_path):
-    """Call a command, with a run to write, that is refused: its words, no traceback, nothing written; its message."""
+    """Call a command, with a run to write, that is refused: its words, no traceback, nothing
+    written; its message."""
 
     def call(
         *command: object, words: str | tuple[str, ...], code: int = 3, out: bool = True

@@ -1,9 +1,10 @@
 """Runs the commands that a document shows, one after the other, and compares what they print.
 
-A block ``console`` holds commands behind ``$ `` and what they print; a block ``pycon`` holds Python behind ``>>> ``. In
-what is expected ``...`` stands for any text within a line, and a line of its own for any number of lines. Files that a
-document shows in a block ``text FILE`` or ``toml FILE`` are written before the commands below them. A command that ends
-with ``&`` runs until the page ends. Commands of programs that are not installed are passed over.
+A block ``console`` holds commands behind ``$ `` and what they print; a block ``pycon`` holds Python
+behind ``>>> ``. In what is expected ``...`` stands for any text within a line, and a line of its
+own for any number of lines. Files that a document shows in a block ``text FILE`` or ``toml FILE``
+are written before the commands below them. A command that ends with ``&`` runs until the page ends.
+Commands of programs that are not installed are passed over.
 """
 
 import contextlib
@@ -80,7 +81,8 @@ def unknown_verbs(page):
 
 
 def run(page, folder, names=None):
-    """Carry out what a page shows, in a folder; one outcome for each command and each block of Python."""
+    """Carry out what a page shows, in a folder; one outcome for each command and each block of
+    Python."""
     names = {} if names is None else names
     outcomes = []
     with contextlib.chdir(folder), contextlib.ExitStack() as background:
@@ -149,7 +151,8 @@ def _environment():
 
 
 def _planish(arguments):
-    """Call the command line in this process: everything that it prints, in its order, and its exit code."""
+    """Call the command line in this process: everything that it prints, in its order, and its exit
+    code."""
     printed, code = io.StringIO(), 0
     columns = mock.patch.dict(os.environ, COLUMNS=_COLUMNS)
     with columns, contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):

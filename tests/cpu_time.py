@@ -1,4 +1,5 @@
-"""CPU time of tests: what a test uses itself, what it shares with others, and how quick the machine is."""
+"""CPU time of tests: what a test uses itself, what it shares with others, and how quick the machine
+is."""
 
 import os
 import time
@@ -7,7 +8,8 @@ from contextlib import contextmanager
 
 
 class SharedWork:
-    """CPU seconds of what several tests share: their fixtures, and kernels that are compiled or read from the cache."""
+    """CPU seconds of what several tests share: their fixtures, and kernels that are compiled or
+    read from the cache."""
 
     def __init__(self) -> None:
         self.seconds = 0.0

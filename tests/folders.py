@@ -1,4 +1,5 @@
-"""What tests of several folders share: files that they write and compare, and calls that are refused."""
+"""What tests of several folders share: files that they write and compare, and calls that are
+refused."""
 
 import os
 import shutil
@@ -34,7 +35,8 @@ def make_once(
 def write_volume(
     path: Path, volume: np.ndarray, voxel_um: float = 4.0, across_um: float | None = None
 ) -> Path:
-    """Write a volume that states its voxels, as ImageJ does: cubes, or of another size along y and x."""
+    """Write a volume that states its voxels, as ImageJ does: cubes, or of another size along y and
+    x."""
     meta = {"spacing": voxel_um, "unit": "um", "axes": "ZYX"}
     tifffile.imwrite(
         path, volume, imagej=True, resolution=(1 / (across_um or voxel_um),) * 2, metadata=meta

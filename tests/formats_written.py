@@ -1,4 +1,5 @@
-"""One small volume in every format, written by the format's own library: where contract and damage start from."""
+"""One small volume in every format, written by the format's own library: where contract and damage
+start from."""
 
 import gzip
 import warnings
@@ -38,8 +39,8 @@ ZYX = "zyx"
 class Case:
     """How a format is written, and what its reader promises.
 
-    ``write(folder, values, size)`` returns what is given to the reader; without `size` no voxel size is written.
-    ``cut`` and ``resize`` find the file to cut and make a declared size wrong.
+    ``write(folder, values, size)`` returns what is given to the reader; without `size` no voxel
+    size is written. ``cut`` and ``resize`` find the file to cut and make a declared size wrong.
     """
 
     write: Callable[[Path, Volume, Size], str | Path]

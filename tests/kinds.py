@@ -1,6 +1,7 @@
 """One linked run of each pose and kind, made once a run of the tests and shared by all workers.
 
-``kinds("laid")`` gives the folder of a run, ``kinds.specimen("laid")`` what it was made from. No test may change them.
+``kinds("laid")`` gives the folder of a run, ``kinds.specimen("laid")`` what it was made from. No
+test may change them.
 """
 
 from __future__ import annotations
@@ -179,7 +180,8 @@ class Kinds:
 
     @property
     def laid(self) -> Files:
-        """The small specimen turned about x: its sheet through y; the side at the low end is called the top.
+        """The small specimen turned about x: its sheet through y; the side at the low end is called
+        the top.
 
         That is the underside of the specimen: the image, of its upper side, shows the bottom.
         """
@@ -207,11 +209,14 @@ def _unpickled(path: Path) -> Specimen:
     return pickle.loads(path.read_bytes())
 
 
-# --- how each kind is made -----------------------------------------------------------------------------------------
+# --- how each kind is made ------------------------------------------------------------------------
 
 
 def _call(verb: str, folder: Path, *arguments: object) -> None:
-    """Call the command line as a user would; a check may doubt the result. ``printed.txt`` keeps what it prints."""
+    """Call the command line as a user would; a check may doubt the result.
+
+    ``printed.txt`` keeps what it prints.
+    """
     folder.mkdir(exist_ok=True)
     with (
         (folder / "printed.txt").open("w", encoding="utf-8") as printed,

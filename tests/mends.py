@@ -1,9 +1,10 @@
 """Old mends, undone: do the fast and the CI tests still see the faults?
 
-``python -m tests.mends SEED [COUNT]`` draws commits that changed the program and a test, in an order that follows from
-SEED, and undoes what each did to ``src`` in a copy of this checkout. Commits that no longer come off cleanly are passed
-over, as are those that changed no behaviour (documents, formats: name them with ``--without HASH,HASH``). Then the fast
-and the CI tests of the packages that the commit touched are run; one of them has to fail.
+``python -m tests.mends SEED [COUNT]`` draws commits that changed the program and a test, in an
+order that follows from SEED, and undoes what each did to ``src`` in a copy of this checkout.
+Commits that no longer come off cleanly are passed over, as are those that changed no behaviour
+(documents, formats: name them with ``--without HASH,HASH``). Then the fast and the CI tests of the
+packages that the commit touched are run; one of them has to fail.
 """
 
 from __future__ import annotations
@@ -81,7 +82,8 @@ def all_mends() -> list[Mend]:
 
 
 def undo(mend: Mend, copy: Path) -> bool:
-    """Take the commit's change of the program out of the copy, where that is possible without a conflict."""
+    """Take the commit's change of the program out of the copy, where that is possible without a
+    conflict."""
     change = subprocess.run(
         ["git", "diff", f"{mend.sha}^", mend.sha, "--", "src"],
         cwd=ROOT,
@@ -95,7 +97,8 @@ def undo(mend: Mend, copy: Path) -> bool:
 
 
 def tests_of(mend: Mend) -> list[str]:
-    """Folders and files with the tests of the packages that a mend touched, those that it changed itself first."""
+    """Folders and files with the tests of the packages that a mend touched, those that it changed
+    itself first."""
     packages = {Path(name).parts[2] for name in mend.files if name.startswith("src/planish/")}
     own = [
         name

@@ -1,9 +1,10 @@
 """Mutants of the code: small faults that the tests have to find.
 
-``python -m tests.mutants`` copies the package to a temporary folder, puts in one fault at a time, and runs the tests that
-must fail: the fast ones of their files, then those of ci, then the nightly ones, up to the first tier that kills the
-mutant, whose name is printed. ``--only 12`` runs one, ``--only 1-20`` some, ``--jobs 2`` two side by side, each with its
-own copy; ``--list`` names all. A mutant whose old text is not found exactly once is an error of this list: mend it here.
+``python -m tests.mutants`` copies the package to a temporary folder, puts in one fault at a time,
+and runs the tests that must fail: the fast ones of their files, then those of ci, then the nightly
+ones, up to the first tier that kills the mutant, whose name is printed. ``--only 12`` runs one,
+``--only 1-20`` some, ``--jobs 2`` two side by side, each with its own copy; ``--list`` names all. A
+mutant whose old text is not found exactly once is an error of this list: mend it here.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ _FAILED = re.compile(r"^(FAILED|ERROR) ", re.MULTILINE)
 
 
 class Mutant(NamedTuple):
-    """One fault: ``old`` in ``src/planish/file`` becomes ``new``, and ``tests`` (arguments of pytest) must fail."""
+    """One fault: ``old`` in ``src/planish/file`` becomes ``new``, and ``tests`` (arguments of
+    pytest) must fail."""
 
     file: str
     old: str
@@ -499,7 +501,8 @@ def main(arguments: list[str]) -> int:
 
 
 def run_side_by_side(chosen: list[tuple[int, Mutant]], jobs: int) -> list[str]:
-    """Run so many mutants at a time, print each when it is done, and return what :func:`run` says of each."""
+    """Run so many mutants at a time, print each when it is done, and return what :func:`run` says
+    of each."""
     copies: queue.SimpleQueue[Path] = queue.SimpleQueue()
 
     def run_and_print(numbered: tuple[int, Mutant]) -> str:
@@ -527,7 +530,8 @@ def run_side_by_side(chosen: list[tuple[int, Mutant]], jobs: int) -> list[str]:
 
 
 def run(mutant: Mutant, folder: Path, number: int) -> str:
-    """Put one mutant into a copy of the package: the tier that kills it, SURVIVED, or what else happened."""
+    """Put one mutant into a copy of the package: the tier that kills it, SURVIVED, or what else
+    happened."""
     file = folder / "src" / "planish" / mutant.file
     text = file.read_text(encoding="utf-8")
     file.write_text(text.replace(mutant.old, mutant.new), encoding="utf-8")
@@ -543,7 +547,8 @@ def run(mutant: Mutant, folder: Path, number: int) -> str:
 
 
 def first_tier_that_fails(tests: str, environment: dict[str, str]) -> str:
-    """Run the tests of one tier after the other: the first that fails, SURVIVED, or what else happened."""
+    """Run the tests of one tier after the other: the first that fails, SURVIVED, or what else
+    happened."""
     files, _, keyword = tests.partition(" -k ")
     command = [
         sys.executable,

@@ -87,7 +87,10 @@ def distance_along_normal(surface, centre, normals, pitch, i, j):
 
 
 def resample_delaunay(uv, field, points):
-    """The mode of Hirn et al. (2009): triangulate the moved points anew, then linear within the triangles."""
+    """The mode of Hirn et al.
+
+    (2009): triangulate the moved points anew, then linear within the triangles.
+    """
     known = np.isfinite(uv).all(axis=-1) & np.isfinite(field)
     return LinearNDInterpolator(uv[known], field[known])(points)
 
@@ -127,7 +130,8 @@ def relax(points):
 
 
 def resample_quads(uv, field, points):
-    """Triangle by triangle of the quad mesh, all points at once: value, nearest node, and number of quads on each."""
+    """Triangle by triangle of the quad mesh, all points at once: value, nearest node, and number of
+    quads on each."""
     flat = points.reshape(-1, 2)
     rows, cols = uv.shape[:2]
     value, node, place = (

@@ -21,12 +21,14 @@ def sentences(text, *, template=False):
 
 
 def words(sentence):
-    """Return the words of a sentence; a number with its unit sign, a name in code and a formula count as one."""
+    """Return the words of a sentence; a number with its unit sign, a name in code and a formula
+    count as one."""
     return re.findall(r"[^\W_][\w.,'°%µ/·^-]*", sentence)
 
 
 def prose(text):
-    """Return a page without code, addresses, pictures and generated parts; tables and headings stay."""
+    """Return a page without code, addresses, pictures and generated parts; tables and headings
+    stay."""
     text = re.sub(r"^(`{3,}|~{3,}).*?^\1[ ]*$", "\n", text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r"<!--.*?-->|^---\n.*?^---$", "", text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r"!\[[^\]]*\]\([^)]*\)", "", text)
@@ -55,7 +57,8 @@ def _of_template(text):
 
 
 def pages(root):
-    """Return every document that is read: pages of the site, those at the root, and templates of the report."""
+    """Return every document that is read: pages of the site, those at the root, and templates of
+    the report."""
     docs = [path for path in (root / "docs").rglob("*.md") if "_build" not in path.parts]
     templates = list((root / "src" / "planish" / "report" / "templates").glob("*.j2"))
     return sorted([*docs, *root.glob("*.md"), root / "paper" / "paper.md", *templates])

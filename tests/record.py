@@ -1,4 +1,5 @@
-"""Record the figures of a scenario, and name those that got worse: ``python tests/record.py FILE``."""
+"""Record the figures of a scenario, and name those that got worse: ``python tests/record.py
+FILE``."""
 
 import sys
 import tomllib
@@ -46,11 +47,12 @@ def read_recorded(path):
 
 
 def worse(certificate, recorded):
-    """Name the figures that are worse than recorded by more than the seeds scatter; better ones are no fault.
+    """Name the figures that are worse than recorded by more than the seeds scatter; better ones are
+    no fault.
 
-    The allowance is twice the standard deviation over the seeds, 2 % of the value, or a floor, whichever is largest.
-    Only figures that say how good something is are compared: where smaller is better, their absolute value, and shares
-    of what was found, which ought to be large.
+    The allowance is twice the standard deviation over the seeds, 2 % of the value, or a floor,
+    whichever is largest. Only figures that say how good something is are compared: where smaller is
+    better, their absolute value, and shares of what was found, which ought to be large.
     """
     found = {name: line.mean for name, line in certificate.lines().items() if line.mean is not None}
     faults = []

@@ -1,4 +1,5 @@
-"""How maps vary with distance, in results and on the page: one with the functions, and what is said of it."""
+"""How maps vary with distance, in results and on the page: one with the functions, and what is said
+of it."""
 
 from __future__ import annotations
 

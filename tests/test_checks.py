@@ -1,4 +1,5 @@
-"""What checks mean for the figures of a run: doubtful, or withheld; a state is never greener than it should be."""
+"""What checks mean for the figures of a run: doubtful, or withheld; a state is never greener than
+it should be."""
 
 import csv
 import io
@@ -148,7 +149,8 @@ def test_rows_of_the_table_name_each_check_of_a_stage_once():
     ("at", "state"), [((200.0, 300.0), "pass"), ((500.0, 100.0), "look"), ((850.0, 100.0), "pass")]
 )
 def test_a_hole_of_the_image_lies_where_the_sheet_is_whole(at, state, origin):
-    """The sheet has holes at (200, 300) and (600, 500) and ends at x = 800 um; the second hole is paired."""
+    """The sheet has holes at (200, 300) and (600, 500) and ends at x = 800 um; the second hole is
+    paired."""
     y, x = np.arange(120) * 5.0, np.arange(200) * 5.0
     thick = np.full((120, 200), 80.0)
     for u, v in ((200, 300), (600, 500)):

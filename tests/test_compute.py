@@ -1,4 +1,7 @@
-"""A run under other conditions: killed, on a cluster, with little memory. Its bytes are always the same."""
+"""A run under other conditions: killed, on a cluster, with little memory.
+
+Its bytes are always the same.
+"""
 
 import gzip
 import os
@@ -181,7 +184,8 @@ def test_no_scheduler_is_a_sentence():
 
 def test_what_the_program_takes_comes_off_the_memory_and_columns_get_wider():
     assert Compute(memory_bytes=4 * 10**9).for_work == 37 * 10**8
-    # Of little memory the program is not given more than half, and the blocks of an import get most of the rest.
+    # Of little memory the program is not given more than half, and the blocks of an import get most
+    # of the rest.
     assert Compute(memory_bytes=3 * 10**8).for_work == 15 * 10**7
     assert Compute(memory_bytes=3 * 10**8).block_bytes == 10**8
     assert (
@@ -202,7 +206,8 @@ def test_what_the_program_takes_comes_off_the_memory_and_columns_get_wider():
 
 @pytest.mark.parametrize("shape", [(3, 2500, 4000), (1500, 7, 2000), (40, 90, 120)])
 def test_the_memory_that_info_states_is_enough_for_single_voxels(shape, tmp_path):
-    """Of 10 million columns and fewer, through the shortest axis; as the line says it, which is rounded."""
+    """Of 10 million columns and fewer, through the shortest axis; as the line says it, which is
+    rounded."""
     (tmp_path / "v.raw.toml").write_text(f'shape = {list(shape)}\ndtype = "uint8"\nvoxel_um = 3\n')
     with (tmp_path / "v.raw").open("wb") as file:
         file.truncate(int(np.prod(shape)))
@@ -247,7 +252,8 @@ def test_sections_that_do_not_fit_are_imported_in_parts(kinds, tmp_path):
     not Path("/proc/self/status").exists(), reason="the peak of the memory is not known"
 )
 def test_a_mapped_volume_counts_as_memory_and_the_limit_is_kept(tmp_path):
-    """600 million voxels in 1 GB, columns widened; with columns of that width the bytes do not depend on it."""
+    """600 million voxels in 1 GB, columns widened; with columns of that width the bytes do not
+    depend on it."""
     shape = (300, 1414, 1414)
     rng = np.random.default_rng(0)
     y, x = np.ogrid[: shape[1], : shape[2]]

@@ -1,6 +1,8 @@
-"""A disk that fills up at eight moments: one sentence, exit code 5, nothing left, and nothing in the way afterwards.
+"""A disk that fills up at eight moments: one sentence, exit code 5, nothing left, and nothing in
+the way afterwards.
 
-A limit on the size of files makes the real write fail: files that are not larger than it are written before.
+A limit on the size of files makes the real write fail: files that are not larger than it are
+written before.
 """
 
 import traceback
@@ -45,7 +47,10 @@ def failed_in(monkeypatch):
 
 @pytest.fixture
 def given(specimen, specimen_files, linked_run, tmp_path_factory, monkeypatch):
-    """What the commands read, outside of the folder that is compared. The link has compiled what they need."""
+    """What the commands read, outside of the folder that is compared.
+
+    The link has compiled what they need.
+    """
     # The least that has room for three holes.
     monkeypatch.setitem(synthetic.SIZES_UM, "T0", (560.0, 420.0))
     corner = write_volume(

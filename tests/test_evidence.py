@@ -1,4 +1,5 @@
-"""What a link says of its correlations: independent points, intervals, scales, what could be seen."""
+"""What a link says of its correlations: independent points, intervals, scales, what could be
+seen."""
 
 import math
 
@@ -138,7 +139,8 @@ def test_maps_that_cannot_lead_or_stand_beside_are_refused_before_the_volume_is_
     ],
 )
 def test_a_map_that_its_numbers_make_may_lead_or_stand_beside(layers, properties, name):
-    """The rules ``when`` and ``together`` of the properties; without its number a map will not be."""
+    """The rules ``when`` and ``together`` of the properties; without its number a map will not
+    be."""
     for place in ({"headline": name}, {"beside": [name]}):
         parts = layers | {"correlate": place}
         assert (
@@ -210,7 +212,8 @@ def drawn(seed=0, shape=(120, 160)):
 
 
 def with_base(seed=1, *, shape=(120, 160)):
-    """A sheet whose coating and image both follow the base, and beyond it each other with r = 0.6."""
+    """A sheet whose coating and image both follow the base, and beyond it each other with r =
+    0.6."""
     maps, rng = drawn(seed, shape), np.random.default_rng(seed + 1)
     base, own, rest = (rng.normal(size=shape) for _ in range(3))
     um = {"units": "um", "role": "property"}

@@ -50,7 +50,7 @@ def test_an_option_says_in_its_help_which_formats_it_is_for():
         )
 
 
-# --- every format, of a run ------------------------------------------------------------------------------------------
+# --- every format, of a run -----------------------------------------------------------------------
 def holds_map(path, run):
     np.testing.assert_allclose(tifffile.imread(path), run.linked["coating_top"].values, rtol=1e-6)
 
@@ -183,7 +183,7 @@ def stored_run(linked_run, tmp_path):
     return run
 
 
-# --- what is worked out ----------------------------------------------------------------------------------------------
+# --- what is worked out ---------------------------------------------------------------------------
 def test_a_table_of_points_correlates_as_the_run_does(linked_run, tmp_path):
     path = tmp_path / "points.csv"
     pl.export(linked_run, path, to="csv")
@@ -214,7 +214,8 @@ def test_the_image_comes_to_the_flat_sheet(linked_run, tmp_path):
     expected = values_at(run.linked, ["image"], at)[:, 0].reshape(grid.shape)
     both = np.isfinite(found) & np.isfinite(expected)
     assert both.mean() > 0.9
-    # Pixels of 4 um are smaller than those of 5 um in the image: bilinear values, places to 0.01 pixel.
+    # Pixels of 4 um are smaller than those of 5 um in the image: bilinear values, places to 0.01
+    # pixel.
     steep = np.nanmax(np.abs(np.gradient(run.linked["image"].values, axis=1)))
     assert np.abs(found - expected)[both].max() < 0.02 * steep
 
@@ -257,7 +258,8 @@ def test_the_sheet_lies_flat_in_the_straightened_volume(linked_run, flat):
     top = heights[high] + step * (columns[high, k] - level) / (
         columns[high, k] - columns[high + 1, k]
     )
-    # Crossings of half the contrast are where the faces are for a coating that is thicker than the blur.
+    # Crossings of half the contrast are where the faces are for a coating that is thicker than the
+    # blur.
     off = top - bottom - thickness[known]
     assert abs(np.median(off)) < 0.2
     assert np.percentile(np.abs(off), 90) < 0.5 * step
@@ -341,7 +343,7 @@ def test_a_crate_describes_the_run(linked_run, tmp_path):
     assert bytes_of(tmp_path / "crate") == bytes_of(tmp_path / "again")
 
 
-# --- what is refused -------------------------------------------------------------------------------------------------
+# --- what is refused ------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("options", "out", "error", "words"),
     [
@@ -513,7 +515,7 @@ def test_a_run_in_memory_without_a_link_has_maps_and_no_registration(linked_run,
         pl.export(alone, tmp_path / "no", to="tiff", maps=["image"])
 
 
-# --- the command -----------------------------------------------------------------------------------------------------
+# --- the command ----------------------------------------------------------------------------------
 def test_the_command_reports_what_it_made(passes, refuses, linked_run, tmp_path):
     made = tmp_path / "c.gwy"
     out, _ = passes("export", linked_run, "--to", "gwy", "--map", "coating_top", "--out", made)

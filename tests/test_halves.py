@@ -1,4 +1,5 @@
-"""Two halves of a measurement: what noise and texture make of them, where they lie, what they share."""
+"""Two halves of a measurement: what noise and texture make of them, where they lie, what they
+share."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ UM, POINT_UM = 4.0, 100.0
 def columns(
     seed=0, *, noise=0.0, shape=(160, 200), length=20.0, similarity=None, slope=0.0, **attrs
 ):
-    """A coating of 10 um with texture, noise of single columns, and measured maps that mix neighbouring rows."""
+    """A coating of 10 um with texture, noise of single columns, and measured maps that mix
+    neighbouring rows."""
     rng = np.random.default_rng(seed)
     texture = 10 + gaussian_maps(rng, shape, length, kind="gauss")[0]
     coating = texture + noise * rng.normal(size=shape)
@@ -84,7 +86,8 @@ def test_noise_of_single_columns_gives_the_share_that_it_takes():
 
 
 def test_texture_without_noise_is_wholly_reliable_however_rows_fall_into_points():
-    """An even number of rows in a point shifts the mean place of its odd ones against the even ones by a row."""
+    """An even number of rows in a point shifts the mean place of its odd ones against the even ones
+    by a row."""
     for similarity in (
         Similarity(),
         Similarity(scale=25 / 26),

@@ -1,4 +1,5 @@
-"""Every kind of input by its shared run: a whole folder, places and hand as the truth has them, and what is said."""
+"""Every kind of input by its shared run: a whole folder, places and hand as the truth has them, and
+what is said."""
 
 from __future__ import annotations
 
@@ -25,7 +26,10 @@ FILES = {"figures.csv", "maps.zarr", "results.json", "report.html", "run.toml"}
 
 
 class Kind(NamedTuple):
-    """What a run of one sheet and one image has to be. Places in um: of half the pixels, and of 95 % of them."""
+    """What a run of one sheet and one image has to be.
+
+    Places in um: of half the pixels, and of 95 % of them.
+    """
 
     median_um: float
     p95_um: float
@@ -69,7 +73,8 @@ OTHERS = {
 
 
 def material(specimen, files, maps, sections=None):
-    """True material (y, x, 2) at the places in the volume of each pixel of maps; NaN where they are not valid."""
+    """True material (y, x, 2) at the places in the volume of each pixel of maps; NaN where they are
+    not valid."""
     ok = maps["valid"].values
     places = np.stack([maps[f"volume_{axis}"].values[ok] for axis in "xyz"], axis=-1).astype(
         np.float64
@@ -80,7 +85,8 @@ def material(specimen, files, maps, sections=None):
 
 
 def distances(one, other, maps):
-    """Distances in um between two materials where both are known; at least a tenth of the pixels have them."""
+    """Distances in um between two materials where both are known; at least a tenth of the pixels
+    have them."""
     off_um = np.linalg.norm(one - other, axis=-1)
     known = np.isfinite(off_um)
     assert known.mean() > 0.1
@@ -94,7 +100,7 @@ def uv(truth):
     return np.stack([truth["u"].values, truth["v"].values], axis=-1)
 
 
-# --- all of them -----------------------------------------------------------------------------------------------------
+# --- all of them ----------------------------------------------------------------------------------
 @pytest.mark.parametrize("kind", [*SHEETS, *OTHERS])
 def test_a_folder_is_whole_reads_back_and_says_what_it_is(kinds, passes, kind):
     folder = kinds(kind)
@@ -158,7 +164,8 @@ def test_pixels_show_the_material_that_is_there_on_the_right_side(kinds, kind):
     assert run.results.layers[0].headline == expected.leads
     ok = maps["valid"].values
     if len(specimen.sheet.holes):
-        # 100 um from the fitted circle; the true rim is rough by 4 um rms around an ellipse, 6 % longer than the circle
+        # 100 um from the fitted circle; the true rim is rough by 4 um rms around an ellipse, 6 %
+        # longer than the circle
         assert specimen.truth["rim"].values[ok].min() > 84.0
     if expected.leads.startswith("coating"):
         # Of all these specimens the image shows the same side.
@@ -169,7 +176,7 @@ def test_pixels_show_the_material_that_is_there_on_the_right_side(kinds, kind):
         assert r == pytest.approx(r_true, abs=0.02)
 
 
-# --- a sheet and an image --------------------------------------------------------------------------------------------
+# --- a sheet and an image -------------------------------------------------------------------------
 def test_properties_against_the_truth(linked, specimen):
     ok = linked["valid"].values
     for name, bias, rmse in (("coating_top", 0.3, 1.0), ("base_thickness", 0.6, 1.5)):
@@ -183,7 +190,8 @@ def test_properties_against_the_truth(linked, specimen):
 def test_of_a_place_most_of_the_error_is_that_of_the_holes_and_little_of_the_flattening(
     linked, specimen, kinds
 ):
-    """It is the same everywhere or grows evenly, which the best similarity of all pixels takes off."""
+    """It is the same everywhere or grows evenly, which the best similarity of all pixels takes
+    off."""
     ok = linked["valid"].values
     found = material(specimen, kinds.small, linked)[ok][::50]
     left = fit_transform(
@@ -240,7 +248,7 @@ def test_a_map_ends_with_the_flat_maps(kinds, planish, tmp_path):
     assert planish("info", tmp_path)[0] == 3
 
 
-# --- two volumes, two images, a chain --------------------------------------------------------------------------------
+# --- two volumes, two images, a chain -------------------------------------------------------------
 def test_two_volumes_show_the_same_material_at_the_same_pixel(kinds):
     run = open_run(kinds("volumes"))
     first, second = run.groups["layers/first"], run.groups["layers/second"]
@@ -268,7 +276,8 @@ def test_an_image_lies_on_another_image_and_they_are_compared_away_from_rims(kin
     run = open_run(kinds("images"))
     layer, far = run.groups["layers/white"], run.groups["layers/uv"]
     assert run.results.layers[0].registration.matched == 5
-    # Where a pixel of the reference lies in the first image, and the material that this one shows there.
+    # Where a pixel of the reference lies in the first image, and the material that this one shows
+    # there.
     grid = Grid.of(layer)
     x, y = np.meshgrid(grid.x_um, grid.y_um)
     shown = np.isfinite(layer["image"].values)
@@ -284,7 +293,8 @@ def test_an_image_lies_on_another_image_and_they_are_compared_away_from_rims(kin
     )
     assert np.nanmedian(np.hypot(*off_um.T)) < 1.5
     assert np.nanmax(layer["expected_error"].values) < 10.0
-    # Without the rims of the holes, which are alike on any paper. Either camera has an uneven reflectance of its own.
+    # Without the rims of the holes, which are alike on any paper. Either camera has an uneven
+    # reflectance of its own.
     fine = run.results.correlations[0].r
     assert fine > 0.5
     aside = {name: np.roll(layer[name].values, 8, axis=1) for name in ("image", "valid")}

@@ -1,4 +1,5 @@
-"""Links whose maps are too large for the memory: tile by tile, from a store, with the same results."""
+"""Links whose maps are too large for the memory: tile by tile, from a store, with the same
+results."""
 
 import json
 

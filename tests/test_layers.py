@@ -1,4 +1,5 @@
-"""Layers onto one reference: sizes, sides, directions and marks that are given, and what is refused."""
+"""Layers onto one reference: sizes, sides, directions and marks that are given, and what is
+refused."""
 
 import json
 
@@ -61,7 +62,8 @@ def test_machine_directions_that_contradict_each_other_are_seen(
     rotation = json.loads((run_copy / "results.json").read_text())["layers"][0]["registration"][
         "rotation_deg"
     ]
-    # The map's machine direction lies along its x axis; in the image it is turned by the rotation of the marks.
+    # The map's machine direction lies along its x axis; in the image it is turned by the rotation
+    # of the marks.
     (run_copy / "run.toml").write_text(
         study.replace("[layers.volume]", "[layers.volume]\nmd_deg = 0.0")
     )

@@ -1,4 +1,5 @@
-"""A sheet of fibres without holes, linked by its texture as a user would; and an image of another sheet, refused."""
+"""A sheet of fibres without holes, linked by its texture as a user would; and an image of another
+sheet, refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""No work is thrown away: cheap faults come before the volume is read, and maps outlive a refused link."""
+"""No work is thrown away: cheap faults come before the volume is read, and maps outlive a refused
+link."""
 
 import os
 import shutil
@@ -25,7 +26,8 @@ def image_with(path, holes):
 
 
 def instead_of_mapping(monkeypatch, work):
-    """Put ``work`` where volumes are mapped; the package hides its modules behind functions of the same names."""
+    """Put ``work`` where volumes are mapped; the package hides its modules behind functions of the
+    same names."""
     monkeypatch.setattr(import_module("planish.run.save"), "map_layer", work)
 
 
@@ -112,7 +114,8 @@ def test_maps_of_a_refused_link_are_kept_and_taken_up_but_with_other_parameters(
         instead_of_mapping(patch, mapped)
         refuses("link", volume, wrong, "-o", out, words="sheet, mapped before", out=False)
         passes("link", volume, image, "-o", out)
-    # The same bytes as without the detour, but for the relative paths in run.toml; what was kept is left as it is.
+    # The same bytes as without the detour, but for the relative paths in run.toml; what was kept is
+    # left as it is.
     found, straight = bytes_of(out), bytes_of(linked_run)
     assert found.keys() == straight.keys()
     assert [name for name in found if found[name] != straight[name]] in ([], ["run.toml"])
@@ -252,7 +255,8 @@ CHANGES = [
 def test_a_changed_parameter_repeats_what_depends_on_it(
     passes, linked_run, tmp_path, monkeypatch, change, kept
 ):
-    """A run with a changed parameter has the bytes of a fresh one, whatever it takes from the old one."""
+    """A run with a changed parameter has the bytes of a fresh one, whatever it takes from the old
+    one."""
     edited = with_values(read_study(linked_run / "run.toml"), [change])
     study = tmp_path / "study"
     study.mkdir()

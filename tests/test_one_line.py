@@ -1,4 +1,5 @@
-"""The line is the same by ``planish link``, by the commands of the stages, and by hand in Python: byte by byte."""
+"""The line is the same by ``planish link``, by the commands of the stages, and by hand in Python:
+byte by byte."""
 
 import json
 
@@ -45,7 +46,7 @@ def group_of(path, group):
         return tree[group].to_dataset().load()
 
 
-# --- link, the stages, a notebook ------------------------------------------------------------------------------------
+# --- link, the stages, a notebook -----------------------------------------------------------------
 def test_link_the_stages_and_a_notebook_give_the_same_bytes(passes, kinds, tmp_path):
     files, folder, side = kinds.laid, kinds("laid"), "bottom"
     run = pl.open_run(folder)
@@ -106,7 +107,8 @@ def test_the_stages_take_the_groups_of_a_run(passes, refuses, linked_run, specim
     ):
         passes(*step)
     chain, line = (group_of(path, "maps")["thickness"] for path in (tmp_path / "m.zarr", maps))
-    # The columns of a run count as measured only where a normal meets both faces: their weight in the mesh differs.
+    # The columns of a run count as measured only where a normal meets both faces: their weight in
+    # the mesh differs.
     assert float(abs(chain.mean() - line.mean())) < 0.1
     assert (tmp_path / "marks.json").read_bytes() == (linked_run / "marks.json").read_bytes()
     same_bytes(group_of(tmp_path / "linked.zarr", "linked"), pl.open_run(linked_run).linked)
@@ -132,7 +134,7 @@ def test_the_page_of_a_run_is_made_again_and_its_figures_stand_beside_it(
     assert not (tmp_path / "other.html").exists()
 
 
-# --- from a run, from arrays, from marks -----------------------------------------------------------------------------
+# --- from a run, from arrays, from marks ----------------------------------------------------------
 def test_a_run_linked_to_an_image_is_the_volume_linked_to_it(passes, linked_run):
     again = linked_run.parent / "again"
     # The very file: each worker has one of its own, and the study names it.
@@ -194,7 +196,8 @@ def test_the_marks_of_a_run_given_back_give_its_bytes(passes, linked_run, specim
     assert sheets[1].registration.source == "json"
     for name in ("correlations", "comparison", "linked"):
         assert getattr(first.results, name) == getattr(again.results, name)
-    # Given marks are not looked for: nothing is said of what was seen and not taken, nor of how the holes lean.
+    # Given marks are not looked for: nothing is said of what was seen and not taken, nor of how the
+    # holes lean.
     of_holes = {"holes in sheet", "holes in image", "holes without partner", "tilt of the holes"}
     checks = [[c for c in run.checks if c.name not in of_holes] for run in (first, again)]
     assert (checks[0], of_holes) == (
@@ -267,7 +270,7 @@ def test_changed_marks_other_images_and_no_store_are_refused(
     refuses("link", *files, "--marks", tmp_path / "m.csv", words="places in a volume")
 
 
-# --- arrays and words -------------------------------------------------------------------------------------------------
+# --- arrays and words -----------------------------------------------------------------------------
 def test_a_volume_says_how_its_sheet_lies_and_words_go_before_it(tmp_path):
     volume = pl.volume(np.zeros((20, 30, 40), np.uint8), voxel_um=3, through="y", top="low")
     image = pl.image(np.zeros((30, 40)), pixel_um=5, side="bottom")
@@ -345,7 +348,7 @@ def test_words_are_those_of_the_command_line_each_given_once():
     assert both == Compute(threads=1, memory_bytes=4 * 10**9)
 
 
-# --- runs that differ ------------------------------------------------------------------------------------------------
+# --- runs that differ -----------------------------------------------------------------------------
 def test_files_that_differ_are_named_and_those_of_maps_counted(linked_run, run_copy, capsys):
     runs._compare(linked_run, run_copy)
     assert f"{run_copy}: same bytes as {linked_run}" in capsys.readouterr().err

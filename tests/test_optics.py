@@ -1,4 +1,5 @@
-"""What a link says of light on request: references, screens, curves, spread, mottle; and what is refused before."""
+"""What a link says of light on request: references, screens, curves, spread, mottle; and what is
+refused before."""
 
 import json
 import math
@@ -36,7 +37,7 @@ def given(**options):
     return ImageParams(path="i.tif", **options)
 
 
-# --- the image as it is compared -------------------------------------------------------------------------------------
+# --- the image as it is compared ------------------------------------------------------------------
 def test_references_make_reflectance_and_results_state_the_quantity():
     image = image_of(np.array([[200.0, 1200.0], [2200.0, np.nan]]), title="Relative grey, red")
     found = compared_image(image, given(dark_grey=200, white_grey=2200))
@@ -94,9 +95,10 @@ def test_refining_and_regions_come_before_a_screen_is_taken_off(tmp_path):
         preflight.check_request(study, Compute())
 
 
-# --- light over the coating ------------------------------------------------------------------------------------------
+# --- light over the coating -----------------------------------------------------------------------
 def coated(seed=0, *, shape=(80, 100), spread_um=None):
-    """Coating of 17 um at points of 20 um, and the reflectance that S = 0.24 per um over 0.79 gives it."""
+    """Coating of 17 um at points of 20 um, and the reflectance that S = 0.24 per um over 0.79 gives
+    it."""
     rng = np.random.default_rng(seed)
     coating = np.maximum(17 + 4.5 * gaussian_maps(rng, shape, 3.0)[0], 0.0)
     seen = (
@@ -182,7 +184,7 @@ def test_mottle_is_of_valid_pixels_and_says_why_there_is_none():
     assert "No octave lies between" in mottle_of("print", small, quantity="reflectance").silence
 
 
-# --- what is refused before anything is read -------------------------------------------------------------------------
+# --- what is refused before anything is read ------------------------------------------------------
 @pytest.mark.parametrize(
     ("layers", "correlate", "said"),
     [
@@ -214,7 +216,7 @@ def test_half_of_the_references_is_wrong_usage(refuses, specimen_files):
     refuses("link", *specimen_files, "--dark-grey", "0", words="belong together", code=2)
 
 
-# --- in a run --------------------------------------------------------------------------------------------------------
+# --- in a run -------------------------------------------------------------------------------------
 @pytest.mark.ci
 def test_a_run_with_all_of_it(planish, specimen_files, tmp_path):
     options = (

@@ -1,4 +1,5 @@
-"""Volumes that are a part of a file, ``scan.h5:/entry/data``, in a folder with a colon: wherever a path is source."""
+"""Volumes that are a part of a file, ``scan.h5:/entry/data``, in a folder with a colon: wherever a
+path is source."""
 
 import json
 import os

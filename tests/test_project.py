@@ -39,7 +39,8 @@ def locked(name):
 
 
 def names(requirements):
-    # Upper and lower case, and the signs between words, make no difference in the name of a package.
+    # Upper and lower case, and the signs between words, make no difference in the name of a
+    # package.
     return {re.sub(r"[-_.]+", "-", re.split(r"[\[<>=]", r)[0]).lower() for r in requirements}
 
 
@@ -66,7 +67,8 @@ def test_the_documents_are_built_without_the_tools_of_the_developers():
 
 
 def test_each_command_installs_its_lock_once(monkeypatch, tmp_path):
-    """A lock holds those before it; a set-up notes what it installed, and a folder that was moved starts anew."""
+    """A lock holds those before it; a set-up notes what it installed, and a folder that was moved
+    starts anew."""
     module = importlib.util.spec_from_file_location("run_of_planish", ROOT / "run.py")
     run = importlib.util.module_from_spec(module)
     module.loader.exec_module(run)
@@ -178,7 +180,8 @@ def test_the_source_archive_holds_what_the_tests_read_and_builds_the_same_wheel(
 
 @pytest.mark.nightly
 def test_nothing_is_left_of_a_wheel_that_was_uninstalled(tmp_path):
-    """Compiled kernels beside the program kept its folders alive, so that an empty planish could be imported."""
+    """Compiled kernels beside the program kept its folders alive, so that an empty planish could be
+    imported."""
     venv.create(tmp_path / "venv", with_pip=False)
     (python,) = [p for p in (tmp_path / "venv").glob("*/python*") if p.stem == "python"]
     env = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}

@@ -1,4 +1,5 @@
-"""What is easily written wrong in Python, and the sentence that each gets: given, needed, what to write."""
+"""What is easily written wrong in Python, and the sentence that each gets: given, needed, what to
+write."""
 
 from pathlib import Path
 

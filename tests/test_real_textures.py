@@ -21,10 +21,11 @@ from planish.core.transform import Similarity, nearest_similarity
 def test_images_of_one_tissue_are_linked_by_their_texture_and_one_of_another_is_refused(
     shared_data, moving, fixed
 ):
-    """Light-sheet images of one epithelium, by the numbers of depth and channel; the second under another camera.
+    """Light-sheet images of one epithelium, by the numbers of depth and channel; the second under
+    another camera.
 
-    Their pixel counts as 4 um, since the search looks for the waves of paper. Cell walls lean, so one depth shows them
-    beside where another does.
+    Their pixel counts as 4 um, since the search looks for the waves of paper. Cell walls lean, so
+    one depth shows them beside where another does.
     """
     layers = tifffile.imread(
         shared_data("tissue_sheet_mesh") / "basics_example_projected.tif"

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-# Measured on the full slices by another program: centre of the can (x, y) in the full image and its outer radius, px.
+# Measured on the full slices by another program: centre of the can (x, y) in the full image and its
+# outer radius, px.
 CENTRE_X, CENTRE_Y, RADIUS = 366.4, 378.7, 312.3
 # The crop starts at column 600 and row 230.
 FIRST_X, FIRST_Y = 600, 230

@@ -1,4 +1,5 @@
-"""Declared artefacts: what files say of them, which pixels they cover, and that no figure of a run counts these."""
+"""Declared artefacts: what files say of them, which pixels they cover, and that no figure of a run
+counts these."""
 
 import io
 import json
@@ -43,7 +44,8 @@ def read(tmp_path, content):
 
 
 def roi(kind=0, box=(0, 0, 0, 0), points=(), *, fine=None, name="", properties="", options=0, **at):
-    """A selection as ImageJ writes it: ``box`` top, left, bottom, right; ``at`` are shorts at their places."""
+    """A selection as ImageJ writes it: ``box`` top, left, bottom, right; ``at`` are shorts at their
+    places."""
     head = bytearray(64)
     fine_box = fine if kind in (1, 2) else None
     struct.pack_into(">4shBx4hH", head, 0, b"Iout", 228, kind, *box, len(points))
@@ -83,9 +85,10 @@ def archive(**parts):
 TRIANGLE = roi(0, (4, 6, 9, 12), [(0, 0), (6, 0), (6, 5)], name="crease")
 
 
-# --- which pixels ----------------------------------------------------------------------------------------------------
+# --- which pixels ---------------------------------------------------------------------------------
 def slow_mask(polygons, grid):
-    """Every pixel and every edge in exact numbers: inside where an odd number of crossings lies to the right."""
+    """Every pixel and every edge in exact numbers: inside where an odd number of crossings lies to
+    the right."""
     found = np.zeros(grid.shape, dtype=bool)
     for i, j in np.ndindex(*grid.shape):
         y, x = Fraction(grid.y_um[i]), Fraction(grid.x_um[j])
@@ -113,7 +116,8 @@ regions_of_all_kinds = st.lists(
 @pytest.mark.nightly
 @given(regions_of_all_kinds)
 def test_the_mask_is_that_of_exact_numbers_whole_and_in_bands(polygons):
-    """Quarters of pixels put many borders through the middles of pixels; borders cross themselves and each other."""
+    """Quarters of pixels put many borders through the middles of pixels; borders cross themselves
+    and each other."""
     regions = Regions(declared=(Region(name="a", polygons=polygons),))
     whole = regions.inside(GRID)
     np.testing.assert_array_equal(whole, slow_mask(polygons, GRID))
@@ -152,7 +156,7 @@ def test_regions_side_by_side_share_no_pixel_and_overlaps_count_once():
     assert (facts.count, [one.share for one in facts.regions], facts.share) == (2, [0.2, 0.4], 0.5)
 
 
-# --- GeoJSON ---------------------------------------------------------------------------------------------------------
+# --- GeoJSON --------------------------------------------------------------------------------------
 def test_all_forms_of_geojson_are_read(tmp_path):
     texts = {"name": "stain", "reason": "coffee", "author": "A. Author"}
     several = {
@@ -192,9 +196,10 @@ def test_what_is_written_reads_back_to_the_same_bytes(tmp_path):
     assert geojson_text(again) == text
 
 
-# --- ImageJ ----------------------------------------------------------------------------------------------------------
+# --- ImageJ ---------------------------------------------------------------------------------------
 def test_a_rectangle_of_imagej_covers_its_own_pixels(tmp_path):
-    """Left 2, top 1, 3 pixels wide, 2 high, on a grid whose first pixel has its middle at (100, 50) um."""
+    """Left 2, top 1, 3 pixels wide, 2 high, on a grid whose first pixel has its middle at (100, 50)
+    um."""
     grid = Grid.regular((5, 8), (2.5, 4.0), (100.0, 50.0))
     for data in (
         roi(1, (1, 2, 3, 5)),
@@ -276,7 +281,7 @@ def test_selections_of_imagej_that_are_not_read_are_named(name, words):
     refused(FileError, rf"'{name}.roi': it is .*{words}", read_regions, SELECTIONS / f"{name}.roi")
 
 
-# --- files that are of no use ----------------------------------------------------------------------------------------
+# --- files that are of no use ---------------------------------------------------------------------
 def bent(*places):
     return {"type": "Polygon", "coordinates": [list(places)]}
 
@@ -387,7 +392,7 @@ def test_regions_off_the_reference_or_all_over_it_are_refused(tmp_path):
             regions_on(read_regions(path), grid, str(path))
 
 
-# --- studies and runs ------------------------------------------------------------------------------------------------
+# --- studies and runs -----------------------------------------------------------------------------
 def test_a_study_names_them_by_a_relative_path(tmp_path):
     volume, image = (
         VolumeParams(path=str(tmp_path / "v.tif")),

@@ -1,4 +1,5 @@
-"""The comparison of two commits names every difference by place and size, and nothing that is the same."""
+"""The comparison of two commits names every difference by place and size, and nothing that is the
+same."""
 
 import json
 

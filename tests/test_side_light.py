@@ -1,4 +1,5 @@
-"""Light from one side: a map that is displaced towards it can correlate more, and the page cautions of it."""
+"""Light from one side: a map that is displaced towards it can correlate more, and the page cautions
+of it."""
 
 import numpy as np
 import pytest
@@ -23,7 +24,8 @@ POINT_UM, PIXEL_UM, BORDER = 100.0, 6.0, 20
 
 
 def seen(shading):
-    """True coating and face on the pixels of an image, the image, and where they count; no marks, so no errors."""
+    """True coating and face on the pixels of an image, the image, and where they count; no marks,
+    so no errors."""
     camera = CameraParams(shading=shading, oracle_r2=0.2, pixel_um=PIXEL_UM)
     params = SpecimenParams(
         size_um=(3000.0, 2200.0),
@@ -41,7 +43,8 @@ def seen(shading):
 
 
 def displaced(coating, image, use, by_um):
-    """r of 100 um points with the coating displaced to the right, where the light does not come from."""
+    """r of 100 um points with the coating displaced to the right, where the light does not come
+    from."""
     moved = ndimage.shift(coating, (0, by_um / PIXEL_UM), order=1, mode="nearest")
     both = (np.where(use, m, np.nan) for m in (moved, image.values))
     return pl.correlate(*both, pixel_um=Grid.of(image).pixel_um, point_um=POINT_UM).r

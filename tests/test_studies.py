@@ -1,4 +1,5 @@
-"""The studies of the paper: each runs as it stands and on other files, and states a number with its interval."""
+"""The studies of the paper: each runs as it stands and on other files, and states a number with its
+interval."""
 
 import importlib
 import re
@@ -47,7 +48,7 @@ def numbers(pattern, said):
     return [float(text) for text in found.groups()]
 
 
-# --- what costs nothing ----------------------------------------------------------------------------------------------
+# --- what costs nothing ---------------------------------------------------------------------------
 @pytest.mark.parametrize("path", TOML, ids=lambda path: path.stem)
 def test_a_study_reads_whatever_files_it_is_given(path, tmp_path):
     text = path.read_text(encoding="utf-8")
@@ -114,7 +115,7 @@ def test_no_interval_is_written_as_none():
     assert common.interval((0.125, 0.5), 1) == "0.1 to 0.5"
 
 
-# --- the studies, small ----------------------------------------------------------------------------------------------
+# --- the studies, small ---------------------------------------------------------------------------
 @pytest.mark.nightly
 def test_fig_06_on_files_of_ones_own(make, tmp_path, capsys):
     make.specimens.make("fig-06", "small", tmp_path / "made")
@@ -138,7 +139,8 @@ def test_fig_06_on_files_of_ones_own(make, tmp_path, capsys):
     assert aside < at_most < 20  # where the paper judges 10 to 20 um by eye
 
 
-# A number with its interval, and two numbers of which the second has to be larger: r² of projection and flattening.
+# A number with its interval, and two numbers of which the second has to be larger: r² of projection
+# and flattening.
 STATED = {
     "fig-07": rf"difference is {NUMBER} {INTERVAL}",
     "fig-09": rf"r = {NUMBER} {INTERVAL}",

@@ -50,7 +50,8 @@ def test_faults_of_a_study_are_named_at_once_and_other_files_refused(tmp_path):
 
 
 def test_the_files_of_planish_0_1_are_read():
-    """As that version wrote them: one volume and an image without a list, layers with their volume in ``map``."""
+    """As that version wrote them: one volume and an image without a list, layers with their volume
+    in ``map``."""
     one = as_study(
         {
             "volume": {"path": "v.tif", "voxel_um": [3.0, 3.0, 3.0]},

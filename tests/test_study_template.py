@@ -41,7 +41,8 @@ def fields(model, place=()):
 
 
 def test_every_option_stands_in_it_with_its_default(draft):
-    """Taking the signs away changes nothing, but for options without a default, which are left as they are."""
+    """Taking the signs away changes nothing, but for options without a default, which are left as
+    they are."""
     text, path = draft[0].text, draft[1]
     found = list(KEY.finditer(text))
     given = read_study(path)

@@ -38,7 +38,8 @@ def sheet(stated=1.0, *, slope=SLOPE, through="z", top="high", grain=0.0):
 
 
 def developed(points, slope=SLOPE):
-    """Exact flat places of points (x, y) of the cylinder: arc length across, the point's own place along."""
+    """Exact flat places of points (x, y) of the cylinder: arc length across, the point's own place
+    along."""
     t, along = points @ [np.cos(TURN), np.sin(TURN)], points @ [-np.sin(TURN), np.cos(TURN)]
     steps = np.linspace(-100, 2500, 26001)
     speed = np.sqrt(1 + (slope * np.cos(2 * np.pi / WAVE_UM * steps)) ** 2)
@@ -148,7 +149,8 @@ def test_a_wrong_mark_hides_no_wrong_spacing():
 
 @pytest.mark.nightly
 def test_its_error_is_what_it_says():
-    """Thirty draws of nine marks: the scale over its error has the size that an estimate with few marks allows."""
+    """Thirty draws of nine marks: the scale over its error has the size that an estimate with few
+    marks allows."""
     seen = sheet(1.2)
     flat, at, places = marks(seen, 60)
     scales, moved = places_when_scaled(seen, flat, at)
@@ -170,7 +172,8 @@ def weigh_evenly(moving, fixed):
 
 
 def test_a_plane_sheet_cannot_tell_a_spacing_from_a_stretch():
-    """A plane that is tilted by 35°, stated half as steep: a stretch along the slope is the same."""
+    """A plane that is tilted by 35°, stated half as steep: a stretch along the slope is the
+    same."""
     seen = sheet()
     seen["centre"] = 0 * seen["y"] + 0.7 * seen["x"]
     seen["thickness"] = 0 * seen["centre"] + THICK_UM

@@ -1,4 +1,5 @@
-"""What Windows does differently, as far as another system can show it: names, lengths, open files, line ends."""
+"""What Windows does differently, as far as another system can show it: names, lengths, open files,
+line ends."""
 
 import ast
 import ctypes
@@ -30,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 
 
-# --- names and lengths -----------------------------------------------------------------------------------------------
+# --- names and lengths ----------------------------------------------------------------------------
 @pytest.mark.parametrize(
     "name", ["aux", "Com1.tar.gz", "lpt9", "prn ", "COM¹", "run.", "CONIN$", "aux .zarr"]
 )
@@ -89,9 +90,10 @@ def test_a_drive_in_a_study_is_not_a_layers_name(refuses):
         assert "no name of a layer" not in refuses("link", path, "image.tif", words="volume")
 
 
-# --- files that another program holds open ---------------------------------------------------------------------------
+# --- files that another program holds open --------------------------------------------------------
 def held(times):
-    """A rename that is refused so many times, as Windows does where a virus scanner has the file."""
+    """A rename that is refused so many times, as Windows does where a virus scanner has the
+    file."""
     left = [times]
     rename = Path.rename
 
@@ -129,7 +131,7 @@ def test_what_is_there_is_replaced_only_on_request(tmp_path):
     assert (tmp_path / "old").read_text(encoding="utf-8") == "new"
 
 
-# --- line ends -------------------------------------------------------------------------------------------------------
+# --- line ends ------------------------------------------------------------------------------------
 def crlf(path):
     """The same file as an editor on Windows saves it."""
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
@@ -184,7 +186,7 @@ def test_studies_and_runs_with_the_line_ends_of_windows_are_the_same(
     assert json.loads((run_copy / "marks.json").read_text(encoding="utf-8"))
 
 
-# --- the machine -----------------------------------------------------------------------------------------------------
+# --- the machine ----------------------------------------------------------------------------------
 def test_the_memory_is_asked_of_windows():
     def answer(status):
         found = ctypes.cast(status, ctypes.POINTER(guard._MemoryStatus)).contents
@@ -199,7 +201,7 @@ def test_the_memory_is_asked_of_windows():
     )
 
 
-# --- rules for the code ----------------------------------------------------------------------------------------------
+# --- rules for the code ---------------------------------------------------------------------------
 
 TEXT = re.compile(r"\b(read_text|write_text|open)\(")
 LACKING = re.compile(

@@ -40,7 +40,8 @@ def test_a_search_along_a_wrong_axis_names_the_right_one(slope, rim_um, error, t
 
 @pytest.mark.ci
 def test_a_sheet_seen_edge_on_is_refused_before_every_column_is_searched(monkeypatch):
-    """A sheet of 12 voxels, 81 degrees off the axis given: its run is above 6 times its thickness."""
+    """A sheet of 12 voxels, 81 degrees off the axis given: its run is above 6 times its
+    thickness."""
     z, y, x = np.ogrid[:160, :90, :120]
     values = np.where(abs(y - 45 - 0.15 * (z - 80) - 3 * np.sin(x / 20)) < 6, 120.0, 20.0)
     values += np.random.default_rng(3).normal(0, 6, values.shape)

@@ -1,4 +1,5 @@
-"""What a user can hand in wrongly: what planish says, how it ends, what it withholds, and what it refuses."""
+"""What a user can hand in wrongly: what planish says, how it ends, what it withholds, and what it
+refuses."""
 
 import json
 import re
@@ -33,7 +34,8 @@ def marks_file(path, specimen, count):
 
 @pytest.fixture
 def ended(planish, tmp_path):
-    """Run a command into a folder: exit code, results, the checks by name, and all that was printed."""
+    """Run a command into a folder: exit code, results, the checks by name, and all that was
+    printed."""
 
     def run(*arguments):
         out = tmp_path / f"run{len(list(tmp_path.iterdir()))}"
@@ -47,7 +49,8 @@ def ended(planish, tmp_path):
 
 @pytest.mark.ci
 def test_spacing_along_z_half_as_large_again(ended, specimen, specimen_files, tmp_path):
-    """Base +27.5 um: the marks ask for two thirds of it, thicknesses and correlations are withheld."""
+    """Base +27.5 um: the marks ask for two thirds of it, thicknesses and correlations are
+    withheld."""
     marks = marks_file(tmp_path / "m.csv", specimen, 12)
     wrong = ("--voxel-um", "6,4,4", "--override-size", "--marks", marks)
     code, results, checks, printed = ended("link", *specimen_files, *wrong)
@@ -61,7 +64,7 @@ def test_spacing_along_z_half_as_large_again(ended, specimen, specimen_files, tm
     assert all(row["trust"] == "withheld" and row["r"] is None for row in results["correlations"])
 
 
-# --- volumes ---------------------------------------------------------------------------------------------------------
+# --- volumes --------------------------------------------------------------------------------------
 def second_sheet(volume):
     """The same sheet once more, lying on the first."""
     shift = 24  # its thickness in voxels
@@ -102,7 +105,8 @@ def test_what_a_wrong_volume_gives_is_withheld(change, name, words, ended, speci
 
 
 def test_a_short_cut_off_is_the_one_that_is_stated(ended, specimen_files, linked_run):
-    """250 um gave the surface of 500 um: now it differs from that of 400, and where it is wider is counted."""
+    """250 um gave the surface of 500 um: now it differs from that of 400, and where it is wider is
+    counted."""
     _, results, checks, _ = ended("map", specimen_files[0], "--cutoff-um", "250")
     assert checks["cut-off"]["state"] == "pass"
     assert "the stated cut-off of 250 um" in checks["cut-off"]["sentence"]
@@ -113,10 +117,11 @@ def test_a_short_cut_off_is_the_one_that_is_stated(ended, specimen_files, linked
     assert short < 0.95 * long  # waves of 250 to 400 um belong to the centre surface now
 
 
-# --- sides and specimens ---------------------------------------------------------------------------------------------
+# --- sides and specimens --------------------------------------------------------------------------
 @pytest.fixture
 def foreign_image(specimen, specimen_files, tmp_path):
-    """An image of another specimen with the same laser program: other paper around the same holes."""
+    """An image of another specimen with the same laser program: other paper around the same
+    holes."""
     image = tifffile.imread(specimen_files[1])
     rows, cols = np.indices(image.shape)
     far = np.min(
@@ -142,7 +147,8 @@ def test_an_image_of_another_specimen_with_the_same_holes(ended, specimen_files,
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_left_handed_volume_is_marked(sign, tmp_path):
-    """The affine of a NIfTI file may say that its slices are a mirror image; every map of it would be one."""
+    """The affine of a NIfTI file may say that its slices are a mirror image; every map of it would
+    be one."""
     image = nibabel.Nifti1Image(np.zeros((9, 8, 7), np.uint8), np.diag([4.0 * sign, 4.0, 4.0, 1.0]))
     image.header.set_xyzt_units("micron")
     nibabel.save(image, tmp_path / "v.nii")
@@ -152,7 +158,7 @@ def test_a_left_handed_volume_is_marked(sign, tmp_path):
     assert check is None or "mirror image of the specimen" in check.sentence
 
 
-# --- what is refused, or doubted --------------------------------------------------------------------------------------
+# --- what is refused, or doubted ------------------------------------------------------------------
 def test_a_volume_that_is_cut_or_holds_no_sheet(refuses, specimen_files, tmp_path):
     noise = np.random.default_rng(0).normal(60, 4, (40, 60, 70)).astype(np.uint8)
     refuses(

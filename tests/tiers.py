@@ -1,7 +1,8 @@
-"""Three tiers of tests: which one a test belongs to, what runs, in which order, and what a fast test may cost.
+"""Three tiers of tests: which one a test belongs to, what runs, in which order, and what a fast
+test may cost.
 
-A test belongs to the highest tier that it names (``@pytest.mark.ci``, ``@pytest.mark.nightly``) or that one of its
-fixtures needs; all others are fast.
+A test belongs to the highest tier that it names (``@pytest.mark.ci``, ``@pytest.mark.nightly``) or
+that one of its fixtures needs; all others are fast.
 """
 
 import json
@@ -17,12 +18,14 @@ from cpu_time import SHARED, cpu_seconds, loop_seconds
 #: Lowest first. ``run.py test`` runs the first, ``--ci`` the second, ``--all`` all of them.
 TIERS = ("fast", "ci", "nightly")
 
-#: What a fixture takes: a linked run or a browser is no matter of milliseconds, measured data are not everywhere.
+# : What a fixture takes: a linked run or a browser is no matter of milliseconds, measured data are
+# not everywhere.
 NEEDED_TIER = {"linked_run": "ci", "kinds": "ci", "chromium": "ci", "shared_data": "nightly"}
 
-#: CPU time above which a fast test fails, on a machine that counts to 3 million in .25 s; what several tests share does
-#: not count (fixtures, kernels that are compiled or loaded). Write them for half of it: a machine may be twice as
-#: slow from one minute to the next. This is the one limit on the time of tests.
+# : CPU time above which a fast test fails, on a machine that counts to 3 million in .25 s; what
+# several tests share does : not count (fixtures, kernels that are compiled or loaded). Write them
+# for half of it: a machine may be twice as : slow from one minute to the next. This is the one
+# limit on the time of tests.
 FAST_CPU_S = 1.0
 REFERENCE_LOOP_S = 0.25
 
@@ -52,7 +55,7 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(SecondsRecorder())
 
 
-# --- which tests run, and in which order ---------------------------------------------------------------------------
+# --- which tests run, and in which order ----------------------------------------------------------
 
 
 def tier_of(item: pytest.Item) -> str:
@@ -65,7 +68,8 @@ def tier_of(item: pytest.Item) -> str:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Give each test its tier, leave out those that were not asked for, and put files that take long first."""
+    """Give each test its tier, leave out those that were not asked for, and put files that take
+    long first."""
     for item in items:
         if "shared_data" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.realdata)
@@ -81,7 +85,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def expected_seconds(items: list[pytest.Item]) -> dict[Path, float]:
-    """Return how long the tests of each file may take together; a file that was never timed counts nothing."""
+    """Return how long the tests of each file may take together; a file that was never timed counts
+    nothing."""
     recorded = json.loads(SECONDS_PATH.read_text(encoding="utf-8"))
     tiers = {(item.path, tier_of(item)) for item in items}
     seconds = dict.fromkeys((item.path for item in items), 0.0)
@@ -119,7 +124,7 @@ class SecondsRecorder:
         SECONDS_PATH.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8", newline="\n")
 
 
-# --- CPU time of each test -----------------------------------------------------------------------------------------
+# --- CPU time of each test ------------------------------------------------------------------------
 
 USED = pytest.StashKey[float]()
 
@@ -160,7 +165,8 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
 
 
 class FastLimit:
-    """Collects the fast tests above the limit; they are taken again alone, as tests beside them slow them down."""
+    """Collects the fast tests above the limit; they are taken again alone, as tests beside them
+    slow them down."""
 
     def __init__(self, *, alone: bool) -> None:
         self.alone = alone

@@ -1,16 +1,18 @@
-"""Whether two commits give the same: every array and number of what each of them does, on this machine, in one call.
+"""Whether two commits give the same: every array and number of what each of them does, on this
+machine, in one call.
 
     python -m benchmarks same OLD [PART ...] [--new DIR] [--folder DIR] [--reuse] [--list]
 
-OLD is a commit; it is checked out into a worktree with an environment of its own (its locks, the network). The other
-side is this checkout with the environment that runs this, or DIR with its sources. Both do the same parts, each on one
-core, with one version number and the same specimens, which OLD makes; runs of earlier versions are made by these
-versions. Compared are arrays with types, coordinates and attributes, numbers of results, marks, tables, exit codes
-and pages; differences are named by place and size. KEYS says which keys of results got another name, EXPECTED which
-differences are meant. It ends with 1 where there are others. Linux only.
+OLD is a commit; it is checked out into a worktree with an environment of its own (its locks, the
+network). The other side is this checkout with the environment that runs this, or DIR with its
+sources. Both do the same parts, each on one core, with one version number and the same specimens,
+which OLD makes; runs of earlier versions are made by these versions. Compared are arrays with
+types, coordinates and attributes, numbers of results, marks, tables, exit codes and pages;
+differences are named by place and size. KEYS says which keys of results got another name, EXPECTED
+which differences are meant. It ends with 1 where there are others. Linux only.
 
-``--folder`` keeps worktrees, environments and results. ``--reuse`` takes the results of OLD from there, where they were
-made on this machine by these parts.
+``--folder`` keeps worktrees, environments and results. ``--reuse`` takes the results of OLD from
+there, where they were made on this machine by these parts.
 """
 
 from __future__ import annotations
@@ -200,7 +202,8 @@ def make_inputs(home, tree, python):
 
 
 def _stamp(name):
-    """What the results of the old side depend on beside its commit: the part, its inputs, and the processor."""
+    """What the results of the old side depend on beside its commit: the part, its inputs, and the
+    processor."""
     texts = "".join(
         [
             repr(PARTS[name]),

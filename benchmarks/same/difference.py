@@ -1,4 +1,5 @@
-"""Where two folders of results differ: every array, type, attribute, number and cell, named by place and size."""
+"""Where two folders of results differ: every array, type, attribute, number and cell, named by
+place and size."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from collections.abc import Mapping
 import numpy as np
 
 Keys = Mapping[str, str]
-"""Old key -> new key of results, indices as ``[]``: ``layers[].sheet.numbers`` -> ``layers[].sheet.values``."""
+"""Old key -> new key of results, indices as ``[]``: ``layers[].sheet.numbers`` ->
+``layers[].sheet.values``."""
 
 _INDEX = re.compile(r"\[\d+\]")
 _STORE = {"zarr.json", ".zgroup", ".zarray"}
@@ -26,7 +28,8 @@ _OF_THEIR_OWN = {".jsonl", ".lock", ".log"}  # journals know the time
 
 
 def differences(old, new, keys):
-    """Give place and size of every difference of two folders, file by file; hidden files do not count."""
+    """Give place and size of every difference of two folders, file by file; hidden files do not
+    count."""
     places = [sorted(units(folder)) for folder in (old, new)]
     for place in sorted({*places[0]} | {*places[1]}):
         sides = [folder / place for folder in (old, new)]
@@ -164,7 +167,8 @@ def _flat(value, place=""):
 
 
 def _renamed(place, keys):
-    """The new key: the longest old one that the place begins with, its indices kept in their order."""
+    """The new key: the longest old one that the place begins with, its indices kept in their
+    order."""
     bare, numbers = _INDEX.sub("[]", place), iter(_INDEX.findall(place))
     begins = [key for key in keys if bare == key or bare.startswith((f"{key}.", f"{key}["))]
     if not begins:

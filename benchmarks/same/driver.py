@@ -1,7 +1,9 @@
-"""Run commands of the installed planish, a child process each, on one core: what each side of a comparison is.
+"""Run commands of the installed planish, a child process each, on one core: what each side of a
+comparison is.
 
-Reads ``{"arguments": [...], "output": PATH}`` line by line, and answers with the exit code. The libraries are imported
-once; no module of planish is, so that nothing passes from one command to the next.
+Reads ``{"arguments": [...], "output": PATH}`` line by line, and answers with the exit code. The
+libraries are imported once; no module of planish is, so that nothing passes from one command to the
+next.
 """
 
 import importlib

@@ -1,4 +1,5 @@
-"""Specimens that both sides of a comparison read: ``python inputs.py FOLDER``, with the planish of the old side."""
+"""Specimens that both sides of a comparison read: ``python inputs.py FOLDER``, with the planish of
+the old side."""
 
 from __future__ import annotations
 
@@ -47,7 +48,8 @@ _OTHER = replace(
 )
 _THRESHOLDS = (65, 145)  # between the greys of air, base and coating
 _REGIONS = """{"type": "FeatureCollection", "features": [{"type": "Feature",
-"properties": {"name": "stain", "reason": "ink", "author": "A. Reader"}, "geometry": {"type": "Polygon",
+"properties": {"name": "stain", "reason": "ink", "author": "A. Reader"},
+"geometry": {"type": "Polygon",
 "coordinates": [[[300, 300], [600, 320], [580, 520], [310, 500], [300, 300]]]}}]}
 """
 

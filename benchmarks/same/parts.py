@@ -1,4 +1,5 @@
-"""What both sides of a comparison do, part by part: commands of ``planish``, and changes through the app."""
+"""What both sides of a comparison do, part by part: commands of ``planish``, and changes through
+the app."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ _APPLY_S = 300.0
 
 @dataclass(kw_only=True)
 class Side:
-    """One checkout at work: commands are run in the folder of a part, two levels above which the inputs lie."""
+    """One checkout at work: commands are run in the folder of a part, two levels above which the
+    inputs lie."""
 
     python: Path
     source: Path
@@ -64,7 +66,8 @@ class Side:
         )
 
     def planish(self, *arguments):
-        """Run a command; what it prints stands in ``NN-VERB.json`` or ``.txt``, what it says of errors in ``.err``."""
+        """Run a command; what it prints stands in ``NN-VERB.json`` or ``.txt``, what it says of
+        errors in ``.err``."""
         words = [str(word) for word in arguments]
         output = f"{len(self.commands):02d}-{words[0]}"
         asked = {

@@ -1,4 +1,5 @@
-"""One input as an instrument leaves it: what is in the files, what is said of them, where each voxel came from."""
+"""One input as an instrument leaves it: what is in the files, what is said of them, where each
+voxel came from."""
 
 from __future__ import annotations
 
@@ -25,8 +26,9 @@ Places = Callable[[Array], Array]
 class Case:
     """A right specimen, and what a kind of input changes of it.
 
-    ``back`` takes voxels (n, 3) of the file, (z, y, x) as numbers, to those of the right volume; ``image_back`` pixels
-    (n, 2), (y, x). ``by_nature`` names figures that are wrong whatever they are: the place of a pixel in another sheet.
+    ``back`` takes voxels (n, 3) of the file, (z, y, x) as numbers, to those of the right volume;
+    ``image_back`` pixels (n, 2), (y, x). ``by_nature`` names figures that are wrong whatever they
+    are: the place of a pixel in another sheet.
     """
 
     right: Right

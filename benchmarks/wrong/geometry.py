@@ -1,4 +1,5 @@
-"""Sizes, hands, sides and places: spacing, pixel size, mirrored stacks, drift, stitched scans, other specimens."""
+"""Sizes, hands, sides and places: spacing, pixel size, mirrored stacks, drift, stitched scans,
+other specimens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Grey values: clipped, rescaled, compressed, blurred, noisy, shaded, with the artefacts of a scanner."""
+"""Grey values: clipped, rescaled, compressed, blurred, noisy, shaded, with the artefacts of a
+scanner."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from benchmarks.wrong.kinds import enter, kind
 
 
 def _clipped(change):
-    """A grey between base and coating, or a little above the coating's mean, at which a scale ends."""
+    """A grey between base and coating, or a little above the coating's mean, at which a scale
+    ends."""
 
     def clip(case, rng):
         _, base, coating = case.right.grey

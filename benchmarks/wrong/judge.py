@@ -1,4 +1,5 @@
-"""What a run states against what is true, figure by figure, and which of its checks speak of a figure."""
+"""What a run states against what is true, figure by figure, and which of its checks speak of a
+figure."""
 
 from __future__ import annotations
 
@@ -67,7 +68,8 @@ def _material(case, places_um, run):
 
 
 def _some(mask):
-    """Rows and columns of the true ones, or of some of them where they are too many to be traced."""
+    """Rows and columns of the true ones, or of some of them where they are too many to be
+    traced."""
     rows, cols = np.nonzero(mask)
     step = max(1, rows.size // _MOST)
     return rows[::step], cols[::step]
@@ -145,7 +147,8 @@ def _rms(values):
 
 
 def _correlation(case, run):
-    """r of the headline, coating of the side that the image truly shows, against r of the true map."""
+    """r of the headline, coating of the side that the image truly shows, against r of the true
+    map."""
     headline = run.results.layers[0].headline
     rows = [
         row

@@ -1,4 +1,5 @@
-"""The table of kinds of wrong input: a name, what was done, and a function that does it to a right case."""
+"""The table of kinds of wrong input: a name, what was done, and a function that does it to a right
+case."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from benchmarks.wrong.case import Case
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """A kind of input; ``grave`` ones ought to fail, ``hidden`` ones cannot be told and are counted apart.
+    """A kind of input; ``grave`` ones ought to fail, ``hidden`` ones cannot be told and are counted
+    apart.
 
     ``answer`` is the check whose ``unknown`` is about this fault: it says why it cannot be told.
     """
@@ -44,7 +46,8 @@ def enter(name, title, change, *, grave=False, hidden="", answer="", **order):
 
 
 def kind(name, title, *, size=None, **more):
-    """Enter the function below; with ``size``, a range and its unit, it is given a strength from there."""
+    """Enter the function below; with ``size``, a range and its unit, it is given a strength from
+    there."""
 
     def entered(change):
         enter(name, title, sized(change, *size) if size else change, **more)

@@ -1,7 +1,9 @@
-"""A second maker of specimens, on purpose unlike planish.synthetic: another bend, another texture, another image.
+"""A second maker of specimens, on purpose unlike planish.synthetic: another bend, another texture,
+another image.
 
-The sheet is part of a cone, which unrolls exactly and has closed formulas both ways; its thicknesses are noise with a
-power law; a voxel takes the exact share of its volume that lies below each face (a plane cutting a box).
+The sheet is part of a cone, which unrolls exactly and has closed formulas both ways; its
+thicknesses are noise with a power law; a voxel takes the exact share of its volume that lies below
+each face (a plane cutting a box).
 """
 
 from __future__ import annotations
@@ -28,9 +30,11 @@ def turned(angle):
 
 @dataclass(frozen=True, kw_only=True)
 class Cone:
-    """Material (u, v, s) to space and back; ``turn`` (3, 3) brings the cone's own axes to space, ``middle`` the origin.
+    """Material (u, v, s) to space and back; ``turn`` (3, 3) brings the cone's own axes to space,
+    ``middle`` the origin.
 
-    ``rho_um`` is the distance of the origin from the apex, ``half_rad`` the angle between axis and surface.
+    ``rho_um`` is the distance of the origin from the apex, ``half_rad`` the angle between axis and
+    surface.
     """
 
     rho_um: float
@@ -41,7 +45,8 @@ class Cone:
     middle: Floats
 
     def _frame(self):
-        """Place of the origin, and the axes (3, 3) along the ray, across it, and out of the cone, as rows."""
+        """Place of the origin, and the axes (3, 3) along the ray, across it, and out of the cone,
+        as rows."""
         s, c = np.sin(self.half_rad), np.cos(self.half_rad)
         return self.rho_um * np.array([s, 0, c]), np.array([[s, 0, c], [0, 1, 0], [c, 0, -s]])
 
@@ -239,7 +244,8 @@ def _fields(rng, size, base, coats):
 
 
 def _power(shape, rng, least, most, power):
-    """Noise between two wavelengths in um whose amplitude goes with wavelength to a power; mean 0, sd 1."""
+    """Noise between two wavelengths in um whose amplitude goes with wavelength to a power; mean 0,
+    sd 1."""
     fy, fx = fft.fftfreq(shape[0], _GRID_UM), fft.rfftfreq(shape[1], _GRID_UM)
     f = np.maximum(np.hypot(fy[:, None], fx[None, :]), 1 / most)
     weight = f**-power * np.exp(-((f * least) ** 2))
@@ -263,7 +269,8 @@ def _pattern(rng, size, count, radius):
 
 
 def _below(distance, normal, voxel):
-    """Share of a cubic voxel that lies below a plane ``distance`` above its middle along the unit ``normal``.
+    """Share of a cubic voxel that lies below a plane ``distance`` above its middle along the unit
+    ``normal``.
 
     The sum over the corners of the cube of a box on one side of a plane: +-(d)^3 / (6 a b c).
     """

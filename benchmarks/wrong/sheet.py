@@ -1,4 +1,5 @@
-"""The sheet itself: a second one, delamination, fold, tear, dust, holes not through, few voxels; marks; options."""
+"""The sheet itself: a second one, delamination, fold, tear, dust, holes not through, few voxels;
+marks; options."""
 
 from __future__ import annotations
 
@@ -164,7 +165,7 @@ def _few(case, rng):
     case.note = f"{thick / factor:.1f} voxels"
 
 
-# --- marks by hand and options ------------------------------------------------------------------------------------
+# --- marks by hand and options --------------------------------------------------------------------
 
 
 def _by_hand(case, rng, sd_um=2.0):

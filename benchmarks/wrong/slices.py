@@ -1,4 +1,5 @@
-"""Slices out of order, twice, missing, filled, foreign: along z, y and x, at drawn places and in drawn numbers."""
+"""Slices out of order, twice, missing, filled, foreign: along z, y and x, at drawn places and in
+drawn numbers."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ def _some(case, rng, axis, least=2, most=8):
 
 
 def traced_order(order, axis):
-    """Places along one axis, by the order that the slices were taken in; linear between neighbours that were such."""
+    """Places along one axis, by the order that the slices were taken in; linear between neighbours
+    that were such."""
 
     def back(places):
         at = np.clip(places[:, axis], 0, order.size - 1)

@@ -1,4 +1,5 @@
-"""Right specimens with their exact truth: some by planish.synthetic, some by a second maker that shares no code."""
+"""Right specimens with their exact truth: some by planish.synthetic, some by a second maker that
+shares no code."""
 
 from __future__ import annotations
 
@@ -38,10 +39,12 @@ _SECTIONS = SectionsParams(pixel_um=2.5, section_um=4.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Right:
-    """A volume (z, y, x), an image (y, x) and what is true: lengths in um, material (u, v, s), points (x, y, z).
+    """A volume (z, y, x), an image (y, x) and what is true: lengths in um, material (u, v, s),
+    points (x, y, z).
 
-    ``thickness`` gives a true thickness by name at (u, v); ``columns`` (y, x, 3) holds u, v and the height of the
-    centre surface at each column of the volume; ``faces`` (4, y, x) the heights of top, interfaces and bottom there.
+    ``thickness`` gives a true thickness by name at (u, v); ``columns`` (y, x, 3) holds u, v and the
+    height of the centre surface at each column of the volume; ``faces`` (4, y, x) the heights of
+    top, interfaces and bottom there.
     """
 
     maker: str
@@ -88,7 +91,8 @@ class Draw:
 
 
 def heights(columns, voxel_um, faces, at):
-    """Heights of the faces over each column, whose distances from the middle ``at`` gives along the normal."""
+    """Heights of the faces over each column, whose distances from the middle ``at`` gives along the
+    normal."""
     u, v, middle = np.moveaxis(columns, -1, 0)
     lift = np.sqrt(1 + sum(g**2 for g in np.gradient(middle, voxel_um)))
     return np.stack([middle + lift * at(face, u, v) for face in faces])

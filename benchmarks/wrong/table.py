@@ -72,7 +72,8 @@ def judged(kind, seed):
 
 
 def row_of(name, seed, case, note, started):
-    """Run a case that has been made since ``started``: refusal, or figures and checks that do not pass."""
+    """Run a case that has been made since ``started``: refusal, or figures and checks that do not
+    pass."""
     made, right = time.process_time(), case.right
     row = {"kind": name, "seed": seed, "maker": right.maker, "specimen": right.seed, "note": note}
     row |= judged_case(case)
@@ -103,7 +104,8 @@ def lights(run):
 
 
 def silent_of(row):
-    """Wrong figures that nothing warned of; a run that failed is not silent, an ``unknown`` counts where it answers."""
+    """Wrong figures that nothing warned of; a run that failed is not silent, an ``unknown`` counts
+    where it answers."""
     spoken = row.get("lights", ())
     answer = KINDS[row["kind"]].answer if row["kind"] in KINDS else ""
     if any(state == "fail" or (answer and name == answer) for state, name, *_ in spoken):

@@ -1,4 +1,7 @@
-"""Pages of the Python interface: a table of everything public in a package, then each with its docstring."""
+"""Make the pages of the Python interface.
+
+A table of everything public in a package, then each with its docstring.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Check the built site: links lead somewhere, and nothing is fetched from a network when a page is read.
+"""Check the built site: links lead somewhere, and reading a page fetches nothing from a network.
 
 ``python docs/_ext/check_site.py FOLDER`` names each fault and ends with 1 where there is one.
 """

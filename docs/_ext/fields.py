@@ -20,7 +20,7 @@ _WORDS = {float: "number", int: "whole number", str: "text", bool: "true or fals
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 
 
-# --- the study file ------------------------------------------------------------------------------------------
+# --- the study file -------------------------------------------------------------------------------
 
 
 def study_page() -> str:
@@ -35,7 +35,7 @@ def study_page() -> str:
 
 
 def study_table(model: type[BaseModel]) -> str:
-    """Return key, type, default, option of the command line and meaning of every value of a section."""
+    """Return key, type, default, command-line option and meaning of every value of a section."""
     flags = {
         name: " ".join(f"`{flag}`" for flag in shown.flags) for name, _, shown in options_of(model)
     }
@@ -68,7 +68,9 @@ def _toml(value: Any) -> str:
         return ""
     if isinstance(value, tuple):
         return f"`[{', '.join(str(v) for v in value)}]`"
-    return f"`{str(value).lower() if isinstance(value, bool) else f'{value:g}' if isinstance(value, float) else value}`"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
 
 
 def _limits(field: FieldInfo) -> str:
@@ -81,7 +83,7 @@ def _limits(field: FieldInfo) -> str:
     return f" {', '.join(words)}" if words else ""
 
 
-# --- results.json --------------------------------------------------------------------------------------------
+# --- results.json ---------------------------------------------------------------------------------
 
 
 def results_page() -> str:
@@ -130,11 +132,14 @@ def _many(annotation: Any) -> str:
     return "[]" if tuple in origins else ".*" if dict in origins else ""
 
 
-# --- types in words ------------------------------------------------------------------------------------------
+# --- types in words -------------------------------------------------------------------------------
 
 
 def type_words(annotation: Any, *, linked: bool = False) -> str:
-    """Return a type in the words of a file: number, text, list of ..., with ``linked`` a link to the part."""
+    """Return a type in the words of a file.
+
+    Number, text, list of ..., with ``linked`` a link to the part.
+    """
     words = [_word(part, linked=linked) for part in _parts(annotation) if part is not type(None)]
     return " or ".join(dict.fromkeys(words))
 

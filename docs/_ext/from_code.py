@@ -1,4 +1,6 @@
-"""Sphinx extension: what a page says about the program is made from the program while the site is built.
+"""Sphinx extension that makes from the program what a page says about it.
+
+This is done while the site is built.
 
 A fenced block names what stands in its place::
 
@@ -8,8 +10,9 @@ A fenced block names what stands in its place::
     ```{root} CHANGELOG.md
     ```
 
-Links to files at the root of the checkout lead to the pages that show these files, and a link that is named by its file
-gets the title of the page. Pages get the entries of the index that `docs/words.md` has for them.
+Links to files at the root of the checkout lead to the pages that show these files, and a link that
+is named by its file gets the title of the page. Pages get the entries of the index that
+`docs/words.md` has for them.
 """
 
 from __future__ import annotations
@@ -59,7 +62,7 @@ def with_links(text: str) -> str:
 
 
 def _root(name: str, _content: str) -> str:
-    """Return a Markdown file at the root of the checkout, its links as from the folder of the documents."""
+    """Return a Markdown file at the root of the checkout, its links as from the documents."""
     text = (ROOT / name).read_text(encoding="utf-8")
 
     def led(link: re.Match[str]) -> str:

@@ -1,7 +1,9 @@
-"""Families of messages: a family names its messages by patterns, and the site lists the messages that fit.
+"""List families of messages on the site.
 
-A pattern is a line of a block ``{messages}``: the beginning of a module's path, a colon and a space, and a regular
-expression that is found in the text; ``…`` in a text stands for a value.
+A family names its messages by patterns, and the messages that fit are listed.
+
+A pattern is a line of a block ``{messages}``: the beginning of a module's path, a colon and a
+space, and a regular expression that is found in the text; ``…`` in a text stands for a value.
 """
 
 from __future__ import annotations

@@ -1,7 +1,10 @@
-"""Every message that planish ends with, collected from its source: the text with ``…`` where a value stands.
+"""Collect every message that planish ends with from its source.
 
-A message is what an error is raised with: an error of ``core/errors.py``, a ``click.UsageError``, the ``ValueError`` of
-a validator that a study file meets, or the reason given to a function that makes such an error (``damaged``).
+The text has ``…`` where a value stands.
+
+A message is what an error is raised with: an error of ``core/errors.py``, a ``click.UsageError``,
+the ``ValueError`` of a validator that a study file meets, or the reason given to a function that
+makes such an error (``damaged``).
 """
 
 from __future__ import annotations
@@ -50,7 +53,10 @@ def messages() -> tuple[Message, ...]:
 
 @cache
 def kinds() -> frozenset[str]:
-    """Names of the errors that a user can meet: those of ``core/errors.py``, and what is made of them elsewhere."""
+    """Return the names of the errors that a user can meet.
+
+    Those of ``core/errors.py``, and what is made of them elsewhere.
+    """
     known = {"UsageError", "BadParameter"}
     known |= {node.name for node in _trees()[_ERRORS].body if isinstance(node, ast.ClassDef)}
     for tree in _trees().values():
@@ -117,7 +123,10 @@ def _text(node: ast.expr, constants: dict[str, str]) -> str:
 
 
 def _constants(tree: ast.Module) -> dict[str, str]:
-    """Texts that have a name of their own, such as a remedy that several messages end with; not those told anew."""
+    """Texts that have a name of their own, such as a remedy that several messages end with.
+
+    Not those told anew.
+    """
     found: dict[str, list[str]] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):

@@ -1,6 +1,9 @@
-"""Pages that the program writes: commands, options of properties, formats of exports, schema of the results.
+"""Pages that the program writes.
 
-``python docs/_ext/program_pages.py`` puts them into the docs folder of the checkout, the schema also into the package.
+Commands, options of properties, formats of exports, and schema of the results.
+
+``python docs/_ext/program_pages.py`` puts them into the docs folder of the checkout, the schema
+also into the package.
 """
 
 from __future__ import annotations
@@ -38,7 +41,8 @@ def page() -> str:
 
 
 def _section(name: str, command: click.Command) -> str:
-    # As at the terminal, where every command takes these from the group; click keeps the option once it has made it.
+    # As at the terminal, where every command takes these from the group; click keeps the option
+    # once it has made it.
     context = click.Context(
         command, info_name=name, terminal_width=100, help_option_names=["-h", "--help"]
     )
@@ -46,7 +50,7 @@ def _section(name: str, command: click.Command) -> str:
 
 
 def with_options(text: str) -> str:
-    """Return the text of docs/properties.md with the table of the options as the program has them."""
+    """Return the text of docs/properties.md with the table of options as the program has them."""
     rows = ["| `[properties]` | Default | |", "|---|---|---|"]
     for name, field in MeasureParams.model_fields.items():
         default = "" if field.default in (None, ()) else field.default

@@ -39,7 +39,10 @@ def objects(package: str) -> Iterator[tuple[str, Any]]:
 
 
 def about_constant(module: str, name: str) -> str:
-    """Return the string that stands below a constant in the source of a module, or of one that it takes it from."""
+    """Return the string that stands below a constant in the source of a module.
+
+    The module may also be one that it takes the constant from.
+    """
     path = PACKAGE.parent.joinpath(*module.split("."))
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     body = ast.parse(path.read_text(encoding="utf-8")).body

@@ -1,8 +1,10 @@
-"""Words of readers in the search: `docs/words.md` leads from words that laboratories use to the pages that answer them.
+"""Put words of readers into the search.
 
-Each of these words becomes an entry of the index on its page, or on the section that the link names. The search of the
-site ranks such an entry before pages that only contain the word. Sphinx drops the entries of pages that a build leaves
-as they are, so `run.py docs` builds all of them.
+`docs/words.md` leads from words that laboratories use to the pages that answer them.
+
+Each of these words becomes an entry of the index on its page, or on the section that the link
+names. The search of the site ranks such an entry before pages that only contain the word. Sphinx
+drops the entries of pages that a build leaves as they are, so `run.py docs` builds all of them.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ def entries() -> dict[str, dict[str, list[str]]]:
 
 
 def with_entries(page: str, text: str) -> str:
-    """Return the text of a page with the entries of its words behind the headings that they lead to."""
+    """Return the text of a page with its words' entries behind the headings that they lead to."""
     sections = dict(entries().get(page, {}))
 
     def behind(heading: re.Match[str]) -> str:
@@ -53,7 +55,10 @@ def with_entries(page: str, text: str) -> str:
 
 
 class EntriesOfPages(SphinxTransform):
-    """Entries of a whole page lead to its top, as a hit of the page does: the search then lists the page once."""
+    """Let entries of a whole page lead to its top, as a hit of the page does.
+
+    The search then lists the page once.
+    """
 
     default_priority = 800  # before the entries are gathered
 

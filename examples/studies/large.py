@@ -1,7 +1,8 @@
 """A sheet of 20 x 15 mm, larger than any that the paper had, as a surface without voxels.
 
-The centre surface is known at nodes 10 um apart. It is flattened, and its coating is laid onto the image: as projected,
-and as flattened, by the same laser holes, whose places are 1 um uncertain as measured ones are.
+The centre surface is known at nodes 10 um apart. It is flattened, and its coating is laid onto the
+image: as projected, and as flattened, by the same laser holes, whose places are 1 um uncertain as
+measured ones are.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ SEED = 20
 
 
 class Sheet(NamedTuple):
-    """The centre surface at its nodes: their places, their material coordinates, and the coating there."""
+    """The centre surface at its nodes: places, material coordinates, and the coating there."""
 
     points: Array
     u: Array
@@ -111,7 +112,10 @@ def sheet_of(made: Specimen) -> Sheet:
 
 
 def lay(made: Specimen, sheet: Sheet, uv: Array, model: str, noise: Array) -> Laid:
-    """Lay the coating onto the image, its nodes at ``uv``, registered by the holes that the field shows."""
+    """Lay the coating onto the image, registered by the holes that the field shows.
+
+    Its nodes lie at ``uv``.
+    """
     holes = made.sheet.holes
     place = made.warp.points(holes[:, 0], holes[:, 1])[:, :2]
     shown = ((place > AWAY_UM) & (place < np.array(made.extent_um[:2]) - AWAY_UM)).all(axis=1)

@@ -5,7 +5,8 @@
 Studies are fig-06, fig-07, fig-09, fig-11, flattening, no-holes and design.
 
 Your own data: copy a ``.toml``, change its paths, ``planish study copy.toml --out copy``, and then
-``python examples/studies/make.py fig-07 --of copy``. ``large`` is a sheet of 20 x 15 mm without voxels.
+``python examples/studies/make.py fig-07 --of copy``. ``large`` is a sheet of 20 x 15 mm without
+voxels.
 """
 
 from __future__ import annotations
@@ -75,7 +76,10 @@ def main(given: list[str] | None = None) -> int:
 
 
 def series_of(study: str, size: specimens.Size, out: Path) -> Path:
-    """Folder of the series of a study, after its specimens are made and linked; what is done is kept."""
+    """Folder of the series of a study, after its specimens are made and linked.
+
+    What is done is kept.
+    """
     specimens.make(study, size, out / "specimens" / study)
     copy = out / f"{study}.toml"
     copy.write_text(
@@ -92,7 +96,10 @@ def cpu_s() -> float:
 
 
 def shortened(text: str, home: Path) -> str:
-    """A study file without the specimens that were not made: at the small size there are fewer of some."""
+    """Return a study file without the specimens that were not made.
+
+    At the small size there are fewer of some.
+    """
     head, *blocks = text.split("\n[[specimens]]\n")
     files = [
         line.split('"')[1].partition("=")[2] or line.split('"')[1]

@@ -1,6 +1,9 @@
-"""Synthetic specimens for the studies: the same papers and instruments as in the paper, with known answers.
+"""Make synthetic specimens for the studies, with known answers.
 
-Each function gives the specimens of one study by name: parameters, and the instruments that look at them.
+The papers and instruments are the same as in the paper.
+
+Each function gives the specimens of one study by name: parameters, and the instruments that look at
+them.
 """
 
 from __future__ import annotations
@@ -31,7 +34,8 @@ Size = Literal["small", "full"]
 Instruments = Literal["stack", "print", "two volumes"]
 
 DIFFUSE = CameraParams(shading=0.003)
-"""The microscope with diffuse light; the usual one of planish's specimens has light from one side, too."""
+"""The microscope with diffuse light; the usual one of planish's specimens has light from one side,
+too."""
 
 LIGHT_VARIES = 0.05
 """Standard deviation of Fisher's z between sheets that the images are made with."""
@@ -69,7 +73,10 @@ class Made:
 def base(
     paper: str, seed: int, size: Size, full_um: tuple[float, float], voxel_um: float = 6.0
 ) -> SpecimenParams:
-    """A paper in diffuse light; small: 1.5 x 1.1 mm with seven holes, for a first look and for tests."""
+    """A paper in diffuse light.
+
+    Small: 1.5 x 1.1 mm with seven holes, for a first look and for tests.
+    """
     if size == "small":
         camera, scanner = (
             replace(DIFFUSE, pixel_um=6.0),
@@ -99,7 +106,10 @@ def fig_06(size: Size) -> list[Made]:
 
 
 def fig_07(size: Size) -> list[Made]:
-    """Three sheets, each before and after calendering: the same fibres, holes and bend, another surface."""
+    """Make three sheets, each before and after calendering.
+
+    Fibres, holes and bend are the same, the surface is another.
+    """
     found: list[Made] = []
     for sheet, shift in (("1", -1.0), ("2", 0.0), ("3", 1.0)):
         for state, paper, r2 in (
@@ -107,7 +117,8 @@ def fig_07(size: Size) -> list[Made]:
             ("calendered", "wfc135-calendered", 0.21),
         ):
             params = base(paper, 70 + int(sheet), size, SIZES_UM["T2"])
-            # So much else in the image that the true maps have the r² of the paper, higher and lower by the sheet.
+            # So much else in the image that the true maps have the r² of the paper, higher and
+            # lower by the sheet.
             target = (r2**0.5 + shift * LIGHT_VARIES * (1 - r2)) ** 2
             camera = replace(params.camera, oracle_r2=round(target, 4))
             found.append(Made(name=f"sheet-{sheet}-{state}", params=replace(params, camera=camera)))
@@ -115,7 +126,10 @@ def fig_07(size: Size) -> list[Made]:
 
 
 def fig_09(size: Size) -> list[Made]:
-    """One field of an offset print: 40 % black at 60 lines per cm, lighter where the coating is thicker."""
+    """Make one field of an offset print, lighter where the coating is thicker.
+
+    It is 40 % black at 60 lines per cm.
+    """
     params = base("wfc118", 9, size, (5000.0, 4000.0))
     if size == "small":  # around holes, 310 um are left out where a screen was taken off
         params = replace(
@@ -138,7 +152,10 @@ def fig_11(size: Size) -> list[Made]:
 
 
 def flattening(size: Size) -> list[Made]:
-    """Three sheets, small: one, bent so much that they are some 250 um longer than their projection."""
+    """Make three bent sheets, or one at the small size.
+
+    They are bent so much that they are some 250 um longer than their projection.
+    """
     found: list[Made] = []
     for sheet in ("1", "2", "3") if size == "full" else ("1",):
         params = base("wfc118", 190 + int(sheet), size, SIZES_UM["T1"])
@@ -153,14 +170,18 @@ def flattening(size: Size) -> list[Made]:
 
 
 def no_holes(size: Size) -> list[Made]:
-    """Three sheets of fibres, small: two, each with holes and without: the same fibres, bend and camera."""
+    """Make three sheets of fibres, or two at the small size, each with holes and without.
+
+    Fibres, bend and camera are the same with and without.
+    """
     found: list[Made] = []
     for sheet in ("1", "2", "3") if size == "full" else ("1", "2"):
         params = base("wfc135", 200 + int(sheet), size, SIZES_UM["T1"], voxel_um=3.0)
         scanner, size_um = replace(params.scanner, grey=FIBRE_CT.grey), params.size_um
         if size == "small":  # on less than this, too few tiles show by themselves where they lie
             scanner, size_um = replace(scanner, voxel_um=5.0), (1800.0, 1400.0)
-        # Both are turned by the same angle: another one would draw another sheet, and share no pixels with this one.
+        # Both are turned by the same angle: another one would draw another sheet, and share no
+        # pixels with this one.
         camera = replace(params.camera, turn_range_deg=180.0)
         params = replace(
             params, size_um=size_um, paper=PRESETS["wfc135"][1], scanner=scanner, camera=camera

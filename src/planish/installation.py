@@ -1,4 +1,7 @@
-"""Whether this installation can do its work: what ``planish doctor`` reports, in a form that can be mailed."""
+"""Tell whether this installation can do its work.
+
+``planish doctor`` reports it, in a form that can be mailed.
+"""
 
 import importlib
 import locale
@@ -53,7 +56,9 @@ def describe_installation() -> dict[str, str]:
 
 
 def check_installation() -> Iterator[Check]:
-    """Check one thing after the other; states other than ``pass`` and ``unknown`` come with what to do.
+    """Check one thing after the other.
+
+    States other than ``pass`` and ``unknown`` come with what to do.
 
     Names of folders are not in it, but for a folder that cannot be written.
     """
@@ -176,7 +181,10 @@ def _version_and_fault(requirement: Requirement) -> tuple[str, str | None]:
 
 
 def _requirements(extra: str | None) -> list[Requirement] | None:
-    """What planish, or one of its extras, needs on this machine; None where planish is not installed."""
+    """What planish, or one of its extras, needs on this machine.
+
+    None where planish is not installed.
+    """
     try:
         texts = metadata.requires("planish") or []
     except metadata.PackageNotFoundError:

@@ -1,6 +1,9 @@
-"""What a run says in numbers: frozen models that make ``results.json``, its JSON schema and the page.
+"""What a run says in numbers.
 
-NaN and infinity have no place in JSON: such numbers are None. Lengths are in um where the name says so.
+Frozen models make ``results.json``, its JSON schema and the page.
+
+NaN and infinity have no place in JSON: such numbers are None. Lengths are in um where the name says
+so.
 """
 
 import json
@@ -253,7 +256,10 @@ class RegionFacts(ResultModel):
 
 
 class RegionsFacts(ResultModel):
-    """Regions that were declared artefacts: their pixels are not valid and count in no correlation."""
+    """Regions that were declared artefacts.
+
+    Their pixels are not valid and count in no correlation.
+    """
 
     count: int = Field(description="Number of regions.")
     share: float = Field(description="Share of the reference's pixels that lie in a region.")
@@ -377,7 +383,10 @@ _LEFT_OUT_OF_2 = ("saturated_share", "null_95", "null_99", "split_um", "lags_of_
 
 
 def _from_format_2(stored_json: Any) -> Any:
-    """Bring what is read of a file of format 2 (planish 0.2.0) to that of today: its gates passed or failed."""
+    """Bring what is read of a file of format 2 (planish 0.2.0) to today's format.
+
+    The gates of format 2 passed or failed.
+    """
     if isinstance(stored_json, list):
         return [_from_format_2(part) for part in stored_json]  # type: ignore[reportUnknownVariableType]
     if not isinstance(stored_json, dict):

@@ -1,4 +1,6 @@
-"""What a series of specimens says in numbers: frozen models that make its ``results.json`` and its page.
+"""What a series of specimens says in numbers.
+
+Frozen models make its ``results.json`` and its page.
 
 Sheets, not fields, are the sample: means, intervals and tests are over means of sheets.
 """
@@ -26,8 +28,9 @@ from planish.core.facts import (
 )
 from planish.core.tables import naming_faults, read_text
 
-# ``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its input cannot be used.
-# ``damaged``: a fault of the machine or of planish: memory, disk, a process that ended. ``open``: not done yet.
+# ``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its
+# input cannot be used. ``damaged``: a fault of the machine or of planish: memory, disk, a process
+# that ended. ``open``: not done yet.
 MemberState = Literal["whole", "withheld", "refused", "damaged", "open"]
 
 # Factors that planish knows the meaning of; a table may have others, by which it only sorts.
@@ -58,7 +61,8 @@ class Member(ResultModel):
 FORMAT = 1  # version of the schema
 What = Literal["mean", "sd", "thin_share", "r"]  # statistics that are compared over specimens
 
-# What a run is: one sheet mapped; a sheet linked to an image; two sheets linked; more layers, or two images.
+# What a run is: one sheet mapped; a sheet linked to an image; two sheets linked; more layers, or
+# two images.
 RunKind = Literal["map", "sheet on image", "two volumes", "layers"]
 
 
@@ -225,7 +229,10 @@ class SeriesResults(ResultModel):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read ``results.json`` of a series; FileError if it cannot be read, or is not of a series."""
+        """Read ``results.json`` of a series.
+
+        FileError if it cannot be read, or is not of a series.
+        """
         remedy = "Give the folder that 'planish study' or 'planish compare --out' made."
         with naming_faults(f"{path} is no results file of a series", remedy, error=FileError):
             return cls.model_validate_json(read_text(path, what="results of a series"))

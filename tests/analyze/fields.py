@@ -10,7 +10,8 @@ from planish.core.grid import Grid
 
 
 def gaussian_maps(rng, shape, length, *, kind="exp"):
-    """Two unrelated maps of variance 1 whose correlation is exp(-h / length), or exp(-(h / length)²), by embedding.
+    """Two unrelated maps of variance 1 whose correlation is exp(-h / length), or exp(-(h /
+    length)²), by embedding.
 
     ``rng`` may be a seed; ``length`` is in pixels, one number or two: along rows and columns.
     """
@@ -26,7 +27,8 @@ def gaussian_maps(rng, shape, length, *, kind="exp"):
 
 
 def related_maps(rng, shape, length, r, *, noise=None, kind="exp"):
-    """Two maps whose correlation is r; what b does not share with a has the length ``noise`` where given."""
+    """Two maps whose correlation is r; what b does not share with a has the length ``noise`` where
+    given."""
     rng = np.random.default_rng(rng)
     a, rest = gaussian_maps(rng, shape, length, kind=kind)
     if noise is not None:
@@ -73,7 +75,8 @@ def lags_of(values, cell_um):
 
 
 def by_shift(b, reach, *, sign=0):
-    """Tune by the whole shift, up to so many pixels, at which r with map b is largest; ``|r|`` for sign 0."""
+    """Tune by the whole shift, up to so many pixels, at which r with map b is largest; ``|r|`` for
+    sign 0."""
     is_known = np.isfinite(b)
 
     def tune(a, look):

@@ -30,7 +30,8 @@ def test_white_differences_have_the_textbook_numbers():
     assert found.sd_interval[1] / found.sd == pytest.approx(
         1 + t / math.sqrt(2 * found.n_eff_sd), rel=0.01
     )
-    # Bland and Altman (1986): the standard error of a limit is about sqrt(3 / n) of the standard deviation.
+    # Bland and Altman (1986): the standard error of a limit is about sqrt(3 / n) of the standard
+    # deviation.
     wide = np.diff(found.limit_intervals[1])[0] / 2
     assert wide == pytest.approx(
         t * found.sd * math.sqrt(1 / found.n_eff + 1.96**2 / 2 / found.n_eff_sd), rel=0.01

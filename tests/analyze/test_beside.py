@@ -9,7 +9,8 @@ from planish.core.errors import CannotMeasure, InputError, SizeError
 
 
 def displaced(rng, values, error):
-    """The map, each pixel from a place that a slow random field moves by this error (rms of the length)."""
+    """The map, each pixel from a place that a slow random field moves by this error (rms of the
+    length)."""
     moves = [
         ndimage.gaussian_filter(rng.normal(size=values.shape), 12, mode="wrap") for _ in range(2)
     ]

@@ -105,7 +105,7 @@ def test_sums_of_parts_are_those_of_the_whole():
     assert sums.difference == pytest.approx((off.mean(), off.std(ddof=1)))
 
 
-# --- independent points ----------------------------------------------------------------------------------------------
+# --- independent points ---------------------------------------------------------------------------
 def holed(shape, rng):
     return rng.random(shape) > 0.15
 
@@ -163,7 +163,7 @@ def test_large_maps_by_cells_say_the_same():
     assert cells.rho == pytest.approx(whole.rho, abs=0.02)
 
 
-# --- what must change nothing ----------------------------------------------------------------------------------------
+# --- what must change nothing ---------------------------------------------------------------------
 
 NUMBERS = ("r", "rho", "slope", "slope_x_on_y", "n_eff", "n_eff_interval")
 
@@ -197,7 +197,7 @@ def test_masks_scale_places_exchange_and_transposition_change_no_number():
     np.testing.assert_allclose(numbers(two), numbers(one), rtol=1e-6)
 
 
-# --- what is said ----------------------------------------------------------------------------------------------------
+# --- what is said ---------------------------------------------------------------------------------
 def test_two_planes_say_nothing():
     rows, cols = np.mgrid[:60, :80].astype(float)
     found = correlate(rows + cols, rows + 2 * cols, pixel_um=1)

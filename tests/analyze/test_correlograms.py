@@ -10,7 +10,8 @@ from planish.core.errors import SizeError
 
 
 def moved(rng, shape, length, lag, *, kind="gauss"):
-    """A map and the same map moved by whole pixels: what stands at p in the first stands at p + lag in the second."""
+    """A map and the same map moved by whole pixels: what stands at p in the first stands at p + lag
+    in the second."""
     edge = max(map(abs, lag))
     whole = gaussian_maps(rng, (shape[0] + 2 * edge, shape[1] + 2 * edge), length, kind=kind)[0]
     cut = [slice(edge - k, edge - k + n) for k, n in zip(lag, shape, strict=True)]

@@ -147,7 +147,8 @@ def test_little_noise_gives_the_intervals_of_a_linearised_fit(x):
 
 
 def test_intervals_equal_those_of_a_grid(x):
-    # Slow twin: all pairs of S and backing whose sum of squares is small enough; its step is the tolerance.
+    # Slow twin: all pairs of S and backing whose sum of squares is small enough; its step is the
+    # tolerance.
     x, y = x[:100], with_noise(x[:100], sd=0.03)
     found = fit_kubelka_munk(x, y, n_eff=40, absorption_over_scattering=0.002)
     s, g = np.linspace(0, 0.6, 101), np.linspace(0.5, 1.0, 101)
@@ -261,7 +262,8 @@ def test_greys_that_are_no_layer_are_refused(x, y, options, error, message):
 
 @pytest.mark.nightly
 def test_intervals_hold_the_truth():
-    # Neighbours resemble each other; r² is .26. The binomial's own scatter of 150 fields at .95 is .018.
+    # Neighbours resemble each other; r² is .26. The binomial's own scatter of 150 fields at .95 is
+    # .018.
     rng, inside, straight_is_straight = np.random.default_rng(5), [], []
     for _ in range(150):
         a, e = gaussian_maps(rng, (40, 50), 2.0)

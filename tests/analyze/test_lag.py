@@ -31,7 +31,8 @@ def cut(field):
 
 
 def pair(r, lag, seed, *, shape=(96, 112), sigma=2.0):
-    """Two maps of correlation r, a lag between them, and holes of their own; and what may be looked at."""
+    """Two maps of correlation r, a lag between them, and holes of their own; and what may be looked
+    at."""
     rng = np.random.default_rng(seed)
     big = (shape[0] + 2 * PAD, shape[1] + 2 * PAD)
     a, other = texture(big, sigma, rng), texture(big, sigma, rng)
@@ -144,7 +145,8 @@ def test_what_is_said_and_with_which_light():
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (2.0, -1.0)])
 def test_light_from_one_side_moves_no_lag(shift):
-    """The image follows a coating and, under oblique light, the slopes of a surface that is related to the coating."""
+    """The image follows a coating and, under oblique light, the slopes of a surface that is related
+    to the coating."""
     rng = np.random.default_rng(8)
     coating, base, own = (texture((192, 212), s, rng) for s in (2.0, 3.0, 2.0))
     surface = coating + base

@@ -20,7 +20,8 @@ def test_it_is_the_mean_with_an_exponential_kernel_over_the_known_pixels():
     known = np.isfinite(values)
     for i, j in ((0, 0), (9, 25), (30, 12), (39, 49)):
         kernel = np.exp(-np.hypot(y - y[i, j], x - x[i, j]) / WIDTH_UM)[known]
-        # Pixels of a sixth of the width cut the summit of the kernel: some percent of the map's spread.
+        # Pixels of a sixth of the width cut the summit of the kernel: some percent of the map's
+        # spread.
         assert found[i, j] == pytest.approx(np.sum(kernel * values[known]) / kernel.sum(), abs=0.02)
 
 

@@ -36,7 +36,8 @@ def test_a_wave_stands_in_its_band(wave_um):
     image = 0.6 + 0.03 * np.cos(2 * np.pi * np.arange(800) * PIXEL_UM / wave_um) * np.ones((600, 1))
     found = variations(image, longest_um=2000.0)
     want = [gain(wave_um, 250.0 * 2**k) * 0.03 / np.sqrt(2) / 0.6 for k in range(3)]
-    # Borders add up to a tenth of the strongest band to each: one side of a Gaussian passes more than both.
+    # Borders add up to a tenth of the strongest band to each: one side of a Gaussian passes more
+    # than both.
     assert found == pytest.approx(want, abs=0.1 * max(want))
 
 
@@ -54,7 +55,8 @@ def test_white_noise_has_the_variation_of_its_filters():
 
 
 def test_equal_variance_in_every_octave_is_given_as_such():
-    # A spectrum of 1 / f² has the same variance in every octave: that of the band, 0.02 of the mean.
+    # A spectrum of 1 / f² has the same variance in every octave: that of the band, 0.02 of the
+    # mean.
     size, rng = 1024, np.random.default_rng(1)
     f = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.fftfreq(size))
     power = np.where(f > 0, 1 / np.maximum(f, 1e-9) ** 2, 0.0)

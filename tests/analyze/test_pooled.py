@@ -76,7 +76,8 @@ def test_effects_are_pooled_as_statsmodels_does():
             warnings.simplefilter("ignore")
             other = combine_effects(y, v, method_re="iterated", use_t=True, atol=1e-12, maxiter=500)
         if other.tau2 == 0 and other.q > y.size - 1:
-            # There rounding took the last step a hair too far, upon which statsmodels gives 0 up; bisection judges.
+            # There rounding took the last step a hair too far, upon which statsmodels gives 0 up;
+            # bisection judges.
             assert found.between == pytest.approx(twin(y, v)[1], abs=1e-9)
             continue
         compared += 1

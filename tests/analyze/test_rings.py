@@ -18,7 +18,8 @@ def twice(rng):
 
 
 def true_correlation(f):
-    """Of exp(-h / l) and white noise, both seen by pixels of 1: the spectrum of samples is that of all its orders."""
+    """Of exp(-h / l) and white noise, both seen by pixels of 1: the spectrum of samples is that of
+    all its orders."""
     orders = np.arange(-6, 7)
     f2 = [(f + i) ** 2 + j**2 for i in orders for j in orders]
     power = sum(2 * np.pi * LENGTH**2 / (1 + (2 * np.pi * LENGTH) ** 2 * v) ** 1.5 for v in f2)
@@ -30,7 +31,8 @@ def test_rings_are_the_ratio_of_signal_to_all():
     found = [ring_correlation(*twice(rng), pixel_um=1.0).rings for _ in range(12)]
     mean = np.array([[ring.correlation for ring in rings] for rings in found]).mean(axis=0)
     true = np.array([true_correlation(1 / ring.wavelength_um) for ring in found[0]])
-    # Along a direction other than the axes the orders of a pixel lie a little differently; 12 maps scatter by .03.
+    # Along a direction other than the axes the orders of a pixel lie a little differently; 12 maps
+    # scatter by .03.
     assert np.abs(mean - true)[2:].max() < 0.08
     assert np.abs(mean - true)[2:].mean() < 0.02
 

@@ -81,7 +81,8 @@ def test_a_constant_stays_up_to_the_border():
 
 
 def test_it_equals_the_sum_that_it_means():
-    # Slow twin: each pixel is the mean of those within 3 sigma of it along rows and columns, weighted by the Gaussian.
+    # Slow twin: each pixel is the mean of those within 3 sigma of it along rows and columns,
+    # weighted by the Gaussian.
     rng = np.random.default_rng(0)
     image = np.where(rng.random((17, 14)) < 0.2, np.nan, rng.normal(size=(17, 14)))
     down, across, sigma = 4.0, 5.0, 9.0

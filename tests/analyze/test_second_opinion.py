@@ -1,4 +1,5 @@
-"""The second opinion on a correlation: its critical value against drawn ones, and where it differs."""
+"""The second opinion on a correlation: its critical value against drawn ones, and where it
+differs."""
 
 import math
 

@@ -22,7 +22,8 @@ def prepared(**maps):
 
 
 def sheet(*, sign=1.0, shown="top", base=0):
-    """Two coatings that share some of their base, and an image of one side with light and grain of its own."""
+    """Two coatings that share some of their base, and an image of one side with light and grain of
+    its own."""
     top, bottom = field(base), field(base + 1)
     bottom = 0.9 * bottom - 0.4 * top
     light = 1 + 0.7 * np.arange(SHAPE[1]) / SHAPE[1]
@@ -147,7 +148,8 @@ def test_z_of_unrelated_textures_is_standard_normal_or_less(kind):
 
 
 def test_the_variance_of_unrelated_textures_is_the_sum_over_lags():
-    """Beside the sum over all pairs of pixels of the periodic maps, each product counted by hand."""
+    """Beside the sum over all pairs of pixels of the periodic maps, each product counted by
+    hand."""
     rng = np.random.default_rng(1)
     known = rng.random((10, 12)) > 0.2
     a, b = (ndimage.gaussian_filter(rng.standard_normal(known.shape), 1.0) for _ in range(2))

@@ -1,4 +1,5 @@
-"""A sheet in an image by texture alone: fields of known rotation, scale and place, and fields that share nothing."""
+"""A sheet in an image by texture alone: fields of known rotation, scale and place, and fields that
+share nothing."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ def field(shape, seed):
 
 
 def pair(*, place, r, seed=1):
-    """Flat maps of a sheet and an image in which it lies at a place, with a correlation of its textures."""
+    """Flat maps of a sheet and an image in which it lies at a place, with a correlation of its
+    textures."""
     sheet = field(SHAPE, seed)
     y, x = (np.arange(n) * PIXEL_UM for n in IMAGE_SHAPE)
     xy = place.inverse(np.stack(np.meshgrid(x, y), axis=-1))
@@ -184,7 +186,8 @@ def test_sheets_and_images_are_registered_there_and_back(kind):
 
 @pytest.mark.ci
 def test_holes_are_no_texture():
-    """Burnt holes are far darker than the texture, and stand in the image alone: the maps know nothing there."""
+    """Burnt holes are far darker than the texture, and stand in the image alone: the maps know
+    nothing there."""
     place = placed(75.0)
     maps, image = pair(place=place, r=0.3)
     holes_um = np.array([[x, y] for x in (270.0, 720.0, 1220.0) for y in (220.0, 620.0, 1020.0)])
@@ -201,7 +204,8 @@ def test_holes_are_no_texture():
 
 @pytest.mark.ci
 def test_a_print_hides_no_texture():
-    """A screen of 167 um, three times as strong as the sheet's texture; the sheet itself is not printed in the scan."""
+    """A screen of 167 um, three times as strong as the sheet's texture; the sheet itself is not
+    printed in the scan."""
     place = placed(40.0)
     maps, image = pair(place=place, r=0.6)
     x, y = np.meshgrid(image["x"], image["y"])
@@ -214,7 +218,8 @@ def test_a_print_hides_no_texture():
 @pytest.mark.ci
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_transmitted_light_is_found_by_the_thickness_and_said_so(mirrored):
-    """Thick places are dark from either side; the hand says from which one the picture was taken."""
+    """Thick places are dark from either side; the hand says from which one the picture was
+    taken."""
     place = placed(20.0, mirrored=mirrored)
     maps, image = pair(place=place, r=-0.5)
     coating = (("v", "u"), 10.0 + field(SHAPE, 77))

@@ -1,4 +1,5 @@
-"""What all questions of two maps have in common: pixels that are missing, maps that cannot be compared."""
+"""What all questions of two maps have in common: pixels that are missing, maps that cannot be
+compared."""
 
 import numpy as np
 import pytest

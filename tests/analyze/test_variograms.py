@@ -71,7 +71,8 @@ def test_ranges_along_and_across_the_machine_direction(length, md_deg):
         variogram(m, pixel_um=2.0, md_deg=md_deg)
         for m in gaussian_maps(rng, (150, 200), length, kind="gauss")
     ]
-    # Directions of a sector other than its axis see a shorter range: of an ellipse 1 : 3, a mean of about .8.
+    # Directions of a sector other than its axis see a shorter range: of an ellipse 1 : 3, a mean of
+    # about .8.
     along, across = (
         np.mean([getattr(v, k) for v in found]) for k in ("range_along_um", "range_across_um")
     )
@@ -133,7 +134,8 @@ def test_wrong_input_is_refused():
 
 @pytest.mark.nightly
 def test_gstools_says_the_same():
-    """Means over the same pairs: gstools takes half the square of differences, planish the covariance."""
+    """Means over the same pairs: gstools takes half the square of differences, planish the
+    covariance."""
     gstools = pytest.importorskip("gstools")
     shape = (60, 80)
     a = gaussian_maps(11, shape, 3.0)[0] + 0.5 * np.random.default_rng(12).normal(size=shape)

@@ -1,4 +1,5 @@
-"""A server on a copy of a run, and a browser: for the tests of the page with real mouse and keys."""
+"""A server on a copy of a run, and a browser: for the tests of the page with real mouse and
+keys."""
 
 import json
 import shutil
@@ -98,7 +99,8 @@ def start(run: Path, *arguments: str, stderr: IO[str] | int = subprocess.DEVNULL
 
 @pytest.fixture
 def serve() -> Generator[Callable[..., Served]]:
-    """Return a function from a run folder, and options, to its server; all servers end with the test."""
+    """Return a function from a run folder, and options, to its server; all servers end with the
+    test."""
     servers: list[Served] = []
 
     def begin(run: Path, *arguments: str, **how: Any) -> Served:
@@ -142,7 +144,8 @@ def served(one_server) -> Generator[Served]:
 
 @pytest.fixture(scope="session")
 def made_run(tmp_path_factory) -> Path:
-    """A made sheet of 0.8 x 0.5 mm, linked to its made image by five pairs of holes; which no test may change."""
+    """A made sheet of 0.8 x 0.5 mm, linked to its made image by five pairs of holes; which no test
+    may change."""
     run, draw = a_run(), np.random.default_rng(3)
     moving = np.array([[150, 110], [640, 130], [420, 260], [180, 420], [700, 440]], dtype=float)
     fixed = moving @ [[0.99, 0.12], [-0.12, 0.99]] + (20, -15) + draw.normal(0, 1, moving.shape)
@@ -231,7 +234,8 @@ class Window(Browsed):
 def window(chromium) -> Generator[Callable[..., Window]]:
     """Return a function that opens the page of a server.
 
-    Errors in its console, and requests to another machine or with the token, fail the test at the end.
+    Errors in its console, and requests to another machine or with the token, fail the test at the
+    end.
     """
     opened: list[Window] = []
 

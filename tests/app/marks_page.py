@@ -8,7 +8,8 @@ VOLUME, IMAGE = "Volume side", "Image side"
 
 
 class Browsed:
-    """A page in the browser; ``faults`` are the errors of its console, ``asked`` the addresses it asked for."""
+    """A page in the browser; ``faults`` are the errors of its console, ``asked`` the addresses it
+    asked for."""
 
     def __init__(self, page):
         self.page = page
@@ -83,5 +84,6 @@ def pair(shown, moving, fixed):
 
 
 def forget_lost(shown):
-    """Take the requests that failed while the server was away, or refused, from the faults of the console."""
+    """Take the requests that failed while the server was away, or refused, from the faults of the
+    console."""
     shown.faults[:] = [fault for fault in shown.faults if "Failed to load resource" not in fault]

@@ -63,7 +63,7 @@ def wait_for(done, seconds=60.0):
     return found
 
 
-# --- the study -------------------------------------------------------------------------------------------------------
+# --- the study ------------------------------------------------------------------------------------
 def test_a_session_without_changes_or_with_them_undone_is_the_study_of_its_run(made_copy):
     with opened(made_copy) as session:
         order = ordered(session)
@@ -89,7 +89,8 @@ def test_models_do_not_freeze_marks_and_labels_of_holes_are_their_own(made_copy)
 
 
 def test_marks_keep_what_is_known_of_them(made_copy):
-    """An end that did not move keeps covariance, diameter and source; a moved one is a person's; the hole is masked."""
+    """An end that did not move keeps covariance, diameter and source; a moved one is a person's;
+    the hole is masked."""
     before = json.loads((made_copy / "marks.json").read_text())["marks"]
     with opened(made_copy) as session:
         first, second, third, *_ = session.state.of(None)
@@ -154,7 +155,7 @@ def test_the_new_run_stands_beside_the_old_one(tmp_path, name, linked, there, wa
     assert orders.new_run_folder(tmp_path / name, linked=linked) == tmp_path / wanted
 
 
-# --- the run ---------------------------------------------------------------------------------------------------------
+# --- the run --------------------------------------------------------------------------------------
 def test_without_a_change_every_number_is_the_same(run_copy):
     with opened(run_copy) as session:
         out = made(session)
@@ -164,7 +165,7 @@ def test_without_a_change_every_number_is_the_same(run_copy):
 
 
 @pytest.mark.parametrize("kind", ["upright", "laid"])
-def test_a_run_with_marks_regions_and_a_model_keeps_its_sheet_and_repeats_itself_without_the_run_it_came_from(
+def test_a_run_with_marks_regions_and_a_model_keeps_its_sheet_and_repeats_itself(
     planish, kinds, tmp_path, kind
 ):
     """The laid sheet is seen from its low end, in a frame of its own."""
@@ -203,7 +204,8 @@ def test_a_run_with_marks_regions_and_a_model_keeps_its_sheet_and_repeats_itself
 
 @pytest.fixture
 def refused(linked_run, specimen_files, tmp_path):
-    """The maps of the small run without its link, as a link leaves them that was refused, and an image of two holes."""
+    """The maps of the small run without its link, as a link leaves them that was refused, and an
+    image of two holes."""
     study, run = read_study(linked_run / "run.toml"), open_run(linked_run)
     place = linked_run.parent.parent / f"refused-{tmp_path.name}"
     maps = place / "run-map"
@@ -219,7 +221,8 @@ def refused(linked_run, specimen_files, tmp_path):
 def test_pairs_by_hand_link_what_was_refused_for_want_of_holes_within_the_error_of_the_clicks(
     refused, linked_run, specimen, tmp_path
 ):
-    """Pairs that a person sets on the maps, up to 1.5 pixels off, are kept, and make a run that the truth confirms."""
+    """Pairs that a person sets on the maps, up to 1.5 pixels off, are kept, and make a run that the
+    truth confirms."""
     maps, image = refused
     with pytest.raises(FileError, match=r"planish view .* IMAGE"):
         Session.open(maps)
@@ -228,7 +231,8 @@ def test_pairs_by_hand_link_what_was_refused_for_want_of_holes_within_the_error_
     with pytest.raises(SizeError, match="pixel_um="):
         _ = Session.open(maps, ImageParams(path=str(bare)), read_only=True).image
 
-    # Places from the run of the whole image: its five holes, of which three are gone in this one, and two beside them.
+    # Places from the run of the whole image: its five holes, of which three are gone in this one,
+    # and two beside them.
     whole, pixel_um = open_run(linked_run).registrations["sheet"], specimen.params.camera.pixel_um
     holes = np.stack([whole.marks[f"moving_{axis}"].values for axis in "xy"], 1)
     moving = np.concatenate([holes, [holes[[0, 1]].mean(0), holes[[2, 3]].mean(0)]])
@@ -266,7 +270,8 @@ def test_pairs_by_hand_link_what_was_refused_for_want_of_holes_within_the_error_
 
 
 def test_marks_of_one_of_several_layers(kinds, tmp_path):
-    """A sheet, its image and another one in a chain: only the layer whose marks were changed gets marks of its own."""
+    """A sheet, its image and another one in a chain: only the layer whose marks were changed gets
+    marks of its own."""
     run = beside(kinds("chain"), tmp_path)
     with opened(run) as session:
         do(session, do="use", layer="ct", id=session.state.of("ct")[0].id, used=False)
@@ -287,7 +292,7 @@ def test_marks_of_one_of_several_layers(kinds, tmp_path):
     assert new.layer("near").registration == old.layer("near").registration
 
 
-# --- the process -----------------------------------------------------------------------------------------------------
+# --- the process ----------------------------------------------------------------------------------
 def nothing_left(run):
     """Whether nothing but the run stands where it stands, and nothing of an order in it."""
     return [path.name for path in run.parent.iterdir()] == [run.name] and not (
@@ -304,7 +309,8 @@ def ended(applied):
 def test_a_process_makes_the_run_says_how_far_it_is_or_why_it_is_not_made_and_serves_the_report(
     run_copy,
 ):
-    """By the routes: 202, then how far it is, 409 for a second one, and a report under a secret of its own."""
+    """By the routes: 202, then how far it is, 409 for a second one, and a report under a secret of
+    its own."""
     new = run_copy.with_name("run-2")
     with opened(run_copy) as session:
         app = create_app(session, token=TOKEN, hosts=[HOST])

@@ -1,4 +1,5 @@
-"""Layers in a chain: the marks of each stand on the plane of the next one, not on that of the reference."""
+"""Layers in a chain: the marks of each stand on the plane of the next one, not on that of the
+reference."""
 
 import re
 

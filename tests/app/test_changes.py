@@ -91,8 +91,8 @@ def test_what_is_no_change_is_refused(text):
         changes.change_of(text)
 
 
-# --- undo and redo against a slow model ------------------------------------------------------------------------------
-def random_change(draw, now):
+# --- undo and redo against a slow model -----------------------------------------------------------
+def random_change(draw, now):  # noqa: PLR0911
     ids = [m.id for m in now.of(None)]
     point = [draw.uniform(0, 100), draw.uniform(0, 100)]
     kinds = ["add", "model", "region", "correct"] + (

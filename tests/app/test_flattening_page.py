@@ -1,4 +1,5 @@
-"""The tab Flattening in a real browser: the sheet in space, and what is shown where there is no WebGL."""
+"""The tab Flattening in a real browser: the sheet in space, and what is shown where there is no
+WebGL."""
 
 import re
 
@@ -36,9 +37,12 @@ OFF_THE_BAR = """(canvas) => {
     }
     return found;
   };
-  const bar = pixelsOf(canvas.parentElement.querySelector(".contrast canvas"), 20); // below its histogram
-  const angles = pixelsOf(canvas).filter((_, k) => k % 97 === 0).map((one) => Math.acos(Math.min(1, Math.max(
-    ...bar.map((other) => one[0] * other[0] + one[1] * other[1] + one[2] * other[2])))) * 180 / Math.PI);
+  // Below its histogram.
+  const bar = pixelsOf(canvas.parentElement.querySelector(".contrast canvas"), 20);
+  const along = (one, other) => one[0] * other[0] + one[1] * other[1] + one[2] * other[2];
+  const nearest = (one) => Math.min(1, Math.max(...bar.map((other) => along(one, other))));
+  const angles = pixelsOf(canvas).filter((_, k) => k % 97 === 0)
+    .map((one) => Math.acos(nearest(one)) * 180 / Math.PI);
   return angles.sort((a, b) => a - b)[Math.floor(0.5 * angles.length)];
 }"""
 

@@ -1,4 +1,5 @@
-"""The journal: what was answered is on the disk, whatever happens; and sessions that come back from it."""
+"""The journal: what was answered is on the disk, whatever happens; and sessions that come back from
+it."""
 
 import errno
 import json
@@ -131,7 +132,7 @@ def test_one_process_writes_and_others_read(path):
         pass
 
 
-# --- sessions ----------------------------------------------------------------------------------------------------
+# --- sessions -------------------------------------------------------------------------------------
 def test_undo_and_redo_survive_a_new_start(made_copy):
     first = Session.open(made_copy)
     begin = standing(first)

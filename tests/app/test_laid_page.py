@@ -1,4 +1,5 @@
-"""The tabs on a sheet through y whose top is at the low end, with an image of its bottom: each in the sheet's frame."""
+"""The tabs on a sheet through y whose top is at the low end, with an image of its bottom: each in
+the sheet's frame."""
 
 import re
 

@@ -1,4 +1,5 @@
-"""The fit on the screen: its numbers are those of `fit_transform`, wrong marks are named, and it is quick."""
+"""The fit on the screen: its numbers are those of `fit_transform`, wrong marks are named, and it is
+quick."""
 
 import json
 import time
@@ -36,7 +37,8 @@ def marks_of(moving, fixed, used=None):
 
 
 def pairs(n, seed, error_um=2.0):
-    """Marks on a sheet, of the demo's six or spread over as many square millimetres, and their images."""
+    """Marks on a sheet, of the demo's six or spread over as many square millimetres, and their
+    images."""
     draw = np.random.default_rng(seed)
     moving = SIX.copy() if n == 6 else draw.uniform((300, 300), (1600, 1100), (n, 2))
     return moving, moving @ TURN.T + (260, 220) + draw.normal(0, error_um, (n, 2)), draw
@@ -85,7 +87,8 @@ def test_two_errors_of_60_um_stand_first_and_are_named(model, n, seed):
     [(6, 20, 1), *(pytest.param(n, 200, 7, marks=pytest.mark.nightly) for n in (5, 6, 12, 30))],
 )
 def test_right_marks_are_seldom_named(n, sets, most):
-    """One in a hundred sets by its own measure: fewer than 4 % of 200 by chance in all but one of 10 000 cases."""
+    """One in a hundred sets by its own measure: fewer than 4 % of 200 by chance in all but one of
+    10 000 cases."""
     named = 0
     for seed in range(sets):
         moving, fixed, _ = pairs(n, seed, error_um=4.0)
@@ -127,7 +130,7 @@ def test_too_few_marks_are_reported_and_predict_nothing_without_a_pair(n):
     assert n or fit.predicted("moving", (1.0, 2.0)) is None
 
 
-# --- where a point will lie ----------------------------------------------------------------------------------------
+# --- where a point will lie -----------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("n", "words"), [(1, "shift"), (2, "similarity"), (3, "expected error"), (6, "expected error")]
 )
@@ -145,7 +148,8 @@ def test_a_place_is_predicted_from_the_first_pair_on(n, words, side):
 
 
 def test_a_stated_error_of_a_predicted_place_holds():
-    """Its rms over many sets of marks: what is stated allows for a map that is no similarity, which this one is."""
+    """Its rms over many sets of marks: what is stated allows for a map that is no similarity, which
+    this one is."""
     off, stated = [], []
     for seed in range(12):
         moving, fixed, _ = pairs(12, seed)
@@ -155,7 +159,7 @@ def test_a_stated_error_of_a_predicted_place_holds():
     assert 0.5 < np.sqrt(np.mean(np.square(off)) / np.mean(np.square(stated))) < 1.1
 
 
-# --- on a run ------------------------------------------------------------------------------------------------------
+# --- on a run -------------------------------------------------------------------------------------
 def imported(moving, fixed):
     return changes.Import(marks=marks_of(moving, fixed))
 
@@ -194,7 +198,8 @@ def test_a_fit_that_follows_is_a_new_version(session):
 
 
 def test_rough_clicks_snap_to_the_holes_they_were_meant_for(session):
-    """Clicks off by 1.5 pixels: after Snap both ends are those of detection, covariance and diameter with them."""
+    """Clicks off by 1.5 pixels: after Snap both ends are those of detection, covariance and
+    diameter with them."""
     layer, draw = session.layers[0], np.random.default_rng(1)
     before = session.state.of(layer)
     for mark in before:
@@ -212,7 +217,8 @@ def test_rough_clicks_snap_to_the_holes_they_were_meant_for(session):
 def test_a_hole_that_is_searched_around_its_mark_is_precise_and_is_moved_to_the_face_as_the_others(
     kinds, kind, monkeypatch
 ):
-    """Holes of a laser that was not perpendicular: a single hole does not show its angle, the link's holes did."""
+    """Holes of a laser that was not perpendicular: a single hole does not show its angle, the
+    link's holes did."""
     session = Session.open(kinds(kind), read_only=True)
     layer = session.layers[0]
     none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in session.holes(layer).items()}

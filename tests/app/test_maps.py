@@ -1,4 +1,5 @@
-"""What the tab Maps says: values at the cursor and along a line, densities, and selections of all pixels."""
+"""What the tab Maps says: values at the cursor and along a line, densities, and selections of all
+pixels."""
 
 import base64
 import math
@@ -74,13 +75,14 @@ def pair(tiles):
 
 
 def known(maps, x0, y0, x1, y1):
-    """Values of both maps in a region where they count: by their coordinates, not by rows and columns."""
+    """Values of both maps in a region where they count: by their coordinates, not by rows and
+    columns."""
     part = maps.where(maps.valid).sel(y=slice(y0, y1), x=slice(x0, x1))
     both = np.isfinite(part.coating.values) & np.isfinite(part.image.values)
     return part.coating.values[both].astype(float), part.image.values[both].astype(float)
 
 
-# --- cursor and profile --------------------------------------------------------------------------------------------
+# --- cursor and profile ---------------------------------------------------------------------------
 @pytest.mark.parametrize(("row", "col"), [(0, 0), (120, 350), (511, 512), (699, 1099)])
 def test_the_cursor_has_the_values_of_the_pixel_around_it(maps, tiles, pair, row, col):
     # Anywhere within the pixel, up to its border.
@@ -152,7 +154,7 @@ def test_both_ends_of_a_mark_show_one_place_of_the_volume(kinds, kind):
             assert on_sheet[axis] == pytest.approx(on_image[axis], abs=12)
 
 
-# --- what is selected ----------------------------------------------------------------------------------------------
+# --- what is selected -----------------------------------------------------------------------------
 @pytest.mark.parametrize(
     "region", [(200.0, 100.0, 1500.0, 900.0), (ORIGIN[0], ORIGIN[1], 1000.0, 500.0)]
 )
@@ -190,7 +192,7 @@ def test_a_selection_that_is_not_wanted_any_more_ends(tiles, pair):
             select(tiles, *pair, brushes=brushes, stop=stop)
 
 
-# --- densities -----------------------------------------------------------------------------------------------------
+# --- densities ------------------------------------------------------------------------------------
 def counts_of(found):
     return np.frombuffer(base64.b64decode(found["counts"]), "<u4").reshape(
         found["bins"], found["bins"]

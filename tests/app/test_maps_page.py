@@ -1,4 +1,5 @@
-"""The tab Maps with mouse and keys: cursor, brush, region, profile, artefacts; numbers are those of ``maps.zarr``."""
+"""The tab Maps with mouse and keys: cursor, brush, region, profile, artefacts; numbers are those of
+``maps.zarr``."""
 
 import re
 
@@ -46,7 +47,9 @@ def painted(shown, name):
         """element => [...element.querySelectorAll("canvas")].reduce((sum, canvas) => {
           const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
           let found = 0;
-          for (let i = 0; i < data.length; i += 4) found += data[i] === 255 && data[i + 1] === 72 && data[i + 2] === 0;
+          for (let i = 0; i < data.length; i += 4) {
+            found += data[i] === 255 && data[i + 1] === 72 && data[i + 2] === 0;
+          }
           return sum + found;
         }, 0)"""
     )
@@ -80,7 +83,8 @@ def place_of(pixel):
 
 
 def cursor_gives_the_pixel(maps, linked, left=LEFT):
-    """The place in the volume and the values of a pixel under the mouse are those of the file: that pixel."""
+    """The place in the volume and the values of a pixel under the mouse are those of the file: that
+    pixel."""
     pixel = valid_pixel(linked, left)
     maps.go("Left map", float(pixel.x), float(pixel.y), 1.0)
     maps.page.mouse.move(*maps.middle("Left map"))
@@ -124,7 +128,8 @@ def test_cursor_brush_and_region_are_those_of_the_maps_and_a_pixel_leads_to_its_
         np.corrcoef(a, b)[0, 1], abs=1e-3
     )
     assert re.search(r"95 % interval -?0\.\d+ to -?0\.\d+; n_eff \d", said)
-    # The slice beside the maps goes to the pixel that is clicked, and the cursor to the place clicked in it.
+    # The slice beside the maps goes to the pixel that is clicked, and the cursor to the place
+    # clicked in it.
     pixel = valid_pixel(linked)
     maps.click("Left map", float(pixel.x), float(pixel.y), 1.0)
     expect(maps.role("status", "Slice position")).to_have_text(f"{place_of(pixel)} µm")
@@ -178,7 +183,7 @@ def test_a_rectangle_in_the_scatter_fills_the_brushes_and_no_tile_is_asked_for_t
     expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
 
 
-def test_regions_lines_and_artefacts_are_drawn_typed_shown_and_undone_and_a_field_says_what_it_takes(
+def test_regions_lines_and_artefacts_are_drawn_typed_shown_and_undone(
     maps,
 ):
     for name, field in (("Draw region", "Region, um"), ("Draw line", "Line, um")):

@@ -1,4 +1,5 @@
-"""The tab Marks in a real browser: clicks, keys, the table, undo, files, other windows and a lost server."""
+"""The tab Marks in a real browser: clicks, keys, the table, undo, files, other windows and a lost
+server."""
 
 import json
 import re
@@ -168,9 +169,7 @@ def test_changes_are_undone_and_redone_survive_a_reload_and_are_followed_by_anot
 @pytest.mark.skipif(
     not hasattr(signal, "SIGSTOP"), reason="needs a system on which a process can be halted"
 )
-def test_a_server_that_answers_again_is_found_and_marks_are_exported_and_imported_and_another_file_is_refused(
-    shown, tmp_path
-):
+def test_a_server_that_answers_again_is_found_and_marks_are_exported_and_imported(shown, tmp_path):
     rows = settled(shown)
     shown.server.process.send_signal(signal.SIGSTOP)
     alert = shown.page.get_by_role("alert")
@@ -209,9 +208,7 @@ def imported(shown, path):
     chooser.value.set_files(path)
 
 
-def test_views_show_all_zoom_with_the_focus_lie_over_each_other_move_together_and_have_colours_within_limits(
-    shown, linked
-):
+def test_views_zoom_lie_over_each_other_move_together_and_keep_their_colours(shown, linked):
     rows = settled(shown)
     limits_leave_holes_out_and_are_moved_by_mouse_keys_and_numbers(shown, linked)
     shape = np.array(linked.image.shape) * float(linked.x[1] - linked.x[0])

@@ -11,7 +11,10 @@ from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
 APPLY_MS = 180_000
 """Apply computes a run: it may take a minute on a loaded machine."""
 
-NAMED = "button|checkbox|combobox|textbox|spinbutton|slider|tab|link|application|table|progressbar|columnheader|img"
+NAMED = (
+    "button|checkbox|combobox|textbox|spinbutton|slider|tab|link"
+    "|application|table|progressbar|columnheader|img"
+)
 
 CONTRAST = """() => {
   const rgb = (text) => (text.match(/[\\d.]+/g) ?? []).map(Number);
@@ -24,7 +27,9 @@ CONTRAST = """() => {
   };
   const behind = (element) => {
     const stack = [];
-    for (let e = element; e; e = e.parentElement) stack.push(rgb(getComputedStyle(e).backgroundColor));
+    for (let e = element; e; e = e.parentElement) {
+      stack.push(rgb(getComputedStyle(e).backgroundColor));
+    }
     return stack.reverse().reduce((under, top) => over(top, under), [255, 255, 255]);
   };
   const poor = [];
@@ -33,7 +38,8 @@ CONTRAST = """() => {
   for (let node; (node = walk.nextNode()); ) {
     const e = node.parentElement;
     if (!node.textContent.trim() || !e.checkVisibility()) continue;
-    if (e.closest(":disabled, .sr, .scale, noscript, option")) continue; // on a picture, unseen, or not to be used
+    // On a picture, unseen, or not to be used.
+    if (e.closest(":disabled, .sr, .scale, noscript, option")) continue;
     seen += 1;
     const ink = getComputedStyle(e)[e.namespaceURI.endsWith("svg") ? "fill" : "color"];
     const [a, b] = [light(over(rgb(ink), behind(e))), light(behind(e))];
@@ -47,15 +53,18 @@ FOCUS = """() => {
   const e = document.activeElement;
   if (!e || e === document.body) return null;
   const style = getComputedStyle(e);
-  return { what: e.tagName + " " + (e.getAttribute("aria-label") ?? e.id ?? "") + " " + e.textContent.slice(0, 20),
+  const name = e.getAttribute("aria-label") ?? e.id ?? "";
+  return { what: e.tagName + " " + name + " " + e.textContent.slice(0, 20),
            seen: style.outlineStyle !== "none" && parseFloat(style.outlineWidth) >= 2 };
 }"""
 
 BROKEN = """() => {
   const ids = [...document.querySelectorAll("[id]")].map((e) => e.id);
+  const names = ["aria-controls", "aria-labelledby", "for"];
   const refs = [...document.querySelectorAll("[aria-controls], [aria-labelledby], label[for]")]
-    .flatMap((e) => ["aria-controls", "aria-labelledby", "for"].map((n) => e.getAttribute(n)).filter(Boolean));
-  return { twice: ids.filter((id, i) => ids.indexOf(id) !== i), lost: refs.filter((id) => !ids.includes(id)),
+    .flatMap((e) => names.map((n) => e.getAttribute(n)).filter(Boolean));
+  return { twice: ids.filter((id, i) => ids.indexOf(id) !== i),
+           lost: refs.filter((id) => !ids.includes(id)),
            lang: document.documentElement.lang, title: document.title };
 }"""
 
@@ -68,7 +77,8 @@ TABS = {  # what a tab shows when it is ready
 
 
 def accessible(shown, *, controls):
-    """Every control has a name, every text its contrast, every step of the Tab key shows where it is."""
+    """Every control has a name, every text its contrast, every step of the Tab key shows where it
+    is."""
     snapshot = shown.page.locator("body").aria_snapshot()
     roles = re.findall(rf'^\s*- ({NAMED})\b(?: "([^"]*)")?', snapshot, flags=re.MULTILINE)
     assert len(roles) > controls
@@ -141,9 +151,7 @@ def test_every_tab_fits_small_windows_which_scroll_one_way_only(served, window, 
         assert shown.page.evaluate("document.documentElement.scrollWidth") <= width, tab
 
 
-def test_a_mark_is_corrected_by_keys_alone_a_cancelled_run_leaves_nothing_and_the_next_one_shows_its_report(
-    served, window
-):
+def test_keys_alone_correct_a_mark_cancel_a_run_and_open_the_report_of_the_next(served, window):
     shown = window(served)
     before = settled(shown)
     press = shown.page.keyboard.press

@@ -1,4 +1,5 @@
-"""Pictures of a session: tiles are the maps, only windows are read, smaller copies are made where there are none."""
+"""Pictures of a session: tiles are the maps, only windows are read, smaller copies are made where
+there are none."""
 
 import os
 from types import SimpleNamespace
@@ -78,7 +79,8 @@ def mosaic(tiles, picture, level):
 
 
 def assert_quantised(found, expected, picture):
-    """Half a step of the 16 bits, and rounding; values beyond the first and last code would be farther off."""
+    """Half a step of the 16 bits, and rounding; values beyond the first and last code would be
+    farther off."""
     np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
     np.testing.assert_allclose(found, expected, rtol=0, atol=picture.codes.scale * 0.5001)
 
@@ -166,7 +168,7 @@ def test_codes_stand_for_values_beyond_them_at_both_ends():
     assert codes.scale == pytest.approx(3 / 65534)
 
 
-# --- copies that a store does not have -----------------------------------------------------------------------------
+# --- copies that a store does not have ------------------------------------------------------------
 def test_an_older_run_without_overviews_looks_the_same(tmp_path, maps, monkeypatch):
     stored, made = written(tmp_path / "run", maps), written(tmp_path / "older", maps, smaller=False)
     # So that a small map has both kinds of levels.
@@ -230,7 +232,7 @@ def test_the_cache_keeps_what_was_used_last(tmp_path):
     assert sorted(one.name for one in tmp_path.iterdir()) == ["newest", "older"]
 
 
-# --- images --------------------------------------------------------------------------------------------------------
+# --- images ---------------------------------------------------------------------------------------
 @pytest.mark.parametrize("kind", ["tiff", "packed tiff", "colour png"])
 def test_an_image_file_is_shown_as_it_is_read(tmp_path, made_run, kind):
     rng = np.random.default_rng(2)

@@ -193,7 +193,8 @@ _TARGETS = ("run.toml", "etc/passwd", "edits/journal.jsonl", "server.py")
 
 
 def test_no_path_leads_out(client):
-    """Of every route with a parameter, every folder of the page, and every name that a client may send."""
+    """Of every route with a parameter, every folder of the page, and every name that a client may
+    send."""
     bases = ["/", "/vendor/", "/api/", "/api/tiles/", "/report/", "/api/tiles/p0/0/0/"]
     for base, climb, target in itertools.product(bases, _CLIMBS, _TARGETS):
         answer = client.get(f"{base}{climb * 3}{target}")
@@ -262,7 +263,7 @@ def test_a_fault_of_ours_says_no_more_than_its_kind(client, session, monkeypatch
     assert {k: answer.headers[k] for k in HEADERS} == HEADERS
 
 
-# --- the program -------------------------------------------------------------------------------------------------
+# --- the program ----------------------------------------------------------------------------------
 def test_another_address_is_served_only_when_it_is_meant(made_run, planish):
     for host in ("0.0.0.0", "192.0.2.1"):
         code, _, err = planish("view", made_run, "--no-browser", "--host", host)

@@ -1,4 +1,5 @@
-"""Slices of a session: they show the file's voxels and the run's surfaces where these are, in every pose."""
+"""Slices of a session: they show the file's voxels and the run's surfaces where these are, in every
+pose."""
 
 import json
 import struct

@@ -1,4 +1,5 @@
-"""The tab Surfaces in a real browser: the drawn lines lie on the surfaces, and points make a correction."""
+"""The tab Surfaces in a real browser: the drawn lines lie on the surfaces, and points make a
+correction."""
 
 import re
 
@@ -12,7 +13,8 @@ from planish.run import open_run
 TOP, PREVIEW = (255, 176, 0), (125, 255, 106)
 _COLOUR = """(canvas, [x, colour]) => {
   const ratio = canvas.width / canvas.clientWidth;
-  const line = canvas.getContext('2d').getImageData(Math.round(x * ratio), 0, 1, canvas.height).data;
+  const context = canvas.getContext('2d');
+  const line = context.getImageData(Math.round(x * ratio), 0, 1, canvas.height).data;
   const rows = [];
   for (let k = 0; k < canvas.height; k++) {
     const off = Math.max(...colour.map((c, i) => Math.abs(c - line[4 * k + i])));
@@ -107,7 +109,7 @@ def points_above(shown):
     return middle
 
 
-def test_slices_show_the_face_and_points_by_clicks_or_keys_are_seen_before_they_are_a_correction_saved_and_undone(
+def test_slices_show_the_face_and_points_become_a_correction_saved_and_undone(
     shown,
 ):
     face_lies_on_the_top(shown)

@@ -1,4 +1,5 @@
-"""Grey scale, second sheet, delamination, few voxels and dust: seen with their number, and not where all is right."""
+"""Grey scale, second sheet, delamination, few voxels and dust: seen with their number, and not
+where all is right."""
 
 from types import SimpleNamespace
 
@@ -39,9 +40,11 @@ def voxels(grey):
 
 
 def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
-    """A slab of base between coatings of 5 voxels, through z, and what the measurement would give of it.
+    """A slab of base between coatings of 5 voxels, through z, and what the measurement would give
+    of it.
 
-    ``extra`` maps the share of the base's depth (0 at the top interface), rows and columns to a grey, or NaN.
+    ``extra`` maps the share of the base's depth (0 at the top interface), rows and columns to a
+    grey, or NaN.
     """
     rng = np.random.default_rng(seed)
     rise = (
@@ -105,7 +108,8 @@ def of_scan(name, volume, measured):
 
 @pytest.fixture(scope="module", autouse=True)
 def right():
-    """A right sheet, whose volume and measurement no test may change; its scan loads the kernels."""
+    """A right sheet, whose volume and measurement no test may change; its scan loads the
+    kernels."""
     made = layered()
     check_scan(*made)
     return made
@@ -120,7 +124,8 @@ def test_right_sheet_passes_every_check_and_threads_change_nothing():
 
 @pytest.mark.parametrize("through", ["z", "x"])
 def test_second_sheet_fails(through):
-    """A coating of 10 voxels in the middle of the base in a third of the sheet, through any axis."""
+    """A coating of 10 voxels in the middle of the base in a third of the sheet, through any
+    axis."""
     volume, measured = layered(
         extra=lambda t, _r, c: np.where((abs(t - 0.5) < 0.12) & (c < 42), 200.0, np.nan),
         shape=SMALL,
@@ -157,7 +162,8 @@ def test_a_second_sheet_learnt_as_base_is_seen():
 
 
 def test_strong_noise_is_no_gap():
-    """Noise of 1.2 of the step from base to air leaves the median of 49 columns open by a fifth of it."""
+    """Noise of 1.2 of the step from base to air leaves the median of 49 columns open by a fifth of
+    it."""
     volume, measured = layered(noise=60.0, shape=SMALL)
     assert of_scan("one sheet", volume, measured).state == "pass"
 
@@ -166,7 +172,8 @@ def test_strong_noise_is_no_gap():
     ("through", "fades_by", "state"), [("z", 0.3, "look"), ("x", 0.3, "look"), ("z", 0.03, "pass")]
 )
 def test_a_fading_beam_is_a_look(right, through, fades_by, state):
-    """All grey falls along y; of the base's step from the air, 40 of 90, that is 2.25 times as much."""
+    """All grey falls along y; of the base's step from the air, 40 of 90, that is 2.25 times as
+    much."""
     volume, measured = right
     fade = xr.DataArray(np.linspace(1, 1 - fades_by, volume.sizes["y"]), dims="y")
     volume = (volume * fade).transpose("z", "y", "x").assign_attrs(volume.attrs)
@@ -219,7 +226,8 @@ def test_what_the_sheet_does_not_show_is_left_out_or_unknown(right):
 @pytest.mark.ci
 @pytest.mark.parametrize(("sigma", "state"), [(1.0, "pass"), (2.5, "look")])
 def test_a_filter_is_seen_in_the_noise_of_the_air(sigma, state):
-    """White noise smoothed by a Gaussian, with streaks that go on: the width is that of the filter."""
+    """White noise smoothed by a Gaussian, with streaks that go on: the width is that of the
+    filter."""
     volume, measured = layered(shape=(120, 130))
     rng = np.random.default_rng(1)
     smooth = ndimage.gaussian_filter(rng.normal(size=(260, *volume.shape[1:])), sigma)
@@ -240,7 +248,8 @@ def test_a_filter_is_seen_in_the_noise_of_the_air(sigma, state):
 
 
 def test_tiles_of_a_large_sheet_are_whole_squares():
-    """120 x 120 tiles of five columns of 12 um: a sixth of them, in squares, each tile where its numbers say."""
+    """120 x 120 tiles of five columns of 12 um: a sixth of them, in squares, each tile where its
+    numbers say."""
     um = np.arange(600) * 12.0
     volume = xr.DataArray(
         np.broadcast_to(np.uint8(0), (40, 600, 600)),
@@ -291,7 +300,8 @@ def test_a_grey_that_no_coating_has_is_a_look(right, top, bottom, state, words):
 
 @pytest.mark.parametrize(("grain", "state"), [(2, "look"), (7, "pass"), (None, "look")])
 def test_filler_is_doubted_where_its_grains_are_not_resolved(grain, state):
-    """Grains of some voxels through a base of 40, blurred over 1.9 voxels; coating that has run in is no grain."""
+    """Grains of some voxels through a base of 40, blurred over 1.9 voxels; coating that has run in
+    is no grain."""
 
     def extra(t, r, c):
         is_column = (r % 15 < 7) & (c % 15 < 7)

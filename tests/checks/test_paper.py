@@ -1,4 +1,5 @@
-"""Sheets of fibres: none of their pores, valleys and specks is a fault, and their faults are seen."""
+"""Sheets of fibres: none of their pores, valleys and specks is a fault, and their faults are
+seen."""
 
 import numpy as np
 import pytest

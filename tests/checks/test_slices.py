@@ -1,4 +1,5 @@
-"""Slices that are exchanged, repeated, filled, missing, foreign: seen, counted, named; none in right volumes."""
+"""Slices that are exchanged, repeated, filled, missing, foreign: seen, counted, named; none in
+right volumes."""
 
 from types import SimpleNamespace
 

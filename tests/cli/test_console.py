@@ -111,7 +111,7 @@ def test_what_is_no_terminal_gets_plain_lines(capsys):
     assert "\x1b" not in out + err
 
 
-# --- narrow terminals ------------------------------------------------------------------------------------------------
+# --- narrow terminals -----------------------------------------------------------------------------
 @pytest.mark.parametrize("width", [40, 100])
 def test_narrow_terminals_keep_units_beside_their_numbers(linked_run, monkeypatch, capsys, width):
     monkeypatch.setattr(console, "width", lambda **_: width)
@@ -143,7 +143,7 @@ def test_no_line_ends_between_a_number_and_its_unit():
         assert " ".join(wrapped(text, width).split()) == text
 
 
-# --- letters ---------------------------------------------------------------------------------------------------------
+# --- letters --------------------------------------------------------------------------------------
 def run(*arguments, cwd, **environment):
     found = subprocess.run(
         [sys.executable, "-m", "planish", *arguments],

@@ -1,4 +1,5 @@
-"""The time that is left of a run: from the expected times of its stages, and how fast those that passed were."""
+"""The time that is left of a run: from the expected times of its stages, and how fast those that
+passed were."""
 
 import numpy as np
 import pytest
@@ -32,7 +33,8 @@ class Clock:
 @pytest.mark.parametrize("speed", [0.4, 1.0, 3.0])
 @pytest.mark.parametrize("tilt", [1.0, 1.2])
 def test_after_a_quarter_the_time_left_is_right_within_a_factor_of_one_and_a_half(speed, tilt):
-    """On a machine that is slower or faster, and with late stages that take longer than expected."""
+    """On a machine that is slower or faster, and with late stages that take longer than
+    expected."""
     clock, ratios = Clock(), []
     left = TimeLeft(STAGES, clock, 1.0)
     times = [

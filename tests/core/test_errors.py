@@ -1,4 +1,5 @@
-"""Messages speak of the options of the command line there, and of the keywords of a call in Python."""
+"""Messages speak of the options of the command line there, and of the keywords of a call in
+Python."""
 
 import ast
 import pickle
@@ -93,7 +94,8 @@ def errors_by_name(kind=PlanishError):
 
 @pytest.mark.ci
 def test_no_message_is_put_together_of_python_words():
-    """What shows or stores a message, or adds to it, takes its ``text``; ``str`` is for who calls planish in Python."""
+    """What shows or stores a message, or adds to it, takes its ``text``; ``str`` is for who calls
+    planish in Python."""
     names, found = errors_by_name(), []
     for path in SOURCE.rglob("*.py"):
         for handler in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

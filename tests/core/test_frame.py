@@ -11,7 +11,8 @@ from planish.core.frame import Frame
 
 @pytest.mark.parametrize(("through", "top"), list(itertools.product("zyx", ("high", "low"))))
 def test_a_real_turn_of_the_specimen_never_mirrors_its_map(through, top):
-    """Turn a right-handed set of axes by all 24 rotations: the map seen from the top keeps its handedness."""
+    """Turn a right-handed set of axes by all 24 rotations: the map seen from the top keeps its
+    handedness."""
     frame = Frame(through=through, top=top)
     # Unit vectors (z, y, x) of the map's columns and rows, and of the direction to the viewer.
     unit = {"z": np.array([1, 0, 0]), "y": np.array([0, 1, 0]), "x": np.array([0, 0, 1])}

@@ -95,7 +95,7 @@ def test_what_is_no_toml_is_shown_with_what_to_write(tmp_path, line, words):
         assert word in text
 
 
-# --- the lines of keys, against the reader of the standard library ---------------------------------------------------
+# --- the lines of keys, against the reader of the standard library --------------------------------
 
 NAMES = st.sampled_from(["a", "b-1", '"c d"', "'e.f'", "x.y", " g . h "])
 VALUES = st.sampled_from(

@@ -34,7 +34,8 @@ def noted(thread):
 threading.Thread.start = noted
 before = []
 from planish.cli import main
-import numpy, pandas, scipy.linalg  # linear algebra and Arrow, which pandas looks for, start threads when imported
+# Linear algebra and Arrow, which pandas looks for, start threads when imported.
+import numpy, pandas, scipy.linalg
 before = len(os.listdir("/proc/self/task"))
 try:
     main(arguments)

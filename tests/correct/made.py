@@ -30,7 +30,8 @@ def ring(shape, at_um, share, *, width_um=3.0, **where):
 
 
 def sheet(shape=(60, 100, 200), *, tilt_deg=0.0, base_um=60.0, coat_um=24.0, coating=COATING):
-    """Grey (z, y, x) above air of a sheet across z; lengths may vary over (y, x), ``coating`` over the volume."""
+    """Grey (z, y, x) above air of a sheet across z; lengths may vary over (y, x), ``coating`` over
+    the volume."""
     z, y, x = np.meshgrid(*(np.arange(n) * VOXEL for n in shape), indexing="ij", sparse=True)
     slope = np.tan(np.deg2rad(tilt_deg))
     s = (z - z.mean() - slope * (x - x.mean()) + 0 * y) * np.cos(np.deg2rad(tilt_deg))

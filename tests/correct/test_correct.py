@@ -51,7 +51,8 @@ def test_known_rings_are_found_at_their_radius_and_with_their_height():
     assert [r.radius_um for r in found.record.rings] == pytest.approx(
         [at for at, _ in RINGS], abs=VOXEL / 2 + 0.01
     )
-    # Bins of half a voxel and the line between their middles take 3 % off a crest of one voxel; the rest is noise.
+    # Bins of half a voxel and the line between their middles take 3 % off a crest of one voxel; the
+    # rest is noise.
     for got, (_, share) in zip(found.record.rings, RINGS, strict=True):
         assert got.height == pytest.approx(share * CONTRAST, rel=0.12)
         assert abs(got.share_after) < 0.1 * abs(share)

@@ -1,4 +1,5 @@
-"""Every command of the tutorial and of the how-to pages runs as it stands and prints what the page shows."""
+"""Every command of the tutorial and of the how-to pages runs as it stands and prints what the page
+shows."""
 
 import os
 import re
@@ -50,7 +51,8 @@ def test_a_page_prints_what_it_shows(path, after_tutorial, tmp_path):
 
 @pytest.mark.ci
 def test_the_readme_reads_a_run_as_it_shows(kinds, tmp_path, monkeypatch):
-    """Its commands and options are checked with those of all pages; here its Python runs in the folder of a run."""
+    """Its commands and options are checked with those of all pages; here its Python runs in the
+    folder of a run."""
     (block,) = re.findall(
         r"^```python\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
     )
@@ -79,7 +81,7 @@ def test_the_first_lines_of_windows_stand_where_a_newcomer_begins():
         assert ".venv\\Scripts\\activate" in text
 
 
-# --- the runner itself ---------------------------------------------------------------------------------------
+# --- the runner itself ----------------------------------------------------------------------------
 def test_a_page_is_read_as_commands_python_and_files():
     page = (
         "```console\n$ planish info \\\nx.tif\none\n...\n$ ls\n```\n```text a.csv\nx,y\n```\n"

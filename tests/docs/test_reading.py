@@ -1,4 +1,5 @@
-"""The documents and the page of a run read well: short sentences, the glossary's words, and none of the old ones."""
+"""The documents and the page of a run read well: short sentences, the glossary's words, and none of
+the old ones."""
 
 import re
 import statistics
@@ -54,7 +55,8 @@ TERMS = {
     r"\b(drill|puncture|pinhole)s?\b": "hole",
     r"\bthe other side of the (paper|sheet)\b": "bottom side",
 }
-# Pages that speak of other programs, in the words of these, or lead from the words of readers to ours.
+# Pages that speak of other programs, in the words of these, or lead from the words of readers to
+# ours.
 THEIRS = {"words.md", "marks-files.md", "other-tools.md", "paper.md", "marks-from-bigwarp.md"}
 
 

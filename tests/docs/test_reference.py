@@ -1,4 +1,5 @@
-"""Every option, public name, group, variable, results key, exit code and message occurs in the reference."""
+"""Every option, public name, group, variable, results key, exit code and message occurs in the
+reference."""
 
 import inspect
 import re
@@ -37,7 +38,7 @@ def commands(command=group, name="planish"):
         yield from commands(inner, f"{name} {key}")
 
 
-# --- the command line and the study file ---------------------------------------------------------------------
+# --- the command line and the study file ----------------------------------------------------------
 def test_every_command_stands_with_its_options_and_examples():
     sections = dict(
         re.findall(
@@ -75,7 +76,7 @@ def nested(model):
         yield from nested(inner)
 
 
-# --- what a run holds ----------------------------------------------------------------------------------------
+# --- what a run holds -----------------------------------------------------------------------------
 def test_every_key_of_the_results_has_its_meaning():
     text = page("reference/results.md")
     models = fields.results_models()
@@ -183,7 +184,7 @@ def test_every_map_package_exit_code_and_message_is_collected():
     assert any("The disk is full while writing …" in text for text in texts)
 
 
-# --- Python --------------------------------------------------------------------------------------------------
+# --- Python ---------------------------------------------------------------------------------------
 @pytest.mark.ci
 def test_every_public_name_stands_with_a_sentence():
     missing = []
@@ -198,7 +199,7 @@ def test_every_public_name_stands_with_a_sentence():
     assert missing == [], "without a row, or without a docstring"
 
 
-# --- exit codes and messages ---------------------------------------------------------------------------------
+# --- exit codes and messages ----------------------------------------------------------------------
 @pytest.mark.ci
 def test_every_message_has_its_entry():
     covered = {

@@ -1,4 +1,5 @@
-"""The site builds without a warning, its links lead somewhere, and it needs no network to be read or searched."""
+"""The site builds without a warning, its links lead somewhere, and it needs no network to be read
+or searched."""
 
 import re
 import subprocess
@@ -83,7 +84,8 @@ SOUGHT = {
     "explanation/a-report-in-hand": ("side light", "how to cite", "cite", "how strong"),
     "registration": ("image registration", "Registrierung"),
 }
-# Questions that the documents once left open: each answer is at most two links away from the front page.
+# Questions that the documents once left open: each answer is at most two links away from the front
+# page.
 ANSWERS = (
     "how-to/grams-per-square-metre",
     "how-to/exclude-a-stain",
@@ -140,7 +142,8 @@ def test_every_document_is_a_page_that_others_lead_to(site):
 
 @pytest.mark.nightly
 def test_the_search_finds_the_words_of_users(site, chromium):
-    """Typed into the search of the site, opened from a folder, each word has its page once among the first three."""
+    """Typed into the search of the site, opened from a folder, each word has its page once among
+    the first three."""
     context = chromium.new_context()
     page = context.new_page()
     missed = {}

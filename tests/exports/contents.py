@@ -29,7 +29,8 @@ HISTORY = ExportHistory(
 
 
 def maps(shape=(600, 1100), dims=("y", "x")):
-    """Maps of several types with missing values; more than a band, and an odd number of columns of chunks."""
+    """Maps of several types with missing values; more than a band, and an odd number of columns of
+    chunks."""
     rng = np.random.default_rng(7)
     coating = rng.normal(17, 4, shape).astype(np.float32)
     coating[rng.random(shape) < 0.2] = np.nan

@@ -1,4 +1,5 @@
-"""Maps come back from every format by a reader that is not its writer: values to float32, sizes exactly, NaN."""
+"""Maps come back from every format by a reader that is not its writer: values to float32, sizes
+exactly, NaN."""
 
 import base64
 import csv

@@ -19,7 +19,8 @@ def in_space(uv, turn=0.0):
 
 
 def on_cylinder(uv, radius, angle=0.0):
-    """Isometric: arcs across the rulings, which stand at an angle to the grid; exactly unrolled by ``uv``."""
+    """Isometric: arcs across the rulings, which stand at an angle to the grid; exactly unrolled by
+    ``uv``."""
     c, s = np.cos(angle), np.sin(angle)
     along, across = c * uv[..., 0] + s * uv[..., 1], c * uv[..., 1] - s * uv[..., 0]
     x = radius * np.sin(along / radius)

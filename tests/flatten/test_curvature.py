@@ -45,7 +45,8 @@ def test_angles_and_patches_equal_their_slow_twins():
     assert np.array_equal(np.isnan(area), np.isnan(lacking))
     # The node and the six whose triangles it has.
     assert np.count_nonzero(np.isnan(lacking[1:-1, 1:-1])) == 7
-    # In the middle of a sheet of eight half-sizes no outline is felt; the window ends at 3 sigma: 1 % is left.
+    # In the middle of a sheet of eight half-sizes no outline is felt; the window ends at 3 sigma: 1
+    # % is left.
     x, y = plan(161, 161, 50.0)
     points = np.stack([x, y, 20 * np.sin(x / 700) * np.cos(y / 900)], axis=-1)
     found = curvature_check(points)
@@ -68,7 +69,8 @@ def test_a_sphere_in_any_unit_of_length():
 
 
 def test_the_grid_may_lie_on_the_surface_as_it_likes():
-    """Longitudes and latitudes of a sphere, and the same points turned: no height field, cells of all shapes."""
+    """Longitudes and latitudes of a sphere, and the same points turned: no height field, cells of
+    all shapes."""
     lat, lon = np.meshgrid(np.linspace(-1.2, 1.2, 150), np.linspace(0.0, 3.0, 170), indexing="ij")
     points = 300 * np.stack(
         [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1
@@ -101,7 +103,8 @@ def test_a_saddle_is_negative():
 
 
 def test_roughness_is_not_taken_for_curvature():
-    """Noise of 0.5 um on a pitch of 10 um: by finite differences a strain of 6, by the angles under 0.05 %."""
+    """Noise of 0.5 um on a pitch of 10 um: by finite differences a strain of 6, by the angles under
+    0.05 %."""
     rng = np.random.default_rng(4)
     x, y = plan(300, 350, 10.0)
     points = np.stack([x, y, rng.normal(0, 0.5, x.shape)], axis=-1)
@@ -115,7 +118,8 @@ def test_roughness_is_not_taken_for_curvature():
 
 
 def test_a_surface_that_no_paper_can_have_is_named_and_small_ones_are_not_judged():
-    """Bowl with K = (500 / 670^2)^2 at its bottom, 8 % at a = 1 mm, less as a mean; the right half is flat."""
+    """Bowl with K = (500 / 670^2)^2 at its bottom, 8 % at a = 1 mm, less as a mean; the right half
+    is flat."""
     x, y = plan(160, 300, 20.0)
     bowl = np.where(x < 0, 500 * np.exp(-((x + 1500) ** 2 + y**2) / (2 * 670.0**2)), 0.0)
     found = curvature_check(np.stack([x, y, bowl], axis=-1))

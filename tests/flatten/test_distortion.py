@@ -96,7 +96,8 @@ def test_uniform_stretch_and_pure_shear_are_measured_exactly():
 
 @pytest.mark.parametrize("angle", [0.0, 0.4])
 def test_a_cylinder_exactly_unrolled_has_no_strain_and_keeps_all_lengths(angle):
-    """A chord is shorter than its arc by (h / R)^2 / 24, here 4e-6; a diagonal cell has twice that."""
+    """A chord is shorter than its arc by (h / R)^2 / 24, here 4e-6; a diagonal cell has twice
+    that."""
     uv = grid(40, 60, 10.0)
     points = on_cylinder(uv, 1000.0, angle)
     strain = cell_strain(points, uv)
@@ -118,7 +119,8 @@ def test_a_cap_is_stretched_along_its_parallels():
 
 
 def test_folded_missing_and_empty_cells_are_counted():
-    """A node pulled over its neighbour turns triangles of two cells over; mirrored, every cell is turned over."""
+    """A node pulled over its neighbour turns triangles of two cells over; mirrored, every cell is
+    turned over."""
     uv = grid(6, 7)
     folded = uv.copy()
     folded[3, 3, 0] += 1.5
@@ -142,13 +144,15 @@ def test_folded_missing_and_empty_cells_are_counted():
 
 
 def test_boundaries_and_displacements_are_measured():
-    """8 by 5 cells of 10 um are bounded by 260 um; a missing node takes 4 cells out, whose rim is 80 um."""
+    """8 by 5 cells of 10 um are bounded by 260 um; a missing node takes 4 cells out, whose rim is
+    80 um."""
     uv = grid(6, 9, 10.0)
     points = in_space(uv)
     assert distortion.boundary_lengths(points, 1.1 * uv) == pytest.approx((260.0, 286.0))
     points[2, 4] = np.nan
     assert distortion.boundary_lengths(points, 1.1 * uv) == pytest.approx((340.0, 374.0))
-    # Tilted by 10.4 degrees, 15 mm grow by 250 um, half of it at either end, however the flat sheet was turned.
+    # Tilted by 10.4 degrees, 15 mm grow by 250 um, half of it at either end, however the flat sheet
+    # was turned.
     turn = np.arccos(1 - 250 / 15000 / (1 + 250 / 15000))
     uv = grid(76, 5, 200.0)
     spin = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
@@ -171,7 +175,8 @@ def test_boundaries_and_displacements_are_measured():
 )
 @settings(max_examples=15)
 def test_growth_against_the_projection(grown, uneven, axis, turn):
-    """An affine map made of its parts; the square's similarity scale is the mean of the two singular values."""
+    """An affine map made of its parts; the square's similarity scale is the mean of the two
+    singular values."""
     uv = grid(8, 8, 3.0)
     a = np.radians(axis)
     frame = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])

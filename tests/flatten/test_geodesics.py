@@ -30,7 +30,8 @@ def holds(half, uv, place):
 
 
 def slow_length(points, uv, p, q, start, end):
-    """Every edge of the mesh is cut with the line; the cuts, in order, are the line on the surface."""
+    """Every edge of the mesh is cut with the line; the cuts, in order, are the line on the
+    surface."""
     halves = list(triangles(distortion.whole_cells(points, uv)))
     cuts = [(0.0, start), (1.0, end)]
     for a, b in {tuple(sorted(edge)) for half in halves for edge in edges_of(half)}:
@@ -50,7 +51,8 @@ def slow_length(points, uv, p, q, start, end):
 @given(st.integers(0, 10_000))
 @settings(max_examples=7)
 def test_traced_lengths_equal_the_slow_twin(seed):
-    """Warped, rough mesh with a ragged outline and a hole, its cells up to a third out of shape but not folded."""
+    """Warped, rough mesh with a ragged outline and a hole, its cells up to a third out of shape but
+    not folded."""
     rng = np.random.default_rng(seed)
     uv = grid(8, 10) + rng.uniform(-0.15, 0.15, (8, 10, 2))
     points = np.concatenate([uv * [1.1, 0.9], rng.normal(0, 0.4, (8, 10, 1))], axis=-1)
@@ -74,7 +76,8 @@ def errors(points, uv, **more):
 
 @pytest.mark.parametrize("direction", [(2, 1), (-1, 1), (1, -2)])
 def test_lines_through_nodes_do_no_harm(direction):
-    """A quarter of the way from one node of a regular mesh to one in line with it, to as far before a third."""
+    """A quarter of the way from one node of a regular mesh to one in line with it, to as far before
+    a third."""
     uv = grid(12, 12, 7.0)
     points = in_space(uv)
     node, d = (
@@ -109,7 +112,8 @@ def test_uniform_growth_is_the_error_of_every_line_and_a_generator_repeats_it():
 
 
 def test_great_circles_of_a_cap():
-    """Distances from the middle are kept, all others grow: at most by r / sin(r), r the angle of the rim."""
+    """Distances from the middle are kept, all others grow: at most by r / sin(r), r the angle of
+    the rim."""
     radius, uv = 5000.0, grid(81, 81, 20.0) - 800.0
     r = np.linalg.norm(uv, axis=-1) / radius
     points = on_sphere(uv, radius)
@@ -134,14 +138,16 @@ def test_great_circles_of_a_cap():
     start = distortion.random_places(whole, 300, np.random.default_rng(1))
     _, space = distortion.trace_lines(points, uv, start, end)
     strain = r.max() / np.sin(r.max()) - 1
-    # second order: the traced line is longer than the great circle by less than a few squares of the strain
+    # second order: the traced line is longer than the great circle by less than a few squares of
+    # the strain
     excess = space / great_circle(start.on(points), end.on(points)) - 1
     assert excess.min() > -1e-5
     assert excess.max() < 3 * strain**2 + 1e-5
 
 
 def test_lines_that_leave_the_sheet_single_rows_and_folded_cells_are_counted():
-    """Two halves joined by a bridge at one end: lines from one half to the other mostly leave the sheet."""
+    """Two halves joined by a bridge at one end: lines from one half to the other mostly leave the
+    sheet."""
     uv = grid(21, 21)
     points = in_space(uv)
     points[:19, 10] = np.nan
@@ -156,7 +162,8 @@ def test_lines_that_leave_the_sheet_single_rows_and_folded_cells_are_counted():
     found = errors(points, uv)
     assert (found.used, found.dropped) == (1000, 0)
     assert found.largest < 1e-12
-    # folded over in the middle, flat lines between the layers follow the sheet there and back or are given up
+    # folded over in the middle, flat lines between the layers follow the sheet there and back or
+    # are given up
     folded = uv.copy()
     folded[:, 20:, 0] = 39.5 - folded[:, 20:, 0]
     over = errors(points, folded)

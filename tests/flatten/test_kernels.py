@@ -135,7 +135,8 @@ def test_restriction_is_the_transpose_of_interpolation(mesh):
 
 
 def test_coarse_springs_and_interpolation_are_exact():
-    """Energy of a uniform strain of a flat mesh: the same on all levels, borders and odd sizes included."""
+    """Energy of a uniform strain of a flat mesh: the same on all levels, borders and odd sizes
+    included."""
     for rows, cols in ((17, 33), (16, 30), (23, 12)):
         y, x = np.mgrid[0:rows, 0:cols].astype(float)
         points = np.stack([x, y, 0 * x], axis=-1)

@@ -1,4 +1,5 @@
-"""Which surface of a bent sheet keeps its lengths: rolled sheets, where the answer is an angle times a radius."""
+"""Which surface of a bent sheet keeps its lengths: rolled sheets, where the answer is an angle
+times a radius."""
 
 import numpy as np
 import pytest
@@ -22,7 +23,8 @@ def errors_of(groups, fit, grid, values=None):
 
 
 def rolled(offset=OFFSET, frame=None):
-    """A sheet rolled around y, its centre at RADIUS; the middle of its base lies ``offset`` outwards."""
+    """A sheet rolled around y, its centre at RADIUS; the middle of its base lies ``offset``
+    outwards."""
     y, x = np.arange(0, 800, 8.0), np.arange(-900, 901, 8.0)
     angle = np.broadcast_to(np.arcsin(x / RADIUS), (y.size, x.size))
     centre = RADIUS * np.cos(angle)
@@ -56,7 +58,8 @@ def test_the_mean_of_the_faces_where_no_middle_of_the_base_is_known():
 
 @pytest.mark.parametrize("frame", [Frame(), Frame(top="low")])
 def test_what_another_surface_moves(frame, monkeypatch):
-    """From the base to the faces: minus the offset times the angle; the same on a mesh of four times the pitch."""
+    """From the base to the faces: minus the offset times the angle; the same on a mesh of four
+    times the pitch."""
     surfaces, _angle = rolled(frame=frame)
     base = surfaces["base_middle"].values
     found = []
@@ -114,8 +117,8 @@ def test_no_coating_seen_leaves_a_hundredth_of_the_thickness_and_sections_their_
     shifts = {
         f"shift_{k}": ("section", np.resize([-s, s], 600)) for k, s in (("row", 1.0), ("col", 2.0))
     }
-    # What the alignment left, more than it sees of it; and a wander of a tenth of the shifts a section, held at sqrt(5)
-    # places by 5 marks, unless the stage showed it.
+    # What the alignment left, more than it sees of it; and a wander of a tenth of the shifts a
+    # section, held at sqrt(5) places by 5 marks, unless the stage showed it.
     for fixed, wander in (([], np.hypot(0.1, 0.2)), (["col"], 0.1), (["row", "col"], 0.0)):
         cut = {"sections": xr.Dataset(shifts, attrs={"jitter_left_um": [0.3, 0.4], "fixed": fixed})}
         found = errors_of({"surfaces": bare, "flat": flat} | cut, fit, grid)

@@ -13,8 +13,8 @@ from planish.flatten import edge_strain, geodesic_error, relax_grid
 def test_a_tissue_is_flattened_with_less_distortion_than_by_its_author(shared_data):
     """The grid itself is the author's map: equal steps within 1 %.
 
-    Around one defect and along the border the grid's steps are off by 30 % to fortyfold; these 1058 nodes of 57 644
-    are doubted, and neither map is judged by them.
+    Around one defect and along the border the grid's steps are off by 30 % to fortyfold; these 1058
+    nodes of 57 644 are doubted, and neither map is judged by them.
     """
     path = shared_data("tissue_sheet_mesh") / "basics_example_3d_coordinates.tif"
     points = np.moveaxis(tifffile.imread(path).astype(float), 0, -1)
@@ -66,7 +66,8 @@ def test_topographies(shared_data, name):
     points[~sheet] = np.nan
     assert np.isfinite(found.uv[np.isfinite(points).all(axis=-1)]).all()
     if name == "matrix-2_txt":
-        # Steps of up to 80 degrees between neighbours; every marked cell lies on one of more than 60.
+        # Steps of up to 80 degrees between neighbours; every marked cell lies on one of more than
+        # 60.
         assert found.outcome is Outcome.HELD_OPEN
         down, right = (
             np.abs(np.diff(height, axis=k)) / pitch[k] > np.tan(np.deg2rad(60)) for k in (0, 1)

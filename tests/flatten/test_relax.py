@@ -23,7 +23,8 @@ def cylinder(rows, cols, radius, pitch):
 
 
 def rolled(rows, cols, pitch, *, angle):
-    """An arc of radius 1 unit by ``angle``, oblique to the grid, and its flat places; beyond pi it overhangs."""
+    """An arc of radius 1 unit by ``angle``, oblique to the grid, and its flat places; beyond pi it
+    overhangs."""
     uv, turn = grid(rows, cols, pitch), 0.4
     length = uv[-1, -1] @ [np.cos(turn), np.sin(turn)]
     return on_cylinder(uv, length / angle, turn), uv
@@ -62,7 +63,8 @@ def test_rest_lengths_equal_the_slow_twin():
 
 @pytest.mark.parametrize("angle", [0.0, 0.5, np.pi / 2])
 def test_arcs_are_right_to_the_fourth_power_of_the_pitch(angle):
-    """On a cylinder of radius 40 the chord of a spring is short by up to 1 / (24 40^2) = 2.6e-5 of it."""
+    """On a cylinder of radius 40 the chord of a spring is short by up to 1 / (24 40^2) = 2.6e-5 of
+    it."""
     points = on_cylinder(grid(30, 30), 40.0, angle)
     with levels.Team(1) as team:
         arc, chord = (
@@ -75,7 +77,8 @@ def test_arcs_are_right_to_the_fourth_power_of_the_pitch(angle):
 
 
 def test_roughness_is_not_taken_for_curvature():
-    """White noise at every node: the arcs would lengthen every spring; they are left out almost everywhere."""
+    """White noise at every node: the arcs would lengthen every spring; they are left out almost
+    everywhere."""
     points = bumpy(60, 60, noise=0.1)
     found = relax_grid(points), relax_grid(points, rest="chord")
     assert found[0].straight_share > 0.6
@@ -107,7 +110,8 @@ def test_a_cylinder_unrolls_to_its_arc_length():
 
 @pytest.mark.parametrize("angle", [3.0, 12.0])
 def test_a_sheet_may_overhang_or_be_rolled_up(angle):
-    """At 12 rad the sheet is rolled on itself almost twice: it has no projection that could be a start."""
+    """At 12 rad the sheet is rolled on itself almost twice: it has no projection that could be a
+    start."""
     points, truth = rolled(40, 120, 5.0, angle=angle)
     found = laid(points)
     # Rolled up, it shows either face.
@@ -152,7 +156,8 @@ def test_rough_sheets_do_not_fold_and_steep_ones_are_held_open_and_named():
 
 
 def test_a_sphere_keeps_strain_and_says_so():
-    """A cap cannot be flat: strain of the order of K a^2 / 16 (K curvature, a half size), where K a^2 = 0.0256."""
+    """A cap cannot be flat: strain of the order of K a^2 / 16 (K curvature, a half size), where K
+    a^2 = 0.0256."""
     points = on_sphere(grid(41, 41, 4.0) - 80.0, 500.0)
     strain = cell_strain(points, relax_grid(points).uv)
     assert 0.002 < float(strain["stretch_max"].max()) - 1 < 0.01
@@ -161,7 +166,8 @@ def test_a_sphere_keeps_strain_and_says_so():
 
 @pytest.mark.parametrize("kind", ["holes", "salt", "torn"])
 def test_masks_keep_the_truth(kind):
-    """Within twice the limit for a whole sheet of this size, 3e-4 pitches (root of the mean square)."""
+    """Within twice the limit for a whole sheet of this size, 3e-4 pitches (root of the mean
+    square)."""
     points, truth = rolled(96, 128, 1.0, angle=2.0)
     rng = np.random.default_rng(0)
     y, x = np.mgrid[:96, :128]
@@ -195,7 +201,8 @@ def test_doubted_nodes_do_not_steer(weight):
 
 
 def test_weights_are_stiffness():
-    """Half of the sheet pulls with a tenth of the force: the energy counts it by as much, and it takes the strain."""
+    """Half of the sheet pulls with a tenth of the force: the energy counts it by as much, and it
+    takes the strain."""
     points = bumpy(30, 40, noise=0.1)
     even = relax_grid(points, tolerance=1e-9, rest="chord")
     half = np.where(np.arange(40) < 20, 1.0, 0.2) * np.ones((30, 1))
@@ -250,7 +257,10 @@ def test_specks_are_dropped_and_counted():
 
 @pytest.mark.parametrize("crease", [10.6, 11.0, 11.3])
 def test_folds_of_the_relaxation_are_named(crease):
-    """A start with one end turned over keeps all lengths: a minimum, but a folded one. At 11 some nodes coincide."""
+    """A start with one end turned over keeps all lengths: a minimum, but a folded one.
+
+    At 11 some nodes coincide.
+    """
     start = grid(8, 10)
     points = in_space(start)
     start[:, 6:, 0] = crease - start[:, 6:, 0]

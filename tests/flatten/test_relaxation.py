@@ -12,9 +12,13 @@ TIES = ((0, 0, 0, 1), (0, 0, 1, 0), (0, 0, 1, 1), (0, 1, 1, 0))
 
 
 def deformed(seed, single=0.15):
-    """Fig. 5 of Hirn et al. (2009): 32 x 24 nodes of pitch 1, and their start after all kinds of deformation.
+    """Fig.
 
-    The paper gives kinds, not amounts: shear 0.15, axial 0.85 and 1.10, rows shifted by 0.3, nodes by 0.15 (sigma).
+    5 of Hirn et al. (2009): 32 x 24 nodes of pitch 1, and their start after all kinds of
+    deformation.
+
+    The paper gives kinds, not amounts: shear 0.15, axial 0.85 and 1.10, rows shifted by 0.3, nodes
+    by 0.15 (sigma).
     """
     flat, rng = grid(24, 32), np.random.default_rng(seed)
     start = flat @ np.array([[0.85, 0.0], [0.15, 1.10]])
@@ -139,7 +143,10 @@ def test_steps_equal_the_slow_twin(choices):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_paper_s_mesh_is_restored_to_a_thousandth(seed):
-    """Hirn et al. (2009), section 2.3.3: always below 0.1 %; below 0.01 % for a tenth of the speed."""
+    """Hirn et al.
+
+    (2009), section 2.3.3: always below 0.1 %; below 0.01 % for a tenth of the speed.
+    """
     flat, start = deformed(seed)
     rest = rest_lengths(flat)
     for speed in (1e-3, 1e-4):
@@ -150,8 +157,9 @@ def test_the_paper_s_mesh_is_restored_to_a_thousandth(seed):
     assert 0.0015 < np.abs(size_errors(rested(start, rest, stop="first").uv, flat)).max() < 0.006
 
 
-def test_rest_by_the_residual_turns_cells_back_also_in_a_mirror_and_nodes_on_one_spot_pull_nowhere():
-    """A force of 1e-5 leaves less than 1e-4 of the size: the softest mode has a stiffness of (pi / 32)^2 = 0.01."""
+def test_rest_by_the_residual_turns_cells_back_and_nodes_on_one_spot_pull_nowhere():
+    """A force of 1e-5 leaves less than 1e-4 of the size: the softest mode has a stiffness of (pi /
+    32)^2 = 0.01."""
     flat, start = deformed(2)
     rest = rest_lengths(flat)
     assert relax_dynamically(start, rest, params=RelaxationParams(most_steps=1)).inverted > 0
@@ -166,7 +174,8 @@ def test_rest_by_the_residual_turns_cells_back_also_in_a_mirror_and_nodes_on_one
 
 
 def test_cutting_the_step_while_the_gradient_is_high_comes_to_a_halt():
-    """The gradient is a state of the mesh: a smaller step does not make it smaller, and time stands still."""
+    """The gradient is a state of the mesh: a smaller step does not make it smaller, and time stands
+    still."""
     flat, start = deformed(0)
     params = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=2000)
     found = relax_dynamically(start, rest_lengths(flat), params=params)
@@ -215,7 +224,8 @@ def test_what_rests_stays_and_arrays_that_do_not_fit_are_refused():
 
 
 def test_folds_are_counted():
-    """A start with 78 cells turned over keeps two of them: a minimum, which smaller steps do not avoid."""
+    """A start with 78 cells turned over keeps two of them: a minimum, which smaller steps do not
+    avoid."""
     flat, start = deformed(1, single=0.3)
     found = relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(a=0.01))
     assert found.outcome is Outcome.FOLDED

@@ -28,7 +28,8 @@ def expected(case):
 
 
 def written(kind, tmp_path, *, size=True):
-    """Write a case into a folder of its own; return it with its path, its folder, and what has to be given."""
+    """Write a case into a folder of its own; return it with its path, its folder, and what has to
+    be given."""
     case = CASES[kind]
     folder = tmp_path / "Prüfling – Maß µ 1"
     folder.mkdir()

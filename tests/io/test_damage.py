@@ -231,7 +231,8 @@ def memory_kib(name):
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith(name))
 
-Path("/proc/self/clear_refs").write_text("5")  # forget the peak of the imports, and that of the parent process
+# Forget the peak of the imports, and that of the parent process.
+Path("/proc/self/clear_refs").write_text("5")
 before = memory_kib("VmRSS:")
 told = []
 for path in sorted(Path(sys.argv[1]).iterdir()):
@@ -287,7 +288,8 @@ DECLARED = [
     not Path("/proc/self/status").exists(), reason="the peak of the memory is not known"
 )
 def test_declared_sizes_are_compared_with_the_file_before_anything_is_made(tmp_path):
-    """A list of 2e9 planes would fill the memory; another process shows that nothing of the kind is made."""
+    """A list of 2e9 planes would fill the memory; another process shows that nothing of the kind is
+    made."""
     data = np.zeros((4, 50, 50), np.uint8)
     for number, text in enumerate(DECLARED):
         path = tmp_path / f"{number}.tif"

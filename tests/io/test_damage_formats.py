@@ -1,8 +1,9 @@
 """Damaged inputs of every format: one of our errors or the right values, soon, and without memory.
 
-The inputs are made here from good ones: cut at many lengths, with other bytes in their headers, with other sizes, with
-files missing, or with something else in their place. They are read in another process, whose memory is limited, so that
-a library that crashes or asks for too much is found out.
+The inputs are made here from good ones: cut at many lengths, with other bytes in their headers,
+with other sizes, with files missing, or with something else in their place. They are read in
+another process, whose memory is limited, so that a library that crashes or asks for too much is
+found out.
 """
 
 import json
@@ -57,7 +58,8 @@ for line in Path(sys.argv[1]).read_text(encoding="utf-8").splitlines():
             if number > 1:
                 outcome = "read"
             else:
-                same = values.shape == good[item["kind"]].shape and np.array_equal(values, good[item["kind"]])
+                expected = good[item["kind"]]
+                same = values.shape == expected.shape and np.array_equal(values, expected)
                 outcome = "right" if same else "OTHER VALUES"
         except PlanishError as error:
             outcome = type(error).__name__
@@ -72,7 +74,8 @@ print(json.dumps({"peak_mib": memory_kib("VmHWM:") / 1024}), flush=True)
 
 
 def damaged(folder, kind, case, values):
-    """Write damaged copies of one good input; give the name, the path, and whether other values are no wonder."""
+    """Write damaged copies of one good input; give the name, the path, and whether other values are
+    no wonder."""
     good = folder / "good"
     good.mkdir(parents=True)
     path = str(case.write(good, values, case.voxel))

@@ -1,4 +1,5 @@
-"""What only some formats have: parts to choose, links, axes by name, logs, and libraries that may be missing."""
+"""What only some formats have: parts to choose, links, axes by name, logs, and libraries that may
+be missing."""
 
 import gzip
 import sys

@@ -1,4 +1,5 @@
-"""Folders of section photographs: what the cut counter may say, and every way in which it can be wrong."""
+"""Folders of section photographs: what the cut counter may say, and every way in which it can be
+wrong."""
 
 from typing import Any
 

@@ -1,4 +1,5 @@
-"""Chunks of a working store, decoded by the reading threads: the values that zarr gives, and no damaged ones."""
+"""Chunks of a working store, decoded by the reading threads: the values that zarr gives, and no
+damaged ones."""
 
 import numpy as np
 import pytest

@@ -106,7 +106,8 @@ def test_an_import_that_was_killed_goes_on(tmp_path, monkeypatch, after):
     again = []
     monkeypatch.setattr(module, "_write_shards", lambda *a: (again.append(a[1]), write(*a))[1])
     write_store(data, tmp_path / "s.zarr", memory_bytes=2**20)
-    # A block and its half are one step: where the half was missing, on either thread, the block is written again.
+    # A block and its half are one step: where the half was missing, on either thread, the block is
+    # written again.
     assert len(again) <= len(whole) - after + 2
     assert bytes_of(tmp_path / "s.zarr") == bytes_of(tmp_path / "whole.zarr")
 

@@ -1,4 +1,5 @@
-"""Volumes: every kind of TIFF stack gives back what was stored, with its voxel size, and nothing else passes."""
+"""Volumes: every kind of TIFF stack gives back what was stored, with its voxel size, and nothing
+else passes."""
 
 import tempfile
 from pathlib import Path

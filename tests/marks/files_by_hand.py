@@ -1,10 +1,12 @@
-"""Small files in exactly the layouts that other programs write, made by hand, and the marks that they hold."""
+"""Small files in exactly the layouts that other programs write, made by hand, and the marks that
+they hold."""
 
 import json
 
 import numpy as np
 
-# What every file below says, in um: moving on a map of 2.5 um pixels, fixed in an image of 4 um pixels.
+# What every file below says, in um: moving on a map of 2.5 um pixels, fixed in an image of 4 um
+# pixels.
 MOVING = np.array([[250.0, 500.0], [1250.0, 312.5], [800.0, 1500.0], [2000.0, 1800.0]])
 FIXED = np.array([[402.0, 806.0], [2006.0, 510.0], [1282.0, 2410.0], [3208.0, 2886.0]])
 MOVING_PIXEL, FIXED_PIXEL = 2.5, 4.0
@@ -100,14 +102,16 @@ def native():
  "units": "um",
  "axes": {"x": "right", "y": "down"},
  "layers": [
-  {"name": "moving", "title": "map of coating", "pixel_um": {"x": 2.5, "y": 2.5}, "origin_um": {"x": -10, "y": 4},
-   "size_px": {"x": 1200, "y": 1000}, "side": "top", "machine_direction_deg": 90.0},
+  {"name": "moving", "title": "map of coating", "pixel_um": {"x": 2.5, "y": 2.5},
+   "origin_um": {"x": -10, "y": 4}, "size_px": {"x": 1200, "y": 1000},
+   "side": "top", "machine_direction_deg": 90.0},
   {"name": "fixed", "pixel_um": {"x": 4.0, "y": 4.0}}
  ],
  "marks": [
   {"label": "A", "used": true, "at": {
-    "moving": {"x": 250.0, "y": 500.0, "covariance_um2": [[4.0, 0.5], [0.5, 2.0]], "diameter_um": 151.5,
-               "axis_ratio": 1.02, "arc_coverage": 0.98, "source": "detected"},
+    "moving": {"x": 250.0, "y": 500.0, "covariance_um2": [[4.0, 0.5], [0.5, 2.0]],
+               "diameter_um": 151.5, "axis_ratio": 1.02, "arc_coverage": 0.98,
+               "source": "detected"},
     "fixed": {"x": 402.0, "y": 806.0, "source": "clicked"}}},
   {"label": "B", "used": false, "at": {
     "moving": {"x": 1250.0, "y": 312.5, "source": "detected"},

@@ -1,4 +1,5 @@
-"""Images of holes whose outlines are known: drawn independently of the package, and otherwise than the benchmark's."""
+"""Images of holes whose outlines are known: drawn independently of the package, and otherwise than
+the benchmark's."""
 
 from dataclasses import dataclass
 
@@ -59,7 +60,8 @@ def texture(rng, shape, length_px, sd):
 
 
 def scene(rng, shape, pixel, holes, *, mottle=0.08, length_um=80.0, noise=0.02):
-    """Render dark holes with char into a textured sheet; grey 1 is the mean brightness of the paper."""
+    """Render dark holes with char into a textured sheet; grey 1 is the mean brightness of the
+    paper."""
     py, px = np.broadcast_to(pixel, 2)
     rows, columns = shape
     sheet = 1.0 + texture(rng, shape, length_um / px, mottle)

@@ -78,7 +78,8 @@ def dxf_pairs(text):
 
 
 def test_dxf_by_the_published_group_codes(pattern):
-    """Sections open and close, layers are declared before use, and circles of layer HOLES are the holes."""
+    """Sections open and close, layers are declared before use, and circles of layer HOLES are the
+    holes."""
     pairs = dxf_pairs(pattern_dxf(pattern))
     assert pairs[-2:] == [(0, "ENDSEC"), (0, "EOF")]
     assert [value for code, value in pairs if (code, value) in ((0, "SECTION"), (0, "ENDSEC"))] == [

@@ -1,4 +1,5 @@
-"""Planned patterns: rules kept, codes unique, the same each time, and reasons where nothing fits."""
+"""Planned patterns: rules kept, codes unique, the same each time, and reasons where nothing
+fits."""
 
 from itertools import combinations
 
@@ -131,7 +132,8 @@ def test_a_refusal_names_the_rule_and_the_remedy(options, words):
 
 
 def test_predicted_error_by_hand():
-    # 18.33 arcs; 2 * 5 / sqrt(18.33) = 2.336 um a map from the rim, 0.1 * sqrt(2) * 5 = 0.707 um from the pixels
+    # 18.33 arcs; 2 * 5 / sqrt(18.33) = 2.336 um a map from the rim, 0.1 * sqrt(2) * 5 = 0.707 um
+    # from the pixels
     assert hole_error_um(175.0) == pytest.approx(
         np.sqrt(2 * (4 * 25 * 30 / (np.pi * 175) + 2 * 0.25))
     )
@@ -155,7 +157,8 @@ def test_predicted_error_is_that_of_a_least_squares_similarity(pattern):
 
 
 def test_the_table_as_imaged_is_no_mirror_image_of_an_image(pattern):
-    """Seen from the laser's side with y down, the same pattern turned: a rotation leads from one to the other."""
+    """Seen from the laser's side with y down, the same pattern turned: a rotation leads from one to
+    the other."""
     stage, seen = pattern.points_um, pattern.imaged_um
     assert np.all(seen > 0)
     assert np.all(seen < pattern.view_um)

@@ -99,7 +99,8 @@ def test_a_refusal_names_the_line_and_the_range_of_the_stage_is_kept(pattern):
 
 
 def test_what_other_programs_write_too():
-    """Comments in brackets, line numbers, lower case, modal moves, G1, M30, a tape's percent sign."""
+    """Comments in brackets, line numbers, lower case, modal moves, G1, M30, a tape's percent
+    sign."""
     text = (
         "%\n(a program)\nN10 g21 g90\nN20 F600\ng1 x1.0 y1\nm3 s500\ng4p.005\nm5\ng1 x2\ny3\nm3\ng4"
         " p0.005\nm5\nm30\n%"
@@ -117,7 +118,8 @@ def path_um(points, order, start):
 
 
 def test_the_way_against_every_order():
-    """Six holes have 720 orders: the way found is at most 5 % longer than the shortest, and mostly the shortest."""
+    """Six holes have 720 orders: the way found is at most 5 % longer than the shortest, and mostly
+    the shortest."""
     shortest_found = 0
     for seed in range(10):
         points = np.random.default_rng(seed).uniform(0, 10_000, (6, 2))

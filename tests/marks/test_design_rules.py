@@ -136,7 +136,8 @@ def test_symmetry_of_most_holes_and_a_line_of_even_pitch_are_refused():
 
 
 def test_code_misfit_by_hand():
-    """Two lines of four, of which one pitch differs by 60 um; what runs round the corners differs more."""
+    """Two lines of four, of which one pitch differs by 60 um; what runs round the corners differs
+    more."""
     a = np.cumsum([0.0, 1000, 1400, 2100])
     # Runs the other way round the field: in order 1060, 1400, 2100.
     b = np.cumsum([0.0, 3000, 2100, 1400, 1060])

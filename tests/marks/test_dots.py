@@ -11,7 +11,8 @@ CENTRES = np.array([[420.0, 400.0], [1180.0, 480.0], [700.0, 900.0], [1240.0, 10
 
 
 def printed(shape=(330, 400), *, holes=CENTRES, pixel=PIXEL, noise=0.005):
-    """A screen of 40 % at 45 degrees, with holes in it; both are black, with edges one pixel wide."""
+    """A screen of 40 % at 45 degrees, with holes in it; both are black, with edges one pixel
+    wide."""
     y, x = np.mgrid[: shape[0], : shape[1]] * pixel
     a, b = (x + y) / np.sqrt(2) / PITCH, (x - y) / np.sqrt(2) / PITCH
     away = np.hypot(a - np.floor(a) - 0.5, b - np.floor(b) - 0.5) * PITCH
@@ -74,7 +75,8 @@ def test_fine_and_coarse_pixels_give_the_same_holes(pixel):
 
 
 def test_an_edge_is_worth_as_much_where_the_rim_has_no_contrast():
-    """On paper that is saturated the rim may rise by nothing at all, which ended the search with a fault."""
+    """On paper that is saturated the rim may rise by nothing at all, which ended the search with a
+    fault."""
     rises = np.array([[0.0, 0.0, 2.0, 0.0, 0.0]])
     for step in (0.0, 1.0):
         assert edge_worth(rises, step).tolist() == [[0.0, 1.0, 1.0, 1.0, 0.0]]

@@ -1,4 +1,5 @@
-"""Files of marks that are wrong: every one ends in a sentence that says what was found and what to do."""
+"""Files of marks that are wrong: every one ends in a sentence that says what was found and what to
+do."""
 
 import json
 

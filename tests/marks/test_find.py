@@ -52,7 +52,8 @@ def test_a_sheet_without_holes_gives_an_empty_dataset(length_um):
 
 @pytest.mark.parametrize("length_um", [80, 150])
 def test_mottle_as_strong_as_the_holes_are_deep_hides_none(length_um):
-    """The holes are less than three standard deviations of the sheet deep; nothing of it is as black and as flat."""
+    """The holes are less than three standard deviations of the sheet deep; nothing of it is as
+    black and as flat."""
     for seed in range(2):
         rng = np.random.default_rng(seed)
         sheet = scene(
@@ -86,7 +87,8 @@ def test_the_centre_is_that_of_the_hole_and_not_of_the_char():
     sheet = scene(rng, (300, 400), 2.6, [hole], mottle=0.05)
     found = find_holes(sheet.image, pixel_um=2.6)
     np.testing.assert_allclose(positions(found), [[500.0, 400.0]], atol=1.0)
-    # The rim at half level of hole and char; 3 um of blur and the taper of the wall move it by a few um at most.
+    # The rim at half level of hole and char; 3 um of blur and the taper of the wall move it by a
+    # few um at most.
     assert found.diameter.values == pytest.approx(180, abs=5)
     # Without roughness the stated error is a tenth of a pixel at most.
     assert np.sqrt(found.cov_xx.values) < 0.26
@@ -121,7 +123,8 @@ def test_turn_and_swap_move_the_marks_along():
     def ordered(points):
         return points[np.lexsort((points[:, 0], points[:, 1]))]
 
-    # Where two edges on a ray are alike, rounding decides; one ray in 96 moves a centre by a tenth of a pixel at most.
+    # Where two edges on a ray are alike, rounding decides; one ray in 96 moves a centre by a tenth
+    # of a pixel at most.
     turned = positions(find_holes(image[::-1, ::-1], pixel_um=size))
     flipped = [(columns - 1) * size, (rows - 1) * size] - reference
     swapped = positions(find_holes(image.T, pixel_um=size))

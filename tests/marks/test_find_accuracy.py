@@ -1,4 +1,5 @@
-"""A few sheets of ``python -m benchmarks holes``, which prints all of them: errors, stated errors, look-alikes."""
+"""A few sheets of ``python -m benchmarks holes``, which prints all of them: errors, stated errors,
+look-alikes."""
 
 import numpy as np
 import pytest
@@ -20,9 +21,11 @@ pytestmark = pytest.mark.ci
     ],
 )
 def test_centres_and_what_is_said_of_them_beside_look_alikes(paper, across, bright, allowance_um):
-    """Centre error 0.1 pixel + 1 um rms an axis against the outline cut; the stated one has its roughness.
+    """Centre error 0.1 pixel + 1 um rms an axis against the outline cut; the stated one has its
+    roughness.
 
-    Two sheets of twelve holes beside ten look-alikes each. Ink lies over rims and hides them in part.
+    Two sheets of twelve holes beside ten look-alikes each. Ink lies over rims and hides them in
+    part.
     """
     score = Score()
     for seed in (1, 4):
@@ -45,7 +48,8 @@ def test_the_middle_of_a_sheet_has_its_own_centres():
 
 @pytest.mark.parametrize("name", ["ring", "one-sided", "patch", "soot", "flap"])
 def test_a_scorched_rim_misleads_no_centre_unsaid(name):
-    """No centre is off by more than three times its stated error, whichever edge was taken; nothing is false."""
+    """No centre is off by more than three times its stated error, whichever edge was taken; nothing
+    is false."""
     error, stated, false = beyond(make_scorched(0, name))
     assert false == 0
     assert len(error) >= 10

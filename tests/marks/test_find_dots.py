@@ -26,7 +26,8 @@ def dots(image, name):
 
 
 def lattice(points):
-    """Integer places (n, 2) of points of a lattice, walked from the middle; and which points were reached."""
+    """Integer places (n, 2) of points of a lattice, walked from the middle; and which points were
+    reached."""
     tree = KDTree(points)
     start = int(tree.query(points.mean(axis=0))[1])
     near = points[tree.query(points[start], k=5)[1][1:]] - points[start]
@@ -53,7 +54,8 @@ def lattice(points):
 
 
 def projective_residuals(places, points):
-    """Distances (n,) of points from the projective image of their places that fits best (linear, normalised)."""
+    """Distances (n,) of points from the projective image of their places that fits best (linear,
+    normalised)."""
     shift, scale = points.mean(axis=0), points.std()
     far = np.abs(places).max()
     (a, b), (x, y) = (places / far).T, ((points - shift) / scale).T
@@ -71,14 +73,17 @@ def projective_residuals(places, points):
 
 @pytest.mark.parametrize(("name", "count"), [("02", 1324), ("05", 4414)])
 def test_every_dot_is_found(photograph, name, count):
-    """``count`` is that of connected regions darker than 0.72 of the bright background around, between half and twice
-    the median area, that do not touch the border.
+    """``count`` is that of connected regions darker than 0.72 of the bright background around,
+    between half and twice the median area, that do not touch the border.
     """
     assert len(dots(photograph(name), name)) == pytest.approx(count, rel=0.01)
 
 
 def test_the_published_distortion_straightens_the_lattice(photograph, shared_data):
-    """Radius in the picture = radius without distortion times a polynomial in the latter (Vo et al. 2015)."""
+    """Radius in the picture = radius without distortion times a polynomial in the latter (Vo et al.
+
+    2015).
+    """
     points = dots(photograph("05"), "05")
     places, index = lattice(points)
     assert len(set(map(tuple, places))) == len(places)
@@ -101,7 +106,8 @@ def test_the_published_distortion_straightens_the_lattice(photograph, shared_dat
 
 
 def lit(image, light):
-    """The photograph in uneven light, in whole grey values: four times as bright at one end, corners, a quarter."""
+    """The photograph in uneven light, in whole grey values: four times as bright at one end,
+    corners, a quarter."""
     y, x = np.linspace(0, 1, image.shape[0])[:, None], np.linspace(0, 1, image.shape[1])[None]
     light = {
         "across": (1 + 3 * x) / 4 + 0 * y,
@@ -114,7 +120,8 @@ def lit(image, light):
 @pytest.mark.parametrize("light", ["across", "vignette", "bright quarter"])
 @pytest.mark.parametrize("name", ["02", "05"])
 def test_uneven_light_hides_no_dots(photograph, name, light):
-    """97 % of what the plain photograph shows, and nothing else but at the border of image or quarter."""
+    """97 % of what the plain photograph shows, and nothing else but at the border of image or
+    quarter."""
     image = photograph(name)
     before, after = dots(image, name), dots(lit(image, light), name)
     away, partner = KDTree(before).query(after)

@@ -1,4 +1,5 @@
-"""Thousands of holes: none is lost where the light is poor, and overlaps are judged as pair by pair."""
+"""Thousands of holes: none is lost where the light is poor, and overlaps are judged as pair by
+pair."""
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from planish.marks._edge_kernels import half_level_edges
 
 @pytest.mark.ci
 def test_dim_regions_keep_their_holes(monkeypatch):
-    """On the left half the sheet has a fifth of the light; with a limit for the whole image that would have no hole."""
+    """On the left half the sheet has a fifth of the light; with a limit for the whole image that
+    would have no hole."""
     monkeypatch.setattr(candidates, "ENOUGH_CANDIDATES", 150)
     rng, across, pitch = np.random.default_rng(0), 18, 300.0
     side = int(across * pitch / 10)
@@ -94,7 +96,8 @@ def test_overlaps_are_judged_as_pair_by_pair(count):
 
 
 def test_an_outline_that_bends_through_its_centre_has_no_edge_there():
-    """Torn holes of a stack in the wrong order: the ellipse of a floor had a half axis below zero."""
+    """Torn holes of a stack in the wrong order: the ellipse of a floor had a half axis below
+    zero."""
     image = np.ones((60, 60), np.float32)
     y, x = np.indices(image.shape)
     image[np.hypot(x - 30, y - 30) < 12] = 0.0

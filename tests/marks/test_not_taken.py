@@ -1,4 +1,5 @@
-"""What was seen and is no hole is counted by reason; texture and contrast are those of the neighbourhood."""
+"""What was seen and is no hole is counted by reason; texture and contrast are those of the
+neighbourhood."""
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from planish.marks import REASONS, candidates, find_holes, holes_from_json, hole
 
 
 def row_of_holes(change=None, **more):
-    """Six holes of 180 um in a row, pixels of 2.6 um; ``change(k, hole)`` alters one, ``more`` goes to the scene."""
+    """Six holes of 180 um in a row, pixels of 2.6 um; ``change(k, hole)`` alters one, ``more`` goes
+    to the scene."""
     rng = np.random.default_rng(3)
     holes = [make_hole(rng, 300.0 + 450 * k, 350.0) for k in range(6)]
     for k, hole in enumerate(holes):

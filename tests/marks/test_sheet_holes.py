@@ -31,7 +31,8 @@ APART = 0.52
 
 
 def layer_map(name, leans, *, diameter=170.0, taper=0.15, depth=None, centres=CENTRES):
-    """Share of material in a layer; a hole moves by its lean, and loses ``taper`` of its diameter, from face to face.
+    """Share of material in a layer; a hole moves by its lean, and loses ``taper`` of its diameter,
+    from face to face.
 
     ``depth``: how deep each hole was burnt, from the top face, in shares of the thickness.
     """
@@ -149,7 +150,8 @@ def test_holes_that_are_not_round_or_not_known_on_the_other_side_are_unclear():
 
 
 def test_noise_of_a_sheet_that_is_hardly_brighter_than_its_holes_hides_none():
-    """As in resin: its noise is a third of the contrast, and alone makes the floors of the holes uneven."""
+    """As in resin: its noise is a third of the contrast, and alone makes the floors of the holes
+    uneven."""
     rng = np.random.default_rng(5)
     maps = [
         np.clip(0.25 + 0.6 * m + rng.normal(0, 0.2, m.shape), 0, 1) for m in layer_maps([0.0, 0.0])

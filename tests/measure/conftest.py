@@ -79,8 +79,9 @@ def made():
     ):
         """Make a sheet; ``grey(s, u, v)`` replaces the staircase, ``extra`` is added to it.
 
-        ``slope``: of the centre surface along y and x. ``u, v``: coordinates in the tangent plane, from the middle of
-        the volume, along x and y where the sheet is level; with a slope along one axis only they are exact.
+        ``slope``: of the centre surface along y and x. ``u, v``: coordinates in the tangent plane,
+        from the middle of the volume, along x and y where the sheet is level; with a slope along
+        one axis only they are exact.
         """
         steep = float(np.hypot(*slope))
         long = float(np.hypot(1.0, steep))
@@ -130,7 +131,8 @@ def made():
 
 @pytest.fixture(scope="session")
 def rough():
-    """A small noisy sheet with a wavy, rough surface, missing columns and a hole: what tiles must not change."""
+    """A small noisy sheet with a wavy, rough surface, missing columns and a hole: what tiles must
+    not change."""
     rng = np.random.default_rng(4)
     voxel, shape = 3.0, (60, 52, 40)
     z, y, x = (np.arange(n) * voxel for n in shape)

@@ -70,7 +70,8 @@ def test_one_missing_column_costs_no_more_than_its_own_normals():
     surfaces["bottom"][20:22, 40:42] = np.nan
     found = measure_properties(surfaces).isel(y=slice(1, -1), x=slice(8, -8))
     lost = found["status"].values == 4
-    # the normals lean by 11 um, five columns and a half: beside each other two of them meet the missing node
+    # the normals lean by 11 um, five columns and a half: beside each other two of them meet the
+    # missing node
     assert 1 <= np.count_nonzero(lost[:, :25]) <= 4
     assert np.count_nonzero(lost[:, 25:]) >= 4
     np.testing.assert_allclose(found["thickness"].values[~lost], 78.0, atol=1e-3)

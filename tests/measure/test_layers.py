@@ -40,7 +40,8 @@ def test_coating_on_the_ray_of_a_slab(made, slope):
     thick = {"coating_top_sum": 16.0, "coating_top_envelope": 16.0, "coating_bottom_sum": 12.0}
     found = made(slope=(0.0, slope), size_um=SLAB).measured(*thick)
     for name, value in thick.items():
-        # the inner crossing is half way; steps of 1 um along the ray and 2 um voxels bend it by some hundredths
+        # the inner crossing is half way; steps of 1 um along the ray and 2 um voxels bend it by
+        # some hundredths
         assert mean(found, name) == pytest.approx(value, abs=0.1)
 
 
@@ -106,7 +107,8 @@ def test_weights_need_a_number_and_absorption(made):
 
 
 def test_grammage_and_density_of_a_slab_coated_on_both_sides(made):
-    """Base 50 um at 0.8 g/cm3 and 28 um of coating at 1.6 are 40 + 44.8 g/m2; 84.8 / 78 um is 1.087 g/cm3."""
+    """Base 50 um at 0.8 g/cm3 and 28 um of coating at 1.6 are 40 + 44.8 g/m2; 84.8 / 78 um is 1.087
+    g/cm3."""
     sheet = made(size_um=SLAB)
     found = sheet.measured("grammage", "apparent_density", coating_g_cm3=1.6, base_g_cm3=0.8)
     assert mean(found, "grammage") == pytest.approx(84.8, rel=2e-3)

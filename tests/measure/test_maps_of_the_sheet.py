@@ -36,7 +36,8 @@ def test_an_envelope_equals_its_slow_twin_bridges_a_pit_and_enters_a_wide_one():
     height = np.zeros((3, 400))
     height[:, 190:210] = -15.0
     found = rolled(height, (1.0, 1.0), 250.0)
-    # the slot's edges are the nodes beside it, 21 um apart, and the ball's middle stands on a node, 10 um from one
+    # the slot's edges are the nodes beside it, 21 um apart, and the ball's middle stands on a node,
+    # 10 um from one
     assert found[1].min() == pytest.approx(-(10.0**2) / 500, abs=1e-9)
     height[:, 20:380] = -15.0
     assert rolled(height, (1.0, 1.0), 250.0)[1, 200] == pytest.approx(-15.0)
@@ -99,7 +100,8 @@ def bent(made, height):
 def test_curvatures(made, height, mean, gauss):
     found = bent(made, height).measured("mean_curvature", "gaussian_curvature", "warp", "tilt")
     middle = (20, 25)
-    # second differences over 2 um: 1e-5 relative for these radii; the saddle's middle lies half a pitch off
+    # second differences over 2 um: 1e-5 relative for these radii; the saddle's middle lies half a
+    # pitch off
     if mean is not None:
         assert float(found["mean_curvature"][middle]) == pytest.approx(mean, abs=2e-3)
     assert float(found["gaussian_curvature"][middle]) == pytest.approx(gauss, abs=4e-3)

@@ -36,7 +36,8 @@ def test_stripes_on_a_tilted_sheet(made, degrees, slope):
 
 
 def test_a_mirrored_view_turns_the_angle(made):
-    """Through z with the top at the low end the array shows the sheet as a mirror does: u runs backwards."""
+    """Through z with the top at the low end the array shows the sheet as a mirror does: u runs
+    backwards."""
     sheet = made(extra=stripes(30.0), top=0.0, bottom=0.0, size_um=(80.0, 80.0))
     swapped = {
         "top": "bottom",
@@ -71,7 +72,8 @@ def test_noise_has_no_direction_and_voids_do_not_count(made):
     assert float(found["fibre_anisotropy"].median()) < 0.1
 
     def hollow(s, u, v):
-        # A void through the middle layer, in which strong stripes run along v; beside it faint ones along u.
+        # A void through the middle layer, in which strong stripes run along v; beside it faint ones
+        # along u.
         return np.where(
             np.abs(s) < 15, -50.0 + 0.9 * stripes(90.0)(s, u, v), 0.4 * stripes(0.0)(s, u, v)
         )

@@ -21,7 +21,8 @@ def sharp(inside, *, grey=90.0, other=40.0):
 
 @pytest.mark.parametrize("slope", [0.0, 0.4])
 def test_porosity_of_a_flat_void(made, slope):
-    """A void of 10 um in the core of 40 um, 5 um left out at both ends: a quarter; of grey, the same."""
+    """A void of 10 um in the core of 40 um, 5 um left out at both ends: a quarter; of grey, the
+    same."""
     sheet = made(
         sharp(lambda s, _u, _v: np.abs(s - 3.0) < 5.0),
         top=0.0,
@@ -48,7 +49,8 @@ def test_unresolved_voids_are_seen_by_the_mean_grey_only(made):
 
 
 def test_profile_of_a_ramp(made):
-    """Grey that falls from the solid at the bottom to the air at the top: the porosity is the relative depth."""
+    """Grey that falls from the solid at the bottom to the air at the top: the porosity is the
+    relative depth."""
     sheet = made(
         lambda s, _u, _v: np.where(np.abs(s) < 60, 40 + 100 * (25 - s) / 50, 40.0),
         top=0.0,

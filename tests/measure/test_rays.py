@@ -72,7 +72,8 @@ def test_normals_and_greys_of_a_tilted_plane(made):
     )
     assert rays.step_um == 1.0
     np.testing.assert_allclose(rays.stretch[15, 60], [1.0, np.hypot(1, 0.5)])
-    # grey along the ray is the blurred staircase itself; linear interpolation rounds its steps by up to v^2 g'' / 8
+    # grey along the ray is the blurred staircase itself; linear interpolation rounds its steps by
+    # up to v^2 g'' / 8
     half = rays.grey[15, 60, np.argmin(np.abs(rays.s_um - sheet.faces["top"]))]
     assert half == pytest.approx(0.5 * (40 + 200), abs=4)
 

@@ -54,7 +54,8 @@ def rough_sheet(voxel, noise, seed):
 
 @pytest.mark.ci
 def test_z_scores_of_another_makers_sheets():
-    """Pooled over sheets with partial volume: rms 0.85 to 1.2, and two standard errors hold 93 %."""
+    """Pooled over sheets with partial volume: rms 0.85 to 1.2, and two standard errors hold 93
+    %."""
     scores = {name: [] for name in NAMES}
     for voxel, noise, seed in ((3.0, 0.04, 0), (2.5, 0.09, 1)):
         grey, true = rough_sheet(voxel, noise, seed)
@@ -86,7 +87,8 @@ def test_the_mean_counts_what_neighbours_share():
 
 
 def test_standard_error_of_a_pixel_beside_drawn_fields():
-    """A Gaussian autocorrelation of the stated integral: the scatter of means over squares of 1 to 12 columns."""
+    """A Gaussian autocorrelation of the stated integral: the scatter of means over squares of 1 to
+    12 columns."""
     rng = np.random.default_rng(0)
     sigma = 1.5  # of the autocorrelation, in columns
     drawn = ndimage.gaussian_filter(
@@ -131,7 +133,8 @@ def test_averaging_and_shared_noise_leave_fewer_independent_values():
     shared = shared_noise(8.0, noise_um=3 * white.noise_um)
     assert shared.noise_um == pytest.approx(3 * white.noise_um)
     assert shared.patch_um2 == pytest.approx((14 + 8) * 9.0)
-    # Without noise, what little scatters in the air is no measure of anything: it made 2.5 mm of a coating's error.
+    # Without noise, what little scatters in the air is no measure of anything: it made 2.5 mm of a
+    # coating's error.
     clean = shared_noise(4e-5, 4e-5, noise_um=0.05)
     assert (clean.patch_um2, clean.common_um) == (
         pytest.approx(14 * 9.0),

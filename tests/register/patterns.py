@@ -1,4 +1,5 @@
-"""Hole patterns, what a side shows of them, marks with covariances; and the slow twin of the search."""
+"""Hole patterns, what a side shows of them, marks with covariances; and the slow twin of the
+search."""
 
 from itertools import combinations
 
@@ -65,7 +66,8 @@ def seen(points, rng, lost, false, error=2.0):
 
 
 def exhaustive(a, b, tolerance, scale_tolerance):
-    """Every pair on every pair, refitted twice: pairs of the arrangement at which most marks agree, best fit first."""
+    """Every pair on every pair, refitted twice: pairs of the arrangement at which most marks agree,
+    best fit first."""
     za, zb = a @ (1, 1j), b @ (1, 1j)
     best, answer = (0, -np.inf), None
     for i, j in combinations(range(len(za)), 2):

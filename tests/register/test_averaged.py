@@ -1,4 +1,5 @@
-"""The averaged map: against the dense formulas, what it leaves to exact marks, and what it says of other models."""
+"""The averaged map: against the dense formulas, what it leaves to exact marks, and what it says of
+other models."""
 
 import re
 
@@ -19,7 +20,8 @@ def wavy(points, size=40.0):
 
 
 def dense(field, pairs, mirrored, where):
-    """Mean, mean square around it, and variance of a mark: each assumption by the formulas of the books, one by one."""
+    """Mean, mean square around it, and variance of a mark: each assumption by the formulas of the
+    books, one by one."""
 
     def both(values):
         return np.kron(values, np.eye(2))
@@ -106,7 +108,8 @@ def test_marks_left_out_are_missed_as_by_the_others_with_the_same_probabilities(
         moving=points, fixed=wavy(points), information=np.ones(8)[:, None, None] * np.eye(2)
     )
     field = DeviationField(pairs, False)
-    # Lengths are those of all marks: the twin takes one assumption and leaves out by solving the dense equations.
+    # Lengths are those of all marks: the twin takes one assumption and leaves out by solving the
+    # dense equations.
     mixture = np.zeros_like(field.mixture)
     mixture[2, 1, 3] = 1.0
     missed, _ = DeviationField(pairs, False, mixture).left_out()
@@ -156,7 +159,8 @@ def test_marks_on_a_line_are_enough_and_derivatives_are_those_of_the_map():
 
 
 def test_a_forced_model_states_what_it_leaves():
-    """A warp of 40 um under an affine: its own residuals hardly show it with nine marks, the field does."""
+    """A warp of 40 um under an affine: its own residuals hardly show it with nine marks, the field
+    does."""
     points, where = marks(16), marks(400, 5) * 0.8 + 300
     seen = wavy(points, 120.0) + np.random.default_rng(2).normal(0, 2, (16, 2))
     fit = fit_transform(points, seen, model="affine")

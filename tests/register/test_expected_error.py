@@ -1,4 +1,5 @@
-"""What a fit says of its error against its true error: a short form of ``python -m benchmarks registration``."""
+"""What a fit says of its error against its true error: a short form of ``python -m benchmarks
+registration``."""
 
 import numpy as np
 import pytest
@@ -22,7 +23,8 @@ def test_stated_and_true_error_agree():
 @pytest.mark.ci
 @pytest.mark.parametrize("way", ["weights", "covariances"])
 def test_precise_marks_count_more_and_are_believed(way):
-    """12 marks of a similarity, errors as their covariances say: true over stated error, pooled over 25 sets."""
+    """12 marks of a similarity, errors as their covariances say: true over stated error, pooled
+    over 25 sets."""
     rng, true, stated = np.random.default_rng(3), [], []
     for _ in range(25):
         marks = spread_marks(12, rng)

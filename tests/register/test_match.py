@@ -32,7 +32,8 @@ def test_whole_patterns_are_matched(count):
 @pytest.mark.parametrize("both", [False, True])
 @pytest.mark.parametrize("kind", ["irregular", "coded"])
 def test_missing_and_false_marks_are_right_or_refused(kind, both):
-    """30 % missing and 30 % false, on one side or both: right or refused, and hardly ever refused from 12 holes on."""
+    """30 % missing and 30 % false, on one side or both: right or refused, and hardly ever refused
+    from 12 holes on."""
     rng = np.random.default_rng(10)
     reasons = []
     for _ in range(15):
@@ -56,7 +57,8 @@ def test_missing_and_false_marks_are_right_or_refused(kind, both):
             < 30
         )
     assert all("symmetric" in reason or "no match" in reason for reason in reasons)
-    # Holes on lines meet holes on lines more often than scattered ones: more of the coded patterns may be symmetric.
+    # Holes on lines meet holes on lines more often than scattered ones: more of the coded patterns
+    # may be symmetric.
     assert len(reasons) <= (5 if kind == "coded" and both else 2)
 
 
@@ -72,7 +74,8 @@ def test_the_search_finds_what_an_exhaustive_one_finds():
             continue
         compared += 1
         slow = exhaustive(a, b, 25.0, 0.03)
-        # A pair much further apart than the others is not taken, although it is within the tolerance.
+        # A pair much further apart than the others is not taken, although it is within the
+        # tolerance.
         assert {(int(i), int(j)) for i, j in found.pairs} <= slow
         assert len(slow) - len(found.pairs) <= 1
     assert compared >= 8
@@ -159,7 +162,8 @@ WITH_LOSS = {
 @pytest.mark.parametrize("false", [0.0, 0.3])
 @pytest.mark.parametrize("name", WITH_LOSS)
 def test_symmetric_patterns_that_lost_marks_are_refused(name, false, both):
-    """30 % are missing on one side or on both, so that no side looks symmetric; together they do."""
+    """30 % are missing on one side or on both, so that no side looks symmetric; together they
+    do."""
     rng = np.random.default_rng(14)
     for _ in range(6):
         points = WITH_LOSS[name](rng)
@@ -204,7 +208,8 @@ def test_a_mirror_image_needs_a_word_and_three_marks_a_triangle_without_double()
 
 @pytest.mark.ci
 def test_a_wrong_handed_image_is_not_matched_by_chance():
-    """Among many patterns some fit their own mirror image at most of their marks; the true hand gives them away."""
+    """Among many patterns some fit their own mirror image at most of their marks; the true hand
+    gives them away."""
     rng = np.random.default_rng(6)
     for _ in range(200):
         points = scattered(int(rng.integers(5, 9)), rng)

@@ -46,7 +46,8 @@ def test_without_common_marks_or_with_a_marker_gap_the_design_gives_the_transfor
     assert len(found.pairs) == 0
     assert "through the design" in found.sentence
     assert np.linalg.norm(found.transform(holes) - truth(holes), axis=1).max() < 30
-    # Two holes of a two-fold pattern are left out: whether they are missing or never were, only the design tells.
+    # Two holes of a two-fold pattern are left out: whether they are missing or never were, only the
+    # design tells.
     rng = np.random.default_rng(4)
     half = scattered(8, rng) * (1.0, 0.6) + 300
     design = np.concatenate([half, -half[2:]])

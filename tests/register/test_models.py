@@ -1,4 +1,5 @@
-"""Every model on transformations that are known, against fits without each mark, and written and read back."""
+"""Every model on transformations that are known, against fits without each mark, and written and
+read back."""
 
 import json
 
@@ -88,7 +89,8 @@ def test_leave_one_out_equals_the_fit_without_each_mark(model, weights):
 
 @pytest.mark.parametrize("model", PARAMETRIC)
 def test_the_fit_is_a_minimum(model):
-    """Any small change of the parameters makes the weighted sum of squares larger: the design is its derivative."""
+    """Any small change of the parameters makes the weighted sum of squares larger: the design is
+    its derivative."""
     rng = np.random.default_rng(4)
     points = marks(8)
     info = np.linalg.inv(given("covariances", 8))
@@ -131,7 +133,8 @@ def test_json_gives_the_fit_back_to_the_byte(model, robust):
 
 
 def test_json_keeps_missing_numbers_and_a_point_behind_the_camera_has_no_image():
-    """Two marks say nothing of their error (NaN); a spline without bending has an infinite smoothing."""
+    """Two marks say nothing of their error (NaN); a spline without bending has an infinite
+    smoothing."""
     points = marks(7)
     for model, n in (("similarity", 2), ("tps", 7)):
         fit = fit_transform(points[:n], TURN(points[:n]), model=model, robust=False)
@@ -148,8 +151,8 @@ def test_json_keeps_missing_numbers_and_a_point_behind_the_camera_has_no_image()
 
 
 def test_expected_errors_are_those_of_the_closed_form_whatever_the_weights_factor():
-    """FLE**2 / n (1 + d**2 / f**2), where the marks show no deviation; more for the deviations that they cannot rule
-    out: up to twice at the border for 60 marks, less in the middle.
+    """FLE**2 / n (1 + d**2 / f**2), where the marks show no deviation; more for the deviations that
+    they cannot rule out: up to twice at the border for 60 marks, less in the middle.
     """
     points, where = marks(60), marks(30, 9, 2000.0) + 500.0
     away = np.sum((where - points.mean(axis=0)) ** 2, axis=1)
@@ -202,7 +205,8 @@ def test_residuals_have_the_expected_size():
 
 @pytest.mark.parametrize("model", ALL)
 def test_refitted_keeps_the_pairs_and_weights(model):
-    """The places of the fit itself give its transformation; turned places give it after the turn back."""
+    """The places of the fit itself give its transformation; turned places give it after the turn
+    back."""
     points = marks(10)
     seen = Similarity(scale=1.01, rotation_rad=0.4)(points) + np.random.default_rng(1).normal(
         0, 3, (10, 2)

@@ -22,7 +22,8 @@ def places():
 
 
 def maps(displacement, seed, r=0.9):
-    """A linked map that shows at q what the image shows at q + displacement, the dark image, and a mask."""
+    """A linked map that shows at q what the image shows at q + displacement, the dark image, and a
+    mask."""
     rng = np.random.default_rng(seed)
     big = texture((SHAPE[0] + 2 * PAD, SHAPE[1] + 2 * PAD), 1.5, rng)
     at = (places() + displacement) / PIXEL + PAD
@@ -88,7 +89,8 @@ def test_a_bend_is_found_by_the_spline_and_every_run_is_the_same():
     assert 0.9 < found.area[0] < 1 < found.area[1] < 1.1
     again = refine(linked, image, valid, **settings)
     assert again.transform.coefficients_um.tobytes() == found.transform.coefficients_um.tobytes()
-    # What the refined registration makes of the image correlates better than what the marks make of it.
+    # What the refined registration makes of the image correlates better than what the marks make of
+    # it.
     seen = found.image_at(image, (PIXEL, PIXEL))
     both = np.isfinite(seen) & valid
     assert abs(np.corrcoef(linked[both], seen[both])[0, 1]) > abs(

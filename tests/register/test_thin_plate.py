@@ -23,7 +23,8 @@ def pairs_of(moving, fixed, weights=None):
 
 @pytest.mark.parametrize("smoothing", [0.0, 3e3, 1e7])
 def test_it_is_the_spline_of_scipy(smoothing):
-    """An independent solver of the same equations; 1e-6 um of 3000, what its unscaled coordinates allow."""
+    """An independent solver of the same equations; 1e-6 um of 3000, what its unscaled coordinates
+    allow."""
     rng = np.random.default_rng(1)
     moving = marks(20)
     fixed, weights = bent(moving) + rng.normal(0, 2, (20, 2)), rng.uniform(0.5, 2, 20)
@@ -93,7 +94,8 @@ def test_derivatives_are_differences_and_the_inverse_is_nan_where_there_is_none(
 def test_a_fold_is_refused_with_its_place_and_a_strain_of_one_per_cent_reported():
     moving = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 500
     fixed = moving.copy()
-    # Two neighbours have changed places, exactly enough in number that no spline of the others passes them by.
+    # Two neighbours have changed places, exactly enough in number that no spline of the others
+    # passes them by.
     fixed[moving[:, 0] == 1000.0] += [700.0, 0.0]
     fixed[moving[:, 0] == 1500.0] -= [700.0, 0.0]
     refused(

@@ -8,7 +8,8 @@ VOID = {"meta", "link", "img", "br", "input"}
 
 
 class Page(HTMLParser):
-    """What a test asks of a page: sections, headings, figures, text, addresses; and that its tags are balanced."""
+    """What a test asks of a page: sections, headings, figures, text, addresses; and that its tags
+    are balanced."""
 
     def __init__(self, html):
         super().__init__()

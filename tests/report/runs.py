@@ -39,7 +39,8 @@ def marks_of(fixed, residual, labels):
 
 
 def a_run(*, linked=True, coated=True, top="high", relation=40.0, **correlation):
-    """Return a small bent sheet, 90 um thick under a 20 um coating, and an image of it that follows the coating.
+    """Return a small bent sheet, 90 um thick under a 20 um coating, and an image of it that follows
+    the coating.
 
     ``correlation`` stands in every correlation of the results.
     """

@@ -1,4 +1,5 @@
-"""The first page: what leads and what does not, and that the whole page can be read on any screen."""
+"""The first page: what leads and what does not, and that the whole page can be read on any
+screen."""
 
 import re
 

@@ -1,4 +1,5 @@
-"""The page of several layers: what it shows of each layer and each pair, and that names stay text."""
+"""The page of several layers: what it shows of each layer and each pair, and that names stay
+text."""
 
 import re
 
@@ -36,13 +37,15 @@ def some_marks(seed):
 
 
 def rows_of(maps, a, b):
-    """Return the rows of two layers as the program makes them, but for those of an image and the thickness."""
+    """Return the rows of two layers as the program makes them, but for those of an image and the
+    thickness."""
     rows = [row.model_dump() for row in correlate_layers(a, b, maps, 60.0)]
     return [row for row in rows if (row["a_map"], row["b_map"]) != ("image", "thickness")]
 
 
 def layers(*, chain=False, blank=False):
-    """Return a sheet before and after calendering and a photograph, on the pixels of the sheet after it."""
+    """Return a sheet before and after calendering and a photograph, on the pixels of the sheet
+    after it."""
     rng = np.random.default_rng(3)
     y, x = 6.0 * np.arange(100), 6.0 * np.arange(140)
     after = 18 + 4 * np.sin(y / 41)[:, None] * np.cos(x / 55)[None, :]
@@ -147,8 +150,8 @@ def test_page_shows_every_layer_and_pair(page):
         f"The expected error is 1.4{MICRO} (rms, median over the worst layer), at most 2.6",
     ):
         assert expected in text
-    # The first page; residuals and expected error of either layer, the lags of one, two maps side by side, and a figure
-    # for each pair.
+    # The first page; residuals and expected error of either layer, the lags of one, two maps side
+    # by side, and a figure for each pair.
     captions = captions_of(page)
     assert read.drawings == len(captions) == 3 + 2 * 2 + 1 + 2 + 3
     assert [int(v) for v in re.findall(r"<b>Figure (\d+)\.", page)] == [
@@ -160,7 +163,8 @@ def test_page_shows_every_layer_and_pair(page):
 
 
 def test_the_page_states_registrations_and_differences_of_the_same_quantity(page):
-    # The weakest correlation in a tile and in the scatter of the first page, a caption for each pair, and the table.
+    # The weakest correlation in a tile and in the scatter of the first page, a caption for each
+    # pair, and the table.
     assert (
         len(re.findall("registration: marks only", Page(page).text(), flags=re.IGNORECASE))
         == 1 + 1 + 3 + 1

@@ -1,4 +1,5 @@
-"""What a reader finds who has only the page of a run: counted in actions, by what is seen on the screen."""
+"""What a reader finds who has only the page of a run: counted in actions, by what is seen on the
+screen."""
 
 import re
 from dataclasses import dataclass
@@ -21,7 +22,8 @@ SEEN = """() => {
     const range = document.createRange();
     range.selectNodeContents(node);
     const box = range.getBoundingClientRect();
-    const inside = box.top >= 0 && box.left >= 0 && box.bottom <= innerHeight && box.right <= innerWidth;
+    const inside = box.top >= 0 && box.left >= 0
+      && box.bottom <= innerHeight && box.right <= innerWidth;
     if (box.width && inside && node.parentElement.checkVisibility()) words.push(node.textContent);
   }
   return words.join(" ").replace(/\\s+/g, " ");

@@ -1,4 +1,5 @@
-"""What the page says of a registration: its check with its light, its lags and its expected error."""
+"""What the page says of a registration: its check with its light, its lags and its expected
+error."""
 
 import re
 from dataclasses import replace
@@ -101,7 +102,8 @@ def test_the_axis_given_for_the_image_comes_first():
 
 
 def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct():
-    # Pixels of 8 um are means of 2 x 2 pixels of 4 um: the middle of the first is 2 um from that of the small one.
+    # Pixels of 8 um are means of 2 x 2 pixels of 4 um: the middle of the first is 2 um from that of
+    # the small one.
     ground = registration.blank_ground(np.array([[0.0, 0.0], [1000.0, 600.0]]), layer="image")
     ground = replace(ground, y=4.0 * np.arange(200.0), x=10 + 4.0 * np.arange(300.0))
     at, lag, silent = registration.lag_places(a_lag(), ground)
@@ -160,7 +162,8 @@ def test_page_states_what_is_known_of_the_registration():
         assert expected in text
     assert re.search(r'<p class="check amber">', html)
     assert "The check passed." in text
-    # Beside each r: the sentence, two numbers and the scatter of the first page, the figure of the relation, tables.
+    # Beside each r: the sentence, two numbers and the scatter of the first page, the figure of the
+    # relation, tables.
     assert len(re.findall("registration: marks only", text, flags=re.IGNORECASE)) == 3 + 1 + 1 + 2
 
 

@@ -1,4 +1,5 @@
-"""The page is parsed: what it shows, what it leaves out, and that nothing in it comes from elsewhere."""
+"""The page is parsed: what it shows, what it leaves out, and that nothing in it comes from
+elsewhere."""
 
 import base64
 import io
@@ -149,7 +150,7 @@ def test_what_others_write_stays_text():
     assert page.text().count(registered) >= 6
 
 
-def test_a_map_alone_leaves_out_what_needs_an_image_and_a_link_without_coating_outlines_the_thickness(
+def test_a_map_alone_and_a_link_without_coating_leave_out_what_they_lack(
     bare_page,
 ):
     page = Page(bare_page)
@@ -200,7 +201,8 @@ def test_a_sheet_with_its_top_at_the_low_end_is_drawn_top_up():
     cut = take_slice(run["groups"]["slices"], run["groups"]["surfaces"], 0)
     assert np.all(np.diff(cut.heights) < 0)
     assert np.all(cut.lines["top"] > cut.lines["bottom"])
-    # Grey values are turned with their heights: the sheet is bright where its surfaces say that it is.
+    # Grey values are turned with their heights: the sheet is bright where its surfaces say that it
+    # is.
     inside = (cut.heights[:, None] > cut.lines["bottom"] + 6) & (
         cut.heights[:, None] < cut.lines["top"] - 6
     )

@@ -1,4 +1,5 @@
-"""The compiled search and sums against loops over triangles, Delaunay's triangulation, and formulas."""
+"""The compiled search and sums against loops over triangles, Delaunay's triangulation, and
+formulas."""
 
 import numpy as np
 import pytest
@@ -88,7 +89,8 @@ def test_folds_of_cells_are_counted():
 
 @pytest.mark.parametrize("pitch", [1.0, 0.7, 1 / 3])
 def test_a_regular_mesh_gives_its_own_values_and_the_border_of_the_mesh_is_on_the_mesh(pitch):
-    """Whole multiples of a pitch that binary numbers do not hold: rounding must not lose a border pixel."""
+    """Whole multiples of a pitch that binary numbers do not hold: rounding must not lose a border
+    pixel."""
     field = np.random.default_rng(0).normal(size=(40, 31))
     places = find_places(grid(40, 31, pitch) + 1e3, Grid.regular((40, 31), pitch, (1e3, 1e3)))
     # Positions of 1e3 um in steps of 0.3 um are known to 1e3 / 0.3 / 2^53 = 4e-13 of a step.

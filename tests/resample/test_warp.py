@@ -62,7 +62,8 @@ def area(polygon):
 
 
 def area_twin(source, known, to_source, shape, pixel, origin):
-    """Mean over the image of each pixel's outline, source pixel by source pixel; and the share that is known."""
+    """Mean over the image of each pixel's outline, source pixel by source pixel; and the share that
+    is known."""
     corners = to_source(
         places_of(
             (shape[0] + 1, shape[1] + 1),
@@ -174,7 +175,8 @@ def test_area_means_without_a_mask_equal_exact_clipping_where_the_map_bends():
     )
     inside = (share > 1 - 1e-9) & np.isfinite(out)
     assert inside.mean() > 0.4
-    # A side that is wrong by 0.01 of a pixel moves 0.03 of 5 square pixels at most, of values up to 250.
+    # A side that is wrong by 0.01 of a pixel moves 0.03 of 5 square pixels at most, of values up to
+    # 250.
     assert np.abs(out - truth)[inside].max() < 4 * TOLERANCE * 2.2 / 4 * 250
 
 
@@ -190,7 +192,7 @@ def test_large_pixels_only_are_averaged():
         np.testing.assert_allclose(out, truth, rtol=1e-9)
 
 
-def test_the_identity_keeps_every_bit_half_a_pixel_has_to_be_known_and_nothing_lies_beyond_the_horizon():
+def test_the_identity_keeps_every_bit_and_nothing_lies_beyond_the_horizon():
     source = noise(70, 65, np.float32)
     np.testing.assert_array_equal(warped(source, 0.37, IDENTITY, (70, 65), 0.37), source)
     source = np.array([[4.0, np.nan, 8.0, np.nan, np.nan, np.nan]])

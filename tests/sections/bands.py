@@ -1,4 +1,5 @@
-"""A made-up series of sections whose every pose is known: a bent sheet with fibres, photographed by a careless hand."""
+"""A made-up series of sections whose every pose is known: a bent sheet with fibres, photographed by
+a careless hand."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -61,7 +62,8 @@ def make_series(
     seed=1,
     dtype="uint8",
 ):
-    """Photograph a sheet of 90 um, resin 60, sheet 160; the steepest rise along the cut is 2 pi rise / wave.
+    """Photograph a sheet of 90 um, resin 60, sheet 160; the steepest rise along the cut is 2 pi
+    rise / wave.
 
     ``errors`` are the white part and the walk in um, ``drift`` the standard deviation of the gain.
     """
@@ -100,7 +102,8 @@ def make_series(
         )
         image = RESIN + inside * (SHEET - RESIN + texture * grain)
         if marks:
-            # One nick of the knife that every section shows in the same place, and scratches that come and go.
+            # One nick of the knife that every section shows in the same place, and scratches that
+            # come and go.
             image[:, 300:302] += 25.0
             image[:, int(rng.integers(cols))] -= 40.0
             image[int(rng.integers(rows))] += 40.0
@@ -120,7 +123,8 @@ def make_series(
 
 
 def split(at_um, values, *, wave_um=50 * PITCH_UM):
-    """Waves longer than ``wave_um``, by fitting cosines over the length, and the rest; along axis 0."""
+    """Waves longer than ``wave_um``, by fitting cosines over the length, and the rest; along axis
+    0."""
     length = at_um[-1] - at_um[0] + PITCH_UM
     order = np.arange(int(2 * length / wave_um) + 1)
     basis = np.cos(np.pi * order * (at_um[:, None] - at_um[0] + 0.5 * PITCH_UM) / length)

@@ -15,7 +15,8 @@ MISSING = (50, 51, 52, 120)
 
 @pytest.fixture(scope="module")
 def series():
-    """Rises by up to 0.5 um per um; errors 1.5 um, turned by 0.02 degrees, 4 % noise, four sections missing."""
+    """Rises by up to 0.5 um per um; errors 1.5 um, turned by 0.02 degrees, 4 % noise, four sections
+    missing."""
     return make_series(missing=MISSING)
 
 
@@ -33,11 +34,13 @@ def test_quick_errors_are_taken_off(series, alignment):
         f" -> {rms(after[:, 1]):.3f} um; said {alignment.jitter_left_um}"
     )
     assert alignment.aligned.all()
-    # What remains is the sheet itself: in 2 mm its faces, rough by 2 um over 30 um, rise and sink together by 0.2 um,
-    # and its fibres wander together along the columns by 0.35 um. It falls with the root of the width.
+    # What remains is the sheet itself: in 2 mm its faces, rough by 2 um over 30 um, rise and sink
+    # together by 0.2 um, and its fibres wander together along the columns by 0.35 um. It falls with
+    # the root of the width.
     assert rms(after[:, 0]) < 0.3
     assert rms(after[:, 1]) < 0.5
-    # Two halves of the columns tell the error within a factor of 4: faces and texture of both halves weigh otherwise.
+    # Two halves of the columns tell the error within a factor of 4: faces and texture of both
+    # halves weigh otherwise.
     assert rms(after[:, 0]) / 4 < alignment.jitter_left_um[0] < 2 * rms(after[:, 0])
     assert rms(after[:, 1]) / 2 < alignment.jitter_left_um[1] < 2 * rms(after[:, 1])
 
@@ -52,7 +55,8 @@ def test_missing_sections_and_a_nick_move_nothing_and_rotations_are_not_made_wor
         np.searchsorted(series.positions_um, 120 * 3.0),
     ):
         beside = split(series.positions_um, error)[1][gap - 3 : gap + 3]
-        # Six sections on both sides; the sheet rises by 6 um over the wider gap. Three standard deviations as above.
+        # Six sections on both sides; the sheet rises by 6 um over the wider gap. Three standard
+        # deviations as above.
         assert np.abs(beside[:, 0]).max() < 0.9
         step = error[gap, 0] - error[gap - 1, 0]
         assert abs(step) < 0.9
@@ -116,7 +120,8 @@ def test_threads_direction_and_type_do_not_matter(series):
 
 @pytest.mark.ci
 def test_drift_of_colour_is_taken_off():
-    # Fibres of 4 % over 30 um in 2.9 mm: their mean goes up and down by 0.3 %, which no anchor can tell from a drift.
+    # Fibres of 4 % over 30 um in 2.9 mm: their mean goes up and down by 0.3 %, which no anchor can
+    # tell from a drift.
     drifting = make_series(sections=60, cols=1200, texture=4.0, drift=0.03)
     found = normalise_sections(SectionSeries(drifting.stack, drifting.positions_um, PIXEL_UM))
     rest = found.gain * drifting.gain
@@ -127,7 +132,8 @@ def test_drift_of_colour_is_taken_off():
     )
     assert found.measured.all()
     assert rest.std() / rest.mean() < 0.005
-    # Noise of 10 over some 50 000 pixels, cut to two standard deviations and rounded, is 0.05; twice that.
+    # Noise of 10 over some 50 000 pixels, cut to two standard deviations and rounded, is 0.05;
+    # twice that.
     assert background.std() < 0.12
     with limit_threads(1):
         one = normalise_sections(SectionSeries(drifting.stack, drifting.positions_um, PIXEL_UM))
@@ -154,7 +160,7 @@ def test_what_is_no_series_is_refused():
         )
 
 
-# --- parts ---------------------------------------------------------------------------------------------------
+# --- parts ----------------------------------------------------------------------------------------
 def test_the_slow_part_is_the_smoother_applied_twice_and_passes_cubics():
     rng = np.random.default_rng(1)
     y, cut = rng.normal(size=40), 10.0

@@ -1,4 +1,5 @@
-"""Fine texture: noise shortens no displacement, and the error that is said is the one that is left."""
+"""Fine texture: noise shortens no displacement, and the error that is said is the one that is
+left."""
 
 import numpy as np
 import pytest
@@ -38,7 +39,8 @@ def test_shared_gradients_equal_their_twin_and_noise_does_not_shorten_a_displace
 
 @pytest.mark.ci
 def test_what_is_said_is_what_is_left():
-    # Without scratches along the rows, an error that all columns share. Said before: 0.4 of the truth for rows.
+    # Without scratches along the rows, an error that all columns share. Said before: 0.4 of the
+    # truth for rows.
     series = make_series(seed=2, marks=False)
     found = align_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
     left = split(series.positions_um, found.shift_um - series.shift_um)[1]

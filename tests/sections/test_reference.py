@@ -1,4 +1,5 @@
-"""Something that lies still shows the drift that neighbours cannot tell from a bend of the sheet."""
+"""Something that lies still shows the drift that neighbours cannot tell from a bend of the
+sheet."""
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from sections.bands import PIXEL_UM, make_series, rms
 
 
 def with_fixture(series, drift, *, seed=0):
-    """The same photographs with a strip above that shows an edge, and one on the left; all drift along."""
+    """The same photographs with a strip above that shows an edge, and one on the left; all drift
+    along."""
     rng = np.random.default_rng(seed)
     n, rows, cols = series.stack.shape
     strip = 40

@@ -93,8 +93,8 @@ def test_shift_turn_and_gain_are_taken_off_in_one_step():
     volume = regular_volume(
         SectionSeries(stack, positions, (2.0, 4.0)), alignment=posed(4, (1.0, 6.0), 0.01)
     )
-    # 1 um is half a row (2 a row), 6 um are 1.5 columns (1 a column); 0.01 rad: 4 um a column is 0.02 rows, 2 um a row
-    # is 0.005 columns less.
+    # 1 um is half a row (2 a row), 6 um are 1.5 columns (1 a column); 0.01 rad: 4 um a column is
+    # 0.02 rows, 2 um a row is 0.005 columns less.
     r, c = np.indices((12, 20))
     expected = ramp(positions) + 1.0 + 1.5 + 2.0 * 0.02 * (c - 9.5) - 0.005 * (r - 5.5)
     np.testing.assert_allclose(volume.values[:, 1:-2, 1:-3], expected[:, 1:-2, 1:-3], rtol=1e-5)
@@ -134,7 +134,8 @@ def test_the_whole_stage_puts_the_sheet_where_it_was():
 
 
 def middle(values):
-    """Height of the sheet in each section, in um: centre of its grey above half way, over all columns."""
+    """Height of the sheet in each section, in um: centre of its grey above half way, over all
+    columns."""
     weight = np.clip(values.astype(float) - 95.0, 0, 30)
     rows = np.arange(values.shape[1])[None, :, None]
     return ((weight * rows).sum(axis=(1, 2)) / weight.sum(axis=(1, 2))) * PIXEL_UM[0]

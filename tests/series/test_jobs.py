@@ -66,7 +66,8 @@ def test_same_bytes_are_the_same_whatever_their_date(tmp_path, specimen):
 
 
 def in_parts_or_two_files(folder, kind):
-    """A volume that is a part of a file, or a header with its values in another file; and the file of the values."""
+    """A volume that is a part of a file, or a header with its values in another file; and the file
+    of the values."""
     values = np.arange(576, dtype=np.uint16).reshape(9, 8, 8)
     if kind == "h5":
         path = write_hdf5(folder, values, CUBE)
@@ -86,7 +87,8 @@ def in_parts_or_two_files(folder, kind):
 
 @pytest.mark.parametrize("kind", ["h5", "zarr", "toml", "mhd", "nhdr"])
 def test_a_volume_whose_values_changed_is_done_again(tmp_path, kind):
-    """The file that changed has as many bytes as before and an older date than the header: a copy that was put back."""
+    """The file that changed has as many bytes as before and an older date than the header: a copy
+    that was put back."""
     path, data = in_parts_or_two_files(tmp_path, kind)
     one, specimen = book(tmp_path), PlannedSpecimen(name="A", files=(path,))
     closed(one, specimen, "refused", "no sheet")

@@ -1,4 +1,5 @@
-"""The folder of a series: a page that needs nothing else, tidy tables, and the same as arrays; the same bytes again."""
+"""The folder of a series: a page that needs nothing else, tidy tables, and the same as arrays; the
+same bytes again."""
 
 import csv
 import re
@@ -24,7 +25,8 @@ FILES = ["report.html", "results.json", "specimens.csv", "values.csv"]
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """Two papers of three sheets, one specimen doubtful, one refused, one with a map; written once."""
+    """Two papers of three sheets, one specimen doubtful, one refused, one with a map; written
+    once."""
     home = tmp_path_factory.mktemp("Blätter und mehr")
     rows = [
         (

@@ -1,4 +1,5 @@
-"""Tables of specimens and studies with [[specimens]]: what they become, and what is wrong with them."""
+"""Tables of specimens and studies with [[specimens]]: what they become, and what is wrong with
+them."""
 
 import numpy as np
 import pytest

@@ -18,9 +18,11 @@ pytestmark = pytest.mark.ci
 
 @pytest.fixture(scope="module")
 def table(made_once, tmp_path_factory):
-    """Three specimens that are whole and one that is cut off, in a folder with a blank and an umlaut in its name.
+    """Three specimens that are whole and one that is cut off, in a folder with a blank and an
+    umlaut in its name.
 
-    The first is that of a shared run; the others lie beside the table. One file is not two specimens: other points.
+    The first is that of a shared run; the others lie beside the table. One file is not two
+    specimens: other points.
     """
     home = tmp_path_factory.mktemp("series") / "Blätter 1"
     home.mkdir()
@@ -102,11 +104,13 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(table, whole, tmp_
 
 
 def interrupted(table, out):
-    """Interrupt the series while its last specimen is linked; where that was done first, try again."""
+    """Interrupt the series while its last specimen is linked; where that was done first, try
+    again."""
     for _ in range(4):
         for name in ("b ö", "c ö"):
             shutil.rmtree(out / "runs" / name, ignore_errors=True)
-        # A shell has jobs in the background ignore the signal, and their children would inherit that.
+        # A shell has jobs in the background ignore the signal, and their children would inherit
+        # that.
         listens = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
         process = subprocess.Popen(
             command(table, out), stderr=subprocess.PIPE, text=True, preexec_fn=listens

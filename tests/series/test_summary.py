@@ -1,4 +1,5 @@
-"""What a series says: over sheets, equal to textbook formulas; nothing takes part in a mean in silence."""
+"""What a series says: over sheets, equal to textbook formulas; nothing takes part in a mean in
+silence."""
 
 import itertools
 import math

@@ -30,7 +30,8 @@ def slab(
     noise=4.0,
     seed=0,
 ):
-    """A sheet of constant normal layers along a smooth mid-surface, blurred exactly along its normal."""
+    """A sheet of constant normal layers along a smooth mid-surface, blurred exactly along its
+    normal."""
     z, y, x = np.meshgrid(*(np.arange(n) * VOXEL for n in shape), indexing="ij")
     middle = height + slope * (x - x.mean()) + wave * np.sin(2 * np.pi * y / 400.0)
     steep = np.hypot(slope, wave * 2 * np.pi / 400.0 * np.cos(2 * np.pi * y / 400.0))
@@ -49,12 +50,14 @@ def slab(
 
 @dataclass(frozen=True)
 class Sheet:
-    """A flat sheet at any tilt, layers of one grey each, blurred by a Gaussian; every surface is a plane.
+    """A flat sheet at any tilt, layers of one grey each, blurred by a Gaussian; every surface is a
+    plane.
 
-    ``tilt`` in degrees about the lateral rows' and columns' axis; ``coats`` are the coatings at the high and at the low
-    end of the axis through the sheet; ``noise`` is a share of the contrast of the brightest layer with the air.
-    ``fringe`` is the size of the phase-contrast fringe at every edge, as a share of its step: the second derivative of
-    the edge blurred by ``fringe_px`` voxels, times their square.
+    ``tilt`` in degrees about the lateral rows' and columns' axis; ``coats`` are the coatings at the
+    high and at the low end of the axis through the sheet; ``noise`` is a share of the contrast of
+    the brightest layer with the air. ``fringe`` is the size of the phase-contrast fringe at every
+    edge, as a share of its step: the second derivative of the edge blurred by ``fringe_px`` voxels,
+    times their square.
     """
 
     voxel: float = 1.4
@@ -84,7 +87,8 @@ class Sheet:
         return 1.0 / np.sqrt(1.0 + sum(s * s for s in self.slopes))
 
     def middle(self):
-        """Height of the sheet's middle above every column, in um, and the number of voxels in depth."""
+        """Height of the sheet's middle above every column, in um, and the number of voxels in
+        depth."""
         r, c = (np.arange(n) * self.voxel for n in self.lateral)
         rise = self.slopes[0] * (r - r.mean())[:, None] + self.slopes[1] * (c - c.mean())[None]
         reach = rise.max() + (0.5 * self.thickness) / self.cosine + self.margin

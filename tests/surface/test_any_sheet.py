@@ -1,4 +1,5 @@
-"""The same call without any option on sheets of all kinds; the benchmark ``surfaces`` has the whole table."""
+"""The same call without any option on sheets of all kinds; the benchmark ``surfaces`` has the whole
+table."""
 
 from dataclasses import replace
 
@@ -65,7 +66,8 @@ def test_faces_layers_and_coated_sides_without_an_option(name):
 
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
 def test_a_volume_without_noise_is_measured_no_worse_than_a_noisy_one(dtype):
-    """The paper's texture is all that is left then; it says nothing about the blur and the greys of the layers."""
+    """The paper's texture is all that is left then; it says nothing about the blur and the greys of
+    the layers."""
     sheet = replace(PLAIN, texture=0.2, noise=0.0, dtype=dtype)
     truth = sheet.surfaces()
     found = find_surfaces(sheet.volume())
@@ -85,7 +87,8 @@ def test_a_cost_that_most_columns_exceed_is_no_bound():
 @pytest.mark.ci
 @pytest.mark.parametrize("coats", [(3.0, 3.0), (4.0, 15.0)])
 def test_a_coating_that_is_nowhere_thicker_than_the_blur(coats):
-    """Grey and thickness of such a layer look alike in one profile; many profiles tell them apart."""
+    """Grey and thickness of such a layer look alike in one profile; many profiles tell them
+    apart."""
     sheet = replace(PLAIN, coats=coats, lateral=(70, 70))
     found = find_surfaces(sheet.volume())
     thickness = (found["top"] - found["interface_top"]).values

@@ -1,4 +1,5 @@
-"""Faces of a bare base of walls and pores: laid ribbons of another maker against the definition of its face."""
+"""Faces of a bare base of walls and pores: laid ribbons of another maker against the definition of
+its face."""
 
 import numpy as np
 import pytest

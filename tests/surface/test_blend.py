@@ -1,4 +1,5 @@
-"""Columns that are averaged with their neighbours follow the sheet: a slope does not widen its edges."""
+"""Columns that are averaged with their neighbours follow the sheet: a slope does not widen its
+edges."""
 
 import numpy as np
 import pytest

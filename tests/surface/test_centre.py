@@ -58,7 +58,8 @@ def test_transmission(wavelength, gain):
 
 
 def test_a_few_columns_far_from_all_others_spoil_nothing():
-    """Data with too few neighbours must not blank the second pass around them, nor be given a wider cut-off."""
+    """Data with too few neighbours must not blank the second pass around them, nor be given a wider
+    cut-off."""
     rng = np.random.default_rng(1)
     _y, x = np.mgrid[0:60, 0:60] * 4.0
     height = 0.2 * x + 8 * np.sin(x / 25) + rng.normal(0, 1, x.shape)
@@ -73,7 +74,8 @@ def test_a_few_columns_far_from_all_others_spoil_nothing():
 
 
 def bridged(middle, cutoff):
-    """The centre surface in pixels of 4 um; only gaps may be bridged with a wider cut-off, at any share of data."""
+    """The centre surface in pixels of 4 um; only gaps may be bridged with a wider cut-off, at any
+    share of data."""
     params = SurfaceParams(cutoff_um=cutoff)
     centre, used = assemble.centre_surface(middle, np.ones(middle.shape, bool), (4.0, 4.0), params)
     # a block that is hardly known counts as a gap

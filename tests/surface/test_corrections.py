@@ -34,7 +34,8 @@ MIDDLE = tuple(n // 2 * VOXEL for n in SHAPE[1:])
 
 @cache
 def spoilt(grey=AIR, through="z", top="high"):
-    """A rough coated sheet with an inclusion of ``grey`` in its top face; volume, true height of the top, frame."""
+    """A rough coated sheet with an inclusion of ``grey`` in its top face; volume, true height of
+    the top, frame."""
     rng = np.random.default_rng(0)
     rough = ndimage.gaussian_filter(rng.normal(size=SHAPE[1:]), 4.0)
     values, middle, half = slab(SHAPE, height=125.0 + rough * 2.0 / rough.std(), noise=0.0)

@@ -136,7 +136,7 @@ def test_a_film_thicker_than_a_sheet_without_a_coating_is_not_taken_for_the_shee
     )
 
 
-def test_two_coated_sheets_are_refused_whether_one_is_thicker_or_a_film_lies_where_the_sheet_is_not():
+def test_two_coated_sheets_are_refused_also_where_one_is_thicker():
     grey, _, half = slab(shape=(130, 44, 60), height=190.0)
     thinner, *_ = slab(shape=(130, 44, 60), height=190.0 - half - 75.0, base=20.0, noise=0.0)
     refused(VolumeError, r"2 separate sheets", find_surfaces, volume(np.maximum(grey, thinner)))

@@ -45,7 +45,8 @@ def test_a_known_fringe_is_learnt_and_coatings_are_right():
 
 @pytest.mark.ci
 def test_a_thin_coating_keeps_its_thickness_and_a_tilt_widens_the_fringe_as_the_blur():
-    """4 um in voxels of 3 um: taken for a blurred staircase alone, the fringe makes them 5 um or more."""
+    """4 um in voxels of 3 um: taken for a blurred staircase alone, the fringe makes them 5 um or
+    more."""
     sheet = replace(COARSE, coats=(10.0, 4.0), fringe=0.3)
     found = find_surfaces(sheet.volume())
     assert found.attrs["fringe"] == pytest.approx(0.3, abs=0.02)

@@ -1,4 +1,5 @@
-"""Surfaces in the labels of another program, and the published way with thresholds slice by slice."""
+"""Surfaces in the labels of another program, and the published way with thresholds slice by
+slice."""
 
 from dataclasses import replace
 

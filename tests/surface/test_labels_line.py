@@ -1,4 +1,5 @@
-"""A volume of labels runs through the whole line: what is measured in grey values is left out, nothing stops late."""
+"""A volume of labels runs through the whole line: what is measured in grey values is left out,
+nothing stops late."""
 
 import numpy as np
 import pytest

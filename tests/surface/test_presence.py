@@ -119,7 +119,8 @@ def test_the_surfaces_carry_all_three(top):
     data = volume(np.rint(grey if top == "high" else grey[::-1]).astype(np.uint8))
     found = find_surfaces(data, frame=Frame(top=top))
     places = [45, 45, 5], [30, 75, 52]  # in the blind hole, in the other one, in the sheet
-    # The blind hole's floor draws the centre surface down by some micrometres: more than half of its layer is there.
+    # The blind hole's floor draws the centre surface down by some micrometres: more than half of
+    # its layer is there.
     for name, values in {
         "presence": (0, 0, 1),
         "presence_centre": (0.7, 0, 1),

@@ -1,4 +1,5 @@
-"""Measured data: folded paper with its centre surface by other authors, and the electrode layers of a wound cell."""
+"""Measured data: folded paper with its centre surface by other authors, and the electrode layers of
+a wound cell."""
 
 import numpy as np
 import pytest

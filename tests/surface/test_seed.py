@@ -69,7 +69,8 @@ def test_several_sheets_are_named_with_a_point_in_each_that_chooses_it():
 
 @pytest.mark.parametrize(("gap", "offset"), [(70.0, 0.0), (95.0, 0.0), (70.0, -60.0)])
 def test_the_level_outside_a_chosen_layer_is_that_of_the_gap(gap, offset):
-    """Layers of which the outer ones leave the volume; a stack that stands alone in air needs its grey, too."""
+    """Layers of which the outer ones leave the volume; a stack that stands alone in air needs its
+    grey, too."""
     grey, middle = stack(gap_grey=gap, offsets=(-60.0, 0.0, 60.0), bright=1.8)
     seed = (middle + offset, 60.0, 60.0)
     params = SurfaceParams(seed_um=seed, sheet_grey=(95.0, 160.0) if offset else None)
@@ -123,7 +124,8 @@ def test_a_tilted_sheet_through_another_axis():
 
 
 def wavy(voxels, *others):
-    """A thin and sharp sheet, perhaps with others above it; the height of its middle, both in voxels of 4 um."""
+    """A thin and sharp sheet, perhaps with others above it; the height of its middle, both in
+    voxels of 4 um."""
     z, y, x = np.ogrid[:66, :48, :56]
     middle = 22 + 8 * np.sin(x / 30) * np.cos(y / 40)
     inside = np.any([abs(z - middle - other) <= voxels / 2 for other in (0, *others)], axis=0)

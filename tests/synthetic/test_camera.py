@@ -1,4 +1,5 @@
-"""The camera: what brightness says about the coating, the print's own figures, and that nuisances keep apart."""
+"""The camera: what brightness says about the coating, the print's own figures, and that nuisances
+keep apart."""
 
 from dataclasses import replace
 
@@ -34,7 +35,8 @@ STEP = 1 / 65535  # of 16 bits
 
 
 def sheet_of(coating_um, *, holes=HOLES, rough_um=1.0, closed=False):
-    """A sheet around SIZE with a given top coating (rows, cols) or a number, 175 um holes and a rough top face."""
+    """A sheet around SIZE with a given top coating (rows, cols) or a number, 175 um holes and a
+    rough top face."""
     rng = np.random.default_rng(5)
     shape = tuple(int((s + 300.0) / PITCH_UM) + 2 for s in SIZE[::-1])
     y, x = (-150.0 + PITCH_UM * i for i in np.indices(shape))

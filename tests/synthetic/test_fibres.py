@@ -85,7 +85,8 @@ def test_the_coating_lies_on_every_fibre_and_its_faces_bound_the_walls(sheet):
 
 @pytest.mark.parametrize(("thickness_um", "is_seen"), [(20.0, True), (2.4, True), (1.6, False)])
 def test_the_face_is_where_the_blurred_wall_reaches_half_of_its_grey(thickness_um, is_seen):
-    # A wall of thickness t under a Gaussian of 4 um full width has a peak of erf(t / 2 / sqrt(2) / 1.70 um): .5 at 2.3.
+    # A wall of thickness t under a Gaussian of 4 um full width has a peak of erf(t / 2 / sqrt(2) /
+    # 1.70 um): .5 at 2.3.
     cell, count = 0.2, 300
     z = cell * (np.arange(count) + 0.5)
     wall = np.where((z > 30 - thickness_um / 2) & (z < 30 + thickness_um / 2), 100, 0).astype(

@@ -1,4 +1,5 @@
-"""What brightness says about the sheet; the formula itself is tested in `tests/analyze/test_kubelka_munk.py`."""
+"""What brightness says about the sheet; the formula itself is tested in
+`tests/analyze/test_kubelka_munk.py`."""
 
 from dataclasses import replace
 

@@ -1,4 +1,5 @@
-"""The sheet has the statistics that were ordered: means, spreads, spectra, and a coating that levels the base."""
+"""The sheet has the statistics that were ordered: means, spreads, spectra, and a coating that
+levels the base."""
 
 import numpy as np
 import pytest
@@ -63,7 +64,8 @@ def test_coating(wfc, side):
 
 
 def test_the_coating_levels_the_base_at_fibre_scale(wfc):
-    """Below the levelling wavelength the coating is the base's negative; above it follows the base."""
+    """Below the levelling wavelength the coating is the base's negative; above it follows the
+    base."""
     coating, base = _layers(wfc)[0], wfc.faces[1].astype(float)
     fine = [f - lowpass(f, 60.0) for f in (coating, base)]
     coarse = [lowpass(f, 600.0) for f in (coating, base)]
@@ -134,7 +136,8 @@ def test_the_coded_pattern_has_no_two_equal_pitches_and_the_stage_its_error():
 
 
 def test_the_unstrained_surface_of_a_bent_laminate():
-    """No force along the sheet: the integral of modulus times distance vanishes; the middle of the base with 0."""
+    """No force along the sheet: the integral of modulus times distance vanishes; the middle of the
+    base with 0."""
     base, top, bottom = 55.0, 17.0, 12.0
     z = np.linspace(-base / 2 - bottom, base / 2 + top, 400_001)
     for ratio in (0.0, 0.5, 1.0, 3.0):

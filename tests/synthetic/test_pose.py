@@ -1,4 +1,5 @@
-"""The pose is part of the truth: it has to be exact both ways, and each of its errors as large as it says."""
+"""The pose is part of the truth: it has to be exact both ways, and each of its errors as large as
+it says."""
 
 import json
 from dataclasses import asdict, replace
@@ -47,7 +48,8 @@ def test_the_inverse_is_exact(rotation, scale, mirrored, stretch, radial, point)
         centre_um=(1560.0, 1120.0),
         half_diagonal_um=4000.0,
     )
-    # Within 4.0 half diagonals of the middle: 1 / sqrt(3 x 0.02), where the lens would fold the image.
+    # Within 4.0 half diagonals of the middle: 1 / sqrt(3 x 0.02), where the lens would fold the
+    # image.
     np.testing.assert_allclose(
         pose.inverse(pose([point, [0.0, 0.0]])), [point, [0.0, 0.0]], rtol=0, atol=1e-9
     )

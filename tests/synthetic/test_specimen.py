@@ -117,11 +117,13 @@ def _away(specimen, u, v):
 
 @pytest.mark.parametrize(("level", "face"), [(1.5, 0), (2.0, 1), (2.0, 2), (1.5, 3)])
 def test_faces_are_read_back_from_a_clean_render(clean, level, face):
-    """Where the grey of a column crosses the middle of a step there is the face: within a tenth of a voxel."""
+    """Where the grey of a column crosses the middle of a step there is the face: within a tenth of
+    a voxel."""
     volume, voxel = clean.volume.values, clean.params.scanner.voxel_um
     u, v = clean.columns["u"].values, clean.columns["v"].values
     at = [clean.sheet.at(f, u, v) for f in clean.sheet.faces]
-    # Layers thinner than two voxels have no step of their own; an oblique column meets its neighbours' layers.
+    # Layers thinner than two voxels have no step of their own; an oblique column meets its
+    # neighbours' layers.
     thinnest = ndimage.minimum_filter(np.minimum(at[0] - at[1], at[2] - at[3]), 13)
     use = _away(clean, u, v) & (thinnest > 2.2 * voxel)
     from_top = face < 2
@@ -175,7 +177,8 @@ def test_same_seed_same_bytes_on_any_number_of_threads_and_any_tile(fibres):
 
 @pytest.mark.ci
 def test_one_nuisance_does_not_move_the_others():
-    """Switched off, everything else keeps its random numbers: the difference is that nuisance alone."""
+    """Switched off, everything else keeps its random numbers: the difference is that nuisance
+    alone."""
     params = replace(SMALL, scanner=replace(EVERYTHING, dtype="float32"))
     base = make_specimen(with_only(params, []))
     for name in ("scan_noise", "rings", "streaks", "cupping", "char"):
@@ -260,7 +263,8 @@ def test_holes_have_the_size_that_was_ordered_or_are_half_closed_and_do_not_fit_
 
 
 def test_drawn_parameters_lie_in_their_ranges():
-    """Whole numbers with both ends, choices among the given ones; what has no range and the seed itself stay."""
+    """Whole numbers with both ends, choices among the given ones; what has no range and the seed
+    itself stay."""
     drawn = [draw_params(SpecimenParams(seed=seed)) for seed in range(60)]
     assert {params.scanner.rings for params in drawn} == {0, 1, 2, 3}
     assert {params.camera.backing for params in drawn} == {"pile", "black"}
@@ -273,7 +277,8 @@ def test_drawn_parameters_lie_in_their_ranges():
 
 @pytest.mark.ci
 def test_the_default_specimen_in_one_call(tmp_path, monkeypatch):
-    """Volume and image carry coordinates in um, as the readers give them; files only where a folder is named."""
+    """Volume and image carry coordinates in um, as the readers give them; files only where a folder
+    is named."""
     monkeypatch.setattr(module, "DEMO", SMALL)
     specimen = make_specimen(folder=tmp_path / "made")
     voxel, pixel = SMALL.scanner.voxel_um, SMALL.camera.pixel_um

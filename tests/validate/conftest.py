@@ -1,4 +1,5 @@
-"""A certificate of recorded figures for the tests of its tables and pages; the scenario itself for the studies."""
+"""A certificate of recorded figures for the tests of its tables and pages; the scenario itself for
+the studies."""
 
 import tomllib
 from dataclasses import replace

@@ -1,4 +1,5 @@
-"""Certificates: what becomes of the seeds, of refusals and of limits; tables, page and record of them."""
+"""Certificates: what becomes of the seeds, of refusals and of limits; tables, page and record of
+them."""
 
 import json
 from dataclasses import replace

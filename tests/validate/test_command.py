@@ -21,7 +21,8 @@ def call(capsys, monkeypatch, certificate):
     monkeypatch.setattr(certify, "run_scenario", run)
 
     def do(*arguments):
-        # The names of the help option are the group's; click keeps the option once a command has made it.
+        # The names of the help option are the group's; click keeps the option once a command has
+        # made it.
         code = validate.main(
             [str(a) for a in arguments],
             prog_name="planish validate",

@@ -1,4 +1,5 @@
-"""Errors of a known size are put into a run that is otherwise exact: the ledger has to say that size."""
+"""Errors of a known size are put into a run that is otherwise exact: the ledger has to say that
+size."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -43,14 +44,16 @@ class Plane:
 
 @dataclass
 class EvenSheet:
-    """Faces are numbers; the coating's outer face waves, so that its thickness is known everywhere."""
+    """Faces are numbers; the coating's outer face waves, so that its thickness is known
+    everywhere."""
 
     holes: np.ndarray
     faces = np.array(FACES_UM)
     rim_um = (1000.0, 1000.0)  # no hole anywhere near
 
     def at(self, field, u, v):
-        # Differences of faces and faces themselves arrive as numbers: the wave belongs to what holds the top face.
+        # Differences of faces and faces themselves arrive as numbers: the wave belongs to what
+        # holds the top face.
         holds_top = np.isclose(float(field), [45.0, 17.0, 88.0]).any()
         return float(field) + (wave(u) if holds_top else 0.0) + 0.0 * v
 
@@ -200,7 +203,8 @@ def test_an_exact_run_has_no_errors():
     assert (found["false_image"], found["false_volume"]) == (0.0, 0.0)
     assert found["fle_image"] < 0.5
     assert found["fle_volume"] < 0.5
-    # linear interpolation over 10 um columns of a wave of 400 um and 6 um height: (2 pi / 400)^2 10^2 / 8 of it
+    # linear interpolation over 10 um columns of a wave of 400 um and 6 um height: (2 pi / 400)^2
+    # 10^2 / 8 of it
     assert found["resampling_rmse"] < 6.0 * (2 * np.pi / 400) ** 2 * PITCH**2 / 8
 
 
@@ -231,7 +235,8 @@ def test_a_shift_of_pixels_and_a_lifted_face_are_their_errors():
         assert found[name] == pytest.approx(5.0, abs=1e-9)
     assert found["predicted_ratio"] == pytest.approx(5.0 / 1.5)
     found = figures(errors.surface_errors, *exact_run(lift=0.7))
-    # the lifted top is compared at its own place: along a slope of 0.25 the wave moves by 0.7 * 0.25 um at most
+    # the lifted top is compared at its own place: along a slope of 0.25 the wave moves by 0.7 *
+    # 0.25 um at most
     assert found["top_bias"] == pytest.approx(0.7, abs=0.01)
     assert found["top_rmse"] == pytest.approx(0.7, abs=0.02)
     assert found["bottom_rmse"] < 1e-6
@@ -270,7 +275,8 @@ def test_a_flat_map_that_is_too_large():
 
 def test_what_the_projection_misses():
     found = figures(errors.registration_errors, *exact_run())
-    # a tilted plane is projected shorter along u: a similarity takes the mean, the difference of the axes stays
+    # a tilted plane is projected shorter along u: a similarity takes the mean, the difference of
+    # the axes stays
     marks = HOLES / [LONG, 1.0]
     fit = fit_transform(marks, HOLES)
     u, v = np.meshgrid(LONG * PITCH * np.arange(COLS), PITCH * np.arange(ROWS))
@@ -312,7 +318,8 @@ def test_residual_poses_of_sections():
     _, files, run = exact_run()
     attrs = {"cutoff_um": 50 * PITCH}
     run.groups["sections"] = xr.Dataset({"position": ("section", np.arange(3.0))}, attrs=attrs)
-    # a stack whose rows run through the sheet; what is left of the poses is white and known, and along x also slow
+    # a stack whose rows run through the sheet; what is left of the poses is white and known, and
+    # along x also slow
     surfaces = run.groups["surfaces"]
     surfaces.attrs |= {"through": "y", "row_axis": "z", "col_axis": "x"}
     rng = np.random.default_rng(3)

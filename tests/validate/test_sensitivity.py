@@ -1,4 +1,5 @@
-"""Which stage suffers under which nuisance, on made-up figures; the runs themselves are replaced."""
+"""Which stage suffers under which nuisance, on made-up figures; the runs themselves are
+replaced."""
 
 import numpy as np
 import pytest
@@ -47,7 +48,8 @@ def test_the_first_stage_of_those_that_grow_alike_suffers():
 
 
 def fake(monkeypatch, effect):
-    """Replace the runs: ``effect`` gives the figures from the names of the nuisances that are on."""
+    """Replace the runs: ``effect`` gives the figures from the names of the nuisances that are
+    on."""
     calls = []
 
     def run(_scenario, params, seed, **_):

@@ -1,4 +1,5 @@
-"""Specimens like a run: what is read from a run of a known specimen is what that specimen was made of."""
+"""Specimens like a run: what is read from a run of a known specimen is what that specimen was made
+of."""
 
 import json
 import shutil
@@ -15,7 +16,8 @@ def test_a_run_of_a_known_specimen(specimen, linked_run):
     assert found.scanner.voxel_um == pytest.approx(true.scanner.voxel_um)
     assert found.camera.pixel_um == pytest.approx(true.camera.pixel_um, rel=1e-4)
     assert found.paper.coating_top_um == pytest.approx(true.paper.coating_top_um, rel=0.1)
-    # holes are rough, oval and burnt at their rims: the circle fitted to one is within a char of 40 um, mostly less
+    # holes are rough, oval and burnt at their rims: the circle fitted to one is within a char of 40
+    # um, mostly less
     assert found.holes.diameter_um == pytest.approx(true.holes.diameter_um, rel=0.15)
     assert found.holes.count == true.holes.count
     assert found.paper.base_um == pytest.approx(true.paper.base_um, rel=0.05)

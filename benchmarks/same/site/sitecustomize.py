@@ -1,4 +1,5 @@
-"""Give both sides of a comparison one version, which stands in their files, in every process that they start."""
+"""Give both sides of a comparison one version, which stands in their files, in every process that
+they start."""
 
 import planish
 

@@ -1,4 +1,7 @@
-"""What each study states: one sentence or two with the interval, and one figure, from the folder of a series."""
+"""Give what each study states, from the folder of a series.
+
+One sentence or two with the interval, and one figure.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,10 @@ STATEMENTS: dict[str, Callable[[Path, Figure], str]] = {
 
 
 def statement(study: str, folder: Path, picture: Path) -> str:
-    """Statement of a study whose series lies in ``folder``; its figure is written to ``picture``."""
+    """Statement of a study whose series lies in ``folder``.
+
+    Its figure is written to ``picture``.
+    """
     figure = plt.figure(figsize=(9, 4), layout="constrained")
     try:
         text = STATEMENTS[study](folder, figure)

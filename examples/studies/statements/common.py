@@ -1,4 +1,7 @@
-"""What several statements need: the runs of a series, r of its fields, intervals as text, maps and clouds of points."""
+"""What several statements need.
+
+The runs of a series, r of its fields, intervals as text, maps and clouds of points.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +80,10 @@ def known(maps: xr.Dataset, name: str) -> np.ndarray:
 
 
 def draw_map(ax: Axes, maps: xr.Dataset, values: np.ndarray, *, low: float | None = None) -> None:
-    """Draw a map in grey from its 1 to its 99 % value, or from ``low``; missing is light grey, its borders cut off."""
+    """Draw a map in grey from its 1 to its 99 % value, or from ``low``.
+
+    Missing is light grey, its borders cut off.
+    """
     least, most = np.nanpercentile(values, (1, 99))
     limits = {"vmin": least if low is None else low, "vmax": most}
     ax.imshow(

@@ -1,4 +1,7 @@
-"""How many sheets a study needs to distinguish r² 0.26 from 0.21, in fields like those of Fig. 7."""
+"""How many sheets a study needs to distinguish r² 0.26 from 0.21, in fields like those of Fig.
+
+7.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +19,16 @@ from .common import fields_of
 
 R2 = (0.26, 0.21)
 BETWEEN, CHANGE, SHARED = (0.05, 0.15), 0.05, 0.5
-"""What a design has to assume: by how much z varies between sheets; by how much its change by a treatment does; how
-much of the scatter of z is the same before and after."""
+"""What a design has to assume: by how much z varies between sheets; by how much its change by a
+treatment does; how much of the scatter of z is the same before and after."""
 LEAST_POINTS = 4  # independent points of a field whose z has a standard error
 
 
 def state(folder: Path, figure: Figure) -> str:
-    """Sheets for a power of 0.8, with as many independent points a field as the series of Fig. 7 had."""
+    """Sheets for a power of 0.8, with as many independent points a field as the series of Fig.
+
+    7 had.
+    """
     series = SeriesResults.read(folder / "results.json")
     r, n_eff = fields_of(series, lambda _: True)
     use = np.array(n_eff) > LEAST_POINTS

@@ -1,4 +1,8 @@
-"""Fig. 6: how much darker the image is where little coating lies, and whether the dark lies in the same places."""
+"""Fig.
+
+6: how much darker the image is where little coating lies, and whether the dark lies in the same
+places.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,8 @@ def state(folder: Path, figure: Figure) -> str:
         known(linked, name) for name in ("coating_top", "image", "topography_top")
     )
     thin = np.where(np.isfinite(coating), coating < THIN_UM, np.nan)
-    # Light from one side makes the slopes of the face bright and dark, which alone would move the outlines.
+    # Light from one side makes the slopes of the face bright and dark, which alone would move the
+    # outlines.
     shown = textures(
         {"outlines": thin, "image": image, "face": face}, linked.valid.values, pitch(linked)
     )

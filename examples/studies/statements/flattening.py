@@ -20,7 +20,8 @@ WAYS = {
     "flattened, similarity": "flattened",
     OWN: "flattened, own model",
 }
-"""Registrations of a run's comparison, and what the figure calls them; the last row of a run is of its own model."""
+"""Registrations of a run's comparison, and what the figure calls them; the last row of a run is of
+its own model."""
 
 
 def state(folder: Path, figure: Figure) -> str:

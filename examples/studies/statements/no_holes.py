@@ -1,4 +1,4 @@
-"""No holes: how well sheets are linked by their texture, and how far r is that of the same sheets with holes."""
+"""No holes: how well texture links sheets, and how far r is that of the same sheets with holes."""
 
 from __future__ import annotations
 
@@ -122,7 +122,10 @@ def _mean(sheets: Sequence[Sheet]) -> str:
 
 
 def _change(pairs: Sequence[tuple[Sheet, Sheet]]) -> str:
-    """What r changes where the same sheet is linked by texture, over the same pixels where both have one grid."""
+    """Say what r changes where the same sheet is linked by texture.
+
+    It is taken over the same pixels where both have one grid.
+    """
     names, by_holes, by_texture, shares_all = list[str](), list[float](), list[float](), True
     for one, other in pairs:
         maps = [of.run.groups["linked"] for of in (one, other)]

@@ -1,13 +1,14 @@
 """How two maps on one grid are related, at which scale, and how sure: a layer above the stages.
 
 ``compare`` correlates layers, ``correlation`` is r with its interval, from ``covariance`` by lag.
-``correlation_evidence`` holds QUESTIONS, a row a statistic beside r: ``curve_of_sizes`` and ``octaves`` (at which
-scale), ``robustness``, ``second_opinion``, ``curve``, ``thin_regions``, ``ceiling`` and ``split_half`` (what could
-be seen), ``variograms`` and ``correlograms`` (by distance), ``agreement`` and ``rings`` (one quantity twice),
-``kubelka_munk`` and ``light_spread`` (light over a coating). ``sides``, ``texture``, ``lag``, ``lag_search`` and
-``lag_field`` check the registration by what the maps share, ``refinement`` improves it. ``image_values`` and ``mottle``
-are about images. ``sheets``, ``between_sheets``, ``pooled``, ``differences`` and ``study_power`` are about many sheets;
-``distributions``, ``detrend`` and ``ncc`` are what they need.
+``correlation_evidence`` holds QUESTIONS, a row a statistic beside r: ``curve_of_sizes`` and
+``octaves`` (at which scale), ``robustness``, ``second_opinion``, ``curve``, ``thin_regions``,
+``ceiling`` and ``split_half`` (what could be seen), ``variograms`` and ``correlograms`` (by
+distance), ``agreement`` and ``rings`` (one quantity twice), ``kubelka_munk`` and ``light_spread``
+(light over a coating). ``sides``, ``texture``, ``lag``, ``lag_search`` and ``lag_field`` check the
+registration by what the maps share, ``refinement`` improves it. ``image_values`` and ``mottle`` are
+about images. ``sheets``, ``between_sheets``, ``pooled``, ``differences`` and ``study_power`` are
+about many sheets; ``distributions``, ``detrend`` and ``ncc`` are what they need.
 """
 
 import lazy_loader as lazy

@@ -1,4 +1,7 @@
-"""Two measurements of one quantity: bias, scatter and limits of agreement, the line between both, waves in common."""
+"""Agreement of two measurements of one quantity.
+
+Bias, scatter and limits of agreement, the line between both, and waves in common.
+"""
 
 from __future__ import annotations
 
@@ -33,10 +36,12 @@ if TYPE_CHECKING:
     from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
 
 LIMIT = 1.96
-"""Standard deviations of differences that hold 95 % of normal ones, as Bland and Altman write it."""
+"""Standard deviations of differences that hold 95 % of normal ones, as Bland and Altman write
+it."""
 
-# How well the variance of a mean is known from one map, as degrees of freedom: it scatters by two thirds of itself
-# however large the field (8 to 30 lengths across; measured), as lags are summed to a zero that scatters.
+# How well the variance of a mean is known from one map, as degrees of freedom: it scatters by two
+# thirds of itself however large the field (8 to 30 lengths across; measured), as lags are summed to
+# a zero that scatters.
 _MOST_FREE, _POINTS_A_FREE = 9.0, 6.0
 
 
@@ -84,13 +89,14 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
 
     Notes
     -----
-    The variance of the mean is the sum of the covariances of the difference map over all pairs of pixels; that of the
-    variance, for Gaussian differences, the sum of their squares (as of :func:`planish.correlate`). Bias and scatter of
-    Gaussian differences are independent of each other. A limit holds for single pixels of this size: means over
-    larger points agree better. Bias, standard deviation and limits are those of a textbook; on a small field the
-    standard deviation comes out too small, by a share of 1 / (2 n_eff), which the intervals about it put back. Their
-    quantile is of Student's t with 9 degrees of freedom at most, as the variances are told from the same map
-    (docs/series.md has how often they hold).
+    The variance of the mean is the sum of the covariances of the difference map over all pairs of
+    pixels; that of the variance, for Gaussian differences, the sum of their squares (as of
+    :func:`planish.correlate`). Bias and scatter of Gaussian differences are independent of each
+    other. A limit holds for single pixels of this size: means over larger points agree better.
+    Bias, standard deviation and limits are those of a textbook; on a small field the standard
+    deviation comes out too small, by a share of 1 / (2 n_eff), which the intervals about it put
+    back. Their quantile is of Student's t with 9 degrees of freedom at most, as the variances are
+    told from the same map (docs/series.md has how often they hold).
 
     References
     ----------
@@ -124,7 +130,8 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
         )
     lags = Lags(is_valid, pixel)
     variance, n_eff = scatter_of(differences, lags)
-    # Of maps with these covariances; the number for the mean is smaller, as long waves weigh more in it.
+    # Of maps with these covariances; the number for the mean is smaller, as long waves weigh more
+    # in it.
     n_eff_sd = PairCovariances(differences, differences, lags).n_eff(sums.n)
     if min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
         quantile = t_95(min(n_eff / _POINTS_A_FREE, _MOST_FREE))
@@ -172,9 +179,11 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
     ----------
     x, y : ndarray, any one shape; NaN is missing
     error_ratio : float
-        Variance of the errors of y over that of x, in the units of both. It cannot be told from x and y.
+        Variance of the errors of y over that of x, in the units of both. It cannot be told from x
+        and y.
     n_eff : float
-        Independent points, as :func:`planish.analyze.independent_points` counts them; all where they are independent.
+        Independent points, as :func:`planish.analyze.independent_points` counts them; all where
+        they are independent.
 
     Raises
     ------
@@ -185,8 +194,9 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
 
     Notes
     -----
-    In units in which both errors are alike, this is the main axis of the cloud. The interval of its direction is
-    Creasy's (1956), with n_eff in place of n; the errors then count as independent where n_eff says so.
+    In units in which both errors are alike, this is the main axis of the cloud. The interval of its
+    direction is Creasy's (1956), with n_eff in place of n; the errors then count as independent
+    where n_eff says so.
 
     References
     ----------
@@ -242,7 +252,10 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
 
 
 class Twice(Agreement, RingCorrelation):
-    """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
+    """Agreement of two measurements of one quantity.
+
+    Down to which wavelength they agree, and how far they differ.
+    """
 
     units: str = Field(default="1", description="Of the values.")
     error_ratio: Value = optional("Variance of the errors of b over that of a, as it was given.")
@@ -252,7 +265,10 @@ class Twice(Agreement, RingCorrelation):
 
 
 def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
-    """Of two sheets with one quantity: rings of waves over the cells, bias and limits over the larger points."""
+    """Compare two sheets with one quantity.
+
+    Rings of waves over the cells, bias and limits over the larger points.
+    """
     if pair.repeated_points is None:
         return {}
     (a, b), point_um, error_ratio, units = (
@@ -357,10 +373,11 @@ def compare_instruments(
     mask, pixel_um
         As of :func:`planish.correlate`.
     point_um : float, optional
-        Bias, limits and lines are of means over squares of this edge; of single pixels where not given. Means over
-        larger points agree better.
+        Bias, limits and lines are of means over squares of this edge; of single pixels where not
+        given. Means over larger points agree better.
     error_ratio : float, optional
-        Variance of the errors of b over that of a, from repeated measurements of both; gives ``line``.
+        Variance of the errors of b over that of a, from repeated measurements of both; gives
+        ``line``.
 
     Returns
     -------

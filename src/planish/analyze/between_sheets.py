@@ -1,4 +1,7 @@
-"""Whether two sets of sheets differ, or differ by less than a margin: before and after, or two papers."""
+"""Whether two sets of sheets differ, or differ by less than a margin.
+
+The sets are sheets before and after, or of two papers.
+"""
 
 import math
 from collections.abc import Sequence
@@ -44,7 +47,10 @@ class SetDifference(ResultModel):
 
 
 class SheetDifference(SetDifference):
-    """Difference of a property between two sets of sheets, the second minus the first, and how sure it is."""
+    """Difference of a property between two sets of sheets, and how sure it is.
+
+    The difference is the second set minus the first.
+    """
 
     sd: Unsaved = optional("Of the differences of single sheets where they pair.")
     standard_error: Unsaved = optional("Of the difference.")
@@ -61,20 +67,23 @@ class SheetDifference(SetDifference):
         return None if math.isnan(low) else not low <= 0 <= high
 
     def smallest_seen(self, power: float = 0.8) -> float:
-        """How large a difference has to be for such a study to see it with this power, at 5 %; NaN without interval."""
+        """How large a difference has to be for such a study to see it with this power, at 5 %.
+
+        NaN without interval.
+        """
         if math.isnan(self.free):
             return math.nan
         return shift_seen(power, self.free) * self.standard_error
 
 
 def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
-    """Compare the same sheets before and after, by Student's t over the differences of single sheets.
+    """Compare the same sheets before and after, by Student's t over differences of single sheets.
 
     Parameters
     ----------
     before, after : Fields
-        Sheets pair by their names. Where both name their fields, so do fields, and those without a partner do not
-        count; else the means of all fields of a sheet pair.
+        Sheets pair by their names. Where both name their fields, so do fields, and those without a
+        partner do not count; else the means of all fields of a sheet pair.
 
     Returns
     -------
@@ -127,7 +136,7 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
 
 
 def two_groups(first: Fields, second: Fields) -> SheetDifference:
-    """Compare sheets of two papers, or of two treatments, that have no sheet in common, after Welch.
+    """Compare sheets of two papers, or of two treatments, that share no sheet, after Welch.
 
     Returns
     -------
@@ -178,7 +187,10 @@ def _with_interval(difference: SheetDifference, free: float) -> SheetDifference:
 
 
 def p_of_tables(differences: Sequence[SheetDifference]) -> tuple[SheetDifference, ...]:
-    """Put p right for how many differences are looked at, of all properties and pairs of papers (Holm 1979)."""
+    """Correct p for the number of differences that are looked at (Holm 1979).
+
+    These are the differences of all properties and pairs of papers.
+    """
     adjusted_p = holm([d.p for d in differences])
     return tuple(
         d.model_copy(update={"p_of_table": p}) for d, p in zip(differences, adjusted_p, strict=True)
@@ -191,7 +203,8 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
     Parameters
     ----------
     shift : SheetDifference
-    margin : float, in the unit of the property; chosen for what matters, before the values are looked at
+    margin : float, in the unit of the property; chosen for what matters, before the values are
+    looked at
 
     Returns
     -------

@@ -59,8 +59,8 @@ def ceiling(
     ----------
     a : ndarray, shape (rows, cols); the map whose texture is compared; NaN is missing
     error_um : float or ndarray
-        Error of a place, root mean square of its length, as ``expected_error`` gives it: one, a map of it (rows, cols),
-        or any number of values that stand for such a map.
+        Error of a place, root mean square of its length, as ``expected_error`` gives it: one, a map
+        of it (rows, cols), or any number of values that stand for such a map.
     mask, pixel_um
         As of :func:`planish.correlate`.
     point_um : float, optional; size of the points that r is of; single pixels where not given
@@ -79,9 +79,9 @@ def ceiling(
 
     Notes
     -----
-    Displaced by a random d, a map keeps the mean of its autocorrelation over d, of a Gaussian of this error; for larger
-    points the autocovariance is averaged over a point twice first. An error that varies over the map is averaged over
-    its quantiles.
+    Displaced by a random d, a map keeps the mean of its autocorrelation over d, of a Gaussian of
+    this error; for larger points the autocovariance is averaged over a point twice first. An error
+    that varies over the map is averaged over its quantiles.
     """
     is_valid, pixel = valid_pixels(a, a, mask, pixel_um)
     errors = np.asarray(error_um, dtype=np.float64)
@@ -125,7 +125,10 @@ def ceiling(
 
 
 def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
-    """The r that a perfect relation would show by misplacement, by the noise of two half measurements, and by both."""
+    """Give the r that a perfect relation would show.
+
+    By misplacement, by the noise of two half measurements, and by both.
+    """
     answers: dict[str, Any] = {}
     error_maps = [m["expected_error"] for m in pair.layers if "expected_error" in m]
     # Of the places of all layers together, at some pixels.

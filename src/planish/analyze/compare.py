@@ -1,4 +1,7 @@
-"""Layers on one grid against each other: correlation, differences of equal quantities, other registrations."""
+"""Compare layers on one grid with each other.
+
+Correlation, differences of equal quantities, and other registrations.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import repeat
@@ -22,7 +25,8 @@ from planish.register import FittedTransform, fit_transform
 from planish.resample import Mesh, resample
 
 CELLS = 2**16
-"""Of a map, by which the independent points of a correlation are counted and its scales are told."""
+"""Of a map, by which the independent points of a correlation are counted and its scales are
+told."""
 
 REGISTRATION_VARIANTS = (
     ("projection, no scale", ("projected_u", "projected_v"), "rigid"),
@@ -42,7 +46,10 @@ _NUMBERS_OF_R = tuple(
 
 
 class CorrelationRow(_Judged):
-    """Correlation of two maps over points of one size; ``slope`` and ``intercept`` give b from a."""
+    """Correlation of two maps over points of one size.
+
+    ``slope`` and ``intercept`` give b from a.
+    """
 
     WITHHELD: ClassVar = (
         *_NUMBERS_OF_R,
@@ -72,7 +79,10 @@ class CorrelationRow(_Judged):
 
 
 class ComparisonRow(_Judged):
-    """The headline correlation by one registration, as the paper compares them, all on the same pixels."""
+    """The headline correlation by one registration.
+
+    Registrations are compared as in the paper, all on the same pixels.
+    """
 
     WITHHELD: ClassVar = (*_NUMBERS_OF_R, "difference", "difference_interval")
 
@@ -92,7 +102,10 @@ def is_property(data: xr.DataArray) -> bool:
 
 
 def _maps_to_correlate(maps: xr.Dataset) -> list[str]:
-    """The maps of a layer that are correlated: its image, or all properties but angles and standard errors."""
+    """List the maps of a layer that are correlated.
+
+    Its image, or all properties but angles and standard errors.
+    """
     if "image" in maps and "thickness" not in maps:
         return ["image"]
     names = [
@@ -100,7 +113,8 @@ def _maps_to_correlate(maps: xr.Dataset) -> list[str]:
         for k, data in maps.data_vars.items()
         if is_property(data) and data.attrs.get("units") != "deg"
     ]
-    # A store gives its maps in the order of the alphabet: here they stand in one order, wherever they come from.
+    # A store gives its maps in the order of the alphabet: here they stand in one order, wherever
+    # they come from.
     order = [*PROPERTIES]
     return sorted(
         names, key=lambda name: (order.index(name) if name in order else len(order), name)
@@ -112,7 +126,8 @@ def correlate_layers(
 ) -> Iterator[CorrelationRow]:
     """Correlate two layers point by point, per pixel and over larger points.
 
-    Two sheets: the same properties, with their differences. A sheet and an image: every property with the image.
+    Two sheets: the same properties, with their differences. A sheet and an image: every property
+    with the image.
     """
     layers = maps[a], maps[b]
     names = [_maps_to_correlate(data) for data in layers]
@@ -167,14 +182,20 @@ def correlate_layers(
 
 
 class _Variant(NamedTuple):
-    """A registration that is compared: its name, the residual of the marks, and the sheet's mesh laid by it."""
+    """A registration that is compared.
+
+    Its name, the residual of the marks, and the sheet's mesh laid by it.
+    """
 
     title: str
     rms_um: float
     mesh: Mesh | None  # None: that of the run, whose maps are there
 
     def bring(self, sheet_map: Array, linked_map: Array, grid_part: Grid) -> Array:
-        """Bring a field of the sheet to some pixels of the image, where it is ``linked_map`` of the run."""
+        """Bring a field of the sheet to some pixels of the image.
+
+        There it is ``linked_map`` of the run.
+        """
         if self.mesh is None:
             return linked_map
         nodes, places = self.mesh.under(grid_part)
@@ -190,9 +211,10 @@ def comparison_rows(
     point_um: float,
     away: Callable[[Grid], Bools],
 ) -> Iterator[ComparisonRow]:
-    """The headline correlation by the registrations that the paper compares, and by that of the run.
+    """Yield the headline correlation by the registrations the paper compares and by the run's.
 
-    ``away`` gives the pixels away from holes. All marks count, as in the paper: misfits show a wrong registration.
+    ``away`` gives the pixels away from holes. All marks count, as in the paper: misfits show a
+    wrong registration.
     """
     grid, sheet_map = Grid.of(linked), sheet["surfaces"][name].values
     variants = [*_variants(sheet, fit), _Variant(f"flattened, {fit.model}", fit.rms_um, None)]
@@ -265,7 +287,9 @@ def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator
 
 
 def headline_of(maps: xr.Dataset, side: Side = "top", wanted: str | None = None) -> str:
-    """The map that stands for a layer: an image itself, what the study names, the coating that is seen, the thickness.
+    """Choose the map that stands for a layer.
+
+    An image itself, what the study names, the coating that is seen, or the thickness.
 
     Raises
     ------

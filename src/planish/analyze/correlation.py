@@ -1,4 +1,7 @@
-"""Point-wise correlation of two maps on one grid, and how sure it is (Hirn et al. 2009, sections 3.3 and 3.4)."""
+"""Point-wise correlation of two maps on one grid, and how sure it is (Hirn et al.
+
+2009, sections 3.3 and 3.4).
+"""
 
 import math
 from collections.abc import Iterator
@@ -23,13 +26,15 @@ LEAST_CLAIMED = 10.0
 """Independent points below which nothing is claimed: no p and no interval."""
 
 BANDWIDTH = 0.15
-"""Share of the shorter side: how far points are taken to add to r together in the second opinion."""
+"""Share of the shorter side: how far points are taken to add to r together in the second
+opinion."""
 
 LEAST = 3
 """Pixels of a map without which it says nothing."""
 
 UNEVEN = 1.4
-"""Standard error of the second opinion over that of the covariances, from which on maps do not vary alike."""
+"""Standard error of the second opinion over that of the covariances, from which on maps do not vary
+alike."""
 
 _ORDER = "The first", "The second"
 _MOST_CELLS = 2**20
@@ -38,8 +43,9 @@ _MOST_CELLS = 2**20
 class Correlation(ResultModel):
     """Correlation of b with a over points of one size, and how sure it is.
 
-    r is NaN with fewer than 3 points or a constant map; p and interval are, where fewer than 10 points are independent.
-    The line of a perfect relation lies between both lines of least squares; they cross at the means.
+    r is NaN with fewer than 3 points or a constant map; p and interval are, where fewer than 10
+    points are independent. The line of a perfect relation lies between both lines of least squares;
+    they cross at the means.
     """
 
     point_um: float = Field(description="Edge of the squares over which both maps are averaged.")
@@ -89,10 +95,13 @@ class PointsCorrelation(ResultModel):
 
 
 class PairSums:
-    """Sums over a pair of maps, of which parts are added at a time: their correlation and difference follow from them.
+    """Sums over a pair of maps, added part by part.
 
-    Means and squares are kept about the means, and joined as Chan, Golub and LeVeque (1983), The American Statistician
-    37, 242, doi:10.1080/00031305.1983.10483115, do: nothing is lost to the size of a constant.
+    The correlation and the difference of the maps follow from them.
+
+    Means and squares are kept about the means, and joined as Chan, Golub and LeVeque (1983), The
+    American Statistician 37, 242, doi:10.1080/00031305.1983.10483115, do: nothing is lost to the
+    size of a constant.
     """
 
     def __init__(self) -> None:
@@ -169,7 +178,10 @@ def sums_of(x: Array, y: Array) -> PairSums:
 
 
 def pearson(x: Array, y: Array) -> float:
-    """Pearson's r of two arrays of one shape where both are finite; NaN with fewer than 3 points or a constant."""
+    """Pearson's r of two arrays of one shape where both are finite.
+
+    NaN with fewer than 3 points or a constant.
+    """
     return sums_of(x, y).r
 
 
@@ -193,10 +205,12 @@ def correlate(
     pixel_um : float or (float, float), optional
         Along y and x; maps with coordinates in um need none.
     point_um : float, optional
-        Both maps are averaged over squares of this edge first, over the pixels that are valid in both; a point counts
-        when half of it is valid. 100 um is about what the eye resolves at 30 cm (Hirn et al. 2009, section 3.3.1).
+        Both maps are averaged over squares of this edge first, over the pixels that are valid in
+        both; a point counts when half of it is valid. 100 um is about what the eye resolves at 30
+        cm (Hirn et al. 2009, section 3.3.1).
     most_cells : int
-        Of larger maps the covariances are those of means over k x k pixels, and every k-th pixel is ranked.
+        Of larger maps the covariances are those of means over k x k pixels, and every k-th pixel is
+        ranked.
 
     Returns
     -------
@@ -211,12 +225,13 @@ def correlate(
 
     Notes
     -----
-    ``n_eff`` follows from the covariances of both maps at all lags up to half of the field (Clifford et al. 1989,
-    Dutilleul 1993), up to the first zero of their mean over all directions, with the variance of the mean put back. The
-    interval is the wider of two: Fisher's z with n_eff, and Bartlett's variance of z from the covariances of both maps
-    with themselves and each other, with a quantile of Student's t. Both hold for Gaussian maps whose spread is the same
-    everywhere; where the standard error of Conley (1999), which needs no such thing, is larger, the second is widened
-    by it, and above 1.4 a warning says so.
+    ``n_eff`` follows from the covariances of both maps at all lags up to half of the field
+    (Clifford et al. 1989, Dutilleul 1993), up to the first zero of their mean over all directions,
+    with the variance of the mean put back. The interval is the wider of two: Fisher's z with n_eff,
+    and Bartlett's variance of z from the covariances of both maps with themselves and each other,
+    with a quantile of Student's t. Both hold for Gaussian maps whose spread is the same everywhere;
+    where the standard error of Conley (1999), which needs no such thing, is larger, the second is
+    widened by it, and above 1.4 a warning says so.
 
     References
     ----------
@@ -249,7 +264,10 @@ def correlate(
 
 
 def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: Pixel) -> Pair:
-    """Return the pixel along y and x, or raise InputError or SizeError where two maps are not on one grid."""
+    """Return the pixel along y and x of two maps on one grid.
+
+    Raises InputError or SizeError where they are not on one grid.
+    """
     pitch_um = (pixel_um, pixel_um) if isinstance(pixel_um, (int, float, np.number)) else pixel_um
     try:
         pixel = tuple(float(v) for v in pitch_um)
@@ -286,14 +304,17 @@ def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: Pixel) -> Pair:
 
 
 def valid_pixels(a: Array, b: Array, mask: Bools | None, pixel_um: Pixel) -> tuple[Bools, Pair]:
-    """Pixels that count and have a value in both maps, and their size along y and x; errors as of ``on_one_grid``."""
+    """Pixels that count and have a value in both maps, and their size along y and x.
+
+    Errors as of ``on_one_grid``.
+    """
     pixel = on_one_grid(a, b, mask, pixel_um)
     is_valid = np.isfinite(a) & np.isfinite(b)
     return is_valid if mask is None else is_valid & mask, pixel
 
 
 def check_varying(is_valid: Bools, **maps: Array) -> None:
-    """Raise CannotMeasure where fewer than 3 pixels are valid, or one of the maps is constant over them."""
+    """Raise CannotMeasure where fewer than 3 pixels are valid, or a map is constant over them."""
     n = int(np.count_nonzero(is_valid))
     if n < LEAST:
         raise CannotMeasure(
@@ -307,10 +328,10 @@ def check_varying(is_valid: Bools, **maps: Array) -> None:
 
 
 class PairAtSizes:
-    """Correlation of two maps per pixel and over larger points, of which some rows are added at a time.
+    """Correlate two maps per pixel and over larger points, adding some rows at a time.
 
-    Larger points are means over the pixels that are valid in both, weighted by area; a point counts when half of it is
-    valid. Without ``most_cells`` there is no correlation per pixel.
+    Larger points are means over the pixels that are valid in both, weighted by area; a point counts
+    when half of it is valid. Without ``most_cells`` there is no correlation per pixel.
     """
 
     def __init__(
@@ -364,7 +385,10 @@ class PairAtSizes:
         return _stated(self._sums, cells, ranked, pitch, math.sqrt(math.prod(self._pixel_um)))
 
     def at_points(self) -> Correlation:
-        """The correlation of the larger points; of none where they would be smaller than a pixel."""
+        """The correlation of the larger points.
+
+        Of none where they would be smaller than a pixel.
+        """
         points, size = self.points(), self._point_um or math.nan
         is_valid = np.isfinite(points[0]) & np.isfinite(points[1])
         return _stated(
@@ -377,7 +401,7 @@ class PairAtSizes:
         yield self.at_points(), sums_of(*self.points())
 
     def cells(self) -> tuple[list[Floats], Pair]:
-        """The means of both maps over the cells that stand for the pixels, and the size of a cell."""
+        """Give the means of both maps over the cells that stand for pixels, and a cell's size."""
         assert self._cells is not None
         return self._cells.means(), (
             self._factor * self._pixel_um[0],
@@ -393,7 +417,10 @@ class PairAtSizes:
 def _stated(
     sums: PairSums, cells: list[Floats], ranked: Floats, pitch_um: Pair, support_um: float
 ) -> Correlation:
-    """Say how sure the correlation is that stands in the sums; ``cells`` are both maps, as they are or averaged."""
+    """Say how sure the correlation is that stands in the sums.
+
+    ``cells`` are both maps, as they are or averaged.
+    """
     r, (slope, intercept, slope_x_on_y) = sums.r, sums.lines
     fields: dict[str, Any] = {"point_um": support_um, "n": sums.n, "r": r, "r2": r * r}
     fields |= {"slope": slope, "intercept": intercept, "slope_x_on_y": slope_x_on_y}

@@ -1,6 +1,9 @@
-"""What stands beside the correlation that leads: a table of questions, each answered for two maps on one grid.
+"""What stands beside the correlation that leads.
 
-Each is a module with result, computation and sentence, a field of :class:`EvidenceFacts` and a row of ``QUESTIONS``.
+A table of questions, each answered for two maps on one grid.
+
+Each is a module with result, computation and sentence, a field of :class:`EvidenceFacts` and a row
+of ``QUESTIONS``.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -117,7 +120,8 @@ class ComparedMaps:
     # Those of each sheet.
     columns: Mapping[str, SheetColumns] = field(default_factory=dict[str, SheetColumns])
     md_deg: float | None = None  # machine direction on the reference
-    # Means over the larger points, straight from the pixels, where both are sheets and the maps of one quantity.
+    # Means over the larger points, straight from the pixels, where both are sheets and the maps of
+    # one quantity.
     repeated_points: list[Floats] | None = None
 
     @property
@@ -168,7 +172,10 @@ class ComparedMaps:
 
 
 class PairWords(NamedTuple):
-    """What sentences call things: the size of points, the values of the image, the titles of both maps."""
+    """What sentences call things.
+
+    The size of points, the values of the image, and the titles of both maps.
+    """
 
     point_um: float = float("nan")
     image: str = "relative grey"
@@ -181,8 +188,9 @@ Section = Literal["scale", "distance", "repeated", "light"]
 class Question(NamedTuple):
     """A statistic beside r.
 
-    ``fields`` are those of :class:`EvidenceFacts` that ``answer`` fills; where one of them is not empty, ``say`` gives
-    the sentences of a section of the page from the first one. ``option`` is the option without which nobody asks.
+    ``fields`` are those of :class:`EvidenceFacts` that ``answer`` fills; where one of them is not
+    empty, ``say`` gives the sentences of a section of the page from the first one. ``option`` is
+    the option without which nobody asks.
     """
 
     fields: tuple[str, ...]
@@ -237,7 +245,9 @@ def correlation_diagnostics(
     columns: Mapping[str, SheetColumns] | None = None,
     md_deg: float | None = None,
 ) -> EvidenceFacts | None:
-    """Answer every question of two maps; None where they share fewer than 3 cells, or one of them is constant.
+    """Answer every question of two maps.
+
+    None where they share fewer than 3 cells, or one of them is constant.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Correlation of two maps at every lag: where they agree best, how wide that peak is, and what chance reaches."""
+"""Correlation of two maps at every lag.
+
+Where they agree best, how wide that peak is, and what chance reaches.
+"""
 
 from __future__ import annotations
 
@@ -114,15 +117,17 @@ def cross_correlogram(
 
     Notes
     -----
-    The limits follow from the covariances of both maps as those of :func:`planish.correlate` do, wider where fewer
-    pairs are left, by Student's t. Over lags, r of unrelated maps varies smoothly: its covariance is the convolution of
-    theirs, and the largest of all lags exceeds a limit as often as the mean Euler characteristic of a smooth Gaussian
-    field says (Worsley 1996), or as Bonferroni says where that is less.
+    The limits follow from the covariances of both maps as those of :func:`planish.correlate` do,
+    wider where fewer pairs are left, by Student's t. Over lags, r of unrelated maps varies
+    smoothly: its covariance is the convolution of theirs, and the largest of all lags exceeds a
+    limit as often as the mean Euler characteristic of a smooth Gaussian field says (Worsley 1996),
+    or as Bonferroni says where that is less.
 
     References
     ----------
-    Padfield (2012), IEEE Trans. Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402.
-    Worsley et al. (1996), Human Brain Mapping 4, 58, doi:10.1002/(SICI)1097-0193(1996)4:1<58::AID-HBM4>3.0.CO;2-O.
+    Padfield (2012), IEEE Trans. Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402. Worsley et
+    al. (1996), Human Brain Mapping 4, 58,
+    doi:10.1002/(SICI)1097-0193(1996)4:1<58::AID-HBM4>3.0.CO;2-O.
     """
     pixel = on_one_grid(a, b, mask, pixel_um)
     if not max(pixel) <= reach_um < math.inf:
@@ -140,7 +145,7 @@ def cross_correlogram(
 def correlogram_of(
     maps: tuple[Array, Array], valid: tuple[Bools, Bools], lags: Lags, *, reach_um: float = 500.0
 ) -> Correlogram:
-    """The same of maps with the pixels that count in each, and the lags of those that count in both."""
+    """The same for maps, given the pixels that count in each, and the lags of those in both."""
     (a, b), pixel = maps, lags.pixel_um
     check_varying(lags.is_valid)
     check_varying(valid[0], a=a)
@@ -212,9 +217,12 @@ def _summit(r: Floats) -> tuple[Pair, float, bool]:
 
 
 def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
-    """Full widths at half height along the main axes of what lies above it, and the direction of the longer one.
+    """Find the full widths at half height, and the direction of the longer one.
 
-    The border is looked for along rays; second moments of an ellipse are a quarter of its squared half axes.
+    The widths are along the main axes of what lies above half height.
+
+    The border is looked for along rays; second moments of an ellipse are a quarter of its squared
+    half axes.
     """
     rays = np.arange(_RAYS)
     angles = rays * (2 * math.pi / _RAYS)
@@ -264,7 +272,8 @@ def _limits(
         return 2 * min(mean, count * normal_tail(u))
 
     u = float(optimize.brentq(lambda v: math.log(chance(v) / _CHANCE), 2.0, 12.0))
-    # Over the inverse of the points, limits are all but straight: a quantile for each lag would take longest of all.
+    # Over the inverse of the points, limits are all but straight: a quantile for each lag would
+    # take longest of all.
     nodes = np.linspace(1 / float(n_eff_of_lag.max()), 1 / float(n_eff_of_lag.min()), 65)
     alone, anywhere = (
         np.where(

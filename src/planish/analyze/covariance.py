@@ -1,7 +1,8 @@
 """Covariances of maps by lag, and how many independent points a correlation of two maps has.
 
-Neighbouring points of a map resemble each other, so r of n points scatters like that of far fewer independent ones. How
-many follows from the covariances of both maps at every lag, which masked Fourier transforms give.
+Neighbouring points of a map resemble each other, so r of n points scatters like that of far fewer
+independent ones. How many follows from the covariances of both maps at every lag, which masked
+Fourier transforms give.
 """
 
 import math
@@ -14,7 +15,10 @@ from planish.core.typing import Array, Bools, Complexes, Floats, Pair
 
 
 class Lags:
-    """Sums over all pairs of known points of a mask (rows, cols) at every lag up to half of the field."""
+    """Sums over all pairs of known points of a mask (rows, cols).
+
+    They are taken at every lag up to half of the field.
+    """
 
     def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
         self.is_valid, self.pixel_um, self.n = is_valid, pixel_um, int(np.count_nonzero(is_valid))
@@ -50,7 +54,10 @@ class Lags:
         return self._back(np.conj(a) * b) * self.inside
 
     def until_zero(self, products: Floats) -> Bools:
-        """Lags up to the first distance at which the mean product, over all directions, changes its sign."""
+        """Lags up to the first distance at which the mean product changes its sign.
+
+        The mean is over all directions.
+        """
         rings = np.bincount(self._ring[self.inside], weights=products[self.inside])
         turned = np.flatnonzero(rings * (1.0 if rings[0] >= 0 else -1.0) <= 0.0)
         return self.inside & (self._ring < turned[0]) if turned.size else self.inside
@@ -58,7 +65,8 @@ class Lags:
     def covariance(self, products: Floats, used: Bools) -> Floats:
         """Covariance at the lags that are used, 0 at others.
 
-        Taking off a map's own mean takes that mean's variance off every covariance; those used put it back.
+        Taking off a map's own mean takes that mean's variance off every covariance; those used put
+        it back.
         """
         pairs = np.where(used, self.pairs, 0.0)
         rest = self.n**2 - float(pairs.sum())
@@ -70,7 +78,10 @@ class Lags:
         return float(np.sum(self.pairs * covariance)) / self.n**2
 
     def sums(self, covariance: Floats) -> Floats:
-        """Sum of the covariances of each known point with all known points: shape of the mask, 0 outside of it."""
+        """Sum of the covariances of each known point with all known points.
+
+        It has the shape of the mask, and is 0 outside of it.
+        """
         rows, cols = self.is_valid.shape
         covariance_sums = self._back(np.asarray(fft.rfft2(covariance)) * self._mask)[:rows, :cols]
         return np.where(self.is_valid, covariance_sums, 0.0)
@@ -80,13 +91,19 @@ class Lags:
 
 
 def covariance_of(values: Array, lags: Lags) -> Floats:
-    """Covariance of a map (rows, cols) with itself by lag, up to its first zero, over the mask of ``lags``."""
+    """Covariance of a map (rows, cols) with itself by lag, up to its first zero.
+
+    It is taken over the mask of ``lags``.
+    """
     products = lags.own_products(values)
     return lags.covariance(products, lags.until_zero(products))
 
 
 def scatter_of(values: Array, lags: Lags) -> tuple[float, float]:
-    """Variance of a map, with what the removal of the mean took put back, and the independent points of its mean."""
+    """Variance of a map, and the independent points of its mean.
+
+    What the removal of the mean took is put back into the variance.
+    """
     covariance = covariance_of(values, lags)
     variance, variance_of_mean = float(covariance[0, 0]), lags.variance_of_mean(covariance)
     return variance, (
@@ -95,7 +112,10 @@ def scatter_of(values: Array, lags: Lags) -> tuple[float, float]:
 
 
 class PairCovariances:
-    """Covariances of two maps (rows, cols), over the mask of ``lags``, with themselves and with each other, by lag."""
+    """Covariances of two maps (rows, cols), with themselves and with each other, by lag.
+
+    They are taken over the mask of ``lags``.
+    """
 
     def __init__(self, x: Floats, y: Floats, lags: Lags) -> None:
         self.lags = lags
@@ -115,7 +135,10 @@ class PairCovariances:
         ]
 
     def variance_of_r(self, variances: Pair | None = None) -> float:
-        """Variance of r of unrelated maps (Dutilleul 1993); ``variances``: of single points, where maps are means."""
+        """Variance of r of unrelated maps (Dutilleul 1993).
+
+        ``variances``: of single points, where maps are means.
+        """
         n, (xx, yy) = self.lags.n, (self.xx, self.yy)
         row_x, row_y = self.lags.sums(xx), self.lags.sums(yy)
         sum_x, sum_y = float(row_x.sum()), float(row_y.sum())
@@ -133,19 +156,25 @@ class PairCovariances:
         return trace / product if product > 0 else math.nan
 
     def n_eff(self, n: int, variances: Pair | None = None) -> float:
-        """Independent points, at most ``n``, that would give r of unrelated maps this variance; NaN if unknown."""
+        """Independent points, at most ``n``, that would give r of unrelated maps this variance.
+
+        NaN if unknown.
+        """
         variance = self.variance_of_r(variances)
         return min(1 + 1 / variance, float(n)) if variance > 0 else math.nan
 
     def variance_of_z(self, r: float, variances: Pair | None = None) -> float:
-        """Variance of Fisher's z of r of two jointly Gaussian maps with these covariances (Bartlett's formula)."""
+        """Variance of Fisher's z of r of two jointly Gaussian maps (Bartlett's formula).
+
+        The maps have these covariances.
+        """
         return float(self._influence(r, variances).sum()) / self.lags.n**2
 
     def spatial_error(self, r: float, bandwidth_um: float) -> Pair:
         """Standard error of z from what the points add to r, and the same over that of the model.
 
-        Both are sums over lags up to a bandwidth with weights that fall to 0 (Conley 1999), so that what longer lags
-        would add, and what the mean of a map takes off, are the same in both.
+        Both are sums over lags up to a bandwidth with weights that fall to 0 (Conley 1999), so that
+        what longer lags would add, and what the mean of a map takes off, are the same in both.
         """
         x, y = (m / math.sqrt(v) for m, v in zip(self._maps, self.variances, strict=True))
         influence = np.where(self.lags.is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
@@ -185,10 +214,12 @@ class PairCovariances:
 def variance_of_products(
     maps: Sequence[Floats], terms: Sequence[tuple[int, int, float]], lags: Lags
 ) -> float:
-    """Variance of the mean of a sum of products of jointly Gaussian maps, from their covariances by lag.
+    """Variance of the mean of a sum of products of jointly Gaussian maps.
 
-    The maps (rows, cols) have mean 0 and variance 1 over the mask of ``lags`` and are 0 outside of it; ``terms`` are
-    numbers of two maps and the weight of their product.
+    It is computed from their covariances by lag.
+
+    The maps (rows, cols) have mean 0 and variance 1 over the mask of ``lags`` and are 0 outside of
+    it; ``terms`` are numbers of two maps and the weight of their product.
     """
     spectra = [lags.transform(m) for m in maps]
     covariances: dict[tuple[int, int], Floats] = {}

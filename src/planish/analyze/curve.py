@@ -1,6 +1,9 @@
-"""Does brightness bend as a layer grows? A parabola beside the straight line, with the independent points of both.
+"""Whether brightness bends as a layer grows.
 
-The curve is not chosen: over the weights of one field, a line carries nearly all the variance of a saturating curve.
+A parabola beside the straight line, with the independent points of both.
+
+The curve is not chosen: over the weights of one field, a line carries nearly all the variance of a
+saturating curve.
 """
 
 from __future__ import annotations
@@ -76,9 +79,12 @@ def independent_points(
 
 
 class Curvature(ResultModel):
-    """A parabola through points, ``y = a + b (x - mean) + curvature (x - mean)^2``, beside the straight line.
+    """A parabola through points, beside the straight line.
 
-    The slope changes by twice the curvature per x. r2 of the parabola is never smaller, and says nothing by that.
+    The parabola is ``y = a + b (x - mean) + curvature (x - mean)^2``.
+
+    The slope changes by twice the curvature per x. r2 of the parabola is never smaller, and says
+    nothing by that.
     """
 
     point_um: Value = optional("Edge of the points.")
@@ -123,10 +129,10 @@ def straight_or_curved(
 
     Notes
     -----
-    Ordinary least squares; the standard errors are multiplied by ``sqrt(n / n_eff)`` and Student's t has n_eff less the
-    number of coefficients for degrees of freedom, so that with n_eff = n all is as in textbooks. Of 200 fields with a
-    straight line, the interval of the curvature holds 0 in .99 to 1.00 without n_eff_square and in .96 to .99 with it
-    (``python -m benchmarks optics``).
+    Ordinary least squares; the standard errors are multiplied by ``sqrt(n / n_eff)`` and Student's
+    t has n_eff less the number of coefficients for degrees of freedom, so that with n_eff = n all
+    is as in textbooks. Of 200 fields with a straight line, the interval of the curvature holds 0 in
+    .99 to 1.00 without n_eff_square and in .96 to .99 with it (``python -m benchmarks optics``).
     """
     xs, ys, n_slope = known_points(x, y, n_eff)
     n_bend = n_slope if n_eff_square is None else known_points(x, y, n_eff_square)[2]
@@ -194,7 +200,10 @@ def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floa
 
 
 def _least_squares(terms: Floats, values: Floats, n_eff: float) -> tuple[Floats, float]:
-    """Coefficients and half widths of their 95 % intervals, (2, terms), and the mean square that is left."""
+    """Coefficients and half widths of their 95 % intervals, and the mean square that is left.
+
+    Coefficients and half widths are (2, terms).
+    """
     coefficients = np.linalg.lstsq(terms, values, rcond=None)[0]
     mean_square = float(np.mean((values - terms @ coefficients) ** 2))
     free = n_eff - terms.shape[1]
@@ -203,7 +212,10 @@ def _least_squares(terms: Floats, values: Floats, n_eff: float) -> tuple[Floats,
 
 
 def answer_curve(pair: ComparedMaps) -> dict[str, Any]:
-    """Whether an image bends over a property, at the larger points; nothing where too few points are independent."""
+    """Whether an image bends over a property, at the larger points.
+
+    Nothing where too few points are independent.
+    """
     if not (pair.has_points and pair.is_sheet_on_image):
         return {}
     x, y = pair.points

@@ -1,4 +1,4 @@
-"""Correlation of two maps against the size of the points, with a band that holds the whole curve."""
+"""Correlation of two maps against the size of points, with a band that holds the whole curve."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def size_curve(
 
     Notes
     -----
-    The correlations of neighbouring sizes scatter together. How much is told from what tiles of the field add to each
-    of them; the limits are those of the largest of so many correlated normal deviates. The best of 8 sizes taken by
-    itself would be "significant" in 9 % of unrelated maps.
+    The correlations of neighbouring sizes scatter together. How much is told from what tiles of the
+    field add to each of them; the limits are those of the largest of so many correlated normal
+    deviates. The best of 8 sizes taken by itself would be "significant" in 9 % of unrelated maps.
     """
     is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     if sizes_um is None:  # up by factors of the square root of 2

@@ -1,6 +1,9 @@
-"""Planes, trends and slow waves taken off maps, surrogates of what is left, and how far its texture reaches.
+"""Planes, trends and slow waves taken off maps.
 
-A trend over the whole field that two maps share, such as light, curl or drift, is one event and not many.
+Also surrogates of what is left, and how far its texture reaches.
+
+A trend over the whole field that two maps share, such as light, curl or drift, is one event and not
+many.
 """
 
 import math
@@ -15,8 +18,12 @@ from planish.core.typing import Bools, Floats, Pair
 
 
 def without_trend(values: Floats, is_valid: Bools) -> Floats:
-    """Take the plane and second-order surface of least squares off a map (rows, cols); 0 where it is not known."""
-    # Products of one polynomial along the rows and one along the columns: no term is ever as large as the map.
+    """Take the plane and second-order surface of least squares off a map (rows, cols).
+
+    0 where it is not known.
+    """
+    # Products of one polynomial along the rows and one along the columns: no term is ever as large
+    # as the map.
     rows, cols = (
         np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), 2) for n in is_valid.shape
     )
@@ -39,7 +46,10 @@ def without_trend(values: Floats, is_valid: Bools) -> Floats:
 
 
 def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
-    """Say what trends over the field hold of two maps; empty where it is less than a quarter of either."""
+    """Say what trends over the field hold of two maps.
+
+    Empty where it is less than a quarter of either.
+    """
     detrended = [without_trend(m, is_valid)[is_valid] for m in (x, y)]
     shares = [
         1.0 - float(m.var()) / float(v[is_valid].var())
@@ -56,16 +66,18 @@ def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
 
 
 class PhaseSurrogate:
-    """Maps with the power spectrum of a map, random phases and no trend: of its texture, but unrelated to anything.
+    """Maps with the power spectrum of a map, random phases and no trend.
 
-    The map (rows, cols) is one without trend; where it is not valid, its mean is taken. Theiler et al. (1992), Physica
-    D 58, 77, doi:10.1016/0167-2789(92)90102-S.
+    They are of its texture, but unrelated to anything.
+
+    The map (rows, cols) is one without trend; where it is not valid, its mean is taken. Theiler et
+    al. (1992), Physica D 58, 77, doi:10.1016/0167-2789(92)90102-S.
     """
 
     def __init__(self, values: Floats, valid: Bools) -> None:
         mean = float(values[valid].mean()) if valid.any() else 0.0
-        # A tapered cosine (Tukey) window, as the jump at the borders would whiten the spectrum, and make the null too
-        # narrow; scipy.signal has it too but takes half a second to import.
+        # A tapered cosine (Tukey) window, as the jump at the borders would whiten the spectrum, and
+        # make the null too narrow; scipy.signal has it too but takes half a second to import.
         border_depths = (
             np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (0.4 * max(n - 1, 1))
             for n in values.shape
@@ -78,7 +90,10 @@ class PhaseSurrogate:
         self._plane = Plane(valid)
 
     def draw(self, rng: np.random.Generator) -> Floats:
-        """Return the next (rows, cols), 0 where unknown; its variance is smaller: gaps and borders count as 0."""
+        """Return the next (rows, cols), 0 where unknown.
+
+        Its variance is smaller: gaps and borders count as 0.
+        """
         # The spectrum of white noise has the symmetry of a real map's.
         phase = np.asarray(fft.rfft2(rng.standard_normal(self._shape)))
         phase *= self.amplitude / np.maximum(np.abs(phase), 1e-300)
@@ -118,7 +133,7 @@ class Plane:
 def in_band(
     values: Floats, valid: Bools, pixel_um: Pair, band_um: tuple[float | None, float | None]
 ) -> Floats:
-    """Keep wavelengths from ``band_um[0]`` to ``band_um[1]`` of a map, where both limits are halved.
+    """Keep wavelengths of a map from ``band_um[0]`` to ``band_um[1]``, with both limits halved.
 
     Parameters
     ----------
@@ -143,7 +158,10 @@ def _low_pass(values: Floats, valid: Bools, pixel_um: Pair, half_um: float) -> F
 
 
 def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float:
-    """Distance where a map's autocorrelation, averaged over directions, is below 1/e; inf beyond a quarter of it."""
+    """Distance where a map's autocorrelation, averaged over directions, is below 1/e.
+
+    Inf beyond a quarter of it.
+    """
     reach = (max(values.shape[0] // 4, 1), max(values.shape[1] // 4, 1))
     r = MaskedNcc(values, a_valid=valid, b_valid=valid, reach=reach)(values)
     y, x = (np.arange(-n, n + 1) * p for n, p in zip(reach, pixel_um, strict=True))

@@ -52,7 +52,7 @@ def paired_difference(
     mask: Bools | None = None,
     pixel_um: Pixel,
 ) -> Difference:
-    """Compare the correlations of two pairs of maps on one grid, over the pixels that are valid in all.
+    """Compare the correlations of two pairs of maps on one grid, over the pixels valid in all.
 
     Parameters
     ----------
@@ -67,9 +67,10 @@ def paired_difference(
 
     Notes
     -----
-    What each pixel adds to the difference of Fisher's z is a map of its own (the influence function), whose mean has
-    the variance that its covariances by lag give. What the pairs share cancels in it. Of long waves that comes out too
-    small, so the variance that Gaussian maps of these covariances would have is taken where it is larger.
+    What each pixel adds to the difference of Fisher's z is a map of its own (the influence
+    function), whose mean has the variance that its covariances by lag give. What the pairs share
+    cancels in it. Of long waves that comes out too small, so the variance that Gaussian maps of
+    these covariances would have is taken where it is larger.
     """
     maps = (*first, *second)
     pixel = on_one_grid(maps[0], maps[1], mask, pixel_um)
@@ -142,7 +143,10 @@ def _difference(r: Pair, width: float) -> Difference:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Put the p of a table right for how many there are (Holm 1979, Scand. J. Statist. 6, 65); NaN stays and counts."""
+    """Put the p of a table right for how many there are (Holm 1979, Scand.
+
+    J. Statist. 6, 65); NaN stays and counts.
+    """
     order = sorted((v, k) for k, v in enumerate(p) if not math.isnan(v))
     out, most = [math.nan] * len(p), 0.0
     for rank, (value, k) in enumerate(order):

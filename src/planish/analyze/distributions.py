@@ -1,4 +1,7 @@
-"""Quantiles, tails and ranks as ``scipy.stats`` has them, whose import takes as long as all r of a small run."""
+"""Quantiles, tails and ranks as ``scipy.stats`` has them.
+
+The import of ``scipy.stats`` takes as long as all r of a small run.
+"""
 
 import math
 
@@ -14,7 +17,7 @@ def normal_tail(value: float) -> float:
 
 
 def t_95(df: float) -> float:
-    """Standard errors within which 95 % of Student's distribution with ``df`` degrees of freedom lie."""
+    """Standard errors that hold 95 % of Student's distribution with ``df`` degrees of freedom."""
     return float(special.stdtrit(df, 0.975))
 
 
@@ -24,7 +27,10 @@ def student_tail(value: float, df: float) -> float:
 
 
 def largest_tail(maxima: Floats, value: float) -> float:
-    """The share of further maxima above a value, by Gumbel's distribution fitted by maximum likelihood."""
+    """The share of further maxima above a value, by Gumbel's distribution.
+
+    The distribution is fitted by maximum likelihood.
+    """
     excesses = maxima - maxima.min()
 
     def excess(scale: float) -> float:
@@ -40,7 +46,10 @@ def largest_tail(maxima: Floats, value: float) -> float:
 
 
 def ranks(values: Floats) -> Floats:
-    """Ranks from 1 on of an array without missing values, flat; equal values have their mean rank."""
+    """Ranks from 1 on of an array without missing values, flat.
+
+    Equal values have their mean rank.
+    """
     _, which, count = np.unique(values.ravel(), return_inverse=True, return_counts=True)
     last = np.cumsum(count)
     return (last - (count - 1) / 2)[which]

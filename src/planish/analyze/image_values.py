@@ -1,4 +1,7 @@
-"""The values of an image as they are compared: grey as reflectance, and without a print's halftone screen."""
+"""The values of an image as they are compared.
+
+Grey as reflectance, and without a print's halftone screen.
+"""
 
 import math
 from typing import Any, Literal
@@ -16,7 +19,10 @@ from planish.core.typing import Array, Bools, Pair, Pixel
 from planish.io.params import ImageParams
 
 SCREEN_SIGMA_UM = 70.0
-"""Standard deviation of the Gaussian: 6 of them are the 420 um of Hirn et al. (2009), section 3.3.2."""
+"""Standard deviation of the Gaussian: 6 of them are the 420 um of Hirn et al.
+
+(2009), section 3.3.2.
+"""
 
 SCREEN_SIGMA = SCREEN_SIGMA_UM * 60 / 1e4
 """The same as a share of the period of the screen that it was for, 60 lines per cm."""
@@ -76,12 +82,14 @@ def compared_image(
     image : DataArray (y, x), of :func:`planish.read_image`
     params : ImageParams
     mask : ndarray of bool, optional
-        Pixels that may count for their neighbours when the screen is taken off; the others become NaN.
+        Pixels that may count for their neighbours when the screen is taken off; the others become
+        NaN.
 
     Returns
     -------
     DataArray (y, x)
-        The image itself where there is nothing to do. Attribute ``reach_um``: how far a pixel reached for neighbours.
+        The image itself where there is nothing to do. Attribute ``reach_um``: how far a pixel
+        reached for neighbours.
 
     Raises
     ------
@@ -126,7 +134,9 @@ def without_screen(
     sigma_um: float = SCREEN_SIGMA_UM,
     mask: Bools | None = None,
 ) -> NDArray[np.floating[Any]]:
-    """Average an image with a Gaussian, over the pixels that are known; before it is averaged over points.
+    """Average an image with a Gaussian, over the pixels that are known.
+
+    Before it is averaged over points.
 
     Parameters
     ----------
@@ -138,7 +148,8 @@ def without_screen(
     Returns
     -------
     ndarray, shape (rows, cols)
-        NaN where the image is not known. Single precision of an image of single precision or of 8 or 16 bits.
+        NaN where the image is not known. Single precision of an image of single precision or of 8
+        or 16 bits.
 
     Raises
     ------
@@ -149,9 +160,10 @@ def without_screen(
 
     Notes
     -----
-    Sum of the known values over sum of their weights: a map that is constant stays so up to its border. The kernel is
-    not symmetric there, though, and more of the screen is left than elsewhere: keep 3 sigma off holes and borders where
-    the last percent counts. The kernel is cut at the pixel nearest to 3 sigma, along either axis.
+    Sum of the known values over sum of their weights: a map that is constant stays so up to its
+    border. The kernel is not symmetric there, though, and more of the screen is left than
+    elsewhere: keep 3 sigma off holes and borders where the last percent counts. The kernel is cut
+    at the pixel nearest to 3 sigma, along either axis.
     """
     values, valid, pixel = known_pixels(image, mask, pixel_um)
     sigma = [sigma_um / p for p in pixel]
@@ -174,7 +186,10 @@ def without_screen(
 def smooth(
     values: Array, weight: Array, is_valid: Bools, sigma: list[float], *, truncate: float
 ) -> NDArray[np.floating[Any]]:
-    """Gaussian mean (sigma in pixels) over known values, which are 0 elsewhere; NaN where nothing is known."""
+    """Gaussian mean (sigma in pixels) over known values, which are 0 elsewhere.
+
+    NaN where nothing is known.
+    """
     total = ndimage.gaussian_filter(values, sigma, mode="constant", truncate=truncate)
     full = ndimage.gaussian_filter(weight, sigma, mode="constant", truncate=truncate)
     return np.divide(total, full, out=np.full_like(total, np.nan), where=is_valid)

@@ -1,7 +1,9 @@
-"""Brightness that a coating of known weight should have: Kubelka and Munk's theory of scattering layers, and its fit.
+"""Brightness that a coating of known weight should have.
 
-Light goes straight down and up in it; what scatters sideways is left out. A map of points below some 0.2 mm is blurred
-by that, and its brightness follows the coating less than the theory says.
+Kubelka and Munk's theory of scattering layers, and its fit.
+
+Light goes straight down and up in it; what scatters sideways is left out. A map of points below
+some 0.2 mm is blurred by that, and its brightness follows the coating less than the theory says.
 """
 
 from __future__ import annotations
@@ -49,7 +51,8 @@ def reflectance(
     Parameters
     ----------
     weight : array_like
-        kg/m2, with coefficients in m2/kg; or thickness in um, with coefficients per um. NaN is missing.
+        kg/m2, with coefficients in m2/kg; or thickness in um, with coefficients per um. NaN is
+        missing.
     scattering, absorption : array_like; Kubelka and Munk's s and k; 0 is allowed for either
     backing : array_like; reflectance of what lies below, 0 to 1
 
@@ -65,9 +68,9 @@ def reflectance(
 
     Notes
     -----
-    Without absorption ``R = [Rg + (1 - Rg) s W] / [1 + (1 - Rg) s W]``, which is reached without a step. Over a bright
-    base the curve bends late: half of what is missing to 1 is gained at ``W = 1 / [s (1 - Rg)]``, some 35 g/m2 of a
-    coating with s = 150 m2/kg on a base of 0.8.
+    Without absorption ``R = [Rg + (1 - Rg) s W] / [1 + (1 - Rg) s W]``, which is reached without a
+    step. Over a bright base the curve bends late: half of what is missing to 1 is gained at ``W = 1
+    / [s (1 - Rg)]``, some 35 g/m2 of a coating with s = 150 m2/kg on a base of 0.8.
 
     References
     ----------
@@ -91,7 +94,9 @@ def reflectance(
 
 
 def stack(layers: Sequence[ScatteringLayer], backing: ArrayLike) -> Floats:
-    """Reflectance of layers over a backing, from the bottom to the top; without layers that of the backing.
+    """Reflectance of layers over a backing, from the bottom to the top.
+
+    Without layers that of the backing.
 
     Raises
     ------
@@ -107,7 +112,9 @@ def stack(layers: Sequence[ScatteringLayer], backing: ArrayLike) -> Floats:
 
 
 def pile(*, scattering: ArrayLike, absorption: ArrayLike) -> Floats:
-    """Reflectance of a pile that nothing shines through, ``1 + k/s - sqrt((k/s)^2 + 2 k/s)``; 1 without absorption.
+    """Reflectance of a pile that nothing shines through, ``1 + k/s - sqrt((k/s)^2 + 2 k/s)``.
+
+    1 without absorption.
 
     Raises
     ------
@@ -177,17 +184,21 @@ def fit_kubelka_munk(
     absorption_over_scattering: float = 0.0,
     weight: bool = False,
 ) -> KubelkaMunk:
-    """Fit a scattering layer over a backing to the reflectance of points: a curve beside the straight line.
+    """Fit a scattering layer over a backing to the reflectance of points.
+
+    The fit is a curve beside the straight line.
 
     Parameters
     ----------
     x : array_like; thickness or weight of points, not negative; NaN is missing
     y : array_like, shape of x
-        Relative reflectance of the same points, 0 to 1: grey less the dark level, over that of a white reference.
+        Relative reflectance of the same points, 0 to 1: grey less the dark level, over that of a
+        white reference.
     n_eff : float; independent points, as for :func:`straight_or_curved`
     n_eff_level : float, optional
-        Independent points of the mean of y, of :func:`planish.analyze.independent_points`; ``n_eff`` without it, which
-        makes the intervals too narrow where the rest of the brightness has long waves.
+        Independent points of the mean of y, of :func:`planish.analyze.independent_points`;
+        ``n_eff`` without it, which makes the intervals too narrow where the rest of the brightness
+        has long waves.
     absorption_over_scattering : float
         K / S of the layer, which one field cannot tell from S; some 0.002 for a white coating.
     weight : bool; whether x is in g/m2: S is in m2/kg then, and per unit of x otherwise
@@ -199,22 +210,29 @@ def fit_kubelka_munk(
     Raises
     ------
     InputError
-        If the arrays differ in shape, x is negative somewhere, y is not within 0 to 1, or a number means nothing.
+        If the arrays differ in shape, x is negative somewhere, y is not within 0 to 1, or a number
+        means nothing.
     CannotMeasure
-        If fewer than 10 points are independent, x has fewer than 3 values, or no layer fits better than none.
+        If fewer than 10 points are independent, x has fewer than 3 values, or no layer fits better
+        than none.
 
     Notes
     -----
-    Least squares for S and the backing. The intervals are profiles: all values of the one for which the other can be
-    chosen so that the sum of squares stays below its least times ``1 + t^2 / (n_eff - 2)``, t being Student's; the
-    square of the mean that is left counts ``n_eff_level / n_eff`` in it. They need no symmetry, and end at what is
+    Least squares for S and the backing. The intervals are profiles: all values of the one for which
+    the other can be
+    chosen so that the sum of squares stays below its least times ``1 + t^2 / (n_eff - 2)``, t being
+    Student's; the
+    square of the mean that is left counts ``n_eff_level / n_eff`` in it. They need no symmetry, and
+    end at what is
     possible. The ratio K / S is taken as exact: of a coating with K / S = 0.002
-    over a base of 0.79, S is found 16 % too low with 0. So is x: an error of x lowers S, as it lowers the slope of a
+    over a base of 0.79, S is found 16 % too low with 0. So is x: an error of x lowers S, as it
+    lowers the slope of a
     line.
 
     References
     ----------
-    Bates and Watts (1988), Nonlinear Regression Analysis and Its Applications, chapter 6, doi:10.1002/9780470316757.
+    Bates and Watts (1988), Nonlinear Regression Analysis and Its Applications, chapter 6,
+    doi:10.1002/9780470316757.
     """
     xs, ys, n_slope = known_points(x, y, n_eff)
     ratio = float(absorption_over_scattering)
@@ -279,10 +297,12 @@ def fit_kubelka_munk(
 
 
 class _Fit:
-    """Least squares of S (times the mean of x) and the backing, in this order, within what is possible.
+    """Least squares of S (times the mean of x) and the backing, in this order.
 
-    The mean of what is left is multiplied by ``level``. Two parameters can meet mean and slope, so the best fit is
-    hardly changed by that; how far they may be off it is.
+    Both stay within what is possible.
+
+    The mean of what is left is multiplied by ``level``. Two parameters can meet mean and slope, so
+    the best fit is hardly changed by that; how far they may be off it is.
     """
 
     def __init__(self, x: Floats, y: Floats, ratio: float, level: float) -> None:
@@ -304,7 +324,7 @@ class _Fit:
         return float(s), float(backing)
 
     def refit(self, k: int, fixed: float, best: Pair) -> float:
-        """The other parameter, near that of the best fit, that fits best with a value of one of them."""
+        """Find the other parameter, near that of the best fit, that fits best with one fixed."""
         free = slice(1 - k, 2 - k)
         return float(
             _solved(lambda v: self._residuals(*_parameters(k, fixed, v[0])), best[free], free)[0]
@@ -350,7 +370,10 @@ def _solved(
 def _crossing(
     excess: Callable[[float], float], inside: float, end: float, fallback: float
 ) -> float:
-    """Where ``excess`` turns positive from ``inside`` to ``end``, in doubling steps: the nearest; else ``fallback``."""
+    """Where ``excess`` turns positive from ``inside`` to ``end``, in doubling steps: the nearest.
+
+    Else ``fallback``.
+    """
     near, step = inside, 0.05 * max(abs(inside), 0.1)
     while near != end:
         far = min(near + step, end) if end > inside else max(near - step, end)
@@ -361,7 +384,10 @@ def _crossing(
 
 
 def density_of(measured: xr.Dataset, name: str) -> float | None:
-    """Density (g/cm3) of a coating: as named, or as weighed, weight (g/m2) over thickness (um); None without either."""
+    """Density (g/cm3) of a coating: as named, or as weighed, weight (g/m2) over thickness (um).
+
+    None without either.
+    """
     other = name.replace("coating_", "coat_weight_")
     if other == name or other not in measured or name not in measured:
         return None
@@ -382,7 +408,10 @@ def density_of(measured: xr.Dataset, name: str) -> float | None:
 def kubelka_munk_of(
     points: tuple[Floats, Floats], *, point_um: float, ratio: float, density: float | None
 ) -> KubelkaMunk:
-    """Fit reflectance at larger points, or say why not; ``density``: um to g/m2, 1 for weights, None for lengths."""
+    """Fit reflectance at larger points, or say why not.
+
+    ``density``: um to g/m2, 1 for weights, None for lengths.
+    """
     is_weight, x, y = density is not None, points[0] * (density or 1.0), points[1]
     try:
         count = independent_points(x, y, pixel_um=point_um)

@@ -1,4 +1,7 @@
-"""How far one map lies off others on the same grid, by their common texture alone: the image-based check."""
+"""Image-based check of how far one map lies off others on the same grid.
+
+It goes by their common texture alone.
+"""
 
 import math
 from collections.abc import Sequence
@@ -78,8 +81,9 @@ class LagNumbers(ResultModel):
 class Lag:
     """Where the last map's texture lies, relative to that of the first ones.
 
-    Its numbers are those of :class:`LagNumbers`. ``r`` is a multiple correlation, with the sign of that of the very
-    first map; ``lag_um`` and ``covariance_um2`` (2, 2) are NaN unless distinct; ``field``: lags of tiles, if asked for.
+    Its numbers are those of :class:`LagNumbers`. ``r`` is a multiple correlation, with the sign of
+    that of the very first map; ``lag_um`` and ``covariance_um2`` (2, 2) are NaN unless distinct;
+    ``field``: lags of tiles, if asked for.
     """
 
     reach_um: float
@@ -96,7 +100,7 @@ class Lag:
 
     @property
     def distinct(self) -> bool:
-        """Whether the peak is higher than chance puts it, inside the search, the only one, and well located."""
+        """Whether the peak is above chance, inside the search, the only one, and well located."""
         return self.silence is None
 
     @property
@@ -121,27 +125,37 @@ class Lag:
         return float(np.sqrt(along @ self.covariance_um2 @ along))
 
     def agrees(self, expected_error_um: float) -> bool | None:
-        """Whether the lag is one that the expected error of the registration allows; None if it is inconclusive.
+        """Whether the lag is one that the expected error of the registration allows.
+
+        None if it is inconclusive.
 
         Parameters
         ----------
-        expected_error_um : float, in um; rms distance between the fitted and the true place (rms over the map)
+        expected_error_um : float, in um
+            Rms distance between the fitted and the true place (rms over the map).
 
         Notes
         -----
-        The limit is 1.73 times the rms of expected error and standard error of the lag together: 95 % of normal errors
-        are smaller. A lag that is known less well than the registration agrees easily.
+        The limit is 1.73 times the rms of expected error and standard error of the lag together: 95
+        % of normal errors are smaller. A lag that is known less well than the registration agrees
+        easily.
         """
         if not self.distinct or not math.isfinite(expected_error_um):
             return None
         return self.length_um <= self._allowed_um(expected_error_um)
 
     def _allowed_um(self, expected_error_um: float) -> float:
-        """Length that 95 % of the lags of right registrations, normal with one spread along x and y, stay below."""
+        """Length that 95 % of the lags of right registrations stay below.
+
+        The lags are normal with one spread along x and y.
+        """
         return math.sqrt(-math.log(0.05)) * math.hypot(expected_error_um, *self.se_um)
 
     def check(self, expected_error_um: float | None = None) -> Check:
-        """What the lag says of the registration, whose expected error (rms, in um) may be unknown."""
+        """State what the lag says of the registration.
+
+        The expected error of the registration (rms, in um) may be unknown.
+        """
         inconclusive = "Image-based check: inconclusive, because"
         if self.silence is not None:
             sentence = f"{inconclusive} {_SILENCE[self.silence]}."
@@ -192,7 +206,10 @@ class Lag:
         return self.check(expected_error_um).sentence
 
     def numbers(self, property_name: str, expected_error_um: float | None = None) -> LagNumbers:
-        """Return what stands in the results of a run, with the first map's property and the expected error if known."""
+        """Return what stands in the results of a run.
+
+        With the first map's property, and the expected error if known.
+        """
         expected_um = math.nan if expected_error_um is None else expected_error_um
         tile_lags = (
             ()
@@ -229,7 +246,7 @@ class Lag:
         )
 
 
-def texture_lag(
+def texture_lag(  # noqa: PLR0911
     texture: Textures,
     first: Sequence[str],
     last: str,
@@ -244,11 +261,12 @@ def texture_lag(
     ----------
     texture : Textures, of :func:`textures`
     first : sequence of str
-        Maps that the last one may follow, with either sign and together: a coating and, for light from one side, the
-        slopes of the surface. The last ``slopes`` of them are such slopes.
+        Maps that the last one may follow, with either sign and together: a coating and, for light
+        from one side, the slopes of the surface. The last ``slopes`` of them are such slopes.
     last : str
     reach_um : float, in um; largest lag searched, in every direction; at most a quarter of the map
-    tiles_um : float or None, in um; side of square tiles, half overlapping, whose lags are found one by one
+    tiles_um : float or None, in um; side of square tiles, half overlapping, whose lags are found
+    one by one
 
     Returns
     -------
@@ -261,10 +279,13 @@ def texture_lag(
 
     Notes
     -----
-    At every lag the last map is regressed on the first ones, each in two halves at 60 um, so that either may be more
-    blurred than the other; the peak of R² is the lag. What follows the slopes of a surface is an odd relation, which
+    At every lag the last map is regressed on the first ones, each in two halves at 60 um, so that
+    either may be more
+    blurred than the other; the peak of R² is the lag. What follows the slopes of a surface is an
+    odd relation, which
     alone would move the peak of r. The limit is what R² of unrelated textures exceeds
-    anywhere in the search in 1 of 1000 cases (chi-square field of as many degrees as maps; Worsley 1994). The standard
+    anywhere in the search in 1 of 1000 cases (chi-square field of as many degrees as maps; Worsley
+    1994). The standard
     error is that of an M-estimator, from the scatter of tiles.
 
     References

@@ -1,4 +1,7 @@
-"""Lags of tiles: where the registration of two maps is off, and whether one is stretched against the other."""
+"""Lags of tiles show where the registration of two maps is off.
+
+They also show whether one map is stretched against the other.
+"""
 
 from itertools import product
 
@@ -26,18 +29,20 @@ class LagField(ResultModel):
     tile_um: float = Field(description="Side of a tile.")
 
     def linear(self) -> tuple[Floats, Floats, Floats] | None:
-        """Lag at the middle of the map and its change with place, and the standard errors of the latter.
+        """Lag at the middle of the map, its change with place, and standard errors of the change.
 
         Returns
         -------
         tuple of ndarray or None
-            Lag at the mean place of the distinct tiles ``(2,)`` in um; derivatives ``(2, 2)``, a row for the lag
-            along x and y, a column for the place: 0.001 is a stretch by 0.1 %; their standard errors ``(2, 2)``, from
-            the scatter of the tiles about the plane. None with fewer than 6 distinct tiles or all in one line.
+            Lag at the mean place of the distinct tiles ``(2,)`` in um; derivatives ``(2, 2)``, a
+            row for the lag along x and y, a column for the place: 0.001 is a stretch by 0.1 %;
+            their standard errors ``(2, 2)``, from the scatter of the tiles about the plane. None
+            with fewer than 6 distinct tiles or all in one line.
 
         Notes
         -----
-        Neighbouring tiles share half of their pixels, so the standard errors count a quarter of the tiles.
+        Neighbouring tiles share half of their pixels, so the standard errors count a quarter of the
+        tiles.
         """
         use = self.distinct
         if int(use.sum()) < 6:
@@ -68,10 +73,13 @@ def lag_field(
     unrelated: list[Floats],
     overlapping: bool = True,
 ) -> LagField:
-    """Find the lag of every tile of a within b, by positive correlation; tiles overlap by half, or not at all.
+    """Find the lag of every tile of a within b, by positive correlation.
 
-    The maps are without trend, 0 where not valid. The null are the peaks of the unrelated maps, of b's texture, in all
-    tiles, each put to the tile's size. Tiles no larger than twice the reach, or larger than the map, are refused.
+    Tiles overlap by half, or not at all.
+
+    The maps are without trend, 0 where not valid. The null are the peaks of the unrelated maps, of
+    b's texture, in all tiles, each put to the tile's size. Tiles no larger than twice the reach, or
+    larger than the map, are refused.
     """
     side_px = [round(tile_um / p) for p in pixel_um]
     allowed, wide = within(reach), (reach[0] + MARGIN, reach[1] + MARGIN)

@@ -1,4 +1,7 @@
-"""Regression of one map on others at every lag: the share that they explain, and what unrelated maps reach."""
+"""Regression of one map on others at every lag.
+
+The share that they explain, and what unrelated maps reach.
+"""
 
 import math
 
@@ -11,10 +14,12 @@ from planish.core.typing import Bools, Complexes, Floats, Pair
 
 
 class LagSearch:
-    """Regression of y (rows, cols) on the maps x (k, rows, cols), all standardised, at every lag within ``wide``.
+    """Regression of y (rows, cols) on the maps x (k, rows, cols) at every lag within ``wide``.
 
-    ``share`` (2 n + 1, 2 m + 1) is R² at each lag, NaN where few pairs are left; ``height`` the same, less where pairs
-    are fewer, as it is compared with chance.
+    All maps are standardised.
+
+    ``share`` (2 n + 1, 2 m + 1) is R² at each lag, NaN where few pairs are left; ``height`` the
+    same, less where pairs are fewer, as it is compared with chance.
     """
 
     def __init__(self, x: Floats, y: Floats, is_valid: Bools, wide: tuple[int, int]) -> None:
@@ -75,9 +80,9 @@ class LagSearch:
     def covariance(self, peak: Peak, pixel_um: Pair) -> Floats:
         """Covariance of the peak's place, (2, 2) in pixels squared, from the scatter of tiles.
 
-        The slope of R²/2 at the peak is the mean of ``(m - R² y) grad y + e x·w`` over the pixels, with the fitted map
-        m, the rest e = y - m and w = G⁻¹ times the slopes of the products of x and y: the second part is what the
-        weights of the maps, which are fitted as well, add.
+        The slope of R²/2 at the peak is the mean of ``(m - R² y) grad y + e x·w`` over the pixels,
+        with the fitted map m, the rest e = y - m and w = G⁻¹ times the slopes of the products of x
+        and y: the second part is what the weights of the maps, which are fitted as well, add.
         """
         x_slices, y_slices = overlap(self._y.shape, peak.lag_px)
         is_valid = self._is_valid[x_slices] & self._is_valid[y_slices]
@@ -106,10 +111,12 @@ class LagSearch:
 
 
 def _chi2_limit(k: int, reach: tuple[int, int], root: float) -> float:
-    """Height that a smooth chi-square field of k degrees exceeds in the ellipse ``reach`` in 1 of 1000 cases.
+    """Height that a smooth chi-square field of k degrees exceeds in 1 of 1000 cases.
 
-    By its expected Euler characteristic; ``root`` is the root of the determinant of the covariance of the slopes of the
-    Gaussian fields that it is made of, per pixel squared.
+    It does so in the ellipse ``reach``.
+
+    By its expected Euler characteristic; ``root`` is the root of the determinant of the covariance
+    of the slopes of the Gaussian fields that it is made of, per pixel squared.
     """
     area = math.pi * reach[0] * reach[1] * root
     half_round = math.pi * math.sqrt(reach[0] * reach[1] * root)

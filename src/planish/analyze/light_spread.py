@@ -47,8 +47,9 @@ def spread_light(
     values : ndarray, shape (rows, cols), such as the thickness of a coating; NaN is missing
     pixel_um : float or (float, float), along y and x
     width_um : float
-        Length over which the point spread function falls to 1/e. It has to be known from elsewhere: widths of 150 to
-        350 um are stated for papers, and a single number does not describe a paper well.
+        Length over which the point spread function falls to 1/e. It has to be known from elsewhere:
+        widths of 150 to 350 um are stated for papers, and a single number does not describe a paper
+        well.
     mask : ndarray of bool, shape (rows, cols), optional; pixels that count
 
     Returns
@@ -67,9 +68,10 @@ def spread_light(
 
     Notes
     -----
-    The point spread function ``exp(-r / w) / (2 pi w^2)`` has the transfer function ``(1 + (2 pi w f)^2)^(-3/2)``, by
-    which the spectrum is multiplied. Map and mask are treated alike and divided by each other, so that a map that is
-    constant stays so; along borders and holes the mean leans to one side.
+    The point spread function ``exp(-r / w) / (2 pi w^2)`` has the transfer function ``(1 + (2 pi w
+    f)^2)^(-3/2)``, by which the spectrum is multiplied. Map and mask are treated alike and divided
+    by each other, so that a map that is constant stays so; along borders and holes the mean leans
+    to one side.
     """
     is_valid, pixel = valid_pixels(values, values, mask, pixel_um)
     side_um = min(n * p for n, p in zip(values.shape, pixel, strict=True))
@@ -96,7 +98,10 @@ def spread_light(
 
 
 def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
-    """An image correlated with a coating blurred as light is, beside the coating as it is, at the same points."""
+    """Correlate an image with a coating blurred as light is.
+
+    It stands beside the coating as it is, at the same points.
+    """
     width_um, point_um, cell_um = pair.params.light_spread_um, pair.point_um, pair.cell_um
     if width_um is None or not pair.is_coat_on_image:
         return {}

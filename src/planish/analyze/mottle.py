@@ -1,6 +1,9 @@
-"""Print mottle by the size of its clouds: how much the reflectance varies, octave by octave of wavelength.
+"""Print mottle by the size of its clouds.
 
-Made after the idea of ISO/IEC 24790 and ISO 15311, unevenness by ranges of wavelength, but conforms to neither.
+How much the reflectance varies, octave by octave of wavelength.
+
+Made after the idea of ISO/IEC 24790 and ISO 15311, unevenness by ranges of wavelength, but conforms
+to neither.
 """
 
 import math
@@ -35,7 +38,10 @@ class MottleBand(ResultModel):
 
 
 class Mottle(ResultModel):
-    """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
+    """How uneven an image is, by octaves of wavelength.
+
+    After the idea of ISO/IEC 24790 and ISO 15311.
+    """
 
     layer: str = Field(default="", description="Name of the layer.")
     bands: tuple[MottleBand, ...] = Field(
@@ -60,7 +66,8 @@ def print_mottle(
 
     Parameters
     ----------
-    reflectance : array_like, shape (rows, cols), of a print that should be even, above the dark level; NaN is missing
+    reflectance : array_like, shape (rows, cols)
+        Of a print that should be even, above the dark level; NaN is missing.
     pixel_um : float or (float, float), along y and x
     shortest_um : float
         Where the first octave begins; not below 4 pixels. A halftone screen lies below 250 um.
@@ -82,11 +89,12 @@ def print_mottle(
 
     Notes
     -----
-    A band is the difference of two Gaussian means over the known pixels, each of which halves the waves at one end. It
-    passes at most 0.47 of a wave, and a little of those in the next octaves; the standard deviation is divided by
-    0.567, so that an image with the same variance in every octave is given just that variance. A single wave in a band
-    therefore counts by 0.83 or less. Scatter between fields is large for long waves: a field has about as many
-    independent clouds of a band as squares of its wavelength.
+    A band is the difference of two Gaussian means over the known pixels, each of which halves the
+    waves at one end. It passes at most 0.47 of a wave, and a little of those in the next octaves;
+    the standard deviation is divided by 0.567, so that an image with the same variance in every
+    octave is given just that variance. A single wave in a band therefore counts by 0.83 or less.
+    Scatter between fields is large for long waves: a field has about as many independent clouds of
+    a band as squares of its wavelength.
 
     Along borders and holes the means lean to one side, and a band is given a little too much.
 
@@ -145,7 +153,10 @@ def print_mottle(
 
 
 def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> Mottle:
-    """How uneven an image is over its valid pixels, or why that cannot be said; ``quantity`` names its values."""
+    """How uneven an image is over its valid pixels, or why that cannot be said.
+
+    ``quantity`` names its values.
+    """
     grid = Grid.of(data)
     # Means over up to 15 um keep 0.99 of the shortest waves.
     factor = max(1, int(15.0 / max(grid.pixel_um)))

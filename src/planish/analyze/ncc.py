@@ -1,4 +1,7 @@
-"""Pearson's r of two maps with missing places at every lag, and its peak: where between the pixels, how well known."""
+"""Pearson's r of two maps with missing places at every lag, and its peak.
+
+Where between the pixels the peak lies, and how well known it is.
+"""
 
 from dataclasses import dataclass, field
 
@@ -17,9 +20,10 @@ MARGIN = 4  # pixels of r that have to be known around the lags that are searche
 class MaskedNcc:
     """Normalised cross-correlation with a map that stays, for many maps that come.
 
-    At the lag ``l``, r is that of the pairs ``a[p], b[p + l]`` where both are known: sums, squares and products over
-    these pairs are correlations of maps and masks, so mean and variance are of the overlap (Padfield 2012, IEEE Trans.
-    Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402). The maps are padded by ``reach``: no wrap.
+    At the lag ``l``, r is that of the pairs ``a[p], b[p + l]`` where both are known: sums, squares
+    and products over these pairs are correlations of maps and masks, so mean and variance are of
+    the overlap (Padfield 2012, IEEE Trans. Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402).
+    The maps are padded by ``reach``: no wrap.
     """
 
     def __init__(
@@ -41,7 +45,10 @@ class MaskedNcc:
         self._var_a = self._lags(np.conj(self._transform(a**2)) * mask_b) - self._sum_a**2 / self._n
 
     def __call__(self, b: Floats) -> Floats:
-        """Return r at all lags, ``(2 reach + 1, 2 reach + 1)``, lag 0 in the middle; NaN where few pairs are left."""
+        """Return r at all lags, ``(2 reach + 1, 2 reach + 1)``, lag 0 in the middle.
+
+        NaN where few pairs are left.
+        """
         b = standard(b, self._b_valid)
         b_hat = self._transform(b)
         sum_b = self._lags(self._mask_a * b_hat)
@@ -78,13 +85,19 @@ class Peak:
 
 
 def within(reach: tuple[int, int]) -> Bools:
-    """Lags inside the ellipse of half axes ``reach``, in an array that is larger by a margin on every side."""
+    """Lags inside the ellipse of half axes ``reach``.
+
+    The array is larger by a margin on every side.
+    """
     rows, cols = (np.arange(-n - MARGIN, n + MARGIN + 1) / n for n in reach)
     return rows[:, None] ** 2 + cols[None, :] ** 2 <= 1.0 + 1e-12
 
 
-def find_peak(r: Floats, allowed: Bools) -> Peak | None:
-    """Find the largest r where allowed, None where nothing is known; between pixels a cubic spline is climbed."""
+def find_peak(r: Floats, allowed: Bools) -> Peak | None:  # noqa: PLR0911
+    """Find the largest r where allowed, None where nothing is known.
+
+    Between pixels a cubic spline is climbed.
+    """
     height = np.where(allowed & np.isfinite(r), r, -np.inf)
     row, col = divmod(int(np.argmax(height)), r.shape[1])
     if not np.isfinite(height[row, col]):
@@ -134,7 +147,10 @@ def find_peak(r: Floats, allowed: Bools) -> Peak | None:
 
 
 def rival_of(share: Floats, peak: Peak, allowed: Bools) -> float:
-    """Height of the second peak: beyond where what is explained, R² by lag, stays above half of the first one's."""
+    """Height of the second peak.
+
+    It lies beyond where what is explained, R² by lag, stays above half of the first peak's.
+    """
     height = np.where(allowed & np.isfinite(share), share, 0.0)
     labels, _ = ndimage.label(height > 0.5 * peak.r)
     peak_label = labels[share.shape[0] // 2 + peak.lag_px[0], share.shape[1] // 2 + peak.lag_px[1]]
@@ -142,14 +158,18 @@ def rival_of(share: Floats, peak: Peak, allowed: Bools) -> float:
 
 
 def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Bools) -> Floats:
-    """Covariance of the peak's place, (2, 2) in pixels squared, from the textures of what the maps do not share.
+    """Covariance of the peak's place, (2, 2) in pixels squared.
 
-    At the peak the slope of r is the mean of ``u v`` over the pairs, ``u = a - r b``, ``v`` the gradient of ``b`` (maps
-    standardised). For stationary Gaussian maps ``var(sum u v) = sum over h of R_u R_v / n + R_uv(h) R_uv(-h) / n``, R
-    the sums of products at the lag h, n their pairs. The peak moves by the slope over the curvature of r.
+    It comes from the textures of what the maps do not share.
+
+    At the peak the slope of r is the mean of ``u v`` over the pairs, ``u = a - r b``, ``v`` the
+    gradient of ``b`` (maps standardised). For stationary Gaussian maps ``var(sum u v) = sum over h
+    of R_u R_v / n + R_uv(h) R_uv(-h) / n``, R the sums of products at the lag h, n their pairs. The
+    peak moves by the slope over the curvature of r.
     """
     a_slices, b_slices = overlap(a.shape, peak.lag_px)
-    # A cubic spline, as in `find_peak`: its slope in a pixel is half the difference of neighbouring coefficients.
+    # A cubic spline, as in `find_peak`: its slope in a pixel is half the difference of neighbouring
+    # coefficients.
     spline = np.where(b_valid, b - float(b[b_valid].mean()), 0.0)
     spline = np.pad(
         np.asarray(ndimage.spline_filter(spline, order=3), dtype=np.float64), 1, mode="edge"

@@ -1,4 +1,7 @@
-"""How much two maps have in common at each wavelength: coherence, phase and transfer gain, ring by ring."""
+"""How much two maps have in common at each wavelength.
+
+Coherence, phase and transfer gain, ring by ring.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,9 @@ class Band(ResultModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coherence:
-    """Bands from the longest waves to the shortest ones; waves closer than the resolution cannot be told apart.
+    """Bands from the longest waves to the shortest ones.
+
+    Waves closer than the resolution cannot be told apart.
 
     ``resolution_per_um`` is the width of the window in frequency.
     """
@@ -71,10 +76,11 @@ def coherence(
 
     Notes
     -----
-    A plane and second-order surface are taken off both maps, a window falls to 0 at the edge of the field and around
-    what is missing, and every ring of frequencies, one resolution wide, is whitened: the spectrum of paper falls
-    steeply, and without that the longest waves of a band decide alone while all are counted (14-27 % of unrelated maps
-    passed a test at 5 %). The number of independent waves is that of the modes, less what the window joins.
+    A plane and second-order surface are taken off both maps, a window falls to 0 at the edge of the
+    field and around what is missing, and every ring of frequencies, one resolution wide, is
+    whitened: the spectrum of paper falls steeply, and without that the longest waves of a band
+    decide alone while all are counted (14-27 % of unrelated maps passed a test at 5 %). The number
+    of independent waves is that of the modes, less what the window joins.
     """
     is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     shortest_side = min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
@@ -110,14 +116,18 @@ def coherence(
 def _band(
     raw: list[Complexes], whitened: list[Complexes], modes: float, count: int
 ) -> dict[str, float]:
-    """What the waves of both maps, as they are and whitened, have in common in one of so many bands."""
+    """What the waves of both maps have in common in one of so many bands.
+
+    The waves are taken as they are and whitened.
+    """
     cross, gain = complex(np.vdot(whitened[0], whitened[1])), complex(np.vdot(raw[0], raw[1]))
     spread = math.sqrt(math.prod(float(np.vdot(m, m).real) for m in whitened))
     power_a = float(np.vdot(raw[0], raw[0]).real)
     p = unbiased = math.nan
     if modes >= 4 and spread > 0:
         share = abs(cross) ** 2 / spread**2
-        # Of m complex waves without relation the squared coherence exceeds x with the probability (1 - x)^(m - 1).
+        # Of m complex waves without relation the squared coherence exceeds x with the probability
+        # (1 - x)^(m - 1).
         p, unbiased = (1 - share) ** (modes - 1), (share - 1 / modes) / (1 - 1 / modes)
     return {
         "coherence": unbiased,
@@ -130,7 +140,10 @@ def _band(
 
 
 class Waves:
-    """Spectra of maps (rows, cols) under one window, and rings of frequency one resolution of the window wide."""
+    """Spectra of maps (rows, cols) under one window, and rings of frequency.
+
+    Each ring is one resolution of the window wide.
+    """
 
     def __init__(self, is_valid: Bools, pixel_um: Pair, *maps: Array) -> None:
         window = window_of(is_valid)
@@ -155,7 +168,7 @@ class Waves:
 
 
 def window_of(is_valid: Bools) -> Floats:
-    """A window that is 1 inside and falls to 0 towards the edge of the field and of what is missing."""
+    """Window that is 1 inside and falls to 0 towards the edge of the field and of missing parts."""
     width = max(0.2 * min(is_valid.shape) / 2, 1.0)  # a fifth of the field (Tukey)
     padded = np.pad(is_valid, 1)
     distance = np.asarray(ndimage.distance_transform_edt(padded))[1:-1, 1:-1]
@@ -163,7 +176,7 @@ def window_of(is_valid: Bools) -> Floats:
 
 
 def spectrum_of(values: Array, is_valid: Bools, window: Floats) -> Complexes:
-    """Half of the Fourier transform (``rfft2``) of a map without its trend and mean under a window."""
+    """Half of the Fourier transform (``rfft2``) of a windowed map without its trend and mean."""
     flat = without_trend(np.where(is_valid, values, 0.0).astype(np.float64), is_valid)
     weighted = window * flat
     mean = weighted.sum() / max(window.sum(), 1e-300)

@@ -27,9 +27,9 @@ def random_effects(
     Returns
     -------
     RandomEffects
-        The variance between them after Paule and Mandel (1982), the interval after Hartung and Knapp (2001), which
-        holds in as few as .87 where one of three effects is much better known than the others (docs/series.md); I²
-        after Higgins and Thompson (2002).
+        The variance between them after Paule and Mandel (1982), the interval after Hartung and
+        Knapp (2001), which holds in as few as .87 where one of three effects is much better known
+        than the others (docs/series.md); I² after Higgins and Thompson (2002).
 
     Raises
     ------
@@ -78,14 +78,17 @@ def random_effects(
 
 
 def _excess(between: float, y: Floats, v: Floats) -> Pair:
-    """The weighted sum of squares about the weighted mean, and how it falls with the variance between."""
+    """Weighted sum of squares about the weighted mean, and its fall with the variance between."""
     weight = 1 / (v + between)
     square = (y - np.sum(weight * y) / weight.sum()) ** 2
     return float(np.sum(weight * square)), float(np.sum(weight * weight * square))
 
 
 def _between(y: Floats, v: Floats) -> float:
-    """Variance where the weighted sum of squares, falling and convex, is its expectation: Newton's steps from 0."""
+    """Variance where the weighted sum of squares is its expectation, by Newton's steps from 0.
+
+    The sum is falling and convex.
+    """
     between = 0.0
     for _ in range(200):
         total, slope = _excess(between, y, v)
@@ -103,8 +106,8 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
     ----------
     r : Fields; correlation of every field, all over points of one size; NaN is missing
     n_eff : sequence of float
-        ``n_eff_interval`` of every :class:`planish.analyze.Correlation`. A field where it is NaN or at most 4 does not
-        count, nor does one whose r is 1 or -1, as of a map with itself.
+        ``n_eff_interval`` of every :class:`planish.analyze.Correlation`. A field where it is NaN or
+        at most 4 does not count, nor does one whose r is 1 or -1, as of a map with itself.
 
     Returns
     -------
@@ -117,9 +120,9 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
 
     Notes
     -----
-    The z of a sheet is the mean of those of its fields. Weights by n_eff would narrow the interval a little where
-    fields differ in size, but with few sheets it would hold in less than 95 %, as the weights take the variance between
-    sheets for known (docs/series.md).
+    The z of a sheet is the mean of those of its fields. Weights by n_eff would narrow the interval
+    a little where fields differ in size, but with few sheets it would hold in less than 95 %, as
+    the weights take the variance between sheets for known (docs/series.md).
     """
     z, variance = _fisher_z(r, n_eff)
     mean = over_sheets(z)
@@ -162,8 +165,8 @@ def difference_of_pooled_r(
 
     Notes
     -----
-    Means are taken of Fisher's z, in which r of few independent points has no bias, and each sheet adds to the
-    difference of r what it adds to z, times the slope of r over z there (delta method).
+    Means are taken of Fisher's z, in which r of few independent points has no bias, and each sheet
+    adds to the difference of r what it adds to z, times the slope of r over z there (delta method).
     """
     z = [_fisher_z(m, None)[0] for m in (first, second)]
     compare = paired_over_sheets if paired else two_groups

@@ -1,4 +1,7 @@
-"""A registration refined by the maps themselves, and what may be reported of a correlation that was tuned so."""
+"""A registration refined by the maps themselves.
+
+Also what may be reported of a correlation that was tuned so.
+"""
 
 import math
 from collections.abc import Callable
@@ -27,7 +30,8 @@ from planish.register import Chain, FittedTransform, Refined, RefineOptions, ref
 from planish.register.refinement import Refinement
 
 Tune = Callable[[Floats, Bools], Floats]
-"""From map a and the pixels that may be looked at to map b on a's grid, placed so that it fits best there.
+"""From map a and the pixels that may be looked at to map b on a's grid, placed so that it fits best
+there.
 
 It must look at a at these pixels only; NaN is missing in what it returns.
 """
@@ -52,7 +56,7 @@ class RegistrationBasis(StrEnum):
 
 
 class RefinementR(ResultModel):
-    """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
+    """r after a refinement that did not maximise it, or beside what a search reaches by chance."""
 
     r: Value = Field(description="Pearson's correlation.")
     interval: Interval = optional("95 % interval of r.")
@@ -72,7 +76,10 @@ class RefinementR(ResultModel):
 
 
 class CrossFitted(RefinementR):
-    """Correlation of tiles that the registration was not tuned on: both halves together, each about its own means."""
+    """Correlation of tiles that the registration was not tuned on.
+
+    Both halves together, each about its own means.
+    """
 
     registration: RegistrationBasis = RegistrationBasis.CROSS_FITTED  # type: ignore[reportIncompatibleVariableOverride]
     r_of_halves: Pair = Field(
@@ -83,11 +90,13 @@ class CrossFitted(RefinementR):
 
 
 class SearchedNull(RefinementR):
-    """A correlation after a search, which is too large, beside what the same search finds in unrelated maps.
+    """A correlation after a search, beside what the same search finds in unrelated maps.
 
-    p is the chance that it reaches ``|r|`` on an unrelated map: counted, r itself included, of 199 maps and more; of
-    fewer, from a Gumbel distribution fitted to what it reaches on them, and never below half of one over their number
-    squared.
+    Such a correlation is too large.
+
+    p is the chance that it reaches ``|r|`` on an unrelated map: counted, r itself included, of 199
+    maps and more; of fewer, from a Gumbel distribution fitted to what it reaches on them, and never
+    below half of one over their number squared.
     """
 
     registration: RegistrationBasis = RegistrationBasis.SEARCHED_NULL  # type: ignore[reportIncompatibleVariableOverride]
@@ -112,9 +121,11 @@ def cross_fitted(
     tune : callable; ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``
     valid : ndarray of bool, shape (rows, cols), or None; pixels that may be looked at
     pixel_um : (float, float), along y and x
-    tile_um : float or None; side of the tiles; None takes 6 guards, or 4 where that gives too few tiles
+    tile_um : float or None; side of the tiles; None takes 6 guards, or 4 where that gives too few
+    tiles
     guard_um : float or None
-        What is reported keeps this distance from what was tuned on; None takes 2 correlation lengths.
+        What is reported keeps this distance from what was tuned on; None takes 2 correlation
+        lengths.
 
     Returns
     -------
@@ -123,8 +134,8 @@ def cross_fitted(
     Raises
     ------
     CannotMeasure
-        If the guard is shorter than the correlation length of the coarser map (1/e), or fewer than 4 tiles of either
-        colour are left to report on.
+        If the guard is shorter than the correlation length of the coarser map (1/e), or fewer than
+        4 tiles of either colour are left to report on.
     """
     is_valid = np.isfinite(a) & np.isfinite(b) & (True if valid is None else valid)
     plane = Plane(is_valid)
@@ -208,7 +219,7 @@ def _checkerboard(
 def searched_null(
     a: Floats, tune: Tune, *, valid: Bools | None = None, surrogates: int = 99
 ) -> SearchedNull:
-    """Tune the registration on all of the map, and on maps with its texture that are related to nothing.
+    """Tune the registration on all of the map, and on unrelated maps with its texture.
 
     Parameters
     ----------
@@ -316,9 +327,10 @@ def refine_link(
 ) -> tuple[RefinedTransform, RefinementFacts]:
     """Refine a link by the maps of two layers on one grid, and correlate without the bias of that.
 
-    What the refinement changed stands beside r over tiles that it has not seen; where the map is too small for such
-    tiles, beside r after the search and what the search reaches on unrelated maps. CannotRegister where SimpleITK is
-    missing, or the refinement folds the map or leaves what the marks allow.
+    What the refinement changed stands beside r over tiles that it has not seen; where the map is
+    too small for such tiles, beside r after the search and what the search reaches on unrelated
+    maps. CannotRegister where SimpleITK is missing, or the refinement folds the map or leaves what
+    the marks allow.
     """
     pixel, options = grid.pixel_um, RefineOptions(model=model)
     moving, fixed = (_detail(m.values, valid, pixel) for m in (a, b))
@@ -354,10 +366,13 @@ def refine_link(
 def held_out_r(
     a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um: Pair
 ) -> RefinementR:
-    """Correlate a map with an image (rows, cols) where a place found by their texture was not tuned on them.
+    """Correlate a map with an image (rows, cols) where their place was not tuned on them.
 
-    A similarity is tuned on every other tile and r read off the rest; where the map is too small for that, r stands
-    beside what the same tuning reaches on unrelated maps. The slopes of ``face``, heights, take up one-sided light.
+    The place was found by their texture.
+
+    A similarity is tuned on every other tile and r read off the rest; where the map is too small
+    for that, r stands beside what the same tuning reaches on unrelated maps. The slopes of
+    ``face``, heights, take up one-sided light.
     """
     a, b = (_detail(values, valid, pixel_um) for values in (a, b))
     is_known = valid & np.isfinite(b)

@@ -1,4 +1,7 @@
-"""Down to which wavelength two measurements of one quantity show the same: Fourier ring correlation."""
+"""Fourier ring correlation of two measurements of one quantity.
+
+Down to which wavelength they show the same.
+"""
 
 import math
 
@@ -24,9 +27,10 @@ class Ring(ResultModel):
 
 
 class RingCorrelation(ResultModel):
-    """Rings of waves, and the wavelength at which their correlation first falls below the threshold.
+    """Rings of waves, and the wavelength where their correlation first falls below the threshold.
 
-    No wavelength where it never does, or where it is below from the longest waves on: the sentence says which.
+    No wavelength where it never does, or where it is below from the longest waves on: the sentence
+    says which.
     """
 
     rings: tuple[Ring, ...] = Field(
@@ -44,7 +48,8 @@ def ring_correlation(
     Parameters
     ----------
     a, b : ndarray, shape (rows, cols)
-        On one grid, with errors of their own: errors that both share count as what they show. NaN is missing.
+        On one grid, with errors of their own: errors that both share count as what they show. NaN
+        is missing.
     mask, pixel_um
         As of :func:`planish.correlate`.
 
@@ -61,9 +66,10 @@ def ring_correlation(
 
     Notes
     -----
-    Trend, window and the width of a ring are those of :func:`planish.analyze.coherence`. The threshold is the half-bit
-    curve of van Heel and Schatz (2005), equation 17, with the number of independent waves. Rings that are so weak that
-    they are mostly leakage of stronger ones end the curve. With ripple of the curve the first crossing may come early.
+    Trend, window and the width of a ring are those of :func:`planish.analyze.coherence`. The
+    threshold is the half-bit curve of van Heel and Schatz (2005), equation 17, with the number of
+    independent waves. Rings that are so weak that they are mostly leakage of stronger ones end the
+    curve. With ripple of the curve the first crossing may come early.
 
     References
     ----------
@@ -104,8 +110,12 @@ def ring_correlation(
 
 
 def half_bit(modes: float) -> float:
-    """Correlation of two halves whose mean holds half a bit of information a wave (van Heel and Schatz 2005)."""
-    # (sqrt(2) - 1) / 2 is the ratio of signal to noise power, of one measurement, that gives the mean half a bit.
+    """Correlation of two halves whose mean holds half a bit a wave (van Heel and Schatz 2005).
+
+    The bit is one of information.
+    """
+    # (sqrt(2) - 1) / 2 is the ratio of signal to noise power, of one measurement, that gives the
+    # mean half a bit.
     ratio, root = (math.sqrt(2) - 1) / 2, math.sqrt(max(modes, 1.0))
     return (ratio + (2 * math.sqrt(ratio) + 1) / root) / (1 + ratio + 2 * math.sqrt(ratio) / root)
 
@@ -113,7 +123,7 @@ def half_bit(modes: float) -> float:
 def _resolved(
     rings: tuple[Ring, ...], frequencies: list[float], *, leaking: bool
 ) -> tuple[float | None, str]:
-    """Wavelength down to which the rings agree, None where they do not say, and the same in words."""
+    """Wavelength down to which the rings agree, None if they do not say, and the same in words."""
     excesses = [ring.correlation - ring.threshold for ring in rings]
     first_below = next((k for k, v in enumerate(excesses) if v < 0), None)
     if first_below is None:

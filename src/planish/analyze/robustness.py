@@ -1,4 +1,7 @@
-"""Rows that stand beside a correlation: other origins of the points, short waves alone, what other maps explain."""
+"""Rows that stand beside a correlation.
+
+Other origins of the points, short waves alone, and what other maps explain.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,10 @@ class Partial(PointsCorrelation, _Given):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origins:
-    """Correlations over grids of points that begin at other places of the map: mean, least and largest r."""
+    """Correlations over grids of points that begin at other places of the map.
+
+    Mean, least and largest r.
+    """
 
     r: float
     least: float
@@ -90,9 +96,12 @@ def of_short_waves(
     longest_um: float | None = None,
     point_um: float | None = None,
 ) -> tuple[Correlation, float]:
-    """Correlate what waves below a fifth of the field leave of two maps; return it with that wavelength.
+    """Correlate what waves below a fifth of the field leave of two maps.
 
-    A field holds few long waves, which make the interval wide. This row says nothing of waves above that length.
+    Return it with that wavelength.
+
+    A field holds few long waves, which make the interval wide. This row says nothing of waves above
+    that length.
 
     Raises
     ------
@@ -134,7 +143,8 @@ def partial(
     Raises
     ------
     InputError
-        If the maps are not on one grid, or one of the others explains all of a or b: parts stand beside their sum.
+        If the maps are not on one grid, or one of the others explains all of a or b: parts stand
+        beside their sum.
     CannotMeasure
         If fewer than 3 pixels are valid in all maps.
     """
@@ -160,19 +170,20 @@ def partial(
 def commonality(
     b: Array, parts: Mapping[str, Array], *, mask: Bools | None = None
 ) -> dict[str, float]:
-    """Share of the variance of map b that each map explains alone, and that maps explain only together.
+    """Share of map b's variance that each map explains alone, and that maps explain only together.
 
     Parameters
     ----------
     b : ndarray, shape (rows, cols)
-    parts : mapping of name to ndarray, shape (rows, cols); two to four maps; never parts together with their sum
+    parts : mapping of name to ndarray, shape (rows, cols); two to four maps; never parts together
+    with their sum
     mask : ndarray of bool, shape (rows, cols), optional
 
     Returns
     -------
     dict of str to float
-        Names joined by " and " -> share; all shares add up to the r² of all maps together. A negative common share
-        means that one map hides what another one does.
+        Names joined by " and " -> share; all shares add up to the r² of all maps together. A
+        negative common share means that one map hides what another one does.
 
     Raises
     ------
@@ -217,7 +228,7 @@ def commonality(
     return shares
 
 
-# --- what stands beside r ------------------------------------------------------------------------------------------
+# --- what stands beside r -------------------------------------------------------------------------
 
 
 def answer_origins(pair: ComparedMaps) -> dict[str, Any]:
@@ -261,7 +272,10 @@ def say_short_waves(short_waves: SizeRow, evidence: EvidenceFacts, _: PairWords)
 
 
 def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
-    """Partial correlation and commonality over the larger points; InputError where the sheet lacks a map for them."""
+    """Partial correlation and commonality over the larger points.
+
+    InputError where the sheet lacks a map for them.
+    """
     (sheet_maps, image_maps), covariates, point_um, grid = (
         pair.layers,
         pair.params.beside,

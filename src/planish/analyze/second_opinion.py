@@ -1,6 +1,9 @@
-"""An interval of r that asks nothing of the maps' covariances: a second opinion beside that of a correlation.
+"""An interval of r that asks nothing of the maps' covariances.
 
-It holds where the maps vary unevenly, and is too narrow where they reach far: the first one is used.
+It is a second opinion beside that of a correlation.
+
+It holds where the maps vary unevenly, and is too narrow where they reach far: the first one is
+used.
 """
 
 from __future__ import annotations
@@ -32,7 +35,10 @@ if TYPE_CHECKING:
 
 
 class SecondOpinion(ResultModel):
-    """Interval of r that asks nothing of the covariances of the maps (Conley 1999), at the larger points."""
+    """Interval of r that asks nothing of the covariances of the maps (Conley 1999).
+
+    It is taken at the larger points.
+    """
 
     point_um: float = Field(description="Edge of a point.")
     r: Unsaved = optional("Pearson's correlation.")
@@ -63,16 +69,18 @@ def second_opinion(
 
     Notes
     -----
-    What a point adds to z is a map of its own; products of its values up to 0.15 of the shorter side apart are summed
-    with weights that fall to 0. A kernel that wide makes the standard error scatter and too small, which the critical
-    value answers for: it is that of independent values on the same mask (after the idea of Bester et al. 2016).
-    Correlations that reach farther than the kernel are missed, so the interval covers less than 95 % where the range
-    of the maps is a twelfth of the side or more (docs/evidence.md).
+    What a point adds to z is a map of its own; products of its values up to 0.15 of the shorter
+    side apart are summed with weights that fall to 0. A kernel that wide makes the standard error
+    scatter and too small, which the critical value answers for: it is that of independent values on
+    the same mask (after the idea of Bester et al. 2016). Correlations that reach farther than the
+    kernel are missed, so the interval covers less than 95 % where the range of the maps is a
+    twelfth of the side or more (docs/evidence.md).
 
     References
     ----------
     Conley (1999), J. Econometrics 92, 1, doi:10.1016/S0304-4076(98)00084-0.
-    Bester, Conley, Hansen and Vogelsang (2016), Econometric Theory 32, 154, doi:10.1017/S0266466614000814.
+    Bester, Conley, Hansen and Vogelsang (2016), Econometric Theory 32, 154,
+    doi:10.1017/S0266466614000814.
     Satterthwaite (1946), Biometrics Bulletin 2, 110, doi:10.2307/3002019.
     """
     is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
@@ -102,10 +110,13 @@ def second_opinion(
 
 
 def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
-    """Standard errors within which the mean of independent values on a mask lies with 95 %, as they are estimated.
+    """Standard errors within which the mean of independent values on a mask lies with 95 %.
 
-    The squared standard error is a quadratic form of the values about their mean, whose expectation and variance follow
-    from the weights; its distribution is taken for that of a chi-square with the same two (Satterthwaite 1946).
+    The standard errors are taken as they are estimated.
+
+    The squared standard error is a quadratic form of the values about their mean, whose expectation
+    and variance follow from the weights; its distribution is taken for that of a chi-square with
+    the same two (Satterthwaite 1946).
     """
     k = max(1, math.ceil(math.sqrt(np.count_nonzero(is_valid) / 400)))  # of 400 cells or fewer
     shape = [n // k * k for n in is_valid.shape]

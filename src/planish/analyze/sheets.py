@@ -1,6 +1,7 @@
 """Fields nested in sheets: what holds for the paper, where sheets, not fields, are the sample.
 
-Fields of one sheet resemble each other: twelve of four sheets say what four sheets say. All is over means of sheets.
+Fields of one sheet resemble each other: twelve of four sheets say what four sheets say. All is over
+means of sheets.
 """
 
 import math
@@ -34,7 +35,8 @@ class Fields:
     sheets : sequence of str
         The sheet of each field. Sheets of two papers need no names of their own.
     names : sequence of str, optional
-        The name of each field, unlike all others of its sheet: by it a field before pairs with the field after.
+        The name of each field, unlike all others of its sheet: by it a field before pairs with the
+        field after.
 
     Raises
     ------
@@ -82,7 +84,10 @@ class Fields:
 
 
 class RandomEffects(ResultModel):
-    """Mean of effects that differ, each known with a variance of its own; of r the effects are Fisher's z."""
+    """Mean of effects that differ, each known with a variance of its own.
+
+    Of r the effects are Fisher's z.
+    """
 
     effects: int = Field(description="Sheets, or fields.")
     sd_between: Value = Field(
@@ -142,8 +147,9 @@ def over_sheets(fields: Fields) -> SheetMean:
 
     Notes
     -----
-    Every sheet counts alike, however many fields it has. Means of sheets are taken for normal; where sheets have
-    different numbers of fields, their means scatter differently, which the interval withstands (docs/series.md).
+    Every sheet counts alike, however many fields it has. Means of sheets are taken for normal;
+    where sheets have different numbers of fields, their means scatter differently, which the
+    interval withstands (docs/series.md).
     """
     means, n_missing = fields.means, sum(map(math.isnan, fields.values))
     k = means.size
@@ -168,7 +174,10 @@ def over_sheets(fields: Fields) -> SheetMean:
 
 
 def spread_of(values: Floats) -> float:
-    """Standard deviation of a sample; exactly 0 where only rounding sets values apart, NaN of one value."""
+    """Standard deviation of a sample.
+
+    Exactly 0 where only rounding sets values apart, NaN of one value.
+    """
     if values.size < 2:
         return math.nan
     if float(np.ptp(values)) <= _SAME * float(np.abs(values).max()):
@@ -195,10 +204,11 @@ def variances_of(fields: Fields) -> SheetVariances:
 
     Notes
     -----
-    Analysis of variance with unweighted means: the variance within is pooled over sheets; the variance of the means of
-    sheets, less the variance within over the harmonic mean of the numbers of fields, is that between, without bias as
-    long as it is above 0. With as many fields in every sheet these are the textbook's estimates, and the interval of
-    the share is exact for normal values; else it is that of Thomas and Hultquist (1978). ``p`` is of the F test.
+    Analysis of variance with unweighted means: the variance within is pooled over sheets; the
+    variance of the means of sheets, less the variance within over the harmonic mean of the numbers
+    of fields, is that between, without bias as long as it is above 0. With as many fields in every
+    sheet these are the textbook's estimates, and the interval of the share is exact for normal
+    values; else it is that of Thomas and Hultquist (1978). ``p`` is of the F test.
 
     References
     ----------

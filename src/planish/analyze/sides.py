@@ -62,14 +62,16 @@ def image_of_sheet(
     ----------
     texture : Textures; the sheet's maps by their names, and ``image``
     coated : iterable of {"top", "bottom"}; sides on which a coating is seen
-    side : {"top", "bottom"}; side that the image shows as given or, where ``is_given`` is False, as assumed
+    side : {"top", "bottom"}; side that the image shows as given or, where ``is_given`` is False, as
+    assumed
     image : str; what the sentence calls the image
 
     Notes
     -----
-    Brightness may rise or fall with the coating, so ``|r|`` counts. Both faces share the base, and light goes through
-    thin paper: what the other coating explains is taken off first (partial correlation). A face is the one if its
-    ``|z|`` is above 4.5 and that of the other below 3, or smaller by 3 standard deviations of the difference.
+    Brightness may rise or fall with the coating, so ``|r|`` counts. Both faces share the base, and
+    light goes through thin paper: what the other coating explains is taken off first (partial
+    correlation). A face is the one if its ``|z|`` is above 4.5 and that of the other below 3, or
+    smaller by 3 standard deviations of the difference.
     """
     image = with_article(image)
     if "image" not in texture.maps:
@@ -123,7 +125,10 @@ def image_of_sheet(
 def _by_slopes_and_thickness(
     texture: Textures, coatings: Mapping[Side, Relation], side: Side, side_text: str, image: str
 ) -> SideFound:
-    """No coating goes with the image: what slopes of the faces under light from one side say, and the thickness."""
+    """State what face slopes and the thickness say where no coating goes with the image.
+
+    The slopes are those of the faces under light from one side.
+    """
     for k in SIDES:
         if f"topography_{k}" in texture.maps:
             texture = texture.with_slopes(f"topography_{k}")
@@ -175,7 +180,10 @@ def _by_slopes_and_thickness(
 
 
 def two_images(texture: Textures, names: tuple[str, str]) -> Check:
-    """Judge whether two images, ``image`` and ``other image``, show one specimen by their texture, with either sign."""
+    """Judge by their texture whether ``image`` and ``other image`` show one specimen.
+
+    The textures of the two images may go together with either sign.
+    """
     if not {"image", "other image"} <= texture.maps.keys():
         return _check(
             "unknown", f"Specimen: inconclusive, because {names[0]} and {names[1]} share no field."
@@ -198,8 +206,9 @@ def two_images(texture: Textures, names: tuple[str, str]) -> Check:
 def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Side]) -> Check:
     """Judge whether two sheets are one specimen with the same side up.
 
-    ``texture`` holds the maps of the first by their names, those of the second as ``other NAME``; ``coated`` are the
-    sides on which both show a coating. The same quantity is compared, so r has to be positive.
+    ``texture`` holds the maps of the first by their names, those of the second as ``other NAME``;
+    ``coated`` are the sides on which both show a coating. The same quantity is compared, so r has
+    to be positive.
     """
 
     def r(a: str, b: str) -> Relation | None:
@@ -290,7 +299,10 @@ def _preposition(relation: Relation) -> str:
 
 
 def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Relation]:
-    """Partial correlation of each face with the image; of several maps of a face that which stands out most."""
+    """Partial correlation of each face with the image.
+
+    Of several maps of a face that which stands out most.
+    """
     image, strongest_relations = texture.maps["image"], dict[Side, Relation]()
     for side, names_of_side in names.items():
         relations: list[Relation] = []
@@ -320,7 +332,10 @@ def _mean(relations: Iterable[Relation | None]) -> Relation | None:
 
 
 class TextureFound(NamedTuple):
-    """Where the texture of two layers puts them, None where there are too few pixels; and what was judged."""
+    """Where the texture of two layers puts them, None where there are too few pixels.
+
+    And what was judged.
+    """
 
     lag: LagNumbers | None
     checks: tuple[Check, ...]
@@ -361,7 +376,8 @@ def texture_of(
         check, face = image_of_sheet(
             texture, coated=coated, side=side, is_given=is_given, image=names[1]
         )
-        # An image of a face follows its coating, or thickness and height, and slopes under light from one side.
+        # An image of a face follows its coating, or thickness and height, and slopes under light
+        # from one side.
         face = face or side
         height_map = f"topography_{face}"
         source_maps = [f"coating_{face}"] if face in coated else ["thickness"]
@@ -415,7 +431,10 @@ def texture_of(
 
 
 def found_by_texture(sentence: str, false_probability: float | None) -> tuple[Check, Check]:
-    """Judge layers that were registered by their texture: by the search, for what it made large is no evidence."""
+    """Judge by the search layers that were registered by their texture.
+
+    What the search made large is no evidence.
+    """
     check = _check(
         "unknown",
         "Specimen: inconclusive, because the marks are tiles whose search is not known;"
@@ -437,7 +456,10 @@ def found_by_texture(sentence: str, false_probability: float | None) -> tuple[Ch
 
 
 def holes_and_texture(apart_um: float, expected_um: float) -> Check:
-    """Judge how far apart holes and texture, each fitted by itself, put the middle of a map; both errors are rms."""
+    """Judge how far apart holes and texture, each fitted by itself, put the middle of a map.
+
+    Both errors are rms.
+    """
     limit_um = math.sqrt(-math.log(0.05)) * expected_um
     text = f"Holes and texture, each by itself, put the middle of the map {apart_um:.1f} um apart"
     judged = Check(
@@ -460,7 +482,7 @@ def holes_and_texture(apart_um: float, expected_um: float) -> Check:
 
 
 def _coated(sheet: xr.Dataset) -> list[Side]:
-    """Sides on which a coating is measured in most of a sheet, and thicker than 3 standard errors."""
+    """Sides with a coating measured in most of a sheet and thicker than 3 standard errors."""
     sides: list[Side] = []
     for side in SIDES:
         name = f"coating_{side}"

@@ -1,8 +1,10 @@
-"""How much of a map is no noise, from two half measurements: the odd and the even rows of its columns.
+"""How much of a map is no noise, from two half measurements.
 
-Columns are measured one by one, so both halves are there without measuring anything twice. Thicknesses and
-topographies are taken from the faces of each column itself: along normals, which cross from column to column,
-neighbouring rows would share their noise.
+These are the odd and the even rows of its columns.
+
+Columns are measured one by one, so both halves are there without measuring anything twice.
+Thicknesses and topographies are taken from the faces of each column itself: along normals, which
+cross from column to column, neighbouring rows would share their noise.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ _ENDS = {
 
 
 class Reliability(ResultModel):
-    """Share of the variance of a map that a second measurement would show again, at one size of points."""
+    """Share of a map's variance that a second measurement would show again, at one point size."""
 
     layer: str = Field(default="", description="Name of the layer.")
     map: str = Field(default="", description="Name of the map.")
@@ -87,12 +89,13 @@ def split_reliability(
     Parameters
     ----------
     first, second : ndarray, shape (rows, cols)
-        The map of the odd and of the even slices, or of two half scans, on one grid; NaN is missing.
+        The map of the odd and of the even slices, or of two half scans, on one grid; NaN is
+        missing.
     mask, pixel_um, point_um
         As of :func:`planish.correlate`.
     shared_errors : bool
-        Whether both may share errors, as neighbouring slices of one scan do: the reliability is an upper bound then.
-        False for two scans between which the sheet was taken out and put back.
+        Whether both may share errors, as neighbouring slices of one scan do: the reliability is an
+        upper bound then. False for two scans between which the sheet was taken out and put back.
 
     Returns
     -------
@@ -128,7 +131,10 @@ def split_reliability(
 
 
 def _of_both(r: float) -> float:
-    """Reliability of the mean of two measurements that correlate with r; a share of variance is not below 0."""
+    """Reliability of the mean of two measurements that correlate with r.
+
+    A share of variance is not below 0.
+    """
     return r if math.isnan(r) else 2 * r / (1 + r) if r > 0 else 0.0
 
 
@@ -136,8 +142,9 @@ def _of_both(r: float) -> float:
 class SheetColumns:
     """The columns of a sheet and where they lie on a reference.
 
-    ``measured`` and ``flat`` (y, x) are those of the sheet. ``similarity`` leads from the flat sheet to the reference:
-    what the registration adds to it moves both halves alike. ``interpolated`` says whether rows were made of others.
+    ``measured`` and ``flat`` (y, x) are those of the sheet. ``similarity`` leads from the flat
+    sheet to the reference: what the registration adds to it moves both halves alike.
+    ``interpolated`` says whether rows were made of others.
     """
 
     measured: xr.Dataset
@@ -150,7 +157,10 @@ class SheetColumns:
         return replace(self, measured=self.measured.isel(y=rows), flat=self.flat.isel(y=rows))
 
     def values(self, name: str) -> tuple[Floats, bool]:
-        """A map by columns, and whether each is of its column alone; NaN where it was not measured."""
+        """A map by columns, and whether each is of its column alone.
+
+        NaN where it was not measured.
+        """
         data = self.measured
         is_valid = np.isfinite(data[name].values)
         if name not in _ENDS:
@@ -195,11 +205,12 @@ def half_points(
     cell_um: Pair,
     point_um: float,
 ) -> tuple[Floats, Floats, bool]:
-    """Means of a map over the points of a reference, of the odd and of the even rows of its columns.
+    """Means of a map over the points of a reference, of the odd and the even rows of its columns.
 
-    ``is_valid`` (rows, cols) are the cells of the reference that count, ``cell_um`` (y, x) large; ``origin_um`` is the
-    outer corner of the first one (x, y), where the points begin. Means are NaN where less than half of a point counts,
-    or the halves have no column in it. Also says whether no column's value holds anything of its neighbours.
+    ``is_valid`` (rows, cols) are the cells of the reference that count, ``cell_um`` (y, x) large;
+    ``origin_um`` is the outer corner of the first one (x, y), where the points begin. Means are NaN
+    where less than half of a point counts, or the halves have no column in it. Also says whether no
+    column's value holds anything of its neighbours.
     """
     enough = np.isfinite(
         area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1]))
@@ -207,7 +218,8 @@ def half_points(
     turn, shift_um = columns.similarity.matrix(), columns.similarity.shift_um
     n_columns, totals, alone = np.zeros(enough.size), np.zeros((2, enough.size)), True
     for rows in bands(columns.measured.sizes["y"]):
-        # Two rows more on either side, for the slopes beside and the means between rows; an even number of them.
+        # Two rows more on either side, for the slopes beside and the means between rows; an even
+        # number of them.
         before = min(rows.start, 2)
         part = columns.part(slice(rows.start - before, rows.stop + 2))
         values, alone = part.values(name)
@@ -241,10 +253,12 @@ def half_points(
 
 
 def _half(values: Floats, first: int) -> Floats:
-    """Every second row from ``first`` on; rows between hold the mean of their neighbours, NaN where one is missing.
+    """Every second row from ``first`` on.
 
-    So both halves are known at the same places: the mean place of every second row in a point differs by up to a row
-    from that of the others, and texture would look like noise.
+    Rows between hold the mean of their neighbours, NaN where one is missing.
+
+    So both halves are known at the same places: the mean place of every second row in a point
+    differs by up to a row from that of the others, and texture would look like noise.
     """
     half = np.full(values.shape, np.nan)
     half[first::2] = values[first::2]
@@ -308,5 +322,8 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
 
 
 def _near_one(value: float) -> str:
-    """Write r with its sign of equality; more than two nines would claim what halves of one scan cannot show."""
+    """Write r with its sign of equality.
+
+    More than two nines would claim what halves of one scan cannot show.
+    """
     return "above 0.99" if value > 0.99 else f"= {fixed(value, 2)}"

@@ -46,15 +46,19 @@ def power_of_study(
     Parameters
     ----------
     r2 : (float, float); the two, from 0 to below 1, of positive r
-    sheets, fields : int; sheets (of each paper where two are compared), at least 3, and fields of each sheet
-    n_eff : float; independent points of a field: of a field measured before, or :func:`planish.analyze.expected_n_eff`
+    sheets, fields : int; sheets (of each paper where two are compared), at least 3, and fields of
+    each sheet
+    n_eff : float; independent points of a field: of a field measured before, or
+    :func:`planish.analyze.expected_n_eff`
     between_sheets : float
         Standard deviation of Fisher's z between sheets, from earlier ones: ``sd_between`` of
         :func:`planish.analyze.random_effects`.
     paired : bool; whether the same sheets are measured before and after
-    change_between_sheets : float; where paired: standard deviation, between sheets, of what the treatment changes z by
+    change_between_sheets : float; where paired: standard deviation, between sheets, of what the
+    treatment changes z by
     shared : float
-        Where paired: how far the scatter of z of a field before and after is the same, from 0 (other fields) to 1.
+        Where paired: how far the scatter of z of a field before and after is the same, from 0
+        (other fields) to 1.
 
     Returns
     -------
@@ -67,9 +71,10 @@ def power_of_study(
 
     Notes
     -----
-    The test is that of :func:`planish.analyze.difference_of_pooled_r`: Student's t of r over sheets (r² near 0 has no
-    such test, and above 0 they say the same). The variance of z of a field is 1 / (n_eff - 3); the power follows from
-    the noncentral t distribution. Simulated studies agree (docs/series.md).
+    The test is that of :func:`planish.analyze.difference_of_pooled_r`: Student's t of r over sheets
+    (r² near 0 has no such test, and above 0 they say the same). The variance of z of a field is 1 /
+    (n_eff - 3); the power follows from the noncentral t distribution. Simulated studies agree
+    (docs/series.md).
     """
     if not all(0 <= v < 1 for v in r2) or r2[0] == r2[1]:
         raise InputError(f"r² is {r2[0]} and {r2[1]}. Give two different ones, from 0 to below 1.")
@@ -142,8 +147,8 @@ def sheets_needed(
     Raises
     ------
     InputError
-        As :func:`planish.analyze.power_of_study`; if the power is not between 0.05 and 1, or 100 000 sheets do not
-        reach it.
+        As :func:`planish.analyze.power_of_study`; if the power is not between 0.05 and 1, or 100
+        000 sheets do not reach it.
     """
     check_power(power)
     design_of = partial(
@@ -176,13 +181,15 @@ def expected_n_eff(field_um: Pair, *, length_um: Pixel, point_um: float) -> floa
     Parameters
     ----------
     field_um : (float, float); height and width
-    length_um : float or (float, float), over which the correlation of both maps, or of a and of b, falls to 1/e
+    length_um : float or (float, float), over which the correlation of both maps, or of a and of b,
+    falls to 1/e
     point_um : float; edge of the points that are compared
 
     Returns
     -------
     float
-        Dutilleul's number (1993) for maps whose correlation falls exponentially, averaged over points.
+        Dutilleul's number (1993) for maps whose correlation falls exponentially, averaged over
+        points.
 
     Raises
     ------

@@ -21,7 +21,10 @@ _SPLIT_UM = math.sqrt(BAND_UM[0] * BAND_UM[1])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Textures:
-    """Band-passed maps (rows, cols) of mean 0 and standard deviation 1 over the pixels known in all; 0 elsewhere."""
+    """Band-passed maps (rows, cols) of mean 0 and standard deviation 1.
+
+    This holds over the pixels known in all; elsewhere they are 0.
+    """
 
     maps: dict[str, Floats]
     known: Bools
@@ -38,7 +41,10 @@ class Textures:
         return self.n * self.pixel_um[0] * self.pixel_um[1]
 
     def with_slopes(self, name: str) -> Textures:
-        """Add the slopes of a map along x and y, ``name_x`` and ``name_y``: what light from one side shows of it."""
+        """Add the slopes of a map along x and y, ``name_x`` and ``name_y``.
+
+        They are what light from one side shows of the map.
+        """
         is_valid = self.known.copy()
         for axis in (0, 1):
             for step in (-1, 1):
@@ -52,7 +58,10 @@ class Textures:
         return replace(self, maps=maps, known=is_valid)
 
     def halves(self, name: str) -> list[Floats]:
-        """The waves of a map above and below 60 um, each of standard deviation 1; without one that is empty."""
+        """The waves of a map above and below 60 um, each of standard deviation 1.
+
+        Without one that is empty.
+        """
         weight = low_pass(self.known.astype(np.float64), _SPLIT_UM, self.pixel_um)
         low = low_pass(self.maps[name], _SPLIT_UM, self.pixel_um) / np.maximum(weight, 1e-9)
         low = np.where(self.known, low, 0.0)
@@ -65,7 +74,8 @@ class Textures:
 class Relation:
     """Correlation of two textures, and the standard deviation that it has where they are unrelated.
 
-    ``part``: share of the second texture's spread that the first explains, with the standard error of what it leaves.
+    ``part``: share of the second texture's spread that the first explains, with the standard error
+    of what it leaves.
     """
 
     r: float
@@ -91,12 +101,13 @@ def textures(
     band_um: Pair = BAND_UM,
     most_pixels: float = MOST_PIXELS,
 ) -> Textures:
-    """Keep the waves of a band of maps, 15 to 250 um where not given, with the same spread everywhere.
+    """Keep a band of waves of maps, 15 to 250 um by default, with the same spread everywhere.
 
     Parameters
     ----------
     maps : mapping of ndarray or DataArray, shape (rows, cols)
-        NaN is missing; read band by band. Maps known in much less of the field than the others are left out.
+        NaN is missing; read band by band. Maps known in much less of the field than the others are
+        left out.
     valid : ndarray of bool, shape (rows, cols); pixels that may be looked at
     pixel_um : (float, float), along y and x
     band_um : (float, float), optional; shortest and longest wave
@@ -115,9 +126,10 @@ def textures(
 
     Notes
     -----
-    Missing pixels have no weight in the Gaussian filters, so holes and borders leave no edge. The spread within 1 mm is
-    made equal, which takes uneven light off, what lies beyond 3 standard deviations is clipped, and the mean at each
-    distance from holes is taken off, since burnt rims of one laser program are alike in all specimens.
+    Missing pixels have no weight in the Gaussian filters, so holes and borders leave no edge. The
+    spread within 1 mm is made equal, which takes uneven light off, what lies beyond 3 standard
+    deviations is clipped, and the mean at each distance from holes is taken off, since burnt rims
+    of one laser program are alike in all specimens.
     """
     if any(m.shape != valid.shape for m in maps.values()):
         raise CannotMeasure("The maps and the mask do not lie on one grid. Link them first.")
@@ -147,16 +159,18 @@ def textures(
 def relate(
     a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, of: Floats | None = None
 ) -> Relation:
-    """Correlate two textures (rows, cols) and state how far r scatters about 0 where they are unrelated.
+    """Correlate two textures (rows, cols) and state how far r of unrelated ones scatters about 0.
 
-    ``of`` is the texture whose spread ``part`` is a share of, where that is not b. The standard deviation is the larger
-    of two. Textures that are alike everywhere: ``var(r) = sum over h of R_a(h) R_b(h) / n³`` with the sums of products
-    R at the lag h, which is the variance over all surrogates of random phases (Theiler et al. 1992), put right for the
-    mask (Clifford et al. 1989). Others: from the scatter of what tiles of 250 um add to r, so that one stain in both
-    maps is one event (Conley 1999).
+    ``of`` is the texture whose spread ``part`` is a share of, where that is not b. The standard
+    deviation is the larger of two. Textures that are alike everywhere: ``var(r) = sum over h of
+    R_a(h) R_b(h) / n³`` with the sums of products R at the lag h, which is the variance over all
+    surrogates of random phases (Theiler et al. 1992), put right for the mask (Clifford et al.
+    1989). Others: from the scatter of what tiles of 250 um add to r, so that one stain in both maps
+    is one event (Conley 1999).
 
-    Theiler et al. (1992), Physica D 58, 77, doi:10.1016/0167-2789(92)90102-S. Clifford, Richardson and Hémon (1989),
-    Biometrics 45, 123, doi:10.2307/2532039. Conley (1999), J. Econometrics 92, 1, doi:10.1016/S0304-4076(98)00084-0.
+    Theiler et al. (1992), Physica D 58, 77, doi:10.1016/0167-2789(92)90102-S. Clifford, Richardson
+    and Hémon (1989), Biometrics 45, 123, doi:10.2307/2532039. Conley (1999), J. Econometrics 92, 1,
+    doi:10.1016/S0304-4076(98)00084-0.
     """
     n = int(np.count_nonzero(is_valid))
     if n == 0:
@@ -184,7 +198,10 @@ def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: Pair) -> float:
 
 
 def standard(values: Floats, is_valid: Bools) -> Floats:
-    """Mean 0 and standard deviation 1 over the known pixels of a map (rows, cols); 0 elsewhere and of a constant."""
+    """Mean 0 and standard deviation 1 over the known pixels of a map (rows, cols).
+
+    0 elsewhere and of a constant.
+    """
     inside = values[is_valid]
     sd = float(inside.std()) if inside.size else 0.0
     if not sd > 0:
@@ -209,7 +226,10 @@ def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:
 
 
 def tile_sums(values: Floats, pixel_um: Pair, tile_um: float = 250.0) -> Floats:
-    """Sums over square tiles of a map (..., rows, cols), the last may be cut; waves 250 um apart are unrelated."""
+    """Sums over square tiles of a map (..., rows, cols), the last may be cut.
+
+    Waves 250 um apart are unrelated.
+    """
     for axis, pixel in ((-2, pixel_um[0]), (-1, pixel_um[1])):
         side = max(round(tile_um / pixel), 1)
         values = np.add.reduceat(values, np.arange(0, values.shape[axis], side), axis=axis)

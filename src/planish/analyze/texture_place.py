@@ -1,4 +1,7 @@
-"""The place of a sheet in an image from near it on, by the texture that both show: of the whole, and of tiles."""
+"""The place of a sheet in an image, from near it on, by the texture that both show.
+
+The place of the whole, and of tiles.
+"""
 
 import math
 from dataclasses import replace
@@ -33,8 +36,8 @@ def tuned_place(
 ) -> Similarity:
     """Climb from a place to where a map, with those ``beside`` it, explains most of the image.
 
-    What an image shows of other maps, and of the face's slopes in light from one side, moves one map's best place.
-    ``reach_um`` is about how far off the corners of the map are at the start.
+    What an image shows of other maps, and of the face's slopes in light from one side, moves one
+    map's best place. ``reach_um`` is about how far off the corners of the map are at the start.
     """
     rows, cols = np.nonzero(moving.known)
     every = max(rows.size // _MOST_PIXELS, 1)  # neighbours say the same
@@ -97,7 +100,8 @@ def leading_maps(moving: Textures, fixed: Textures, place: Similarity) -> Names:
 class TilePlaces(NamedTuple):
     """Places (n, 2), ``(x, y)`` in um, of tiles in both layers.
 
-    In the fixed one: covariances (n, 2, 2) by the tiles' texture, and that (2, 2) of what one-sided light does to all.
+    In the fixed one: covariances (n, 2, 2) by the tiles' texture, and that (2, 2) of what one-sided
+    light does to all.
     """
 
     moving_um: Floats
@@ -119,8 +123,9 @@ def tile_places(
 ) -> TilePlaces:
     """Find where tiles of a map lie in the image, near the place of the whole.
 
-    Tiles share no pixel. Their side follows from how far the whole stands out from chance: each has to by itself. What
-    the maps ``beside`` it and ``light``, the slopes of the face, explain is taken with it: light moves no tile.
+    Tiles share no pixel. Their side follows from how far the whole stands out from chance: each has
+    to by itself. What the maps ``beside`` it and ``light``, the slopes of the face, explain is
+    taken with it: light moves no tile.
     """
     rows, cols = np.indices(moving.known.shape)
     pixel_um = moving.pixel_um
@@ -168,10 +173,13 @@ def tile_places(
 
 
 def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair, *, slopes: int) -> Floats:
-    """Covariance (2, 2) of a shift of all tiles, ``(x, y)`` in um, by what light from one side leaves.
+    """Covariance (2, 2) of a shift of all tiles, ``(x, y)`` in um.
 
-    ``shown`` are maps, the last ones ``slopes`` of the face. A shift looks like such light, so the regression leaves
-    some of it undecided; and what the slopes take off is known to a fifth, as no light is quite what they are.
+    It is due to what light from one side leaves.
+
+    ``shown`` are maps, the last ones ``slopes`` of the face. A shift looks like such light, so the
+    regression leaves some of it undecided; and what the slopes take off is known to a fifth, as no
+    light is quite what they are.
     """
     reach = (3, 3)
 

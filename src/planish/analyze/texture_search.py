@@ -1,8 +1,11 @@
-"""Where a sheet lies in an image, by the texture that both show: rotation, hand, scale and shift, and how sure that is.
+"""Where a sheet lies in an image, by the texture that both show.
 
-Every map that may show in the image is correlated with it at every rotation, hand, scale and shift. A correlation
-counts in standard deviations of its own map's null: what the same map reaches at the places that are wrong. How high
-the best of so many wrong places gets is read off the best of every rotation but those beside the one that is judged.
+Rotation, hand, scale and shift, and how sure that is.
+
+Every map that may show in the image is correlated with it at every rotation, hand, scale and shift.
+A correlation counts in standard deviations of its own map's null: what the same map reaches at the
+places that are wrong. How high the best of so many wrong places gets is read off the best of every
+rotation but those beside the one that is judged.
 """
 
 from __future__ import annotations
@@ -29,7 +32,8 @@ BAND_UM = (18.0, 150.0)
 FALSE = 4e-4
 """Largest probability, of an image that shows nothing of the sheet, to be linked all the same."""
 RIVAL = 0.85
-"""Share of the best place's height from which on another place is nearly as good, as in a pattern that repeats."""
+"""Share of the best place's height from which on another place is nearly as good, as in a pattern
+that repeats."""
 _OVERLAP = 0.4  # least share of the map that lies in the image
 _NEAR_DEG, _NEAR_UM = 8.0, 150.0  # of a place, within which another one is the same
 _STEP = 3600.0  # um degrees: rotations are tried in steps of this over the size of the map
@@ -46,7 +50,10 @@ Names = tuple[str, str]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Near:
-    """About where a point of the moving layer, as a hole, lies in the fixed one, (x, y) in um; else its middle."""
+    """About where a point of the moving layer, as a hole, lies in the fixed one, (x, y) in um.
+
+    Else its middle.
+    """
 
     fixed_um: Pair
     radius_um: float
@@ -121,15 +128,16 @@ def search_place(
 ) -> PlaceSearch:
     """Search all places of a sheet in an image.
 
-    ``moving``: maps of the sheet that may show in it; ``fixed``: ``image``, with pixels that are not larger than those
-    of the sheet by much, or the maps of another sheet. ``mirrored``: whether the layers see each other mirrored; both
-    are tried where None. ``scale_tolerance``: largest deviation of the scale from 1. ``near``: search about these
-    places alone, each by itself.
+    ``moving``: maps of the sheet that may show in it; ``fixed``: ``image``, with pixels that are
+    not larger than those of the sheet by much, or the maps of another sheet. ``mirrored``: whether
+    the layers see each other mirrored; both are tried where None. ``scale_tolerance``: largest
+    deviation of the scale from 1. ``near``: search about these places alone, each by itself.
 
-    A search in steps twice as wide finds most places in a quarter of the time; it comes first, and the probability
-    counts both. Of textures that are unrelated, the correlation at all shifts is a smooth Gaussian field, whose maximum
-    exceeds z with a probability near ``A z exp(-z**2 / 2)`` (Adler and Taylor 2007, chapter 14). The best of the other
-    rotations tell A, and a factor to z for fields that are not quite Gaussian.
+    A search in steps twice as wide finds most places in a quarter of the time; it comes first, and
+    the probability counts both. Of textures that are unrelated, the correlation at all shifts is a
+    smooth Gaussian field, whose maximum exceeds z with a probability near ``A z exp(-z**2 / 2)``
+    (Adler and Taylor 2007, chapter 14). The best of the other rotations tell A, and a factor to z
+    for fields that are not quite Gaussian.
     """
     scanner = _Scanner(moving, fixed, scale_tolerance)
     hands = (False, True) if mirrored is None else (mirrored,)
@@ -239,8 +247,8 @@ def _apart(a: Similarity, b: Similarity, middle_um: Floats) -> bool:
 def _exceeded(z: float, others: Floats) -> float:
     """Probability that any of so many rotations, and one more, of unrelated textures reaches z.
 
-    The best of a rotation is distributed as ``exp(-A x exp(-x**2 / 2))`` with x = z / s. Few rotations leave A and s
-    uncertain, and the tail more so: both are integrated over.
+    The best of a rotation is distributed as ``exp(-A x exp(-x**2 / 2))`` with x = z / s. Few
+    rotations leave A and s uncertain, and the tail more so: both are integrated over.
     """
     if not np.quantile(others, 0.5) > 0.0:  # a constant image, or none of it known, is like nothing
         return 1.0
@@ -265,7 +273,10 @@ def _exceeded(z: float, others: Floats) -> float:
 
 
 class _Window(NamedTuple):
-    """Part of an image: spectra of its maps and of what is known of it, and where the map's middle may lie in it."""
+    """Part of an image, and where the map's middle may lie in it.
+
+    Spectra of its maps and of what is known of it.
+    """
 
     first: tuple[int, int]  # row and column of the first middle
     size: tuple[int, int]
@@ -275,7 +286,7 @@ class _Window(NamedTuple):
 
 
 class _Scanner:
-    """Correlates maps, turned about their middle, with an image at all shifts or those near a place."""
+    """Correlates maps, turned about their middle, with an image at all shifts or near a place."""
 
     def __init__(self, moving: Textures, fixed: Textures, scale_tolerance: float) -> None:
         self._fixed, self._names = fixed, compared(moving, fixed)
@@ -352,7 +363,7 @@ class _Scanner:
     def _heights(
         self, turn: Similarity, scales: tuple[float, ...], near: Near | None
     ) -> Iterator[tuple[Similarity, Names, Slab, Slab, _Window]]:
-        """Sums of products by the pixel at which the map's middle lies, and the weights that make heights of them."""
+        """Sums of products by the pixel of the map's middle, and weights that make them heights."""
         windows, middle_scale = self._windows(turn, near), 0.5 * (scales[0] + scales[-1])
         half, sampled = self._on_image(replace(turn, scale=middle_scale))
         mask = self._spectrum(self._turned_mask(sampled), windows[0].shape)
@@ -421,7 +432,7 @@ class _Scanner:
     def _on_image(
         self, turn: Similarity
     ) -> tuple[tuple[int, int], Callable[[Slab, Literal[1, 3]], Slab]]:
-        """Half the size, and the sampling, of a map on pixels of the image, no larger than it has to be."""
+        """Half the size and the sampling of a map on pixels of the image, no larger than needed."""
         matrix = turn.matrix()
         corners = np.array([*product((-0.5, 0.5), repeat=2)]) * self._extent_um @ matrix.T
         half = np.ceil(np.abs(corners).max(axis=0) / self._fixed_px).astype(int)
@@ -447,7 +458,10 @@ class _Scanner:
         return (sampled(self._mask, 1) >= 0.5).astype(np.float32)
 
     def _spectrum(self, part: Slab, shape: tuple[int, int]) -> NDArray[np.complex64]:
-        """Conjugate spectrum; the rows that the part does not fill need no transformation along them."""
+        """Conjugate spectrum.
+
+        The rows that the part does not fill need no transformation along them.
+        """
         return np.conj(fft.fft(fft.rfft(part, shape[1], axis=1), shape[0], axis=0))
 
     def _lags(
@@ -457,7 +471,10 @@ class _Scanner:
         part: NDArray[np.complex64],
         half: tuple[int, int],
     ) -> Slab:
-        """Sums of products by the pixel at which the middle of the part lies; only the rows that are needed."""
+        """Sums of products by the pixel at which the middle of the part lies.
+
+        Only the rows that are needed.
+        """
         along = fft.ifft(image * part, axis=0, overwrite_x=True)
         row, col = (self._margin - h for h in half)
         lags = fft.irfft(along[row : row + window.size[0]], window.shape[1], axis=1)

@@ -58,8 +58,8 @@ def region_difference(
 
     Notes
     -----
-    What each pixel adds to the difference is a map of its own, whose mean has the variance that its covariances by lag
-    give: a region is one event, however many pixels it has.
+    What each pixel adds to the difference is a map of its own, whose mean has the variance that its
+    covariances by lag give: a region is one event, however many pixels it has.
     """
     is_valid, pixel = valid_pixels(values, values, mask, pixel_um)
     on_one_grid(values, inside, inside, pixel)
@@ -91,7 +91,10 @@ def region_difference(
 
 
 def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
-    """The image inside and outside of thin regions of the coating, for the limits that some pixels are below."""
+    """Compare the image inside and outside of thin regions of the coating.
+
+    This is done for the limits that some pixels are below.
+    """
     if not (pair.a[1].startswith("coating_") and "image" in pair.layers[1]):
         return {}
     is_valid, differences = pair.lags.is_valid, list[RegionDifference]()

@@ -1,4 +1,7 @@
-"""How a map varies with distance: its noise from pixel to pixel, its spread, and how far its texture reaches."""
+"""How a map varies with distance.
+
+Its noise from pixel to pixel, its spread, and how far its texture reaches.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,10 @@ _LEAST_RINGS = 4  # for a model of three numbers
 
 
 class Variogram(ResultModel):
-    """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
+    """How a map varies with distance.
+
+    Half of the mean square difference of two points of it, by their distance.
+    """
 
     layer: str = Field(default="", description="Name of the layer.")
     map: str = Field(default="", description="Name of the map.")
@@ -78,10 +84,11 @@ def variogram(
 
     Notes
     -----
-    From the covariances at all lags up to half of the shorter side, in rings one pixel wide. The nugget is what a
-    covariance ``c exp(-(h / l)^k)``, k from 1 to 2, fitted from the first ring to where 0.3 is left, leaves of the
-    sill; a texture that is rougher than the exponential one counts as nugget in part. The range is read off the
-    covariances themselves. Waves longer than a fifth of the field make sill and range smaller than they are.
+    From the covariances at all lags up to half of the shorter side, in rings one pixel wide. The
+    nugget is what a covariance ``c exp(-(h / l)^k)``, k from 1 to 2, fitted from the first ring to
+    where 0.3 is left, leaves of the sill; a texture that is rougher than the exponential one counts
+    as nugget in part. The range is read off the covariances themselves. Waves longer than a fifth
+    of the field make sill and range smaller than they are.
     """
     return variogram_of(a, Lags(*valid_pixels(a, a, mask, pixel_um)), md_deg)
 
@@ -129,7 +136,10 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None = None) -> Variogram
 
 
 def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floats, Floats]:
-    """Mean distance and covariance, and number of pairs, of rings one pixel wide; lag 0 is left out."""
+    """Mean distance and covariance, and number of pairs, of rings one pixel wide.
+
+    Lag 0 is left out.
+    """
     step = max(lags.pixel_um)
     ring = np.rint(lags.distance_um / step).astype(np.intp)
     side_um = min(n * p for n, p in zip(lags.is_valid.shape, lags.pixel_um, strict=True))
@@ -151,13 +161,17 @@ def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floa
 
 
 def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
-    """Covariance towards distance 0: the variance that neighbours share; 0 where they share nothing."""
+    """Covariance towards distance 0: the variance that neighbours share.
+
+    0 where they share nothing.
+    """
     if covariance[0] <= 0:
         return 0.0
     low = np.flatnonzero(covariance < 0.3 * covariance[0])
     count = min(max(int(low[0]) if low.size else covariance.size, _LEAST_RINGS), 40)
     h, c = distance[:count], covariance[:count] / covariance[0]
-    # Each ring counts the same: longer ones have more pairs but scatter more, as a field holds few long waves.
+    # Each ring counts the same: longer ones have more pairs but scatter more, as a field holds few
+    # long waves.
 
     def off(p: Floats) -> Floats:
         return p[0] * np.exp(-((h / math.exp(p[1])) ** p[2])) - c
@@ -186,7 +200,10 @@ def _range(distance: Floats, covariance: Floats, shared: float) -> float:
 
 
 def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
-    """Variograms of both maps on their one mask; nothing of a map that the field is too small for."""
+    """Variograms of both maps on their one mask.
+
+    Nothing of a map that the field is too small for.
+    """
     curves: list[Variogram] = []
     for values, (layer, name), units in zip(
         (pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True

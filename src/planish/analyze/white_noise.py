@@ -1,4 +1,7 @@
-"""Maps without their white noise, for regressions in which it would make an effect look smaller than it is."""
+"""Maps without their white noise, for regressions.
+
+There the noise would make an effect look smaller than it is.
+"""
 
 import numpy as np
 from scipy import fft
@@ -10,10 +13,13 @@ _RINGS = 64  # of frequencies up to Nyquist's
 
 
 def without_white_noise(values: Array, is_known: Bools) -> Floats:
-    """Best linear estimate of a map (rows, cols) from the map with white noise on it; NaN where it is not known.
+    """Best linear estimate of a map (rows, cols) from the map with white noise on it.
 
-    The noise is that of the shortest waves. Regressed on the estimate, another quantity keeps its coefficient, which
-    noise makes smaller (regression calibration; Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 4).
+    NaN where it is not known.
+
+    The noise is that of the shortest waves. Regressed on the estimate, another quantity keeps its
+    coefficient, which noise makes smaller (regression calibration; Carroll et al. 2006, Measurement
+    Error in Nonlinear Models, chapter 4).
     """
     if not is_known.any():
         return np.full(values.shape, np.nan)

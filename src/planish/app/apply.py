@@ -1,4 +1,7 @@
-"""Apply: a new run made by a process of its own, so that the page stays quick and a cancel is at once."""
+"""Apply makes a new run by a process of its own.
+
+So the page stays quick, and a cancel is at once.
+"""
 
 import json
 import os
@@ -72,7 +75,7 @@ class Applying:
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self) -> None:
-        """Remove what an Apply left that was killed together with the process that worked for it."""
+        """Remove what an Apply left that was killed together with its worker process."""
         if not self.session.read_only:
             self._clean()
             self._stop_listening = self.session.listen(self._warm_soon)
@@ -93,7 +96,10 @@ class Applying:
                 )
 
     def _warm_soon(self) -> None:
-        """Once something was changed, it will be applied; but not while the first clicks follow each other."""
+        """Once something was changed, it will be applied.
+
+        But not while the first clicks follow each other.
+        """
         if self.session.state is not self.session.first:
             self._stop_listening()
             timer = threading.Timer(5.0, self.warm)  # after the first change

@@ -1,7 +1,10 @@
-"""The process that makes a new run, ``python -m planish.app.apply_worker``; :mod:`planish.app.apply` starts it.
+"""The process that makes a new run, ``python -m planish.app.apply_worker``.
 
-It reads one order from standard input and tells its progress on standard output, a line of JSON each. Where standard
-input is closed before it is done, by a cancel or because the server is gone, it stops and leaves nothing.
+:mod:`planish.app.apply` starts it.
+
+It reads one order from standard input and tells its progress on standard output, a line of JSON
+each. Where standard input is closed before it is done, by a cancel or because the server is gone,
+it stops and leaves nothing.
 """
 
 import _thread

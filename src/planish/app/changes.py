@@ -1,4 +1,7 @@
-"""What a person can change in a session: immutable states, and one function that takes a state to the next."""
+"""What a person can change in a session.
+
+Immutable states, and one function that takes a state to the next.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +36,10 @@ class ChangeError(InputError):
 
 
 class End(Part):
-    """One end of a mark, in um of its plane, with what is known of it: the fields of files of marks."""
+    """One end of a mark, in um of its plane, with what is known of it.
+
+    The fields are those of files of marks.
+    """
 
     x: Um
     y: Um
@@ -69,7 +75,10 @@ class Mark(Part):
 
     @property
     def is_tile(self) -> bool:
-        """Whether it is a tile of texture, no hole; also where one of its ends was moved by hand."""
+        """Whether it is a tile of texture, no hole.
+
+        Also where one of its ends was moved by hand.
+        """
         return any(end is not None and end.source == "tile" for end in (self.moving, self.fixed))
 
 
@@ -162,7 +171,7 @@ class ChooseModel(_Change):
 
 
 class Correct(_Change):
-    """A correction of a face: a stretch that was found wrong, and the points that it runs through."""
+    """A correction of a face: a stretch found to be wrong, and the points it runs through."""
 
     do: Literal["correct"] = "correct"
     id: Id = FREE
@@ -190,13 +199,19 @@ _CHANGE: TypeAdapter[Change] = TypeAdapter(Change)
 
 
 def change_of(data: bytes | str) -> Change:
-    """Read a change from JSON, as the page sends it or the journal holds it; ChangeError names every fault."""
+    """Read a change from JSON, as the page sends it or the journal holds it.
+
+    ChangeError names every fault.
+    """
     with naming_faults("This is no change", error=ChangeError):
         return _CHANGE.validate_json(data)
 
 
 def numbered(change: Change, line_number: int) -> Change:
-    """The change with the ids of what it makes: those of its line in the journal, so that no id ever returns."""
+    """Return the change with the ids of what it makes.
+
+    They are those of its line in the journal, so that no id ever returns.
+    """
     if isinstance(change, Import):
         marks = (
             mark.model_copy(update={"id": f"m{line_number}-{k}"})
@@ -218,7 +233,10 @@ class State:
     first_layer: str = ""  # the one of changes that name none
 
     def of(self, layer: str | None) -> tuple[Mark, ...]:
-        """Marks of one registration, of the first where none is named; ChangeError for another name."""
+        """Marks of one registration, of the first where none is named.
+
+        ChangeError for another name.
+        """
         name = layer or self.first_layer
         if name not in self.marks:
             raise ChangeError(
@@ -232,7 +250,10 @@ class State:
 
 
 def applied(state: State, change: Change) -> State:
-    """The state after a change; ChangeError where it names what is not there, or leaves a mark without a place."""
+    """The state after a change.
+
+    ChangeError where it names what is not there, or leaves a mark without a place.
+    """
     match change:
         case ChooseModel():
             return replace(state, model=change.model)
@@ -250,7 +271,7 @@ def applied(state: State, change: Change) -> State:
             return replace(state, marks={**state.marks, change.layer or state.first_layer: marks})
 
 
-def _marks_after(
+def _marks_after(  # noqa: C901
     marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Remove | Import
 ) -> tuple[Mark, ...]:
     if isinstance(change, Add | Relabel) and any(
@@ -291,7 +312,10 @@ def _marks_after(
 
 
 def checked_label(label: str) -> str:
-    """A label that can stand in a table; ChangeError for one with line ends, or with nothing to see."""
+    """A label that can stand in a table.
+
+    ChangeError for one with line ends, or with nothing to see.
+    """
     if not label.strip() or printable(label) != label or {*label} & {*"\n\t"}:
         raise ChangeError(
             f"The label {label!r} cannot be read. Give letters, digits, signs and blanks."
@@ -332,7 +356,10 @@ def corrections_of(study: Study) -> tuple[Correct, ...]:
 
 
 def stretches_of(corrections: Sequence[Correct], layer: str, first_sheet: str) -> Corrections:
-    """The corrections of one layer as its file has them; those that name none are of the ``first_sheet``."""
+    """The corrections of one layer as its file has them.
+
+    Those that name none are of the ``first_sheet``.
+    """
     layer_corrections = [
         correction for correction in corrections if (correction.layer or first_sheet) == layer
     ]

@@ -52,7 +52,8 @@ def imported(
 ) -> Import:
     """The marks of a file, in the planes of a registration, as a change.
 
-    ``fixed_file``: the fixed layer, of a format with one a file. FileError, MarkError, SizeError for a faulty one.
+    ``fixed_file``: the fixed layer, of a format with one a file. FileError, MarkError, SizeError
+    for a faulty one.
     """
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
         uploads = {"marks": file} | ({"second": fixed_file} if fixed_file else {})
@@ -73,7 +74,10 @@ def imported(
 
 
 def exported(session: Session, layer: str, format_name: str, fitted: Fitted) -> tuple[str, bytes]:
-    """Name and bytes of a file of marks, or a ZIP; ChangeError for its format, MarkError where it can hold none."""
+    """Name and bytes of a file of marks, or a ZIP.
+
+    ChangeError for its format, MarkError where it can hold none.
+    """
     if format_name not in TARGETS:
         raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")
     marks, row_of = session.state.of(layer), {mark.id: k for k, mark in enumerate(fitted.pairs)}

@@ -1,4 +1,7 @@
-"""What the marks of one registration say: the fit that is shown, marks that stand out, and where a point will lie."""
+"""What the marks of one registration say.
+
+The fit that is shown, marks that stand out, and where a point will lie.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -33,12 +36,13 @@ _CLEAR_SDS = 4.0  # standard deviations of one coordinate
 def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um: float) -> Bools:
     """Pairs (n,) of ``moving`` and ``fixed`` (n, 2), in um, that the others do not expect.
 
-    Two marks farther apart than ``tolerance_um`` do not match, however few there are to tell. A least trimmed squares
-    fit of a similarity: of those through two of the pairs, the one that the best two thirds of all marks follow most
-    closely, improved by refits to these. So wrong marks that agree with each other do not hide, unless they are more
-    than a third. Of the rest are named those that are off by more than the tolerance and four standard deviations, and
-    those that lie farther off than chance puts one of so many that were chosen from (Rousseeuw and Van Driessen 2006,
-    Data Min. Knowl. Discov. 12, 29, doi:10.1007/s10618-005-0024-4).
+    Two marks farther apart than ``tolerance_um`` do not match, however few there are to tell. A
+    least trimmed squares fit of a similarity: of those through two of the pairs, the one that the
+    best two thirds of all marks follow most closely, improved by refits to these. So wrong marks
+    that agree with each other do not hide, unless they are more than a third. Of the rest are named
+    those that are off by more than the tolerance and four standard deviations, and those that lie
+    farther off than chance puts one of so many that were chosen from (Rousseeuw and Van Driessen
+    2006, Data Min. Knowl. Discov. 12, 29, doi:10.1007/s10618-005-0024-4).
     """
     n = len(moving)
     is_outlier = np.zeros(n, dtype=np.bool_)
@@ -47,7 +51,8 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
     z, w = as_complex(moving, mirrored), as_complex(fixed, False)
     inliers = _best_inliers(z, w, n - n // 3)
     for _ in range(n):
-        # How far each mark lies off a fit to the inliers, over its own error in units of theirs; their variance.
+        # How far each mark lies off a fit to the inliers, over its own error in units of theirs;
+        # their variance.
         residual_um = np.abs(_residuals(z, w, inliers))
         distance2 = np.abs(z - z[inliers].mean()) ** 2
         leverage = 1 / inliers.size + distance2 / max(float(np.sum(distance2[inliers])), 1e-300)
@@ -161,7 +166,10 @@ class Fitted:
     def predicted(
         self, side: Plane, point_um: tuple[float, float]
     ) -> tuple[tuple[float, float], float | None, str] | None:
-        """Place in the other plane of a point of ``side``, its expected error in um where known, and both in words."""
+        """Place in the other plane of a point of ``side``, and its expected error.
+
+        The error is given in um where known, and both also in words.
+        """
         used_marks = [mark for mark in self.pairs if mark.used]
         if self.fit is not None and len(used_marks) >= 3:
             transform, expected_error, error_text = (
@@ -199,9 +207,10 @@ def fitted(
 ) -> Fitted:
     """Fit the marks of one registration as the page shows them; those with one end are passed over.
 
-    The model ``auto`` is fitted as Apply will do it: robustly, with the covariances of the holes; all others by least
-    squares to all marks in use. ``mirrored``: whether the two planes show opposite sides; None for whichever fits
-    better. ``quick``: only what takes some milliseconds; of another model than `QUICK`, a similarity instead.
+    The model ``auto`` is fitted as Apply will do it: robustly, with the covariances of the holes;
+    all others by least squares to all marks in use. ``mirrored``: whether the two planes show
+    opposite sides; None for whichever fits better. ``quick``: only what takes some milliseconds; of
+    another model than `QUICK`, a similarity instead.
     """
     pairs = tuple(mark for mark in marks if mark.moving and mark.fixed)
     moving, fixed = (_points(pairs, plane) for plane in PLANES)

@@ -1,4 +1,7 @@
-"""The journal of a session: one line per change, on the disk before anybody is told that the change was made."""
+"""The journal of a session holds one line per change.
+
+A line is on the disk before anybody is told that the change was made.
+"""
 
 import json
 import os
@@ -23,11 +26,13 @@ class InUse(FileError):
 class Journal:
     """Lines of JSON that are appended, each forced to the disk, and never changed.
 
-    The first line says what the file is. The end of a line that a killed process did not finish is dropped. Nothing is
-    written before the first change. ``subject`` is what the changes are made to, such as the hash of a run's results.
+    The first line says what the file is. The end of a line that a killed process did not finish is
+    dropped. Nothing is written before the first change. ``subject`` is what the changes are made
+    to, such as the hash of a run's results.
 
-    With ``write`` lines will be appended, which at most one process can: InUse where another one does. FileError where
-    it cannot be read, is damaged, or is of another subject; with ``write`` also where it cannot be written.
+    With ``write`` lines will be appended, which at most one process can: InUse where another one
+    does. FileError where it cannot be read, is damaged, or is of another subject; with ``write``
+    also where it cannot be written.
     """
 
     def __init__(self, path: Path, *, subject: str, write: bool) -> None:
@@ -62,9 +67,12 @@ class Journal:
             raise
 
     def append(self, line: bytes) -> None:
-        """Write one line, JSON without line ends; it is on the disk when this returns, or nothing of it is.
+        """Write one line, JSON without line ends.
 
-        ResourceError where the disk is full; FileError where it cannot be written otherwise, or was opened to be read.
+        It is on the disk when this returns, or nothing of it is.
+
+        ResourceError where the disk is full; FileError where it cannot be written otherwise, or was
+        opened to be read.
         """
         if self._lock is None:
             raise FileError(f"{self.path} is read only here. Nothing was changed.")

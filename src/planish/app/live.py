@@ -1,4 +1,7 @@
-"""The fits of a session: what is quick at once, what takes longer in a thread, from which a new version follows."""
+"""The fits of a session: quick ones at once, those that take longer in a thread.
+
+From the thread a new version follows.
+"""
 
 import logging
 import threading
@@ -14,13 +17,17 @@ from planish.app.session import Session
 WAIT_S = 0.03
 """An answer waits so long for a fit that takes longer."""
 REST_S = 0.05
-"""What only adds warnings to residuals that are shown waits so long: it does not slow down their way to the screen."""
+"""What only adds warnings to residuals that are shown waits so long: it does not slow down their
+way to the screen."""
 
 _log = logging.getLogger("planish.app")
 
 
 class Live:
-    """Fits of a session, one for each registration and state; one worked out in the thread is a new version of it."""
+    """Fits of a session, one for each registration and state.
+
+    One worked out in the thread is a new version of it.
+    """
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -30,7 +37,10 @@ class Live:
         self._thread: threading.Thread | None = None
 
     def fit(self, layer: str) -> Fitted:
-        """The fit of one registration as it stands: of a similarity as long as that of another model is not ready."""
+        """Give the fit of one registration as it stands.
+
+        It is that of a similarity as long as that of another model is not ready.
+        """
         state = self.session.state
         marks, model = state.of(layer), state.model
         with self._lock:

@@ -1,4 +1,7 @@
-"""Routes of what is changed: the session, its marks, undo and redo, news for every window, and Apply."""
+"""Routes of what is changed.
+
+The session, its marks, undo and redo, news for every window, and Apply.
+"""
 
 import asyncio
 import json
@@ -114,7 +117,10 @@ def _state_of(request: Request) -> dict[str, Any]:
 
 
 async def get_events(request: Request) -> Response:
-    """One line of JSON for each new version, and one each half second, by which a lost server is noticed."""
+    """Send one line of JSON for each new version, and one each half second.
+
+    By the latter a lost server is noticed.
+    """
     session = session_of(request)
     new_version, loop = anyio.Event(), asyncio.get_running_loop()
 
@@ -139,7 +145,10 @@ async def get_events(request: Request) -> Response:
 def _changing(
     model: type[_Body], action: Callable[[Request, Any], object]
 ) -> Callable[..., Awaitable[Response]]:
-    """Handle what changes the session: the answer is the state after it, also where it came too late."""
+    """Handle what changes the session.
+
+    The answer is the state after it, also where it came too late.
+    """
 
     async def handle(request: Request) -> Response:
         with naming_faults("This cannot be read", error=ChangeError):
@@ -175,7 +184,10 @@ def _import(request: Request, body: _ImportBody) -> str:
 
 
 def _find_texture(request: Request, body: _TextureBody) -> str:
-    """Take tiles of the texture in place of all marks: about a place in the image, or where a person laid the maps."""
+    """Take tiles of the texture in place of all marks.
+
+    The tiles are about a place in the image, or where a person laid the maps.
+    """
     session = session_of(request)
     layer = body.layer or session.state.first_layer
     if session.image is None:
@@ -242,7 +254,8 @@ def get_report(request: Request) -> Response:
     path = _applying(request).reports.get(request.path_params["ticket"])
     if path is None:
         return PlainTextResponse("There is no such report.", 404)
-    # The page is one file that needs nothing else; it keeps no script, and none that got into it would be carried out.
+    # The page is one file that needs nothing else; it keeps no script, and none that got into it
+    # would be carried out.
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'none'"
     headers = {"content-security-policy": policy, "cache-control": "no-store"}
     try:

@@ -1,4 +1,7 @@
-"""From a session to the study of a new run, with the files that it names: only what was changed is written."""
+"""Turn a session into the study of a new run, with the files that it names.
+
+Only what was changed is written.
+"""
 
 import itertools
 import re
@@ -25,7 +28,7 @@ STAGING = f"{EDITS}/.apply"
 
 
 def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
-    """Give the study of a session's new run, and texts by name of the files that it finds in ``staging``."""
+    """Give the study of a session's new run, and texts by name of its files in ``staging``."""
     study, holes = _original_run(session)
     original, state, file_texts = session.first, session.state, dict[str, str]()
     default_diameter_um, is_only_layer = float(np.mean(study.holes.hole_um)), len(state.marks) == 1
@@ -68,7 +71,10 @@ def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
 
 
 def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
-    """Study of a run before any change, and all holes and marks by layer; of a map, those of its link to the image."""
+    """Study of a run before any change, and all holes and marks by layer.
+
+    Of a map, those of its link to the image.
+    """
     if session.image_params is None:
         return session.study, {
             layer: registration.marks for layer, registration in session.registrations.items()
@@ -82,7 +88,10 @@ def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
 
 
 def new_run_folder(run: Path, *, linked: bool) -> Path:
-    """Choose the folder of the new run: ``RUN-2`` beside RUN, ``OUT`` of the ``OUT-map`` that is linked to an image."""
+    """Choose the folder of the new run.
+
+    ``RUN-2`` beside RUN, or ``OUT`` of the ``OUT-map`` that is linked to an image.
+    """
     if linked and (suffix := re.search(r"-map(-\d+)?$", run.name)) and suffix.start():
         return free_path(run.with_name(run.name[: suffix.start()]))
     return free_path(run)
@@ -91,10 +100,13 @@ def new_run_folder(run: Path, *, linked: bool) -> Path:
 def all_marks(
     marks: Sequence[Mark], run_marks: xr.Dataset, *, default_diameter_um: float
 ) -> xr.Dataset:
-    """Marks of a session as files have them, and the holes in which none of them lies: these are masked too.
+    """Marks of a session as files have them, and the holes in which none of them lies.
 
-    ``run_marks`` are all marks of the run, matched or not, as ``marks.json`` has them. An end of a mark keeps what it
-    says of itself; without a diameter it takes that of the hole in which it lies, or ``default_diameter_um``.
+    These holes are masked too.
+
+    ``run_marks`` are all marks of the run, matched or not, as ``marks.json`` has them. An end of a
+    mark keeps what it says of itself; without a diameter it takes that of the hole in which it
+    lies, or ``default_diameter_um``.
     """
     dataset = dataset_of(marks, about=run_marks.attrs.get("layers", {}))
     labels = [mark.label for mark in marks]

@@ -1,4 +1,7 @@
-"""One picture of a session: its levels, stored or computed, and the codes by which its tiles hold its values."""
+"""One picture of a session.
+
+Its levels, stored or computed, and the codes by which its tiles hold its values.
+"""
 
 from __future__ import annotations
 
@@ -46,14 +49,20 @@ def finite_or_none(number: Any) -> float | None:
 
 
 def layer_run(run: Path, layer: str) -> Path:
-    """Give the folder of the run that holds the maps of a layer: one within a run of several, or the run itself."""
+    """Give the folder of the run that holds the maps of a layer.
+
+    It is one within a run of several, or the run itself.
+    """
     layer_folder = run / "layers" / layer
     return layer_folder if is_run(layer_folder) else run
 
 
 @dataclass(frozen=True, slots=True)
 class Codes:
-    """Values in 16 bits: 0 is missing, k from 1 on ``offset + scale * (k - 1)``; the ends stand for all beyond, too."""
+    """Values in 16 bits: 0 is missing, k from 1 on ``offset + scale * (k - 1)``.
+
+    The ends stand for all beyond, too.
+    """
 
     offset: float
     scale: float
@@ -109,7 +118,10 @@ class PlanePicture:
 
     @cached_property
     def codes(self) -> Codes:
-        """How tiles hold its values: room for single pixels, which vary more than the parts that were looked at."""
+        """How tiles hold its values, with room for single pixels.
+
+        Single pixels vary more than the parts that were looked at.
+        """
         values = np.concatenate([self._coarse, self._sample])
         if self.full.dtype == np.bool_ or values.size == 0:
             return Codes(0.0, 1.0)
@@ -189,7 +201,7 @@ def user_cache() -> Path:
 
 
 def cache_folder(file: Path, *keys: str) -> Path:
-    """Give the folder for the copies of a picture of a file: another one once the file has changed."""
+    """Give the folder for the copies of a file's picture: another once the file has changed."""
     path = file.resolve()
     stat = path.stat()
     key = "\n".join([str(path), str(stat.st_size), str(stat.st_mtime_ns), *keys])
@@ -197,9 +209,12 @@ def cache_folder(file: Path, *keys: str) -> Path:
 
 
 class ComputedLevels:
-    """All levels of a picture of ``values`` (rows, cols), floats or truth values; full resolution first.
+    """All levels of a picture of ``values`` (rows, cols), floats or truth values.
 
-    ``folder`` is that of :func:`cache_folder`; with ``keep_all`` it keeps the values of a file without windows, too.
+    Full resolution first.
+
+    ``folder`` is that of :func:`cache_folder`; with ``keep_all`` it keeps the values of a file
+    without windows, too.
     """
 
     def __init__(
@@ -253,7 +268,10 @@ class ComputedLevels:
         return self._arrays
 
     def _make(self) -> Path:
-        """Make what is kept in one pass; in a folder that goes with the session where the cache takes nothing."""
+        """Make what is kept in one pass.
+
+        In a folder that goes with the session where the cache takes nothing.
+        """
         cache_root = self._folder.parent
         temporary = cache_root / f".{self._folder.name}.{secrets.token_hex(4)}"
         is_cached = True
@@ -297,7 +315,7 @@ class ComputedLevels:
 
 
 def trim(root: Path, *, keep: Path, most_bytes: int = CACHE_BYTES) -> None:
-    """Remove copies that were not used for the longest time until the others take no more than ``most_bytes``."""
+    """Remove copies unused for the longest time until the others take at most ``most_bytes``."""
     with suppress(OSError):
         folders = sorted({*root.iterdir()} - {keep}, key=lambda folder: folder.stat().st_mtime)
         sizes = {

@@ -1,4 +1,7 @@
-"""All pictures of a session: the maps of a run and the images beside them, each read by window, at every level."""
+"""All pictures of a session: the maps of a run and the images beside them.
+
+Each is read by window, at every level.
+"""
 
 import threading
 from collections import OrderedDict
@@ -191,7 +194,10 @@ def _on_grids(levels: ComputedLevels, grid: Grid) -> list[xr.DataArray]:
 
 
 def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -> PlanePicture:
-    """The picture of an image file that no store holds, as :func:`planish.read_image` reads it, with its errors."""
+    """Give the picture of an image file that no store holds.
+
+    It is as :func:`planish.read_image` reads it, with its errors.
+    """
     path, channel = Path(params.path), params.channel
     header = load_picture(path, decode=False)
     pixel_um, _ = agreed_size(
@@ -221,7 +227,10 @@ def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -
 
 
 class _ImageValues(LazyArray):
-    """One channel of an image file; decoded when a window is read for the first time, where the file is not mapped."""
+    """One channel of an image file.
+
+    Decoded when a window is read for the first time, where the file is not mapped.
+    """
 
     def __init__(self, path: Path, channel: str, shape: tuple[int, int]) -> None:
         self._path, self._channel, self.shape, self.dtype = (
@@ -258,7 +267,9 @@ class Tiles:
         self.read_bytes = 0
 
     def tile(self, id: str, level: int, row: int, col: int) -> bytes:
-        """Codes of one tile: TILE x TILE little-endian 16-bit values, row by row; 0 where there is no picture.
+        """Codes of one tile: TILE x TILE little-endian 16-bit values, row by row.
+
+        0 where there is no picture.
 
         Raises
         ------
@@ -311,7 +322,10 @@ class Tiles:
         return pixels
 
     def block(self, picture: PlanePicture, level: int, i: int, j: int) -> NDArray[Any]:
-        """The i-th block down and j-th across; whoever asks for it while it is read waits for the same one."""
+        """The i-th block down and j-th across.
+
+        Whoever asks for it while it is read waits for the same one.
+        """
         key = (picture.id, level, i, j)
         with self._lock:
             new_future = Future[NDArray[Any]]()

@@ -1,4 +1,7 @@
-"""Values of pictures at a point, along a line and in a region; densities and histograms from an overview."""
+"""Values of pictures at a point, along a line and in a region.
+
+Densities and histograms from an overview.
+"""
 
 import base64
 import math
@@ -29,7 +32,10 @@ MOST_SAMPLES = 2000
 
 
 def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str, Any]:
-    """Values at a point of all pictures on the pixels of one, None where missing, and its place in the volume in um."""
+    """Values at a point of all pictures on the pixels of one, and its place in the volume in um.
+
+    Missing values are None.
+    """
     rows, cols, (is_inside,) = _pixels(picture, np.array([[x, y]]), 0)
     pictures = tiles.pictures.on_same_pixels(picture)
     value_of = {
@@ -60,7 +66,10 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str,
 def nearest(
     tiles: Tiles, picture: PlanePicture, layer: str, place_um: dict[str, float]
 ) -> tuple[float, float] | None:
-    """Where in a plane, (x, y) in um, the sheet of a layer lies nearest to a place along some axes of the volume."""
+    """Find where in a plane, (x, y) in um, the sheet of a layer lies nearest to a place.
+
+    The place is given along some axes of the volume.
+    """
     of_layer = {
         p.variable: p
         for p in tiles.pictures.on_same_pixels(picture)
@@ -83,7 +92,10 @@ def nearest(
 def profile(
     tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]
 ) -> dict[str, Any]:
-    """Values along a line (x0, y0, x1, y1), at ``at_um``, of pixels ``pixel_um`` wide; None in holes."""
+    """Values along a line (x0, y0, x1, y1), at ``at_um``, of pixels ``pixel_um`` wide.
+
+    None in holes.
+    """
     x0, y0, x1, y1 = line
     length_um = math.hypot(x1 - x0, y1 - y0)
     if length_um == 0:
@@ -116,7 +128,10 @@ def profile(
 def _pixels(
     picture: PlanePicture, points_um: Floats, level: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
-    """Rows and columns of a level's pixels that hold points (n, 2: x, y), and which lie in it; levels share corners."""
+    """Rows and columns of a level's pixels that hold points (n, 2: x, y), and which lie in it.
+
+    Levels share corners.
+    """
     (x0, y0), (dy, dx) = picture.grid.origin_um, picture.grid.pixel_um
     rows = np.floor((points_um[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
     cols = np.floor((points_um[:, 0] - x0) / dx + 0.5).astype(np.intp) >> level
@@ -173,8 +188,9 @@ def density(
 ) -> dict[str, Any]:
     """Count the points of two pictures in the plane of their values, of pixels of the stated size.
 
-    The limits are those of all points, also where only a region is counted; ``beyond`` lie outside of them. ``counts``
-    are little-endian 32-bit numbers in base64, ``bins`` x ``bins``, rows of b from ``b_low`` up.
+    The limits are those of all points, also where only a region is counted; ``beyond`` lie outside
+    of them. ``counts`` are little-endian 32-bit numbers in base64, ``bins`` x ``bins``, rows of b
+    from ``b_low`` up.
     """
     level, (x, y) = _overview(tiles, a, b)
     limits = [_limits(values[np.isfinite(x) & np.isfinite(y)]) for values in (x, y)]
@@ -206,7 +222,9 @@ def density(
 def histogram(
     tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None = None
 ) -> dict[str, Any]:
-    """Count the valid values of a picture, of pixels of the stated size; ``range``: the 2nd to the 98th percentile.
+    """Count the valid values of a picture, of pixels of the stated size.
+
+    ``range``: the 2nd to the 98th percentile.
 
     A picture without a mask of its own is counted without its ``holes`` and their rims.
     """
@@ -253,9 +271,12 @@ def select(
     brushes: Sequence[Brush] = (),
     stop: threading.Event | None = None,
 ) -> dict[str, Any]:
-    """Count what is selected at full resolution; of a region also say how two pictures are correlated in it.
+    """Count what is selected at full resolution.
 
-    Of picked values nothing is said of r: ``r``, ``n_eff`` and ``interval`` are None. Stopped once ``stop`` is set.
+    Of a region also say how two pictures are correlated in it.
+
+    Of picked values nothing is said of r: ``r``, ``n_eff`` and ``interval`` are None. Stopped once
+    ``stop`` is set.
     """
     stop, pixel_um = stop or threading.Event(), a.grid.pixel_um
     window: Window = (slice(None), slice(None)) if region is None else region.on(a)

@@ -1,4 +1,7 @@
-"""The app as one ASGI application: what the server lets in, the files of its page, and the server of a session."""
+"""The app as one ASGI application.
+
+What the server lets in, the files of its page, and the server of a session.
+"""
 
 import hmac
 import logging
@@ -51,13 +54,16 @@ class Refused(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Guard:
-    """Middleware: 421 for another host, 401 without the token, 403, 415, 413 for writes that are not the page's."""
+    """Middleware that refuses another host, a missing token, and writes that are not the page's.
+
+    421 for another host, 401 without the token, 403, 415, 413 for such writes.
+    """
 
     app: ASGIApp
     token: str  # wanted of every request of data, as ``Authorization: Bearer``
     hosts: Sequence[str]  # names with port under which the server is called
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:  # noqa: C901
         """Let a request in, or answer it."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
@@ -137,7 +143,8 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
     ----------
     session : Session; what is served; handlers find it as ``request.app.state.session``
     token : str; without it no data are given
-    hosts : sequence of str; names with port under which the server is called, such as ``127.0.0.1:8000``
+    hosts : sequence of str; names with port under which the server is called, such as
+    ``127.0.0.1:8000``
     """
     app = Starlette(
         routes=[*_static(), *marks_routes.ROUTES, *view_routes.ROUTES],
@@ -153,7 +160,10 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
 
 
 def _static() -> list[BaseRoute]:
-    """A route for each file of the page, read once: no path of a request is ever looked up on the disk."""
+    """Make a route for each file of the page, read once.
+
+    No path of a request is ever looked up on the disk.
+    """
     media_types = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
     root = files("planish.app") / "static"
     routes: list[BaseRoute] = []
@@ -180,12 +190,16 @@ async def _error_response(_request: Request, error: Exception) -> Response:
 
 
 def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], None]) -> None:
-    """Serve a session until interrupted, on any port for 0; ``on_open`` gets the address. FileError: cannot listen."""
+    """Serve a session until interrupted, on any port for 0; ``on_open`` gets the address.
+
+    FileError: cannot listen.
+    """
     token = secrets.token_urlsafe(32)
     with closing(session):
         try:
             listener = socket.create_server((host, port))
-            # Those that are accepted inherit it. Else the kernel keeps the second part of each answer back for 40 ms.
+            # Those that are accepted inherit it. Else the kernel keeps the second part of each
+            # answer back for 40 ms.
             listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
             reason = error.strerror or error

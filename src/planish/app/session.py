@@ -1,4 +1,7 @@
-"""A session: a run as it was, and what a person changed since; every change is saved before it counts."""
+"""A session: a run as it was, and what a person changed since.
+
+Every change is saved before it counts.
+"""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -70,7 +73,7 @@ class Session:
 
     @classmethod
     def open(cls, run: Path, image: ImageParams | None = None, *, read_only: bool = False) -> Self:
-        """Open a run, or the maps of a refused link with the image, with all changes that were made to it.
+        """Open a run, or the maps of a refused link with the image, with all changes made to it.
 
         Raises
         ------
@@ -135,14 +138,20 @@ class Session:
         return "image" if facts is None else facts.to
 
     def shown_by(self, layer: str, plane: Plane) -> tuple[Plane, str]:
-        """Plane and layer of the pictures on which ends of a layer's marks lie: in a chain, the next layer's own."""
+        """Plane and layer of the pictures on which ends of a layer's marks lie.
+
+        In a chain, the next layer's own.
+        """
         if plane == "moving":
             return "moving", layer
         target_layer = self.target(layer)
         return ("moving" if target_layer in self.layers else "fixed"), target_layer
 
     def view_names(self, layer: str) -> dict[Plane, str]:
-        """What a person calls both planes: a sheet and its image by what they are, all others by their layers."""
+        """What a person calls both planes.
+
+        A sheet and its image are called by what they are, all others by their layers.
+        """
         target = self.target(layer)
         kinds = {facts.name: facts.kind for facts in self.results.layers}
         is_sheet_on_image = (kinds[layer], kinds.get(target, "image")) == ("sheet", "image")
@@ -159,7 +168,10 @@ class Session:
         )
 
     def mirrored(self, layer: str) -> bool | None:
-        """Whether the fixed plane shows the other side of the sheet; None where either hand may fit."""
+        """Whether the fixed plane shows the other side of the sheet.
+
+        None where either hand may fit.
+        """
         return (
             None
             if self.study.registration.mirror
@@ -167,14 +179,20 @@ class Session:
         )
 
     def to_face_um(self, layer: str) -> tuple[float, float]:
-        """What the link added to the holes of a layer's maps, which run at an angle, to have them at the face."""
+        """What the link added to the holes of a layer's maps to have them at the face.
+
+        These holes run at an angle.
+        """
         if layer not in self.registrations:
             return tuple(self._detected_holes["moving"].attrs["to_face_um"])
         facts = self.results.layer(layer).registration
         return (0.0, 0.0) if facts is None or facts.tilt is None else facts.tilt.to_face_um
 
     def side_of(self, layer: str) -> Side:
-        """Side of the sheet that a layer shows: the top for flat maps, and for an image where nothing is given."""
+        """Side of the sheet that a layer shows.
+
+        The top for flat maps, and for an image where nothing is given.
+        """
         images = {params.name: params.image for params in self.study.layers}
         image = (
             self.image_params
@@ -194,7 +212,10 @@ class Session:
         return self.image_params and read_image(self.image_params.path, **self.image_params.how)
 
     def holes(self, layer: str) -> dict[Plane, xr.Dataset]:
-        """All holes that were found in both planes, matched or not: ``x``, ``y``, ``diameter`` in um, covariances."""
+        """All holes that were found in both planes, matched or not.
+
+        ``x``, ``y``, ``diameter`` in um, covariances.
+        """
         if layer not in self.registrations:
             return self._detected_holes
         return {
@@ -334,7 +355,10 @@ class Session:
 
 
 def _image_params(run: Path, image: ImageParams | None, results: Results) -> ImageParams | None:
-    """Give the options of the image of a refused link: as it is asked for, as it was then, or by its own metadata."""
+    """Give the options of the image of a refused link.
+
+    They are as it is asked for, as it was then, or by its own metadata.
+    """
     path = None if image is None else Path(image.path)
     if results.is_link:
         if path is not None:
@@ -392,7 +416,10 @@ def pairs_of(
 
 
 def measured_holes(marks: xr.Dataset, plane: Plane) -> xr.Dataset:
-    """Keep the marks that have a diameter in a plane: a tile of texture has none, and is no hole."""
+    """Keep the marks that have a diameter in a plane.
+
+    A tile of texture has none, and is no hole.
+    """
     name = f"{plane}_diameter"
     has_diameters = marks if name in marks else marks.assign({name: np.nan * marks[f"{plane}_x"]})
     return has_diameters.dropna("mark", subset=[name])

@@ -1,4 +1,7 @@
-"""Slices of a volume with the surfaces in them, read by window from the volume's file and the store of the run."""
+"""Slices of a volume with the surfaces in them.
+
+They are read by window from the volume's file and the store of the run.
+"""
 
 import threading
 from collections.abc import Mapping, Sequence
@@ -49,7 +52,10 @@ class AxisFacts(ResultModel):
 
 
 class SliceFacts(ResultModel):
-    """A slice and what was found in it; a value of 16 bits stands for ``offset + scale * value``."""
+    """A slice and what was found in it.
+
+    A value of 16 bits stands for ``offset + scale * value``.
+    """
 
     layer: str
     direction: Direction  # axis across the slice; or straightened along normals
@@ -89,7 +95,10 @@ class SlicedSheet:
 
     @classmethod
     def open(cls, name: str, params: VolumeParams, store: Path) -> Self:
-        """Open volume and surfaces of a sheet; FileError where the volume is gone, damaged, or serial sections."""
+        """Open volume and surfaces of a sheet.
+
+        FileError where the volume is gone, damaged, or serial sections.
+        """
         path = find_place(params.path).path
         if is_section_folder(path):
             raise FileError(
@@ -169,9 +178,9 @@ class SlicedSheet:
     ) -> SheetSlice:
         """One slice; InputError where there is none.
 
-        ``index`` is the voxel along the direction's axis, or the row of the surfaces' columns where it is straightened;
-        ``near_um`` the place across and down around which a large slice is cut, its middle where None;
-        ``corrections`` are seen as ``preview_top`` and ``preview_bottom``.
+        ``index`` is the voxel along the direction's axis, or the row of the surfaces' columns where
+        it is straightened; ``near_um`` the place across and down around which a large slice is cut,
+        its middle where None; ``corrections`` are seen as ``preview_top`` and ``preview_bottom``.
         """
         if not 0 <= index < self.count(direction):
             raise InputError(
@@ -402,7 +411,10 @@ def sheets_of(folder: Path, study: Study) -> dict[str, tuple[VolumeParams, Path]
 
 
 def contour(height: Floats, x: Floats, y: Floats) -> Floats:
-    """Segments (n, 4: x0, y0, x1, y1) along which a field (y, x) crosses 0, linear between its nodes."""
+    """Segments along which a field (y, x) crosses 0, linear between its nodes.
+
+    Shape (n, 4: x0, y0, x1, y1).
+    """
     if min(height.shape) < 2:
         return np.empty((0, 4))
     masked = np.ma.masked_invalid(height)

@@ -1,4 +1,7 @@
-"""The hole under a mark: one that was found with all others, or one that is searched around the mark alone."""
+"""The hole under a mark.
+
+One that was found with all others, or one that is searched around the mark alone.
+"""
 
 from contextlib import suppress
 
@@ -18,7 +21,10 @@ REACH = 0.75
 
 
 def snapped(session: Session, layer: str, mark: Mark) -> Move:
-    """Give the move of a mark's ends into the holes that they lie in; ChangeError where neither end lies in one."""
+    """Give the move of a mark's ends into the holes that they lie in.
+
+    ChangeError where neither end lies in one.
+    """
     ends: dict[Plane, End] = {plane: end for plane in PLANES if (end := getattr(mark, plane))}
     if mark.is_tile:
         raise ChangeError(

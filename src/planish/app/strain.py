@@ -1,4 +1,7 @@
-"""What flattening did to the sheet, on the pixels of its flat map, and the lines of its mesh in the plane."""
+"""What flattening did to the sheet, and the lines of its mesh in the plane.
+
+What it did is given on the pixels of the sheet's flat map.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -36,7 +39,8 @@ STRAINS = {
     "shear": StrainDisplay("Shear", "mrad", 0.0, 1000.0),
     "needed_strain": StrainDisplay("Strain that the curvature needs", "%", 0.0, 100.0),
 }
-"""What is shown of the group ``strain``: all are 0 where the sheet was laid flat without any strain."""
+"""What is shown of the group ``strain``: all are 0 where the sheet was laid flat without any
+strain."""
 
 SPACE = ("projected_u", "projected_v", "warp")
 """Maps of where the sheet was in space, seen from its top."""
@@ -46,7 +50,10 @@ MOST_POINTS = 40_000
 
 
 def sheet_run(run: Path, layer: str) -> Path | None:
-    """Folder of the run that a layer was flattened in: this one, or one within it; None where it is no sheet."""
+    """Folder of the run that a layer was flattened in: this one, or one within it.
+
+    None where it is no sheet.
+    """
     layer_params = next(
         (params for params in read_study(run / RUN_TOML).layers if params.name == layer), None
     )
@@ -62,7 +69,10 @@ def sheet_run(run: Path, layer: str) -> Path | None:
 def _on_pixels(
     cells: xr.DataArray, coordinates: tuple[xr.DataArray, xr.DataArray], where: Where
 ) -> NDArray[Any]:
-    """Values of the mesh's cells in which the pixels of a part of a flat map lie; ``coordinates`` are the places."""
+    """Values of the mesh's cells in which the pixels of a part of a flat map lie.
+
+    ``coordinates`` are the places.
+    """
     indices: list[NDArray[np.intp]] = []
     is_on_mesh = True
     for axis, coordinate in zip(("y", "x"), coordinates, strict=True):
@@ -79,7 +89,10 @@ def _on_pixels(
 def strains(
     run: Path, coordinates: Mapping[str, Sequence[xr.DataArray]]
 ) -> Iterator[tuple[str, StrainDisplay, list[xr.DataArray]]]:
-    """Each known strain of a flat map: name, title, units, values at every level; ``coordinates``: its place, um."""
+    """Each known strain of a flat map: name, title, units, values at every level.
+
+    ``coordinates``: its place, um.
+    """
     strain = read_group(run / MAPS, "strain")
     frame = Frame.of(stored_group(run / MAPS, "surfaces"))
     rows, cols = (coordinates[f"volume_{axis}"] for axis in (frame.rows, frame.cols))
@@ -100,13 +113,17 @@ def strains(
 
 
 def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
-    """Every n-th row and column of the mesh in the plane as lines, (u, v) in um, ending where the sheet does; and n."""
+    """Every n-th row and column of the mesh in the plane as lines; and n.
+
+    The lines are (u, v) in um and end where the sheet does.
+    """
     flat, strain = stored_group(run / MAPS, "flat"), read_group(run / MAPS, "strain")
     n_rows, n_cols = strain.sizes["row"], strain.sizes["col"]
     line_step = 1
     while 2 * (n_rows // line_step + 1) * (n_cols // line_step + 1) > MOST_POINTS:
         line_step += 1
-    # Columns of the sheet that are nodes of the mesh, or nearest to them; a cell's place is its middle.
+    # Columns of the sheet that are nodes of the mesh, or nearest to them; a cell's place is its
+    # middle.
     nodes: list[NDArray[np.intp]] = []
     for axis in ("y", "x"):
         columns_um, cells_um = np.asarray(flat[axis].values), np.asarray(strain[axis].values)

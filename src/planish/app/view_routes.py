@@ -1,4 +1,7 @@
-"""Routes of what is seen: tiles, values and densities of maps, slices of sheets, the mesh of the flattening."""
+"""Routes of what is seen.
+
+Tiles, values and densities of maps, slices of sheets, the mesh of the flattening.
+"""
 
 import json
 import math
@@ -240,7 +243,10 @@ def session_of(request: Request) -> Session:
 
 
 def _shown_corrections(request: Request, layer: str) -> Corrections | None:
-    """The corrections of a layer that are saved, and one more that is only tried; None where the run has just these."""
+    """The corrections of a layer that are saved, and one more that is only tried.
+
+    None where the run has just these.
+    """
     session = session_of(request)
     first_sheet = next(params.name for params in session.study.layers if params.volume is not None)
     saved = stretches_of(session.state.corrections, layer, first_sheet)
@@ -269,7 +275,10 @@ def _shown_corrections(request: Request, layer: str) -> Corrections | None:
 
 
 def slice_message(sheet_slice: SheetSlice) -> bytes:
-    """A slice as one message: length of the facts, facts, pixels, lines, contours; little-endian."""
+    """A slice as one message: length of the facts, facts, pixels, lines, contours.
+
+    Little-endian.
+    """
     header = json.dumps(sheet_slice.facts.model_dump(mode="json")).encode()
     header += b" " * (-len(header) % 4)
     pixels = np.ascontiguousarray(sheet_slice.pixels, dtype="<u2").tobytes()
@@ -281,7 +290,10 @@ def slice_message(sheet_slice: SheetSlice) -> bytes:
 
 
 def flattening(request: Request) -> Response:
-    """Pictures of the strain, of the places of the sheet in space, and of what it may be coloured by; null for none."""
+    """Give pictures of the strain, of the sheet's places in space, and of what may colour it.
+
+    Null for none.
+    """
     session, layer = session_of(request), request.query_params.get("layer", "")
     if sheet_run(session.folder, layer) is None:
         return JSONResponse(None)

@@ -7,19 +7,21 @@ from planish.core.jit import njit
 
 
 @njit(cache=True, nogil=True)
-def add_slices(part, block, skip, square, product, sums):
+def add_slices(part, block, skip, square, product, sums):  # noqa: C901
     """Add what a part of a window, (slices, rows, cols) float32, tells of how slices differ.
 
     block   : voxels along the edge of a block
     skip    : first slices that belong to the part before
     square  : (slices - 1,), sums of (a[k + 1] - a[k])²; added to
     product : (slices - 2,), sums of (a[k + 1] - a[k]) (a[k + 2] - a[k + 1]); added to
-    sums    : (slices - skip, block rows, block cols), over the blocks; added to. What is left over at the far ends is
+    sums    : (slices - skip, block rows, block cols), over the blocks; added to. What is left over
+    at the far ends is
               left out
     """
     slices, rows, cols = part.shape
     across = sums.shape[2]
-    # Sums by column first: these loops have no order to keep, so that several columns are worked on at a time.
+    # Sums by column first: these loops have no order to keep, so that several columns are worked on
+    # at a time.
     for k in range(slices - 1):
         squares = np.zeros(cols, dtype=np.float32)
         products = np.zeros(cols, dtype=np.float32)

@@ -1,4 +1,7 @@
-"""Checks of grey levels: cut off, another scale in every slice, shaded, blurred; and those of an image."""
+"""Checks of grey levels: cut off, another scale in every slice, shaded, blurred.
+
+And those of an image.
+"""
 
 import functools
 from collections.abc import Iterator
@@ -36,12 +39,15 @@ _LAGS = 12  # voxels
 
 @dataclass(frozen=True, slots=True)
 class SheetImage:
-    """A sample of the greys of an image of the sheet, away from holes: any shape and numeric type, NaN is left out."""
+    """A sample of the greys of an image of the sheet, away from holes.
+
+    It may have any shape and numeric type; NaN is left out.
+    """
 
     greys: Array
 
 
-# --- of a scan -------------------------------------------------------------------------------------------------------
+# --- of a scan ------------------------------------------------------------------------------------
 
 
 def clipped_grey(rule: CheckRule, scan: GreyScan) -> Check:
@@ -86,7 +92,10 @@ def denser_coating(greys: Greys) -> float | None:
 
 
 def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
-    """Find a spike at the sheet's end of the grey scale: height over what bins beside it suggest, share, grey."""
+    """Find a spike at the sheet's end of the grey scale.
+
+    Gives its height over what bins beside it suggest, its share and its grey.
+    """
     # Whole numbers are counted once: a large part of a volume is looked at.
     is_integer = sample.dtype.kind != "f"
     levels, counts = _levels(sample) if is_integer else (sample[np.isfinite(sample)], None)
@@ -107,7 +116,8 @@ def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
     histogram = np.bincount(bins[is_near_end].astype(np.int64), weights, _LAST_BIN + 1).astype(
         np.float64
     )
-    # Of real numbers, what was cut off lies at one value exactly; the rest of its bin is as wide as the others.
+    # Of real numbers, what was cut off lies at one value exactly; the rest of its bin is as wide as
+    # the others.
     end_count = float(histogram[0] if is_integer else np.count_nonzero(levels == end_grey))
     other_counts = histogram[1:] + 0.5
     bin_numbers = np.arange(1.0, histogram.size)
@@ -159,8 +169,9 @@ def level_jump(window: Window) -> float:
 def shading(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether the base has one grey from one border of the sheet to the other.
 
-    Along each axis of the sheet a parabola is fitted to the tiles' grey. Its change counts by the contrast of the base
-    to the air; where pores make much of the base's grey, and are never as many everywhere, by that of the walls.
+    Along each axis of the sheet a parabola is fitted to the tiles' grey. Its change counts by the
+    contrast of the base to the air; where pores make much of the base's grey, and are never as many
+    everywhere, by that of the walls.
     """
     core, grey, greys = scan.core, scan.core_grey, scan.greys
     contrast, name = abs(greys.base - greys.air), "its contrast"
@@ -187,8 +198,9 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
             continue
         fit = np.polynomial.Polynomial.fit(numbers[is_seen], tile_greys, 2)
         change_share = float(np.ptp(fit(fit.linspace(41)[0]))) / contrast
-        # Chance makes no range of a fitted parabola of 9 standard errors of a mean. Tiles beside each other are of one
-        # floc: the strips across the axis show how far their greys go together.
+        # Chance makes no range of a fitted parabola of 9 standard errors of a mean. Tiles beside
+        # each other are of one floc: the strips across the axis show how far their greys go
+        # together.
         strip_means = np.bincount(strip, tile_greys - fit(numbers[is_seen])) / np.bincount(strip)
         chance_share = 9.0 * float(np.std(strip_means)) / contrast / np.sqrt(strip_means.size)
         if not shaded_axis or change_share - max(SHADED, chance_share) > grey_change - share_limit:
@@ -253,7 +265,10 @@ def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
 
 
 def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
-    """Judge whether grains of filler are larger than the blur; None where filler was not measured."""
+    """Judge whether grains of filler are larger than the blur.
+
+    None where filler was not measured.
+    """
     greys, core = scan.greys, scan.core
     if "filler" not in scan.measured or not core.is_base.any():
         return None
@@ -290,10 +305,12 @@ def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
 
 
 def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
-    """Judge whether a coating is thicker than the blur of the scan is wide; None where none is seen.
+    """Judge whether a coating is thicker than the blur of the scan is wide.
 
-    What is flattened lies between the faces: where they are moved, so are its places. A filter that keeps edges, as a
-    median, takes thin layers away all the same. The noise of the air shows it.
+    None where none is seen.
+
+    What is flattened lies between the faces: where they are moved, so are its places. A filter that
+    keeps edges, as a median, takes thin layers away all the same. The noise of the air shows it.
     """
     measured = scan.measured
     coatings = [measured[k].values for k in ("coating_top", "coating_bottom") if k in measured]
@@ -321,14 +338,18 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
 
 
 def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
-    """FWHM (um) of the Gaussian that makes white noise the air's: its autocorrelation's over √2; NaN without air."""
+    """FWHM (um) of the Gaussian that makes white noise the air's: its autocorrelation's over √2.
+
+    NaN without air.
+    """
     block_lags: list[Floats] = []
     for grey in _air_blocks(volume, measured):
         grey -= grey.mean()
         variance = float(np.mean(grey**2))
         # Noise below half a step of the grey scale is that of rounding.
         if np.isfinite(variance) and variance > 0.5**2 * (volume.dtype.kind != "f"):
-            # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet.
+            # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the
+            # sheet.
             turned = grey, grey.swapaxes(0, 1)
             products = [[np.mean(v[k:] * v[: len(v) - k]) for v in turned] for k in range(_LAGS)]
             block_lags.append(np.mean(products, axis=1))
@@ -351,7 +372,10 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
 
 
 def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
-    """Yield the grey (rows, cols, depth) of blocks above and below the sheet, four along either axis of it."""
+    """Yield the grey (rows, cols, depth) of blocks above and below the sheet.
+
+    There are four blocks along either axis of it.
+    """
     frame = Frame.of(measured)
     rows_um, cols_um, heights = (
         np.asarray(volume.coords[axis].values, dtype=np.float64)
@@ -383,7 +407,7 @@ def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
                 )
 
 
-# --- of an image -----------------------------------------------------------------------------------------------------
+# --- of an image ----------------------------------------------------------------------------------
 
 
 def clipped_image(rule: CheckRule, image: SheetImage) -> Check:

@@ -1,4 +1,7 @@
-"""Checks of layers that are registered and linked: their marks, holes and directions, and the field they share."""
+"""Checks of layers that are registered and linked.
+
+Their marks, holes and directions, and the field they share.
+"""
 
 from dataclasses import dataclass
 
@@ -48,17 +51,20 @@ class HolesOnSheet:
 
 @dataclass(frozen=True, slots=True)
 class TextureChecks:
-    """What the textures of two layers say of side, specimen and position; :mod:`planish.analyze` judges them."""
+    """What the textures of two layers say of side, specimen and position.
+
+    :mod:`planish.analyze` judges them.
+    """
 
     side: Check
     position: Check | None = None
 
 
-# --- of a registration -----------------------------------------------------------------------------------------------
+# --- of a registration ----------------------------------------------------------------------------
 
 
 def marks(rule: CheckRule, registered: RegisteredLayer) -> Check:
-    """Judge the leave-one-out error of the marks, and whether marks that were left out lie far off."""
+    """Judge the leave-one-out error of the marks, and whether omitted marks lie far off."""
     # Marks that were found well agree within that.
     limit_um = max(0.1 * registered.hole_um, registered.pixel_um)
     loo_um, fit = registered.facts.leave_one_out_rms_um, registered.fit
@@ -118,7 +124,10 @@ def strain(rule: CheckRule, registered: RegisteredLayer) -> Check:
 
 
 def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
-    """Judge whether all holes run along the normal of the sheet; None where too few were found on both sides."""
+    """Judge whether all holes run along the normal of the sheet.
+
+    None where too few were found on both sides.
+    """
     hole_tilt = registered.facts.tilt
     if hole_tilt is None or hole_tilt.tilt_deg is None or hole_tilt.offset_count < 4:
         return None
@@ -148,7 +157,10 @@ def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
 
 
 def machine_direction(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
-    """Judge the machine direction that is given twice: as the marks carry it over, and for the image itself."""
+    """Judge the machine direction that is given twice.
+
+    Once as the marks carry it over, and once for the image itself.
+    """
     orientation = registered.facts.orientation
     stated_deg, carried_deg = orientation.md_deg_fixed, orientation.md_deg_fixed_from_moving
     if stated_deg is None or carried_deg is None:
@@ -167,7 +179,10 @@ def machine_direction(rule: CheckRule, registered: RegisteredLayer) -> Check | N
 
 
 def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
-    """Judge how many holes were found and what was rejected; a look where places were not measured."""
+    """Judge how many holes were found and what was rejected.
+
+    A look where places were not measured.
+    """
     attrs, hole_count = detected.holes.attrs, detected.holes.sizes["mark"]
     rejected: dict[str, int] = attrs.get("not_taken", {})
     rejected_texts = [
@@ -205,7 +220,7 @@ def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
     return check.model_copy(update={"name": rule.name.replace("NAME", detected.layer)})
 
 
-# --- of linked layers ------------------------------------------------------------------------------------------------
+# --- of linked layers -----------------------------------------------------------------------------
 
 
 def common_field(rule: CheckRule, layer: LayerFacts) -> Check | None:
@@ -225,7 +240,10 @@ def common_field(rule: CheckRule, layer: LayerFacts) -> Check | None:
 
 
 def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
-    """Judge the holes of a reference without a partner: the sheet has a hole there, too, or is not measured."""
+    """Judge the holes of a reference without a partner.
+
+    Either the sheet has a hole there, too, or it is not measured.
+    """
     grid, thickness, marks = Grid.of(linked.sheet), linked.sheet["thickness"], linked.marks
     unpaired = marks.isel(
         mark=np.flatnonzero(np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"]))

@@ -1,4 +1,7 @@
-"""What the checks of a scan judge: a volume, the sheet measured in it, and what one pass over its voxels gives."""
+"""What the checks of a scan judge.
+
+A volume, the sheet measured in it, and what one pass over its voxels gives.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -54,7 +57,10 @@ class GreyScan(ScannedSheet):
 def read_scan(
     volume: xr.DataArray, measured: xr.Dataset, *, sections: bool, labels: bool, threads: int | None
 ) -> ScannedSheet:
-    """Read what the checks need, in one pass; parameters as of :func:`planish.checks.check_scan`."""
+    """Read what the checks need, in one pass.
+
+    Parameters as of :func:`planish.checks.check_scan`.
+    """
     through = Frame.of(measured).through
     all_axes: tuple[Axis, ...] = ("z", "y", "x")
     heights = np.asarray(volume.coords[through].values, dtype=np.float64)
@@ -146,7 +152,10 @@ def _base_end(measured: xr.Dataset, side: str) -> Floats:
 
 
 def _tile_columns(shape: tuple[int, ...], pitch_um: Pair) -> tuple[Ints, Ints, tuple[Ints, Ints]]:
-    """Choose tiles of the sheet and columns in each: row and column numbers, (tiles, columns), and those of tiles."""
+    """Choose tiles of the sheet and columns in each.
+
+    Gives row and column numbers, (tiles, columns), and those of tiles.
+    """
     columns: list[Ints] = []  # (tiles, columns) along one axis, 7 at most
     for n, step_um in zip(shape, pitch_um, strict=True):
         tile_edge = max(round(TILE_UM / step_um), 1)

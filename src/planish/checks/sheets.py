@@ -1,4 +1,8 @@
-"""Checks of one sheet: measured where it is, whole, one and not two, flat without folds, thick enough, and clean."""
+"""Checks of one sheet.
+
+That it is measured where it is, whole, one and not two, flat without folds, thick enough, and
+clean.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -19,7 +23,8 @@ from planish.results import SheetFacts
 from planish.surface import Corrections
 
 _BRIGHT_SHARE = 0.10  # of the tiles
-# Tiles side by side: pores of right sheets open 5 % of all, but 8 at most together; a gap of 300 um opens 19.
+# Tiles side by side: pores of right sheets open 5 % of all, but 8 at most together; a gap of 300 um
+# opens 19.
 _SPLIT_TILES = 12
 # 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right.
 _LEAST_VOXELS = 5.0
@@ -35,13 +40,14 @@ class MeasuredSheet:
     measured: xr.Dataset
 
 
-# --- of a mapped sheet -----------------------------------------------------------------------------------------------
+# --- of a mapped sheet ----------------------------------------------------------------------------
 
 
 def coverage(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge how much of the sheet is measured."""
     surfaces = sheet.facts.surfaces
-    # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the rest.
+    # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the
+    # rest.
     air_share = min(surfaces.empty_share or 0.0, surfaces.shares["no_sheet"])
     measured_share = surfaces.shares["measured"] / max(
         1.0 - surfaces.shares["rim"] - air_share, 1e-9
@@ -77,7 +83,10 @@ def missing_voxels(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
 
 
 def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
-    """Name film or tape beside the sheet: what was left out, and what touches and was measured; None for neither."""
+    """Name film or tape beside the sheet: what was left out, and what touches and was measured.
+
+    None for neither.
+    """
     covers = {side: float(sheet.measured.attrs.get(f"cover_{side}_um", 0.0)) for side in SIDES}
     if covers_text := " and ".join(
         f"on the {side} side some {um:.0f} um" for side, um in covers.items() if um
@@ -188,7 +197,7 @@ def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     )
 
 
-# --- of a scan -------------------------------------------------------------------------------------------------------
+# --- of a scan ------------------------------------------------------------------------------------
 
 
 def hand(rule: CheckRule, scan: ScannedSheet) -> Check | None:
@@ -220,7 +229,8 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
         return rule.check("unknown", f"{few_text} sheet from two.")
     profiles = profiles[is_seen]
     root_n = np.sqrt(np.isfinite(profiles).sum(axis=1))
-    # Air all over a tile is a gap, pores of some of its columns are none: its mean tells, 3 standard errors left out.
+    # Air all over a tile is a gap, pores of some of its columns are none: its mean tells, 3
+    # standard errors left out.
     mean = np.nanmean(profiles, axis=1, dtype=np.float64)
     mean_grey = float(np.median(mean))
     inwards = np.copysign(1.0, mean_grey - greys.air)
@@ -234,12 +244,14 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     # Side by side.
     n_dark = int(np.bincount(ndimage.label(dark_tiles)[0].ravel())[1:].max(initial=0))
     median_profiles = np.nanmedian(profiles, axis=1)
-    # 3 standard errors of the median of a tile's columns: 1.86 is 1.4826 of the median deviation, 1.253 of the median.
+    # 3 standard errors of the median of a tile's columns: 1.86 is 1.4826 of the median deviation,
+    # 1.253 of the median.
     profiles -= median_profiles[:, None]
     uncertainty = 3.0 * 1.86 * np.nanmedian(np.abs(profiles, out=profiles), axis=1) / root_n
     median = median_profiles.astype(np.float64)
     base_grey = float(np.median(median))
-    # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is then told by the air.
+    # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is
+    # then told by the air.
     coating_grey = denser_coating(greys)
     coating_contrast = (
         2 * base_grey - greys.air if coating_grey is None else coating_grey
@@ -292,7 +304,10 @@ def voxels_through(rule: CheckRule, scan: ScannedSheet) -> Check:
 
 
 def dust(rule: CheckRule, scan: ScannedSheet, *, side: Side) -> Check | None:
-    """Judge the particles on a side, which are measured as coating; None where no coating was measured."""
+    """Judge the particles on a side, which are measured as coating.
+
+    None where no coating was measured.
+    """
     name = f"coating_{side}"
     if name not in scan.measured:
         return None
@@ -326,7 +341,8 @@ class Particles(NamedTuple):
 def find_particles(coating: Floats, face: Floats, pitch_um: Pair) -> Particles:
     """Find the particles that stand out of a map of a coating and of its face, (rows, cols) in um.
 
-    ``face`` is the distance of the face from the centre surface: a coating that fills a valley is thick, but level.
+    ``face`` is the distance of the face from the centre surface: a coating that fills a valley is
+    thick, but level.
     """
     is_measured = np.isfinite(coating)
     cell_um2 = pitch_um[0] * pitch_um[1]

@@ -1,7 +1,10 @@
-"""Check of the slices: out of order, repeated, filled, missing or foreign, by how each differs from its neighbours.
+"""Check of the slices: out of order, repeated, filled, missing or foreign.
 
-Neighbouring slices of a continuous body are alike, and how much they differ changes slowly from slice to slice. Every
-statistic compares a slice with its own neighbourhood, so that none needs a scale; logarithms are natural.
+It judges by how each differs from its neighbours.
+
+Neighbouring slices of a continuous body are alike, and how much they differ changes slowly from
+slice to slice. Every statistic compares a slice with its own neighbourhood, so that none needs a
+scale; logarithms are natural.
 """
 
 import math
@@ -22,7 +25,8 @@ from planish.core.typing import Array, Bools, Floats, Ints
 
 Kind = Literal["exchanged", "moved", "repeated", "filled", "foreign", "empty", "jump"]
 
-# Largest values on some 80 axes of right volumes, measured and synthetic: .70, 1.51, 1.06, 1.24, .82.
+# Largest values on some 80 axes of right volumes, measured and synthetic: .70, 1.51, 1.06, 1.24,
+# .82.
 ALIKE, FILLED, EXCHANGED, FOREIGN, JUMP = 1.0, 2.0, 1.2, 2.0, 0.9
 # Standard errors by which a statistic stands out as well: matters where a window is small.
 _SIGMA = 4.0
@@ -53,8 +57,9 @@ _ADVICE = {
 class Fault:
     """Slices ``first`` to ``last`` are not what they should be.
 
-    ``other`` is the first slice that they repeat, or the slice that the first of them fits to. A jump lies between its
-    two slices; ``steps`` is the number of slices by which the body goes on too far there, NaN where it is not known.
+    ``other`` is the first slice that they repeat, or the slice that the first of them fits to. A
+    jump lies between its two slices; ``steps`` is the number of slices by which the body goes on
+    too far there, NaN where it is not known.
     """
 
     kind: Kind
@@ -72,7 +77,8 @@ class Fault:
 def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     """Judge the slices along an axis.
 
-    ``fail`` where out of order, ``look`` where repeated, filled, foreign, empty or missing; the value counts these.
+    ``fail`` where out of order, ``look`` where repeated, filled, foreign, empty or missing; the
+    value counts these.
     """
     window = scan.windows[axis]
     faults = find_faults(
@@ -120,7 +126,7 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     )
 
 
-def _sentence(f: Fault, axis: Axis) -> str:
+def _sentence(f: Fault, axis: Axis) -> str:  # noqa: PLR0911
     is_plural = f.count > 1
     slices_text = (
         f"{f'Slices {f.first}-{f.last}' if is_plural else f'Slice {f.first}'} along {axis}"
@@ -162,9 +168,10 @@ def _sentence(f: Fault, axis: Axis) -> str:
 def find_faults(window: Window, *, assembled: bool = False, levelled: bool = True) -> list[Fault]:
     """Find the faults of the slices of a window, in their order, by their numbers in the volume.
 
-    ``assembled``: slices were put together from others, or are labels; only their order is looked at. ``levelled``:
-    where slices differ in brightness, each is brought to the mean and spread of its neighbourhood first. Nothing is
-    found at either end, nor a missing slice where the body hardly changes along the axis, or in strong noise.
+    ``assembled``: slices were put together from others, or are labels; only their order is looked
+    at. ``levelled``: where slices differ in brightness, each is brought to the mean and spread of
+    its neighbourhood first. Nothing is found at either end, nor a missing slice where the body
+    hardly changes along the axis, or in strong noise.
     """
     # Slice by slice: in double precision, all of them would be twice as large as what is looked at.
     slice_sd = np.array([row.std(dtype=np.float64) for row in window.blocks])
@@ -313,7 +320,10 @@ def _foreign(t: _Stack) -> Iterator[Fault]:
 
 
 def _copies(t: _Stack) -> Iterator[Fault]:
-    """Slices of which every block mean is that of an earlier one; neighbours at the same distance are one fault."""
+    """Slices of which every block mean is that of an earlier one.
+
+    Neighbours at the same distance are one fault.
+    """
     copied = {k for f in t.faults if f.kind == "repeated" for k in (f.first, f.other)}
     first_indices: dict[bytes, int] = {}
     lag = np.zeros(len(t.s) + 1, np.int64)
@@ -353,7 +363,10 @@ def _exchanged(t: _Stack) -> Iterator[Fault]:
 
 
 def _dips(curve: Floats, is_good: Bools, slices: int, depth: float) -> list[tuple[int, int]]:
-    """Runs of a curve that lie by ``depth`` below their neighbours and the median around; each is of so many slices."""
+    """Runs of a curve that lie by ``depth`` below their neighbours and the median around.
+
+    Each is of so many slices.
+    """
     dips: list[tuple[int, int]] = []
     k = 1
     while k < curve.size - 1:
@@ -388,7 +401,10 @@ def _filled(t: _Stack) -> Iterator[Fault]:
 
 
 def _far_copies(t: _Stack) -> Iterator[Fault]:
-    """Blocks of slices that were there before, with noise or compression of their own: a jump leads back to them."""
+    """Blocks of slices that were there before, with noise or compression of their own.
+
+    A jump leads back to them.
+    """
     log = _log(t.d1)
     for k in range(2, len(t.s) - 1):
         # A jump may lead back where ln d1 rises above its median; by 64 slices at most.
@@ -416,7 +432,8 @@ def _jumps(t: _Stack) -> Iterable[Fault]:
     rise = log[k] - np.maximum(log[k - 1], log[k + 1])
     faults: list[Fault] = []
     for index in k[(rise > limit) & t.all_good(k, -1, 2)].tolist():
-        # Of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet, no fault.
+        # Of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet,
+        # no fault.
         largest_ratio = 0.5 if rise[index - 1] > 1.2 else 0.3
         if (
             t.is_good[index]
@@ -428,7 +445,10 @@ def _jumps(t: _Stack) -> Iterable[Fault]:
 
 
 def _jump(t: _Stack, k: int) -> Fault:
-    """Name the fault at a jump between slices k and k + 1: one of them fits elsewhere, or slices are missing."""
+    """Name the fault at a jump between slices k and k + 1.
+
+    One of them fits elsewhere, or slices are missing.
+    """
     from_next, from_slice = t.differences_from(k + 1), t.differences_from(k)
     from_next[k : k + 4] = from_slice[max(k - 2, 0) : k + 2] = np.inf
     differences = from_next if from_next.min() < from_slice.min() else from_slice
@@ -442,7 +462,8 @@ def _jump(t: _Stack, k: int) -> Fault:
             or max(t.d1[nearest - 1], t.d1[nearest]) > 1.3 * usual_difference
         ):
             return Fault(kind="moved", first=k + 1, last=k + 1, other=nearest)
-    # Slices by which the body goes on too far: as far apart slices beside the jump must be to differ as much.
+    # Slices by which the body goes on too far: as far apart slices beside the jump must be to
+    # differ as much.
     segments, jump_difference, previous_median = (
         (t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]),
         float(t.d1[k]),

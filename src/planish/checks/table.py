@@ -1,4 +1,7 @@
-"""The table of all checks of a run, what makes checks of its rows, and what these leave of the figures."""
+"""The table of all checks of a run.
+
+Also what makes checks of its rows, and what these leave of the figures.
+"""
 
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -117,7 +120,10 @@ def run_checks(subject: object, *layers: str) -> list[Check]:
 
 
 def for_layers(checks: Iterable[Check], *layers: str) -> list[Check]:
-    """Checks with the layers that they are about: one of a sheet, two of a registration or a comparison."""
+    """Checks with the layers that they are about.
+
+    One layer of a sheet, two of a registration or a comparison.
+    """
     return [check.model_copy(update={"layers": layers}) for check in checks]
 
 
@@ -135,7 +141,8 @@ def check_scan(
     ----------
     volume : DataArray, dims (z, y, x), coordinates in um; parts of it are read, in one pass
     measured : Dataset, dims (y, x); surfaces and properties, heights in um
-    sections : bool; whether planish joined serial sections to the volume: what it bridged itself is no fault
+    sections : bool; whether planish joined serial sections to the volume: what it bridged itself is
+    no fault
     labels : bool; whether voxels are labels, which have no grey scale
     threads : int, optional; no result depends on it
     """
@@ -149,16 +156,20 @@ def check_holes(holes: xr.Dataset) -> Check:
 
     Parameters
     ----------
-    holes : Dataset, dims (mark), of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`
+    holes : Dataset, dims (mark)
+        Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`.
     """
     return run_checks(DetectedHoles("", holes))[0].model_copy(update={"name": "holes"})
 
 
-# --- what checks mean for figures ------------------------------------------------------------------------------------
+# --- what checks mean for figures -----------------------------------------------------------------
 
 
 def apply_checks(results: Results) -> Results:
-    """Mark every figure by the checks that concern it; what a failed check concerns loses its numbers."""
+    """Mark every figure by the checks that concern it.
+
+    What a failed check concerns loses its numbers.
+    """
     checks = results.checks
     if all(check.state in ("pass", "unknown") for check in checks):
         return results

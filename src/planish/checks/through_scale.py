@@ -1,4 +1,7 @@
-"""Check of the voxel spacing along the axis through the sheet: from the marks, and from thickness against slope."""
+"""Check of the voxel spacing along the axis through the sheet.
+
+It is judged from the marks, and from thickness against slope.
+"""
 
 from dataclasses import dataclass
 
@@ -26,10 +29,12 @@ _ADVICE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegisteredSheet:
-    """A sheet whose marks were registered: its surfaces, where their columns lie in the flat map, and the fit.
+    """A sheet whose marks were registered.
 
-    ``is_fixed``: the sheet is what was registered to; ``either``: the other layer is a sheet too, so that either may be
-    wrong.
+    Its surfaces, where their columns lie in the flat map, and the fit.
+
+    ``is_fixed``: the sheet is what was registered to; ``either``: the other layer is a sheet too,
+    so that either may be wrong.
     """
 
     measured: xr.Dataset
@@ -41,7 +46,10 @@ class RegisteredSheet:
 
 @dataclass(frozen=True, slots=True)
 class SlopeScale:
-    """Scale of heights that the thickness asks for, and its standard error; infinite where nothing can be said."""
+    """Scale of heights that the thickness asks for, and its standard error.
+
+    Infinite where nothing can be said.
+    """
 
     scale: float
     error: float
@@ -61,11 +69,12 @@ class SlopeScale:
 def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     """Scale of heights at which the mean thickness does not depend on the slope.
 
-    ``measured`` holds ``centre``, ``thickness``, ``status`` (y, x), in um. Where heights are s times what they should
-    be and m is the slope as it is seen, a sheet of thickness T has, along the normals as they are seen,
-    t = T / s sqrt((1 + s² m²) / (1 + m²)): T / s where it is flat, T where it is steep. So t² (1 + m²) is linear in m²,
-    with s² the slope over the intercept. A drift of the thickness across the sheet is free; the error comes from
-    leaving out each of 36 blocks of the sheet.
+    ``measured`` holds ``centre``, ``thickness``, ``status`` (y, x), in um. Where heights are s
+    times what they should be and m is the slope as it is seen, a sheet of thickness T has, along
+    the normals as they are seen, t = T / s sqrt((1 + s² m²) / (1 + m²)): T / s where it is flat, T
+    where it is steep. So t² (1 + m²) is linear in m², with s² the slope over the intercept. A drift
+    of the thickness across the sheet is free; the error comes from leaving out each of 36 blocks of
+    the sheet.
     """
     steps = pitch(measured)
     down, across = np.gradient(measured["centre"].values, *steps)
@@ -183,7 +192,8 @@ def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
     )
     if slope.excludes_one and do_agree:
         return "fail", f" Thickness against slope implies the same ({slope})."
-    # Paper does not strain by more than 1 %, and pixels that are not square are seldom: that counts ten to one.
+    # Paper does not strain by more than 1 %, and pixels that are not square are seldom: that counts
+    # ten to one.
     is_clear = marks.over_stretch > (_CLEARLY / 2 if marks.stretch > 0.01 else _CLEARLY)
     if is_clear and marks.without_any > _CLEARLY / 2:
         return "fail", " A stretch of the sheet explains it less well."
@@ -198,7 +208,10 @@ def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
 
 
 def estimate(sheet: RegisteredSheet) -> ThroughScale | None:
-    """Scale of a sheet's heights that the marks of a registration ask for; None where they are too few."""
+    """Scale of a sheet's heights that the marks of a registration ask for.
+
+    None where they are too few.
+    """
     fit = sheet.fit
     pairs = Pairs(moving=fit.moving, fixed=fit.fixed, information=fit.information)
     if sheet.is_fixed:

@@ -1,4 +1,7 @@
-"""Differences of slices from their neighbours along all axes, in windows of some 300 x 300 voxels, in one pass."""
+"""Differences of slices from their neighbours along all axes.
+
+Taken in windows of some 300 x 300 voxels, in one pass.
+"""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +27,10 @@ _EDGE = 300  # voxels along the edge of a window, more where it is narrow the ot
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Window:
-    """Slices along an axis, and what was summed over the same part of each; u_k is slice k + 1 less slice k."""
+    """Slices along an axis, and what was summed over the same part of each.
+
+    U_k is slice k + 1 less slice k.
+    """
 
     axis: Axis
     first: int  # number of the first slice in the volume, from 0
@@ -63,9 +69,10 @@ def read_windows(
 ) -> WindowReading:
     """Read a window along each of a volume's three axes (z, y, x).
 
-    A lazy volume is read in parts along z, whole chunks of the file where it has some; the sums do not depend on
-    ``threads``. ``sheet_slices``: first and last along ``through`` that hold the sheet. ``points``: (n, 3) of int,
-    voxels (z, y, x) whose grey is asked for. ``fill_grey`` takes the place of NaN.
+    A lazy volume is read in parts along z, whole chunks of the file where it has some; the sums do
+    not depend on ``threads``. ``sheet_slices``: first and last along ``through`` that hold the
+    sheet. ``points``: (n, 3) of int, voxels (z, y, x) whose grey is asked for. ``fill_grey`` takes
+    the place of NaN.
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
     boxes: dict[Axis, dict[str, slice]] = {
@@ -106,7 +113,10 @@ def read_windows(
 
 
 def _by_window(points: Places, boxes: list[dict[str, slice]]) -> list[tuple[Index, Places]]:
-    """Indices of the points in each window, ordered by z, and their z; those in several belong to the last one."""
+    """Indices of the points in each window, ordered by z, and their z.
+
+    Those in several belong to the last one.
+    """
     columns = np.ascontiguousarray(points.T)
     window_number = np.full(len(points), -1, np.int8)
     for i, box in enumerate(boxes):
@@ -139,7 +149,10 @@ def _read_part(
     *,
     is_sampled: bool,
 ) -> _Part | None:
-    """Read the slices ``piece`` along z of a window at ``window_box``, with the points ``wanted``; None if outside."""
+    """Read the slices ``piece`` along z of a window at ``window_box``, with the points ``wanted``.
+
+    None if outside.
+    """
     start, stop = max(piece.start, window_box["z"].start), min(piece.stop, window_box["z"].stop)
     if stop <= start:
         return None

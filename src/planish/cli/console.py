@@ -1,4 +1,7 @@
-"""What the terminal can take: colours, width and letters; sentences and tables that keep a unit beside its number."""
+"""What the terminal can take: colours, width and letters.
+
+Sentences and tables that keep a unit beside its number.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,10 @@ _LEAST_WIDTH = 20  # a terminal that says it has fewer columns does not mean it
 
 
 def prepare_streams() -> None:
-    """Have letters that a console lacks written by their number: a name in a file must not end a run."""
+    """Have letters that a console lacks written by their number.
+
+    A name in a file must not end a run.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # not one of a notebook or a test
             stream.reconfigure(errors="backslashreplace")
@@ -65,7 +71,10 @@ def _dumb() -> bool:
 
 
 def console(*, err: bool = False, width: int | None = None) -> Console:
-    """A console of rich: without colours where they are off, and with brackets in names left as they are."""
+    """A console of rich.
+
+    Without colours where they are off, and with brackets in names left as they are.
+    """
     from rich.console import Console
 
     return Console(
@@ -107,7 +116,10 @@ def print_json(data: Any) -> None:
 
 
 def wrapped(text: str, width: int) -> str:
-    """Break lines at blanks, but not between a number and its unit; further lines of a paragraph are set in."""
+    """Break lines at blanks, but not between a number and its unit.
+
+    Further lines of a paragraph are set in.
+    """
     lines: list[str] = []
     for line in text.split("\n"):
         indent = line[: len(line) - len(line.lstrip())]
@@ -125,9 +137,12 @@ def wrapped(text: str, width: int) -> str:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table on standard output: in columns, or one row below the other where the terminal is too narrow.
+    """Print a table on standard output.
 
-    One of the headings, ``columns``, may be ``unit``, that of all numbers of the row but counts; others may end in one.
+    In columns, or one row below the other where the terminal is too narrow.
+
+    One of the headings, ``columns``, may be ``unit``, that of all numbers of the row but counts;
+    others may end in one.
     """
     rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(len(cell) for cell in cells) for cells in zip(columns, *rows, strict=True)]
@@ -149,7 +164,10 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
 
 
 def stacked(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> str:
-    """Text of a table for a narrow terminal: the name of a row, and below it a line for each of its values."""
+    """Text of a table for a narrow terminal.
+
+    The name of a row, and below it a line for each of its values.
+    """
     lines = wrapped(title, width).split("\n") if title else []
     unit_column = columns.index("unit") if "unit" in columns else None
     for row in rows:

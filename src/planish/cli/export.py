@@ -37,9 +37,9 @@ from planish.run.compute import Compute
 def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     """Write maps, surfaces or the registration of a RUN for other programs.
 
-    OUT becomes a folder with a file for each map (NAME.tif ...), or one file where it ends as those of the format do.
-    docs/export.md says which format is for which program. Lengths are um, missing values are NaN where a format has
-    them; where the files come from travels with them.
+    OUT becomes a folder with a file for each map (NAME.tif ...), or one file where it ends as those
+    of the format do. docs/export.md says which format is for which program. Lengths are um, missing
+    values are NaN where a format has them; where the files come from travels with them.
     """
     from planish.cli.show import stages
     from planish.exports import export as export_run
@@ -73,8 +73,8 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
 def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     """Write a RUN as one HTML file to look around in, for readers without planish.
 
-    It shows two maps, their scatter and the slice at the cursor, in any browser since 2023, without server or network.
-    The report stays what is printed and kept.
+    It shows two maps, their scatter and the slice at the cursor, in any browser since 2023, without
+    server or network. The report stays what is printed and kept.
     """
     from planish.app import explore as write
     from planish.cli.show import stages
@@ -125,10 +125,13 @@ def view(
     as_json: bool,
     **values: Any,
 ) -> None:
-    """Open RUN in the browser: check its marks, surfaces and maps, correct them, and apply that to a new run.
+    """Open RUN in the browser to check and correct it.
 
-    RUN is the folder of a link. Where a link was refused at the marks, give the maps that it kept, OUT-map, and IMAGE,
-    and set the marks by hand. Every change is saved at once in RUN/edits; RUN itself stays as it is.
+    Check its marks, surfaces and maps, correct them, and apply that to a new run.
+
+    RUN is the folder of a link. Where a link was refused at the marks, give the maps that it kept,
+    OUT-map, and IMAGE, and set the marks by hand. Every change is saved at once in RUN/edits; RUN
+    itself stays as it is.
     """
     from planish.app.server import serve
     from planish.app.session import Session

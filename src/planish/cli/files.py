@@ -27,10 +27,13 @@ from planish.run.compute import Compute, engine
 )
 @json_option
 def info(path: Path, picture: Path | None, as_json: bool) -> None:
-    """Say what PATH holds: shape, type, voxel or pixel size and its source, grey values, what looks wrong.
+    """Say what PATH holds.
 
-    In a terminal, the middle of a volume is drawn, too: there a sheet shows as a line across the axis that runs through
-    it. --picture draws three sections: x and y across with z down, and x across with y down.
+    Shape, type, voxel or pixel size and its source, grey values, what looks wrong.
+
+    In a terminal, the middle of a volume is drawn, too: there a sheet shows as a line across the
+    axis that runs through it. --picture draws three sections: x and y across with z down, and x
+    across with y down.
     """
     from planish.cli.show import fact_lines, run_facts, run_lines
     from planish.io import describe, find_place
@@ -103,9 +106,9 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
 def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) -> None:
     """Bring VOLUME into a working store: chunked, in several resolutions, with checksums.
 
-    For volumes that do not fit into memory. Serial sections are aligned and joined on the way; give --through for them.
-    The store is OME-Zarr and opens in other programs too. An import that was killed resumes where it stopped when the
-    same command is given again.
+    For volumes that do not fit into memory. Serial sections are aligned and joined on the way; give
+    --through for them. The store is OME-Zarr and opens in other programs too. An import that was
+    killed resumes where it stopped when the same command is given again.
     """
     from planish.cli.show import stages
     from planish.io.run_folder import refuse_existing

@@ -1,7 +1,7 @@
 """The command group, and the one place where an error becomes a message and an exit code.
 
-0 done; 1 a fault of planish; 2 wrong usage; 3 input that cannot be used; 4 finished, but a check failed;
-5 memory or disk used up; 130 interrupted.
+0 done; 1 a fault of planish; 2 wrong usage; 3 input that cannot be used; 4 finished, but a check
+failed; 5 memory or disk used up; 130 interrupted.
 """
 
 import ast
@@ -71,7 +71,10 @@ class LazyGroup(click.Group):
         )
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """List the verbs with what their docstrings say; importing them all would take longer than all else."""
+        """List the verbs with what their docstrings say.
+
+        Importing them all would take longer than all else.
+        """
         folder, docstrings = Path(__file__).parent, dict[str, str | None]()
         for module in set(_MODULES.values()):
             tree = ast.parse((folder / f"{module}.py").read_text(encoding="utf-8"))
@@ -112,11 +115,12 @@ planish --help lists all commands; planish doctor checks the installation.
 def planish(context: click.Context) -> None:
     """Link the 3D structure of a paper sheet to a 2D image of it.
 
-    'planish link VOLUME IMAGE --out RUN' does the whole line; 'planish demo' shows it on a synthetic specimen. Each
-    stage is a command too: surface, measure, flatten, resample, holes, register, correlate, report.
+    'planish link VOLUME IMAGE --out RUN' does the whole line; 'planish demo' shows it on a
+    synthetic specimen. Each stage is a command too: surface, measure, flatten, resample, holes,
+    register, correlate, report.
 
-    Exit codes: 0 done, 1 a fault of planish, 2 wrong usage, 3 input that cannot be used, 4 finished but a check failed
-    (--strict: or asks for a look), 5 memory or disk used up, 130 interrupted.
+    Exit codes: 0 done, 1 a fault of planish, 2 wrong usage, 3 input that cannot be used, 4 finished
+    but a check failed (--strict: or asks for a look), 5 memory or disk used up, 130 interrupted.
     """
     if context.invoked_subcommand is None:
         click.echo(_START_TEXT.format(version=__version__), nl=False, err=True)
@@ -144,7 +148,7 @@ def main(args: list[str] | None = None) -> None:
     except (click.Abort, KeyboardInterrupt):
         click.echo("planish: interrupted; nothing was written.", err=True)
         code = 130
-    except Exception as error:  # noqa: BLE001  a user gets a sentence, and a log of our own faults, never a traceback
+    except Exception as error:  # noqa: BLE001  a user gets a sentence and a log
         fault = _as_planish_error(error)
         code = fault.exit_code
         click.echo(f"planish: {printable(fault.text)}", err=True)

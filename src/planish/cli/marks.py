@@ -1,4 +1,7 @@
-"""``planish marks``: laser holes before they are burnt, and files of marks of one program into those of another."""
+"""``planish marks``: laser holes before they are burnt, and conversion of files of marks.
+
+Files of marks of one program are turned into those of another.
+"""
 
 from __future__ import annotations
 
@@ -60,9 +63,9 @@ def marks() -> None:
 def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any) -> None:
     """Plan laser holes around a field: pattern, drawings, tables, DXF and a program for the stage.
 
-    DIR gets pattern.json, holes.csv (stage, y up), holes_as_imaged.csv (y down), pattern.dxf, program.gcode,
-    drawing.pdf with drawing.svg and .png, predicted_error.png and path.png. A pattern that could be taken for itself in
-    another position is refused.
+    DIR gets pattern.json, holes.csv (stage, y up), holes_as_imaged.csv (y down), pattern.dxf,
+    program.gcode, drawing.pdf with drawing.svg and .png, predicted_error.png and path.png. A
+    pattern that could be taken for itself in another position is refused.
     """
     from planish.design import design_pattern, write_design
     from planish.io.run_folder import new_folder
@@ -276,9 +279,9 @@ def convert(
 ) -> None:
     """Convert marks from one program's file into another's.
 
-    IN is a file of planish, BigWarp, elastix, 3D Slicer, MATLAB or ImageJ, recognised by its content. Where it
-    holds one layer only, IN is the moving and IN2 the fixed one, and marks belong together in their order. For elastix,
-    OUT becomes two files, for -mp and -fp.
+    IN is a file of planish, BigWarp, elastix, 3D Slicer, MATLAB or ImageJ, recognised by its
+    content. Where it holds one layer only, IN is the moving and IN2 the fixed one, and marks belong
+    together in their order. For elastix, OUT becomes two files, for -mp and -fp.
     """
     from planish.marks.exchange import LayerPixels, about_layer, layer_names, read_any, write_any
 

@@ -1,4 +1,7 @@
-"""Options of the command line, made of the parameter models; their groups in the help; how text becomes numbers."""
+"""Options of the command line, made of the parameter models.
+
+Their groups in the help; how text becomes numbers.
+"""
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
@@ -55,7 +58,10 @@ class Verb(click.Command):
                     formatter.write(f"  {line}\n")
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Call it, unless the results would lie in an input, or where something stands that it does not go on with."""
+        """Call it, unless the place of the results is not allowed.
+
+        They must not lie in an input, nor where something stands that it does not go on with.
+        """
         from planish.io.run_folder import refuse_existing, refuse_inside
 
         if isinstance(out := ctx.params.get("out"), Path):
@@ -81,7 +87,8 @@ class Option(click.Option):
 class Value(click.ParamType[Any]):
     """A value of a field's own type, checked by its limits.
 
-    Commas separate numbers; with ``repeat`` one stands for all; the word none is for no number where any will do.
+    Commas separate numbers; with ``repeat`` one stands for all; the word none is for no number
+    where any will do.
     """
 
     name = "value"
@@ -140,7 +147,10 @@ class Value(click.ParamType[Any]):
 def options(
     model: type[Params], group: str, *, only: Sequence[str] = (), without: Sequence[str] = ()
 ) -> Command:
-    """Give a command options of a model for :func:`build_params`, all or some, under the heading ``group``."""
+    """Give a command options of a model for :func:`build_params`.
+
+    All or some, under the heading ``group``.
+    """
     decorators: list[Command] = []
     for name, field, option_display in options_of(model):
         if name not in without and (not only or name in only):
@@ -193,7 +203,10 @@ def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> C
 def given_options(
     values: Mapping[str, Any], tables_of: Mapping[str, tuple[str, ...]]
 ) -> dict[str, Any]:
-    """Collect the options that the command line gives, of those with a place, in the tables where they stand."""
+    """Collect the options that the command line gives in the tables where they stand.
+
+    Only options with a place are collected.
+    """
     given_values = {
         name: value
         for name in tables_of
@@ -221,7 +234,10 @@ def build_params(model: type[P], values: Mapping[str, Any], **fields: Any) -> P:
 
 @contextmanager
 def wrong_usage(prefix: str = "") -> Generator[None]:
-    """Take options that mean nothing for wrong usage of the command; ``prefix`` begins the message."""
+    """Take options that mean nothing for wrong usage of the command.
+
+    ``prefix`` begins the message.
+    """
     try:
         yield
     except StudyError as error:
@@ -259,8 +275,9 @@ def existing(name: str) -> Command:
 
 
 def verb(*examples: str, name: str | None = None, can_resume: bool = False) -> Command:
-    """Make a command of a function, by whose name it is called, with examples at the end of its help.
+    """Make a command of a function, named after it, with examples at the end of its help.
 
-    ``can_resume``: where there are results of it already, it goes on with these; otherwise ``--out`` must not exist.
+    ``can_resume``: where there are results of it already, it goes on with these; otherwise
+    ``--out`` must not exist.
     """
     return click.command(name, cls=Verb, examples=examples, can_resume=can_resume)

@@ -1,4 +1,7 @@
-"""Commands that make a run: link, map, run, demo; a study file for one, new; how the options become a study."""
+"""Commands that make a run: link, map, run, demo.
+
+A study file for one, new; how the options become a study.
+"""
 
 import filecmp
 from pathlib import Path
@@ -126,13 +129,15 @@ def link(
 ) -> int:
     """Link layers of one specimen to the last of them: all maps on its pixels, correlation, report.
 
-    A layer is a volume (TIFF stack, folder of slices or sections, store), the folder of a run that planish made of one,
-    or an image (TIFF, PNG, JPEG); NAME=PATH gives it a name. All show the same specimen, marked with laser holes.
+    A layer is a volume (TIFF stack, folder of slices or sections, store), the folder of a run that
+    planish made of one, or an image (TIFF, PNG, JPEG); NAME=PATH gives it a name. All show the same
+    specimen, marked with laser holes.
 
-    'planish link VOLUME IMAGE --out RUN' is the usual case: all 3D properties on the image's own pixels. RUN gets
-    maps.zarr, marks.json, results.json, report.html and run.toml. With two volumes, two images or more than two layers,
-    the flattened maps and images are laid onto the last layer (docs/linking.md). Options of volumes hold for all of
-    them; --set gives one layer another value.
+    'planish link VOLUME IMAGE --out RUN' is the usual case: all 3D properties on the image's own
+    pixels. RUN gets maps.zarr, marks.json, results.json, report.html and run.toml. With two
+    volumes, two images or more than two layers, the flattened maps and images are laid onto the
+    last layer (docs/linking.md). Options of volumes hold for all of them; --set gives one layer
+    another value.
     """
     if len(layers) < 2:
         raise click.UsageError(
@@ -170,10 +175,13 @@ def map_(volume: Path, out: Path, **values: Any) -> int:
 @strict_option
 @json_option
 def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) -> int:
-    """Do what STUDY says: a file of 'planish new', or the run.toml of a run, which is then repeated.
+    """Do what STUDY says.
 
-    Mistakes in STUDY are named with line, key and the word that was probably meant. A run that is repeated without
-    changes has the same bytes; files that differ from those beside STUDY are named.
+    STUDY is a file of 'planish new', or the run.toml of a run, which is then repeated.
+
+    Mistakes in STUDY are named with line, key and the word that was probably meant. A run that is
+    repeated without changes has the same bytes; files that differ from those beside STUDY are
+    named.
     """
     from planish.report import FIGURES
     from planish.run.study import in_study_words, read_study
@@ -207,7 +215,8 @@ def _compare(old_run: Path, new_run: Path) -> None:
         return
     if not (old_run / "results.json").is_file():
         return
-    # Not the hidden note of maps that outlived a refused link, which says what was asked; nor changes in the browser.
+    # Not the hidden note of maps that outlived a refused link, which says what was asked; nor
+    # changes in the browser.
     paths = [
         p.relative_to(root) for root in (old_run, new_run) for p in root.rglob("*") if p.is_file()
     ]
@@ -263,10 +272,13 @@ def demo(out: Path | None, seed: int, **values: Any) -> int:
 @existing("volume")
 @click.argument("image", required=False, type=PATH)
 def new(study: Path, volume: Path, image: Path | None) -> None:
-    """Write STUDY, a commented file with all options, for VOLUME and IMAGE; 'planish run STUDY' then does it.
+    """Write STUDY, a commented file with all options, for VOLUME and IMAGE.
 
-    What the files state stands in it: sizes, shapes, grey values, the axis that seems to run through the sheet. What
-    they do not state is listed at its top, with line numbers. Without IMAGE it is a study that maps VOLUME.
+    'planish run STUDY' then does it.
+
+    What the files state stands in it: sizes, shapes, grey values, the axis that seems to run
+    through the sheet. What they do not state is listed at its top, with line numbers. Without IMAGE
+    it is a study that maps VOLUME.
     """
     from planish.core.errors import FileError
     from planish.core.files import write_whole

@@ -1,4 +1,7 @@
-"""Commands about many specimens: study links them as one piece of work, compare says what their runs say together."""
+"""Commands about many specimens.
+
+The command study links them as one piece of work, compare says what their runs say together.
+"""
 
 from __future__ import annotations
 
@@ -108,13 +111,15 @@ def study(
 ) -> int:
     """Link all SPECIMENS, and say what they say together.
 
-    SPECIMENS is a CSV table with the columns volume and image (or layers), one row a specimen, or a study file of
-    'planish new' with a table [[specimens]] for each. Other columns are factors: paper, sheet, field, treatment, side
-    or any other. A column such as volume.through is an option of each specimen.
+    SPECIMENS is a CSV table with the columns volume and image (or layers), one row a specimen, or a
+    study file of 'planish new' with a table [[specimens]] for each. Other columns are factors:
+    paper, sheet, field, treatment, side or any other. A column such as volume.through is an option
+    of each specimen.
 
-    OUT gets a run of each specimen in runs/, report.html, specimens.csv, values.csv and results.json. What is done is
-    kept: the same command resumes where it stopped, and does again only what has other files or options. A specimen
-    that cannot be used is named, and stops no other.
+    OUT gets a run of each specimen in runs/, report.html, specimens.csv, values.csv and
+    results.json. What is done is kept: the same command resumes where it stopped, and does again
+    only what has other files or options. A specimen that cannot be used is named, and stops no
+    other.
     """
     from planish.series import SeriesState, read_plan
     from planish.series.jobs import series_folder
@@ -295,10 +300,11 @@ def compare(
     as_json: bool,
     **values: Any,
 ) -> int:
-    """Compare RUNS: of each its figures, then means over sheets, differences with intervals, pooled r.
+    """Compare RUNS: figures of each, then means over sheets, differences with intervals, pooled r.
 
-    Without --table each run counts as a sheet of its own, and nothing but its figures and their mean is stated. Without
-    RUNS, all those of the table are taken. Figures that a check doubts or refutes are marked and take part in nothing.
+    Without --table each run counts as a sheet of its own, and nothing but its figures and their
+    mean is stated. Without RUNS, all those of the table are taken. Figures that a check doubts or
+    refutes are marked and take part in nothing.
     """
     from planish.core.errors import InputError
     from planish.io.run_folder import new_folder

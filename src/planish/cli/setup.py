@@ -27,8 +27,8 @@ _STATE_TEXTS = {"pass": "ok", "unknown": "note", "look": "look", "fail": "PROBLE
 def doctor(as_json: bool) -> int:
     """Check the installation: versions, compile cache, memory, disks, console, extras.
 
-    The text can be mailed as it is: it holds no names of folders, but for one that cannot be written. The exit code is
-    0 where all is well, and 4 otherwise.
+    The text can be mailed as it is: it holds no names of folders, but for one that cannot be
+    written. The exit code is 0 where all is well, and 4 otherwise.
     """
     from planish.installation import check_installation, describe_installation
 
@@ -46,9 +46,8 @@ def doctor(as_json: bool) -> int:
         print_json({**versions, "well": not faulty, "checks": records})
     else:
         for check in checks:
-            sentence(
-                f"{_STATE_TEXTS[check.state]:<8}{check.name}: {check.sentence} {check.advice}".rstrip()
-            )
+            text = f"{_STATE_TEXTS[check.state]:<8}{check.name}: {check.sentence} {check.advice}"
+            sentence(text.rstrip())
         names = ", ".join(check.name for check in faulty)
         click.echo(f"Not well: {names}." if faulty else "All is well.")
     return 4 if faulty else 0
@@ -59,7 +58,10 @@ SHELLS = ("bash", "zsh", "fish", "powershell")
 
 @add_completion_class
 class PowerShellComplete(ShellComplete):
-    """Completion for PowerShell, which completes names of files by itself where the program gives nothing."""
+    """Completion for PowerShell.
+
+    PowerShell completes names of files by itself where the program gives nothing.
+    """
 
     name: ClassVar[str] = "powershell"
     source_template: ClassVar[str] = (files("planish.cli") / "completion.ps1").read_text(
@@ -99,8 +101,9 @@ def script_of(shell: str) -> str:
 def completion(shell: str, install: bool) -> None:
     """Print the script with which SHELL completes commands and options of planish, or install it.
 
-    --install writes one file into your own folders. For bash, zsh and PowerShell it also adds one line to the file that
-    SHELL reads at its start. New terminals then complete with the Tab key. To take it out, remove what was written.
+    --install writes one file into your own folders. For bash, zsh and PowerShell it also adds one
+    line to the file that SHELL reads at its start. New terminals then complete with the Tab key. To
+    take it out, remove what was written.
     """
     if not install:
         click.echo(script_of(shell), nl=False)
@@ -110,7 +113,10 @@ def completion(shell: str, install: bool) -> None:
 
 
 def install_script(shell: str) -> list[str]:
-    """Write the script and what loads it; return what was done. FileError where a file or PowerShell is missing."""
+    """Write the script and what loads it; return what was done.
+
+    FileError where a file or PowerShell is missing.
+    """
     home = Path.home()
     data_folder = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share") / "planish"
     config_folder = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
@@ -157,7 +163,10 @@ def install_script(shell: str) -> list[str]:
 
 
 def _profile() -> Path:
-    """The file that PowerShell reads at its start, as it says itself: documents may lie on a server."""
+    """The file that PowerShell reads at its start, as it says itself.
+
+    Documents may lie on a server.
+    """
     for executable in filter(None, map(shutil.which, ("pwsh", "powershell"))):
         command = [
             executable,

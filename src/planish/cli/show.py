@@ -42,7 +42,8 @@ class _LeftColumn(rich.ProgressColumn):
 def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
     """Show a progress bar on a terminal, one line a stage otherwise; always on standard error.
 
-    ``total`` stages count alike, unless ``left`` knows their times. What has the name ``look`` is no stage: it stays.
+    ``total`` stages count alike, unless ``left`` knows their times. What has the name ``look`` is
+    no stage: it stays.
     """
     if not animated():
         yield lambda stage, detail: click.echo(f"{stage}: {printable(detail)}", err=True)
@@ -81,8 +82,11 @@ def number(value: float | None, digits: int = 3) -> str:
     )
 
 
-def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
-    """Print the outcome of a run; the exit code is 4 when a check failed or, with ``strict``, asks for a look."""
+def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:  # noqa: C901
+    """Print the outcome of a run.
+
+    The exit code is 4 when a check failed or, with ``strict``, asks for a look.
+    """
     results = run.results
     if as_json:
         click.echo(results.to_json(), nl=False)
@@ -260,7 +264,7 @@ def run_lines(facts: dict[str, Any]) -> list[str]:
     ]
 
 
-def fact_lines(facts: dict[str, Any]) -> list[str]:
+def fact_lines(facts: dict[str, Any]) -> list[str]:  # noqa: C901
     """Write the facts of ``planish info`` for a reader."""
     axes = ", ".join(facts["dims"])
     shape = " x ".join(map(str, facts["shape"]))

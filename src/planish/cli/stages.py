@@ -1,4 +1,7 @@
-"""Commands of one stage each, from files to files: one after the other they give the bytes of ``planish link``."""
+"""Commands of one stage each, from files to files.
+
+One after the other they give the bytes of ``planish link``.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +75,10 @@ def _read(path: Path, group: str, command: str) -> xr.Dataset:
 def _volume(
     path: Path, values: dict[str, Any], **store_params: Any
 ) -> tuple[xr.DataArray, VolumeParams, Compute]:
-    """A volume of any kind, how it lies, and what may be used; ``store_params`` is what a store says of it."""
+    """A volume of any kind, how it lies, and what may be used.
+
+    ``store_params`` is what a store says of it.
+    """
     from planish.run.volume import read_sheet_volume
 
     params = build_params(VolumeParams, values, **store_params | {"path": str(path.absolute())})
@@ -195,7 +201,7 @@ def resample(
     registration: Path | None,
     **values: Any,
 ) -> None:
-    """Bring the MEASURED properties onto a regular grid of the FLAT sheet, or onto the pixels of an image."""
+    """Bring MEASURED properties onto a regular grid of the FLAT sheet or the pixels of an image."""
     from planish.analyze.image_values import compared_image
     from planish.run import Registration, resample_maps
 
@@ -260,7 +266,9 @@ def holes(image: Path, out: Path, **values: Any) -> None:
 @options(RegistrationParams, "Marks and registration", without=("marks", "refine"))
 @options(ImageParams, "Image", without=("dark_grey", "white_grey", "screen_um"))
 def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
-    """Match the holes in MOVING and FIXED, two files of 'planish holes', and fit the transformation.
+    """Match the holes in MOVING and FIXED and fit the transformation.
+
+    MOVING and FIXED are two files of 'planish holes'.
 
     With --by texture they are flat maps or images, and no hole is needed.
     """
@@ -319,7 +327,8 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
 def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any) -> int:
     """Correlate the image with the properties, point by point, in LINKED maps.
 
-    Of a run, rows that a check makes doubtful are marked, and those that a failed check concerns are withheld.
+    Of a run, rows that a check makes doubtful are marked, and those that a failed check concerns
+    are withheld.
     """
     from planish.checks import rows_with_trust
     from planish.cli.show import correlations, exit_code

@@ -1,4 +1,7 @@
-"""How much of a run is done and how long the rest takes: expected times of its stages, scaled by those that passed."""
+"""How much of a run is done and how long the rest takes.
+
+Expected times of its stages, scaled by those that passed.
+"""
 
 import math
 import time
@@ -32,7 +35,10 @@ class TimeLeft:
         self._rate = self._guess = slowness
 
     def enter(self, name: str, share: float = 0.0) -> None:
-        """A stage begins, or so much of its tiles is done; stages that were passed over take no time."""
+        """A stage begins, or so much of its tiles is done.
+
+        Stages that were passed over take no time.
+        """
         later = self._names[self._at + (share == 0) :] if self._at >= 0 else self._names
         if name not in later:
             return
@@ -79,7 +85,10 @@ class TimeLeft:
 
 
 def expected_stages(study: Study) -> list[Stage]:
-    """Stages of a run with the seconds that each takes by the sizes of its files, read from their headers."""
+    """Stages of a run with the seconds that each takes by the sizes of its files.
+
+    The sizes are read from the headers of the files.
+    """
     sizes = [_millions(layer) for layer in study.layers]
     stages: list[Stage] = [("read", 0.5) for layer in study.layers if layer.kind != "volume"]
     for layer, millions in zip(study.layers, sizes, strict=True):
@@ -97,7 +106,10 @@ def _timed(seconds: Seconds, millions: float) -> list[Stage]:
 
 
 def _millions(layer: LayerParams) -> float:
-    """Columns through the sheet of a volume, or pixels of an image, in millions; 1 where the file does not say."""
+    """Columns through the sheet of a volume, or pixels of an image, in millions.
+
+    1 where the file does not say.
+    """
     from planish.io import describe  # here, so that help does not wait for it
 
     with suppress(PlanishError, OSError):

@@ -1,4 +1,7 @@
-"""Commands with known answers: specimens as files, and the calibration of the program itself on such specimens."""
+"""Commands with known answers.
+
+Specimens as files, and the calibration of the program itself on such specimens.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +31,14 @@ _DEFAULT = "small"
 @out_option("Folder to make; it must not exist.", required=False)
 @click.option("--list", "listed", is_flag=True, help="Name papers and nuisances and exit.")
 def specimen(out: Path | None, listed: bool, **values: Any) -> int:
-    """Make a specimen with known answers: files as instruments write them, and the truth apart from them.
+    """Make a specimen with known answers.
 
-    DIR gets scan/ (slices with the log file of NRecon), sections/ (photographs with the cut counter), image.ome.tif,
-    printed.ome.tif, and truth/: maps on the pixels of the image, holes, poses, parameters. In scan/ and sections/ the
-    sheet's normal runs along the rows: give --through y to link them.
+    Files as instruments write them, and the truth apart from them.
+
+    DIR gets scan/ (slices with the log file of NRecon), sections/ (photographs with the cut
+    counter), image.ome.tif, printed.ome.tif, and truth/: maps on the pixels of the image, holes,
+    poses, parameters. In scan/ and sections/ the sheet's normal runs along the rows: give --through
+    y to link them.
     """
     if listed:
         from planish.synthetic import NUISANCES, PRESETS
@@ -100,7 +106,7 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
 @click.option("--list", "listed", is_flag=True, help="Name the scenarios and exit.")
 @options(Compute, "Resources")
 @json_option
-def validate(
+def validate(  # noqa: C901, PLR0912
     scenarios: tuple[str, ...],
     seeds: int | None,
     like: Path | None,
@@ -110,9 +116,12 @@ def validate(
     as_json: bool,
     **values: Any,
 ) -> int:
-    """Calibrate planish: make specimens with known answers, run on their files, report the error of every stage.
+    """Calibrate planish on specimens with known answers.
 
-    Prints an error ledger in um against the truth. Ends with 4 when a limit of the scenario is missed.
+    Make them, run on their files, report the error of every stage.
+
+    Prints an error ledger in um against the truth. Ends with 4 when a limit of the scenario is
+    missed.
     """
     from dataclasses import replace
 
@@ -134,7 +143,8 @@ def validate(
                 [tuple(map(str, row.values())) for row in rows],
             )
         return 0
-    # All of them are read before the first is run: a wrong name should not cost the time of the others.
+    # All of them are read before the first is run: a wrong name should not cost the time of the
+    # others.
     selected, notes = [read_scenario(name) for name in scenarios or (_DEFAULT,)], ()
     if len({scenario.name for scenario in selected}) < len(selected):
         raise click.UsageError("--scenario: the same scenario is given twice.")

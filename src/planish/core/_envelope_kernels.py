@@ -1,5 +1,8 @@
 # pyright: standard
-"""Compiled envelopes: a paraboloid rolled over a height field, line by line, in time linear in the nodes."""
+"""Compiled envelopes: a paraboloid rolled over a height field.
+
+Line by line, in time linear in the nodes.
+"""
 
 import numpy as np
 
@@ -9,9 +12,10 @@ from planish.core.jit import njit
 def rolled(height, pitch_um, radius_um):
     """Close a height field from above with a ball, taken as the paraboloid of its curvature.
 
-    Where gaps are narrower than half the radius it differs from the ball by less than 2 % of what is bridged. Of
-    ``height``, (rows, cols) in um, outwards, and NaN where unknown, where the ball may dip, with a ``pitch_um`` along
-    rows and columns: the lowest that the ball reaches, (rows, cols) in um; NaN where ``height`` is.
+    Where gaps are narrower than half the radius it differs from the ball by less than 2 % of what
+    is bridged. Of ``height``, (rows, cols) in um, outwards, and NaN where unknown, where the ball
+    may dip, with a ``pitch_um`` along rows and columns: the lowest that the ball reaches, (rows,
+    cols) in um; NaN where ``height`` is.
     """
     rises = [p * p / (2 * radius_um) for p in pitch_um]
     known = np.isfinite(height)
@@ -21,7 +25,10 @@ def rolled(height, pitch_um, radius_um):
 
 @njit(cache=True, nogil=True)
 def _lower(f, a, out, at, edge):
-    """out[x] = min over y of f[y] + a (x - y)^2, the lower envelope of parabolas; inf counts for nothing."""
+    """out[x] = min over y of f[y] + a (x - y)^2, the lower envelope of parabolas.
+
+    Inf counts for nothing.
+    """
     n = f.size
     k = -1
     for y in range(n):
@@ -51,7 +58,10 @@ def _lower(f, a, out, at, edge):
 
 @njit(cache=True, nogil=True)
 def _lowest(field, first, second):
-    """Minimum over all nodes of height plus a paraboloid that rises by first i^2 + second j^2; inf is nothing."""
+    """Minimum over all nodes of height plus a paraboloid that rises by first i^2 + second j^2.
+
+    Inf is nothing.
+    """
     rows, cols = field.shape
     half = np.empty(field.shape)
     turned = np.empty((cols, rows))

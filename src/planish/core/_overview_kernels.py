@@ -1,5 +1,8 @@
 # pyright: standard
-"""Compiled halving of maps and volumes: means over 2 x 2 pixels or 2 x 2 x 2 voxels, of truth values the majority."""
+"""Compiled halving of maps and volumes.
+
+Means over 2 x 2 pixels or 2 x 2 x 2 voxels, of truth values the majority.
+"""
 
 import numpy as np
 
@@ -9,7 +12,8 @@ from planish.core.jit import njit
 @njit(cache=True, nogil=True)
 def halve_values(values, out):
     """Means over the pixels that are finite; NaN where none is."""
-    # Without loops over the four, what is done for each pixel has no branch: this is seven times as fast.
+    # Without loops over the four, what is done for each pixel has no branch: this is seven times as
+    # fast.
     rows, cols = values.shape
     for i in range(out.shape[0]):
         up = 2 * i
@@ -51,7 +55,10 @@ def halve_truth(values, out):
 
 @njit(cache=True, nogil=True)
 def halve_voxels(values, out, whole):
-    """Means of 2 x 2 x 2 voxels into ``out``, exact to 32 bits, halves up; the last voxel of odd ends counts twice."""
+    """Means of 2 x 2 x 2 voxels into ``out``, exact to 32 bits, halves up.
+
+    The last voxel of odd ends counts twice.
+    """
     depth, rows, cols = values.shape
     for k in range(out.shape[0]):
         k1 = min(2 * k + 1, depth - 1)

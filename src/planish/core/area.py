@@ -1,4 +1,7 @@
-"""Mask-weighted means over areas, what a larger pixel sees of smaller ones, and smaller copies of maps for pages."""
+"""Mask-weighted means over areas, and smaller copies of maps for pages.
+
+Also what a larger pixel sees of smaller ones.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -14,10 +17,13 @@ from planish.core.typing import Bools, Floats, Pair
 
 
 class AreaMeans:
-    """Means of maps on one grid over cells of ``factor`` pixels, of which some rows are added at a time.
+    """Means of maps on one grid over cells of ``factor`` pixels.
 
-    Every pixel counts with the share of its area that lies in the cell. Cells start at the border of the first pixel;
-    an incomplete last one is dropped. A cell is NaN unless at least ``least_share`` of its area is known.
+    Some rows of the maps are added at a time.
+
+    Every pixel counts with the share of its area that lies in the cell. Cells start at the border
+    of the first pixel; an incomplete last one is dropped. A cell is NaN unless at least
+    ``least_share`` of its area is known.
     """
 
     def __init__(self, shape: tuple[int, int], factor: Pair, *, least_share: float = 0.5) -> None:
@@ -53,8 +59,8 @@ class AreaMeans:
 def area_mean(values: Rows, factor: Pair, *, least_share: float = 0.5) -> Floats:
     """Mean of ``values`` (rows, cols), NaN where missing, over cells as of :class:`AreaMeans`.
 
-    ``factor`` is height and width of a cell in pixels, at least 1 and not always whole numbers: there are
-    (int(rows / factor), int(cols / factor)) cells.
+    ``factor`` is height and width of a cell in pixels, at least 1 and not always whole numbers:
+    there are (int(rows / factor), int(cols / factor)) cells.
     """
     if not values.shape[0]:
         return np.empty((0, int(values.shape[1] / factor[1] + 1e-9)))
@@ -64,7 +70,10 @@ def area_mean(values: Rows, factor: Pair, *, least_share: float = 0.5) -> Floats
 def common_means(
     maps: Sequence[Rows], factor: Pair, *, masks: Sequence[Rows] = (), least_share: float = 0.5
 ) -> list[Floats]:
-    """Means of maps on one grid over the pixels that have a value in all of them and where all masks are true."""
+    """Means of maps on one grid over the pixels that count in all of them.
+
+    Pixels count that have a value in all maps and where all masks are true.
+    """
     area_means = AreaMeans((maps[0].shape[0], maps[0].shape[1]), factor, least_share=least_share)
     for rows, bands in read_bands(*maps, *masks):
         map_bands = bands[: len(maps)]
@@ -93,10 +102,13 @@ OVERVIEW_PX = 512  # pixels a side: what is no larger needs no overview
 
 
 def overviews(maps: xr.Dataset, *, most_px: int = OVERVIEW_PX) -> Iterator[xr.Dataset]:
-    """Halve maps (rows, cols) on a regular grid until no side has more than ``most_px`` pixels; yield each copy.
+    """Halve maps (rows, cols) on a regular grid until no side has more than ``most_px`` pixels.
 
-    Means over the pixels that have a value, NaN where none of the four has one; of truth values, whether half of the
-    four are true. Labels have no mean and are left out. Coordinates are the middles of the larger pixels.
+    Yield each copy.
+
+    Means over the pixels that have a value, NaN where none of the four has one; of truth values,
+    whether half of the four are true. Labels have no mean and are left out. Coordinates are the
+    middles of the larger pixels.
     """
     for _ in range(overview_count(tuple(maps.sizes.values()), most_px=most_px)):
         maps = halved(maps)
@@ -109,7 +121,10 @@ def overview_count(shape: tuple[int, ...], *, most_px: int = OVERVIEW_PX) -> int
 
 
 def halved(maps: xr.Dataset) -> xr.Dataset:
-    """Maps with pixels twice as wide; the last row and column of an odd number stand for themselves."""
+    """Maps with pixels twice as wide.
+
+    The last row and column of an odd number stand for themselves.
+    """
     names = [
         str(name)
         for name, data in maps.data_vars.items()
@@ -133,7 +148,10 @@ def middles(centres: Floats) -> Floats:
 
 
 def halved_values(values: NDArray[Any]) -> NDArray[Any]:
-    """Values (rows, cols) of pixels twice as wide, as :func:`overviews` has them; floats or truth values."""
+    """Values (rows, cols) of pixels twice as wide, as :func:`overviews` has them.
+
+    Floats or truth values.
+    """
     from planish.core._overview_kernels import halve_truth, halve_values
 
     out = np.empty(((values.shape[0] + 1) // 2, (values.shape[1] + 1) // 2), values.dtype)

@@ -1,6 +1,9 @@
-"""What a function is given: one check for each kind of object, called once where a public function begins.
+"""Checks of what a function is given.
 
-``call_format`` is the call to write instead, with ``{}`` where the object stands: ``pl.find_surfaces({})``.
+One check for each kind of object, called once where a public function begins.
+
+``call_format`` is the call to write instead, with ``{}`` where the object stands:
+``pl.find_surfaces({})``.
 """
 
 from collections.abc import Sequence
@@ -40,8 +43,9 @@ IMAGE = ArrayKind("image", ("y", "x"), "pixel_um")
 def check_volume(volume: object, call_format: str) -> tuple[float, ...]:
     """Return the voxel size (z, y, x) in um of a volume with coordinates.
 
-    InputError if it is something else, VolumeError where it has other axes or values, SizeError where it has no size,
-    contradicts itself, or its coordinates are not in um, not regular, or descend.
+    InputError if it is something else, VolumeError where it has other axes or values, SizeError
+    where it has no size, contradicts itself, or its coordinates are not in um, not regular, or
+    descend.
     """
     return _checked_size(volume, VOLUME, call_format)
 
@@ -54,7 +58,10 @@ def check_image(image: object, call_format: str) -> tuple[float, ...]:
 def check_dataset(
     data: object, *variables: str, expected: str, source: str, call_format: str
 ) -> None:
-    """Refuse what is no Dataset with the variables that are needed; ``source`` is the call that gives one."""
+    """Refuse what is no Dataset with the variables that are needed.
+
+    ``source`` is the call that gives one.
+    """
     if not isinstance(data, xr.Dataset) or any(name not in data for name in variables):
         raise not_taken(data, expected, call_format.format(source), call_format)
 
@@ -88,7 +95,10 @@ def check_values(array: Any, kind: ArrayKind, dims: Sequence[str]) -> None:
 
 
 def step_um(array: xr.DataArray, axis: str) -> float | None:
-    """Distance of voxels or pixels by their coordinates; None without any, SizeError where they are of no use."""
+    """Distance of voxels or pixels by their coordinates.
+
+    None without any, SizeError where they are of no use.
+    """
     if axis not in array.coords or array.sizes[axis] < 2:
         return None
     unit, values = array[axis].attrs.get("units", "um"), array[axis].values
@@ -127,7 +137,10 @@ def conversion_call(value: object, kind: ArrayKind) -> str:
 
 
 def described(value: object) -> str:
-    """Name an object as a message does: ``a path ('v.tif')``, ``an array (ndarray) of 40 x 50 values``."""
+    """Name an object as a message does.
+
+    For example ``a path ('v.tif')``, ``an array (ndarray) of 40 x 50 values``.
+    """
     type_name = type(value).__name__
     if isinstance(value, str | Path):
         return f"a path ({str(value)!r})"

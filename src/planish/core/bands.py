@@ -1,4 +1,7 @@
-"""Large maps band by band: what is in memory at a time does not grow with the number of their rows."""
+"""Large maps band by band.
+
+What is in memory at a time does not grow with the number of their rows.
+"""
 
 import math
 from collections.abc import Iterator
@@ -28,7 +31,10 @@ def band_of(pixels: Rows, rows: slice) -> NDArray[Any]:
 
 
 def read_bands(*maps: Rows) -> Iterator[tuple[slice, list[NDArray[Any]]]]:
-    """Rows of maps on one grid, and the maps there, band by band; the next band is read while one is worked on."""
+    """Rows of maps on one grid, and the maps there, band by band.
+
+    The next band is read while one is worked on.
+    """
     parts = [*bands(maps[0].shape[0])]
     yield from zip(
         parts,
@@ -63,7 +69,10 @@ def _given(*maps: Rows | None) -> list[Rows]:
 
 
 def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
-    """Every k-th row and column of maps on one grid, and k (1 up to 4 million pixels), for figures and medians."""
+    """Every k-th row and column of maps on one grid, and k, for figures and medians.
+
+    k is 1 up to 4 million pixels.
+    """
     rows, cols = maps[0].shape
     k = max(1, math.ceil(math.sqrt(rows * cols / SAMPLE_PIXELS)))
     if k == 1:

@@ -1,4 +1,7 @@
-"""One check of a result: what was seen, against which limit, what it means for which figures, and what to do."""
+"""One check of a result.
+
+What was seen, against which limit, what it means for which figures, and what to do.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,14 @@ from planish.core.facts import Number, ResultModel, Trust, optional
 from planish.core.text import plain_numbers
 
 State = Literal["pass", "look", "fail", "unknown"]
-"""``look``: the figures are doubtful; ``fail``: they are wrong and withheld; ``unknown``: nothing can be said."""
+"""``look``: the figures are doubtful; ``fail``: they are wrong and withheld; ``unknown``: nothing
+can be said."""
 
 PROPERTIES = "properties"
 POSITION = "position"
 CORRELATION = "correlation"
-"""Figures beside single maps: all maps of a sheet, the place of a pixel, all that is computed from linked layers."""
+"""Figures beside single maps: all maps of a sheet, the place of a pixel, all that is computed from
+linked layers."""
 
 
 class Check(ResultModel):
@@ -78,7 +83,10 @@ class CheckRule:
         advice: str = "",
         **fields: Any,
     ) -> Check:
-        """Judge a value that should be small; advice is dropped where it passes. NaN passes nothing and is a look."""
+        """Judge a value that should be small; advice is dropped where it passes.
+
+        NaN passes nothing and is a look.
+        """
         look_limit = fail if look is None else look
         state: State = "pass"
         if fail is not None and value > fail:
@@ -103,7 +111,10 @@ class CheckRule:
 def concerned(
     checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]
 ) -> list[Check]:
-    """The checks about one of ``layers`` that concern one of ``figures``; ``properties`` are all maps of a sheet."""
+    """The checks about one of ``layers`` that concern one of ``figures``.
+
+    ``properties`` are all maps of a sheet.
+    """
     wanted_figures, layer_names = {*figures}, {*layers}
     if wanted_figures - {POSITION, CORRELATION}:
         wanted_figures.add(PROPERTIES)

@@ -1,8 +1,12 @@
-"""About how long a run takes on two processors: for ``planish info``, and for the time that is left of a run."""
+"""Estimates of how long a run takes on two processors.
+
+For ``planish info``, and for the time that is left of a run.
+"""
 
 from collections.abc import Mapping
 
-# By stage, and by step of tiles within it: seconds in any case, and for each million of columns or pixels.
+# By stage, and by step of tiles within it: seconds in any case, and for each million of columns or
+# pixels.
 Seconds = Mapping[str, tuple[float, float]]
 
 SHEET_SECONDS: Seconds = {
@@ -25,7 +29,10 @@ WRITE_SECONDS = (3.8, 3.0)
 
 
 def map_seconds(n_columns: int) -> float:
-    """Seconds in which a volume of so many columns through its sheet is mapped; on a slow machine twice as many."""
+    """Seconds in which a volume of so many columns through its sheet is mapped.
+
+    On a slow machine twice as many.
+    """
     stages = *SHEET_SECONDS.values(), (START_SECONDS, 0.0), WRITE_SECONDS
     # The processors have other work, too.
     return 1.2 * sum(fixed + each * n_columns / 1e6 for fixed, each in stages)

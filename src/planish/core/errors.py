@@ -7,7 +7,8 @@
     │   ├── FileError                a file or folder cannot be read or written
     │   ├── SizeError                a voxel or pixel size is missing, contradictory or impossible
     │   ├── VolumeError              the volume does not show one sheet
-    │   ├── StudyError               parameters that do not fit together, or mean nothing for these files
+    │   ├── StudyError               parameters that do not fit together, or mean nothing for these
+    files
     │   ├── SurfaceError             a surface is missing or out of order
     │   └── MarkError                marks are missing, malformed or unusable
     ├── CannotMeasure                exit code 3: no property can be measured on this surface
@@ -15,10 +16,11 @@
     ├── CannotRegister               exit code 3: the marks do not fix one transformation
     └── ResourceError                exit code 5: memory or disk is used up
 
-A message says what was found, what is needed, and what to do next. It is written with the options of the command line:
-``error.text``, which the terminal, the app, series and results show. Python shows ``str(error)``, the same with
-the words of a call: ``voxel_um=`` for ``--voxel-um``. So nothing has to be set for either, in any thread or process; a
-message that contains another one takes its ``text``. The class alone decides the exit code of the command line.
+A message says what was found, what is needed, and what to do next. It is written with the options
+of the command line: ``error.text``, which the terminal, the app, series and results show. Python
+shows ``str(error)``, the same with the words of a call: ``voxel_um=`` for ``--voxel-um``. So
+nothing has to be set for either, in any thread or process; a message that contains another one
+takes its ``text``. The class alone decides the exit code of the command line.
 """
 
 import re
@@ -43,7 +45,9 @@ _CHOICE = re.compile(r"\b(\w+): '(\w+)' is not possible")
 
 
 def in_python_words(text: str) -> str:
-    """Name the keywords of a Python call in a message that names options; commands for a terminal stay as they are.
+    """Name the keywords of a Python call in a message that names options.
+
+    Commands for a terminal stay as they are.
 
     >>> in_python_words("Give --voxel-um SIZE, or try --through y. For help: planish link --help.")
     'Give voxel_um=SIZE, or try through="y". For help: planish link --help.'
@@ -102,7 +106,10 @@ class VolumeError(InputError):
 
 
 class StudyError(InputError):
-    """Parameters that do not fit together, or mean nothing for these files; on the command line, wrong usage."""
+    """Parameters that do not fit together, or mean nothing for these files.
+
+    On the command line, wrong usage.
+    """
 
 
 class SurfaceError(InputError):

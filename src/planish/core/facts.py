@@ -1,7 +1,10 @@
-"""What results are made of: frozen models that the functions of the stages return and that go into files as they are.
+"""What results are made of.
 
-A number that is missing is NaN in memory and null in JSON (``Value``, ``Interval``), as JSON knows neither NaN nor
-infinity. Parts of the results that no stage computes with say None in memory, too (``Number``, ``KnownPair``).
+Frozen models that the functions of the stages return and that go into files as they are.
+
+A number that is missing is NaN in memory and null in JSON (``Value``, ``Interval``), as JSON knows
+neither NaN nor infinity. Parts of the results that no stage computes with say None in memory, too
+(``Number``, ``KnownPair``).
 """
 
 from __future__ import annotations
@@ -64,7 +67,8 @@ Value = Annotated[
     PlainSerializer(_null),
     WithJsonSchema({"anyOf": [{"type": "number"}, _NULL]}),
 ]
-# Two numbers, such as the ends of an interval, that may be missing: null in JSON unless both are finite.
+# Two numbers, such as the ends of an interval, that may be missing: null in JSON unless both are
+# finite.
 Interval = Annotated[
     Pair,
     BeforeValidator(_nan_pair),
@@ -103,7 +107,10 @@ class ResultModel(BaseModel):
 
     @classmethod
     def holding(cls, *models: ResultModel, **fields: Any) -> Self:
-        """Make a model of those that it extends, without what they do not save, and of what they lack."""
+        """Make a model of those that it extends and of what they lack.
+
+        What those do not save is left out.
+        """
         saved_fields = {
             k: v for model in models for k, v in model if not type(model).model_fields[k].exclude
         }
@@ -172,7 +179,10 @@ class TwoSidesFacts(ResultModel):
 
 
 class ProfileFacts(ResultModel):
-    """Mean of some properties over the depth of the base, 0 at the bottom interface and 1 at the top one."""
+    """Mean of some properties over the depth of the base.
+
+    The depth is 0 at the bottom interface and 1 at the top one.
+    """
 
     depth: tuple[float, ...] = Field(description="Middle of each layer of the base.")
     values: dict[str, tuple[Number, ...]] = Field(

@@ -1,4 +1,7 @@
-"""Files that are written whole or not at all, with names that every system takes: a run is handed on."""
+"""Files that are written whole or not at all, with names that every system takes.
+
+A run is handed on.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,8 @@ _DEVICES = {
     *(f"{device}{k}" for device in ("com", "lpt") for k in "123456789¹²³"),
 }
 _NOT_ON_WINDOWS = '<>:"|?*'
-# Characters that the longest path inside of a run folder takes while it is written, of a layer with a short name.
+# Characters that the longest path inside of a run folder takes while it is written, of a layer with
+# a short name.
 DEEPEST_PATH_LENGTH = 120
 
 
@@ -41,13 +45,19 @@ def fault_of_name(name: str, *, windows: bool = os.name == "nt") -> str | None:
 
 
 def check_exists(path: Path) -> None:
-    """Raise FileError, with the whole path, if nothing is there: most often a letter or a folder is wrong."""
+    """Raise FileError, with the whole path, if nothing is there.
+
+    Most often a letter or a folder is wrong.
+    """
     if not path.exists():
         raise FileError(f"{path.absolute()} does not exist. Check the name and the folder.")
 
 
 def check_name(path: Path) -> None:
-    """Raise FileError if something to be written has a name, or lies in a folder to be made, that cannot be."""
+    """Raise FileError if something to be written has a name that cannot be.
+
+    The same if it lies in a folder to be made whose name cannot be.
+    """
     missing = [path.absolute()]
     for parent in path.absolute().parents:
         if parent.is_dir():
@@ -66,7 +76,10 @@ def refuse_name(path: PurePath, names: list[str], *, windows: bool = os.name == 
 
 
 def check_length(folder: PurePath, *, longest: int | None = None) -> None:
-    """Raise FileError if files in a run folder (absolute) had longer paths than the system takes, or ``longest``."""
+    """Raise FileError if files in a run folder (absolute) would have paths that are too long.
+
+    Longer than the system takes, or than ``longest``.
+    """
     longest = longest_path() if longest is None else longest
     # While it is written it stands in a hidden folder of twice its name.
     needed = (
@@ -107,11 +120,13 @@ def write_whole(path: Path, data: bytes, *, over: bool = False) -> None:
 def new_file(
     path: Path, *, needed: int | None = None, over: bool = False, with_parents: bool = False
 ) -> Generator[Path]:
-    """Give a hidden path to write a file to; it becomes ``path`` when the block ends well, else nothing is left.
+    """Give a hidden path to write a file to.
 
-    ``needed`` is about how many bytes it takes; ``over``, whether an older file of planish's own is written over;
-    ``with_parents``, whether its folder is made where it is not there. FileError if the file is there already or cannot
-    be written, ResourceError if the disk is full.
+    It becomes ``path`` when the block ends well, else nothing is left.
+
+    ``needed`` is about how many bytes it takes; ``over``, whether an older file of planish's own is
+    written over; ``with_parents``, whether its folder is made where it is not there. FileError if
+    the file is there already or cannot be written, ResourceError if the disk is full.
     """
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     with writing(path, needed=needed):
@@ -139,7 +154,10 @@ def free_path(path: Path) -> Path:
 
 @contextmanager
 def writing(path: Path, *, needed: int | None = None) -> Generator[None]:
-    """Turn a failed write into the error that says what to do about it; ``needed``: bytes, where known."""
+    """Turn a failed write into the error that says what to do about it.
+
+    ``needed``: bytes, where known.
+    """
     try:
         yield
     except OSError as error:
@@ -176,9 +194,10 @@ def as_sentence(error: Exception, written_path: str, remedy: str) -> PlanishErro
 def move(source: Path, target: Path, *, over: bool = False) -> None:
     """Rename a file or folder; over a file that is there only with ``over``.
 
-    Windows refuses it while another program has the file, or one in the folder, open: virus scanners, indexers and
-    programs that keep folders in step with a server do so for moments after a file was written. FileError if it is
-    still refused after some three seconds; OSError whatever else keeps it from being renamed.
+    Windows refuses it while another program has the file, or one in the folder, open: virus
+    scanners, indexers and programs that keep folders in step with a server do so for moments after
+    a file was written. FileError if it is still refused after some three seconds; OSError whatever
+    else keeps it from being renamed.
     """
     _retry(lambda: (source.replace if over else source.rename)(target), target)
 

@@ -1,10 +1,14 @@
-"""How the sheet lies in the volume: which axis runs through it, by the grey too, and which side is the top.
+"""How the sheet lies in the volume.
 
-The lateral axes keep the order they have in the array: ``rows`` is the first of the two that remain and ``cols`` the
-second. Heights are coordinates along the axis through the sheet, in um; ``sign`` turns them so that the top is up.
+Which axis runs through it, by the grey too, and which side is the top.
 
-Seen from its top the sheet is mirrored when the three axes (cols, rows, towards the viewer) are an odd permutation of
-(x, y, z): a camera above the high end of z sees x to the right and y downwards; from the other side one is reversed.
+The lateral axes keep the order they have in the array: ``rows`` is the first of the two that remain
+and ``cols`` the second. Heights are coordinates along the axis through the sheet, in um; ``sign``
+turns them so that the top is up.
+
+Seen from its top the sheet is mirrored when the three axes (cols, rows, towards the viewer) are an
+odd permutation of (x, y, z): a camera above the high end of z sees x to the right and y downwards;
+from the other side one is reversed.
 """
 
 from __future__ import annotations
@@ -73,7 +77,10 @@ class Frame:
 
     @classmethod
     def of(cls, data: xr.Dataset | xr.DataArray) -> Frame:
-        """Read the frame back from a dataset's attributes; z and its high end where a volume says nothing of it."""
+        """Read the frame back from a dataset's attributes.
+
+        Z and its high end where a volume says nothing of it.
+        """
         return cls(through=data.attrs.get("through", "z"), top=data.attrs.get("top_side", "high"))
 
     @classmethod
@@ -102,13 +109,17 @@ class Frame:
 
 
 def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | None:
-    """Name the axis along which the mean grey changes most; None where two do, as with a round field of view.
+    """Name the axis along which the mean grey changes most.
 
-    A sheet fills some planes across its normal; those along it are alike. Some slices of ``values`` (z, y, x) are read.
+    None where two do, as with a round field of view.
+
+    A sheet fills some planes across its normal; those along it are alike. Some slices of ``values``
+    (z, y, x) are read.
     """
     import numpy as np
 
-    # 24 of the slices and 200 places along either other axis; of a file in chunks only three rows of these, each once.
+    # 24 of the slices and 200 places along either other axis; of a file in chunks only three rows
+    # of these, each once.
     depth, height, _ = getattr(values, "encoding", {}).get("chunks") or (1, 1, 1)
     slice_indices = np.unique(np.linspace(0, values.shape[0] - 1, 24).astype(int))
     steps = [max(1, n // 200) for n in values.shape[1:]]

@@ -88,7 +88,10 @@ def check_same_grid(first: xr.Dataset, second: xr.Dataset) -> None:
 
 
 def filled(field: Floats) -> Floats:
-    """Return a field with the nearest known value in place of every NaN; one of NaN only as it is."""
+    """Return a field with the nearest known value in place of every NaN.
+
+    One of NaN only as it is.
+    """
     from scipy import ndimage
 
     values, is_missing = field.copy(), ~np.isfinite(field)
@@ -101,12 +104,18 @@ def filled(field: Floats) -> Floats:
 
 
 def first_and_last(mask: Bools) -> tuple[Ints, Ints]:
-    """First and last index along the last axis at which a mask is set somewhere; the whole length where it is not."""
+    """First and last index along the last axis at which a mask is set somewhere.
+
+    The whole length where it is not.
+    """
     return np.argmax(mask, axis=-1), mask.shape[-1] - 1 - np.argmax(mask[..., ::-1], axis=-1)
 
 
 def bilinear(field: NDArray[Any], row: Floats, col: Floats) -> Floats:
-    """Values of a field (rows, cols) at fractional rows and columns; NaN outside the middles of its outer pixels."""
+    """Values of a field (rows, cols) at fractional rows and columns.
+
+    NaN outside the middles of its outer pixels.
+    """
     rows, cols = field.shape
     is_inside = (row >= 0) & (row <= rows - 1) & (col >= 0) & (col <= cols - 1)
     i = np.clip(np.where(is_inside, row, 0).astype(np.intp), 0, rows - 2)
@@ -118,7 +127,10 @@ def bilinear(field: NDArray[Any], row: Floats, col: Floats) -> Floats:
 
 
 def values_at(maps: xr.Dataset, names: Sequence[str], points: Floats) -> Floats:
-    """Values (n, names) of maps (y, x) or (v, u) at points (n, 2), (x, y) or (u, v) in um; NaN outside."""
+    """Values (n, names) of maps (y, x) or (v, u) at points (n, 2), (x, y) or (u, v) in um.
+
+    NaN outside.
+    """
     grid = Grid.of(maps)
     (x, y), (down, across) = grid.origin_um, grid.pixel_um
     row, col = (points[:, 1] - y) / down, (points[:, 0] - x) / across

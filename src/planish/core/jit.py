@@ -1,4 +1,7 @@
-"""Kernels compiled by numba: their code is kept apart from the program, where all environments of a machine find it."""
+"""Kernels compiled by numba.
+
+Their code is kept apart from the program, where all environments of a machine find it.
+"""
 
 import os
 import shutil
@@ -32,7 +35,10 @@ class Locator:
 
     @classmethod
     def from_function(cls, function: Any, file: str) -> "Locator | None":
-        """Give the place; None for functions of others, and where no folder can be written: numba finds one."""
+        """Give the place.
+
+        None for functions of others, and where no folder can be written: numba finds one.
+        """
         path = Path(file).resolve()
         if not path.is_relative_to(PACKAGE) or not (folder := cache_folder(_CONFIG.CACHE_DIR)):
             return None
@@ -57,9 +63,12 @@ class Locator:
 
 @cache
 def cache_folder(numba_dir: str) -> str:
-    """Give the folder for code of these sources, in NUMBA_CACHE_DIR (``numba_dir``) or the user's cache folder.
+    """Give the folder for code of these sources.
 
-    numba would see a change of a kernel's own file, but not of those that it calls. Empty where none can be written.
+    It lies in NUMBA_CACHE_DIR (``numba_dir``) or the user's cache folder.
+
+    numba would see a change of a kernel's own file, but not of those that it calls. Empty where
+    none can be written.
     """
     user_folder = Path(AppDirs("numba", appauthor=False).user_cache_dir)
     # The user's folder is relative where there is no home.

@@ -22,7 +22,8 @@ def labelled(
 ) -> xr.DataArray:
     """Give an array coordinates in um: place i of an axis has its centre at i × size.
 
-    A :class:`LazyArray` stays one: ``isel`` moves borders, ``values`` reads; ``encoding`` says how it is best read.
+    A :class:`LazyArray` stays one: ``isel`` moves borders, ``values`` reads; ``encoding`` says how
+    it is best read.
     """
     coords = {
         axis: (axis, np.arange(n) * um, {"units": "um"})

@@ -1,4 +1,7 @@
-"""Arrays that are read or computed part by part: shape and type are known, values only where they are asked for."""
+"""Arrays that are read or computed part by part.
+
+Shape and type are known, values only where they are asked for.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -14,7 +17,10 @@ Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last
 
 
 class LazyArray:
-    """An array read in parts, by integers and slices, from any thread; ``read`` gives one as native ``dtype``."""
+    """An array read in parts, by integers and slices, from any thread.
+
+    ``read`` gives one as native ``dtype``.
+    """
 
     chunks: tuple[int, ...] | None = None  # what is decoded together, where the file is chunked
     whole_slices: bool = False  # whether a few rows of a slice cost as much as all of them

@@ -1,8 +1,9 @@
 """MATLAB files of every version: their variables, and the values of one.
 
-Version 4 is a list of matrices, versions 5 to 7 a list of elements that may be compressed, version 7.3 an HDF5 file in
-which MATLAB stores the axes in reverse. scipy reads the values of versions 4 to 7, but trusts what versions 5 to 7
-declare: a damaged file can end the whole process there, so that every length and type is checked here first.
+Version 4 is a list of matrices, versions 5 to 7 a list of elements that may be compressed, version
+7.3 an HDF5 file in which MATLAB stores the axes in reverse. scipy reads the values of versions 4 to
+7, but trusts what versions 5 to 7 declare: a damaged file can end the whole process there, so that
+every length and type is checked here first.
 """
 
 import math
@@ -69,8 +70,9 @@ class Damaged(ValueError):
 class Variable:
     """A variable of a file.
 
-    ``shape`` is in the order of MATLAB; ``kind`` the class as MATLAB names it, and ``complex`` or ``logical`` for
-    numbers of these kinds; ``real`` marks a full real array, whose values can be read.
+    ``shape`` is in the order of MATLAB; ``kind`` the class as MATLAB names it, and ``complex`` or
+    ``logical`` for numbers of these kinds; ``real`` marks a full real array, whose values can be
+    read.
     """
 
     name: str
@@ -95,7 +97,10 @@ def is_version_5(head: bytes) -> bool:
 
 
 def variables(file: BinaryIO) -> list[Variable]:
-    """List a file's variables without values; Damaged if a length or type does not fit; h5py's errors pass for 7.3."""
+    """List a file's variables without values.
+
+    Damaged if a length or type does not fit; h5py's errors pass for 7.3.
+    """
     file.seek(0)
     head = file.read(520)
     if is_new(head):
@@ -115,7 +120,10 @@ def variables(file: BinaryIO) -> list[Variable]:
 
 
 def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
-    """Read a full real array that :func:`variables` listed, in its class and MATLAB's order; Damaged if not there."""
+    """Read a full real array that :func:`variables` listed, in its class and MATLAB's order.
+
+    Damaged if not there.
+    """
     if not variable.real:
         raise ValueError(f"{variable.name} is no full real array")
     file.seek(0)
@@ -199,7 +207,7 @@ def _variables_5(file: BinaryIO, endian_mark: bytes) -> Iterator[Variable]:
         offset += 8 + size
 
 
-def _variable_5(header: bytes, byte_order: str) -> Variable | None:
+def _variable_5(header: bytes, byte_order: str) -> Variable | None:  # noqa: C901
     """A variable that begins with these bytes; None for an empty element."""
     element_type, matrix_bytes = struct.unpack_from(f"{byte_order}II", header)
     if element_type != _MATRIX:

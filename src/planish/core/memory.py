@@ -1,9 +1,13 @@
-"""Budgets of memory: what a run needs, reads or holds at once; ``run.compute`` has the default of ``--memory``."""
+"""Budgets of memory: what a run needs, reads or holds at once.
+
+``run.compute`` has the default of ``--memory``.
+"""
 
 import math
 
 PROGRAM_BYTES = 3 * 10**8  # what Python, its libraries and the compiled kernels take
-# What a measured column takes at the peak: heights, properties, coordinates, map pixels, and the work on them.
+# What a measured column takes at the peak: heights, properties, coordinates, map pixels, and the
+# work on them.
 COLUMN_BYTES = 900
 # Share of the memory beside the program that the maps may take; the tiles get the rest.
 MAPS_SHARE = 0.6
@@ -11,10 +15,12 @@ HELD_TIMES = 3  # the memory beside the program as a multiple of a volume that i
 KEPT_SHARE = 0.03  # share of the memory for maps of a store that are read back
 # The photographs and the volume made from them are in memory at the same time.
 COPIES_OF_SECTIONS = 2
-# Where the memory is less than the first number, freed arrays of so many bytes are given back at once. It takes time,
-# most of all for the small buffers that files are decoded into: those only where nothing else will do.
+# Where the memory is less than the first number, freed arrays of so many bytes are given back at
+# once. It takes time, most of all for the small buffers that files are decoded into: those only
+# where nothing else will do.
 RETURNED_BYTES = ((8 * 10**8, 2**17), (5 * 10**9, 2**22))
-# What ``planish link`` takes for each pixel of the image, which is held with the search for its holes, and in any case.
+# What ``planish link`` takes for each pixel of the image, which is held with the search for its
+# holes, and in any case.
 PIXEL_BYTES, LINK_BYTES = 16, 400 * 10**6
 
 # Files

@@ -1,4 +1,7 @@
-"""Numbers and units in sentences: digits that mean something, real minus signs, typeset units; sizes that agree."""
+"""Numbers and units in sentences: digits that mean something, real minus signs, typeset units.
+
+Sizes that agree.
+"""
 
 import math
 import re
@@ -44,7 +47,9 @@ def agree(first: float, second: float) -> bool:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    r"""Write a number with so many significant digits, and all before the decimal point; a dash where there is none.
+    r"""Write a number with so many significant digits, and all before the decimal point.
+
+    A dash where there is none.
 
     >>> number(0.83793), number(-12.04), number(56782.4), number(None)
     ('0.838', '−12.0', '56\u202f782', '–')
@@ -137,7 +142,10 @@ def interval_text(limits: Pair | None, decimals: int = 2) -> str:
 
 
 def with_article(layer: str) -> str:
-    """Put a layer into a sentence: those without a name of their own are called by what they are."""
+    """Put a layer into a sentence.
+
+    Layers without a name of their own are called by what they are.
+    """
     return f"the {layer}" if layer in ("volume", "image", "sheet") else layer
 
 
@@ -189,7 +197,10 @@ def in_ascii(text: str) -> str:
 
 
 def round_step(value: float, *, above: bool = False) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above ``value``, or the smallest not below."""
+    """Return the largest of 1, 2, 5 times a power of ten that is not above ``value``.
+
+    Or the smallest that is not below.
+    """
     power = 10.0 ** math.floor(math.log10(value))
     if above:
         return power * next(k for k in (1, 2, 5, 10) if k * power >= value * (1 - 1e-9))

@@ -1,12 +1,15 @@
-"""Options: each is one field of a parameter model and makes the study file, the command line and the Python default.
+"""Options, each of which is one field of a parameter model.
+
+The field makes the study file, the command line and the Python default.
 
 A stage keeps its options in its ``params.py``::
 
     class SurfaceParams(Params):
-        cutoff_um: float = option(400.0, gt=0, help="Wavelength of the centre surface that its smoothing halves.")
+        cutoff_um: float = option(400.0, gt=0, help="Wavelength of the centre surface that its
+        smoothing halves.")
 
-The study is put together of these models, ``planish.cli`` makes click options of the same fields, and functions take
-the model as ``params``. A field that no command shows has ``cli=None``.
+The study is put together of these models, ``planish.cli`` makes click options of the same fields,
+and functions take the model as ``params``. A field that no command shows has ``cli=None``.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,9 +33,12 @@ P = TypeVar("P", bound=Params)
 
 
 def params_of(model: type[P], options: P | Mapping[str, Any] | None, call_name: str = "") -> P:
-    """Options of a function: its model, or a dict with some of its fields, or the words of the command line for them.
+    """Options of a function.
 
-    StudyError if it is something else, or has fields that are unknown or out of range; all faults are named.
+    Its model, or a dict with some of its fields, or the words of the command line for them.
+
+    StudyError if it is something else, or has fields that are unknown or out of range; all faults
+    are named.
     """
     if options is None or isinstance(options, model):
         return options or model()
@@ -60,8 +66,8 @@ def params_of(model: type[P], options: P | Mapping[str, Any] | None, call_name: 
 class Shown:
     """Appearance of a field on the command line.
 
-    ``flags`` such as ``("--cutoff-um",)``; ``metavar``, the placeholder of the value, where the type does not say it;
-    ``repeat``, whether one number stands for all of a tuple.
+    ``flags`` such as ``("--cutoff-um",)``; ``metavar``, the placeholder of the value, where the
+    type does not say it; ``repeat``, whether one number stands for all of a tuple.
     """
 
     flags: tuple[str, ...]
@@ -80,9 +86,10 @@ def option(
 ) -> Any:
     """Make a field of a :class:`Params` model; without a default it is required.
 
-    ``help`` is one sentence: what it is, with its unit and when it is needed. ``cli`` is the flag of the command line,
-    such as ``"--property"``: made of the field's name where empty, none where None; ``metavar`` and ``repeat`` as in
-    :class:`Shown`. ``limits`` are ``gt``, ``ge``, ``lt``, ``le``, ``min_length`` ..., as for :func:`pydantic.Field`.
+    ``help`` is one sentence: what it is, with its unit and when it is needed. ``cli`` is the flag
+    of the command line, such as ``"--property"``: made of the field's name where empty, none where
+    None; ``metavar`` and ``repeat`` as in :class:`Shown`. ``limits`` are ``gt``, ``ge``, ``lt``,
+    ``le``, ``min_length`` ..., as for :func:`pydantic.Field`.
     """
     extra: Any = (
         None if cli is None else {"planish": {"flags": cli, "metavar": metavar, "repeat": repeat}}
@@ -104,7 +111,10 @@ def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
 
 
 def words_in(model: type[Params], *outer_names: str) -> dict[str, tuple[str, ...]]:
-    """Words of a call for the options of a model, ``label_air`` for ``--label-air``, and where each stands in it."""
+    """Words of a call for the options of a model, and where each stands in it.
+
+    The word is ``label_air`` for ``--label-air``.
+    """
     paths_by_word: dict[str, tuple[str, ...]] = {}
     for name, field, appearance in options_of(model):
         paths_by_word[appearance.flags[0][2:].replace("-", "_")] = (*outer_names, name)
@@ -138,7 +148,10 @@ def as_flags(
 def put_options(
     tables: dict[str, Any], paths_by_word: Mapping[str, tuple[str, ...]], options: Mapping[str, Any]
 ) -> list[str]:
-    """Put options into the tables where their words stand, others as they are; give the words of those given twice."""
+    """Put options into the tables where their words stand, others as they are.
+
+    Give the words of those given twice.
+    """
     duplicates: list[str] = []
     for word, value in options.items():
         *outer_names, name = paths_by_word.get(word, (word,))
@@ -157,7 +170,10 @@ def put_options(
 
 
 def option_names(model: type[Params], *names: str) -> str:
-    """Name fields for a message: by their flag, or as keys of a study file where the command line has none."""
+    """Name fields for a message.
+
+    By their flag, or as keys of a study file where the command line has none.
+    """
     flags = {name: appearance.flags[0] for name, _, appearance in options_of(model)}
     return " or ".join(flags.get(name, f"{name} in a study file") for name in names)
 

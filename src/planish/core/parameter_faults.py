@@ -1,4 +1,7 @@
-"""What is wrong with the parameters in a file: the line of each key, and the word that was probably meant."""
+"""What is wrong with the parameters in a file.
+
+The line of each key, and the word that was probably meant.
+"""
 
 import difflib
 import re
@@ -21,7 +24,10 @@ class KeyLines(NamedTuple):
     lines: dict[Key, int]
 
     def of(self, key: Key) -> int | None:
-        """Line of a key; of the innermost table or key around it where it has no line of its own."""
+        """Line of a key.
+
+        Of the innermost table or key around it where it has no line of its own.
+        """
         for end in range(len(key), 0, -1):
             if key[:end] in self.lines:
                 return self.lines[key[:end]]
@@ -29,7 +35,10 @@ class KeyLines(NamedTuple):
 
 
 def key_lines(text: str) -> KeyLines:
-    """Find the line of every key in a text that is TOML; keys of tables within a value count as that value."""
+    """Find the line of every key in a text that is TOML.
+
+    Keys of tables within a value count as that value.
+    """
     lines: dict[Key, int] = {}
     table_counts: dict[Key, int] = {}
     table_key: Key = ()
@@ -79,7 +88,8 @@ def _table_key(names: list[str], table_counts: dict[Key, int], *, is_array: bool
     return key
 
 
-# From where a model has a value to the key that the file has for it, and its line; None where it has no line.
+# From where a model has a value to the key that the file has for it, and its line; None where it
+# has no line.
 PlaceOf = Callable[[Key], tuple[Key, int | None]]
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ALIKE = 0.6  # of difflib: the share of letters that two names have in common
@@ -132,7 +142,9 @@ def toml_fault(error: tomllib.TOMLDecodeError | RecursionError, text: str) -> st
 def fault_texts(
     error: ValidationError, model: type[BaseModel], place: PlaceOf = lambda loc: (loc, None)
 ) -> list[str]:
-    """Name every mistake that a validation found: ``line 7, volume.thruogh: unknown; did you mean through?``.
+    """Name every mistake that a validation found.
+
+    For example ``line 7, volume.thruogh: unknown; did you mean through?``.
 
     Names that are possible are taken from ``model``; ``place`` gives key and line in the file.
     """
@@ -214,7 +226,10 @@ def _unknown_text(name: str, table: Key, model: type[BaseModel]) -> str:
 def _tables_of(
     model: type[BaseModel], path: tuple[str, ...]
 ) -> Iterator[tuple[tuple[str, ...], list[str]]]:
-    """All tables of a model, each with the names in it; those of an array stand where the array does."""
+    """All tables of a model, each with the names in it.
+
+    Those of an array stand where the array does.
+    """
     yield (
         path,
         [name for name, field in model.model_fields.items() if not models_in(field.annotation)],

@@ -1,7 +1,9 @@
-"""Light in a scattering layer (Kubelka and Munk): the formula that makes images of known specimens and reads images.
+"""Light in a scattering layer (Kubelka and Munk).
 
-P. Kubelka and F. Munk, Z. Tech. Phys. 12, 593 (1931); the exact form for a layer over a backing is equation 9 of
-P. Kubelka, J. Opt. Soc. Am. 38, 448 (1948).
+The formula that makes images of known specimens and reads images.
+
+P. Kubelka and F. Munk, Z. Tech. Phys. 12, 593 (1931); the exact form for a layer over a backing is
+equation 9 of P. Kubelka, J. Opt. Soc. Am. 38, 448 (1948).
 """
 
 import numpy as np
@@ -15,9 +17,10 @@ def layer_over(
 ) -> Floats:
     """Reflectance of a layer over a backing; all arguments broadcast.
 
-    ``R = [1 - Rg (a - b coth(b s W))] / [a - Rg + b coth(b s W)]`` with ``a = (s + k) / s`` and ``b^2 = a^2 - 1``,
-    multiplied by ``tanh(b s W) / b``: nothing is divided by ``s``, ``k`` or ``W``, which may be 0, nor overflows in
-    thick layers. Neither coefficient, s and k, is negative; the weight is finite, in units of one over theirs.
+    ``R = [1 - Rg (a - b coth(b s W))] / [a - Rg + b coth(b s W)]`` with ``a = (s + k) / s`` and
+    ``b^2 = a^2 - 1``, multiplied by ``tanh(b s W) / b``: nothing is divided by ``s``, ``k`` or
+    ``W``, which may be 0, nor overflows in thick layers. Neither coefficient, s and k, is negative;
+    the weight is finite, in units of one over theirs.
     """
     below, s, k, w = (
         np.asarray(a, dtype=np.float64) for a in (backing, scattering, absorption, weight)

@@ -1,4 +1,7 @@
-"""Statistics that outliers and missing values do not spoil: scatter, percentiles, and sums under a Gaussian."""
+"""Statistics that outliers and missing values do not spoil.
+
+Scatter, percentiles, and sums under a Gaussian.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,11 +12,15 @@ from numpy.typing import NDArray
 from planish.core.typing import Bools, Floats
 
 MAD_TO_SD = 1.4826
-"""Standard deviation of normal deviates over the median of their absolute deviation from the median."""
+"""Standard deviation of normal deviates over the median of their absolute deviation from the
+median."""
 
 
 def mad_sd(values: NDArray[np.floating[Any]], centre: float | None = None) -> float:
-    """Standard deviation by the MAD of finite values about ``centre`` or their median, in their type; NaN of none."""
+    """Standard deviation by the MAD of finite values about ``centre`` or their median.
+
+    Given in the type of the values; NaN of none.
+    """
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return float("nan")
@@ -33,9 +40,12 @@ def percentiles(values: NDArray[np.floating[Any]], *percents: float) -> tuple[fl
 
 
 def otsu_borders(cum_count: Floats, cum_grey: Floats, classes: int) -> tuple[int, ...]:
-    """Bins at which two or three classes of grey begin, between which the variance is largest (Otsu 1979).
+    """Bins at which two or three classes of grey begin (Otsu 1979).
 
-    ``cum_count`` and ``cum_grey`` (bins + 1,) are running sums of the values in the bins and of their grey, from 0 on.
+    Between these classes the variance is largest.
+
+    ``cum_count`` and ``cum_grey`` (bins + 1,) are running sums of the values in the bins and of
+    their grey, from 0 on.
     """
     last_bin = cum_count.size - 1
 
@@ -55,7 +65,10 @@ def otsu_borders(cum_count: Floats, cum_grey: Floats, classes: int) -> tuple[int
 def masked_gaussian(
     values: Floats, is_valid: Bools, sigma: Sequence[float], *, truncate: float = 4.0
 ) -> tuple[Floats, Floats]:
-    """Sums of valid values and of their number under a Gaussian of ``sigma`` pixels; nothing lies beyond the border."""
+    """Sums of valid values and of their number under a Gaussian of ``sigma`` pixels.
+
+    Nothing lies beyond the border.
+    """
     from scipy import ndimage
 
     total, weight = (

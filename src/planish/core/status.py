@@ -1,4 +1,7 @@
-"""Why a column, or the ray through it, has no value, and how a flattening ended; each with its sentence."""
+"""Why a column, or the ray through it, has no value, and how a flattening ended.
+
+Each with its sentence.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,10 @@ from enum import Enum, IntEnum
 
 
 class Status(IntEnum):
-    """Codes of ``status`` in surfaces and maps; the names in lower case are the ``flag_meanings``."""
+    """Codes of ``status`` in surfaces and maps.
+
+    The names in lower case are the ``flag_meanings``.
+    """
 
     sentence: str
 
@@ -41,7 +47,10 @@ FIRST_OWN = 10  # a property's own reasons for a missing value count from here
 def status_flags(
     title: str = "Status", *, last: Status = Status.PARTICLE, reasons: Sequence[str] = ()
 ) -> dict[str, object]:
-    """Attributes of a map of status codes: the codes up to ``last``, and a property's own reasons."""
+    """Attributes of a map of status codes.
+
+    The codes up to ``last``, and a property's own reasons.
+    """
     values = [*range(last + 1), *range(FIRST_OWN, FIRST_OWN + len(reasons))]
     meanings = [*(status.label for status in Status if status <= last), *reasons]
     return {"long_name": title, "flag_values": values, "flag_meanings": " ".join(meanings)}

@@ -1,8 +1,9 @@
 """CSV tables: one reader that names all faults at once, and one writer.
 
-A table is text in UTF-8 (with or without byte order mark, or UTF-16 with one); its columns are separated by comma,
-semicolon or tab. Where they are not separated by commas, numbers may have a decimal comma. Empty lines and lines that
-start with ``#`` are no rows. Column names are compared in small letters, in any order; other columns are ignored.
+A table is text in UTF-8 (with or without byte order mark, or UTF-16 with one); its columns are
+separated by comma, semicolon or tab. Where they are not separated by commas, numbers may have a
+decimal comma. Empty lines and lines that start with ``#`` are no rows. Column names are compared in
+small letters, in any order; other columns are ignored.
 """
 
 import csv
@@ -33,7 +34,10 @@ class CsvRow(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Content of a text: rows, comments without their sign, separator, and faults of single lines."""
+    """Content of a text.
+
+    Rows, comments without their sign, separator, and faults of single lines.
+    """
 
     rows: list[CsvRow]
     comments: list[str]
@@ -81,7 +85,10 @@ def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
 
 
 def split_rows(text: str) -> Rows:
-    """Rows of a text, whether the first of them is a header or not; cells without blanks at their ends."""
+    """Rows of a text, whether the first of them is a header or not.
+
+    Cells without blanks at their ends.
+    """
     lines = [
         (line_number, line.strip())
         for line_number, line in enumerate(text.splitlines(), 1)
@@ -159,9 +166,9 @@ def parse_table(
 ) -> CsvTable:
     """Make a table of a text with a header; ``name`` is that of its file.
 
-    Columns that are ``needed`` have to be there; others may be. ``advice`` is one sentence that says what the table has
-    to look like. Faults of header and rows are raised by :meth:`CsvTable.check`, together with those found later; an
-    empty table is an ``error`` at once.
+    Columns that are ``needed`` have to be there; others may be. ``advice`` is one sentence that
+    says what the table has to look like. Faults of header and rows are raised by
+    :meth:`CsvTable.check`, together with those found later; an empty table is an ``error`` at once.
     """
     advice = advice or f"The first row has to name the columns {', '.join(needed)}."
     content = split_rows(text)
@@ -210,7 +217,10 @@ def raise_faults(
 def naming_faults(
     name: str, remedy: str = "", *, error: type[PlanishError], key_prefix: Sequence[str] = ()
 ) -> Generator[None]:
-    """Raise what pydantic finds as one message; ``key_prefix`` is put before the place of each fault."""
+    """Raise what pydantic finds as one message.
+
+    ``key_prefix`` is put before the place of each fault.
+    """
     try:
         yield
     except ValidationError as validation_error:
@@ -218,7 +228,10 @@ def naming_faults(
 
 
 def model_faults(error: ValidationError, key_prefix: Sequence[str] = ()) -> list[str]:
-    """Say what pydantic found, without the values themselves; ``key_prefix`` is put before the place of each fault."""
+    """Say what pydantic found, without the values themselves.
+
+    ``key_prefix`` is put before the place of each fault.
+    """
     faults = error.errors(include_url=False, include_input=False, include_context=False)
     fault_keys = [".".join(map(str, (*key_prefix, *fault["loc"]))) for fault in faults]
     messages = [str(fault["msg"]).removeprefix("Value error, ") for fault in faults]
@@ -231,7 +244,10 @@ def model_faults(error: ValidationError, key_prefix: Sequence[str] = ()) -> list
 def table_text(
     header: Sequence[str], rows: Iterable[Sequence[Any]], *, quote_all: bool = False
 ) -> str:
-    """Text of a table, lines ending with a line feed; floats are written so that they read back to the same number."""
+    """Text of a table, lines ending with a line feed.
+
+    Floats are written so that they read back to the same number.
+    """
     text = io.StringIO()
     writer = csv.writer(
         text, lineterminator="\n", quoting=csv.QUOTE_ALL if quote_all else csv.QUOTE_MINIMAL

@@ -11,17 +11,24 @@ _MINUS_ZERO = re.compile(r"(?<![\w.])-(?=0(?:\.0+)?(?![\w.]\w|\w))")
 
 
 def plain_numbers(text: str) -> str:
-    """Write out the powers of ten in a sentence, which rounding to a few digits makes, and no minus sign on a zero.
+    """Write out powers of ten in a sentence, and write no minus sign on a zero.
 
-    >>> plain_numbers("6 marks agree to 1e+02 um, near (5.357e+04, 1.42e+04) um; p below 1e-15, lag -0.0 um, x -0.04")
-    '6 marks agree to 100 um, near (53570, 14200) um; p below 0.000000000000001, lag 0.0 um, x -0.04'
+    Rounding to a few digits makes such powers.
+
+    >>> plain_numbers("6 marks agree to 1e+02 um, near (5.357e+04, 1.42e+04) um")
+    '6 marks agree to 100 um, near (53570, 14200) um'
+    >>> plain_numbers("p below 1e-15, lag -0.0 um, x -0.04")
+    'p below 0.000000000000001, lag 0.0 um, x -0.04'
     """
     text = _MINUS_ZERO.sub("", text)
     return _POWER.sub(lambda power: f"{Decimal(power[0]):f}", text)
 
 
 def printable(text: str) -> str:
-    r"""Write what no terminal should act on, and bytes of names that are no text, as ``\x1b`` or ``\udcff``."""
+    r"""Escape characters that a terminal would act on, and bytes of names that are not text.
+
+    Written as ``\x1b`` or ``\udcff``.
+    """
     # Control characters, and halves of pairs, which stand for bytes that are no UTF-8.
     unprintable = (c for c in text if category(c) in ("Cc", "Cs") and c not in "\n\t")
     return text.translate({ord(c): c.encode("unicode_escape").decode() for c in unprintable})

@@ -1,4 +1,7 @@
-"""How many threads may be used: one setting, which every pool of planish asks; no result depends on it."""
+"""How many threads may be used: one setting, which every pool of planish asks.
+
+No result depends on it.
+"""
 
 import os
 import sys
@@ -22,7 +25,10 @@ _limits: list[int] = []
 
 @contextmanager
 def limit_threads(number: int | None) -> Generator[int]:
-    """Limit all pools, also of libraries, to ``number`` threads; None, unless set: :func:`available`, at most 8."""
+    """Limit all pools, also of libraries, to ``number`` threads.
+
+    None, unless set: :func:`available`, at most 8.
+    """
     count = count_threads(number)
     _limits.append(count)
     try:
@@ -33,7 +39,10 @@ def limit_threads(number: int | None) -> Generator[int]:
 
 
 def count_threads(number: int | None = None) -> int:
-    """Return how many threads may run: ``number``, or what :func:`limit_threads` set, or what is available."""
+    """Return how many threads may run.
+
+    ``number``, or what :func:`limit_threads` set, or what is available.
+    """
     if number is not None:
         return max(1, number)
     return _limits[-1] if _limits else min(available(), MOST)
@@ -41,7 +50,10 @@ def count_threads(number: int | None = None) -> int:
 
 @contextmanager
 def thread_pool(number: int | None = None) -> Generator[Executor]:
-    """Give an executor of :func:`count_threads` threads; for one, an executor that works in the calling thread."""
+    """Give an executor of :func:`count_threads` threads.
+
+    For one, an executor that works in the calling thread.
+    """
     count = count_threads(number)
     pool = ThreadPoolExecutor(count) if count > 1 else _CallingThread()
     try:
@@ -59,7 +71,10 @@ def map_threads(
 
 
 def read_ahead(read: Callable[[Item], T], items: Iterable[Item]) -> Iterator[T]:
-    """Give what ``read`` gives of each item, in order; the next one is read while the caller works on one."""
+    """Give what ``read`` gives of each item, in order.
+
+    The next one is read while the caller works on one.
+    """
     with thread_pool() as pool:
         coming: list[Future[T]] = []
         for item in items:
@@ -72,8 +87,8 @@ def read_ahead(read: Callable[[Item], T], items: Iterable[Item]) -> Iterator[T]:
 def available() -> int:
     """Processors that this process may use.
 
-    ``PYTHON_CPU_COUNT`` if it is set; else those of its affinity (``taskset``), and no more than its control group's
-    share of time (containers, batch systems).
+    ``PYTHON_CPU_COUNT`` if it is set; else those of its affinity (``taskset``), and no more than
+    its control group's share of time (containers, batch systems).
     """
     setting = os.environ.get("PYTHON_CPU_COUNT", "")
     if setting.isdigit() and int(setting) > 0:
@@ -87,7 +102,10 @@ def available() -> int:
 def control_groups(
     controller: str, membership_file: Path, groups_folder: Path
 ) -> Iterator[tuple[Path, bool]]:
-    """Folders of the control groups of the process, outwards (containers, batch systems); True for version 1."""
+    """Folders of the control groups of the process, outwards (containers, batch systems).
+
+    True for version 1.
+    """
     try:
         lines = membership_file.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -97,7 +115,8 @@ def control_groups(
     ):
         if controllers and controller not in controllers.split(","):
             continue
-        # Inside a container the path may be the one outside: the group's own files then lie at the top.
+        # Inside a container the path may be the one outside: the group's own files then lie at the
+        # top.
         folder = Path(group_path.lstrip("/"))
         for root in (
             (groups_folder / controller, groups_folder / controllers)
@@ -125,7 +144,9 @@ def _quotas(membership_file: Path, groups_folder: Path) -> list[int]:
 
 @contextmanager
 def _limited_libraries(count: int) -> Generator[None]:
-    """Limit the threads in which tifffile and zarr pack and unpack: those that are imported, and those that will be.
+    """Limit the threads in which tifffile and zarr pack and unpack.
+
+    Of those that are imported, and of those that will be.
 
     zarr keeps its pool once it has one, and a thread for its event loop whatever is asked for.
     """

@@ -1,4 +1,7 @@
-"""Work that is done tile by tile: on threads or on a cluster, in order, and kept so that a killed run goes on."""
+"""Work that is done tile by tile.
+
+On threads or on a cluster, in order, and kept so that a killed run goes on.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +60,10 @@ class Tile(NamedTuple):
         return Tile(self.r0 - outer.r0, self.r1 - outer.r0, self.c0 - outer.c0, self.c1 - outer.c0)
 
     def grown(self, rows: int, cols: int, shape: tuple[int, int]) -> Tile:
-        """Return the tile with so many more rows and columns on every side, as far as a grid of ``shape`` reaches."""
+        """Return the tile with so many more rows and columns on every side.
+
+        It grows only as far as a grid of ``shape`` reaches.
+        """
         r0, r1 = max(self.r0 - rows, 0), min(self.r1 + rows, shape[0])
         return Tile(r0, r1, max(self.c0 - cols, 0), min(self.c1 + cols, shape[1]))
 
@@ -68,7 +74,10 @@ class Tile(NamedTuple):
 
 
 def tiles_of(shape: tuple[int, int], size: tuple[int, int]) -> list[Tile]:
-    """Cover a grid of ``shape`` with tiles of ``size``, row by row; the last ones of an axis may be smaller."""
+    """Cover a grid of ``shape`` with tiles of ``size``, row by row.
+
+    The last ones of an axis may be smaller.
+    """
     return [
         Tile(r, min(r + size[0], shape[0]), c, min(c + size[1], shape[1]))
         for r in range(0, shape[0], size[0])
@@ -100,10 +109,12 @@ class Engine:
         job: Callable[[Tile], Job],
         tiles: Sequence[Tile],
     ) -> Iterator[tuple[Tile, Result]]:
-        """Give every tile and its result, in the order of ``tiles``; ``step`` names the results that are kept.
+        """Give every tile and its result, in the order of ``tiles``.
 
-        ``work``, a function of a module, gets the tile and what it needs to know for it, which ``job`` gives and which
-        is sent to an executor of other processes; it returns one array.
+        ``step`` names the results that are kept.
+
+        ``work``, a function of a module, gets the tile and what it needs to know for it, which
+        ``job`` gives and which is sent to an executor of other processes; it returns one array.
         """
         waiting: deque[tuple[Tile, Future[Result] | Result]] = deque()
 

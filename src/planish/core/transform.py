@@ -1,4 +1,7 @@
-"""The transformations between two maps that a few numbers describe: similarity, affine, projective."""
+"""The transformations between two maps that a few numbers describe.
+
+They are similarity, affine and projective.
+"""
 
 from __future__ import annotations
 
@@ -38,21 +41,28 @@ class Similarity:
         return np.asarray(points, dtype=np.float64) @ self.matrix().T + np.asarray(self.shift_um)
 
     def jacobian(self, points: ArrayLike) -> Floats:
-        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
+        """Derivatives of the image at points ``(..., 2)``.
+
+        Shape ``(..., 2, 2)``, a row for x and y of the image.
+        """
         return _everywhere(self.matrix(), points)
 
     @property
     def inverse(self) -> Similarity:
         """The transformation back."""
         linear = np.linalg.inv(self.matrix())
-        # The inverse is a similarity of the same handedness; its rotation is that of the y column, which M keeps.
+        # The inverse is a similarity of the same handedness; its rotation is that of the y column,
+        # which M keeps.
         rotation = float(np.arctan2(-linear[0, 1], linear[1, 1]))
         x, y = (-linear @ np.asarray(self.shift_um)).tolist()
         return replace(self, scale=1.0 / self.scale, rotation_rad=rotation, shift_um=(x, y))
 
 
 def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Similarity:
-    """Return the similarity that changes areas and turns as a linear map (2, 2) does, and takes source to target."""
+    """Return the similarity that changes areas and turns as a linear map (2, 2) does.
+
+    It takes source to target.
+    """
     det = float(np.linalg.det(linear))
     plain = linear @ np.diag([-1.0, 1.0]) if det < 0 else linear
     rotation = float(np.arctan2(plain[1, 0] - plain[0, 1], plain[0, 0] + plain[1, 1]))
@@ -62,7 +72,10 @@ def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Simila
 
 
 class NearSimilarity(ABC):
-    """A transformation near a similarity at ``source``, the marks' middle: of its scale, rotation, shift and hand."""
+    """A transformation near a similarity at ``source``, the marks' middle.
+
+    Its scale, rotation, shift and hand are those of the similarity.
+    """
 
     __slots__ = ()
     source: Pair
@@ -73,7 +86,10 @@ class NearSimilarity(ABC):
 
     @abstractmethod
     def jacobian(self, points: ArrayLike, /) -> Floats:
-        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
+        """Derivatives of the image at points ``(..., 2)``.
+
+        Shape ``(..., 2, 2)``, a row for x and y of the image.
+        """
 
     @property
     @abstractmethod
@@ -144,10 +160,11 @@ class Affine(NearSimilarity):
 class Projective(NearSimilarity):
     """A map that keeps straight lines straight, as the oblique view of a flat sheet does.
 
-    ``(a, b, c) = homography @ (x', y', 1)`` and the image is ``target + target_size * (a / c, b / c)``, with
-    ``(x', y') = (p - source) / source_size``. Points from which ``c`` is not positive lie behind the camera: NaN.
-    ``homography`` is the 3 x 3 matrix in scaled coordinates, row by row; ``source`` and ``target`` are the middle of
-    the marks on either side, in um, and the sizes their rms distances from it.
+    ``(a, b, c) = homography @ (x', y', 1)`` and the image is ``target + target_size * (a / c, b /
+    c)``, with ``(x', y') = (p - source) / source_size``. Points from which ``c`` is not positive
+    lie behind the camera: NaN. ``homography`` is the 3 x 3 matrix in scaled coordinates, row by
+    row; ``source`` and ``target`` are the middle of the marks on either side, in um, and the sizes
+    their rms distances from it.
     """
 
     homography: tuple[
@@ -166,7 +183,10 @@ class Projective(NearSimilarity):
         return scaled @ h[:2, :2].T + h[:2, 2], np.where(denominators > 0, denominators, np.nan)
 
     def __call__(self, points: ArrayLike) -> Floats:
-        """Transform points of shape ``(..., 2)``, in um; NaN stays NaN, and is the image of what lies behind."""
+        """Transform points of shape ``(..., 2)``, in um.
+
+        NaN stays NaN, and is the image of what lies behind.
+        """
         numerators, denominators = self._projected(points)
         return numerators / denominators[..., None] * self.target_size + np.asarray(self.target)
 
@@ -203,5 +223,8 @@ def _everywhere(matrix: Floats, points: ArrayLike) -> Floats:
 
 
 def axial_angle(cosine: Floats, sine: Floats) -> Floats:
-    """Angle in degrees, -90 to 90, of a direction without sense, from means of the cosine and sine of its double."""
+    """Angle in degrees, -90 to 90, of a direction without sense.
+
+    From means of the cosine and sine of its double.
+    """
     return np.rad2deg(0.5 * np.arctan2(sine, cosine))

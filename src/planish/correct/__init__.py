@@ -1,6 +1,7 @@
 """Rings and cupping of a micro-CT volume: found, corrected, and reported.
 
-``volume`` is the entry point; ``sums`` looks through the slices, ``rings`` and ``cupping`` find, ``picture`` draws.
+``volume`` is the entry point; ``sums`` looks through the slices, ``rings`` and ``cupping`` find,
+``picture`` draws.
 """
 
 import lazy_loader as lazy

@@ -1,6 +1,7 @@
 """Cupping: the sheet's grey above air, as a factor that is linear in the square of the radius.
 
-Base and coating are each compared with themselves at one depth, from histograms: their border moves with the factor.
+Base and coating are each compared with themselves at one depth, from histograms: their border moves
+with the factor.
 """
 
 from typing import NamedTuple
@@ -27,7 +28,10 @@ _LOWEST = 0.5  # per cent: what is less does not matter
 
 
 class _Fit(NamedTuple):
-    """Factor on the square of the share of the reach that one material shows, the loss it means, and its error."""
+    """Factor on the square of the share of the reach that one material shows.
+
+    Also the loss it means, and its error.
+    """
 
     coefficient: float
     percent: float
@@ -45,17 +49,20 @@ def _loss_percent(coefficient: float) -> float:
 
 
 def factor(powers: tuple[float, ...], share: Floats) -> Floats:
-    """Factor on the grey above air at a share of the reach, 1 in the middle; constant beyond the reach."""
+    """Factor on the grey above air at a share of the reach, 1 in the middle.
+
+    Constant beyond the reach.
+    """
     return 1.0 + powers[0] * np.minimum(share, 1.0) ** 2
 
 
 def find_cupping(
     sums: Sums, turning: Turning, levels: Levels, rings: Floats
 ) -> tuple[Cupping | None, tuple[Trend, ...], str]:
-    """Find the factor that base and coating share, the trend of each material, and what to say of it.
+    """Find the factor that base and coating share, each material's trend, and what to say of it.
 
-    ``rings`` (bin,) are still in the volume, as a share of the contrast: no part of the trend. The factor is None where
-    it is not beyond its error, or the materials contradict each other.
+    ``rings`` (bin,) are still in the volume, as a share of the contrast: no part of the trend. The
+    factor is None where it is not beyond its error, or the materials contradict each other.
     """
     # Of blocks along the axis and quarters of the turn: (group, radius, depth, grey).
     histograms = sums.histogram.reshape(-1, *sums.histogram.shape[2:])
@@ -113,7 +120,10 @@ def find_cupping(
 
 
 def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
-    """Mean of the factor over the sheet's voxels: divided by it, the correction keeps the sheet's mean grey."""
+    """Mean of the factor over the sheet's voxels.
+
+    Divided by it, the correction keeps the sheet's mean grey.
+    """
     voxel_counts = sums.histogram.sum(axis=(0, 1, 3, 4)).astype(np.float64)
     radius_um = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
     factors = factor(cupping.powers, radius_um / cupping.reach_um)
@@ -143,8 +153,9 @@ def _fit_material(
     replicates = np.array([coefficients for _, coefficients in jackknife_fits])
     is_valid = np.isfinite(depth_coefficients) & np.isfinite(replicates).all(axis=0)
     if np.count_nonzero(is_valid) >= 2:
-        # A true cupping is the same at every depth; a coating that is thinner in the middle is not. Depths do not err
-        # alike by chance only: what they scatter beyond the jackknife is an error of their mean.
+        # A true cupping is the same at every depth; a coating that is thinner in the middle is not.
+        # Depths do not err alike by chance only: what they scatter beyond the jackknife is an error
+        # of their mean.
         losses, se = (
             100.0 * depth_coefficients[is_valid],
             100.0 * _jackknife_errors(replicates[:, is_valid]),
@@ -160,7 +171,10 @@ def _fit_material(
 def _fit_coefficients(
     histogram: Counts, limits: Pair, share: Floats, offset: Floats
 ) -> tuple[float, Floats] | None:
-    """Fit 1 + p share² to the grey, less ``offset``, of a material at each depth; give p, and p of each depth alone."""
+    """Fit 1 + p share² to the grey, less ``offset``, of a material at each depth.
+
+    Give p, and p of each depth alone.
+    """
     low, high = limits
     row_counts = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
     row_sums = row_counts * (GREYS[:-1] + 0.5 * (GREYS[1] - GREYS[0]))
@@ -215,8 +229,8 @@ def _fit_coefficients(
 def _coefficient_step(
     level: Floats, depth: Counts, factors: Floats, t: Floats, grey: Floats, n: Floats
 ) -> float:
-    # grey = (level + its change) (factor + change of the coefficient t), to first order. A second power costs more in
-    # noise than a beam hardened by a sheet of paper has.
+    # grey = (level + its change) (factor + change of the coefficient t), to first order. A second
+    # power costs more in noise than a beam hardened by a sheet of paper has.
     design = np.zeros((grey.size, level.size + 1))
     design[np.arange(grey.size), depth] = factors
     design[:, -1] = level[depth] * t
@@ -245,7 +259,10 @@ def _sum_between(running_sum: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
-    """Join the fits of base and coating to the one that is corrected; False where they contradict each other."""
+    """Join the fits of base and coating to the one that is corrected.
+
+    False where they contradict each other.
+    """
     surest_fit, *other_fits = sorted(fits, key=lambda fit: fit.se)
     # A material whose error is three times that of the other does not count.
     if not other_fits or other_fits[0].se > 3.0 * max(surest_fit.se, 0.3):

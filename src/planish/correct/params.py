@@ -1,4 +1,7 @@
-"""Options of the corrections of a micro-CT volume, and the record of a correction, for JSON and the store."""
+"""Options of the corrections of a micro-CT volume, and the record of a correction.
+
+The record is for JSON and the store.
+"""
 
 from typing import Any
 
@@ -130,7 +133,10 @@ class CorrectionRecord(ResultModel):
         return bool(self.rings) or self.cupping is not None
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as plain lists, numbers and text; numbers have six digits, None where one is not known."""
+        """Return it as plain lists, numbers and text.
+
+        Numbers have six digits, None where one is not known.
+        """
         return _plain(self.model_dump())
 
 

@@ -1,4 +1,7 @@
-"""One figure of a correction: grey against the radius, and a slice before, after, and the difference."""
+"""One figure of a correction.
+
+Grey against the radius, and a slice before, after, and the difference.
+"""
 
 import io
 from pathlib import Path
@@ -109,7 +112,10 @@ def _add_axes(
 def _middle_slices(
     after: xr.DataArray, before: xr.DataArray, turning: Turning
 ) -> tuple[Floats, Floats, Floats]:
-    """Middle slice across the axis, before, after and their difference, at most so fine as the figure."""
+    """Middle slice across the axis, before, after and their difference.
+
+    At most as fine as the figure.
+    """
     slice_index = {turning.axis: turning.shape[0] // 2}
     planes = [
         np.asarray(v.isel(slice_index).transpose(*turning.plane).values, np.float64)
@@ -128,7 +134,8 @@ def _draw_profiles(
     for stage, (colour, stage_name) in zip(
         stage_sums, ((_BEFORE, "before"), (_AFTER, "after")), strict=False
     ):
-        # Mean grey (material, bin) above air, as if every depth were as frequent at every radius; NaN for few voxels.
+        # Mean grey (material, bin) above air, as if every depth were as frequent at every radius;
+        # NaN for few voxels.
         voxel_counts, grey_sums = stage.count.sum(axis=(0, 1)), stage.total.sum(axis=(0, 1))
         material_level = stage.level[:, 1] / np.maximum(stage.level[:, 0], 1)
         residual = np.where(voxel_counts >= 30, grey_sums / np.maximum(voxel_counts, 1), np.nan)

@@ -1,6 +1,9 @@
-"""Rings: what is added at a radius all around the axis, separated from the structure of the sheet there.
+"""Rings: what is added at a radius all around the axis.
 
-A ring shows alike in every part of the turn, along the axis and in every material: their scatter is its error.
+It is separated from the structure of the sheet there.
+
+A ring shows alike in every part of the turn, along the axis and in every material: their scatter is
+its error.
 """
 
 from itertools import pairwise
@@ -48,7 +51,10 @@ class RingFit(NamedTuple):
         return self.shapes.sum(axis=0)
 
     def tables(self, blocks: Floats, slice_numbers: NDArray[np.intp]) -> Floats:
-        """Height (slice, bin) as a share of the contrast; between the middles of blocks it varies linearly."""
+        """Height (slice, bin) as a share of the contrast.
+
+        Between the middles of blocks it varies linearly.
+        """
         factors = (
             np.stack([np.interp(slice_numbers, blocks, f) for f in self.factors])
             if len(self.factors)
@@ -64,7 +70,8 @@ class RingFit(NamedTuple):
 def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     """Find the rings that stand out from noise and structure; there may be none."""
     bins = sums.count.shape[-1]
-    # A ring lifts the running median, so that faint ones of the other sign lie beside it: high ones come off first.
+    # A ring lifts the running median, so that faint ones of the other sign lie beside it: high ones
+    # come off first.
     heights = np.zeros(bins)
     residual = weight = np.zeros((0, 0, 0, bins))
     profile = error = heights
@@ -124,7 +131,10 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
 
 
 def remaining_rings(before: RingFit, after: RingFit) -> tuple[RingArtefact, ...]:
-    """Give each ring with the share that the correction left of it; its crest is weighed with its own shape."""
+    """Give each ring with the share that the correction left of it.
+
+    Its crest is weighed with its own shape.
+    """
     remaining: list[RingArtefact] = []
     for ring, shape in zip(before.rings, before.shapes, strict=True):
         is_ring = (shape != 0) & np.isfinite(after.profile)
@@ -137,7 +147,10 @@ def remaining_rings(before: RingFit, after: RingFit) -> tuple[RingArtefact, ...]
 
 
 def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
-    """Mean grey (block, sector, material, bin) over its running median, and its weight: one over the variance."""
+    """Mean grey (block, sector, material, bin) over its running median, and its weight.
+
+    The weight is one over the variance.
+    """
     # The running median is that of the grey without the rings (bin,), which are known already.
     count = sums.count.astype(np.float64)
     is_measured = count >= _LEAST
@@ -168,7 +181,10 @@ def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
 
 
 def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Robust mean (bin,) over all parts (..., bin) and its standard error; NaN where too few parts have values."""
+    """Robust mean (bin,) over all parts (..., bin) and its standard error.
+
+    NaN where too few parts have values.
+    """
     residual, weight = (a.reshape(-1, a.shape[-1]) for a in (residual, weight))
     weight_sum = weight.sum(axis=0)
     # Parts of circles that have to agree, counted by their weight.
@@ -194,8 +210,8 @@ def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
     weight_sum = np.maximum(robust_weight.sum(axis=0), 1e-12)
     scatter = np.sqrt(np.sum((robust_weight * (residual - mean)) ** 2, axis=0)) / weight_sum
     error = np.maximum(scatter, 1.0 / np.sqrt(weight_sum))
-    # Circles pass the rows of voxels and the layers of the sheet in ever new ways: what that does from bin to bin is
-    # error too, at least the usual scatter of the bins around.
+    # Circles pass the rows of voxels and the layers of the sheet in ever new ways: what that does
+    # from bin to bin is error too, at least the usual scatter of the bins around.
     local_scatter = ndimage.median_filter(np.abs(mean) / error, 81, mode="nearest") / np.sqrt(_CHI2)
     error = error * np.maximum(local_scatter, 1.0)
     return np.where(has_enough, mean, np.nan), np.where(has_enough, error, np.nan)
@@ -234,7 +250,10 @@ def _intervals(profile: Floats, error: Floats, share: float) -> list[slice]:
 
 
 def _height_factor(shape: Floats, profile: Floats, error: Floats) -> tuple[float, float]:
-    """Factor on the height of a ring of a known shape, and one over its variance; 1 and 0 where nothing is known."""
+    """Factor on the height of a ring of a known shape, and one over its variance.
+
+    1 and 0 where nothing is known.
+    """
     is_valid = np.isfinite(profile) & np.isfinite(error)
     w = shape[is_valid] / error[is_valid] ** 2
     precision = float(np.sum(w * shape[is_valid]))
@@ -246,7 +265,10 @@ def _height_factor(shape: Floats, profile: Floats, error: Floats) -> tuple[float
 
 
 def _block_factors(shape: Floats, block_profiles: list[tuple[Floats, Floats]]) -> Floats:
-    """Factor on a ring's height in each block; 1 everywhere where the blocks differ by no more than their errors."""
+    """Factor on a ring's height in each block.
+
+    1 everywhere where the blocks differ by no more than their errors.
+    """
     factor, precision = np.array([_height_factor(shape, *block) for block in block_profiles]).T
     variance = np.divide(
         1.0, precision, out=np.full(len(block_profiles), np.inf), where=precision > 0

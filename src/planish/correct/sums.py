@@ -1,4 +1,7 @@
-"""Whole-number sums over slices across the axis of rotation, which depend on no order: greys, circles, histograms."""
+"""Whole-number sums over slices across the axis of rotation, which depend on no order.
+
+Greys, circles, histograms.
+"""
 
 import math
 from collections.abc import Iterator
@@ -73,7 +76,10 @@ def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
 
 
 def _padding(slices: list[NDArray[Any]], lowest: float, radius: Floats) -> float:
-    """Value of the corners outside the scanner's circle: the lowest one, everywhere outside and nowhere inside."""
+    """Value of the corners outside the scanner's circle.
+
+    The lowest one, everywhere outside and nowhere inside.
+    """
     frequency = np.mean([_without_specks(s == lowest) for s in slices], axis=0)
     share = float(frequency.mean())
     if share < 0.01:  # of all voxels: so much padding at least
@@ -84,13 +90,19 @@ def _padding(slices: list[NDArray[Any]], lowest: float, radius: Floats) -> float
 
 
 def _without_specks(mask: Bools) -> Bools:
-    """Mask without the single voxels that noise has cut off: nearly all of a neighbourhood has to be in it."""
+    """Mask without the single voxels that noise has cut off.
+
+    Nearly all of a neighbourhood has to be in it.
+    """
     local_share = ndimage.uniform_filter(mask.astype(np.float32), _WINDOW)
     return mask & (ndimage.maximum_filter(local_share, _WINDOW) > 0.95)
 
 
 def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
-    """Read the levels off the histogram of smoothed greys; None where no sheet stands out from the air."""
+    """Read the levels off the histogram of smoothed greys.
+
+    None where no sheet stands out from the air.
+    """
     if greys.size < 1000:
         return None
     lowest, highest = (float(q) for q in np.percentile(greys, [0.02, 99.98]))
@@ -131,8 +143,8 @@ _LEAST_PLANE, _LEAST_LENGTH = 24, 8
 class Turning(NamedTuple):
     """The axis of rotation.
 
-    ``centre_um`` and ``pitch_um`` are its place and the voxel size along the two other axes, in array order; ``shape``
-    are the voxels along the axis of rotation and along the two others.
+    ``centre_um`` and ``pitch_um`` are its place and the voxel size along the two other axes, in
+    array order; ``shape`` are the voxels along the axis of rotation and along the two others.
     """
 
     axis: Axis
@@ -154,7 +166,10 @@ class Turning(NamedTuple):
 
     @property
     def step_um(self) -> float:
-        """Width of a bin of the radius: half a voxel, so that a ring of one voxel keeps its height."""
+        """Width of a bin of the radius.
+
+        Half a voxel, so that a ring of one voxel keeps its height.
+        """
         return 0.5 * min(self.pitch_um)
 
     @property
@@ -314,8 +329,9 @@ def _add_to_rings(
     radius_bins: Counts,
     sectors: Counts,
 ) -> None:
-    # Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth,
-    # and so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.
+    # Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is
+    # everywhere at its depth, and so leaves nothing; a ring does. Sums of whole numbers are exact
+    # in double precision.
     is_classified = label > 0
     greys, material = grey[is_classified], label[is_classified].astype(np.int64) - 1
     n_depths = _DEEPEST + 1
@@ -340,8 +356,13 @@ def _add_to_rings(
 def _classify(
     numbered_slice: tuple[int, Slice], levels: Levels
 ) -> tuple[int, Counts, Labels, Counts]:
-    """Number, grey above air in whole numbers, material of each voxel well inside one, and its depth below the face."""
-    # The material comes from the smoothed slice, with wide limits: a ring of some per cent does not choose its voxels.
+    """Number of a slice, and grey, material and depth of its voxels.
+
+    The grey is above air, in whole numbers; the material is that of each voxel well inside one, and
+    the depth is below the face.
+    """
+    # The material comes from the smoothed slice, with wide limits: a ring of some per cent does not
+    # choose its voxels.
     number, plane = numbered_slice
     smoothed_plane, is_missing = smoothed(plane), missing(plane, levels.padding)
     is_solid = (smoothed_plane > levels.split) & ~is_missing

@@ -34,7 +34,8 @@ Progress = Callable[[str, str], None]
 class Change(NamedTuple):
     """The change of a voxel: grey taken off at its radius, then a factor on what is above air.
 
-    ``blocks`` are the middles of the blocks along the axis, ``mean_factor`` is that of the cupping over the sheet.
+    ``blocks`` are the middles of the blocks along the axis, ``mean_factor`` is that of the cupping
+    over the sheet.
     """
 
     turning: Turning
@@ -51,7 +52,10 @@ class Change(NamedTuple):
         rows: NDArray[np.intp],
         cols: NDArray[np.intp],
     ) -> tuple[NDArray[Any], int]:
-        """Correct a block (along, rows, cols) with its places in the array; return it and how many were clipped."""
+        """Correct a block (along, rows, cols) with its places in the array.
+
+        Return it and how many were clipped.
+        """
         radius = np.hypot(*self.turning.offsets_um(rows, cols))
         cupping_factor = np.ones(radius.shape)
         if self.cupping is not None:
@@ -99,8 +103,8 @@ def _read_corrected(volume: xr.Variable, change: Change, where: Where) -> NDArra
 class Corrected:
     """A corrected volume, and what was done to it."""
 
-    #: (z, y, x), of the same type; the one that was given where nothing had to be changed; its attribute
-    #: ``corrections`` holds the record.
+    # : (z, y, x), of the same type; the one that was given where nothing had to be changed; its
+    # attribute : ``corrections`` holds the record.
     volume: xr.DataArray
     record: CorrectionRecord
     turning: Turning
@@ -137,15 +141,17 @@ def correct_volume(
     VolumeError
         If the volume is too small along an axis.
     InputError
-        If the centre lies far outside the field, nothing is asked for, or the volume was made from sections.
+        If the centre lies far outside the field, nothing is asked for, or the volume was made from
+        sections.
     SizeError
         If the volume has no voxel size.
 
     Notes
     -----
-    The sheet has to be brighter than the air. Rings are additive and the same all around; their height may vary slowly
-    along the axis. The factor of the cupping is taken relative to its mean over the sheet, so that the sheet's mean
-    grey stays; it says nothing about which radius shows the true grey.
+    The sheet has to be brighter than the air. Rings are additive and the same all around; their
+    height may vary slowly along the axis. The factor of the cupping is taken relative to its mean
+    over the sheet, so that the sheet's mean grey stays; it says nothing about which radius shows
+    the true grey.
     """
     if not params.asked:
         raise InputError(

@@ -1,6 +1,9 @@
-"""Hole patterns: field and hole size -> a pattern of laser holes, checked, drawn, and as a program for the stage.
+"""Hole patterns: field and hole size -> a pattern of laser holes.
 
-``plan`` makes a ``pattern`` that keeps the ``rules``, ``draw`` its pages, ``gcode`` the program of the stage.
+The pattern is checked, drawn, and written as a program for the stage.
+
+``plan`` makes a ``pattern`` that keeps the ``rules``, ``draw`` its pages, ``gcode`` the program of
+the stage.
 """
 
 import lazy_loader as lazy

@@ -1,4 +1,7 @@
-"""Files of a design, among them its pages: pattern, predicted error and path of the stage. All repeat to the byte."""
+"""Files of a design, among them its pages: pattern, predicted error and path of the stage.
+
+All repeat to the byte.
+"""
 
 import io
 from collections.abc import Sequence
@@ -72,9 +75,12 @@ Point = Sequence[float] | Floats
 
 
 class Page:
-    """A landscape A4 page with a magnified plan and a column beside it, in mm from its upper left corner.
+    """A landscape A4 page with a magnified plan and a column beside it.
 
-    The plan shows ``size_um`` (x, y) from its lower left corner ``low_um`` on; ``note`` stands behind the scale.
+    In mm from its upper left corner.
+
+    The plan shows ``size_um`` (x, y) from its lower left corner ``low_um`` on; ``note`` stands
+    behind the scale.
     """
 
     width, height = 297.0, 210.0
@@ -102,7 +108,7 @@ class Page:
     def add_plan(
         self, x_mm: float, y_mm: float, low_um: Point, size_um: Point, scale: float
     ) -> Axes:
-        """Add bare axes in um that show ``size_um`` from ``low_um`` on, magnified ``scale`` times."""
+        """Add bare axes in um showing ``size_um`` from ``low_um`` on, magnified ``scale`` times."""
         width_mm, height_mm = (scale * side / 1000 for side in size_um)
         box = (
             x_mm / self.width,
@@ -122,7 +128,10 @@ class Page:
     def aside(
         self, title: str, rows: Sequence[tuple[str, str]] = (), notes: Sequence[str] = ()
     ) -> None:
-        """Write names with their values, and notes, under a title; the next part of the column stands below."""
+        """Write names with their values, and notes, under a title.
+
+        The next part of the column stands below.
+        """
         self.text(ASIDE, self.bottom, title, fontweight="bold", fontsize=9)
         self.bottom += 6
         for name, value in rows:
@@ -171,7 +180,10 @@ def encode(pages: Sequence[Page], kind: str, title: str = "", *, dpi: float = 15
 
 
 def drawing_page(pattern: Pattern) -> Page:
-    """Draw a pattern as the laser sees it, y up: magnified with its pitches and numbers, and in its true size."""
+    """Draw a pattern as the laser sees it, y up.
+
+    Magnified with its pitches and numbers, and in its true size.
+    """
     subtitle = (
         f"{len(pattern.holes)} holes around a field of {_size(pattern.field_um)} mm; as the laser"
         " sees it"
@@ -459,7 +471,8 @@ def write_design(
     """
     stage, imaging = stage or StageParams(), imaging or ImagingParams()
     program = stage_program(pattern, stage)
-    # The pulse that is asked for here is meant; a program from elsewhere is held to the usual length.
+    # The pulse that is asked for here is meant; a program from elsewhere is held to the usual
+    # length.
     run, predicted = (
         dry_run(program, stage, pulse_s=max(0.05, pattern.pulse_s)),
         predict(pattern, imaging),

@@ -1,4 +1,7 @@
-"""The pattern for machines: a stage program in a dialect of G-code (docs/marks.md), its dry run, a drawing for CAD."""
+"""The pattern for machines.
+
+A stage program in a dialect of G-code (docs/marks.md), its dry run, a drawing for CAD.
+"""
 
 import math
 import re
@@ -20,7 +23,7 @@ Groups = list[tuple[int, Any]]
 
 
 def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
-    """Write the program that burns a pattern, on a short path from the stage's origin and back to it."""
+    """Write the program that burns a pattern on a short path from the stage's origin and back."""
     stage = stage or StageParams()
     is_m3 = stage.pulse_code == "m3"
     on, off, codes_text = (
@@ -65,7 +68,10 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
 
 
 def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
-    """Sort the points (n, 2) into a short path from ``start_um`` and back: nearest neighbour, then 2-opt."""
+    """Sort the points (n, 2) into a short path from ``start_um`` and back.
+
+    Nearest neighbour, then 2-opt.
+    """
     places = np.vstack([start_um, np.asarray(points_um, dtype=np.float64).reshape(-1, 2)])
     distances = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
     open_distances = distances.copy()
@@ -104,11 +110,14 @@ def _plain(value: float, decimals: int) -> str:
 
 
 def pattern_dxf(pattern: Pattern) -> str:
-    """Write DXF of AutoCAD Release 12 in mm: holes, burnt rims and numbers, the field, the view and the stage's origin.
+    """Write a pattern as DXF of AutoCAD Release 12 in mm.
 
-    Every value is two lines, a group code and the value: 0 the kind of an entity, 8 its layer, 10, 20 and 30 a point,
-    40 a radius or the height of text, 1 text, 2 a name, 6 a line type, 62 a colour, 70 flags, 9 a variable of the
-    header. Release 12 has no unit of its own; a comment (999) and the drawing's extents say what is meant.
+    Holes, burnt rims and numbers, the field, the view and the stage's origin.
+
+    Every value is two lines, a group code and the value: 0 the kind of an entity, 8 its layer, 10,
+    20 and 30 a point, 40 a radius or the height of text, 1 text, 2 a name, 6 a line type, 62 a
+    colour, 70 flags, 9 a variable of the header. Release 12 has no unit of its own; a comment (999)
+    and the drawing's extents say what is meant.
     """
     (x0, y0), (width, height), diameter = pattern.origin_um, pattern.view_um, pattern.diameter_um
     # Colour numbers: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
@@ -255,8 +264,9 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
     Raises
     ------
     MarkError
-        If a word is not known, a move leaves the stage's range or is made with the laser on, the laser stays on at the
-        end, a pulse is too long or has no length, or the program does not end; the message names the line.
+        If a word is not known, a move leaves the stage's range or is made with the laser on, the
+        laser stays on at the end, a pulse is too long or has no length, or the program does not
+        end; the message names the line.
     """
     machine = _Machine((stage or StageParams()).range_um, pulse_s)
     for number, line in enumerate(program.splitlines(), 1):
@@ -336,7 +346,7 @@ class _Machine:
         for command in commands:
             self._command(command, arguments)
 
-    def _command(self, command: str, arguments: dict[str, float]) -> None:
+    def _command(self, command: str, arguments: dict[str, float]) -> None:  # noqa: C901, PLR0912
         if command in ("G0", "G1"):
             if arguments.keys() & {"X", "Y"}:
                 self._move(arguments)

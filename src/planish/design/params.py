@@ -1,4 +1,4 @@
-"""Options of a hole pattern, of the stage that moves the sheet, and of the maps that are compared."""
+"""Options of a hole pattern, of the stage that moves the sheet, and of the compared maps."""
 
 from typing import Annotated, Literal, Self
 

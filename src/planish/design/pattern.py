@@ -1,8 +1,11 @@
-"""A pattern of laser holes: where they are meant to be, how each is burnt, what lies around them, and its files.
+"""A pattern of laser holes.
 
-Coordinates are those of the stage, as the laser sees the sheet: x to the right, y up. From the outside inwards:
-``view``, what has to be imaged, with the stage's origin at its lower left; ``frame``, the rectangle on which the holes
-lie; ``field``, the region whose maps are compared, which no hole reaches into.
+Where they are meant to be, how each is burnt, what lies around them, and its files.
+
+Coordinates are those of the stage, as the laser sees the sheet: x to the right, y up. From the
+outside inwards: ``view``, what has to be imaged, with the stage's origin at its lower left;
+``frame``, the rectangle on which the holes lie; ``field``, the region whose maps are compared,
+which no hole reaches into.
 """
 
 from __future__ import annotations
@@ -30,7 +33,10 @@ _COLUMNS = ("label", "x_um", "y_um", "diameter_um")
 
 
 class PatternHole(BaseModel):
-    """Number and centre of a hole, and its line: bottom, right, top or left; ``own`` where a table gave the holes."""
+    """Number and centre of a hole, and its line: bottom, right, top or left.
+
+    ``own`` where a table gave the holes.
+    """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -41,7 +47,10 @@ class PatternHole(BaseModel):
 
 
 class Pattern(BaseModel):
-    """Holes in the order in which they lie around the field, counter-clockwise from the empty corner."""
+    """Holes in the order in which they lie around the field.
+
+    Counter-clockwise from the empty corner.
+    """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -120,7 +129,10 @@ class Pattern(BaseModel):
 
     @property
     def imaged_um(self) -> Floats:
-        """Centres (n, 2) as an image of the laser's side shows them: from its upper left corner, y down."""
+        """Centres (n, 2) as an image of the laser's side shows them.
+
+        From its upper left corner, y down.
+        """
         x, y = (self.points_um - self.origin_um).T
         return np.stack([x, self.view_um[1] - y], axis=1)
 
@@ -160,7 +172,8 @@ def own_pattern(
     ----------
     points_um : (n, 2); centres, in the order given
     field_um : (width, height), optional
-        Region whose maps are to be compared, in the middle of the holes; all within them where not given.
+        Region whose maps are to be compared, in the middle of the holes; all within them where not
+        given.
     diameter_um : float, optional; that of a design where not given
 
     Raises
@@ -201,7 +214,8 @@ def holes_csv(pattern: Pattern, *, imaged: bool = False) -> str:
     Parameters
     ----------
     imaged : bool
-        Positions as in an image of the laser's side, from its upper left corner with y down, instead of the stage's.
+        Positions as in an image of the laser's side, from its upper left corner with y down,
+        instead of the stage's.
     """
     rows: list[list[str]] = []
     for label, (x, y) in zip(
@@ -221,7 +235,8 @@ def read_pattern(
     Parameters
     ----------
     path : str or Path
-        A table has the columns ``x_um, y_um`` and may have ``diameter_um``, whose median counts, and others.
+        A table has the columns ``x_um, y_um`` and may have ``diameter_um``, whose median counts,
+        and others.
     field_um : (width, height), optional
         Of a table only: the region in the middle of the holes whose maps are to be compared.
     diameter_um : float, optional, of a table only; goes before the column
@@ -264,9 +279,10 @@ P95 = float(np.sqrt(-np.log(0.05)))
 class Predicted(ResultModel):
     """Error that a pattern allows.
 
-    At a distance r from the centroid of N holes with the rms radius f, for a similarity: ``TRE**2 = FLE**2 / N *
-    (1 + r**2 / f**2)`` (J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE Transactions on Medical Imaging 17 (1998)
-    694-702, https://doi.org/10.1109/42.736021; with a free scale the second term of two dimensions doubles).
+    At a distance r from the centroid of N holes with the rms radius f, for a similarity: ``TRE**2 =
+    FLE**2 / N * (1 + r**2 / f**2)`` (J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE Transactions
+    on Medical Imaging 17 (1998) 694-702, https://doi.org/10.1109/42.736021; with a free scale the
+    second term of two dimensions doubles).
     """
 
     fle_um: float = Field(
@@ -309,11 +325,13 @@ class Predicted(ResultModel):
 
 
 def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> float:
-    """Predict the error of one hole's position in one map against the other, rms in the plane, in um.
+    """Predict the error of one hole's position in one map against the other.
 
-    A rim whose radius varies by ``s`` over a length ``l`` has ``n = pi d / l`` independent arcs; a circle through them
-    is off by ``2 s / sqrt(n)``. The pixels add 0.1 pixel along each axis. Both count once for each of the two maps:
-    the two instruments do not see the same rim.
+    It is the rms in the plane, in um.
+
+    A rim whose radius varies by ``s`` over a length ``l`` has ``n = pi d / l`` independent arcs; a
+    circle through them is off by ``2 s / sqrt(n)``. The pixels add 0.1 pixel along each axis. Both
+    count once for each of the two maps: the two instruments do not see the same rim.
     """
     imaging = imaging or ImagingParams()
     arcs = max(np.pi * diameter_um / imaging.rim_length_um, 3.0)  # fewer fix no circle

@@ -1,7 +1,7 @@
 """From what a user wants to a pattern that keeps every rule, or the reason why there is none.
 
-Holes lie on whole steps of 50 um on lines along the sides of the frame, counter-clockwise from the lower left corner,
-which is empty; each other corner holds the first hole of a line.
+Holes lie on whole steps of 50 um on lines along the sides of the frame, counter-clockwise from the
+lower left corner, which is empty; each other corner holds the first hole of a line.
 """
 
 from itertools import combinations
@@ -36,9 +36,12 @@ def _place_side(
     used: set[int],
     rng: np.random.Generator,
 ) -> Steps | None:
-    """Place ``n_holes`` holes between the corners of a side and give them with those in the corners; None if none fit.
+    """Place ``n_holes`` holes between a side's corners and give them with those in the corners.
 
-    The pitch grows evenly by ``rate``; with 0 all distances differ (a Golomb ruler) and few of those ``used`` repeat.
+    None if none fit.
+
+    The pitch grows evenly by ``rate``; with 0 all distances differ (a Golomb ruler) and few of
+    those ``used`` repeat.
     """
     spacing_steps = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker_steps = max(spacing_steps, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
@@ -75,10 +78,11 @@ def _place_side(
 def _draw_positions(
     blank: Pattern, side: int, low_step: int, n_holes: int, rng: np.random.Generator
 ) -> Steps:
-    """Draw sorted positions (4000, count) of which at least four survive every crop that keeps the side.
+    """Draw sorted positions (4000, count); at least four survive every crop that keeps the side.
 
-    A window of 70 % of the view slides along the side. The holes in the middle 40 % are always in it; each other hole
-    near the start has a partner not quite a window's length away, so that one enters before the other leaves.
+    A window of 70 % of the view slides along the side. The holes in the middle 40 % are always in
+    it; each other hole near the start has a partner not quite a window's length away, so that one
+    enters before the other leaves.
     """
     view_steps, border_steps = float(blank.view_um[side % 2]) / STEP_UM, blank.border_um / STEP_UM
     radius = 0.5 * blank.diameter_um / STEP_UM
@@ -100,7 +104,10 @@ def _draw_positions(
 
 
 def _distances(marks: Steps) -> Steps:
-    """Return all distances (batch, n (n - 1) / 2) between positions (batch, n) but that from corner to corner."""
+    """Return all distances between positions (batch, n) but that from corner to corner.
+
+    All distances would be (batch, n (n - 1) / 2).
+    """
     n = marks.shape[1]
     pairs = [pair for pair in combinations(range(n), 2) if pair != (0, n - 1)]
     first, last = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
@@ -127,11 +134,13 @@ def design_pattern(params: DesignParams) -> Design:
     Raises
     ------
     MarkError
-        If spacing or margin are too small for the holes, or no pattern keeps the rules; the message says which.
+        If spacing or margin are too small for the holes, or no pattern keeps the rules; the message
+        says which.
 
     Notes
     -----
-    A small field has no room around it for so many holes: unless the margin is given, it widens until there is.
+    A small field has no room around it for so many holes: unless the margin is given, it widens
+    until there is.
     """
     blanks = [_blank_pattern(params)]  # the margin as it is given, or wider and wider
     if params.margin_um is None:
@@ -192,8 +201,11 @@ def _blank_pattern(params: DesignParams) -> Pattern:
     )
 
 
-def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design | str:
-    """Draw patterns until some keep all rules: the one with the weakest rival, or the reason why there is none."""
+def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design | str:  # noqa: C901
+    """Draw patterns until some keep all rules.
+
+    Gives the one with the weakest rival, or the reason why there is none.
+    """
     area = area_rule(blank, hole_count)
     if not area.passed:
         return f"With {hole_count} holes, {area.sentence()}: {area.remedy}."

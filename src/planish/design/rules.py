@@ -1,6 +1,7 @@
 """The rules that a pattern has to keep, each with what was measured, its limit, and what helps.
 
-Wrong ways to lay a pattern on itself are found as a matcher finds them: by pairs of holes of like length.
+Wrong ways to lay a pattern on itself are found as a matcher finds them: by pairs of holes of like
+length.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,10 @@ _TURN_DEG = 10.0  # what still counts as a half or a quarter turn
 
 
 class Motions(NamedTuple):
-    """Wrong arrangements of a pattern: ``hit`` (motions, n), ``kind``: half turn, quarter turn, mirror, else shift."""
+    """Wrong arrangements of a pattern.
+
+    ``hit`` (motions, n), ``kind``: half turn, quarter turn, mirror, else shift.
+    """
 
     hit: Bools
     kind: NDArray[np.str_]
@@ -39,7 +43,8 @@ def self_motions(points_um: Floats) -> Motions:
     order = np.argsort(length, kind="stable")
     first = np.searchsorted(length[order], (1 - SCALE) * length, side="left")
     last = np.searchsorted(length[order], (1 + SCALE) * length, side="right")
-    # Each target is taken in both directions and in both hands; beyond so many motions pairs are thinned out evenly.
+    # Each target is taken in both directions and in both hands; beyond so many motions pairs are
+    # thinned out evenly.
     step = max(1.0, 4.0 * float(np.sum(last - first)) / 60_000)
     pair_numbers = np.unique(np.arange(0, len(base_pairs), step).astype(np.intp))
     counts = (last - first)[pair_numbers]
@@ -56,7 +61,10 @@ def self_motions(points_um: Floats) -> Motions:
 
 
 class _HoleIndex:
-    """The hole within the tolerance of a point: a table of cells, or a tree where the table would be large."""
+    """The hole within the tolerance of a point.
+
+    It is found by a table of cells, or by a tree where the table would be large.
+    """
 
     def __init__(self, points_um: Floats) -> None:
         # Two holes fix the motion, and each may be off.
@@ -130,7 +138,10 @@ def _motion_hits(
 
 
 def perimeter_order(points_um: Floats) -> Ints:
-    """Sort the holes (n, 2) along the rectangle around them, counter-clockwise from its lower left corner."""
+    """Sort the holes (n, 2) along the rectangle around them.
+
+    Counter-clockwise from its lower left corner.
+    """
     x, y = (points_um - points_um.min(axis=0)).T
     width, height = np.ptp(points_um, axis=0)
     nearest_side = np.argmin([y, width - x, height - y, x], axis=0)
@@ -141,10 +152,12 @@ def perimeter_order(points_um: Floats) -> Ints:
 
 
 def code_misfit_um(points_um: Floats) -> float:
-    """Return the smallest misfit (um) of any four consecutive holes with any other four, or themselves in reverse.
+    """Return the smallest misfit (um) of any four consecutive holes with another four.
 
-    The holes (n, 2) are taken in their order around the field, the last followed by the first; a turn, a shift and a
-    scale within 3 % are free, and the misfit is the largest distance left.
+    With any other four, or with themselves in reverse.
+
+    The holes (n, 2) are taken in their order around the field, the last followed by the first; a
+    turn, a shift and a scale within 3 % are free, and the misfit is the largest distance left.
     """
     points = points_um[perimeter_order(points_um)]
     z = points[:, 0] + 1j * points[:, 1]
@@ -300,7 +313,10 @@ def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
 
 
 def area_rule(pattern: Pattern, count: int) -> Rule:
-    """Apply the rule on the area that is burnt, for so many holes; the field itself loses none of it."""
+    """Apply the rule on the area that is burnt, for so many holes.
+
+    The field itself loses none of it.
+    """
     burnt = count * np.pi / 4 * (pattern.diameter_um + 2 * pattern.rim_um) ** 2
     return _rule("area", 100 * burnt / float(pattern.view_um.prod()), 3.0)
 
@@ -327,9 +343,10 @@ def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
 def crops(pattern: Pattern) -> Bools:
     """Return which holes survive each crop, (crops, n).
 
-    A crop is a window of 70 % of the view's width and 70 % of its height that keeps at least one side of the view: it
-    cuts off 30 % at one side or shares them between two opposite sides, and that in both directions. A window that
-    cuts all four sides loses whatever lies around the field, so no pattern could keep it. A hole survives whole.
+    A crop is a window of 70 % of the view's width and 70 % of its height that keeps at least one
+    side of the view: it cuts off 30 % at one side or shares them between two opposite sides, and
+    that in both directions. A window that cuts all four sides loses whatever lies around the field,
+    so no pattern could keep it. A hole survives whole.
     """
     points, radius = pattern.points_um - pattern.origin_um, 0.5 * pattern.diameter_um
     lows, highs = (points - radius).T, (points + radius).T

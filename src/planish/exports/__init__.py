@@ -1,6 +1,7 @@
 """A run as files of other programs: one table of formats, and the functions that write them.
 
-``exporting`` is the entry point, ``formats`` the table, ``run_contents`` what a run gives, ``content`` its maps.
+``exporting`` is the entry point, ``formats`` the table, ``run_contents`` what a run gives,
+``content`` its maps.
 """
 
 import lazy_loader as lazy

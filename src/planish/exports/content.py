@@ -1,4 +1,7 @@
-"""Contents of an export: maps on one grid, read band by band, and the history that travels with them."""
+"""Contents of an export.
+
+Maps on one grid, read band by band, and the history that travels with them.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ class ExportHistory:
     inputs: tuple[Mapping[str, Any], ...]
 
     def json(self, **more: Any) -> str:
-        """Return it as JSON, with what else is to be known of a file: one line of ASCII, always the same."""
+        """Return it as JSON, with what else is to be known of a file.
+
+        One line of ASCII, always the same.
+        """
         return json.dumps(asdict(self) | more, allow_nan=False)
 
     @property
@@ -44,14 +50,16 @@ class ExportHistory:
 class Maps:
     """Maps (rows, cols) on one regular grid, which may stay in their store.
 
-    ``data`` has the dims (y, x) or (v, u), coordinates in um, variables with ``units`` and ``long_name``; NaN: missing.
+    ``data`` has the dims (y, x) or (v, u), coordinates in um, variables with ``units`` and
+    ``long_name``; NaN: missing.
     """
 
     data: xr.Dataset
     group: str  #: its name in the run
     #: By name, where they are chosen: limits and colours with which maps are shown.
     scales: Mapping[str, Scale] = field(default_factory=dict[str, Scale])
-    #: By name, where they are there: folders in a zarr store of a map's array and its overviews, the finest first.
+    # : By name, where they are there: folders in a zarr store of a map's array and its overviews,
+    # the finest first.
     levels: Mapping[str, Sequence[Path]] = field(default_factory=dict[str, Sequence[Path]])
 
     @property
@@ -78,7 +86,10 @@ class Maps:
 
     @property
     def pixel_um(self) -> tuple[float, float]:
-        """Pitch of rows and columns, without the rounding of their coordinates; SizeError where there is none."""
+        """Pitch of rows and columns, without the rounding of their coordinates.
+
+        SizeError where there is none.
+        """
         if min(self.shape) < 2:
             raise SizeError(
                 f"The maps have {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed for a"
@@ -120,7 +131,10 @@ class Maps:
     def bands(
         self, name: str, dtype: np.dtype[Any] | type[np.generic] | None = None
     ) -> Iterator[tuple[slice, NDArray[Any]]]:
-        """Give a map band by band, reading ahead, as ``dtype``: its own where not given, truth values as bytes."""
+        """Give a map band by band, reading ahead, as ``dtype``.
+
+        Its own type where not given, truth values as bytes.
+        """
         pixels = self.data[name]
         target = plain_type(pixels.dtype) if dtype is None else np.dtype(dtype)
         row_slices = list(bands(self.shape[0]))
@@ -140,7 +154,10 @@ class Maps:
 
 
 def percentile_limits(pixels: NDArray[np.float32]) -> tuple[float, float]:
-    """1st and 99th percentile of a map, between which it is shown first; 0 to 1 where it has no value."""
+    """1st and 99th percentile of a map, between which it is shown first.
+
+    0 to 1 where it has no value.
+    """
     finite = pixels[np.isfinite(pixels)].astype(np.float64)
     low, high = (
         (float(v) for v in np.percentile(finite, (1.0, 99.0))) if finite.size else (0.0, 1.0)
@@ -165,5 +182,8 @@ def column_of(name: str, units: str) -> str:
 
 
 def exact(length_um: float) -> float:
-    """Give a length as it was meant: sums of multiples of a pixel size have no more than twelve digits."""
+    """Give a length as it was meant.
+
+    Sums of multiples of a pixel size have no more than twelve digits.
+    """
     return float(f"{length_um:.12g}")

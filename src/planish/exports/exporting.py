@@ -35,7 +35,10 @@ from planish.run.study import changed
 
 @dataclass(frozen=True, slots=True)
 class ExportRequest:
-    """An export that was asked for: of a run, and its ``store`` where this is as the run is, to a file or a folder."""
+    """An export of a run that was asked for, to a file or a folder.
+
+    With the run's ``store`` where this is as the run is.
+    """
 
     run: Run
     store: Path | None
@@ -65,7 +68,8 @@ class ExportRequest:
             and self.file_format.shows_limits
             and math.prod(content.shape) <= 2**22
         ):
-            # A map shares its limits with the other side of the sheet, and those of an image are of what is valid.
+            # A map shares its limits with the other side of the sheet, and those of an image are of
+            # what is valid.
             group = self.run.groups[content.group].assign(content.data.data_vars)
             content = replace(
                 content, scales={name: run_contents.scale_of(group, name) for name in content.names}
@@ -74,7 +78,10 @@ class ExportRequest:
 
 
 class OutputFile(NamedTuple):
-    """One call of a writer: names of its files in a folder, the first of which it is given, and what it writes."""
+    """One call of a writer.
+
+    Names of its files in a folder, the first of which it is given, and what it writes.
+    """
 
     names: list[str]
     content: object
@@ -265,7 +272,7 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
     return files
 
 
-def export(
+def export(  # noqa: C901, PLR0912
     run: Run | str | Path,
     out: str | Path,
     *,
@@ -278,7 +285,8 @@ def export(
     Parameters
     ----------
     run : Run or path
-        A run, or its folder; of a folder only what is asked for is read, and large maps part by part.
+        A run, or its folder; of a folder only what is asked for is read, and large maps part by
+        part.
     out : path
         Folder to make, or one file where it ends in the format's suffix.
     compute : Compute, optional
@@ -286,8 +294,9 @@ def export(
     progress : callable, optional
         Called with the name of a step and a few words.
     **options
-        Fields of :class:`planish.exports.ExportParams`, or words of ``planish export``: ``to`` (the format), ``maps``,
-        ``group``, ``point_um``, ``mesh_um``, ``as_seen``, ``depth_um``, ``unit``, ``mat_version``.
+        Fields of :class:`planish.exports.ExportParams`, or words of ``planish export``: ``to`` (the
+        format), ``maps``, ``group``, ``point_um``, ``mesh_um``, ``as_seen``, ``depth_um``,
+        ``unit``, ``mat_version``.
 
     Returns
     -------
@@ -301,7 +310,8 @@ def export(
     InputError
         If the run does not hold what is asked for, or a library of the extra ``export`` is missing.
     FileError
-        If ``out`` exists, cannot be written, or ends as another format's files do; or a straightened volume is gone.
+        If ``out`` exists, cannot be written, or ends as another format's files do; or a
+        straightened volume is gone.
     ResourceError
         If a map is larger than the format or the memory holds, or the disk is full.
 

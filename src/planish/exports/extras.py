@@ -13,9 +13,12 @@ from planish.exports.formats import ExportParams
 
 
 def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
-    """Write maps in their own type: NaN is ``_FillValue``, and the coordinates are the middles of the pixels in um.
+    """Write maps in their own type.
 
-    The flat coordinates ``u`` and ``v`` of linked maps are variables of two dimensions; those of flat maps are axes.
+    NaN is ``_FillValue``, and the coordinates are the middles of the pixels in um.
+
+    The flat coordinates ``u`` and ``v`` of linked maps are variables of two dimensions; those of
+    flat maps are axes.
     """
     import h5netcdf
 
@@ -67,8 +70,9 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
 def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
     """Write all maps as channels of one file.
 
-    Gwyddion has no missing values. Its convention is a mask: the pixels below it hold the mean of the map, so that they
-    pull on no level; masked data are left out of statistics with Mask: exclude.
+    Gwyddion has no missing values. Its convention is a mask: the pixels below it hold the mean of
+    the map, so that they pull on no level; masked data are left out of statistics with Mask:
+    exclude.
     """
     from gwyfile.objects import GwyContainer, GwyDataField, GwySIUnit
 
@@ -109,8 +113,9 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
 def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportParams) -> None:
     """Copy a run folder into a crate, a new folder.
 
-    Its date is the day on which ``results.json`` was last changed (UTC), the only one that a run has. The inputs are
-    described with their hashes and not copied. InputError where the run folder holds a crate's description already.
+    Its date is the day on which ``results.json`` was last changed (UTC), the only one that a run
+    has. The inputs are described with their hashes and not copied. InputError where the run folder
+    holds a crate's description already.
     """
     from rocrate.rocrate import ROCrate
 

@@ -1,10 +1,11 @@
 """The formats of an export: a row of one table each, and the function that writes it.
 
-A row names its function as ``module:function`` of this package: ``function(content, path, history, params)``. The
-content is what the format holds: :class:`~planish.exports.content.Maps`, a volume (z, y, x), a
-:class:`~planish.exports.meshes.Surface`, a :class:`~planish.exports.transforms.DirectedTransform` (where one file holds
-both directions, ``TransformPair``), marks (mark), or the folder of a run. ``path`` is new, and stays hidden until it is
-whole. The same content gives the same bytes.
+A row names its function as ``module:function`` of this package: ``function(content, path, history,
+params)``. The content is what the format holds: :class:`~planish.exports.content.Maps`, a volume
+(z, y, x), a :class:`~planish.exports.meshes.Surface`, a
+:class:`~planish.exports.transforms.DirectedTransform` (where one file holds both directions,
+``TransformPair``), marks (mark), or the folder of a run. ``path`` is new, and stays hidden until it
+is whole. The same content gives the same bytes.
 """
 
 from __future__ import annotations
@@ -312,7 +313,10 @@ def formats_with(option: str) -> str:
 
 
 def writer_of(name: str) -> Callable[..., Any]:
-    """Import the function that writes a format; InputError where it needs a library that is not installed."""
+    """Import the function that writes a format.
+
+    InputError where it needs a library that is not installed.
+    """
     form = FORMATS[name]
     if form.needs is not None:
         try:
@@ -327,7 +331,10 @@ def writer_of(name: str) -> Callable[..., Any]:
 
 
 def is_file(name: str, out: Path) -> bool:
-    """Tell whether a path asks for one file of a format and no folder; FileError where it ends as other files do."""
+    """Tell whether a path asks for one file of a format and no folder.
+
+    FileError where it ends as other files do.
+    """
     form, low = FORMATS[name], out.name.lower()
     endings = [
         (end, other) for other in FORMATS for end in FORMATS[other].suffixes if low.endswith(end)

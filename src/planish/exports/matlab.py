@@ -1,4 +1,7 @@
-"""MATLAB: version 5 by scipy, and version 7.3, an HDF5 file with MATLAB's classes and its order of axes, by h5py."""
+"""Write MATLAB files of version 5 by scipy and of version 7.3 by h5py.
+
+Version 7.3 is an HDF5 file with MATLAB's classes and its order of axes.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -26,9 +29,10 @@ _TEXT = 116  # bytes of free text in front of both versions; without the usual d
 def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
     """Write a variable for each map, and what it needs to be read.
 
-    ``x_um`` and ``y_um`` (rows; ``u_um`` and ``v_um`` of flat maps) are the middles of the pixels, ``pixel_um`` their
-    size (y, x), ``units`` and ``titles`` structures with the maps' names, ``history`` a text. Maps are (rows, columns);
-    truth values are logical. ResourceError where version 5 was asked for, and the maps take 2 GB or more.
+    ``x_um`` and ``y_um`` (rows; ``u_um`` and ``v_um`` of flat maps) are the middles of the pixels,
+    ``pixel_um`` their size (y, x), ``units`` and ``titles`` structures with the maps' names,
+    ``history`` a text. Maps are (rows, columns); truth values are logical. ResourceError where
+    version 5 was asked for, and the maps take 2 GB or more.
     """
     metadata: dict[str, Any] = {
         f"{axis}_um": um[None, :] for axis, um in zip(maps.dims, maps.at_um, strict=True)
@@ -72,7 +76,10 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
 
 
 def chosen_version(maps: Maps, params: ExportParams) -> str:
-    """Choose the version in which maps are written; ResourceError where the one that was asked for cannot hold them."""
+    """Choose the version in which maps are written.
+
+    ResourceError where the one that was asked for cannot hold them.
+    """
     maps_bytes = (
         sum(plain_type(maps.data[name].dtype).itemsize for name in maps.names)
         * maps.shape[0]

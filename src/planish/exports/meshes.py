@@ -1,4 +1,7 @@
-"""A surface of the sheet as a mesh in space, in um of the volume, with maps and a colour: PLY, OBJ, STL and VTK."""
+"""Write a surface of the sheet as a mesh in space: PLY, OBJ, STL and VTK.
+
+The mesh is in um of the volume, with maps and a colour.
+"""
 
 import base64
 from collections.abc import Mapping
@@ -46,7 +49,10 @@ class SurfaceMesh:
 
 
 def write_ply(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
-    """Write nodes with colour and all maps as properties, and quadrilaterals; binary, with its history in comments."""
+    """Write nodes with colour and all maps as properties, and quadrilaterals.
+
+    Binary, with its history in comments.
+    """
     mesh = mesh_of(surface, params)
     columns: dict[str, NDArray[Any]] = dict(zip("xyz", mesh.points.T, strict=True))
     if mesh.colours is not None:
@@ -78,7 +84,10 @@ def write_ply(surface: Surface, path: Path, history: ExportHistory, params: Expo
 
 
 def write_obj(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
-    """Write nodes as text, colours behind them as numbers from 0 to 1 (MeshLab, Blender), and quadrilaterals."""
+    """Write nodes with their colours as text, and quadrilaterals.
+
+    Colours stand behind the nodes as numbers from 0 to 1 (MeshLab, Blender).
+    """
     mesh = mesh_of(surface, params)
     node_values, node_format = mesh.points.astype(np.float64), "v %.9g %.9g %.9g"
     if mesh.colours is not None:
@@ -95,9 +104,12 @@ def write_obj(surface: Surface, path: Path, history: ExportHistory, params: Expo
 
 
 def write_stl(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
-    """Write two triangles for each cell, with a colour of 15 bits as VisCAM has it and MeshLab reads it; binary.
+    """Write two triangles for each cell, in binary, with a colour of 15 bits.
 
-    The head has room for 80 letters: the surface, the unit, the program and the start of the study's hash.
+    The colour is as VisCAM has it and MeshLab reads it.
+
+    The head has room for 80 letters: the surface, the unit, the program and the start of the
+    study's hash.
     """
     mesh = mesh_of(surface, params)
     corners = mesh.quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
@@ -127,7 +139,10 @@ def write_stl(surface: Surface, path: Path, history: ExportHistory, params: Expo
 
 
 def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
-    """Write an unstructured grid: XML with binary arrays, all maps as point data, which programs colour themselves."""
+    """Write an unstructured grid as XML with binary arrays.
+
+    All maps are point data, which programs colour themselves.
+    """
     mesh = mesh_of(surface, params)
     n_cells = len(mesh.quads)
     active_scalars = f" Scalars={quoteattr(next(iter(mesh.maps)))}" if mesh.maps else ""
@@ -163,7 +178,10 @@ def _write_vtk_array(file: IO[str], name: str, array: NDArray[Any]) -> None:
 
 
 def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
-    """Make a mesh, a cell where all corners are; StudyError if ``mesh_um`` is below the pitch or leaves none."""
+    """Make a mesh, a cell where all corners are.
+
+    StudyError if ``mesh_um`` is below the pitch or leaves none.
+    """
     frame = Frame.of(surface.data)
     row_step, col_step = steps_of(surface.data, params.mesh_um)
     nodes = surface.data.isel(y=slice(None, None, row_step), x=slice(None, None, col_step))
@@ -193,7 +211,8 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     )
     if params.as_seen:
         points[:, 1] *= -1
-    # Cells of (row, col), (row, col + 1) ... have to run anticlockwise as seen from outside of the sheet.
+    # Cells of (row, col), (row, col + 1) ... have to run anticlockwise as seen from outside of the
+    # sheet.
     unit_vectors = dict(zip("xyz", np.eye(3), strict=True))
     outward_normal = (
         unit_vectors[frame.through] * frame.sign * (-1 if surface.name.endswith("bottom") else 1)
@@ -231,7 +250,10 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
 
 
 def steps_of(columns: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:
-    """Give how many rows and columns lie between nodes; StudyError where ``mesh_um`` is less than a column."""
+    """Give how many rows and columns lie between nodes.
+
+    StudyError where ``mesh_um`` is less than a column.
+    """
     if mesh_um is None:
         return 1, 1
     pitches = pitch(columns)

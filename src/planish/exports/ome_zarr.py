@@ -1,4 +1,7 @@
-"""OME-Zarr 0.5: maps as an image of several resolutions. Chunks of a run's store are copied, others are written."""
+"""OME-Zarr 0.5: maps as an image of several resolutions.
+
+Chunks of a run's store are copied, others are written.
+"""
 
 import json
 import shutil
@@ -20,7 +23,10 @@ from planish.io.store import multiscale
 
 
 def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
-    """Write maps as one float32 image (y, x), or (c, y, x), placed in um; overviews are means of known pixels."""
+    """Write maps as one float32 image (y, x), or (c, y, x), placed in um.
+
+    Overviews are means of known pixels.
+    """
     names, shapes = maps.names, [maps.shape]
     has_channels = len(names) > 1
     group = zarr.open_group(path, mode="w-", zarr_format=3)
@@ -64,7 +70,10 @@ def _window(overview: NDArray[np.float32]) -> dict[str, float]:
 def _copied(
     path: Path, run_folders: Sequence[Path], n_levels: int, channel: tuple[int, ...]
 ) -> bool:
-    """Copy the chunks of a map and its overviews; False, and nothing is done, where they are not those of the image."""
+    """Copy the chunks of a map and its overviews.
+
+    False, and nothing is done, where they are not those of the image.
+    """
     image_folders = [path / str(k) for k in range(n_levels)]
     if len(run_folders) != n_levels or not all(
         _alike(*pair) for pair in zip(run_folders, image_folders, strict=True)
@@ -79,7 +88,7 @@ def _copied(
 
 
 def _alike(source: Path, target: Path) -> bool:
-    """Tell whether two arrays differ in nothing but a first axis, so that their chunks have the same bytes."""
+    """Tell whether two arrays differ only in a first axis, so their chunks have the same bytes."""
     metadata = [
         json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target)
     ]

@@ -19,7 +19,8 @@ from planish.exports.formats import ExportParams
 from planish.report.colours import MISSING, Scale
 
 MOST = 2000
-"""Pixels of the longer side of a map in a picture; a larger one is brought to it by means over areas."""
+"""Pixels of the longer side of a map in a picture; a larger one is brought to it by means over
+areas."""
 
 _DPI = 200
 _LEFT, _TOP, _RIGHT, _BELOW = 180, 84, 260, 160  # pixels around the map
@@ -46,7 +47,10 @@ _STYLE: dict[str, Any] = {
 
 
 def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
-    """Draw one map as PNG, or SVG with text as text; colours span its chosen limits or its 1st to 99th percentile."""
+    """Draw one map as PNG, or SVG with text as text.
+
+    Colours span its chosen limits or its 1st to 99th percentile.
+    """
     (name,) = maps.names
     pixels, reduction = _reduced(maps, name)
     scale = maps.scales.get(name) or Scale(*percentile_limits(pixels))
@@ -67,7 +71,7 @@ def colormap_of(scale: Scale) -> Colormap:
 
 
 def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:
-    """Values of a map at most as fine as a picture shows them, and by how much they were reduced."""
+    """Give a map's values, at most as fine as a picture shows, and how much they were reduced."""
     reduction = max(1.0, max(maps.shape) / MOST)
     if reduction > 1:
         return area_mean(maps.data[name], (reduction, reduction)).astype(np.float32), reduction
@@ -75,7 +79,10 @@ def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:
 
 
 def _figure(maps: Maps, pixels: NDArray[np.float32], reduction: float, scale: Scale) -> Figure:
-    """Lay the picture out in pixels, so that every pixel of the map is as many whole pixels wide and high."""
+    """Lay the picture out in pixels.
+
+    Every pixel of the map is the same number of whole pixels wide and high.
+    """
     (name,) = maps.names
     (dy_um, dx_um), (y0, x0) = maps.pixel_um, maps.origin_um
     rows, cols = pixels.shape

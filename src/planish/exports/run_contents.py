@@ -1,4 +1,7 @@
-"""What an export takes from a run: groups of maps, the straightened volume, registrations, history."""
+"""Give what an export takes from a run.
+
+Groups of maps, the straightened volume, registrations and history.
+"""
 
 import hashlib
 from collections.abc import Sequence
@@ -52,7 +55,10 @@ def history_of(run: Run) -> ExportHistory:
 
 
 def map_group(run: Run, name: str | None) -> str:
-    """Choose the group of maps: as named, or the linked maps, or those of the sheet; InputError where there is none."""
+    """Choose the group of maps: as named, or the linked maps, or those of the sheet.
+
+    InputError where there is none.
+    """
     layer_groups = [
         group for group in run.groups if group.startswith("layers/") and group.count("/") == 1
     ]
@@ -84,7 +90,10 @@ def map_names(run: Run, group: str, requested: Sequence[str]) -> list[str]:
 
 
 def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
-    """Maps of a group in the order of their names, the image on the flat sheet among those of the sheet."""
+    """Give the maps of a group in the order of their names.
+
+    The image on the flat sheet is among those of the sheet.
+    """
     maps = run.groups[group]
     # Means over areas where it is finer, through the marks.
     if IMAGE in names and IMAGE not in maps:
@@ -99,7 +108,10 @@ def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
 
 
 def map_levels(store: Path, group: str, name: str) -> list[Path]:
-    """Folders of a map and its overviews in the store of a run, the finest first; none where it is not stored."""
+    """Folders of a map and its overviews in the store of a run, the finest first.
+
+    None where it is not stored.
+    """
     levels = [store / level / name for level in (group, *overviews_of(store, group, name))]
     return levels if levels[0].is_dir() else []
 
@@ -127,7 +139,10 @@ def sheet_facts(run: Run) -> LayerFacts | None:
 def straightened_volume(
     run: Run, depth_um: tuple[float, float] | None, compute: Compute, progress: Progress
 ) -> xr.DataArray:
-    """Volume along the normals on the flat maps' pixels; InputError without a sheet, FileError if the file is gone."""
+    """Volume along the normals on the flat maps' pixels.
+
+    InputError without a sheet, FileError if the file is gone.
+    """
     facts = sheet_facts(run)
     if facts is None or "maps" not in run.groups:
         raise InputError(
@@ -149,7 +164,10 @@ def straightened_volume(
 
 
 def volume_params(run: Run, facts: LayerFacts, progress: Progress) -> VolumeParams:
-    """Give the place of the sheet's volume, and how it is read; FileError where it is gone, or another one is there."""
+    """Give the place of the sheet's volume, and how it is read.
+
+    FileError where it is gone, or another one is there.
+    """
     params = _mapped_layer(run, facts.name).volume
     assert params is not None
     path = find_place(params.path).path
@@ -168,7 +186,10 @@ def volume_params(run: Run, facts: LayerFacts, progress: Progress) -> VolumePara
 
 
 def sheet_run(run: Run, name: str) -> Run | None:
-    """Open the run that holds the surfaces of a sheet: this one, one in ``layers/NAME``, or a given one."""
+    """Open the run that holds the surfaces of a sheet.
+
+    It is this one, one in ``layers/NAME``, or a given one.
+    """
     facts = sheet_facts(run)
     if facts is not None and facts.name == name:
         return run
@@ -196,7 +217,10 @@ def _mapped_layer(run: Run, name: str) -> LayerParams:
 
 
 def registered_layers(run: Run, group: str | None) -> list[LayerFacts]:
-    """Choose the moving layers with a registration: all, or the one of a name; InputError where there is none."""
+    """Choose the moving layers with a registration: all, or the one of a name.
+
+    InputError where there is none.
+    """
     moving = list(run.results.moving)
     if not moving:
         raise InputError(
@@ -213,7 +237,7 @@ def registered_layers(run: Run, group: str | None) -> list[LayerFacts]:
 
 
 def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
-    """Give the registration of a moving layer in both directions, with the pixels of both layers."""
+    """Give a moving layer's registration in both directions, with the pixels of both layers."""
     assert layer.registration is not None
     fit, target = run.registrations[layer.name].fit, layer.registration.to
     transform = fit.transform
@@ -234,7 +258,10 @@ def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
 
 
 def landmarks(run: Run, layer: LayerFacts) -> xr.Dataset:
-    """Give the marks of a moving layer with the first pixels of both layers, from which other programs count."""
+    """Give the marks of a moving layer with the first pixels of both layers.
+
+    Other programs count from these pixels.
+    """
     assert layer.registration is not None
     marks = run.registrations[layer.name].marks
     layers = {side: dict(layer_attrs) for side, layer_attrs in marks.attrs["layers"].items()}
@@ -245,7 +272,10 @@ def landmarks(run: Run, layer: LayerFacts) -> xr.Dataset:
 
 
 def grid_of(run: Run, name: str) -> Grid | None:
-    """Pixels of a layer: of an image, or of the flat maps of a sheet; None where the run does not hold them."""
+    """Pixels of a layer: of an image, or of the flat maps of a sheet.
+
+    None where the run does not hold them.
+    """
     layer = run.results.layer(name)
     if layer.kind == "image":
         rows, cols = layer.source.shape[:2]
@@ -258,7 +288,10 @@ def grid_of(run: Run, name: str) -> Grid | None:
 
 
 def checked_names(requested: Sequence[str], names: Sequence[str], place_text: str) -> list[str]:
-    """Give the wanted maps, each once; InputError names the one that is not there, the likely one, and all."""
+    """Give the wanted maps, each once.
+
+    InputError names the one that is not there, the likely one, and all.
+    """
     for name in requested:
         if name not in names:
             raise InputError(

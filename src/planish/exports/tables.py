@@ -18,7 +18,10 @@ _LEAST = 0.5  # share of a point that has to be valid: as in the correlations
 
 
 def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
-    """Write one map: lines with ``#`` on what it is, then rows, with tabs; numbers read back to the same float32."""
+    """Write one map: lines with ``#`` on what it is, then rows, with tabs.
+
+    Numbers read back to the same float32.
+    """
     (name,) = maps.names
     (dy_um, dx_um), (y0, x0), (y, x) = maps.pixel_um, maps.origin_um, maps.dims
     header_lines = [
@@ -42,9 +45,10 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
 def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
     """Write a row for each point, or for each pixel where ``point_um`` is 0.
 
-    A point is the mean over its valid pixels, weighted by area; it stands in the table where half of it is valid, as in
-    the correlations. Without a map ``valid`` every pixel that has a value counts. Pixels stand there where any map
-    has a value, with ``valid`` as it is. StudyError where a point is smaller than a pixel.
+    A point is the mean over its valid pixels, weighted by area; it stands in the table where half
+    of it is valid, as in the correlations. Without a map ``valid`` every pixel that has a value
+    counts. Pixels stand there where any map has a value, with ``valid`` as it is. StudyError where
+    a point is smaller than a pixel.
     """
     point_um = params.point_um or 0.0
     if point_um and point_um < max(maps.pixel_um) * (1 - 1e-9):
@@ -106,6 +110,9 @@ def _points(maps: Maps, names: list[str], point_um: float) -> Iterator[Floats]:
 
 
 def _texts(values: NDArray[np.floating]) -> list[list[str]]:
-    """Numbers (rows, cols) as the shortest texts that read back to the same float32; whole numbers without a point."""
+    """Numbers (rows, cols) as the shortest texts that read back to the same float32.
+
+    Whole numbers without a point.
+    """
     rows = values.astype(np.float32).astype("U").tolist()
     return [["NaN" if text == "nan" else text.removesuffix(".0") for text in row] for row in rows]

@@ -1,4 +1,7 @@
-"""TIFF for ImageJ and OME-TIFF: the file is laid out first, then its values are written band by band."""
+"""Write TIFF for ImageJ and OME-TIFF.
+
+The file is laid out first, then its values are written band by band.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +33,10 @@ def write_imagej(
 ) -> None:
     """Write maps (channels), or a volume (z, y, x), in one file for ImageJ.
 
-    ImageJ reads the unit from the description and the pixel size from the resolution, which is a fraction: sizes with
-    up to six digits come back exactly. Positions count from the middle of the first pixel there; where that lies in the
-    sheet stands in the history. ResourceError where the values take more than it holds: places are counted in 32 bits.
+    ImageJ reads the unit from the description and the pixel size from the resolution, which is a
+    fraction: sizes with up to six digits come back exactly. Positions count from the middle of the
+    first pixel there; where that lies in the sheet stands in the history. ResourceError where the
+    values take more than it holds: places are counted in 32 bits.
     """
     stack = _Stack.of(content)
     stack_bytes = 4 * math.prod(stack.shape)
@@ -72,16 +76,18 @@ def write_imagej(
 def write_ome(
     content: Maps | xr.DataArray, path: Path, history: ExportHistory, _params: ExportParams
 ) -> None:
-    """Write maps (channels), or a volume (z, y, x), in one OME-TIFF; its identifier is a hash of what it says."""
+    """Write maps (channels), or a volume (z, y, x), in one OME-TIFF.
+
+    Its identifier is a hash of what it says.
+    """
     stack = _Stack.of(content)
     description = history.json(**stack.facts)
+    digest = hashlib.sha256(description.encode()).digest()
     metadata: dict[str, Any] = {
         "axes": stack.axes,
         "Creator": history.program,
         "Description": description,
-        "UUID": (
-            f"urn:uuid:{uuid.UUID(bytes=hashlib.sha256(description.encode()).digest()[:16], version=5)}"
-        ),
+        "UUID": f"urn:uuid:{uuid.UUID(bytes=digest[:16], version=5)}",
     }
     for axis, pitch in zip("XYZ", stack.pixel_um[::-1], strict=False):
         metadata |= {f"PhysicalSize{axis}": pitch, f"PhysicalSize{axis}Unit": "µm"}
@@ -97,9 +103,12 @@ def write_ome(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Stack:
-    """Planes of a file: maps or a volume, float32; one map of codes or truth values alone keeps its bytes.
+    """Planes of a file: maps or a volume, float32.
 
-    ``pixel_um`` and ``origin_um`` are pitch and first place of (y, x), or (z, y, x); ``facts`` are for the history.
+    One map of codes or truth values alone keeps its bytes.
+
+    ``pixel_um`` and ``origin_um`` are pitch and first place of (y, x), or (z, y, x); ``facts`` are
+    for the history.
     """
 
     content: Maps | xr.DataArray
@@ -168,7 +177,7 @@ class _Stack:
                 yield k, first_row, slab[k]
 
     def write(self, path: Path, history: ExportHistory, **options: Any) -> None:
-        """Lay out a file of uncompressed planes, one behind the other, and put the values into it."""
+        """Lay out a file of uncompressed planes, one after another, and put the values into it."""
         tifffile.imwrite(
             path,
             shape=self.shape,

@@ -1,4 +1,7 @@
-"""A registration as other programs take it, affine map and field: ITK, elastix, BigWarp, NRRD and zarr."""
+"""Give a registration as other programs take it, as affine map and field.
+
+The programs and formats are ITK, elastix, BigWarp, NRRD and zarr.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -75,12 +78,18 @@ class DisplacementField:
 
 
 def displacement(transform: DirectedTransform) -> DisplacementField:
-    """Sample what has to be added to a point of the source to get its image, over the source and a tenth around it."""
+    """Sample what has to be added to a point of the source to get its image.
+
+    The samples cover the source and a tenth around it.
+    """
     return _sampled(transform, lambda points: points, np.eye(2))
 
 
 def before_affine(transform: DirectedTransform) -> DisplacementField:
-    """Sample what is added to a point of the source before the affine map, which holds alone beside the field."""
+    """Sample what is added to a point of the source before the affine map.
+
+    Beside the field the affine map holds alone.
+    """
     return _sampled(transform, transform.affine, transform.affine.inverse.matrix())
 
 
@@ -142,8 +151,8 @@ def write_itk(
 ) -> None:
     """Write an affine transform as text, or a composite of one with a displacement field before it.
 
-    A composite applies its last transform first. Points are those of planish, x and y in the unit asked for; images
-    whose first pixel lies elsewhere than at 0 need their origin.
+    A composite applies its last transform first. Points are those of planish, x and y in the unit
+    asked for; images whose first pixel lies elsewhere than at 0 need their origin.
     """
     per_um = UNITS[params.unit]
     matrix_and_shift, center = _affine_parameters(transform, per_um)
@@ -185,10 +194,13 @@ def write_itk(
 def write_elastix(
     transform: DirectedTransform, path: Path, history: ExportHistory, params: ExportParams
 ) -> None:
-    """Write transform parameters for ``transformix -tp``; a field before the affine map stands in ``NAME_local.txt``.
+    """Write transform parameters for ``transformix -tp``.
 
-    elastix takes fixed points to moving ones: ``image_to_sheet.txt`` brings maps onto the image, and points of the
-    image into the sheet. A B-spline of first order is linear between nodes; its coefficients are displacements.
+    A field before the affine map stands in ``NAME_local.txt``.
+
+    elastix takes fixed points to moving ones: ``image_to_sheet.txt`` brings maps onto the image,
+    and points of the image into the sheet. A B-spline of first order is linear between nodes; its
+    coefficients are displacements.
     """
     per_um = UNITS[params.unit]
     # The image that transformix makes lies on the pixels of the source.
@@ -280,7 +292,10 @@ def write_landmarks(
 def _affine_parameters(
     transform: DirectedTransform, per_um: float
 ) -> tuple[list[float], list[float]]:
-    """Matrix and shift of the affine map, and the point around which it turns; ``scale`` turns um into its unit."""
+    """Matrix and shift of the affine map, and the point around which it turns.
+
+    ``scale`` turns um into its unit.
+    """
     source, target = (
         np.array(point) * per_um for point in (transform.affine.source, transform.affine.target)
     )
@@ -320,7 +335,10 @@ def _write_lines(path: Path, lines: Iterable[str]) -> None:
 def write_nrrd(
     content: DirectedTransform | Maps, path: Path, history: ExportHistory, params: ExportParams
 ) -> None:
-    """Write one map, or the displacement (x, y) of every node of a field, beside which other programs take 0."""
+    """Write one map, or the displacement (x, y) of every node of a field.
+
+    Beside the field other programs take 0.
+    """
     unit = params.unit
     if isinstance(content, DirectedTransform):
         field = displacement(content)

@@ -1,20 +1,27 @@
 # pyright: standard
 """Compiled passes of the multigrid solver over a padded grid of springs.
 
-Every array is padded by one and may be wider than the grid: node (i, j) is at [1 + i, 1 + j]. Unit: the mean pitch.
+Every array is padded by one and may be wider than the grid: node (i, j) is at [1 + i, 1 + j]. Unit:
+the mean pitch.
 
-- ``xy`` (2, rows + 2, width) float64: places in the plane. Where there is no node both are ``FAR``: in float32 the
-  square of a distance to it overflows to infinity, so that such a spring pulls nowhere without being asked for.
-- ``rest`` (4, ...) float64: rest lengths of the springs (i, j)-(i, j + 1), (i, j)-(i + 1, j), (i, j)-(i + 1, j + 1) and
-  (i, j + 1)-(i + 1, j), in this order and at [1 + i, 1 + j]; 0 where there is no spring.
-- ``stiff`` (4, ...) float32: their stiffness; with a single row that stands for all of them where every spring has 1.
-- ``near`` (2, ...) float32: ``xy`` once more, for the directions in the preconditioner, which need no more digits.
+- ``xy`` (2, rows + 2, width) float64: places in the plane. Where there is no node both are ``FAR``:
+  in float32 the square of a distance to it overflows to infinity, so that such a spring pulls
+  nowhere without being asked for.
+- ``rest`` (4, ...) float64: rest lengths of the springs (i, j)-(i, j + 1), (i, j)-(i + 1, j), (i,
+  j)-(i + 1, j + 1) and (i, j + 1)-(i + 1, j), in this order and at [1 + i, 1 + j]; 0 where there is
+  no spring.
+- ``stiff`` (4, ...) float32: their stiffness; with a single row that stands for all of them where
+  every spring has 1.
+- ``near`` (2, ...) float32: ``xy`` once more, for the directions in the preconditioner, which need
+  no more digits.
 - ``move``, ``force`` (2, ...) float32: a correction of the places, and what it has to balance.
-- ``ease`` (...) float32: one over the largest eigenvalue of a node's own 2 x 2 stiffness, 0 where there is no node.
+- ``ease`` (...) float32: one over the largest eigenvalue of a node's own 2 x 2 stiffness, 0 where
+  there is no node.
 
-A pass works on the rows r0 <= i < r1 of the padded arrays and writes to these alone; what it writes does not depend on
-how the rows are shared among threads. Each pair of rows is visited once: the springs' scalars go to row buffers, then
-the nodes collect them. ``fastmath`` is limited to contracting and to the sign of zero, which leaves infinities alone.
+A pass works on the rows r0 <= i < r1 of the padded arrays and writes to these alone; what it writes
+does not depend on how the rows are shared among threads. Each pair of rows is visited once: the
+springs' scalars go to row buffers, then the nodes collect them. ``fastmath`` is limited to
+contracting and to the sign of zero, which leaves infinities alone.
 """
 
 import math
@@ -30,12 +37,14 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TINY = np.float32(1e-30)
 _FAINT = np.float32(1e-12)
-# Kinds of start of ``smooth``, and the first row; numbers written in a call are types: the callee is compiled again.
+# Kinds of start of ``smooth``, and the first row; numbers written in a call are types: the callee
+# is compiled again.
 _NEW, _CORRECTED = np.int64(0), np.int64(1)
 _FIRST = np.int64(1)
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 _SUMS = {**_SETTINGS, "fastmath": {"contract", "nsz", "reassoc"}}
-# A loop is vectorised only where its row buffers are seen to overlap nothing: inside the function that made them.
+# A loop is vectorised only where its row buffers are seen to overlap nothing: inside the function
+# that made them.
 _INNER = {**_SETTINGS, "forceinline": True}
 _INNER_SUMS = {**_SUMS, "forceinline": True}
 
@@ -70,7 +79,10 @@ def _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n):
 
 @njit(**_INNER)
 def _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n):
-    """Sum of t times the difference of places to the eight neighbours, for row i; p are the t of the pair above."""
+    """Sum of t times the difference of places to the eight neighbours, for row i.
+
+    P are the t of the pair above.
+    """
     xa, xb, xc, ya, yb, yc = x[i - 1], x[i], x[i + 1], y[i - 1], y[i], y[i + 1]
     for j in range(1, n + 1):
         a, b = xb[j], yb[j]
@@ -100,8 +112,9 @@ def _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n):
 def _strain(dx, dy, rest, k):
     """Give k (1 - L / l) and k (l - L)^2.
 
-    1 / l comes from single precision by one step of Newton's method, which doubles its 24 bits (to an error of some
-    1e-14) and spares the square root and the division, the slowest part of the pass.
+    1 / l comes from single precision by one step of Newton's method, which doubles its 24 bits (to
+    an error of some 1e-14) and spares the square root and the division, the slowest part of the
+    pass.
     """
     square = dx * dx + dy * dy + 1e-30
     guess = np.float64(_ONE / np.sqrt(np.float32(square)))
@@ -114,11 +127,14 @@ def _strain(dx, dy, rest, k):
 
 @njit(**_SUMS)
 def forces(xy, rest, stiff, force, sums, n, r0, r1):
-    """Set ``force`` to minus half the gradient of the spring energy, and ``sums`` (rows + 2, 2) to it by rows."""
+    """Set ``force`` to minus half the gradient of the spring energy.
+
+    ``sums`` (rows + 2, 2) is set to the energy by rows.
+    """
     x, y = xy[0], xy[1]
     width = xy.shape[2]
-    # Pulls of the springs to the right, down, down right, and (from the right neighbour) down left; and what the row
-    # above has passed on. In arrays of their own, see _INNER.
+    # Pulls of the springs to the right, down, down right, and (from the right neighbour) down left;
+    # and what the row above has passed on. In arrays of their own, see _INNER.
     hx, hy = np.zeros(width, np.float32), np.zeros(width, np.float32)
     vx, vy = np.zeros(width, np.float32), np.zeros(width, np.float32)
     dx, dy = np.zeros(width, np.float32), np.zeros(width, np.float32)
@@ -208,7 +224,10 @@ def prepare(near, stiff, ease, n, r0, r1):
 
 @njit(**_INNER)
 def _fresh(kind, coarse, u, v, force, ease, first, buffer, i, n):
-    """Make row i, held in u and v, ready to be smoothed: from nothing, with the coarse correction, or as it is."""
+    """Make row i, held in u and v, ready to be smoothed.
+
+    It starts from nothing, with the coarse correction, or as it is.
+    """
     if kind == 0:
         f, g, d = force[0, i], force[1, i], ease[i]
         for j in range(1, n + 1):
@@ -229,10 +248,13 @@ def _fresh(kind, coarse, u, v, force, ease, first, buffer, i, n):
 
 @njit(**_SETTINGS)
 def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n, r0, r1):
-    """Smooth: ``move`` += weight * ease * (force - H move), H being the Gauss-Newton matrix at ``near``.
+    """Smooth by ``move`` += weight * ease * (force - H move).
 
-    ``kind`` 0 starts with move = first * ease * force, 1 adds the interpolated ``coarse`` before, 2 takes it as it is.
-    ``edge`` (2, 2, width) holds the rows r0 - 1 and r1 of ``move`` as they were before any thread began.
+    H is the Gauss-Newton matrix at ``near``.
+
+    ``kind`` 0 starts with move = first * ease * force, 1 adds the interpolated ``coarse`` before, 2
+    takes it as it is. ``edge`` (2, 2, width) holds the rows r0 - 1 and r1 of ``move`` as they were
+    before any thread began.
     """
     x, y = near[0], near[1]
     b = np.zeros((10, near.shape[2]), dtype=np.float32)
@@ -248,7 +270,8 @@ def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n,
         b[8],
         b[9],
     )
-    # The rows beyond the border belong to other threads (or to the padding): made ready in copies of our own.
+    # The rows beyond the border belong to other threads (or to the padding): made ready in copies
+    # of our own.
     above_u, above_v, below_u, below_v = edge[0, 0], edge[1, 0], edge[0, 1], edge[1, 1]
     ua, va = above_u, above_v
     last = near.shape[1] - 1
@@ -278,7 +301,10 @@ def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n,
 
 @njit(**_SETTINGS)
 def restrict(near, stiff, force, move, coarse_force, n, coarse_n, r0, r1):
-    """Set ``coarse_force`` to what ``move`` leaves unbalanced, by the transpose of bilinear interpolation."""
+    """Set ``coarse_force`` to what ``move`` leaves unbalanced.
+
+    This is done by the transpose of bilinear interpolation.
+    """
     x, y = near[0], near[1]
     width = near.shape[2]
     b = np.zeros((12, width), dtype=np.float32)
@@ -337,7 +363,10 @@ def _narrow(total, coarse, coarse_n):
 
 @njit(**_SUMS)
 def advance(xy, near, move, force, sums, n, r0, r1):
-    """Move the nodes by ``move``; ``sums`` (rows + 2, 2) by rows: force times move, and move squared."""
+    """Move the nodes by ``move``.
+
+    ``sums`` (rows + 2, 2) by rows: force times move, and move squared.
+    """
     for i in range(r0, r1):
         work = square = 0.0
         for c in range(2):
@@ -355,8 +384,9 @@ def advance(xy, near, move, force, sums, n, r0, r1):
 def survey(xy, rest, stiff, side, sums, n, r0, r1):
     """Set ``sums`` (rows + 2, 2) by rows: spring energy, and cells that are not upright.
 
-    A cell with all its springs is upright if the signed areas of its triangles (a, b, c) and (a, c, d) have the sign of
-    ``side``, the corners a, b, c, d being (i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j).
+    A cell with all its springs is upright if the signed areas of its triangles (a, b, c) and (a, c,
+    d) have the sign of ``side``, the corners a, b, c, d being (i, j), (i, j + 1), (i + 1, j + 1),
+    (i + 1, j).
     """
     x, y = xy[0], xy[1]
     for i in range(r0, r1):
@@ -387,8 +417,8 @@ def descend(
 ):
     """One V-cycle over levels small enough for one thread: corrects ``move[0]`` for ``force[0]``.
 
-    The first seven are tuples over the levels, finest first. The coarsest level, number ``last``, is solved by
-    ``inverse`` (2 nodes, 2 nodes), the nodes standing at [row, col] of its arrays.
+    The first seven are tuples over the levels, finest first. The coarsest level, number ``last``,
+    is solved by ``inverse`` (2 nodes, 2 nodes), the nodes standing at [row, col] of its arrays.
     """
     for k in range(last):
         rows = near[k].shape[1] - 2

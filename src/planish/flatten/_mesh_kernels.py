@@ -1,5 +1,8 @@
 # pyright: standard
-"""Compiled passes for the levels of a mesh, in the padded arrays of ``_kernels``: lengths, springs, places, folds."""
+"""Run compiled passes for the levels of a mesh, in the padded arrays of ``_kernels``.
+
+They are for lengths, springs, places and folds.
+"""
 
 import math
 
@@ -11,15 +14,20 @@ from planish.flatten._kernels import FAR, GONE
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 _INNER = {**_SETTINGS, "forceinline": True}
 _INNER_SUMS = {**_INNER, "fastmath": {"contract", "nsz", "reassoc"}}
-# A spring is straightened by the curvatures at its two ends where these agree this well: |a - b| <= share |a + b|.
+# A spring is straightened by the curvatures at its two ends where these agree this well: |a - b| <=
+# share |a + b|.
 _AGREE = 0.5
-# Differences of curvature that would change a rest length by less than this share do not count as disagreement.
+# Differences of curvature that would change a rest length by less than this share do not count as
+# disagreement.
 _FAINT = 1e-6
 
 
 @njit(**_INNER)
 def _load(points, scale, i, row, n):
-    """Copy row i of ``points`` (rows, n, 3), scaled, to ``row`` (3, n + 2); x is NaN beyond it or where not finite."""
+    """Copy row i of ``points`` (rows, n, 3), scaled, to ``row`` (3, n + 2).
+
+    X is NaN beyond it or where not finite.
+    """
     row[:] = np.nan
     if 0 <= i < points.shape[0]:
         for j in range(n):
@@ -31,19 +39,26 @@ def _load(points, scale, i, row, n):
 
 @njit(**_INNER)
 def _chords(a, b, aj, bj, out, n):
-    """Distance of the places a[:, j + aj] and b[:, j + bj] for j = 1 ... n; 0 where one is missing."""
+    """Distance of the places a[:, j + aj] and b[:, j + bj] for j = 1 ... n.
+
+    0 where one is missing.
+    """
     ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
     for j in range(1, n + 1):
         dx, dy, dz = bx[j + bj] - ax[j + aj], by[j + bj] - ay[j + aj], bz[j + bj] - az[j + aj]
         long = math.sqrt(dx * dx + dy * dy + dz * dz)
-        # Two nodes on one spot are tied by a spring of no length; 0 itself means that there is no spring.
+        # Two nodes on one spot are tied by a spring of no length; 0 itself means that there is no
+        # spring.
         long = 1e-200 if long <= 1e-200 else long
         out[j] = long if long < GONE else 0.0
 
 
 @njit(**_INNER)
 def _bend(a, b, c, out, n):
-    """Normal second differences (curvature x step²) at row b, 4 directions, to ``out`` (4, n + 2); NaN beside gaps."""
+    """Normal second differences (curvature x step²) at row b, 4 directions, to ``out`` (4, n + 2).
+
+    NaN beside gaps.
+    """
     ax, ay, az, bx, by, bz, cx, cy, cz = a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
     o0, o1, o2, o3 = out[0], out[1], out[2], out[3]
     for j in range(1, n + 1):
@@ -83,10 +98,13 @@ def _minus(a, b, has_a, has_b):
 
 
 @njit(**_INNER_SUMS)
-def _mend(above, here, below, spare, n):
-    """Give the bends ``here`` (4, n + 2), or in ``spare`` a copy with missing ones as the mean of those around them.
+def _mend(above, here, below, spare, n):  # noqa: C901
+    """Give the bends ``here`` (4, n + 2), or in ``spare`` a copy with missing ones filled in.
 
-    In a row without gaps only the outermost may be missing, for which the other end of each spring stands in.
+    A missing bend is the mean of those around it.
+
+    In a row without gaps only the outermost may be missing, for which the other end of each spring
+    stands in.
     """
     total = 0.0
     for family in range(4):
@@ -115,7 +133,10 @@ def _mend(above, here, below, spare, n):
 
 @njit(**_INNER_SUMS)
 def _arcs(p, q, pj, qj, out, n):
-    """Lengthen the chords ``out`` to arcs by the bends p[j + pj], q[j + qj] at their ends; count those left alone."""
+    """Lengthen the chords ``out`` to arcs by the bends p[j + pj], q[j + qj] at their ends.
+
+    Count those left alone.
+    """
     left = 0.0
     for j in range(1, n + 1):
         a, b = p[j + pj], q[j + qj]
@@ -135,14 +156,17 @@ def _arcs(p, q, pj, qj, out, n):
 
 @njit(**_SETTINGS)
 def rest_lengths(points, scale, arc, rest, counts, r0, r1):
-    """Set ``rest`` for ``points`` (rows, n, 3), NaN where missing; ``counts`` (rows + 2, 2): springs, of them straight.
+    """Set ``rest`` for ``points`` (rows, n, 3), NaN where missing.
 
-    With ``arc`` a chord L becomes L + (k L^2)^2 / (24 L) by the normal curvature k, the product of those at both ends;
-    where they disagree the surface is rough at the mesh's scale, its curvature unknown, and the chord stays.
+    ``counts`` (rows + 2, 2): springs, of them straight.
+
+    With ``arc`` a chord L becomes L + (k L^2)^2 / (24 L) by the normal curvature k, the product of
+    those at both ends; where they disagree the surface is rough at the mesh's scale, its curvature
+    unknown, and the chord stays.
     """
     n = points.shape[1]
-    # Row i of the padded arrays is row i - 1 of the points, and its springs lead to row i of them. Rings of rows: the
-    # points up to i + 2, their bends up to i + 1, and the mended bends up to i.
+    # Row i of the padded arrays is row i - 1 of the points, and its springs lead to row i of them.
+    # Rings of rows: the points up to i + 2, their bends up to i + 1, and the mended bends up to i.
     rows, bends, mended = (
         np.empty((8, 3, n + 2)),
         np.full((4, 4, n + 2), np.nan),
@@ -184,12 +208,12 @@ def _lines(rest, stiff, family, i, total, length, n):
 
 
 @njit(**_SETTINGS)
-def coarsen(rest, stiff, coarse_rest, coarse_stiff, n, coarse_n, r0, r1):
+def coarsen(rest, stiff, coarse_rest, coarse_stiff, n, coarse_n, r0, r1):  # noqa: C901
     """Springs of the mesh of every second node, for the rows r0 <= i < r1 of its padded arrays.
 
-    A coarse spring has the stiffness with which the fine ones near it resist an even stretch (each fine spring is
-    shared out to the coarse ones around it by linear interpolation), so that borders and holes keep the strength that
-    they have on the fine mesh, and twice their mean rest length.
+    A coarse spring has the stiffness with which the fine ones near it resist an even stretch (each
+    fine spring is shared out to the coarse ones around it by linear interpolation), so that borders
+    and holes keep the strength that they have on the fine mesh, and twice their mean rest length.
     """
     last = rest.shape[1] - 2
     b = np.zeros((4, rest.shape[2] + 2))
@@ -225,7 +249,10 @@ def coarsen(rest, stiff, coarse_rest, coarse_stiff, n, coarse_n, r0, r1):
 
 @njit(**_SETTINGS)
 def _between(a, b, c, d):
-    """Value half-way from b to c: cubic where a and d are known, quadratic with one of them, else linear."""
+    """Interpolate the value half-way from b to c.
+
+    Cubic where a and d are known, quadratic with one of them, else linear.
+    """
     if b >= GONE:
         return c
     if c >= GONE:
@@ -260,7 +287,10 @@ def _line(coarse, i, line, coarse_n, gaps):
 
 @njit(**_SETTINGS)
 def interpolate(coarse, xy, near, n, coarse_n, gaps, r0, r1):
-    """Fine places from every second node, cubic along rows and columns; with ``gaps``, FAR ones are the caller's."""
+    """Fine places from every second node, cubic along rows and columns.
+
+    With ``gaps``, FAR ones are the caller's.
+    """
     for c in range(2):
         line = np.full(coarse_n + 3, FAR)
         for i in range(r0, r1):
@@ -281,9 +311,12 @@ def interpolate(coarse, xy, near, n, coarse_n, gaps, r0, r1):
 
 @njit(**_SETTINGS)
 def moments(target, scale, xy, sums, r0, r1):
-    """Sums by rows over the nodes, for the turn that lays ``xy`` on the first two of ``target`` (rows, n, 2 or 3).
+    """Sum over the nodes, by rows, for the turn that lays ``xy`` on ``target``.
 
-    ``sums`` (rows + 2, 7): count, u, v, p, q, u p + v q, u q - v p for places (u, v) and targets (p, q).
+    ``xy`` is laid on the first two of ``target`` (rows, n, 2 or 3).
+
+    ``sums`` (rows + 2, 7): count, u, v, p, q, u p + v q, u q - v p for places (u, v) and targets
+    (p, q).
     """
     n = target.shape[1]
     for i in range(r0, r1):
@@ -334,10 +367,13 @@ def _least_area(side, xy, move, share, by, i, j):
 
 @njit(**_SETTINGS)
 def hold_open(xy, rest, move, share, floor, side, n, r0, r1):
-    """Halve ``share`` (rows + 2, width) at nodes whose cells would close; give how many cells were found closing.
+    """Halve ``share`` (rows + 2, width) at nodes whose cells would close.
 
-    A cell closes if a triangle's doubled area falls below ``floor`` times the product of the cell's rest lengths and
-    below what it was. Serial over the rows of cells given, because neighbours share nodes.
+    Give how many cells were found closing.
+
+    A cell closes if a triangle's doubled area falls below ``floor`` times the product of the cell's
+    rest lengths and below what it was. Serial over the rows of cells given, because neighbours
+    share nodes.
     """
     found = 0
     for i in range(r0, r1):

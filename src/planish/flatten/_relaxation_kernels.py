@@ -1,13 +1,15 @@
 # pyright: standard
 """Compiled passes of the dynamic relaxation of Hirn et al. (2009), section 2.3.2.
 
-All arrays have a frame of one missing node around the mesh, so that no loop asks whether a neighbour exists. ``x``,
-``v``, ``f`` (2, rows + 2, cols + 2) are positions, velocities and forces, 0 where there is no node. ``rest`` and
-``stiff`` (4, rows + 2, cols + 2) are lengths and constants of the springs from a node to the right, downwards, and
-along both diagonals of the cell that it opens; a missing spring has the constant 0. ``side`` (4, rows + 2, cols + 2)
-weighs the differences to the neighbours right, left, below, above: a half, 1 if the opposite is missing, 0 if it is.
+All arrays have a frame of one missing node around the mesh, so that no loop asks whether a
+neighbour exists. ``x``, ``v``, ``f`` (2, rows + 2, cols + 2) are positions, velocities and forces,
+0 where there is no node. ``rest`` and ``stiff`` (4, rows + 2, cols + 2) are lengths and constants
+of the springs from a node to the right, downwards, and along both diagonals of the cell that it
+opens; a missing spring has the constant 0. ``side`` (4, rows + 2, cols + 2) weighs the differences
+to the neighbours right, left, below, above: a half, 1 if the opposite is missing, 0 if it is.
 
-Loops over rows are without branches and sums, to be vectorised: sums and maxima are collected by column first.
+Loops over rows are without branches and sums, to be vectorised: sums and maxima are collected by
+column first.
 """
 
 from math import sqrt
@@ -19,10 +21,14 @@ from planish.core.jit import njit
 _TINY = 1e-200  # a spring of no length has no direction: it pulls nowhere instead of to infinity
 
 
-# By numpy's rules a division is not watched for zero; the watch would keep the loop from being vectorised.
+# By numpy's rules a division is not watched for zero; the watch would keep the loop from being
+# vectorised.
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pull(ax, ay, bx, by, rest, stiff, n, tx, ty, energy):
-    """Set (tx, ty) to the force of n springs on their ends a, and add k (l - L)^2 to energy (Eqs. 1 and 2)."""
+    """Set (tx, ty) to the force of n springs on their ends a, and add k (l - L)^2 to energy (Eqs.
+
+    1 and 2).
+    """
     for j in range(n):
         dx = bx[j] - ax[j]
         dy = by[j] - ay[j]
@@ -37,7 +43,10 @@ def _pull(ax, ay, bx, by, rest, stiff, n, tx, ty, energy):
 
 @njit(cache=True, nogil=True)
 def set_force(x, rest, stiff, f):
-    """Set f to the springs' forces at x; return the energy, sum of k (l - L)^2 (Eq. 1), and the largest force."""
+    """Set f to the springs' forces at x.
+
+    Return the energy, sum of k (l - L)^2 (Eq. 1), and the largest force.
+    """
     rows, cols = x.shape[1], x.shape[2]
     n = cols - 1
     pulls = np.zeros((2, 4, 2, cols))
@@ -84,7 +93,10 @@ def set_force(x, rest, stiff, f):
 
 @njit(cache=True, nogil=True)
 def mix(v, keep, f, push, side, out):
-    """Set out to keep v + push f; return the largest Frobenius norm of its gradient, its largest length, their sum."""
+    """Set out to keep v + push f.
+
+    Return the largest Frobenius norm of its gradient, its largest length, their sum.
+    """
     rows, cols = v.shape[1], v.shape[2]
     steep = np.zeros(cols)
     fastest = np.zeros(cols)
@@ -119,7 +131,7 @@ def mix(v, keep, f, push, side, out):
 
 @njit(cache=True, nogil=True)
 def _steepen(ax, x, bx, ay, y, by, right, left, below, above, steep):
-    """Raise steep to the squared norm of the gradient in the row (x, y) between the rows a and b."""
+    """Raise steep to the squared norm of the gradient in row (x, y) between rows a and b."""
     for j in range(1, x.size - 1):
         xx = right[j] * (x[j + 1] - x[j]) + left[j] * (x[j] - x[j - 1])
         yx = right[j] * (y[j + 1] - y[j]) + left[j] * (y[j] - y[j - 1])

@@ -1,4 +1,7 @@
-"""Gaussian curvature of the warped sheet, and whether paper can carry it: paper bends freely in one direction only."""
+"""Give the Gaussian curvature of the warped sheet, and whether paper can carry it.
+
+Paper bends freely in one direction only.
+"""
 
 import numpy as np
 from pydantic import Field
@@ -8,7 +11,8 @@ from planish.core.facts import ResultModel, Value
 from planish.core.typing import Floats
 from planish.flatten.distortion import node_blocks
 
-# Views of the nodes: corners a, b, c and a, c, d of all cells, counted around the cell from the upper left.
+# Views of the nodes: corners a, b, c and a, c, d of all cells, counted around the cell from the
+# upper left.
 _LOW, _HIGH = slice(-1), slice(1, None)
 _HALVES = (
     ((_LOW, _LOW), (_LOW, _HIGH), (_HIGH, _HIGH)),
@@ -32,7 +36,7 @@ class CurvatureVerdict(ResultModel):
 
 
 class CurvatureCheck(CurvatureVerdict):
-    """The strain by which a surface differs from one that paper can have, at each node (rows, cols)."""
+    """The strain by which a surface differs from one paper can have, at each node (rows, cols)."""
 
     curvature: Floats = Field(
         exclude=True,
@@ -57,7 +61,8 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
     ----------
     points : (rows, cols, 3); nodes in space, um; NaN where there is no sheet
     patch_um : float
-        Half the side of a patch. A millimetre or more: below that, paper may have curvature from forming.
+        Half the side of a patch. A millimetre or more: below that, paper may have curvature from
+        forming.
 
     Returns
     -------
@@ -65,14 +70,16 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
 
     Notes
     -----
-    A square patch of half-side a and curvature K that is made flat keeps strains of about K a^2 / 16. K is the integral
-    of curvature over the patch divided by its area. By the theorem of Gauss and Bonnet the integral over the
-    surroundings of a node is what its triangles' angles lack of a full turn, and it depends on the patch's rim alone:
-    roughness inside it cancels, where the mean of a curvature by finite differences would take up its square. The patch
-    is a Gaussian with the second moment of the square; it fades towards outline and holes, so that its rim is soft.
+    A square patch of half-side a and curvature K that is made flat keeps strains of about K a^2 /
+    16. K is the integral of curvature over the patch divided by its area. By the theorem of Gauss
+    and Bonnet the integral over the surroundings of a node is what its triangles' angles lack of a
+    full turn, and it depends on the patch's rim alone: roughness inside it cancels, where the mean
+    of a curvature by finite differences would take up its square. The patch is a Gaussian with the
+    second moment of the square; it fades towards outline and holes, so that its rim is soft.
 
-    Slices shifted along the sheet's thickness imitate Gaussian curvature only where the sheet is bent within the slices
-    too; a shift that grows evenly shears the stack, leaves a cylinder a cylinder and is not found here.
+    Slices shifted along the sheet's thickness imitate Gaussian curvature only where the sheet is
+    bent within the slices too; a shift that grows evenly shears the stack, leaves a cylinder a
+    cylinder and is not found here.
     """
     angle_deficit, area = _deficit_and_area(points)
     inside = np.isfinite(angle_deficit)
@@ -82,7 +89,8 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
         pitch = [
             float(np.median(k)) if k.size else np.inf for k in (e[np.isfinite(e)] for e in lengths)
         ]
-        # Weights rise smoothly from 0 beside the nodes without a full turn to 1 a third of the half-side from them.
+        # Weights rise smoothly from 0 beside the nodes without a full turn to 1 a third of the
+        # half-side from them.
         distance_um = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
         ramp = np.minimum(distance_um / (patch_um * (1 / 3)), 1.0)
         weight = ramp * ramp * (3 - 2 * ramp)
@@ -129,8 +137,9 @@ def _verdict(patch_um: float, share_above: float, largest: float) -> str:
 
 
 def _deficit_and_area(points: Floats) -> tuple[Floats, Floats]:
-    """Give what the angles about each node lack of a full turn, and the area of a third of its triangles."""
-    # Both (rows, cols); NaN unless the node has four whole cells, cut along their first diagonal, about it.
+    """Give the angle deficit to a full turn about each node, and a third of its triangles' area."""
+    # Both (rows, cols); NaN unless the node has four whole cells, cut along their first diagonal,
+    # about it.
     angles, area = (np.zeros(points.shape[:2]) for _ in range(2))
     for nodes in node_blocks(points):
         block_points, block_angles, block_area = points[nodes], angles[nodes], area[nodes]

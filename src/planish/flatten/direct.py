@@ -1,4 +1,7 @@
-"""The spring mesh as a sparse matrix: exact steps for the coarsest mesh, for strips, and as the kernels' slow twin."""
+"""Give the spring mesh as a sparse matrix.
+
+It serves for exact steps on the coarsest mesh, for strips, and as the kernels' slow twin.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,11 @@ from scipy.sparse.linalg import splu
 from planish.core.typing import Bools, Floats
 from planish.flatten.levels import Level
 
-# Weak tie of every node to its place, in spring constants: the sheet as a whole is free to shift and turn.
+# Weak tie of every node to its place, in spring constants: the sheet as a whole is free to shift
+# and turn.
 _TIE = 1e-10
-# First and second ends of the four families of springs: steps in row and column from where the spring is stored.
+# First and second ends of the four families of springs: steps in row and column from where the
+# spring is stored.
 _ENDS = np.array([[(0, 0), (0, 0), (0, 0), (0, 1)], [(0, 1), (1, 0), (1, 1), (1, 0)]])
 
 
@@ -54,7 +59,8 @@ class Network(NamedTuple):
     def forces(self, uv: Floats) -> Floats:
         """Minus half the energy's gradient, (nodes, 2)."""
         vectors = uv[self.second] - uv[self.first]
-        # Two nodes on one spot have no direction; such a spring pulls nowhere instead of to infinity.
+        # Two nodes on one spot have no direction; such a spring pulls nowhere instead of to
+        # infinity.
         lengths = np.maximum(np.linalg.norm(vectors, axis=1), 1e-150)
         pull = vectors * (self.stiff * (1 - self.rest / lengths))[:, None]
         return np.stack(
@@ -69,8 +75,8 @@ class Network(NamedTuple):
     def matrix(self, uv: Floats, *, exact: bool) -> sparse.csc_array:
         """Half the second derivative of the energy, (2 nodes, 2 nodes), node by node (u, v).
 
-        The Gauss-Newton part k d d', and if ``exact`` also k (1 - L / l) (1 - d d') of the springs under tension;
-        that of compressed ones would make the matrix indefinite.
+        The Gauss-Newton part k d d', and if ``exact`` also k (1 - L / l) (1 - d d') of the springs
+        under tension; that of compressed ones would make the matrix indefinite.
         """
         d, transverse_share = self._directions(uv, exact)
         block = self.stiff * (
@@ -113,7 +119,10 @@ class Network(NamedTuple):
 
 
 class StiffnessSolver:
-    """Stiffness at given places: answers forces with moves, the sheet as a whole staying where it is."""
+    """Answer forces with moves by the stiffness at given places.
+
+    The sheet as a whole stays where it is.
+    """
 
     def __init__(self, network: Network, uv: Floats, *, exact: bool = False) -> None:
         # Shifts, and the turn about the middle, at right angles to them.
@@ -136,7 +145,10 @@ class StiffnessSolver:
 
     @cached_property
     def inverse(self) -> Floats | None:
-        """Moves for unit forces, (2 nodes, 2 nodes); None for a network that is too large for that."""
+        """Moves for unit forces, (2 nodes, 2 nodes).
+
+        None for a network that is too large for that.
+        """
         if self._matrix is None:
             return None
         free = np.eye(len(self._matrix)) - self._rigid @ self._rigid.T
@@ -151,7 +163,10 @@ class StiffnessSolver:
 
 
 def relax_exactly(network: Network, uv: Floats, *, tolerance: float = 1e-10) -> Floats:
-    """Newton's method from ``uv`` (nodes, 2), with steps that lower the energy, until none is over ``tolerance``."""
+    """Run Newton's method from ``uv`` (nodes, 2) until no step is over ``tolerance``.
+
+    Its steps lower the energy.
+    """
     energy = network.energy(uv)
     for _ in range(60):
         move = StiffnessSolver(network, uv, exact=True)(network.forces(uv))

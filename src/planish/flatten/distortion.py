@@ -1,4 +1,7 @@
-"""The strain of each cell by flattening, growth against the projection, and lengths of lines, flat and curved."""
+"""Give the strain of each cell by flattening, growth against the projection, and lengths of lines.
+
+Lines are measured flat and curved.
+"""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -11,8 +14,9 @@ from planish.core.facts import ResultModel, Value
 from planish.core.robust import percentiles
 from planish.core.typing import Bools, Floats, Ints
 
-# Cell (i, j) has the corners a = (i, j), b = (i, j + 1), c = (i + 1, j + 1), d = (i + 1, j) and is cut along a-c:
-# half 0 is (a, b, c), half 1 is (a, c, d). Edge k of a half runs from its corner k to its corner k + 1.
+# Cell (i, j) has the corners a = (i, j), b = (i, j + 1), c = (i + 1, j + 1), d = (i + 1, j) and is
+# cut along a-c: half 0 is (a, b, c), half 1 is (a, c, d). Edge k of a half runs from its corner k
+# to its corner k + 1.
 _CORNERS = np.array([[[0, 0], [0, 1], [1, 1]], [[0, 0], [1, 1], [1, 0]]], dtype=np.intp)
 # Behind each edge of each half: rows down, columns across, and which half.
 _BEHIND = np.array(
@@ -21,7 +25,10 @@ _BEHIND = np.array(
 
 
 class MeshPoints(NamedTuple):
-    """Places (n,) on a mesh: cell, its half (0 above the first diagonal, 1 below), shares (n, 3) of its corners."""
+    """Places (n,) on a mesh.
+
+    Cell, its half (0 above the first diagonal, 1 below), and shares (n, 3) of its corners.
+    """
 
     row: Ints
     col: Ints
@@ -50,7 +57,7 @@ class GeodesicError(ResultModel):
 def geodesic_error(
     points: Floats, uv: Floats, *, rng: np.random.Generator, pairs: int = 1000
 ) -> GeodesicError:
-    """Compare the lengths of straight lines in the plane with the lengths of the same lines on the surface.
+    """Compare the lengths of straight lines in the plane with their lengths on the surface.
 
     Parameters
     ----------
@@ -58,7 +65,8 @@ def geodesic_error(
     uv : (rows, cols, 2); the same nodes in the plane, um
     rng : Generator
     pairs : int
-        Number of lines. Their ends are random places in random triangles; between nodes, many would run along the mesh.
+        Number of lines. Their ends are random places in random triangles; between nodes, many would
+        run along the mesh.
 
     Returns
     -------
@@ -66,10 +74,11 @@ def geodesic_error(
 
     Notes
     -----
-    The line traced on the surface is not the geodesic between its ends but close to it. A geodesic is stationary: its
-    length and that of the traced line differ in the second order of the strain, so that for a nearly isometric map
-    the number is the error of the geodesic's length. Lengths are those of the mesh: chords of the two triangles of each
-    cell, which on a surface of radius R are shorter than arcs by up to (pitch / R)^2 / 24.
+    The line traced on the surface is not the geodesic between its ends but close to it. A geodesic
+    is stationary: its length and that of the traced line differ in the second order of the strain,
+    so that for a nearly isometric map the number is the error of the geodesic's length. Lengths are
+    those of the mesh: chords of the two triangles of each cell, which on a surface of radius R are
+    shorter than arcs by up to (pitch / R)^2 / 24.
     """
     whole = whole_cells(points, uv)
     error = np.empty(0)
@@ -89,17 +98,23 @@ def whole_cells(points: Floats, uv: Floats) -> Bools:
 
 
 def triangle_areas(grid: Floats) -> tuple[Floats, Floats]:
-    """Twice the signed areas of the triangles (a, b, c) and (a, c, d) of each cell; NaN where a corner is missing."""
+    """Twice the signed areas of the triangles (a, b, c) and (a, c, d) of each cell.
+
+    NaN where a corner is missing.
+    """
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
     (bx, by), (cx, cy), (dx, dy) = (np.moveaxis(corner - a, -1, 0) for corner in (b, c, d))
     return bx * cy - by * cx, cx * dy - cy * dx
 
 
 def folded_cells(points: Floats, uv: Floats, *, side: float = 1.0, floor: float = 0.0) -> Bools:
-    """Cells of ``uv`` (rows, cols, 2) with a triangle (a, b, c) or (a, c, d) that is empty or turned over.
+    """Find the cells of ``uv`` (rows, cols, 2) with a triangle that is empty or turned over.
 
-    ``side`` is -1 where columns and rows of the grid run in the opposite sense to u and v; ``floor`` is the share of
-    a cell's half area in space, from the product of its diagonals, that a triangle must exceed.
+    The triangles of a cell are (a, b, c) and (a, c, d).
+
+    ``side`` is -1 where columns and rows of the grid run in the opposite sense to u and v;
+    ``floor`` is the share of a cell's half area in space, from the product of its diagonals, that a
+    triangle must exceed.
     """
     least_area = 0.0
     if floor:
@@ -111,7 +126,10 @@ def folded_cells(points: Floats, uv: Floats, *, side: float = 1.0, floor: float 
 
 
 def random_places(whole: Bools, count: int, rng: np.random.Generator) -> MeshPoints:
-    """Draw ``count`` places: every triangle of the whole cells is as likely, and every place in it."""
+    """Draw ``count`` places in the whole cells.
+
+    Every triangle of these cells is equally likely, and so is every place in it.
+    """
     cells = np.argwhere(whole)
     row, col = cells[rng.integers(len(cells), size=count)].T
     half = rng.integers(2, size=count)
@@ -121,12 +139,15 @@ def random_places(whole: Bools, count: int, rng: np.random.Generator) -> MeshPoi
 def trace_lines(
     points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints
 ) -> tuple[Floats, Floats]:
-    """Trace straight lines of the plane through the triangles of the mesh, from inside of one to inside of another.
+    """Trace straight lines of the plane through the triangles of the mesh.
 
-    Gives the lengths (n,) in the plane and on the surface, um; the latter is NaN where a line leaves the sheet. All
-    lines walk at the same time, a triangle a step. Each corner lies to the left of the line or not, and a line leaves a
-    triangle by the one edge that runs from its right to its left (the other way round where it starts in a triangle
-    that is turned over); no intersection is ever searched, and corners on the line do no harm. In folded cells a line
+    They run from inside of one triangle to inside of another.
+
+    Gives the lengths (n,) in the plane and on the surface, um; the latter is NaN where a line
+    leaves the sheet. All lines walk at the same time, a triangle a step. Each corner lies to the
+    left of the line or not, and a line leaves a triangle by the one edge that runs from its right
+    to its left (the other way round where it starts in a triangle that is turned over); no
+    intersection is ever searched, and corners on the line do no harm. In folded cells a line
     follows the sheet there and back.
     """
     is_cell = np.pad(whole_cells(points, uv), 1)
@@ -163,7 +184,10 @@ def trace_lines(
 def _leave_triangles(
     points: Floats, uv: Floats, triangles: Ints, origin: Floats, vector: Floats, is_turned: Bools
 ) -> tuple[Floats, Ints, Bools]:
-    """Give the points (n, 3) at which lines leave their triangles, the triangles behind, and which cross an edge."""
+    """Give the points (n, 3) at which lines leave their triangles, and the triangles behind.
+
+    Gives also which lines cross an edge.
+    """
     # Those that are turned began in a triangle that is turned over.
     line, row, col, half = triangles.T
     corner = row[:, None] + _CORNERS[half, :, 0], col[:, None] + _CORNERS[half, :, 1]
@@ -250,8 +274,9 @@ def measure_distortion(
 
     Notes
     -----
-    Noise makes the surface rough and its lengths longer: white noise s on nodes of pitch p lets the sheet grow by some
-    2/3 (s / p)^2. Growth that the warp does not explain, anisotropy above all, points to noise or jitter of slices.
+    Noise makes the surface rough and its lengths longer: white noise s on nodes of pitch p lets the
+    sheet grow by some 2/3 (s / p)^2. Growth that the warp does not explain, anisotropy above all,
+    points to noise or jitter of slices.
     """
     strain = cell_strain(points, uv) if strain is None else strain
     area = strain["signed_area"].values
@@ -309,20 +334,23 @@ def cell_strain(points: Floats, uv: Floats) -> xr.Dataset:
     Returns
     -------
     Dataset, dims (row, col) = (rows - 1, cols - 1)
-        ``stretch_max``, ``stretch_min``: principal stretches; ``area_ratio``: their product; ``anisotropy``: their
-        ratio; ``axial_u``, ``axial_v``: strain of the edges; ``shear``: change of the angle between them in rad,
-        positive where the flat angle is the smaller one; ``signed_area``: flat area in um2 of the smaller of the two
-        triangles of the first diagonal, not above zero where the cell is folded or turned over, which the others, being
-        without sign, do not tell. Stretches, their product and ratio are 1 for an isometry, strains and shear 0. NaN
-        where a corner is missing and, but for ``signed_area``, where the cell has no area in space.
+        ``stretch_max``, ``stretch_min``: principal stretches; ``area_ratio``: their product;
+        ``anisotropy``: their ratio; ``axial_u``, ``axial_v``: strain of the edges; ``shear``:
+        change of the angle between them in rad, positive where the flat angle is the smaller one;
+        ``signed_area``: flat area in um2 of the smaller of the two triangles of the first diagonal,
+        not above zero where the cell is folded or turned over, which the others, being without
+        sign, do not tell. Stretches, their product and ratio are 1 for an isometry, strains and
+        shear 0. NaN where a corner is missing and, but for ``signed_area``, where the cell has no
+        area in space.
 
     Notes
     -----
-    A cell is represented by its two mean edges, which are the derivatives of its bilinear patch at the centre. That
-    leaves out what bends within the cell: in a twisted or rough cell the edges are longer than their mean, by
-    t^2 / (8 l^2) of their length l where the corners are t out of a parallelogram. Springs see that; these numbers do
-    not. Axial strains and shear apart, because springs along the edges bear the former and diagonal ones the latter
-    (Hirn et al. 2009, section 2.3.1).
+    A cell is represented by its two mean edges, which are the derivatives of its bilinear patch at
+    the centre. That leaves out what bends within the cell: in a twisted or rough cell the edges are
+    longer than their mean, by t^2 / (8 l^2) of their length l where the corners are t out of a
+    parallelogram. Springs see that; these numbers do not. Axial strains and shear apart, because
+    springs along the edges bear the former and diagonal ones the latter (Hirn et al. 2009, section
+    2.3.1).
     """
     blocks = [_block_strain(points[nodes], uv[nodes]) for nodes in node_blocks(points)]
     return xr.Dataset(
@@ -338,7 +366,7 @@ def node_blocks(points: Floats) -> Iterator[slice]:
 
 
 def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
-    """Length in um, in space and in the plane, of the edges that border on exactly one whole cell."""
+    """Give the length in um, in space and in the plane, of the edges of exactly one whole cell."""
     is_cell = np.pad(whole_cells(points, uv), 1)
     row_edges = is_cell[1:, 1:-1] != is_cell[:-1, 1:-1]  # (rows, cols - 1): edges along rows
     col_edges = is_cell[1:-1, 1:] != is_cell[1:-1, :-1]  # (rows - 1, cols)
@@ -362,8 +390,8 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
         side = np.sqrt(g11)
         height = np.sqrt(np.maximum(g22 - g12 * g12 / g11, 0.0))  # of the cell over its edge across
         height[height <= 1e-12 * side] = np.nan
-        # The Jacobian in an orthonormal frame of the cell whose first axis is the edge across; its singular values
-        # from the parts that turn and scale alike and those that do not.
+        # The Jacobian in an orthonormal frame of the cell whose first axis is the edge across; its
+        # singular values from the parts that turn and scale alike and those that do not.
         j11, j21 = au / side, av / side
         j12, j22 = (du - au * g12 / g11) / height, (dv - av * g12 / g11) / height
         conformal, anticonformal = (
@@ -405,8 +433,13 @@ def _spread(values: Floats) -> Spread:
 
 
 def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float, Floats]:
-    """Scale of the similarity from (x, y) to (u, v), ratio and first direction of the affine map's singular values."""
-    # And the distances (n,) in um that are left after the rotation and shift that make them smallest.
+    """Fit a similarity and an affine map from (x, y) to (u, v).
+
+    Gives the scale of the similarity, and the ratio and first direction of the affine map's
+    singular values.
+    """
+    # And the distances (n,) in um that are left after the rotation and shift that make them
+    # smallest.
     is_node = np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1)
     a, b = points[..., :2][is_node], uv[is_node]
     if len(a) < 3:

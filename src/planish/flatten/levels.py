@@ -1,4 +1,7 @@
-"""The eight-spring mesh of Hirn et al. (2009), section 2.3.1, its coarser copies, arrays of passes, and threads."""
+"""The eight-spring mesh of Hirn et al.
+
+(2009), section 2.3.1, its coarser copies, arrays of passes, and threads.
+"""
 
 import itertools
 from collections.abc import Callable
@@ -48,7 +51,10 @@ class Team(ThreadPoolExecutor):
 
 
 def padded(components: int, rows: int, cols: int, dtype: type) -> NDArray[Any]:
-    """Zeros (components, rows + 2, width), with a ring of padding; rows start on a multiple of 64 bytes."""
+    """Zeros (components, rows + 2, width), with a ring of padding.
+
+    Rows start on a multiple of 64 bytes.
+    """
     return np.zeros((components, rows + 2, (cols + 3 + 15) // 16 * 16), dtype)
 
 
@@ -63,7 +69,10 @@ def bordered(rows: int, cols: int, dtype: type) -> NDArray[Any]:
 
 @dataclass
 class Level:
-    """One mesh: arrays of ``_kernels``, sums by rows, rows of threads; ``alone``: empty rows of a one-thread mesh."""
+    """One mesh: arrays of ``_kernels``, sums by rows, rows of threads.
+
+    ``alone``: empty rows of a one-thread mesh.
+    """
 
     rows: int
     cols: int
@@ -72,7 +81,10 @@ class Level:
     stiff: Single
 
     def open(self) -> None:
-        """Make the arrays of the solver; ``xy`` and ``near`` have no values yet except in the padding."""
+        """Make the arrays of the solver.
+
+        ``xy`` and ``near`` have no values yet except in the padding.
+        """
         self.xy, self.near = (
             bordered(self.rows, self.cols, dtype) for dtype in (np.float64, np.float32)
         )
@@ -112,7 +124,10 @@ def of_springs(
 
 
 def halve(level: Level, team: Team) -> Level:
-    """Make the mesh of every second node; the last may lie one row or column beyond the fine mesh."""
+    """Make the mesh of every second node.
+
+    The last may lie one row or column beyond the fine mesh.
+    """
     rows, cols = level.rows // 2 + 1, level.cols // 2 + 1
     rest, stiff = padded(4, rows, cols, np.float64), padded(4, rows, cols, np.float32)
     parts = team.parts(rows, cols)
@@ -124,7 +139,10 @@ TRUSTED = 0.1  # share of the median weight below which a node does not count in
 
 
 def mean_pitch(points: Floats) -> float:
-    """Mean distance of neighbours along rows and columns, from some ten of either, in the unit of ``points``."""
+    """Give the mean distance of neighbours along rows and columns, in the unit of ``points``.
+
+    It is taken from some ten rows and some ten columns.
+    """
     for n_lines in (10, max(points.shape)):
         rows, cols = (max(1, n // n_lines) for n in points.shape[:2])
         with np.errstate(invalid="ignore", over="ignore"):
@@ -149,8 +167,8 @@ def make_springs(
 ) -> tuple[Level, int, float]:
     """Tie the nodes of ``points`` (rows, cols, 3) to their neighbours; each spring is stored once.
 
-    Gives a level with rest lengths in pitches and stiffness 1, the number of springs, and the share of them that kept
-    their chord although the surface bends there, NaN for ``rest="chord"``.
+    Gives a level with rest lengths in pitches and stiffness 1, the number of springs, and the share
+    of them that kept their chord although the surface bends there, NaN for ``rest="chord"``.
     """
     rows, cols = points.shape[:2]
     parts = team.parts(rows, cols)
@@ -178,17 +196,21 @@ def stiffen(level: Level, weights: Floats) -> None:
 
 
 def loose_nodes(is_node: Bools) -> tuple[Bools, NDArray[np.intp]]:
-    """Find the nodes whose place the springs do not settle: what hangs on the sheet by a single node or spring.
+    """Find the nodes whose place the springs do not settle.
 
-    A cell with three corners is stiff, and so are cells that share an edge; everything else can turn freely. The
-    largest stiff part is the sheet. Gives the known nodes outside of it, and the number of cells of every stiff part.
+    They hang on the sheet by a single node or spring.
+
+    A cell with three corners is stiff, and so are cells that share an edge; everything else can
+    turn freely. The largest stiff part is the sheet. Gives the known nodes outside of it, and the
+    number of cells of every stiff part.
     """
     corners = sum(
         is_node[i : i + is_node.shape[0] - 1, j : j + is_node.shape[1] - 1].astype(np.int8)
         for i in (0, 1)
         for j in (0, 1)
     )
-    # Cells at odd places and the edges between them; a path may pass an edge whose two nodes are known.
+    # Cells at odd places and the edges between them; a path may pass an edge whose two nodes are
+    # known.
     passable = np.zeros((2 * is_node.shape[0] - 1, 2 * is_node.shape[1] - 1), dtype=bool)
     passable[1::2, 1::2] = corners >= 3
     passable[1::2, ::2] = is_node[:-1] & is_node[1:]
@@ -207,10 +229,13 @@ def loose_nodes(is_node: Bools) -> tuple[Bools, NDArray[np.intp]]:
 def impute_nodes(
     points: Floats, weights: Floats | None, is_trusted: Bools, is_missing: Bools
 ) -> tuple[Floats, Floats]:
-    """Lay the missing nodes of ``points`` so that rows and columns bend least, and give them next to no weight.
+    """Lay the missing nodes of ``points`` so that rows and columns bend least.
 
-    Least sum of squared second differences along rows and columns, to which trusted neighbours up to two nodes away
-    contribute; nodes that are neither trusted nor missing become NaN. What is linear in row and column is met exactly.
+    They get next to no weight.
+
+    Least sum of squared second differences along rows and columns, to which trusted neighbours up
+    to two nodes away contribute; nodes that are neither trusted nor missing become NaN. What is
+    linear in row and column is met exactly.
     """
     weights = np.where(is_trusted, 1.0 if weights is None else weights, 0.0)
     points = np.where(is_trusted[..., None], points, np.nan)
@@ -226,7 +251,10 @@ def impute_nodes(
     node_number[is_local] = np.arange(n_nodes)
 
     def differences(coefficients: tuple[float, ...]) -> sparse.csr_array:
-        """Sums of as many nodes in a row or a column, with these coefficients, wherever all of them take part."""
+        """Give the sums of nodes along a row or a column with these coefficients.
+
+        A sum takes as many nodes as there are coefficients, wherever all of them take part.
+        """
         order = len(coefficients)
         runs = [
             [n[k : len(n) + 1 + k - order].ravel() for k in range(order)]

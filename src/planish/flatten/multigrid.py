@@ -1,9 +1,12 @@
-"""Minimum spring energy by nested iteration: Gauss-Newton steps, each solved by one multigrid cycle.
+"""Find the minimum spring energy by nested iteration with Gauss-Newton steps.
 
-The mesh of every second node is itself a mesh of springs (in two dimensions a spring constant does not depend on the
-mesh's size), so each coarser level is relaxed first and gives the next its start. Forces are balanced in double
-precision; corrections come from a V-cycle in single precision over the linearised springs of all levels (Brandt 1977,
-doi:10.1090/S0025-5718-1977-0431719-X), with Chebyshev smoothing (Adams et al. 2003, doi:10.1016/S0021-9991(03)00194-3).
+Each step is solved by one multigrid cycle.
+
+The mesh of every second node is itself a mesh of springs (in two dimensions a spring constant does
+not depend on the mesh's size), so each coarser level is relaxed first and gives the next its start.
+Forces are balanced in double precision; corrections come from a V-cycle in single precision over
+the linearised springs of all levels (Brandt 1977, doi:10.1090/S0025-5718-1977-0431719-X), with
+Chebyshev smoothing (Adams et al. 2003, doi:10.1016/S0021-9991(03)00194-3).
 """
 
 import itertools
@@ -28,13 +31,17 @@ from planish.flatten._mesh_kernels import hold_open, interpolate
 from planish.flatten.direct import Network, StiffnessSolver, relax_exactly
 from planish.flatten.levels import Level, Single, Team, halve
 
-# Smoothing works on the part of the spectrum that the coarser mesh does not see: a node's own stiffness divides its
-# matrix so that eigenvalues reach 2 (a little more near borders); those of waves shorter than four nodes begin at 1/2.
+# Smoothing works on the part of the spectrum that the coarser mesh does not see: a node's own
+# stiffness divides its matrix so that eigenvalues reach 2 (a little more near borders); those of
+# waves shorter than four nodes begin at 1/2.
 _LOW, _HIGH = 0.42, 2.0
 
 
 def _weights(steps: int, low: float) -> tuple[np.float32, ...]:
-    """Weights of steps that together are the Chebyshev polynomial on [low, _HIGH] (inverse of its roots)."""
+    """Give the weights of steps that together are the Chebyshev polynomial on [low, _HIGH].
+
+    They are the inverse of its roots.
+    """
     roots = np.cos(np.pi * (2 * np.arange(steps) + 1) / (2 * steps))
     return tuple(np.float32(2 / (_HIGH + low + (_HIGH - low) * root)) for root in roots)
 
@@ -50,7 +57,10 @@ _HALVINGS = 40  # of a step that would close a cell, or raise the energy
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One step of the solver: nodes of the mesh, energy before it, what it expects to gain, and the mean move."""
+    """One step of the solver.
+
+    Nodes of the mesh, energy before the step, what it expects to gain, and the mean move.
+    """
 
     nodes: int
     energy: float
@@ -59,7 +69,10 @@ class Step:
 
 
 def _dot(a: Single, b: Single) -> float:
-    """Sum of the products; numpy's own order of summation, where BLAS would share it out among its threads."""
+    """Sum of the products.
+
+    Numpy's own order of summation, where BLAS would share it out among its threads.
+    """
     return float(np.sum(a * b, dtype=np.float64))
 
 
@@ -104,7 +117,8 @@ class Multigrid:
                 is_gone = ~fine.nodes
                 fine.inside(fine.xy)[:, is_gone] = fine.inside(fine.near)[:, is_gone] = FAR
             self.team.run(prepare, fine.parts, fine.near, fine.stiff, fine.ease, fine.cols)
-            # One step, as a rule: what is left on a coarse level is less than what the finer one adds.
+            # One step, as a rule: what is left on a coarse level is less than what the finer one
+            # adds.
             outcome = self.relax(k, tolerance if k == 0 else 0.1)
         return outcome
 
@@ -133,8 +147,11 @@ class Multigrid:
         if self._exact.inverse is None:
             self._first_small = len(self.levels)
 
-    def relax(self, k: int, tolerance: float) -> Outcome:
-        """Step on level ``k`` until the excess of energy over the minimum is below ``tolerance`` times the energy."""
+    def relax(self, k: int, tolerance: float) -> Outcome:  # noqa: C901, PLR0912
+        """Step on level ``k`` until the excess of energy over the minimum is small enough.
+
+        It is then below ``tolerance`` times the energy.
+        """
         level = self.levels[k]
         count = level.rows * level.cols
         gains: list[float] = []
@@ -145,7 +162,8 @@ class Multigrid:
             energy = self.balance(level)
             is_smoothing_only = k == 0 and step == 0 and self._is_rough
             if is_smoothing_only:
-                # What the coarser levels could not see is most of the energy, and short: smoothing deals with it alone.
+                # What the coarser levels could not see is most of the energy, and short: smoothing
+                # deals with it alone.
                 self._smooth(0, level, level, *_FOUR[:2])
                 for weight in _FOUR[2:]:
                     self._smooth(2, level, level, weight, weight)
@@ -156,8 +174,9 @@ class Multigrid:
             if self.guarded:
                 wanted_gain = self._guard(level, energy)
             elif slow_steps:
-                # By conjugate gradients (Polak and Ribiere): a cycle deals badly with a few movements only, of parts
-                # that hang together by a strip, or near many holes; these are what the method collects.
+                # By conjugate gradients (Polak and Ribiere): a cycle deals badly with a few
+                # movements only, of parts that hang together by a strip, or near many holes; these
+                # are what the method collects.
                 work = _dot(level.force, level.move)
                 if previous is not None and previous[2] > 0:
                     beta = max((work - _dot(previous[0], level.move)) / previous[2], 0.0)
@@ -182,7 +201,8 @@ class Multigrid:
                     for a, b in itertools.pairwise(gains[-4 if slow_steps else -2 :])
                 ]
                 self.rate = float(np.clip(max(ratios), 0.01, 0.95))
-            # Excess of energy and, as its square root, distance from the minimum: the steps to come, summed.
+            # Excess of energy and, as its square root, distance from the minimum: the steps to
+            # come, summed.
             excess_energy, root_rate = gain * self.rate / (1 - self.rate), np.sqrt(self.rate)
             distance = np.sqrt(square_move / count) * (root_rate / (1 - root_rate))
             if excess_energy <= tolerance * energy or distance <= _STILL:
@@ -202,7 +222,7 @@ class Multigrid:
         return Outcome.OUT_OF_STEPS
 
     def _reach(self, level: Level, gain: float, square_move: float) -> tuple[float, float]:
-        """Go on in the direction of the move just made, or back, to where the forces no longer act along it."""
+        """Go on along the move just made, or back, to where the forces no longer act along it."""
         self.balance(level)
         slope = _dot(level.force, level.move)
         reach = float(np.clip(gain / (gain - slope), 0.1, 4.0)) if gain > slope else 1.0
@@ -211,7 +231,10 @@ class Multigrid:
         return reach * gain, reach * reach * square_move
 
     def _guard(self, level: Level, energy: float) -> float:
-        """Shorten the move where it would close a cell, and as a whole until the energy falls; give the gain wanted."""
+        """Shorten the move where it would close a cell, and as a whole until the energy falls.
+
+        Give the gain wanted.
+        """
         wanted_gain = _dot(level.force, level.move)
         move_share = np.ones(level.move.shape[1:], np.float32)
         for _ in range(_HALVINGS):
@@ -272,11 +295,16 @@ class Multigrid:
         return float(work), float(square_move)
 
     def _cycle(self, k: int, depth: int = 0) -> None:
-        """Correct level ``k`` for its forces by smoothing, a correction from the level below, and smoothing again."""
-        # The level below is corrected twice where it counts: else its own errors, and those below it, add up.
+        """Correct level ``k`` for its forces.
+
+        By smoothing, a correction from the level below, and smoothing again.
+        """
+        # The level below is corrected twice where it counts: else its own errors, and those below
+        # it, add up.
         level = self.levels[k]
         if depth > 1 and k >= self._first_small:
-            # ``descend`` takes eight levels, the last repeated, lest it is compiled anew; one thread has no more.
+            # ``descend`` takes eight levels, the last repeated, lest it is compiled anew; one
+            # thread has no more.
             n_coarser = len(self.levels) - 1 - k
             descent_levels = [*self.levels[k:], *self.levels[-1:] * (7 - n_coarser)]
             array_names = ("near", "stiff", "ease", "force", "move", "alone", "cols")

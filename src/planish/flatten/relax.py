@@ -1,4 +1,7 @@
-"""Relax a warped quad mesh in the plane to minimum spring energy (Hirn et al. 2009, section 2.3)."""
+"""Relax a warped quad mesh in the plane to minimum spring energy (Hirn et al.
+
+2009, section 2.3).
+"""
 
 from typing import Literal
 
@@ -81,7 +84,7 @@ class Relaxed(ResultModel):
     )
 
 
-def relax_grid(
+def relax_grid(  # noqa: C901
     points: Floats,
     *,
     method: Method | RelaxationParams = "multigrid",
@@ -96,35 +99,43 @@ def relax_grid(
     Parameters
     ----------
     points : (rows, cols, 3)
-        (x, y, z) in any unit of length; not finite where there is no sheet. Neighbours in the grid are neighbours in
-        the sheet; the grid need be neither regular nor a height field.
+        (x, y, z) in any unit of length; not finite where there is no sheet. Neighbours in the grid
+        are neighbours in the sheet; the grid need be neither regular nor a height field.
     method : {"multigrid", "relaxation"} or RelaxationParams
-        How the least energy is found: directly, or by the damped motion of Hirn et al. (2009), with any constants.
+        How the least energy is found: directly, or by the damped motion of Hirn et al. (2009), with
+        any constants.
     rest : {"arc", "chord"}
-        Rest lengths of the springs: along the surface, or straight through space as in the paper. A chord is too short
-        by the square of the surface's normal curvature k, k^2 L^3 / 24; the correction is left out where the
-        curvatures at the two ends of a spring disagree, that is where the surface is rough at the scale of the mesh.
+        Rest lengths of the springs: along the surface, or straight through space as in the paper. A
+        chord is too short by the square of the surface's normal curvature k, k^2 L^3 / 24; the
+        correction is left out where the curvatures at the two ends of a spring disagree, that is
+        where the surface is rough at the scale of the mesh.
     start : (rows, cols, 2), optional
-        Places in the plane; the projection (x, y) where not given. ``relaxation`` starts from them. The result of
-        either method lies on them, turned and shifted, and has their handedness; ``multigrid`` starts from the lengths
-        along the grid, so that a sheet may overhang or be rolled up.
+        Places in the plane; the projection (x, y) where not given. ``relaxation`` starts from them.
+        The result of either method lies on them, turned and shifted, and has their handedness;
+        ``multigrid`` starts from the lengths along the grid, so that a sheet may overhang or be
+        rolled up.
     weights : (rows, cols), optional
-        Confidence in each node; a spring has the lower weight of its ends as stiffness. Nodes below a tenth of the
-        median weight are moved to where a smooth surface through the others has them, and held there weakly.
+        Confidence in each node; a spring has the lower weight of its ends as stiffness. Nodes below
+        a tenth of the median weight are moved to where a smooth surface through the others has
+        them, and held there weakly.
     tolerance : float
-        ``multigrid`` is at rest when its energy is expected to exceed the minimum by less than this share, or places to
-        be wrong by less than 3e-6 pitches in the mean (root of the mean square).
-    least_share : float; pieces with a smaller share of the nodes are dropped as specks; ``dropped`` says which
+        ``multigrid`` is at rest when its energy is expected to exceed the minimum by less than this
+        share, or places to be wrong by less than 3e-6 pitches in the mean (root of the mean
+        square).
+    least_share : float
+        Pieces with a smaller share of the nodes are dropped as specks; ``dropped`` says which.
 
     Returns
     -------
     Relaxed
-        ``uv`` is a view in which u and v are stored apart. The number of threads changes no byte of it.
+        ``uv`` is a view in which u and v are stored apart. The number of threads changes no byte of
+        it.
 
     Raises
     ------
     CannotFlatten
-        If an argument does not fit, there are fewer than two by two nodes, or unconnected pieces that are no specks.
+        If an argument does not fit, there are fewer than two by two nodes, or unconnected pieces
+        that are no specks.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     _check(points, start, weights, tolerance, least_share, method=method, rest=rest)
@@ -184,7 +195,7 @@ def relax_grid(
     )
 
 
-def _check(
+def _check(  # noqa: C901
     points: Floats,
     start: Floats | None,
     weights: Floats | None,
@@ -231,7 +242,10 @@ def _check(
 
 
 def _drop_specks(points: Floats, least_share: float) -> tuple[Floats, Bools]:
-    """Leave out pieces with less than ``least_share`` of all nodes; give the points, and which nodes were dropped."""
+    """Leave out pieces with less than ``least_share`` of all nodes.
+
+    Give the points, and which nodes were dropped.
+    """
     is_node = np.isfinite(points).all(axis=-1)
     labels, n_pieces = ndimage.label(is_node, structure=np.ones((3, 3)))
     sizes = np.bincount(labels.ravel(), minlength=n_pieces + 1)
@@ -242,7 +256,10 @@ def _drop_specks(points: Floats, least_share: float) -> tuple[Floats, Bools]:
 
 
 def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools | None]:
-    """Add nodes around those that hang loosely on the sheet; give points, weights and the added nodes, if any."""
+    """Add nodes around those that hang loosely on the sheet.
+
+    Give points, weights and the added nodes, if any.
+    """
     is_node = np.asarray(np.isfinite(points).all(axis=-1))
     n = np.count_nonzero(is_node)
     if n < 4:
@@ -286,7 +303,10 @@ def _first_six(texts: list[str]) -> str:
 
 
 def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | None, Bools]:
-    """Impute the nodes of little weight; give points, the weights if they differ, and the nodes that are imputed."""
+    """Impute the nodes of little weight.
+
+    Give points, the weights if they differ, and the nodes that are imputed.
+    """
     is_node = np.isfinite(points).all(axis=-1)
     if not (
         np.isfinite(weights[is_node]).all()
@@ -310,7 +330,10 @@ def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | 
 
 
 def _handedness(target: Floats) -> float:
-    """1 where columns and rows of the grid run like u and v, -1 where they run in the opposite sense, as a whole."""
+    """Tell by 1 or -1 whether columns and rows of the grid run like u and v.
+
+    1 where they do, -1 where they run in the opposite sense, as a whole.
+    """
     rows, cols = (max(1, (n - 1) // 20) for n in target.shape[:2])
     flat = target[::rows, ::cols, :2]
     across, down = np.diff(flat, axis=1)[:-1], np.diff(flat, axis=0)[:, :-1]

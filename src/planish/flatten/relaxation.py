@@ -1,4 +1,7 @@
-"""Relax a spring mesh in the plane as a damped motion in time: the solver of Hirn et al. (2009), section 2.3."""
+"""Relax a spring mesh in the plane as a damped motion in time: the solver of Hirn et al.
+
+(2009), section 2.3.
+"""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -17,34 +20,40 @@ Springs = tuple[Floats, Floats]  # rest lengths and constants, framed
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelaxationParams:
-    """Choices of the relaxation. Lengths are in mean pitches; mass and stiffness are 1, which sets the unit of time.
+    """Choices of the relaxation.
+
+    Lengths are in mean pitches; mass and stiffness are 1, which sets the unit of time.
 
     The values are those of Hirn et al. (2009) where they give one.
     """
 
-    #: The paper names none. ``symplectic``: Euler's method with the new velocity in the position and the damping taken
-    #: implicitly, stable up to a time step of 2 / sqrt(8) = 0.71. ``rk4``: Runge-Kutta of fourth order, the same motion
-    #: for four times the work. ``euler``: the old velocity in the position; the paper calls it unstable, and it is.
+    # : The paper names none. ``symplectic``: Euler's method with the new velocity in the position
+    # and the damping taken : implicitly, stable up to a time step of 2 / sqrt(8) = 0.71. ``rk4``:
+    # Runge-Kutta of fourth order, the same motion : for four times the work. ``euler``: the old
+    # velocity in the position; the paper calls it unstable, and it is.
     integrator: Literal["symplectic", "rk4", "euler"] = "symplectic"
-    #: How Eq. (4), ``max |grad v| < a``, is read. ``scale``: the strain of one step is limited, ``dt max |grad v| <=
-    #: a``, for the velocity before and after the step. ``feedback``: dt is cut as long as ``max |grad v| >= a``. The
-    #: gradient does not depend on dt, so that this comes to a halt; it is kept to show that. ``fixed``: ``fixed_dt``
-    #: and ``fixed_c`` throughout.
+    # : How Eq. (4), ``max |grad v| < a``, is read. ``scale``: the strain of one step is limited,
+    # ``dt max |grad v| <= : a``, for the velocity before and after the step. ``feedback``: dt is
+    # cut as long as ``max |grad v| >= a``. The : gradient does not depend on dt, so that this comes
+    # to a halt; it is kept to show that. ``fixed``: ``fixed_dt`` : and ``fixed_c`` throughout.
     control: Literal["scale", "feedback", "fixed"] = "scale"
-    #: How Eq. (6), ``mean |v| < mean_speed``, is read. ``first``: the first time after the mesh has been faster once.
-    #: ``sustained``: for a whole period of the slowest mode, 2 max(rows, cols); an oscillating mesh is slow at every
-    #: turning point. ``residual``: no force on a node exceeds ``residual``.
+    # : How Eq. (6), ``mean |v| < mean_speed``, is read. ``first``: the first time after the mesh
+    # has been faster once. : ``sustained``: for a whole period of the slowest mode, 2 max(rows,
+    # cols); an oscillating mesh is slow at every : turning point. ``residual``: no force on a node
+    # exceeds ``residual``.
     stop: Literal["first", "sustained", "residual"] = "sustained"
     a: float = 1e-2  #: Eq. (4); a strain of 1 % in one step
     b: float = 0.2  #: Eq. (5): ``c > max |grad v| / b``
     # : Eq. (5); critical for the slowest mode of 314 nodes a side; wider meshes creep.
     c_min: float = 0.02
-    #: Share to which the damping falls in a step at most: one calm step does not free the mesh; not in the paper.
+    # : Share to which the damping falls in a step at most: one calm step does not free the mesh;
+    # not in the paper.
     c_fall: float = 0.97
     dt_max: float = 0.3  #: Eq. (4)
     most_move: float = 0.2  #: of the fastest node in one step; the paper's 20 % of the grid spacing
     mean_speed: float = 1e-3  #: Eq. (6)
-    #: Largest force at rest, in stiffness times pitch; only for ``stop="residual"``; a hundredth of the speed's limit.
+    # : Largest force at rest, in stiffness times pitch; only for ``stop="residual"``; a hundredth
+    # of the speed's limit.
     residual: float = 1e-5
     # : a mesh of 128 x 96 nodes takes 2000 to 3000; the number grows with the longer side.
     most_steps: int = 50_000
@@ -54,10 +63,13 @@ class RelaxationParams:
 
 
 class MotionHistory(NamedTuple):
-    """One value for every step, each (steps,): what was used in the step and how the mesh was after it.
+    """One value for every step, each (steps,).
 
-    ``step`` counts from 1; ``dt``, ``c``: time step and damping; ``gradient``: largest Frobenius norm of the velocity's
-    gradient; ``mean_speed``: mean of the nodes' speeds; ``energy``: sum over springs of k (l - L)^2.
+    What was used in the step and how the mesh was after it.
+
+    ``step`` counts from 1; ``dt``, ``c``: time step and damping; ``gradient``: largest Frobenius
+    norm of the velocity's gradient; ``mean_speed``: mean of the nodes' speeds; ``energy``: sum over
+    springs of k (l - L)^2.
     """
 
     step: Floats
@@ -72,9 +84,10 @@ class MotionHistory(NamedTuple):
 class Relaxation:
     """A relaxed mesh and how it got there.
 
-    ``uv`` (rows, cols, 2) in pitches is as the motion left it, not turned or shifted back, NaN where there is no node;
-    ``energy`` the sum of k (l - L)^2 in pitches squared (Eq. 1); ``inverted`` the number of cells with a triangle that
-    is empty or does not turn as the start does as a whole.
+    ``uv`` (rows, cols, 2) in pitches is as the motion left it, not turned or shifted back, NaN
+    where there is no node; ``energy`` the sum of k (l - L)^2 in pitches squared (Eq. 1);
+    ``inverted`` the number of cells with a triangle that is empty or does not turn as the start
+    does as a whole.
     """
 
     uv: Floats
@@ -98,24 +111,26 @@ def relax_dynamically(
     ----------
     start : (rows, cols, 2); where the nodes are let go, in mean pitches; NaN where there is no node
     rest : (4, rows, cols)
-        Rest lengths in mean pitches of the springs (i, j)-(i, j + 1), (i, j)-(i + 1, j), (i, j)-(i + 1, j + 1) and
-        (i, j + 1)-(i + 1, j); NaN where there is no spring.
+        Rest lengths in mean pitches of the springs (i, j)-(i, j + 1), (i, j)-(i + 1, j), (i, j)-(i
+        + 1, j + 1) and (i, j + 1)-(i + 1, j); NaN where there is no spring.
     stiffness : (4, rows, cols), optional
-        Spring constants, 1 where not given. They are divided by the largest, which changes the unit of time and leaves
-        the state of rest as it is: the limits on the time step hold for a constant of 1.
+        Spring constants, 1 where not given. They are divided by the largest, which changes the unit
+        of time and leaves the state of rest as it is: the limits on the time step hold for a
+        constant of 1.
     params : RelaxationParams, optional
 
     Notes
     -----
-    Hirn et al. (2009), Eqs. (2) to (6), with these readings. The force is Hooke's as the text words it: a stretched
-    spring pulls its ends together; Eq. (2) as printed has the other sign. The mean of Eq. (6) is taken over the
-    nodes. The gradient of the velocity is taken by central differences between neighbouring nodes, one-sided at borders
-    and beside missing nodes, and its Frobenius norm is what a and b limit. The damping starts at
-    ``sqrt(max |grad F| / b)``, which is Eq. (5) for the overdamped velocity F / c: the paper asks for a high damping at
-    the start, where the velocity is still zero.
+    Hirn et al. (2009), Eqs. (2) to (6), with these readings. The force is Hooke's as the text words
+    it: a stretched spring pulls its ends together; Eq. (2) as printed has the other sign. The mean
+    of Eq. (6) is taken over the nodes. The gradient of the velocity is taken by central differences
+    between neighbouring nodes, one-sided at borders and beside missing nodes, and its Frobenius
+    norm is what a and b limit. The damping starts at ``sqrt(max |grad F| / b)``, which is Eq. (5)
+    for the overdamped velocity F / c: the paper asks for a high damping at the start, where the
+    velocity is still zero.
 
-    Nothing in the energy forbids a fold. The step control keeps a fair start from folding; cells that are turned over
-    in the start may stay so. They are counted at the end.
+    Nothing in the energy forbids a fold. The step control keeps a fair start from folding; cells
+    that are turned over in the start may stay so. They are counted at the end.
     """
     start = np.asarray(start, dtype=np.float64)
     rest = np.asarray(rest, dtype=np.float64)
@@ -162,11 +177,15 @@ def relax_dynamically(
     )
 
 
-def _motion(
+def _motion(  # noqa: C901
     x: Floats, springs: Springs, mask: Floats, p: RelaxationParams
 ) -> tuple[Outcome, float, Floats]:
-    """Move ``x`` (2, rows + 2, cols + 2) until it rests; give the energy, and time step, damping ... of each step."""
-    # Weights of the differences to the neighbours right, left, below and above (4, rows + 2, cols + 2).
+    """Move ``x`` (2, rows + 2, cols + 2) until it rests.
+
+    Give the energy, and time step, damping ... of each step.
+    """
+    # Weights of the differences to the neighbours right, left, below and above (4, rows + 2, cols +
+    # 2).
     right, left, below, above = (
         np.roll(mask, shift, axis) for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0))
     )
@@ -185,7 +204,10 @@ def _motion(
     step_log: list[tuple[float, ...]] = []
 
     def accelerate() -> tuple[float, float, float]:
-        """Set the velocities after ``dt``; give their largest gradient, the fastest, and their sum."""
+        """Set the velocities after ``dt``.
+
+        Give their largest gradient, the fastest, and their sum.
+        """
         if p.integrator == "euler":
             return mix(v, 1.0 - c * dt, f, dt, weights, next_v)
         return mix(v, 1.0 / (1.0 + c * dt), f, dt / (1.0 + c * dt), weights, next_v)
@@ -233,7 +255,10 @@ def _motion(
 def _runge_kutta(
     x: Floats, v: Floats, f: Floats, springs: Springs, dt: float, c: float
 ) -> tuple[Floats, Floats]:
-    """Places and velocities after ``dt`` by the classical method of fourth order; ``f``, the force, is overwritten."""
+    """Places and velocities after ``dt`` by the classical method of fourth order.
+
+    ``f``, the force, is overwritten.
+    """
     stage_x, stage_v, new_x, new_v = x, v, x, v
     for stage, (weight, stage_dt) in enumerate(
         ((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))

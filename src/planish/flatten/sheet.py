@@ -61,12 +61,14 @@ class FlatteningQuality(ResultModel):
 class Flattened:
     """Flat coordinates and their quality."""
 
-    #: Dims (y, x): ``u``, ``v`` in um as seen from the top: u to the right, v downwards. NaN where there is no sheet or
-    #: a folded cell. ``projected_u``, ``projected_v``: the same without flattening.
+    # : Dims (y, x): ``u``, ``v`` in um as seen from the top: u to the right, v downwards. NaN where
+    # there is no sheet or : a folded cell. ``projected_u``, ``projected_v``: the same without
+    # flattening.
     flat: xr.Dataset
-    #: Dims (row, col): strains of the mesh's cells, with their place ``y``, ``x``, as ``cell_strain`` gives them;
-    #: ``gaussian_curvature`` in 1/um2 and ``needed_strain``, what a patch of paper around the cell would need to be
-    #: flat; and over ``step`` the solver's progress: ``step_nodes``, ``step_energy``, ``step_move``.
+    # : Dims (row, col): strains of the mesh's cells, with their place ``y``, ``x``, as
+    # ``cell_strain`` gives them; : ``gaussian_curvature`` in 1/um2 and ``needed_strain``, what a
+    # patch of paper around the cell would need to be : flat; and over ``step`` the solver's
+    # progress: ``step_nodes``, ``step_energy``, ``step_move``.
     strain: xr.Dataset
     quality: FlatteningQuality  #: how the flattening ended
 
@@ -74,11 +76,12 @@ class Flattened:
 def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) -> Flattened:
     """Develop the sheet into the plane: the surface that stays unstrained where it is bent.
 
-    That surface is taken at a distance from the centre surface, along its normals: the middle of the base
-    (``base_middle``), or none for the mean of the faces. A column's place is that of the point below its centre.
+    That surface is taken at a distance from the centre surface, along its normals: the middle of
+    the base (``base_middle``), or none for the mean of the faces. A column's place is that of the
+    point below its centre.
 
-    The mesh takes every n-th column (``params.mesh_um``): the centre surface holds no detail below its cut-off of
-    400 um, so that a mesh of 12 um loses nothing. Every column is carried along.
+    The mesh takes every n-th column (``params.mesh_um``): the centre surface holds no detail below
+    its cut-off of 400 um, so that a mesh of 12 um loses nothing. Every column is carried along.
 
     Parameters
     ----------
@@ -93,7 +96,8 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     Raises
     ------
     CannotFlatten
-        If the centre surface is too small or falls into pieces, or the middle of the base is asked for and not known.
+        If the centre surface is too small or falls into pieces, or the middle of the base is asked
+        for and not known.
     """
     check_dataset(
         surfaces,
@@ -157,9 +161,10 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
 class SheetMesh(NamedTuple):
     """Nodes of the spring mesh on the centre surface.
 
-    ``rows``, ``cols``: the columns that it takes, at ``y_um``, ``x_um``; ``pitch_um``: between two rows; ``is_sheet``
-    (y, x): columns of the sheet's largest piece; ``points`` (rows, cols, 3): x, y and height, NaN where there is no
-    sheet; ``weights``: of the nodes, less where the surface was bridged.
+    ``rows``, ``cols``: the columns that it takes, at ``y_um``, ``x_um``; ``pitch_um``: between two
+    rows; ``is_sheet`` (y, x): columns of the sheet's largest piece; ``points`` (rows, cols, 3): x,
+    y and height, NaN where there is no sheet; ``weights``: of the nodes, less where the surface was
+    bridged.
     """
 
     rows: NDArray[np.intp]
@@ -172,7 +177,10 @@ class SheetMesh(NamedTuple):
     weights: Floats | None
 
     def raised(self, offset: NDArray[np.floating]) -> Floats:
-        """Nodes moved along the normals onto the surface that lies ``offset`` (y, x) above, vertically, in um."""
+        """Move nodes along the normals onto the surface that lies ``offset`` (y, x) above.
+
+        ``offset`` is vertical, in um.
+        """
         node_offset = np.where(
             np.isfinite(self.points[..., 2]), offset[np.ix_(self.rows, self.cols)], np.nan
         )
@@ -219,7 +227,10 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
 def node_weights(
     surfaces: xr.Dataset, rows: NDArray[np.intp], cols: NDArray[np.intp]
 ) -> Floats | None:
-    """Weights of the mesh's nodes, less where the centre surface was bridged; None where the surfaces do not tell."""
+    """Weights of the mesh's nodes, less where the centre surface was bridged.
+
+    None where the surfaces do not tell.
+    """
     if "status" not in surfaces:
         return None
     # It holds the sheet together there, and leaves its shape to what was measured.
@@ -231,7 +242,10 @@ def _at_cells(nodes: Floats) -> Floats:
 
 
 def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Floats, dict[str, str]]]:
-    """History of the solver over ``step``: nodes of the mesh, energy, and the mean move of a node in the step."""
+    """Give the history of the solver over ``step``.
+
+    Nodes of the mesh, energy, and the mean move of a node in the step.
+    """
     step_table = np.array(
         [(step.nodes, step.energy, step.move) for step in relaxed.history], dtype=np.float64
     )

@@ -1,4 +1,4 @@
-"""The sheet flattened again: with another surface as the neutral one, or with another spacing through the sheet."""
+"""Flatten the sheet again, with another neutral surface or another spacing through the sheet."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -26,9 +26,12 @@ def flat_moves(
     neutral: NDArray[np.floating] | float = 0.0,
     rest: Rest = "arc",
 ) -> xr.Dataset:
-    """Moves of every place of the sheet in the plane when other surfaces are flattened instead of the neutral one.
+    """Give the moves in the plane of every place of the sheet when other surfaces are flattened.
 
-    All are flattened on one mesh, coarser than that of the maps: what the mesh itself does is the same for all.
+    They are flattened instead of the neutral one.
+
+    All are flattened on one mesh, coarser than that of the maps: what the mesh itself does is the
+    same for all.
 
     Parameters
     ----------
@@ -40,8 +43,8 @@ def flat_moves(
     Returns
     -------
     Dataset, dims (y, x), in um
-        On the nodes of the mesh, ``NAME_u`` and ``NAME_v`` of each; beside the sheet those of the nearest node.
-        A shift and a turn of the whole sheet have no meaning.
+        On the nodes of the mesh, ``NAME_u`` and ``NAME_v`` of each; beside the sheet those of the
+        nearest node. A shift and a turn of the whole sheet have no meaning.
     """
     centre, y, x = (surfaces[k].values for k in ("centre", "y", "x"))
     area = float(np.count_nonzero(np.isfinite(centre))) * abs((y[1] - y[0]) * (x[1] - x[0]))
@@ -67,26 +70,31 @@ def flat_moves(
 def places_when_scaled(
     surfaces: xr.Dataset, flat: xr.Dataset, points: Floats, *, mesh_um: float | None = None
 ) -> tuple[Floats, Floats]:
-    """Flatten the centre surface again with its heights scaled, and carry points of the sheet along.
+    """Flatten the centre surface again with scaled heights, and carry points of the sheet along.
 
     Parameters
     ----------
-    surfaces : Dataset, dims (y, x), in um; ``centre`` and the frame in its attributes; ``status`` if there is one
+    surfaces : Dataset, dims (y, x), in um
+        ``centre`` and the frame in its attributes; ``status`` if there is one.
     flat : Dataset, dims (y, x), in um
         ``u``, ``v`` of the columns at scale 1, as :func:`planish.flatten_sheet` gives them.
     points : (n, 2), in um; places ``(u, v)`` in the flat sheet
-    mesh_um : float, optional; pitch of the mesh; where not given, some 5000 nodes, 50 um apart at most
+    mesh_um : float, optional; pitch of the mesh; where not given, some 5000 nodes, 50 um apart at
+    most
 
     Returns
     -------
     scales : (k,)
-        Factors on the heights, 1 among them. Those at which the sheet cannot be flattened are left out.
+        Factors on the heights, 1 among them. Those at which the sheet cannot be flattened are left
+        out.
     places : (k, n, 2), in um
-        At scale 1 they are the points; NaN for points beside the sheet. Each is turned and shifted as a whole.
+        At scale 1 they are the points; NaN for points beside the sheet. Each is turned and shifted
+        as a whole.
 
     Notes
     -----
-    Only differences of two flattenings of the same coarse mesh are used, so that its own error cancels.
+    Only differences of two flattenings of the same coarse mesh are used, so that its own error
+    cancels.
     """
     pitch_um = pitch(surfaces)
     is_sheet = np.isfinite(flat["u"].values) & np.isfinite(surfaces["centre"].values)

@@ -1,6 +1,7 @@
 """Files to volumes and images, where every length becomes micrometres, and the stores.
 
-``formats`` is the table of formats, each read by its ``*_volume`` module; ``sizes`` settles one voxel or pixel size.
+``formats`` is the table of formats, each read by its ``*_volume`` module; ``sizes`` settles one
+voxel or pixel size.
 """
 
 import lazy_loader as lazy

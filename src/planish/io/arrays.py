@@ -1,4 +1,7 @@
-"""Arrays in memory, of dask, zarr and xarray, or mapped from a file, as the volume or image that a file would give."""
+"""Take arrays as the volume or image that a file would give.
+
+The arrays are in memory, of dask, zarr and xarray, or mapped from a file.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -39,12 +42,15 @@ def volume(
     override_size: bool = False,
     unusual_size: bool = False,
 ) -> xr.DataArray:
-    """Make a volume of an array: what :func:`planish.read_volume` gives of the same values in a file.
+    """Make a volume of an array.
+
+    It is what :func:`planish.read_volume` gives of the same values in a file.
 
     Parameters
     ----------
     array : array, shape (z, y, x)
-        Of NumPy, xarray, dask, zarr or h5py. What lies in a file, or is computed part by part, stays so.
+        Of NumPy, xarray, dask, zarr or h5py. What lies in a file, or is computed part by part,
+        stays so.
     voxel_um : float or (z, y, x)
         Voxel size in um; an xarray object with coordinates in um needs none.
     through, top, override_size, unusual_size
@@ -58,8 +64,8 @@ def volume(
     Raises
     ------
     InputError
-        If it is no array, or an axis or end has another name; a VolumeError where it has not three axes or no grey
-        values, a SizeError where its size is missing, contradictory or impossible.
+        If it is no array, or an axis or end has another name; a VolumeError where it has not three
+        axes or no grey values, a SizeError where its size is missing, contradictory or impossible.
 
     Examples
     --------
@@ -97,7 +103,9 @@ def image(
     override_size: bool = False,
     unusual_size: bool = False,
 ) -> xr.DataArray:
-    """Make an image of an array: what :func:`planish.read_image` gives of the same values in a file.
+    """Make an image of an array.
+
+    It is what :func:`planish.read_image` gives of the same values in a file.
 
     Parameters
     ----------
@@ -206,9 +214,13 @@ def _labelled(
     override: bool,
     unusual: bool,
 ) -> xr.DataArray:
-    """The values with the size that coordinates, attribute and call agree on, beginning where they did."""
+    """Give the values with the size that coordinates, attribute and call agree on.
+
+    They begin where they did.
+    """
     steps = {axis: None if override else step_um(raster, axis) for axis in kind.axes}
-    # Without a unit they may count voxels: they have to fit a size that is given, and are none by themselves.
+    # Without a unit they may count voxels: they have to fit a size that is given, and are none by
+    # themselves.
     unitless = [
         axis
         for axis, step in steps.items()

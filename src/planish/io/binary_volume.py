@@ -1,4 +1,7 @@
-"""NIfTI files of one volume, versions 1 and 2, and MRC files: mapped, or unpacked at once where they are packed."""
+"""Read NIfTI files of one volume, versions 1 and 2, and MRC files.
+
+They are mapped, or unpacked at once where they are packed.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -74,7 +77,10 @@ def _load_nifti(path: Path) -> LoadedVolume:
 
 
 def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:
-    """Read the header alone, and its length: what nibabel opens may name other files and extensions of any size."""
+    """Read the header alone, and its length.
+
+    What nibabel opens may name other files and extensions of any size.
+    """
     with quiet:
         from nibabel import Nifti1Header, Nifti2Header
     header_class, n_bytes, magic = Nifti1Header, 348, head[344:347]
@@ -128,7 +134,10 @@ def _mrc_header(head: bytes, path: Path) -> Any:
 
 
 def _type_of(fields: Any, path: Path) -> np.dtype[Any]:
-    """Type of the values by their mode; bytes of programs that say so by IMOD's flags are unsigned."""
+    """Type of the values by their mode.
+
+    Bytes of programs that say so by IMOD's flags are unsigned.
+    """
     from mrcfile import utils
 
     mode, byte_order = int(fields["mode"]), fields.dtype["nx"].byteorder
@@ -149,7 +158,10 @@ def _type_of(fields: Any, path: Path) -> np.dtype[Any]:
 
 
 def _stated(fields: Any, axes: tuple[int, ...]) -> Stated:
-    """Size of a voxel: the cell by its intervals; its axes may stand in another order than those of the array."""
+    """Size of a voxel: the cell by its intervals.
+
+    Its axes may stand in another order than those of the array.
+    """
     cell_lengths: list[float | None] = []
     for name in ("mapc", "mapr", "maps"):
         axis = {1: "x", 2: "y", 3: "z"}.get(int(fields[name]), "")

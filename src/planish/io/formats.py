@@ -1,9 +1,12 @@
-"""The table of formats: which module reads which file, the part of a path that chooses in a file, what a reader gives.
+"""Give the table of formats: which module reads which file.
 
-A module has the function ``load(place, channel, memory_bytes) -> LoadedVolume``. ``channel`` is None or one of
-:data:`CHANNELS`; ``memory_bytes`` is the largest decoded size, None for three quarters of the memory available. It
-raises FileError for a file that is damaged or of another format, VolumeError for what is not one grey volume,
-SizeError, InputError for a channel that is not there, and ResourceError for what does not fit into the memory.
+Also the part of a path that chooses in a file, and what a reader gives.
+
+A module has the function ``load(place, channel, memory_bytes) -> LoadedVolume``. ``channel`` is
+None or one of :data:`CHANNELS`; ``memory_bytes`` is the largest decoded size, None for three
+quarters of the memory available. It raises FileError for a file that is damaged or of another
+format, VolumeError for what is not one grey volume, SizeError, InputError for a channel that is not
+there, and ResourceError for what does not fit into the memory.
 """
 
 from __future__ import annotations
@@ -122,7 +125,10 @@ def exists(path: Path) -> bool:
 
 
 def format_of(place: Place) -> VolumeFormat:
-    """Find the format by the name, or for folders by what lies in them; everything else is an image file."""
+    """Find the format by the name, or for folders by what lies in them.
+
+    Everything else is an image file.
+    """
     path = place.path
     name, is_folder = path.name.lower(), path.is_dir()
     candidates = [
@@ -247,16 +253,23 @@ def check_channel(channel: str | None) -> str | None:
 
 
 def grey_of(colour: NDArray[Any], *, channel: str | None) -> NDArray[Any]:
-    """Turn the last axis, red, green and blue, into grey; luminance, where none is chosen, is rounded in integers."""
+    """Turn the last axis, red, green and blue, into grey.
+
+    Luminance, where none is chosen, is rounded in integers.
+    """
     if channel not in (None, "luminance"):
         return colour[..., COLOURS[channel]]
-    # In double precision 16-bit values come out exact, so that grey stored as colour stays what it was.
+    # In double precision 16-bit values come out exact, so that grey stored as colour stays what it
+    # was.
     grey = colour[..., :3].astype(np.float64) @ np.array(LUMINANCE)
     return (np.rint(grey) if colour.dtype.kind in "ui" else grey).astype(colour.dtype)
 
 
 def colour_attrs(channel: str | None, path: Path, *, in_colour: bool) -> dict[str, str]:
-    """Attributes of a volume whose files are in colour; a choice of colours is refused where they are not."""
+    """Attributes of a volume whose files are in colour.
+
+    A choice of colours is refused where they are not.
+    """
     if not in_colour:
         if channel not in (None, "luminance"):
             raise InputError(
@@ -280,8 +293,9 @@ def check_chunks(
 ) -> tuple[str, ...]:
     """Compare the chunks of an array with those it should have.
 
-    Writers leave out chunks that hold nothing but the fill value, so a few that are missing may be the air around a
-    sample. A whole layer of the array without any is a copy that was cut off, or a wrong shape.
+    Writers leave out chunks that hold nothing but the fill value, so a few that are missing may be
+    the air around a sample. A whole layer of the array without any is a copy that was cut off, or a
+    wrong shape.
     """
     grid = tuple(-(-n // c) for n, c in zip(shape, chunk, strict=True))
     stored = [

@@ -1,4 +1,7 @@
-"""The border to the decoders: their failures become one error, and nothing larger than the memory is asked for."""
+"""Guard the border to the decoders.
+
+Their failures become one error, and nothing larger than the memory is asked for.
+"""
 
 import ctypes
 import logging
@@ -17,10 +20,11 @@ from planish.core.threads import control_groups
 
 
 class _Quiet:
-    """Keeps log lines and warnings of other libraries away from the user while any thread is reading.
+    """Keep other libraries' log lines and warnings away from the user while any thread is reading.
 
-    Filters of warnings and switches of loggers belong to the whole process. Threads that set and reset them in turn
-    would leave them as another thread had found them, so the first one in sets them and the last one out resets them.
+    Filters of warnings and switches of loggers belong to the whole process. Threads that set and
+    reset them in turn would leave them as another thread had found them, so the first one in sets
+    them and the last one out resets them.
     """
 
     def __init__(self) -> None:
@@ -52,7 +56,7 @@ quiet = _Quiet()
 
 @contextmanager
 def reading(path: Path) -> Generator[None]:
-    """Turn whatever a decoder raises into one FileError, and keep its log lines and warnings quiet."""
+    """Turn whatever a decoder raises into one FileError, and silence its log lines and warnings."""
     try:
         with quiet:
             yield
@@ -95,7 +99,8 @@ def head_of(path: Path, most: int) -> bytes:
 
 def check_blown_up(path: Path, *, decoded_bytes: int, stored_bytes: int) -> None:
     """Refuse compressed data that claim far more than so few bytes can hold."""
-    # Deflate ends at 1032, LZW at about 1400, noisy scans far below. Small images do no harm: constant ones pass.
+    # Deflate ends at 1032, LZW at about 1400, noisy scans far below. Small images do no harm:
+    # constant ones pass.
     if decoded_bytes > 16 * 2**20 and decoded_bytes > 2000 * stored_bytes:
         raise FileError(
             f"{path.name} claims {decoded_bytes} bytes of image in {stored_bytes} stored bytes,"
@@ -129,7 +134,7 @@ def default_memory_limit() -> int:
             if line.startswith("MemAvailable:"):
                 available_bytes = int(line.split()[1]) * 1024
     if not available_bytes and os.name == "nt":
-        available_bytes = _available_on_windows(getattr(ctypes, "windll").kernel32)  # noqa: B009  # unknown elsewhere
+        available_bytes = _available_on_windows(getattr(ctypes, "windll").kernel32)  # noqa: B009
     if not available_bytes:
         try:
             available_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
@@ -160,7 +165,10 @@ def _available_on_windows(kernel: Any) -> int:
 def _control_group_limit_bytes(
     membership_file: Path = Path("/proc/self/cgroup"), groups_folder: Path = Path("/sys/fs/cgroup")
 ) -> int:
-    """Least memory limit of the control groups of the process (containers, batch systems); a huge number if none."""
+    """Least memory limit of the control groups of the process (containers, batch systems).
+
+    A huge number if none.
+    """
     limits = [2**62]
     folders = ((groups_folder, False), (groups_folder / "memory", True))
     for folder, is_version_1 in (

@@ -1,4 +1,7 @@
-"""A hash by which two inputs, in one file or many, can be compared, and the lists of checksums in a store."""
+"""Give a hash by which two inputs can be compared, and the lists of checksums in a store.
+
+An input may be in one file or many.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +23,25 @@ if TYPE_CHECKING:
 
     Array = zarr.Array[Any]
 
-# List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it.
+# List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c``
+# reads it.
 CHECKSUMS = "checksums.sha256"
 Where = tuple[slice, slice, slice]
 
 
 def missing_shards(path: Path) -> list[str]:
-    """Return the shards that the lists of checksums name and that are not there; empty where there is no list."""
+    """Return the shards that the lists of checksums name and that are not there.
+
+    Empty where there is no list.
+    """
     return [name for name in _read_checksums(path) if not (path / name).is_file()]
 
 
 def store_fingerprint(path: Path) -> str:
-    """SHA-256 over the checksums of all shards, for which no shard is read; empty where there are no checksums."""
+    """SHA-256 over the checksums of all shards, for which no shard is read.
+
+    Empty where there are no checksums.
+    """
     shard_hashes = sorted(_read_checksums(path).items())
     if not shard_hashes:  # The shards hold the voxels, the metadata their size.
         return ""
@@ -105,13 +115,16 @@ def fingerprint(path: str | Path) -> str:
 
     Parameters
     ----------
-    path : path; a file, a folder of slices, or a store of many files; of ``file.h5:/entry/data``, that one volume
+    path : path
+        A file, a folder of slices, or a store of many files; of ``file.h5:/entry/data``, that one
+        volume.
 
     Returns
     -------
     str
-        64 hexadecimal digits. For a folder, and for a header with its data: the hash over name and hash of each file,
-        sorted by name; the counter of sections counts, other files in a folder of slices do not, nor its name.
+        64 hexadecimal digits. For a folder, and for a header with its data: the hash over name and
+        hash of each file, sorted by name; the counter of sections counts, other files in a folder
+        of slices do not, nor its name.
 
     Raises
     ------
@@ -138,9 +151,13 @@ def fingerprint(path: str | Path) -> str:
 
 
 def files_of(place: Place) -> list[Path]:
-    """List the files that an input is made of, reading its headers alone; errors as of :func:`fingerprint`."""
+    """List the files that an input is made of, reading its headers alone.
+
+    Errors as of :func:`fingerprint`.
+    """
     path, file_format = place.path, format_of(place)
-    # Sections have gaps that are none: their counter says where each one lies, and is part of what was measured.
+    # Sections have gaps that are none: their counter says where each one lies, and is part of what
+    # was measured.
     if is_section_folder(path):
         return [file for file in path.iterdir() if is_slice_name(file.name) or file.name == COUNTER]
     if file_format is SLICES:

@@ -1,7 +1,8 @@
 """Volumes in HDF5 files, and in the NeXus files of reconstruction programs (NXtomoproc).
 
-HDF5 opens other files without asking, and reads those that are not there as zeros: through external links, external
-storage and virtual data sets. So every link is followed here, by hand, and a file outside the folder is refused.
+HDF5 opens other files without asking, and reads those that are not there as zeros: through external
+links, external storage and virtual data sets. So every link is followed here, by hand, and a file
+outside the folder is refused.
 """
 
 import math
@@ -46,7 +47,10 @@ def opened(path: Path) -> Generator[h5py.File]:
 
 
 def link_of(group: Any, name: str) -> Any:
-    """A HardLink, SoftLink or ExternalLink of h5py, which is not followed; None where a group has no such member."""
+    """A HardLink, SoftLink or ExternalLink of h5py, which is not followed.
+
+    None where a group has no such member.
+    """
     # To ask h5py whether the group holds it would open the file that an external link names.
     key = name.encode()
     if (
@@ -196,7 +200,10 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 
 
 def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
-    """Return an array that reads a data set in parts, and what looks wrong; refuse one without values."""
+    """Return an array that reads a data set in parts, and what looks wrong.
+
+    Refuse one without values.
+    """
     check_storage(dataset, path)
     chunks, shape = dataset.chunks, tuple(int(n) for n in dataset.shape)
     array = FileArray(
@@ -222,7 +229,8 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
 
 def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> NDArray[Any]:
     with opened(path) as file:
-        # Parts of a virtual data set are looked for beside the file first, wherever planish was started.
+        # Parts of a virtual data set are looked for beside the file first, wherever planish was
+        # started.
         access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
         access.set_virtual_prefix(b"${ORIGIN}")
         dataset: Any = h5py.Dataset(h5py.h5d.open(file.id, name.encode(), access))
@@ -251,7 +259,10 @@ def _default_dataset(file: h5py.File, path: Path) -> str | None:
 
 
 def _default_group(group: Any, kind: str) -> Any:
-    """Group of a NeXus class that ``default_member`` names, or the only one there is; None in no group."""
+    """Group of a NeXus class that ``default_member`` names, or the only one there is.
+
+    None in no group.
+    """
     if group is None:
         return None
     default_member = _child(group, _attribute(group, "default"))
@@ -299,7 +310,10 @@ def _stated_by_nexus(dataset: Any, axis_names: Sequence[str], order: Sequence[in
 
 
 def _stated_by_attributes(dataset: Any) -> list[Stated]:
-    """Voxel size in the attributes of a data set or its group, one number or z, y, x, where a unit is given."""
+    """Find the voxel size in the attributes of a data set or its group, where a unit is given.
+
+    It is one number or z, y, x.
+    """
     stated: list[Stated] = []
     for owner in (dataset, dataset.parent):
         keys = {str(key).casefold(): str(key) for key in owner.attrs}

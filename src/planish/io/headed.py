@@ -1,4 +1,7 @@
-"""Values behind a header, in its file or another one: mapped where they lie as they are, or unpacked at once."""
+"""Read values behind a header, in its file or another one.
+
+They are mapped where they lie as they are, or unpacked at once.
+"""
 
 import bz2
 import math
@@ -106,7 +109,8 @@ def unpacked_parts(header: Header) -> Iterator[bytes]:
         file.seek(header.offset)
         packed = b""
         while not unpacker.eof and n_unpacked <= needed_bytes:
-            # What is unpacked at once is limited, and so some input may be left, here or inside the unpacker.
+            # What is unpacked at once is limited, and so some input may be left, here or inside the
+            # unpacker.
             if not packed and not (is_bzip2 and not unpacker.needs_input):
                 packed = file.read(PACKED_BYTES)
                 if not packed:

@@ -1,4 +1,6 @@
-"""Volumes behind a header of text, NRRD, MetaImage and TOML: raw values are mapped, compressed ones unpacked at once.
+"""Read volumes behind a header of text: NRRD, MetaImage and TOML.
+
+Raw values are mapped, compressed ones unpacked at once.
 
 Compressed values of a MetaImage that do not fit into the memory are read in parts by SimpleITK.
 """
@@ -164,7 +166,7 @@ def _stated_by_nrrd(fields: Mapping[str, Any], axes: tuple[int, ...]) -> list[St
     return stated
 
 
-def _meta_header(head: bytes, path: Path) -> Header:
+def _meta_header(head: bytes, path: Path) -> Header:  # noqa: C901
     fields: dict[str, str] = {}
     header_bytes = 0
     for line in BytesIO(head):
@@ -236,7 +238,8 @@ def _read_meta(path: Path, where: Where) -> NDArray[Any]:
     reader.SetImageIO("MetaImageIO")
     reader.SetFileName(str(path))
     reader.ReadImageInformation()
-    # Axes of length 1 that were left out above lie before the others or after them; here they come back.
+    # Axes of length 1 that were left out above lie before the others or after them; here they come
+    # back.
     extents = [int(n) for n in reader.GetSize()]
     reversed_spans = iter(reversed(where))
     spans = [next(reversed_spans) if n > 1 else slice(0, 1) for n in extents]

@@ -50,14 +50,16 @@ def read_image(
     memory_bytes : int, optional
         Largest decoded size; default: three quarters of the memory available.
     side : {"top", "bottom"}, optional
-        Side of the sheet that it shows, which :func:`planish.find_holes` then follows; top is assumed where not given.
+        Side of the sheet that it shows, which :func:`planish.find_holes` then follows; top is
+        assumed where not given.
 
     Returns
     -------
     DataArray, dims (y, x), float32
-        Coordinates in um, pixel i has its centre at i × size. Attributes: ``units``, ``long_name``, ``pixel_um`` (y,
-        x), ``pixel_um_source``, ``channel``, ``stored_dtype``, ``full_scale`` (largest value the file can store, None
-        for floating point), ``orientation`` (the tag), ``file_name``, ``file_bytes``, and ``side`` if given.
+        Coordinates in um, pixel i has its centre at i × size. Attributes: ``units``, ``long_name``,
+        ``pixel_um`` (y, x), ``pixel_um_source``, ``channel``, ``stored_dtype``, ``full_scale``
+        (largest value the file can store, None for floating point), ``orientation`` (the tag),
+        ``file_name``, ``file_bytes``, and ``side`` if given.
 
     Raises
     ------
@@ -72,9 +74,9 @@ def read_image(
 
     Notes
     -----
-    Values stay as stored: no gamma is undone (luminance is the weighted sum of stored values), alpha is ignored,
-    and an orientation tag turns nothing, it is only reported. In TIFF files whose white is zero the values are
-    turned round; palettes are looked up.
+    Values stay as stored: no gamma is undone (luminance is the weighted sum of stored values),
+    alpha is ignored, and an orientation tag turns nothing, it is only reported. In TIFF files whose
+    white is zero the values are turned round; palettes are looked up.
     """
     from planish.core.arrays import check_path  # here, so that a look at a file waits for no xarray
     from planish.core.labelled import labelled

@@ -43,7 +43,8 @@ from planish.io.slice_volume import list_slices, slice_numbers, slice_step
 from planish.io.tiff import open_series
 from planish.io.volume import load_volume
 
-# Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred.
+# Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet
+# is blurred.
 USUAL_VOXEL_UM = (0.3, 20.0)
 # Finds the size and its source, or raises SizeError.
 Agreed = Callable[..., tuple[tuple[float, ...], str]]
@@ -61,7 +62,9 @@ def describe(
     look: Callable[[Values], None] | None = None,
     values: bool = True,
 ) -> dict[str, Any]:
-    """Inspect a volume or an image and report what it holds, in little memory: parts of large ones are read.
+    """Inspect a volume or an image and report what it holds, in little memory.
+
+    Of large ones, parts are read.
 
     Parameters
     ----------
@@ -71,23 +74,27 @@ def describe(
     channel : str, optional, as in :func:`planish.io.read_volume`, for volumes and sections
     override_size : bool
     memory_bytes : int, optional
-        What may be decoded at once; of files that can only be decoded whole and have more, values are not looked at.
+        What may be decoded at once; of files that can only be decoded whole and have more, values
+        are not looked at.
     look : callable, optional
-        Is given the values of a volume (z, y, x), or of an image (y, x), where they may be looked at.
+        Is given the values of a volume (z, y, x), or of an image (y, x), where they may be looked
+        at.
     values : bool; whether values are looked at; otherwise headers alone are read
 
     Returns
     -------
     dict
-        Plain numbers and words, ready for JSON: ``kind`` ("volume", "sections" or "image"), ``file_name``, ``bytes``,
-        ``dims``, ``shape``, ``dtype``, ``size_um`` (None where unknown), ``size_source``, ``size_problem``,
-        ``extent_um``, ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share`` (values at the largest the
-        type can store), ``bottom_share`` (values of 0), all None where no value was looked at, ``sampled`` (which
-        slices, or rows and columns, were looked at; None for all), and ``warnings``, a list of sentences. For volumes
-        also ``format``, ``stored`` (how they are read), ``through`` (the axis that seems to run through the sheet;
-        None where the grey does not tell), ``run_bytes`` and ``run_seconds`` (memory with which ``planish map``
-        measures single voxels, and its time, roughly), ``metadata`` (what a log states, and choices made). For images
-        ``link_bytes`` and ``link_seconds``: memory of ``planish link``, and what it takes after the volume.
+        Plain numbers and words, ready for JSON: ``kind`` ("volume", "sections" or "image"),
+        ``file_name``, ``bytes``, ``dims``, ``shape``, ``dtype``, ``size_um`` (None where unknown),
+        ``size_source``, ``size_problem``, ``extent_um``, ``min``, ``max``, ``percentiles``,
+        ``nan_share``, ``saturated_share`` (values at the largest the type can store),
+        ``bottom_share`` (values of 0), all None where no value was looked at, ``sampled`` (which
+        slices, or rows and columns, were looked at; None for all), and ``warnings``, a list of
+        sentences. For volumes also ``format``, ``stored`` (how they are read), ``through`` (the
+        axis that seems to run through the sheet; None where the grey does not tell), ``run_bytes``
+        and ``run_seconds`` (memory with which ``planish map`` measures single voxels, and its time,
+        roughly), ``metadata`` (what a log states, and choices made). For images ``link_bytes`` and
+        ``link_seconds``: memory of ``planish link``, and what it takes after the volume.
 
     Raises
     ------
@@ -241,7 +248,10 @@ def _describe_image(
     value_facts: ValueFacts,
     warnings: list[str],
 ) -> dict[str, Any]:
-    """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
+    """Report what an image holds.
+
+    Its values are those of the luminance, or of channel 0 where there is none.
+    """
     picture = None
     with suppress(ResourceError):
         picture = None if most_bytes is None else load_picture(path, memory_bytes=most_bytes)
@@ -306,7 +316,10 @@ def _size_facts(
     warnings: list[str],
     usual_range: tuple[str, Pair] | None = None,
 ) -> dict[str, Any]:
-    """Voxel or pixel size and where it comes from, or why there is none; unusual ones are doubted."""
+    """Voxel or pixel size and where it comes from, or why there is none.
+
+    Unusual ones are doubted.
+    """
     try:
         size, source = find_size()
     except SizeError as error:

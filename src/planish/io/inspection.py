@@ -19,7 +19,7 @@ from planish.io.slice_volume import first_few
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
 
-def inspect_values(
+def inspect_values(  # noqa: C901
     values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]
 ) -> dict[str, Any]:
     """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
@@ -144,7 +144,10 @@ Grey = NDArray[np.uint8]
 
 
 class Section(NamedTuple):
-    """A section through the middle: the axes down and across it, grey from 0 to 255, and voxels in one of its steps."""
+    """A section through the middle.
+
+    The axes down and across it, grey from 0 to 255, and voxels in one of its steps.
+    """
 
     down: str
     across: str
@@ -153,7 +156,10 @@ class Section(NamedTuple):
 
 
 def middle_sections(values: Values) -> list[Section]:
-    """Middle sections (z, x), (z, y), (y, x) of a volume (z, y, x), of at most 96 slices; or an image (y, x) itself."""
+    """Middle sections (z, x), (z, y), (y, x) of a volume (z, y, x), of at most 96 slices.
+
+    Or an image (y, x) itself.
+    """
     if len(values.shape) == 2:
         return [_section("y", "x", np.asarray(values), (1, 1))]
     depth, rows, cols = values.shape
@@ -170,7 +176,10 @@ def middle_sections(values: Values) -> list[Section]:
 
 
 def best_section(sections: list[Section], through: str | None) -> Section:
-    """The section in which a sheet shows as a line: across its normal, and first the one that reads down the normal."""
+    """Give the section in which a sheet shows as a line.
+
+    It lies across the sheet's normal, and the one that reads down the normal comes first.
+    """
     candidates = [s for s in sections if through in (s.down, s.across)]
     return next((s for s in candidates if s.down == through), (candidates or sections)[0])
 
@@ -217,7 +226,10 @@ def _section(down: str, across: str, plane: NDArray[Any], step: tuple[int, int])
 
 
 def _resized(section: Section, scale: float, *, squeeze: float = 1.0) -> Grey:
-    """The nearest pixels, so many per voxel; rows are squeezed for letters, which are higher than wide."""
+    """The nearest pixels, so many per voxel.
+
+    Rows are squeezed for letters, which are higher than wide.
+    """
     nearest_indices: list[Ints] = []
     for n, step, pixels_per_voxel in zip(
         section.grey.shape, section.step, (scale / squeeze, scale), strict=True

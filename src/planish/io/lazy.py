@@ -1,4 +1,7 @@
-"""Arrays that stay in their files, of which only the part that is asked for is read; a few decoded slices stay."""
+"""Arrays that stay in their files, of which only the part that is asked for is read.
+
+A few decoded slices stay.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -42,7 +45,10 @@ Change = Callable[[NDArray[Any]], NDArray[Any]]
 
 
 class PagedArray(FileArray):
-    """A volume of pages in strips of `unit_rows`, the last kept decoded; ``rows(page, start, stop)`` decodes strips."""
+    """A volume of pages in strips of `unit_rows`, the last kept decoded.
+
+    ``rows(page, start, stop)`` decodes strips.
+    """
 
     def __init__(
         self,
@@ -91,7 +97,10 @@ class PagedArray(FileArray):
 
 
 class StoredArray(FileArray):
-    """Planes that lie in files as they are, in any byte order; open only while read: mapped they would use memory."""
+    """Planes that lie in files as they are, in any byte order.
+
+    Open only while read: mapped they would use memory.
+    """
 
     def __init__(
         self,
@@ -136,7 +145,8 @@ def lengths(where: Where) -> list[int]:
 
 def unmapped(array: Values) -> Values:
     """The values of a mapped file, read part by part; anything else as it is."""
-    # A part or a turned view of a mapped file still carries its name and offset, but lies elsewhere in it.
+    # A part or a turned view of a mapped file still carries its name and offset, but lies elsewhere
+    # in it.
     if not isinstance(array, np.memmap) or array.filename is None or not array.flags.c_contiguous:
         return array
     return stored_planes(Path(array.filename), array.shape, array.dtype, offset=array.offset)
@@ -145,7 +155,10 @@ def unmapped(array: Values) -> Values:
 def mapped(
     path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any], *, offset: int
 ) -> Values:
-    """Map values that lie in a file as they are; a memmap where the machine has their byte order."""
+    """Map values that lie in a file as they are.
+
+    A memmap where the machine has their byte order.
+    """
     if stored_dtype == stored_dtype.newbyteorder("=") and stored_dtype != np.float16:
         with reading(path):
             return np.memmap(path, stored_dtype, mode="r", offset=offset, shape=shape)
@@ -173,9 +186,12 @@ class WholeArray(FileArray):
 
 
 class ViewArray(FileArray):
-    """An array with its axes in another order, whose parts pass a function that changes each value for itself.
+    """An array with its axes in another order.
 
-    Axes left out of `order` are of length 1, or the samples of a pixel, which ``change`` takes away; it can be pickled.
+    Its parts pass a function that changes each value for itself.
+
+    Axes left out of `order` are of length 1, or the samples of a pixel, which ``change`` takes
+    away; it can be pickled.
     """
 
     def __init__(
@@ -212,7 +228,10 @@ def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
 
 
 def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
-    """Read an array at once where it is small, and leave it in its file otherwise; float16 becomes float32."""
+    """Read an array at once where it is small, and leave it in its file otherwise.
+
+    Float16 becomes float32.
+    """
     limit = memory_limit(memory_bytes)
     array = unmapped(array) if array.nbytes > limit else array
     if not isinstance(array, FileArray):

@@ -1,7 +1,8 @@
 """Chunks of a map in a store, packed and unpacked by the threads that ask for them.
 
-zarr makes a task for every chunk and hands all of them through one loop: that takes several times as long as packing.
-Here each thread packs and writes its own. A chunk is packed by Blosc, and its CRC-32C (4 bytes, little endian) follows.
+zarr makes a task for every chunk and hands all of them through one loop: that takes several times
+as long as packing. Here each thread packs and writes its own. A chunk is packed by Blosc, and its
+CRC-32C (4 bytes, little endian) follows.
 """
 
 from itertools import product
@@ -18,7 +19,8 @@ from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 from planish.core.lazy import Where
 
 _BLOSC = Blosc(cname="lz4", clevel=1, shuffle=Blosc.SHUFFLE)
-# Noisy maps, bytes sorted by weight, take a fifth less room than by zstd, in a fifth of the time; the sum tells damage.
+# Noisy maps, bytes sorted by weight, take a fifth less room than by zstd, in a fifth of the time;
+# the sum tells damage.
 CODECS = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
 
 
@@ -32,7 +34,10 @@ def is_ours(array: zarr.Array[Any]) -> bool:
 
 
 def write_chunks(store: Path, array: zarr.Array[Any], where: Where, values: NDArray[Any]) -> None:
-    """Write a part of an array; where a chunk holds more than that, what was written before stays."""
+    """Write a part of an array.
+
+    Where a chunk holds more than that, what was written before stays.
+    """
     for file, within, source in _chunks(store, array, where):
         chunk = _unpacked(file, array)
         chunk[within] = values[source]
@@ -42,7 +47,10 @@ def write_chunks(store: Path, array: zarr.Array[Any], where: Where, values: NDAr
 
 
 def read_chunks(store: Path, array: zarr.Array[Any], where: Where) -> NDArray[Any]:
-    """Read a part of an array that :func:`is_ours`; ValueError, RuntimeError or OSError where it is damaged."""
+    """Read a part of an array that :func:`is_ours`.
+
+    ValueError, RuntimeError or OSError where it is damaged.
+    """
     values = np.empty([w.stop - w.start for w in where], array.dtype)
     for file, within, target in _chunks(store, array, where):
         values[target] = _unpacked(file, array)[within]
@@ -60,7 +68,10 @@ def _unpacked(file: Path, array: zarr.Array[Any]) -> NDArray[Any]:
 
 
 def _chunks(store: Path, array: zarr.Array[Any], where: Where) -> list[tuple[Path, Where, Where]]:
-    """Files of the chunks of a part, the places of the part within each, and the places of each within the part."""
+    """Give the files of the chunks of a part.
+
+    Also the places of the part within each, and the places of each within the part.
+    """
     ranges = [
         range(w.start // c, -(-w.stop // c)) for w, c in zip(where, array.chunks, strict=True)
     ]

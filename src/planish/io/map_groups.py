@@ -32,7 +32,10 @@ _METADATA = "zarr.json"
 
 
 def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
-    """Write datasets as groups of a zarr store for ``xarray.open_datatree(path, engine="zarr")``; others in it stay."""
+    """Write datasets as groups of a zarr store for ``xarray.open_datatree(path, engine="zarr")``.
+
+    Others in it stay.
+    """
     zarr.open_group(path, mode="a", attributes={COMPLETE: True})
     for name, data in groups.items():
         group = open_group(path, name, data)
@@ -60,7 +63,10 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
 
 def _consolidate(path: Path) -> None:
-    """Gather the metadata of all groups and arrays in the file of the root, without which xarray warns."""
+    """Gather the metadata of all groups and arrays in the file of the root.
+
+    Without it xarray warns.
+    """
     nodes = {
         file.parent: json.loads(file.read_text(encoding="utf-8"))
         for file in sorted(path.rglob(_METADATA))
@@ -82,7 +88,10 @@ def _consolidate(path: Path) -> None:
 
 
 def take_group(path: Path, source: Path, name: str) -> None:
-    """Put a group of one store into another with its smaller copies; chunks as links where the disk has these."""
+    """Put a group of one store into another with its smaller copies.
+
+    Chunks as links where the disk has these.
+    """
     overviews = f"{OVERVIEWS}/{name}"
     for group in (name, overviews) if (source / overviews).is_dir() else (name,):
         shutil.copytree(source / group, path / group, copy_function=_link_or_copy)
@@ -99,12 +108,17 @@ def _link_or_copy(source: str, target: str) -> None:
 
 
 def open_tree(path: Path, among: Iterable[str] | None = None) -> Mapping[str, xr.Dataset]:
-    """Groups of a store by name, of ``among`` only, read when asked for; large ones come with their smaller copies."""
+    """Groups of a store by name, of ``among`` only, read when asked for.
+
+    Large ones come with their smaller copies.
+    """
     return ReadOnDemand(partial(_group_names, path, among), partial(read_group, path))
 
 
 def read_tree(path: Path) -> dict[str, xr.Dataset]:
-    """Read all groups of a store, as :func:`open_tree` gives them, into memory as far as they are not large.
+    """Read all groups of a store into memory as far as they are not large.
+
+    They are as :func:`open_tree` gives them.
 
     Raises
     ------
@@ -115,7 +129,10 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
 
 
 def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
-    """Names of the groups of a store that hold arrays, checked to be whole; FileError as `read_tree`."""
+    """Names of the groups of a store that hold arrays, checked to be whole.
+
+    FileError as `read_tree`.
+    """
     check_exists(path)
     if not (path / _METADATA).is_file():
         raise FileError(
@@ -144,7 +161,9 @@ def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
 
 
 def read_group(path: Path, name: str, variables: Iterable[str] | None = None) -> xr.Dataset:
-    """Read one group of a store, or some of its variables; of half a gigabyte and more, part by part when asked for.
+    """Read one group of a store, or some of its variables.
+
+    Of half a gigabyte and more, part by part when asked for.
 
     Raises
     ------

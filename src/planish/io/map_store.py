@@ -1,4 +1,7 @@
-"""Maps of one grid while they are made, tile by tile: in memory, or in a store from which parts are read back."""
+"""Hold maps of one grid while they are made, tile by tile.
+
+They are in memory, or in a store from which parts are read back.
+"""
 
 from __future__ import annotations
 
@@ -40,10 +43,12 @@ def map_tiles(shape: tuple[int, int]) -> list[Tile]:
 
 
 class StoredMaps:
-    """Groups of maps (y, x) on one grid, of which tiles are added: in memory, or in a store with overviews.
+    """Groups of maps (y, x) on one grid, of which tiles are added.
 
-    Small groups stay in memory, and all where there is no ``path``. Of what is read back from the store, the first
-    ``keep_bytes`` stay in memory: most maps are read several times.
+    They are in memory, or in a store with overviews.
+
+    Small groups stay in memory, and all where there is no ``path``. Of what is read back from the
+    store, the first ``keep_bytes`` stay in memory: most maps are read several times.
 
     Raises
     ------
@@ -61,14 +66,18 @@ class StoredMaps:
         self._cache = PartCache(keep_bytes)
 
     def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
-        """Add a tile of all maps of a group, and of its overviews; the first one says which maps there are."""
+        """Add a tile of all maps of a group, and of its overviews.
+
+        The first one says which maps there are.
+        """
         if self.path is None:
             self._add(name, grid, tile, maps)
             return
         with writing(self.path):
             self._add(name, grid, tile, maps)
             for k in range(1, overview_count(grid.shape) + 1 if name in self.stored else 1):
-                # Tiles begin at multiples of more pixels than there are in one of the last overview.
+                # Tiles begin at multiples of more pixels than there are in one of the last
+                # overview.
                 maps = halved(maps)
                 overview_tile = Tile(
                     tile.r0 >> k, (tile.r0 >> k) + maps.sizes["y"], tile.c0 >> k, 0
@@ -196,7 +205,10 @@ def is_large(arrays: Iterable[Any]) -> bool:
 
 
 def overviews_of(path: Path, group: str, name: str = "") -> list[str]:
-    """Names of a group's smaller copies in a store, or of those of its map ``name``, the finest first."""
+    """List the names of a group's smaller copies in a store, or those of its map ``name``.
+
+    The finest comes first.
+    """
     return list(
         takewhile(
             lambda copy: (path / copy / name).is_dir(),

@@ -1,4 +1,7 @@
-"""MATLAB files: a volume ``V(row, column, slice)`` becomes (z, y, x); of version 7.3 (HDF5), parts are read."""
+"""MATLAB files: a volume ``V(row, column, slice)`` becomes (z, y, x).
+
+Of version 7.3 (HDF5), parts are read.
+"""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -40,7 +43,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
                     f"{path.name} has no volume {name!r}. {describe_volumes(volumes, path.name)}"
                 )
             variable = variables[name or only_volume(volumes, path.name)]
-            # The voxel size, one number or z, y, x: no habit of MATLAB, but it can be saved beside the volume.
+            # The voxel size, one number or z, y, x: no habit of MATLAB, but it can be saved beside
+            # the volume.
             size, sizes = variables.get("voxel_um"), list[float]()
             if size is not None and size.real and size.count in (1, 3):
                 sizes = np.broadcast_to(np.ravel(matlab.values(file, size)), 3).tolist()

@@ -1,4 +1,7 @@
-"""One 2D picture out of a TIFF, PNG, JPEG or BMP file: its stored values, what they mean, and its pixel size."""
+"""Read one 2D picture out of a TIFF, PNG, JPEG or BMP file.
+
+Its stored values, what they mean, and its pixel size.
+"""
 
 import math
 from collections.abc import Sequence
@@ -69,7 +72,10 @@ def kind_of(path: Path) -> str:
 def load_picture(
     path: Path, *, memory_bytes: int | None = None, decode: bool = True
 ) -> DecodedPicture:
-    """Decode a picture, or give its shape and type alone: then all values are one 0 that takes no memory."""
+    """Decode a picture, or give its shape and type alone.
+
+    With shape and type alone, all values are one 0 that takes no memory.
+    """
     if kind_of(path) != "tiff":
         return _load_raster(path, memory_bytes=memory_bytes, decode=decode)
     with open_series(path, error=FileError, advice=ADVICE) as (tif, series):
@@ -98,7 +104,8 @@ def load_picture(
         bits = int(page.bitspersample)
         with reading(path):
             if page.photometric == PHOTOMETRIC.PALETTE and len(axes) == 2:
-                # Palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey stays grey.
+                # Palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey
+                # stays grey.
                 colormap, bits = np.asarray(page.colormap), 16
                 if np.all(colormap % 257 == 0):
                     colormap, bits = (colormap // 257).astype(np.uint8), 8
@@ -139,7 +146,10 @@ def is_picture(series: TiffPageSeries) -> bool:
 
 
 def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> DecodedPicture:
-    """Decode a PNG, JPEG or BMP file by the classes of Pillow: its limit of pixels, a global, does not apply then."""
+    """Decode a PNG, JPEG or BMP file by the classes of Pillow.
+
+    Pillow's limit of pixels, a global, does not apply then.
+    """
     kind = kind_of(path)
     with reading(path):
         data = path.read_bytes()

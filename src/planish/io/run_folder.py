@@ -1,4 +1,7 @@
-"""The run folder: written beside its place and moved there when it is whole, so that a failed run leaves no results."""
+"""Write the run folder beside its place and move it there when it is whole.
+
+Thus a failed run leaves no results.
+"""
 
 import json
 import os
@@ -33,11 +36,14 @@ _IN_THE_WAY = (
 def new_folder(
     path: Path, *, inside: Path | None = None, needed: int | None = None
 ) -> Generator[Path]:
-    """Give a hidden folder to write into; it becomes ``path`` when the block ends well, and vanishes when not.
+    """Give a hidden folder to write into.
 
-    ``inside`` is an existing folder beside ``path`` where it may stand meanwhile, such as that of :func:`work_folder`,
-    which sweeps up what a killed process has left. ``needed`` is about how many bytes it takes. FileError if ``path``
-    exists or cannot be written, ResourceError if the disk is full.
+    It becomes ``path`` when the block ends well, and vanishes when not.
+
+    ``inside`` is an existing folder beside ``path`` where it may stand meanwhile, such as that of
+    :func:`work_folder`, which sweeps up what a killed process has left. ``needed`` is about how
+    many bytes it takes. FileError if ``path`` exists or cannot be written, ResourceError if the
+    disk is full.
     """
     refuse_existing(path)
     check_length(path.absolute())
@@ -59,10 +65,11 @@ def new_folder(
 def work_folder(path: Path, key: str) -> Generator[Path]:
     """Give a hidden folder for what a run would not like to work out twice.
 
-    It vanishes when the block ends, well or not. Only a process that was killed leaves it behind; the next run to
-    ``path`` with the same ``key`` then finds what was in it, and with another key an empty one. FileError if another
-    process is writing to ``path`` at this moment, the folder cannot be made, or something that is not planish's has its
-    name: a link, a file, or a folder without the marker. Nothing is touched then.
+    It vanishes when the block ends, well or not. Only a process that was killed leaves it behind;
+    the next run to ``path`` with the same ``key`` then finds what was in it, and with another key
+    an empty one. FileError if another process is writing to ``path`` at this moment, the folder
+    cannot be made, or something that is not planish's has its name: a link, a file, or a folder
+    without the marker. Nothing is touched then.
     """
     check_length(path.absolute())
     work = path.with_name(f".{path.name}.work")
@@ -106,7 +113,10 @@ def _has_text(file: Path, expected_text: str) -> bool:
 
 
 def acquire_lock(lock_file: Path, path: Path) -> FileLock:
-    """Take the lock of a folder in which ``path`` is made; FileError where another process has it."""
+    """Take the lock of a folder in which ``path`` is made.
+
+    FileError where another process has it.
+    """
     lock = FileLock(lock_file)
     try:
         lock.acquire(timeout=0)
@@ -118,7 +128,10 @@ def acquire_lock(lock_file: Path, path: Path) -> FileLock:
 
 
 def claim_folder(folder: Path, marker_name: str, marker_text: str, *, for_what: Path) -> None:
-    """Make a folder with a marker from its first moment, or leave the one there; FileError at a link or a file."""
+    """Make a folder with a marker from its first moment, or leave the one there.
+
+    FileError at a link or a file.
+    """
     if is_link(folder) or folder.is_file():
         kind = "a link" if is_link(folder) else "a file"
         raise FileError(f"{folder} is {kind}. {_IN_THE_WAY.format(for_what.name)}")
@@ -144,7 +157,7 @@ def is_link(path: Path) -> bool:
 
 
 def sweep(path: Path) -> None:
-    """Remove the work folder that a process left which was killed when ``path`` was whole already."""
+    """Remove the work folder of a process that was killed when ``path`` was whole already."""
     work = path.with_name(f".{path.name}.work")
     if (work / WORK_MARKER).is_file():
         _remove_work_folder(work)
@@ -157,7 +170,10 @@ def _is_work_name(name: str) -> bool:
 
 
 def _remove_work_folder(work: Path) -> None:
-    """Remove what :func:`work_folder` has written, the marker last, and the folder if nothing else is in it."""
+    """Remove what :func:`work_folder` has written, and the folder if nothing else is in it.
+
+    Of what was written, the marker goes last.
+    """
     if is_link(work) or not work.is_dir():
         return
     entries = [entry for entry in work.iterdir() if _is_work_name(entry.name)]
@@ -173,8 +189,8 @@ def _remove_work_folder(work: Path) -> None:
 def remove(folder: Path) -> None:
     """Remove a folder for good.
 
-    zarr writes chunks from threads of its own. When one of them fails, the others still finish theirs and make
-    folders anew for them, so the folder is removed again until it stays away.
+    zarr writes chunks from threads of its own. When one of them fails, the others still finish
+    theirs and make folders anew for them, so the folder is removed again until it stays away.
     """
     deadline = time.monotonic() + 10.0
     while folder.exists() and time.monotonic() < deadline:
@@ -194,7 +210,7 @@ def refuse_inside(path: Path, inputs: Iterable[str | Path]) -> None:
 
 
 def refuse_existing(*paths: Path) -> None:
-    """Raise FileError if something stands at one of the paths already, or nothing can have that name."""
+    """Raise FileError if something stands at one of the paths, or nothing can have that name."""
     for path in paths:
         check_name(path)
         if path.exists() or path.is_symlink():

@@ -1,6 +1,9 @@
-"""Photographs of serial sections: a folder of pictures and the cut counter that says where each was cut.
+"""Read photographs of serial sections.
 
-The counter is ``sections.csv`` with the columns ``file`` and ``position_um``, and comments such as ``# kind: cut``.
+They are a folder of pictures and the cut counter that says where each was cut.
+
+The counter is ``sections.csv`` with the columns ``file`` and ``position_um``, and comments such as
+``# kind: cut``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,10 +33,11 @@ KINDS = ("block-face", "cut")
 class SectionStack(NamedTuple):
     """Sections as photographed: neither aligned nor evenly spaced.
 
-    The values, dims (section, row, col), are in the type of the files, float16 as float32; colour as luminance, rounded
-    in integers. Photographs too large for the memory stay in files: ``values[i]`` decodes one. Attributes, once the
-    size is known: ``voxel_um`` (z, y, x) with the median step of the counter as z, ``voxel_um_source``, ``full_scale``,
-    ``file_name``, ``file_bytes``, ``section_kind``; ``channel`` and ``colour`` where the files are in colour.
+    The values, dims (section, row, col), are in the type of the files, float16 as float32; colour
+    as luminance, rounded in integers. Photographs too large for the memory stay in files:
+    ``values[i]`` decodes one. Attributes, once the size is known: ``voxel_um`` (z, y, x) with the
+    median step of the counter as z, ``voxel_um_source``, ``full_scale``, ``file_name``,
+    ``file_bytes``, ``section_kind``; ``channel`` and ``colour`` where the files are in colour.
     """
 
     folder: Path
@@ -93,9 +97,11 @@ def read_section_stack(
     ----------
     path : path; the folder: TIFF, PNG, BMP or JPEG, grey or colour, all alike, and ``sections.csv``
     voxel_um : float or (z, y, x), optional
-        One number is the pixel size in um; of three, z is the counter's median step. Not needed where files state it.
+        One number is the pixel size in um; of three, z is the counter's median step. Not needed
+        where files state it.
     channel, override_size, unusual_size, memory_bytes
-        As in :func:`planish.io.read_volume`. The counter cannot be overridden; more than fits stays in the files.
+        As in :func:`planish.io.read_volume`. The counter cannot be overridden; more than fits stays
+        in the files.
 
     Returns
     -------
@@ -106,7 +112,8 @@ def read_section_stack(
     FileError
         If the counter or a file is missing, damaged, or no picture.
     VolumeError
-        If counter and folder do not agree, positions do not increase, or sections differ in kind, size or type.
+        If counter and folder do not agree, positions do not increase, or sections differ in kind,
+        size or type.
     SizeError
         If the pixel size is missing, contradictory or impossible.
     InputError
@@ -116,7 +123,8 @@ def read_section_stack(
 
     Notes
     -----
-    Colour becomes luminance as `read_image` makes it: 0.2126 red + 0.7152 green + 0.0722 blue of the stored values.
+    Colour becomes luminance as `read_image` makes it: 0.2126 red + 0.7152 green + 0.0722 blue of
+    the stored values.
     """
     sections = open_sections(Path(path), channel=channel, memory_bytes=memory_bytes)
     size, source = sections.agreed_size(voxel_um, override=override_size, unusual=unusual_size)
@@ -182,7 +190,10 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
 
 
 def _kind_of_sections(table: CsvTable) -> str:
-    """Read from the comments what was photographed; empty where they do not say it. Two kinds are never mixed."""
+    """Read from the comments what was photographed; empty where they do not say it.
+
+    Two kinds are never mixed.
+    """
     comments = [comment.strip().lower().partition(":") for comment in table.comments]
     kinds = sorted(
         {kind.strip() for key, colon, kind in comments if colon and key.strip() == "kind"}

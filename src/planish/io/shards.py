@@ -1,8 +1,8 @@
 """Parts of a working store's array, decoded by the threads that ask for them.
 
-zarr makes a task for every chunk and copies all of them in one thread; here each reading thread decodes and copies its
-own. The layout is that of the sharding codec of zarr 3: chunks in any order, then an index of the place and size of
-each, 8 bytes little endian either, and its CRC-32C.
+zarr makes a task for every chunk and copies all of them in one thread; here each reading thread
+decodes and copies its own. The layout is that of the sharding codec of zarr 3: chunks in any order,
+then an index of the place and size of each, 8 bytes little endian either, and its CRC-32C.
 """
 
 import math
@@ -29,7 +29,10 @@ _ABSENT = np.uint64(2**64 - 1)  # place of a chunk that holds the fill value
 
 
 def is_plain(array: zarr.Array[Any]) -> bool:
-    """Whether an array lies in shards of chunks that zstd packs and nothing else, as those of a working store."""
+    """Tell whether an array lies in shards of chunks that zstd packs and nothing else.
+
+    The arrays of a working store do.
+    """
     codecs = getattr(array.metadata, "codecs", ())
     if len(codecs) != 1 or not isinstance(codecs[0], ShardingCodec):
         return False
@@ -47,7 +50,10 @@ def is_plain(array: zarr.Array[Any]) -> bool:
 
 
 def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[Any]:
-    """Read a part (slices without steps) of an array that :func:`is_plain`; ValueError or OSError if it is damaged."""
+    """Read a part (slices without steps) of an array that :func:`is_plain`.
+
+    ValueError or OSError if it is damaged.
+    """
     assert array.shards is not None
     shape = [w.stop - w.start for w in where]
     values = (
@@ -75,7 +81,10 @@ def _read_shard(
     where: Where,
     values: NDArray[Any],
 ) -> None:
-    """Put what lies ``where`` of the chunks of one shard into ``values``; ``firsts``: number of its first chunk."""
+    """Put what lies ``where`` of the chunks of one shard into ``values``.
+
+    ``firsts``: number of its first chunk.
+    """
     index_bytes = 16 * math.prod(per_shard)
     raw_block = bytearray(math.prod(chunk) * values.itemsize)
     block = np.frombuffer(raw_block, values.dtype).reshape(chunk)

@@ -1,4 +1,7 @@
-"""Voxel and pixel sizes, in um: a missing one is never taken as 1, of two that disagree none is taken in silence."""
+"""Find voxel and pixel sizes, in um.
+
+A missing one is never taken as 1, and of two that disagree none is taken in silence.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,10 @@ class Stated(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """Kind of size that is needed: names, option, and the usual range; outside of it the unit is probably wrong."""
+    """Kind of size that is needed: names, option, and the usual range.
+
+    Outside of it the unit is probably wrong.
+    """
 
     name: str
     axes: tuple[str, ...]
@@ -104,7 +110,10 @@ def stated_in(
     units: Sequence[str],
     order: Sequence[int] = (0, 1, 2),
 ) -> Stated:
-    """Turn lengths with their units into um along the axes in `order`; what is no length is noted."""
+    """Turn lengths with their units into um along the axes in `order`.
+
+    What is no length is noted.
+    """
     sizes: list[float | None] = []
     notes: list[str] = []
     for axis in order:
@@ -120,12 +129,16 @@ def stated_in(
 
 
 def from_density(per_unit: float | None, unit: str) -> float | None:
-    """Pixel size (um) from pixels per unit of length; None for 1 per unit and 72 or 96 an inch, which mean unknown."""
+    """Pixel size (um) from pixels per unit of length.
+
+    None for 1 per unit and 72 or 96 an inch, which mean unknown.
+    """
     unit_length, density = unit_um(unit), _number(per_unit)
     if density is None or unit_length is None or density == 1:
         return None
     pixel_um = unit_length / density
-    # What programs write when they do not know the resolution, within the rounding of whole pixels per cm.
+    # What programs write when they do not know the resolution, within the rounding of whole pixels
+    # per cm.
     return None if any(abs(25400.0 / pixel_um - dpi) <= 1.0 for dpi in (72.0, 96.0)) else pixel_um
 
 
@@ -138,10 +151,12 @@ def agreed_size(
     override: bool = False,
     unusual: bool = False,
 ) -> tuple[tuple[float, ...], str]:
-    """Find the one size, in um along each axis, that metadata and user agree on, and where it comes from.
+    """Find the one size that metadata and user agree on, and where it comes from.
 
-    `user_um`, one value for all axes or one each, is taken with `override` whatever the metadata state. A size
-    that paper does not have is taken with `unusual` only.
+    The size is in um along each axis.
+
+    `user_um`, one value for all axes or one each, is taken with `override` whatever the metadata
+    state. A size that paper does not have is taken with `unusual` only.
 
     Raises
     ------
@@ -190,7 +205,8 @@ def agreed_size(
     if contradictions:
         replaced_text = and_join(f"{s.source} ({asked.in_words(s.um)})" for s in contradictions)
         return size, f"given, in place of {replaced_text}"
-    # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
+    # A repeated run gives the very size that the metadata stated the first time; it still comes
+    # from there.
     return size, (
         sources if _merge_stated(statements, file_name=file_name, asked=asked) == size else "given"
     )

@@ -1,7 +1,10 @@
-"""Volumes as folders of slices: TIFF, PNG, BMP or JPEG, with or without the log that NRecon writes beside them.
+"""Read volumes as folders of slices: TIFF, PNG, BMP or JPEG.
 
-The voxel size is ``Pixel Size (um)`` under ``[Reconstruction]``, not that of the camera or before fine tuning; slices
-are named by ``Filename Prefix`` under ``[File name convention]``, not by the key under ``[Acquisition]``.
+With or without the log that NRecon writes beside them.
+
+The voxel size is ``Pixel Size (um)`` under ``[Reconstruction]``, not that of the camera or before
+fine tuning; slices are named by ``Filename Prefix`` under ``[File name convention]``, not by the
+key under ``[Acquisition]``.
 """
 
 import math
@@ -224,7 +227,10 @@ def read_scan(folder: Path) -> Scan | None:
 
 
 def _log_sections(path: Path) -> dict[str, dict[str, str]]:
-    """Sections and keys of a log, case-folded; the first of keys that occur twice in a section counts."""
+    """Sections and keys of a log, case-folded.
+
+    The first of keys that occur twice in a section counts.
+    """
     with reading(path):
         if path.stat().st_size > 10_000_000:
             raise FileError(
@@ -248,7 +254,10 @@ def _log_sections(path: Path) -> dict[str, dict[str, str]]:
 
 
 def named_slices(scan: Scan, folder: Path) -> list[Path]:
-    """Slices with the prefix of a log, in their order; other pictures, such as NRecon's own preview, are left aside."""
+    """Slices with the prefix of a log, in their order.
+
+    Other pictures, such as NRecon's own preview, are left aside.
+    """
     prefix, numbered_files = scan.prefix or "", list[tuple[int, Path]]()
     for path in folder.iterdir():
         digits = path.stem[len(prefix) :]
@@ -293,7 +302,7 @@ def _count(text: str | None) -> int | None:
 
 
 def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
-    """Read a folder of slices: at once where it fits, otherwise slice by slice when they are asked for."""
+    """Read a folder of slices at once where it fits, otherwise slice by slice on demand."""
     scan = read_scan(place.path)
     files = slice_files(place.path, scan)
     values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes)
@@ -341,8 +350,9 @@ def load_pictures(
 ) -> tuple[Values, DecodedPicture]:
     """Grey values of pictures that are alike, dims (picture, y, x), and the first picture.
 
-    What does not fit into the memory, or can be read where it lies, stays in the files. Photographs of sections are
-    compared with each other several times, so they are only left there where they do not fit.
+    What does not fit into the memory, or can be read where it lies, stays in the files. Photographs
+    of sections are compared with each other several times, so they are only left there where they
+    do not fit.
     """
     folder, limit = files[0].parent, memory_limit(memory_bytes)
     first = load_picture(files[0], memory_bytes=limit)
@@ -401,7 +411,10 @@ def _slice_rows(
 
 
 def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | None]:
-    """Format, size and type of a slice, which is not decoded; its type in the file, and from where it lies as it is."""
+    """Format, size and type of a slice, which is not decoded.
+
+    Its type in the file, and from where it lies as it is.
+    """
     format_name = kind_of(file)
     if format_name != "tiff":
         with reading(file), file.open("rb") as stream:
@@ -421,7 +434,10 @@ def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | Non
 
 
 def _grey_values(picture: DecodedPicture, file: Path, channel: str | None) -> NDArray[Any]:
-    """Grey values of a picture in its own type; colour becomes luminance where no channel is chosen."""
+    """Grey values of a picture in its own type.
+
+    Colour becomes luminance where no channel is chosen.
+    """
     check_type(picture.values.dtype, file)
     if picture.values.ndim == 2:
         return picture.values

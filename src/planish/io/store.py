@@ -1,7 +1,8 @@
 """The working store: a volume as sharded, multiscale, checksummed OME-Zarr, written block by block.
 
-A block is whole shards on every level that it fills and one writer's own: two writers of one shard would lose values
-without an error. A list of checksums says what is finished, so that an import that was killed goes on there.
+A block is whole shards on every level that it fills and one writer's own: two writers of one shard
+would lose values without an error. A list of checksums says what is finished, so that an import
+that was killed goes on there.
 """
 
 import hashlib
@@ -29,7 +30,8 @@ from planish.core.threads import count_threads, limit_threads, thread_pool
 from planish.io.hashes import ShardLists, Where
 from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_existing, remove
 
-# Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to 4 voxels.
+# Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to
+# 4 voxels.
 CHUNK = (64, 96, 96)
 SHARD = (64, 384, 384)  # voxels that lie in one file
 _SOURCE = "source.json"
@@ -56,24 +58,29 @@ def write_store(
 
     Parameters
     ----------
-    volume : DataArray, dims (z, y, x), coordinates in um, read in blocks; it need not fit into memory
+    volume : DataArray, dims (z, y, x), coordinates in um, read in blocks
+        It need not fit into memory.
     path : Path
-        Folder to make. While it is written it stands beside its place under a hidden name, where a second call with
-        the same volume finds it and goes on if the first one was killed.
+        Folder to make. While it is written it stands beside its place under a hidden name, where a
+        second call with the same volume finds it and goes on if the first one was killed.
     memory_bytes, threads : int
-        What the blocks in memory may take, and how many threads compress them; the bytes do not depend on either.
+        What the blocks in memory may take, and how many threads compress them; the bytes do not
+        depend on either.
     executor, workers
-        Other processes, such as those of a cluster, which see the same folders, and how many blocks they work on at the
-        same time, as far as the memory holds them; ``volume`` is sent there. Local threads where not given.
+        Other processes, such as those of a cluster, which see the same folders, and how many blocks
+        they work on at the same time, as far as the memory holds them; ``volume`` is sent there.
+        Local threads where not given.
     ome : {"0.5", "0.4"}
         Version of OME-Zarr. 0.4 has no shards, and so many more files.
-    progress : callable, optional; called with what is done, the number of blocks done, and their number
+    progress : callable, optional
+        Called with what is done, the number of blocks done, and their number.
 
     Raises
     ------
     FileError, InputError, ResourceError
-        If ``path`` exists, cannot be written, or another process is writing it; an import of another volume stopped
-        half-way under this name; the memory does not hold one block, or the disk is full.
+        If ``path`` exists, cannot be written, or another process is writing it; an import of
+        another volume stopped half-way under this name; the memory does not hold one block, or the
+        disk is full.
     """
     refuse_existing(path)
     partial = path.with_name(f".{path.name}.partial")
@@ -177,7 +184,10 @@ def _write_finest_levels(
 def _plan_blocks(
     level: Array, memory_bytes: int, max_blocks: int
 ) -> tuple[tuple[int, int, int], int]:
-    """Size the blocks as the memory allows, whole shards on two levels, and say how many are worked on at once."""
+    """Size the blocks as the memory allows, and say how many are worked on at once.
+
+    Blocks are whole shards on two levels.
+    """
     shape = level.shape
     unit_shape = [
         min(2 * s, -(-n // s) * s) for s, n in zip(level.shards or level.chunks, shape, strict=True)
@@ -206,7 +216,10 @@ def _parts(levels: list[Array], where: Where) -> list[tuple[Array, Where]]:
 def _write_block(
     volume: xr.DataArray, where: Where, folder: Path, names: list[list[str]]
 ) -> list[dict[str, str]]:
-    """Write a block of the volume and its means; return the checksums of the shards, level by level."""
+    """Write a block of the volume and its means.
+
+    Return the checksums of the shards, level by level.
+    """
     values = np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
     checksums: list[dict[str, str]] = []
     for k, shard_names in enumerate(names):
@@ -243,7 +256,10 @@ def _write_shards(
 
 
 def halve(values: NDArray[Any]) -> NDArray[Any]:
-    """Means of 2 x 2 x 2 voxels; what is left over at an end is the mean of fewer. Integers are rounded."""
+    """Means of 2 x 2 x 2 voxels; what is left over at an end is the mean of fewer.
+
+    Integers are rounded.
+    """
     from planish.core._overview_kernels import halve_voxels
 
     out = np.empty(tuple(-(-n // 2) for n in values.shape), dtype=values.dtype)
@@ -318,7 +334,9 @@ def multiscale(
     *,
     kind: str,
 ) -> dict[str, Any]:
-    """Describe an image of several levels, each half as fine, as OME-Zarr does; an axis c lies before those of space.
+    """Describe an image of several levels, each half as fine, as OME-Zarr does.
+
+    An axis c lies before those of space.
 
     ``pitch_um`` and ``first_um`` are size and place of the first voxel along the axes of space.
     """
@@ -337,7 +355,10 @@ def multiscale(
 
 
 def _level(folder: Path, k: int) -> Array:
-    """Open a level for writing, its empty chunks included: a shard that is missing counts as lost."""
+    """Open a level for writing, its empty chunks included.
+
+    A shard that is missing counts as lost.
+    """
     with _OPENING, zarr.config.set({"array.write_empty_chunks": True}):
         return zarr.open_array(folder, path=str(k), mode="r+")
 

@@ -1,6 +1,9 @@
-"""TIFF files, checked before they are decoded, then mapped or decoded whole: never short, never filled up.
+"""Check TIFF files before they are decoded, then map them or decode them whole.
 
-Libraries stop where the chain of pages leads out of a file that was cut, or in a circle; here both are errors.
+They are never short, never filled up.
+
+Libraries stop where the chain of pages leads out of a file that was cut, or in a circle; here both
+are errors.
 """
 
 import math
@@ -57,7 +60,8 @@ TYPE_BYTES = {  # Bytes of one value, by TIFF type.
     18: 8,
 }
 
-# Size, type, layout and position of the image data, and the description: what is read must be inside the file.
+# Size, type, layout and position of the image data, and the description: what is read must be
+# inside the file.
 NEEDED_TAGS = frozenset({256, 257, 258, 259, 262, 270, 273, 277, 278, 279, 322, 323, 324, 325, 339})
 
 
@@ -65,7 +69,10 @@ NEEDED_TAGS = frozenset({256, 257, 258, 259, 262, 270, 273, 277, 278, 279, 322, 
 def open_series(
     path: Path, *, error: type[InputError], advice: str
 ) -> Generator[tuple[TiffFile, TiffPageSeries]]:
-    """Open a TIFF file and give its one series of equal pages, thumbnails left aside, with all data in the file."""
+    """Open a TIFF file and give its one series of equal pages, with all data in the file.
+
+    Thumbnails are left aside.
+    """
     n_pages = _count_pages(path)
     with reading(path):
         tif = TiffFile(path, _multifile=False)
@@ -109,7 +116,7 @@ def is_tiff(head: bytes) -> bool:
     return head[:4] in {b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"}
 
 
-def _count_pages(path: Path) -> int:
+def _count_pages(path: Path) -> int:  # noqa: C901, PLR0912
     file_bytes = size_of_file(path)
     offsets: set[int] = set()
     with reading(path), path.open("rb") as file:
@@ -168,7 +175,10 @@ def damaged(path: Path, fault: str) -> FileError:
 
 
 def _check_declared_images(tif: TiffFile, path: Path) -> None:
-    """Compare the images declared with those there before they are listed: a cut file of ImageJ still has its table."""
+    """Compare the images declared with those there before they are listed.
+
+    A cut file of ImageJ still has its table.
+    """
     first, n_pages = tif.pages.first, len(tif.pages)
     for tag in re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or ""):
         sizes = {
@@ -200,7 +210,7 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
         )
 
 
-def _check_data(series: TiffPageSeries, path: Path) -> None:
+def _check_data(series: TiffPageSeries, path: Path) -> None:  # noqa: C901, PLR0912
     file_bytes, frame = size_of_file(path), series.keyframe
     for name in LAYOUT_NUMBERS:  # damaged tags may have any type
         number: Any = getattr(frame, name)
@@ -257,7 +267,7 @@ def _check_data(series: TiffPageSeries, path: Path) -> None:
 
 
 def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> NDArray[Any]:
-    """Return the values of a checked series, mapped from the file where they lie there as they are."""
+    """Return the values of a checked series, mapped where they lie in the file as they are."""
     with reading(path):
         if (offset := mapped_from(series)) is not None:
             return np.memmap(path, dtype=series.dtype, mode="r", offset=offset, shape=series.shape)
@@ -272,7 +282,10 @@ def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | Non
 
 
 def mapped_from(series: TiffPageSeries) -> int | None:
-    """Byte of the file from which the values lie there as they are; None where they have to be decoded."""
+    """Byte of the file from which the values lie there as they are.
+
+    None where they have to be decoded.
+    """
     is_turned = series.keyframe.photometric == PHOTOMETRIC.MINISWHITE
     is_native = series.dtype.newbyteorder(
         series.keyframe.parent.byteorder

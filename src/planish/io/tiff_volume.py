@@ -1,4 +1,7 @@
-"""Volumes in one TIFF file: mapped where they lie there as they are, otherwise decoded by strips or tiles."""
+"""Read volumes in one TIFF file.
+
+They are mapped where they lie there as they are, otherwise decoded by strips or tiles.
+"""
 
 import math
 from functools import partial
@@ -124,7 +127,10 @@ def _is_joined(page: TiffPage | TiffFrame) -> bool:
 
 
 def _volume_axes(series: TiffPageSeries, path: Path) -> str:
-    """Return the axes of a stack that are longer than 1: slices, y and x, and the samples of a stack in colour."""
+    """Return the axes of a stack that are longer than 1.
+
+    Slices, y and x, and the samples of a stack in colour.
+    """
     axes, shape = long_axes(series), shape_words(series)
     axis_lengths = dict(zip(series.axes, series.shape, strict=True))
     grey_axes = axes.replace("S", "")
@@ -137,7 +143,8 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> str:
         and (axes == grey_axes or is_rgb)
     ):
         return axes
-    # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels, so these are slices.
+    # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels,
+    # so these are slices.
     if axes == "CYX" and axis_lengths["C"] >= 16:
         return axes
     if further_axes := {a: n for a, n in axis_lengths.items() if n > 1 and a in MEANINGS}:
@@ -156,7 +163,7 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> str:
 
 
 class TiffPages(PagedArray):
-    """Pages of one series that was checked and is still open, each with one plane of pixels as stored."""
+    """Pages of one checked series that is still open, each with one plane of pixels as stored."""
 
     def __init__(self, path: Path, series: TiffPageSeries) -> None:
         key = series.keyframe

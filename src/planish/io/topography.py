@@ -37,14 +37,15 @@ def read_topography(
     Returns
     -------
     DataArray, dims (y, x), float64
-        Heights in um, NaN where they are missing; rows in the order of the file. Coordinates in um, pixel i has its
-        centre at i × size. Attributes: ``units``, ``long_name``, ``pixel_um`` (y, x), ``pixel_um_source``,
-        ``file_format``, ``file_name``, ``file_bytes``.
+        Heights in um, NaN where they are missing; rows in the order of the file. Coordinates in um,
+        pixel i has its centre at i × size. Attributes: ``units``, ``long_name``, ``pixel_um`` (y,
+        x), ``pixel_um_source``, ``file_format``, ``file_name``, ``file_bytes``.
 
     Raises
     ------
     FileError
-        If the file is damaged or of another format, holds no map, or SurfaceTopography is not installed.
+        If the file is damaged or of another format, holds no map, or SurfaceTopography is not
+        installed.
     SizeError
         If the unit of the heights or the pixel size is missing, contradictory or impossible.
     ResourceError
@@ -103,7 +104,8 @@ def read_topography(
             )
             file_format = str(reader.format() if callable(getattr(reader, "format", None)) else "")
     with quiet:
-        # Some readers map the file and complain when they are thrown away, which would be at any time later.
+        # Some readers map the file and complain when they are thrown away, which would be at any
+        # time later.
         del reader, channel
         gc.collect()
     # The library has x first, as the sheet of a drawing; images have rows first.

@@ -43,9 +43,10 @@ def read_volume(
     Parameters
     ----------
     path : path
-        A TIFF stack (classic, BigTIFF, ImageJ, OME), a folder of numbered slices (TIFF, PNG, BMP, JPEG; with the log of
-        NRecon or without), OME-Zarr, NRRD, MetaImage, HDF5 or NeXus, NIfTI, MRC, MATLAB, or raw values with a TOML
-        header. Where a file holds several volumes, ``file.h5:/entry/data`` chooses one.
+        A TIFF stack (classic, BigTIFF, ImageJ, OME), a folder of numbered slices (TIFF, PNG, BMP,
+        JPEG; with the log of NRecon or without), OME-Zarr, NRRD, MetaImage, HDF5 or NeXus, NIfTI,
+        MRC, MATLAB, or raw values with a TOML header. Where a file holds several volumes,
+        ``file.h5:/entry/data`` chooses one.
     voxel_um : float or (z, y, x), optional
         Voxel size in um; not needed where the metadata state it.
     channel : {"luminance", "red", "green", "blue"}, optional
@@ -55,21 +56,24 @@ def read_volume(
     unusual_size : bool
         Whether a size is taken that paper does not have, from 0.1 nm to 1 mm.
     memory_bytes : int, optional
-        Largest decoded size; default: three quarters of the memory available. An uncompressed stack in one
-        piece is mapped from its file and needs none; what is larger than the limit stays in its file.
+        Largest decoded size; default: three quarters of the memory available. An uncompressed stack
+        in one piece is mapped from its file and needs none; what is larger than the limit stays in
+        its file.
     through : {"z", "y", "x"}, optional
-        Axis that runs through the sheet, which :func:`planish.find_surfaces` then follows; z where not given.
+        Axis that runs through the sheet, which :func:`planish.find_surfaces` then follows; z where
+        not given.
     top : {"high", "low"}, optional
         End of that axis at which the sheet's top side lies; the high one where not given.
 
     Returns
     -------
     DataArray, dims (z, y, x)
-        In the type of the file, float16 as float32. Coordinates in um, voxel i has its centre at i × size.
-        Attributes: ``units``, ``long_name``, ``voxel_um`` (z, y, x), ``voxel_um_source``, ``full_scale``,
-        ``file_name``, ``file_bytes``, and ``through``, ``top_side`` where one of them is given; for some formats more.
-        Large volumes are indexed lazily: ``volume.isel(z=slice(a, b)).values`` reads that part only, and several
-        threads may do so at the same time. Their ``encoding`` says ``chunks`` (z, y, x), what is decoded together, or
+        In the type of the file, float16 as float32. Coordinates in um, voxel i has its centre at i
+        × size. Attributes: ``units``, ``long_name``, ``voxel_um`` (z, y, x), ``voxel_um_source``,
+        ``full_scale``, ``file_name``, ``file_bytes``, and ``through``, ``top_side`` where one of
+        them is given; for some formats more. Large volumes are indexed lazily:
+        ``volume.isel(z=slice(a, b)).values`` reads that part only, and several threads may do so at
+        the same time. Their ``encoding`` says ``chunks`` (z, y, x), what is decoded together, or
         None, and ``whole_slices``, whether a few rows cost as much as a slice.
 
     Raises
@@ -77,7 +81,8 @@ def read_volume(
     FileError
         If a file is damaged, cut off, or of another format.
     VolumeError
-        If it is not one grey volume: one picture, several channels or times, slices that differ or are missing.
+        If it is not one grey volume: one picture, several channels or times, slices that differ or
+        are missing.
     SizeError
         If the voxel size is missing, contradictory or impossible.
     InputError
@@ -119,7 +124,10 @@ def read_volume(
 def load_volume(
     place: Place, *, channel: str | None = None, memory_bytes: int | None = None
 ) -> LoadedVolume:
-    """Read the values of a volume, whatever its voxel size; errors as those of :func:`read_volume`."""
+    """Read the values of a volume, whatever its voxel size.
+
+    Errors as those of :func:`read_volume`.
+    """
     path, loaded = place.path, loader(format_of(place))(place, check_channel(channel), memory_bytes)
     shape = loaded.values.shape
     if 0 in shape or math.prod(shape) > 2**50:  # No scan has more; a larger number is damage.

@@ -29,7 +29,7 @@ Keys = Mapping[str, Any]
 
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
-    """Read the first level of a multiscale image, or the array that was chosen, in parts when they are asked for."""
+    """Read the first level of a multiscale image, or the chosen array, in parts on demand."""
     path = place.path
     if not path.is_dir():
         raise FileError(
@@ -253,7 +253,10 @@ def _stored_chunks(folder: Path, files: list[Path]) -> Iterator[tuple[int, ...]]
 
 
 def _check_blosc(array: Any, where: Where, folder: Path, path: Path) -> None:
-    """Compare the chunks of a part with the sizes in their first bytes; Blosc itself would read on behind their end."""
+    """Compare the chunks of a part with the sizes in their first bytes.
+
+    Blosc itself would read on behind their end.
+    """
     needed_bytes = math.prod(array.chunks) * array.dtype.itemsize
     spans = [
         range(s.start // c, (s.stop - 1) // c + 1) for s, c in zip(where, array.chunks, strict=True)

@@ -1,8 +1,9 @@
 # pyright: standard
 """Edges and grey levels along the rays of a round hole, and the outline fitted to them.
 
-Numpy and numba only, arrays in, arrays out. Images are float32 ``(y, x)`` with NaN where there is no data; the centre
-of pixel ``(i, j)`` is ``(j * px, i * py)`` um. ``sign`` is +1 for holes darker than the sheet, -1 for brighter ones.
+Numpy and numba only, arrays in, arrays out. Images are float32 ``(y, x)`` with NaN where there is
+no data; the centre of pixel ``(i, j)`` is ``(j * px, i * py)`` um. ``sign`` is +1 for holes darker
+than the sheet, -1 for brighter ones.
 """
 
 import numpy as np
@@ -12,7 +13,10 @@ from planish.core.jit import njit
 
 @njit(cache=True, nogil=True)
 def sample(image, x, y):
-    """Bilinear value at column ``x`` and row ``y``; NaN outside the pixel centres or beside missing data."""
+    """Bilinear value at column ``x`` and row ``y``.
+
+    NaN outside the pixel centres or beside missing data.
+    """
     rows, columns = image.shape
     if x < 0.0 or y < 0.0 or x > columns - 1 or y > rows - 1:
         return np.nan
@@ -24,7 +28,7 @@ def sample(image, x, y):
 
 
 @njit(cache=True, nogil=True)
-def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):
+def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):  # noqa: C901, PLR0912
     """Return the radius of the innermost strong edge on each ray (NaN where there is none)."""
     count = int((high + window) / dt) + 2
     reach = max(1, int(round(window / dt)))
@@ -86,8 +90,11 @@ def _level(image, x, y, sx, sy, start, stop, dt):
 
 
 @njit(cache=True, nogil=True)
-def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
-    """Half-level radius, step, wider step and level outside of each ray, within ``search`` of the model; or NaN."""
+def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):  # noqa: C901, PLR0912
+    """Give half-level radius, step, wider step and level outside of each ray, or NaN.
+
+    They lie within ``search`` of the model.
+    """
     rays = model.shape[0]
     radii, steps, far_steps = (np.full(rays, np.nan), np.full(rays, np.nan), np.full(rays, np.nan))
     nears = np.full(rays, np.nan)
@@ -117,8 +124,9 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
             best = max(best, rises[t])
         if best <= 0.0:
             continue
-        # Narrow char lies within the window: the first strong edge is the hole's, even if the char's own is stronger.
-        # The edge of the tapered wall at the other face is weaker than two thirds.
+        # Narrow char lies within the window: the first strong edge is the hole's, even if the
+        # char's own is stronger. The edge of the tapered wall at the other face is weaker than two
+        # thirds.
         for t in range(reach, count - reach):
             if rises[t] >= 0.65 * best:
                 top = t
@@ -158,7 +166,10 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
 
 @njit(cache=True, nogil=True)
 def first_crossings(image, px, py, cx, cy, sign, level, reach, dt, rays):
-    """Return the radius where the grey first rises through a level on each ray; NaN where it does not."""
+    """Return the radius where the grey first rises through a level on each ray.
+
+    NaN where it does not.
+    """
     radii = np.full(rays, np.nan)
     count = int(reach / dt) + 1
     for k in range(rays):
@@ -178,7 +189,7 @@ def first_crossings(image, px, py, cx, cy, sign, level, reach, dt, rays):
 
 @njit(cache=True, nogil=True)
 def levels(image, px, py, cx, cy, sign, radius, pixel):
-    """Return inside level, its spread, flatness, outside level and texture around a fitted circle."""
+    """Give inside level, its spread, flatness, outside level and texture around a fitted circle."""
     rays, rings = 32, 8
     core, wall = np.empty(rays * rings), np.empty(rays)
     outside = np.empty(rays * rings)
@@ -212,11 +223,14 @@ def levels(image, px, py, cx, cy, sign, radius, pixel):
 
 
 @njit(cache=True, nogil=True)
-def fit_outline(radii, order, least_scale):
-    """Fit ``r0 + a cos + b sin (+ c cos 2 + d sin 2)`` to radii at equal angles, with Tukey weights.
+def fit_outline(radii, order, least_scale):  # noqa: C901, PLR0912
+    """Fit ``r0 + a cos + b sin (+ c cos 2 + d sin 2)`` to radii at equal angles.
 
-    NaN radii are left out. Returns coefficients ``(2 order + 1,)``, weights ``(n,)``, the robust scale, and the inverse
-    normal matrix. All weights are zero if fewer than a third of the radii are there.
+    The fit uses Tukey weights.
+
+    NaN radii are left out. Returns coefficients ``(2 order + 1,)``, weights ``(n,)``, the robust
+    scale, and the inverse normal matrix. All weights are zero if fewer than a third of the radii
+    are there.
     """
     n, terms = radii.shape[0], 2 * order + 1
     weight, error = np.zeros(n), np.empty(n)
@@ -253,7 +267,8 @@ def fit_outline(radii, order, least_scale):
         if total < 0.2 * n:
             weight[:] = 0.0
             return coefficients, weight, np.inf, inverse
-        # Gauss and Jordan without a search for pivots: with so much weight the matrix is positive definite.
+        # Gauss and Jordan without a search for pivots: with so much weight the matrix is positive
+        # definite.
         for c in range(terms):
             system[c, terms + 1 + c] = 1.0
         for c in range(terms):
@@ -274,7 +289,10 @@ def fit_outline(radii, order, least_scale):
 
 @njit(cache=True, nogil=True)
 def waves(error, weight):
-    """Variances of one amplitude of waves of ``error`` where ``weight`` is not 0: third and fourth; fifth to eighth."""
+    """Variances of one amplitude of waves of ``error`` where ``weight`` is not 0: third and fourth.
+
+    Fifth to eighth.
+    """
     rays = error.shape[0]
     low, high = 0.0, 0.0
     for order in range(3, 9):

@@ -1,13 +1,17 @@
 # pyright: standard
-"""Closed outlines around a hole: of several edges on a ray, one all the way round; images as in `_edge_kernels`."""
+"""Closed outlines around a hole: of several edges on a ray, one all the way round.
+
+Images as in `_edge_kernels`.
+"""
 
 import numpy as np
 
 from planish.core.jit import njit
 from planish.marks._edge_kernels import sample
 
-# A step of this share of the whole one makes a rim as good as any; the innermost of those is taken, where going out by
-# a radius costs as much as this share of the rays without an edge. A rim lies in a band of this share of the radius.
+# A step of this share of the whole one makes a rim as good as any; the innermost of those is taken,
+# where going out by a radius costs as much as this share of the rays without an edge. A rim lies in
+# a band of this share of the radius.
 ENOUGH, OUTWARDS, BAND = 0.22, 0.5, 0.12
 # What a step sideways costs, of the worth of an edge, and how many a ray may make.
 SIDEWAYS, MOST_STEPS = 0.1, 1
@@ -15,7 +19,10 @@ SIDEWAYS, MOST_STEPS = 0.1, 1
 
 @njit(cache=True, nogil=True)
 def polar_rises(image, px, py, cx, cy, sign, dt, count, reach, rays):
-    """Rise (rays, count) of the mean over ``reach`` samples outside a radius (of ``dt``) over that inside; or NaN."""
+    """Give the rise (rays, count) of the mean outside a radius (of ``dt``) over that inside.
+
+    The means are over ``reach`` samples; the rise may be NaN.
+    """
     rises = np.full((rays, count), np.nan)
     sums = np.empty(count + 1)
     for k in range(rays):
@@ -31,7 +38,10 @@ def polar_rises(image, px, py, cx, cy, sign, dt, count, reach, rays):
 
 @njit(cache=True, nogil=True)
 def edge_worth(rises, step):
-    """Worth of each place (rays, count): maxima along a ray, and beside them, up to 1 at a rise of ``step``; else 0."""
+    """Give the worth of each place (rays, count), up to 1 at a rise of ``step``.
+
+    Maxima along a ray and places beside them have worth, all else has 0.
+    """
     rays, count = rises.shape
     worth = np.zeros((rays, count))
     for k in range(rays):
@@ -46,7 +56,10 @@ def edge_worth(rises, step):
 
 @njit(cache=True, nogil=True)
 def rim_radius(worth, first, last, least_band, outwards):
-    """Return the radius (index) in a range in whose band most rays have an edge, its half band and that share."""
+    """Return the radius (index) in a range in whose band most rays have an edge.
+
+    Also its half band and the share of these rays.
+    """
     rays, count = worth.shape
     best, at, half = -np.inf, -1, 0
     for t in range(first, min(last, count - 1) + 1):
@@ -64,7 +77,10 @@ def rim_radius(worth, first, last, least_band, outwards):
 
 @njit(cache=True, nogil=True)
 def closed_path(worth, first, last):
-    """Dynamic programming: place on each ray of the closed path of most worth between two radii, both included."""
+    """Find the place on each ray of the closed path of most worth between two radii.
+
+    By dynamic programming, with both radii included.
+    """
     rays, count = worth.shape[0], min(last, worth.shape[1] - 1) + 1 - first
     worth = worth[:, first : first + count]
     best = worth[0].copy()
@@ -91,7 +107,10 @@ def closed_path(worth, first, last):
 
 @njit(cache=True, nogil=True)
 def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
-    """Return the centroid of what is as dark as the floor within a circle; its centre where that is nothing."""
+    """Return the centroid of what is as dark as the floor within a circle.
+
+    Its centre where that is nothing.
+    """
     total, tx, ty = 0, 0.0, 0.0
     i0, i1 = max(int((cy - radius) / py) + 1, 0), min(int((cy + radius) / py) + 1, image.shape[0])
     j0, j1 = max(int((cx - radius) / px) + 1, 0), min(int((cx + radius) / px) + 1, image.shape[1])
@@ -109,7 +128,10 @@ def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
 
 @njit(cache=True, nogil=True)
 def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
-    """Return centroids (n, 2) of what is below a level within a radius, followed until they rest; NaN if too little."""
+    """Return centroids (n, 2) of what is below a level within a radius, followed until they rest.
+
+    NaN if too little.
+    """
     out = np.full((xs.size, 2), np.nan)
     for h in range(xs.size):
         x, y = xs[h], ys[h]

@@ -1,7 +1,7 @@
 """Places where a round hole may be: extremes of a scale space that knows about missing data.
 
-A disc of radius R answers most strongly to a Laplacian of Gaussian of width R / sqrt(2) (Lindeberg 1998,
-doi:10.1023/A:1008045108935). The search is generous; measuring the rim decides.
+A disc of radius R answers most strongly to a Laplacian of Gaussian of width R / sqrt(2) (Lindeberg
+1998, doi:10.1023/A:1008045108935). The search is generous; measuring the rim decides.
 """
 
 from typing import NamedTuple
@@ -16,14 +16,17 @@ Image = NDArray[np.float32]
 
 # Pixels across the smallest hole where candidates are searched.
 ACROSS_COARSE = 8.0
-# A response in robust standard deviations of the same response all over the sheet from which on it is measured.
+# A response in robust standard deviations of the same response all over the sheet from which on it
+# is measured.
 WORTH_MEASURING = 4.0
-# So many candidates are measured whatever the size of the image. Beyond, a square of TILE smallest radii has as many as
-# smallest holes would cover it: taken over the whole image, the strongest would all lie where the light is best.
+# So many candidates are measured whatever the size of the image. Beyond, a square of TILE smallest
+# radii has as many as smallest holes would cover it: taken over the whole image, the strongest
+# would all lie where the light is best.
 ENOUGH_CANDIDATES = 6000
 TILE = 40.0
-# Side of the squares in which texture is judged, in largest diameters; three by three are a neighbourhood. Values taken
-# along a side; quantiles of absolute deviations of one standard deviation.
+# Side of the squares in which texture is judged, in largest diameters; three by three are a
+# neighbourhood. Values taken along a side; quantiles of absolute deviations of one standard
+# deviation.
 SQUARE = 3.0
 SAMPLES = 10
 TO_SD = {0.25: 0.3186, 0.5: 0.6745}
@@ -53,10 +56,13 @@ def reduce_to(raster: Raster, target_um: float) -> Raster:
 
 
 def blob_responses(raster: Raster, radii_um: Pair) -> dict[float, Raster]:
-    """Give Laplacian-of-Gaussian responses by radius, in um; positive where a disc is darker than around it.
+    """Give Laplacian-of-Gaussian responses by radius, in um.
 
-    Missing data are filled with the local mean of what is there, so that they raise no edge of their own. Radii cover
-    a range and grow; wide blobs come on coarser rasters. Places count from the first pixel.
+    Positive where a disc is darker than around it.
+
+    Missing data are filled with the local mean of what is there, so that they raise no edge of
+    their own. Radii cover a range and grow; wide blobs come on coarser rasters. Places count from
+    the first pixel.
     """
     image = raster.image
     is_finite = np.isfinite(image)
@@ -65,8 +71,8 @@ def blob_responses(raster: Raster, radii_um: Pair) -> dict[float, Raster]:
     count = max(2, int(np.ceil(np.log(radii_um[1] / radii_um[0]) / np.log(1.35))) + 1)
     radii = np.geomspace(radii_um[0], radii_um[1], count)
     ratio = float(radii[1] / radii[0])
-    # Each radius lies between two widths of a ladder, and their difference is the Laplacian to within a constant. Every
-    # width is reached from the one before, which costs little.
+    # Each radius lies between two widths of a ladder, and their difference is the Laplacian to
+    # within a constant. Every width is reached from the one before, which costs little.
     widths = np.append(radii / np.sqrt(2 * ratio), radii[-1] * np.sqrt(ratio / 2))
     responses: dict[float, Raster] = {}
     before = Raster(np.ascontiguousarray(image, dtype=np.float32), raster.pixel_um)
@@ -87,7 +93,10 @@ def blob_responses(raster: Raster, radii_um: Pair) -> dict[float, Raster]:
 
 
 class LocalLevels(NamedTuple):
-    """Usual values around each place of an image: values (rows, columns) of squares of a side ``(y, x)`` in um."""
+    """Usual values around each place of an image.
+
+    Values (rows, columns) of squares of a side ``(y, x)`` in um.
+    """
 
     values: Floats
     side_um: Pair
@@ -101,9 +110,12 @@ class LocalLevels(NamedTuple):
 
 
 def local_spread(raster: Raster, side_um: float, quantile: float) -> LocalLevels:
-    """Give the spread in each square of an image and the eight around it: a quantile of absolute deviations as an SD.
+    """Give the spread in each square of an image and the eight around it.
 
-    Some hundred values are taken of each. Where less than a tenth is there, that of all of the image stands, or 0.
+    It is a quantile of absolute deviations as an SD.
+
+    Some hundred values are taken of each. Where less than a tenth is there, that of all of the
+    image stands, or 0.
     """
     image, pixel_um, _ = raster
     sides_px = [
@@ -163,7 +175,10 @@ def outside(raster: Raster, circles: Floats) -> Raster:
 
 
 def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> LocalLevels:
-    """Give the spread of an image about its Gaussian mean over a diameter, which takes out uneven light."""
+    """Give the spread of an image about its Gaussian mean over a diameter.
+
+    This mean takes out uneven light.
+    """
     side_um, (row_um, col_um) = SQUARE * diameter_um, raster.pixel_um
     # Only what `local_spread` takes is computed.
     row_step, col_step = (max(1, int(side_um / size / SAMPLES)) for size in raster.pixel_um)
@@ -179,7 +194,10 @@ def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> Loca
 def _local_mean(
     image: Image, pixel_um: Pair, width_um: float, steps: tuple[int, int] = (1, 1)
 ) -> Image:
-    """Gaussian mean at every ``steps``-th row and column, from a coarse raster; the median where nothing is near."""
+    """Gaussian mean at every ``steps``-th row and column, from a coarse raster.
+
+    The median where nothing is near.
+    """
     block_rows, block_cols = (max(1, int(width_um / 4 / size)) for size in pixel_um)
     # The last blocks may reach beyond the image, where there is no data.
     padding = [(0, -image.shape[0] % block_rows), (0, -image.shape[1] % block_cols)]
@@ -209,7 +227,10 @@ def _local_mean(
 
 
 def _block_means(image: Image, factors: tuple[int, int]) -> tuple[Image, Image]:
-    """Give the means over whole blocks of pixels, 0 over nothing, and the share of each block that has data."""
+    """Give the means over whole blocks of pixels, and the share of each block that has data.
+
+    A mean over nothing is 0.
+    """
     rows, cols = (n // factor for n, factor in zip(image.shape, factors, strict=True))
     blocks = image[: rows * factors[0], : cols * factors[1]].reshape(
         rows, factors[0], cols, factors[1]
@@ -228,9 +249,10 @@ def peaks(
 ) -> tuple[Floats, Floats, int]:
     """Return places that may be holes, the extremes over place and scale, strongest first.
 
-    They are stronger than ``faintest_levels``, the response that the least contrast makes, or `WORTH_MEASURING` times
-    that of ``spreads``, the usual one of each radius. Returns ``x, y`` in um, (n, 2); the weakest one searched here
-    over ``faintest_levels``; how many lie beyond the limit of their part.
+    They are stronger than ``faintest_levels``, the response that the least contrast makes, or
+    `WORTH_MEASURING` times that of ``spreads``, the usual one of each radius. Returns ``x, y`` in
+    um, (n, 2); the weakest one searched here over ``faintest_levels``; how many lie beyond the
+    limit of their part.
     """
     pairs = zip(responses.items(), spreads, strict=True)
     candidates = np.concatenate(
@@ -254,7 +276,8 @@ def _peaks_of_radius(
     lowest_threshold = max(
         0.0, min(float(faintest_levels.values.min()), WORTH_MEASURING * float(spread.values.min()))
     )
-    # What is above the weakest and nowhere surpassed within reach; the nearest first: they leave few for the others.
+    # What is above the weakest and nowhere surpassed within reach; the nearest first: they leave
+    # few for the others.
     rows, cols = np.nonzero(signed > lowest_threshold)
     padded = np.pad(signed, [(n, n) for n in reach], constant_values=-np.inf)
     offsets = [
@@ -289,7 +312,10 @@ def _strongest_by_tile(places: Floats, radius: float) -> Bools:
 
 
 def dark_spots(raster: Raster, sign: float, level: float, radius: float) -> Floats:
-    """Return places (n, 2), ``x, y`` in um, around which most is darker than a level but not all, as beside a sheet."""
+    """Return places (n, 2), ``x, y`` in um, around which most is darker than a level.
+
+    Not all around them is darker, as it is beside a sheet.
+    """
     coarse = reduce_to(raster, 2 * radius / ACROSS_COARSE)
     is_dark = (sign * coarse.image < level).astype(np.float32)
     dark_share = ndimage.gaussian_filter(is_dark, [0.5 * radius / size for size in coarse.pixel_um])

@@ -47,26 +47,35 @@ def find_holes(
     Parameters
     ----------
     image : array-like, shape (rows, columns)
-        A photograph of the sheet on any grey scale, or a presence map (about 1 in sheet, 0 in holes); NaN: no data.
+        A photograph of the sheet on any grey scale, or a presence map (about 1 in sheet, 0 in
+        holes); NaN: no data.
     pixel_um : float or (float, float), in um
         Pixel size, one value or ``(y, x)``; pixel ``i`` has its centre at ``i * pixel_um``.
     diameter_um : tuple of float, in um
         Smallest and largest diameter of a hole.
     polarity : {"auto", "dark", "bright"}
-        Whether holes are darker than the sheet (presence maps, reflected light) or brighter (transmitted light). With
-        ``"auto"`` the side with the stronger holes is taken; holes of both kinds are never mixed.
+        Whether holes are darker than the sheet (presence maps, reflected light) or brighter
+        (transmitted light). With ``"auto"`` the side with the stronger holes is taken; holes of
+        both kinds are never mixed.
 
     Returns
     -------
     Dataset, dims (mark)
-        ``x, y`` (um), ``cov_xx, cov_yy, cov_xy`` (um2), ``diameter`` (um), ``axis_ratio``, ``arc_coverage`` (0 to 1)
-        and ``contrast`` (negative for dark holes). Sorted by y, then x. Empty, without an error, where there is no
+        ``x, y`` (um), ``cov_xx, cov_yy, cov_xy`` (um2), ``diameter`` (um), ``axis_ratio``,
+        ``arc_coverage`` (0 to 1)
+        and ``contrast`` (negative for dark holes). Sorted by y, then x. Empty, without an error,
+        where there is no
         hole.
-        ``attrs["polarity"]`` says which kind was found. ``attrs["not_taken"]`` counts by reason what was seen and is
-        not among the holes though it would be but for this: ``cut`` by the border, ``too_small``, ``too_large``,
-        ``too_faint``, ``not_round`` or not closed, ``no_rim`` that is sharp, ``unlike`` the other holes; and as
-        ``not_measured`` places that might be holes: in large images at most as many are measured as smallest holes
-        would cover the area, the strongest of each part of the image. It is 0 but for very dense patterns, or where
+        ``attrs["polarity"]`` says which kind was found. ``attrs["not_taken"]`` counts by reason
+        what was seen and is
+        not among the holes though it would be but for this: ``cut`` by the border, ``too_small``,
+        ``too_large``,
+        ``too_faint``, ``not_round`` or not closed, ``no_rim`` that is sharp, ``unlike`` the other
+        holes; and as
+        ``not_measured`` places that might be holes: in large images at most as many are measured as
+        smallest holes
+        would cover the area, the strongest of each part of the image. It is 0 but for very dense
+        patterns, or where
         ``diameter_um`` begins far above their size.
 
     Raises
@@ -78,14 +87,15 @@ def find_holes(
 
     Notes
     -----
-    A burnt rim surrounds each hole, so the rim is taken at the innermost strong edge met going out from the
-    centre, at half level between the floor and what lies just outside it. Rims are fitted by ``r0 + a cos + b sin +
-    c cos 2 + d sin 2`` with Tukey weights, which is an ellipse to first order. The roughness of a rim has a first
-    wave, too, which moves the centre and does not show in the residuals; the covariance of a centre follows from the
-    next waves, half those of the rim itself and half those of all rims. Two images of one hole share the rim, so it is
-    on the safe side. In mottle as strong as the holes are deep, three or more floors that are flat, alike and darker
-    than 97 % of the sheet stand for contrast. Holes cut by the border of the image or of the data are left out, as are
-    holes closed over more than 30 % of their rim.
+    A burnt rim surrounds each hole, so the rim is taken at the innermost strong edge met going out
+    from the centre, at half level between the floor and what lies just outside it. Rims are fitted
+    by ``r0 + a cos + b sin + c cos 2 + d sin 2`` with Tukey weights, which is an ellipse to first
+    order. The roughness of a rim has a first wave, too, which moves the centre and does not show in
+    the residuals; the covariance of a centre follows from the next waves, half those of the rim
+    itself and half those of all rims. Two images of one hole share the rim, so it is on the safe
+    side. In mottle as strong as the holes are deep, three or more floors that are flat, alike and
+    darker than 97 % of the sheet stand for contrast. Holes cut by the border of the image or of the
+    data are left out, as are holes closed over more than 30 % of their rim.
 
     References
     ----------
@@ -113,7 +123,8 @@ def find_holes(
     if signs is None:
         raise MarkError(f"The polarity is {polarity!r}; it has to be 'auto', 'dark' or 'bright'.")
     grey = _grey(image)
-    # Widths of char, walls and blur are those of laser holes; other targets are measured as a magnified picture.
+    # Widths of char, walls and blur are those of laser holes; other targets are measured as a
+    # magnified picture.
     magnification = float(USUAL_UM / np.sqrt(low * high))
     magnification = 1.0 if 0.5 <= magnification <= 2.0 else magnification
     sign, holes, counts = signs[0], np.empty((0, k.COLUMNS)), dict.fromkeys(REASONS, 0)
@@ -131,7 +142,10 @@ def find_holes(
 
 
 class _Detection(NamedTuple):
-    """Marks of one polarity: holes, all that was measured, the places searched, the texture around."""
+    """Marks of one polarity.
+
+    Holes, all that was measured, the places searched, the texture around.
+    """
 
     sign: float
     holes: Floats
@@ -144,7 +158,10 @@ class _Detection(NamedTuple):
 def _holes(
     raster: Raster, radius_range: Pair, signs: tuple[float, ...]
 ) -> tuple[float, Floats, dict[str, int]]:
-    """Find the polarity with the stronger holes: its sign, its holes in um, and counts of rejected marks."""
+    """Find the polarity with the stronger holes.
+
+    Gives its sign, its holes in um, and counts of rejected marks.
+    """
     # Rims are measured with 40 pixels across the smallest hole.
     fine_raster = candidates.reduce_to(raster, 2 * radius_range[0] / 40.0)
     strongest = max(
@@ -167,9 +184,9 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
     target_um = 2 * radius_range[0] / candidates.ACROSS_COARSE
     coarse = candidates.reduce_to(Raster(raster.image, raster.pixel_um), target_um)
     responses = candidates.blob_responses(coarse, radius_range)
-    # Char, neighbours and a radius between two of the scale space weaken a response; a third is allowed for them.
-    # The texture of the quietest quarter around: holes, dots and dirt have little influence. Too small rather than too
-    # large, and nowhere above the median.
+    # Char, neighbours and a radius between two of the scale space weaken a response; a third is
+    # allowed for them. The texture of the quietest quarter around: holes, dots and dirt have little
+    # influence. Too small rather than too large, and nowhere above the median.
     quiet_texture = candidates.local_deviation(coarse, diameter, 0.25)
     quiet_texture = quiet_texture._replace(
         values=np.minimum(quiet_texture.values, np.median(quiet_texture.values))
@@ -180,8 +197,9 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
         np.exp(-1 / radius_ratio) - np.exp(-radius_ratio)
     )
     faintest_levels = quiet_texture._replace(values=0.67 * disc_response * quiet_texture.values)
-    # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
-    # Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
+    # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen
+    # is. Nowhere less than a quarter of that of the whole image: there, blots would stand out from
+    # nothing.
     spreads = [
         candidates.local_spread(response, candidates.SQUARE * diameter, 0.5)
         for response in responses.values()
@@ -194,20 +212,23 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
         coarse_points, shares, dropped_count = candidates.peaks(
             responses, sign, faintest_levels, spreads
         )
-        # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
+        # Before a rim is measured its place may be some pixels off, and faint marks are counted:
+        # less contrast will do.
         thresholds = (
             0.6 * shares * criteria.LEAST_CONTRAST * quiet_texture.at_points(coarse_points),
             np.where(shares < 1.0, 0.0, 0.6 * criteria.LEAST_CONTRAST),
         )
         positions = coarse_points + coarse.origin_um
         marks = _measure(raster, positions, sign, radius_range, thresholds)
-        # In mottle as strong as the holes are deep, what is left is that their floors are black, flat and alike.
+        # In mottle as strong as the holes are deep, what is left is that their floors are black,
+        # flat and alike.
         is_alike = criteria.share_floor(marks, raster.pixel_um, radius_range)
         if is_alike.any() and criteria.is_rare(
             marks[is_alike], sign * _sheet(coarse, marks[is_alike]).image
         ):
             marks[is_alike, k.ALIKE] = 1.0
-        # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
+        # The sheet's own texture is what is left when everything that looks like a hole is taken
+        # out, with its char.
         holes = marks[criteria.is_hole(marks, raster.pixel_um, radius_range)]
         texture = candidates.local_deviation(_sheet(coarse, holes), diameter, 0.5)
         marks = marks[np.isfinite(marks[:, k.RADIUS])]
@@ -235,7 +256,10 @@ def _sheet(raster: Raster, holes: Floats) -> Raster:
 def _count_rejected(
     detection: _Detection, holes: Floats, raster: Raster, radius_range: Pair
 ) -> dict[str, int]:
-    """Count by reason what lies on no hole and would be one but for a single fault (mottle has several)."""
+    """Count by reason what lies on no hole and would be one but for a single fault.
+
+    Mottle has several faults.
+    """
     marks = detection.marks
     is_whole = criteria.is_whole(marks, raster.image.shape, raster.pixel_um)
     criteria_met = criteria.met_criteria(marks, raster.pixel_um, radius_range)
@@ -262,7 +286,10 @@ def _measure(
     radius_range: Pair,
     thresholds: tuple[Floats, Floats],
 ) -> Floats:
-    """Measure places, strongest first; what lies well inside a hole that a stronger one led to is passed over."""
+    """Measure places, strongest first.
+
+    What lies well inside a hole that a stronger one led to is passed over.
+    """
     marks = np.full((len(positions), k.COLUMNS), np.nan)
     all_rows = np.arange(len(positions))
     pairs = criteria.neighbour_pairs(positions, 2 * radius_range[0])
@@ -285,7 +312,8 @@ def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Fl
     # Of the depth of the holes, at which a floor may end.
     depth_shares = (0.2, 0.08, 0.13, 0.27, 0.35)
     level = typical.floor_level + depth_shares[0] * typical.depth
-    # Once the level of the floors is known, mottle that hid a place from the search hides it no longer.
+    # Once the level of the floors is known, mottle that hid a place from the search hides it no
+    # longer.
     positions = np.concatenate(
         [positions, candidates.dark_spots(raster, sign, level, typical.radius)]
     )

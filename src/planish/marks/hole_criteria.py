@@ -1,4 +1,7 @@
-"""Criteria by which measured marks are laser holes: each by itself, and all of an image beside each other."""
+"""Give the criteria by which measured marks are laser holes.
+
+Marks are judged each by itself, and all of an image beside each other.
+"""
 
 from typing import NamedTuple
 
@@ -10,24 +13,31 @@ from planish.core.robust import mad_sd
 from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.marks import rims as k
 
-# Depth of a hole, in robust standard deviations of the sheet around and of the whole: mottle rarely makes three.
+# Depth of a hole, in robust standard deviations of the sheet around and of the whole: mottle rarely
+# makes three.
 LEAST_CONTRAST = 3.2
-# The floor of a hole is flat and its rim a step; a blotch of mottle is neither. Shares of the depth.
+# The floor of a hole is flat and its rim a step; a blotch of mottle is neither. Shares of the
+# depth.
 LARGEST_FLATNESS = 0.25
 LARGEST_UNEVENNESS = 0.2
-# Holes of one laser look alike. How alike their floors are is measured on them, within limits (shares of the depth):
-# what differs more is dirt or a pit (not so in transmitted light, where the share of the median depth counts).
+# Holes of one laser look alike. How alike their floors are is measured on them, within limits
+# (shares of the depth): what differs more is dirt or a pit (not so in transmitted light, where the
+# share of the median depth counts).
 LEAST_OTHERS = 3
 LIKE_FLOORS = (0.02, 0.08)
 LEAST_SHARE_OF_MEDIAN = 0.5
-# A floor like those of the others is a hole's where the sheet around is so dark that this share of their depth is left.
+# A floor like those of the others is a hole's where the sheet around is so dark that this share of
+# their depth is left.
 LEAST_DEPTH_OF_FLOOR = 0.3
-# Where less than this share of the sheet is as dark as floors that are alike, they are holes in any texture: of hole
-# patterns in the strongest mottle 0.022 at most, of printed dots and letters from 0.07 on.
+# Where less than this share of the sheet is as dark as floors that are alike, they are holes in any
+# texture: of hole patterns in the strongest mottle 0.022 at most, of printed dots and letters from
+# 0.07 on.
 RARE = 0.03
-# How much better than an outline a floor has to be; quality is the rim's share less its roughness over its radius.
+# How much better than an outline a floor has to be; quality is the rim's share less its roughness
+# over its radius.
 BETTER = 0.015
-# A floor that is deeper by this share of the depth is that of the hole, and the other what lies beside it.
+# A floor that is deeper by this share of the depth is that of the hole, and the other what lies
+# beside it.
 DEEPER = 0.05
 
 
@@ -44,14 +54,19 @@ def depth(marks: Floats) -> Floats:
 
 
 def met_criteria(marks: Floats, pixel_um: Pair, radius_range: Pair) -> dict[str, Bools]:
-    """Return which marks meet each criterion, by the fault of those that do not; ``radius_range`` in um."""
+    """Return which marks meet each criterion, by the fault of those that do not.
+
+    ``radius_range`` in um.
+    """
     radius, rim_steps, depths = marks[:, k.RADIUS], marks[:, k.STEP], depth(marks)
     with np.errstate(invalid="ignore"):
-        # Step over +-10 um across the rim as a share of that over +-25 um: a gentle slope makes less. Char so narrow
-        # that its outer edge comes within the wider distance makes less, too; but no slope has a floor so flat.
+        # Step over +-10 um across the rim as a share of that over +-25 um: a gentle slope makes
+        # less. Char so narrow that its outer edge comes within the wider distance makes less, too;
+        # but no slope has a floor so flat.
         is_sharp = rim_steps > 0.45 * marks[:, k.FAR_STEP]
         is_flat = marks[:, k.FLATNESS] < 0.05 * depths
-        # Char may take two thirds of the step; where it takes more, a sharp rim and a flat floor are enough.
+        # Char may take two thirds of the step; where it takes more, a sharp rim and a flat floor
+        # are enough.
         has_rim = (rim_steps > 0.28 * depths) | ((rim_steps > 0.15 * depths) & is_sharp & is_flat)
         return {
             # Fewer than 6 pixels across a hole cannot distinguish a rim from a slope.
@@ -76,7 +91,10 @@ def is_hole(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
 
 
 def share_floor(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
-    """Return which marks are holes but for their contrast and have the darkest floor that `LEAST_OTHERS` share."""
+    """Return which marks are holes but for contrast and have the darkest shared floor.
+
+    The floor is the darkest that `LEAST_OTHERS` share.
+    """
     criteria_met = met_criteria(marks, pixel_um, radius_range)
     is_like = np.all(
         [is_met for fault, is_met in criteria_met.items() if fault != "too_faint"], axis=0
@@ -94,7 +112,7 @@ def share_floor(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
 
 
 def is_rare(holes: Floats, signed_sheet: NDArray[np.floating]) -> bool:
-    """Return whether hardly anything of the sheet, its grey times sign, is as dark as the floors of holes."""
+    """Return whether hardly any of the sheet, grey times sign, is as dark as floors of holes."""
     level = np.median(holes[:, k.INSIDE] + LIKE_FLOORS[1] * depth(holes))
     return bool(
         np.count_nonzero(signed_sheet < level) < RARE * np.count_nonzero(np.isfinite(signed_sheet))
@@ -110,7 +128,10 @@ def is_round(marks: Floats, pixel_um: Pair) -> Bools:
 
 
 def deepest_disjoint(marks: Floats) -> Floats:
-    """Of marks whose circles overlap keep the deepest, and of those as deep the one with the best rim."""
+    """Of overlapping marks keep the deepest, and of those as deep the one with the best rim.
+
+    Marks overlap where their circles do.
+    """
     i, j = _overlapping(marks, marks).T
     is_shallow = np.zeros(len(marks), bool)
     is_shallow[i[marks[i, k.INSIDE] - marks[j, k.INSIDE] > DEEPER * depth(marks)[i]]] = True
@@ -135,7 +156,10 @@ def neighbour_pairs(points: Floats, max_distance: float) -> Ints:
 
 
 def greedy_disjoint(order: Ints, pairs: Ints) -> list[int]:
-    """Of points in order keep each that is no neighbour of an earlier one; ``pairs`` (m, 2) are neighbours."""
+    """Of points in order keep each that is no neighbour of an earlier one.
+
+    ``pairs`` (m, 2) are neighbours.
+    """
     points, neighbours = pairs[np.argsort(pairs[:, 0], kind="stable")].T
     starts, stops = np.searchsorted(points, order), np.searchsorted(points, order, "right")
     excluded: set[int] = set()
@@ -161,8 +185,9 @@ def _overlapping(marks: Floats, holes: Floats) -> Ints:
 class TypicalHole(NamedTuple):
     """Typical figures of the holes of one image; levels are times the sign of the holes.
 
-    ``floor_slope``: how the floor brightens with the sheet around; ``floor_scatter``: robust sd of the floors, share of
-    the depth; ``burnt_share``, ``rim_share``: shares of the depth that the burnt sheet takes, that remain at the rim.
+    ``floor_slope``: how the floor brightens with the sheet around; ``floor_scatter``: robust sd of
+    the floors, share of the depth; ``burnt_share``, ``rim_share``: shares of the depth that the
+    burnt sheet takes, that remain at the rim.
     """
 
     floor_level: float
@@ -183,8 +208,12 @@ class TypicalHole(NamedTuple):
         return self.floor_level + self.floor_slope * (outside - self.sheet_level)
 
     def is_unburnt(self, marks: Floats) -> Bools:
-        """Which marks, by their texture, are not burnt while the others are, by more than this share of the step."""
-        # In transmitted light char is darker than the sheet and holes are brighter: its share is negative.
+        """Return which marks, by their texture, are not burnt while the others are.
+
+        The others are burnt by more than this share of the step.
+        """
+        # In transmitted light char is darker than the sheet and holes are brighter: its share is
+        # negative.
         burnt_steps = np.sign(self.burnt_share) * marks[:, k.BURNT]
         least_steps = 0.5 * abs(self.burnt_share) * depth(marks) - marks[:, k.TEXTURE]
         return (abs(self.burnt_share) > 0.15) & (burnt_steps < least_steps)
@@ -201,7 +230,8 @@ def typical_hole(marks: Floats) -> TypicalHole:
         depth(deep_marks),
     )
     sheet_level = float(np.median(sheet_levels))
-    # Uneven light brightens floors with the sheet, and print does not: the slope counts if it explains the floors.
+    # Uneven light brightens floors with the sheet, and print does not: the slope counts if it
+    # explains the floors.
     clear_marks = marks[depths >= 0.7 * np.median(depths)]
     slope, scatter = 0.0, mad_sd(floor_levels)
     fitted_slope = _slope(clear_marks[:, k.OUTSIDE], clear_marks[:, k.INSIDE])
@@ -220,7 +250,10 @@ def typical_hole(marks: Floats) -> TypicalHole:
 
 
 def _slope(x: Floats, y: Floats) -> float:
-    """Fit the resistant line through the medians of the outer thirds (Tukey): a slope from 0 to 1, 0 for few points."""
+    """Fit the resistant line through the medians of the outer thirds (Tukey).
+
+    Gives a slope from 0 to 1, 0 for few points.
+    """
     third = len(x) // 3
     if third < 3:
         return 0.0
@@ -230,7 +263,7 @@ def _slope(x: Floats, y: Floats) -> float:
 
 
 def drop_unlike(marks: Floats, sign: float) -> Floats:
-    """Drop marks much fainter, smaller or larger than the rest, and those unlike them in two ways."""
+    """Drop marks much fainter, smaller or larger than the rest, or unlike them in two ways."""
     if len(marks) < LEAST_OTHERS:
         return marks
     typical, depths = typical_hole(marks), depth(marks)
@@ -238,8 +271,9 @@ def drop_unlike(marks: Floats, sign: float) -> Floats:
         marks[:, k.OUTSIDE] - typical.floor_at(marks[:, k.OUTSIDE]), depths
     )
     depth_share = depths / expected_depths
-    # Of a hole that is half closed farther down, the other half is as deep as all. Floors have a long tail (real
-    # targets: 27 standard deviations), so only what is far off is out by its floor alone.
+    # Of a hole that is half closed farther down, the other half is as deep as all. Floors have a
+    # long tail (real targets: 27 standard deviations), so only what is far off is out by its floor
+    # alone.
     excess_unevenness = np.maximum(marks[:, k.UNEVENNESS] - np.median(marks[:, k.UNEVENNESS]), 0.0)
     is_like = depth_share + excess_unevenness / expected_depths >= 1 - np.clip(
         30 * typical.floor_scatter, 0.06, 0.3
@@ -252,7 +286,8 @@ def drop_unlike(marks: Floats, sign: float) -> Floats:
     log_radius = np.log(marks[:, k.RADIUS])
     size_difference = np.abs(log_radius - np.median(log_radius[is_like]))
     is_like &= size_difference < np.log(1.6)
-    # Char takes a part of the step; what has none and is odd in depth, roundness and size together is ink or dirt.
+    # Char takes a part of the step; what has none and is odd in depth, roundness and size together
+    # is ink or dirt.
     qualities = quality(marks)
     quality_deficit = np.minimum(qualities - np.median(qualities[is_like]), 0)
     is_odd = (
@@ -266,7 +301,7 @@ def drop_unlike(marks: Floats, sign: float) -> Floats:
 
 
 def is_doubtful(marks: Floats) -> Bools:
-    """Return which outlines are so rough or so incomplete that what is printed may be a part of them."""
+    """Return which outlines are so rough or incomplete that print may be a part of them."""
     return quality(marks) < 0.95
 
 
@@ -288,7 +323,10 @@ def select_resembling(marks: Floats, holes: Floats, pixel_um: Pair) -> Floats:
 
 
 def merge_floors(marks: Floats, floors: Floats) -> Floats:
-    """Add floors, which do not overlap, to marks; where one lies on a mark, the clearly better of the two stays."""
+    """Add floors, which do not overlap, to marks.
+
+    Where one lies on a mark, the clearly better of the two stays.
+    """
     is_retained, is_added = np.ones(len(marks), bool), np.zeros(len(floors), bool)
     overlaps = _overlapping(floors, marks)
     floor_qualities, qualities = quality(floors) - BETTER, quality(marks)
@@ -301,7 +339,7 @@ def merge_floors(marks: Floats, floors: Floats) -> Floats:
 
 
 def quality(marks: Floats) -> Floats:
-    """Rate outlines: share of the rim that is there less its rms about the circle over the radius."""
+    """Rate outlines by the share of rim present less its rms about the circle over the radius."""
     roughness = np.sqrt(marks[:, k.ROUGHNESS] ** 2 + 0.5 * marks[:, k.HALF_DIFFERENCE] ** 2)
     return marks[:, k.COVERAGE] - roughness / marks[:, k.RADIUS]
 
@@ -309,8 +347,9 @@ def quality(marks: Floats) -> Floats:
 def set_covariance(marks: Floats, pixel_um: Pair) -> None:
     """Scale the covariances by the size of the wave that moves a centre, in place.
 
-    One rim has few waves to judge from, so the roughness of all rims of an image counts as much as a rim's own. Long
-    waves are larger than short ones, as with any rough line; the first is extrapolated in the square of the order.
+    One rim has few waves to judge from, so the roughness of all rims of an image counts as much as
+    a rim's own. Long waves are larger than short ones, as with any rough line; the first is
+    extrapolated in the square of the order.
     """
     if not len(marks):
         return
@@ -321,7 +360,8 @@ def set_covariance(marks: Floats, pixel_um: Pair) -> None:
     first_wave = np.mean(low) * wave_ratio ** (11.5 / 31.0)
     rim_variance = first_wave / max(float(np.mean(mean_waves)), 1e-30) * mean_waves
     variance = 0.5 * rim_variance + 0.5 * np.median(rim_variance)
-    # Of two edges either may be the rim, and each is found where the other disturbs it: a part goes any way.
+    # Of two edges either may be the rim, and each is found where the other disturbs it: a part goes
+    # any way.
     x, y = np.nan_to_num(marks[:, [k.DOUBT_X, k.DOUBT_Y]]).T
     cross_share = 0.35  # the part across the line of the two centres
     # The raster adds an error of 0.02 pixels.

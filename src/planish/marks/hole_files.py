@@ -49,13 +49,15 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
     Parameters
     ----------
     holes : Dataset, dims (mark)
-        Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`, with any further variables and
-        attributes. ``attrs["plane"]`` names the map or image in which they lie.
+        Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`, with any
+        further variables and attributes. ``attrs["plane"]`` names the map or image in which they
+        lie.
 
     Returns
     -------
     dict
-        ``format``, ``version``, ``units``, ``plane``, ``attributes`` and ``variables``. Floats are exact; NaN is null.
+        ``format``, ``version``, ``units``, ``plane``, ``attributes`` and ``variables``. Floats are
+        exact; NaN is null.
 
     Raises
     ------
@@ -101,7 +103,8 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
     Raises
     ------
     MarkError
-        If it holds no holes, is of a later version, or a part is missing or malformed; all faults are named.
+        If it holds no holes, is of a later version, or a part is missing or malformed; all faults
+        are named.
     """
     if content.get("format") != FORMAT:
         raise MarkError(f"{name} holds no '{FORMAT}'. Give a file of 'planish holes'.")
@@ -140,7 +143,8 @@ def write_holes(holes: xr.Dataset, path: str | Path) -> None:
     ----------
     holes : Dataset, dims (mark)
     path : str or Path
-        ``.json`` keeps everything; ``.csv`` is the table to read: ``label, x_um, y_um, diameter_um``.
+        ``.json`` keeps everything; ``.csv`` is the table to read: ``label, x_um, y_um,
+        diameter_um``.
 
     Raises
     ------
@@ -168,8 +172,8 @@ def read_holes(path: str | Path) -> xr.Dataset:
     Parameters
     ----------
     path : str or Path
-        ``.json`` gives the dataset that was written; of a table, ``.csv``, the columns ``x_um, y_um`` and, where it is
-        there, ``diameter_um`` are read and others passed over.
+        ``.json`` gives the dataset that was written; of a table, ``.csv``, the columns ``x_um,
+        y_um`` and, where it is there, ``diameter_um`` are read and others passed over.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""Pixels of a map or an image that lie in holes, also in those that its border cuts, or in the dots of a print."""
+"""Find the pixels of a map or an image that lie in holes, or in the dots of a print.
+
+Also in holes that its border cuts.
+"""
 
 from collections.abc import Iterator
 
@@ -55,8 +58,9 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset, dims (mark)
-        ``x, y, diameter`` (um) of a circle around each: what touches the border, is beyond half way from the sheet to
-        the floor of the whole holes, and has a tenth of their area or more. None is wider than twice the largest.
+        ``x, y, diameter`` (um) of a circle around each: what touches the border, is beyond half way
+        from the sheet to the floor of the whole holes, and has a tenth of their area or more. None
+        is wider than twice the largest.
     """
     grid = Grid.of(image)
     centres, radii_um = (
@@ -83,7 +87,10 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
 def _border_regions(
     image: xr.DataArray, grid: Grid, centres: Floats, radii_um: Floats
 ) -> Iterator[tuple[Ints, Ints]]:
-    """Yield rows and columns of what touches the border and is beyond half way from the sheet to the floor of holes."""
+    """Yield rows and columns of what touches the border and is nearer to holes than to the sheet.
+
+    It is beyond half way from the sheet to the floor of holes.
+    """
     inner_mask, outer_mask = (hole_mask(grid, centres, factor * radii_um) for factor in (0.6, 1.5))
     _, (greys, inner_mask, outer_mask) = thinned(image, inner_mask, outer_mask)
     floor, sheet = (
@@ -128,12 +135,14 @@ def without_dots(
     Returns
     -------
     ndarray, shape (rows, cols)
-        The image with the median grey of the paper where dots are; holes and paper keep their values.
+        The image with the median grey of the paper where dots are; holes and paper keep their
+        values.
 
     Notes
     -----
-    Dark is what lies below the level that parts two classes of grey best (Otsu 1979). What a disc of ``least_um``, all
-    dark, reaches is a hole (morphological opening); all other dark pixels are dots.
+    Dark is what lies below the level that parts two classes of grey best (Otsu 1979). What a disc
+    of ``least_um``, all dark, reaches is a hole (morphological opening); all other dark pixels are
+    dots.
 
     References
     ----------

@@ -1,6 +1,7 @@
 """Round holes measured at places where they may be, by their rims or their floors.
 
-The steps are compiled, one by one; what leads from one to the next is not, which would take as long to compile again.
+The steps are compiled, one by one; what leads from one to the next is not, which would take as long
+to compile again.
 """
 
 import math
@@ -29,14 +30,17 @@ OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS, UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAV
 DOUBT_X, DOUBT_Y = 20, 21
 COLUMNS = 22
 
-# Least step of another edge inside the rim, share of the whole step; sd of a centre where either of two closed edges
-# may be the rim, share of what their centres are apart; the same for the floor's centre, which the wall moves less.
+# Least step of another edge inside the rim, share of the whole step; sd of a centre where either of
+# two closed edges may be the rim, share of what their centres are apart; the same for the floor's
+# centre, which the wall moves less.
 LEAST_INNER, EITHER, FLOOR = 0.06, 0.6, 1.3
-# How far the middle of a floor usually is from that of its rim, as holes are tilted: share of the radius, and pixels.
-# Less is usual where the step at the rim has a first wave above this share of the whole step, as uneven char makes it.
+# How far the middle of a floor usually is from that of its rim, as holes are tilted: share of the
+# radius, and pixels. Less is usual where the step at the rim has a first wave above this share of
+# the whole step, as uneven char makes it.
 USUAL, EXACT, ONE_SIDED = (0.045, 0.3), (0.0105, 0.15), 0.1
-# Another edge inside the strongest is the rim where this share of the rays has it, it is smaller by this share of the
-# radius, and on this share of the rays the two are apart by this share of the radius: what lies between is char.
+# Another edge inside the strongest is the rim where this share of the rays has it, it is smaller by
+# this share of the radius, and on this share of the rays the two are apart by this share of the
+# radius: what lies between is char.
 CLOSED, SMALLER, PART, APART = 0.9, 0.05, 0.25, 0.08
 RAYS = 96
 # Cosine and sine of the angles of the rays, and of twice these.
@@ -49,7 +53,10 @@ _Picture = tuple[Image, float, float]  # an image, and its pixel size along x an
 
 
 class _Outline(NamedTuple):
-    """Outline of a hole: centre, fit, weights of the rays, inverse normal matrix, radii; with what the edge shows."""
+    """Outline of a hole: centre, fit, weights of the rays, inverse normal matrix, radii.
+
+    With what the edge shows.
+    """
 
     x: float
     y: float
@@ -71,13 +78,15 @@ def measure_rims(
 ) -> Floats:
     """Measure a round hole at each candidate place.
 
-    ``positions`` (n, 2), x and y in um; ``radius_range`` in um; a step below ``thresholds[0]`` (n,), or below
-    ``thresholds[1]`` (n,) times the texture around, is not measured. Returns ``(n, COLUMNS)``: centre, radius, half the
-    difference of the half axes, covariance of the centre for waves of the rim of amplitude 1, share of the rim found,
-    step at the rim, levels inside and outside times ``sign``, robust standard deviation of the sheet around, rms of the
-    rim about the ellipse, rise of the floor towards the rim, unevenness of the floor, step over a wider distance,
-    variances of the waves around the rim, long and short ones, and how far the sheet just outside the rim is from the
-    sheet around (the last column is left to others). Lengths in um. NaN rows where there is no hole.
+    ``positions`` (n, 2), x and y in um; ``radius_range`` in um; a step below ``thresholds[0]``
+    (n,), or below ``thresholds[1]`` (n,) times the texture around, is not measured. Returns ``(n,
+    COLUMNS)``: centre, radius, half the difference of the half axes, covariance of the centre for
+    waves of the rim of amplitude 1, share of the rim found, step at the rim, levels inside and
+    outside times ``sign``, robust standard deviation of the sheet around, rms of the rim about the
+    ellipse, rise of the floor towards the rim, unevenness of the floor, step over a wider distance,
+    variances of the waves around the rim, long and short ones, and how far the sheet just outside
+    the rim is from the sheet around (the last column is left to others). Lengths in um. NaN rows
+    where there is no hole.
     """
     picture, pixel, (low, high) = _picture(raster), max(raster.pixel_um), radius_range
     holes = np.full((len(positions), COLUMNS), np.nan)
@@ -91,7 +100,8 @@ def measure_rims(
         rim = _refined(picture, centre, sign, np.full(RAYS, radius), search, dt, share=0.35)
         if rim is None or not (0.5 * low < rim.fit[0] < 1.5 * high):
             continue
-        # The strongest edge, but where another one goes round inside: then that around is the end of the char.
+        # The strongest edge, but where another one goes round inside: then that around is the end
+        # of the char.
         centre, model, inner, around = _closed_rims(picture, centre, sign, radius, low)
         closed = _refined(picture, centre, sign, model, near, dt, share=0.35, follow=True)
         if closed is not None and closed.fit[0] > 0.5 * low and _is_inside(closed, rim):
@@ -102,13 +112,15 @@ def measure_rims(
         _set_doubt(hole, picture, sign, (rim.x, rim.y), rim.steps)
         if around == 0.0:
             continue
-        # Another closed edge inside: the rim of a hole with a scorched ring around, or that of the other face.
+        # Another closed edge inside: the rim of a hole with a scorched ring around, or that of the
+        # other face.
         other = _refined(
             picture, centre, around * sign, inner, near, dt, share=LEAST_INNER, follow=True
         )
         is_ring = other is not None and 0.5 * low < other.fit[0] < hole[RADIUS]
         if other is not None and is_ring and np.sum(other.weight > 0) > 0.6 * RAYS:
-            # Of two that rise either may be the rim; where the grey falls, char is darker than the hole.
+            # Of two that rise either may be the rim; where the grey falls, char is darker than the
+            # hole.
             if around < 0.0:
                 _write_outline(hole, other)
                 other = rim
@@ -125,11 +137,14 @@ def measure_floors(
     depth: float,
     shares: Sequence[float],
 ) -> Floats:
-    """Measure the outline of a hole's floor about each place (n, 2): where the grey leaves its level.
+    """Measure the outline of a hole's floor about each place (n, 2).
 
-    What is printed over a rim may hide its edge, and never the floor. ``radius``, ``floor`` (times ``sign``) and
-    ``depth`` are those of the image's other holes. Of the levels, ``shares`` of the step from the floor to the sheet,
-    that with the roundest outline is taken. Returns ``(n, COLUMNS)`` as `measure_rims` does, without steps at the rim.
+    The outline lies where the grey leaves the floor's level.
+
+    What is printed over a rim may hide its edge, and never the floor. ``radius``, ``floor`` (times
+    ``sign``) and ``depth`` are those of the image's other holes. Of the levels, ``shares`` of the
+    step from the floor to the sheet, that with the roundest outline is taken. Returns ``(n,
+    COLUMNS)`` as `measure_rims` does, without steps at the rim.
     """
     picture, pixel = _picture(raster), max(raster.pixel_um)
     holes, row = np.full((len(positions), COLUMNS), np.nan), np.empty(COLUMNS)
@@ -185,7 +200,10 @@ def _circle(
     least: float,
     contrast: float,
 ) -> tuple[float, float, float, float] | None:
-    """Return centre, radius and scatter of the circle through the innermost strong edges; None if there is none."""
+    """Return centre, radius and scatter of the circle through the innermost strong edges.
+
+    None if there is none.
+    """
     pixel, (low, high), (cx, cy) = max(picture[1:]), radius_range, position
     window, dt, radius, scale = max(14.0, 1.4 * pixel), max(0.7 * pixel, 2.5), np.nan, 0.0
     for turn in range(4):
@@ -227,8 +245,8 @@ def _refined(
 ) -> _Outline | None:
     """Return the outline at half level near a modelled one; None if there is none.
 
-    Steps below a ``share`` of the median are left out. With ``follow`` what was found is followed, so that a rough rim
-    needs no wide search, in which lies another edge.
+    Steps below a ``share`` of the median are left out. With ``follow`` what was found is followed,
+    so that a rough rim needs no wide search, in which lies another edge.
     """
     pixel, (cx, cy), radius, outline = max(picture[1:]), centre, float(np.mean(model)), None
     for _turn in range(3):
@@ -250,7 +268,7 @@ def _refined(
 
 
 def _is_inside(closed: _Outline, rim: _Outline) -> bool:
-    """Return whether a closed outline lies inside another one, away from it on a good part of its rays."""
+    """Return whether a closed outline lies inside another, well away from it on many rays."""
     # As far as a shift of the centre goes, the two are compared on the same ray.
     shift = (closed.x - rim.x) * _COS + (closed.y - rim.y) * _SIN
     away_count = np.count_nonzero(rim.radii - (closed.radii + shift) > APART * rim.fit[0])
@@ -261,9 +279,12 @@ def _is_inside(closed: _Outline, rim: _Outline) -> bool:
 def _closed_rims(
     picture: _Picture, centre: Sequence[float], sign: float, radius: float, low: float
 ) -> tuple[Pair, Floats, Floats, float]:
-    """Return a centre, the radii of the closed rim about it, those of another one inside, and the sign of that.
+    """Return a centre and the radii of the closed rim about it and of another rim inside.
 
-    The sign is 1 where the other edge rises as the rim does, -1 where it falls, and 0 where there is none.
+    Also returns the sign of that other rim.
+
+    The sign is 1 where the other edge rises as the rim does, -1 where it falls, and 0 where there
+    is none.
     """
     pixel = max(picture[1:])
     dt = max(0.5 * pixel, 2.5)
@@ -276,7 +297,8 @@ def _closed_rims(
     count = int((radius + math.hypot(x - centre[0], y - centre[1]) + 0.3 * radius) / dt) + 2 * reach
     band, first = max(1, round(1.5 * pixel / dt)), max(reach, int(0.5 * low / dt))
     rises = kernels.polar_rises(*picture, x, y, sign, dt, count, reach, RAYS)
-    # Not beyond the circle of the innermost strong edges: a hole that is half closed has char all the way round.
+    # Not beyond the circle of the innermost strong edges: a hole that is half closed has char all
+    # the way round.
     last = min(count - reach, int(1.1 * radius / dt) + 1)
     worth = kernels.edge_worth(rises, kernels.ENOUGH * total)
     middle, half, _ = kernels.rim_radius(worth, first, last, band, kernels.OUTWARDS * dt / radius)
@@ -308,10 +330,12 @@ def _describe(row: Floats, picture: _Picture, sign: float, outline: _Outline) ->
 
 
 def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: Floats) -> None:
-    """Write what another edge may move the centre by: towards the middle of the floor, or of an outline at ``other``.
+    """Write what another edge may move the centre by.
 
-    The floor lies in the middle of a hole, unless a part of what is around was taken for the hole; so it may be where
-    the rim's step is another on one side.
+    Towards the middle of the floor, or of an outline at ``other``.
+
+    The floor lies in the middle of a hole, unless a part of what is around was taken for the hole;
+    so it may be where the rim's step is another on one side.
     """
     centre, radius, total = row[[X, Y]], row[RADIUS], row[OUTSIDE] - row[INSIDE]
     tolerance = max(3 * row[UNEVENNESS], LEAST_INNER * total)
@@ -337,7 +361,8 @@ def _write_outline(row: Floats, outline: _Outline) -> None:
     first = fit[0] + fit[1] * _COS + fit[2] * _SIN
     error = np.where(is_used, outline.radii - (first + fit[3] * _COS_2 + fit[4] * _SIN_2), 0.0)
     row[[X, Y, RADIUS, HALF_DIFFERENCE]] = outline.x, outline.y, fit[0], math.hypot(fit[3], fit[4])
-    # Waves 3 and 4, and 5 to 8 of the rim. The first moves the centre; its size can only be estimated from them.
+    # Waves 3 and 4, and 5 to 8 of the rim. The first moves the centre; its size can only be
+    # estimated from them.
     row[[LOW_WAVES, HIGH_WAVES]] = waves(error, outline.weight)
     # As if the rays were independent; the waves' own variance is put in once all holes are known.
     row[[COV_XX, COV_YY, COV_XY]] = RAYS / 2 * outline.inverse[[1, 2, 1], [1, 2, 2]]

@@ -26,22 +26,26 @@ OTHER_SIDE = ("through", "closed", "unclear")
 THROUGH, CLOSED, UNCLEAR = range(3)
 # How much material in the middle of a hole closes it.
 MATERIAL = 0.5
-# Sd of the Gaussian that takes noise out of a layer; its square over 2 R moves a rim: by 0.7 um in a hole of 150 um.
+# Sd of the Gaussian that takes noise out of a layer; its square over 2 R moves a rim: by 0.7 um in
+# a hole of 150 um.
 NOISE_UM = 10.0
 
 
 def find_sheet_holes(
     maps: xr.Dataset, *, params: HoleParams | None = None, side: Side = "top"
 ) -> xr.Dataset:
-    """Find the laser holes that one side of a flattened sheet shows, and where they lie in its other layers.
+    """Find the laser holes that one side of a flattened sheet shows.
+
+    Also finds where they lie in its other layers.
 
     Parameters
     ----------
     maps : Dataset, dims (v, u) or (y, x)
-        ``presence``, ``presence_centre`` and ``presence_bottom``: share of material in a layer below the top face,
-        around the centre surface and above the bottom face, 0 to 1, NaN where there is no data. A layer may be missing.
-        Attributes, where known: ``layers_apart_um``, from the middle of the top's layer to that of the bottom's, and
-        ``layer_to_face``, from the middle of a layer to its face as a share of that.
+        ``presence``, ``presence_centre`` and ``presence_bottom``: share of material in a layer
+        below the top face, around the centre surface and above the bottom face, 0 to 1, NaN where
+        there is no data. A layer may be missing. Attributes, where known: ``layers_apart_um``, from
+        the middle of the top's layer to that of the bottom's, and ``layer_to_face``, from the
+        middle of a layer to its face as a share of that.
     params : HoleParams, optional
         Range of diameters on the side; in the other layers they may be 1.4 times off.
     side : {"top", "bottom"}
@@ -50,19 +54,23 @@ def find_sheet_holes(
     Returns
     -------
     Dataset, dims (mark)
-        Holes as :func:`planish.marks.find_holes` gives them, ``x, y`` in the coordinates of the maps and at the face.
-        For each layer ``x_top, y_top, cov_xx_top, cov_yy_top, cov_xy_top, diameter_top``, and so on with ``_centre``
-        and ``_bottom``, where they were found; NaN where a hole is missing. ``offset_x, offset_y``: from the top to
-        the bottom, um. ``other_side``: 0 found on the other side, 1 closed there, 2 neither. Attributes:
+        Holes as :func:`planish.marks.find_holes` gives them, ``x, y`` in the coordinates of the
+        maps and at the face. For each layer ``x_top, y_top, cov_xx_top, cov_yy_top, cov_xy_top,
+        diameter_top``, and so on with ``_centre`` and ``_bottom``, where they were found; NaN where
+        a hole is missing. ``offset_x, offset_y``: from the top to the bottom, um. ``other_side``: 0
+        found on the other side, 1 closed there, 2 neither. Attributes:
 
         - ``side``, that was searched, and ``layers``, those that are there;
-        - ``openings``: how many openings within the sheet are as large as a hole and were not taken for one;
-        - ``through``, ``closed``, ``unclear``: counts of ``other_side``; ``other_side_only``: what was found on
-          the other side and has no partner on this one;
-        - ``offset_count``, ``offset_um``, ``offset_spread_um``, ``offset_error_um``: holes found on both sides, the
-          median (x, y) of their offsets, the robust standard deviation, and the standard error of the median;
+        - ``openings``: how many openings within the sheet are as large as a hole and were not taken
+          for one;
+        - ``through``, ``closed``, ``unclear``: counts of ``other_side``; ``other_side_only``: what
+          was found on the other side and has no partner on this one;
+        - ``offset_count``, ``offset_um``, ``offset_spread_um``, ``offset_error_um``: holes found on
+          both sides, the median (x, y) of their offsets, the robust standard deviation, and the
+          standard error of the median;
         - ``to_face_um``: (x, y) that was added to go from the layer to the face;
-        - ``tilt_deg``: angle (x, y) of the median offset with the normal, where ``layers_apart_um`` is known.
+        - ``tilt_deg``: angle (x, y) of the median offset with the normal, where ``layers_apart_um``
+          is known.
 
     Raises
     ------
@@ -71,10 +79,11 @@ def find_sheet_holes(
 
     Notes
     -----
-    An offset that all holes share is a laser that was not perpendicular, or a flattening that shears the layers: both
-    move the marks against an image of one side by as much. Where it stands out from its error, what it makes from the
-    layer to the face is added. Offsets of single holes are mostly the roughness of their rims and are left alone. Rims
-    of one hole lie within half its diameter; where it is more oblique, its layers are no longer round.
+    An offset that all holes share is a laser that was not perpendicular, or a flattening that
+    shears the layers: both move the marks against an image of one side by as much. Where it stands
+    out from its error, what it makes from the layer to the face is added. Offsets of single holes
+    are mostly the roughness of their rims and are left alone. Rims of one hole lie within half its
+    diameter; where it is more oblique, its layers are no longer round.
 
     Examples
     --------
@@ -110,7 +119,8 @@ def find_sheet_holes(
         for layer in LAYERS
     }
     for layer in layers.keys() - {side}:
-        # From one layer to another a hole moves by less than half its diameter: one that is more oblique is not round.
+        # From one layer to another a hole moves by less than half its diameter: one that is more
+        # oblique is not round.
         partner_rows[layer] = _partners(centres, _xy(holes[layer]), 0.5 * diameters)
     states, unpaired_count = np.full(hole_count, UNCLEAR, dtype=np.uint8), 0
     if other in layers:
@@ -135,7 +145,8 @@ def find_sheet_holes(
         "flag_values": list(range(3)),
         "flag_meanings": " ".join(OTHER_SIDE),
     }
-    # What is as large as a circle of this share of the holes' diameter is an opening that should be one.
+    # What is as large as a circle of this share of the holes' diameter is an opening that should be
+    # one.
     least_um = 0.6 * float(np.median(diameters if hole_count else [low]))
     out.attrs |= {
         "side": side,
@@ -149,11 +160,15 @@ def find_sheet_holes(
 
 
 def _search(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats, xr.Dataset]:
-    """Find the holes of a layer; without its noise, where that shows more of them. Returns the layer used, and them."""
+    """Find the holes of a layer; without its noise, where that shows more of them.
+
+    Returns the layer used, and them.
+    """
     holes = find_holes(share, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark")
     if holes.sizes["mark"] and not holes.attrs["not_taken"]["no_rim"]:
         return share, holes
-    # Where the grey of the sheet is hardly that of what fills its holes, as in resin, noise makes floors uneven.
+    # Where the grey of the sheet is hardly that of what fills its holes, as in resin, noise makes
+    # floors uneven.
     has_data = np.isfinite(share)
     sums, weights = masked_gaussian(share, has_data, [NOISE_UM / step for step in pixel_um])
     smooth = np.where(has_data, sums / np.where(has_data, weights, 1.0), np.nan)
@@ -195,7 +210,7 @@ def _other_side(
 def _offset_statistics(
     offsets: Floats, maps: xr.Dataset, side: Side
 ) -> tuple[dict[str, Any], Floats]:
-    """Summarise the offsets from top to bottom, as attributes, and give the move from the layer to its face."""
+    """Summarise offsets from top to bottom as attributes, and give the move from layer to face."""
     measured = offsets[np.isfinite(offsets).all(axis=1)]
     offset_um = spread_um = np.full(2, np.nan)
     if len(measured):
@@ -221,7 +236,10 @@ def _offset_statistics(
 
 
 def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
-    """Summarise how the holes of :func:`find_sheet_holes` run through the sheet; None for holes of no sheet."""
+    """Summarise how the holes of :func:`find_sheet_holes` run through the sheet.
+
+    None for holes of no sheet.
+    """
     if holes is None or "through" not in holes.attrs:
         return None
     attrs = holes.attrs
@@ -253,7 +271,10 @@ def _xy(holes: xr.Dataset, suffix: str = "") -> Floats:
 
 
 def _partners(centres: Floats, candidate_centres: Floats, reach: Floats) -> Ints:
-    """Return the candidate's row of each hole, -1 for none: either is the other's nearest, and within reach."""
+    """Return the candidate's row of each hole, -1 for none.
+
+    Hole and candidate are each the other's nearest, and within reach.
+    """
     rows = np.full(len(centres), -1)
     if not len(centres) or not len(candidate_centres):
         return rows
@@ -266,7 +287,10 @@ def _partners(centres: Floats, candidate_centres: Floats, reach: Floats) -> Ints
 
 
 def _openings(share: NDArray[np.generic], pixel_um: Pair, centres: Floats, least_um: float) -> int:
-    """Count openings away from the border, as large as a circle of a diameter or larger, that hold no hole."""
+    """Count openings away from the border that are large enough and hold no hole.
+
+    Large enough is as large as a circle of a diameter, or larger.
+    """
     material = share.astype(np.float64)
     has_data = np.isfinite(material)
     labelled: Any = ndimage.label((material < MATERIAL) | ~has_data)

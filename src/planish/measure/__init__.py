@@ -1,8 +1,9 @@
-"""From surfaces, and the volume between them, to properties along the normals of the centre surface.
+"""Properties along the normals of the centre surface, from surfaces and the volume between them.
 
-``registry`` says what a property is, ``params`` is the table of their modules: ``lengths``, ``phases``, ``masses``,
-``structure``. ``properties`` is the step of a run, ``rays`` meet faces and voxels along the normals, ``uncertainty``
-gives standard errors, ``numbers`` what is no map, ``straighten`` the volume in which the sheet lies flat.
+``registry`` says what a property is, ``params`` is the table of their modules: ``lengths``,
+``phases``, ``masses``, ``structure``. ``properties`` is the step of a run, ``rays`` meet faces and
+voxels along the normals, ``uncertainty`` gives standard errors, ``numbers`` what is no map,
+``straighten`` the volume in which the sheet lies flat.
 """
 
 import lazy_loader as lazy

@@ -7,11 +7,13 @@ from planish.core.jit import njit
 
 
 @njit(cache=True, nogil=True)
-def inscribed(distance, step):
-    """Radius of the largest sphere inside the void that holds each of its samples, um; 0 in the solid.
+def inscribed(distance, step):  # noqa: C901
+    """Radius of the largest sphere inside the void that holds each of its samples, um.
 
-    ``distance``, (rows, cols, samples) float32 as the result: to the nearest solid sample, um. ``step``: along the
-    three axes, um.
+    0 in the solid.
+
+    ``distance``, (rows, cols, samples) float32 as the result: to the nearest solid sample, um.
+    ``step``: along the three axes, um.
     """
     rows, cols, count = distance.shape
     out = distance.copy()

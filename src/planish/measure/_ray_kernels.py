@@ -1,8 +1,11 @@
 # pyright: standard
-"""Compiled inner loops on rays: where they meet the faces, grey along them, integrals, lengths and layers.
+"""Compiled inner loops on rays.
 
-A profile is what lies between its samples too: linear from one to the next. A length is then exact for such a profile
-and does not jump by whole samples. A piece of a ray that is not wholly known has no integral and no length.
+Where they meet the faces, grey along them, integrals, lengths and layers.
+
+A profile is what lies between its samples too: linear from one to the next. A length is then exact
+for such a profile and does not jump by whole samples. A piece of a ray that is not wholly known has
+no integral and no length.
 """
 
 import numpy as np
@@ -18,10 +21,10 @@ _HALF = 0.5
 def height_at(field, r, c):
     """Bilinear height at fractional row and column; NaN beside two missing nodes, or right at one.
 
-    A column in which one face was not found has good neighbours as a rule: the plane through the other three nodes
-    speaks for it, where they hold half of the weight or more. The outermost cells reach one node further than the
-    field, so that a normal at the border, which leans outwards by a fraction of the sheet's thickness, still meets its
-    faces. Beyond that NaN.
+    A column in which one face was not found has good neighbours as a rule: the plane through the
+    other three nodes speaks for it, where they hold half of the weight or more. The outermost cells
+    reach one node further than the field, so that a normal at the border, which leans outwards by a
+    fraction of the sheet's thickness, still meets its faces. Beyond that NaN.
     """
     rows, cols = field.shape
     if not (-1.0 <= r <= rows and -1.0 <= c <= cols):
@@ -44,17 +47,20 @@ def height_at(field, r, c):
 
 @njit(cache=True, nogil=True)
 def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_c):
-    """Signed distance (rows, cols) from a centre surface to another along unit vectors, um; NaN where it is not met.
+    """Signed distance (rows, cols) from a centre surface to another along unit vectors, um.
 
-    ``surface`` and ``centre``, (rows, cols): heights in um. ``normal_r``, ``normal_c``, ``normal_h``, (rows, cols): the
-    unit vectors along rows, columns and height. Pitches in um.
+    NaN where it is not met.
+
+    ``surface`` and ``centre``, (rows, cols): heights in um. ``normal_r``, ``normal_c``,
+    ``normal_h``, (rows, cols): the unit vectors along rows, columns and height. Pitches in um.
     """
     rows, cols = centre.shape
     out = np.full((rows, cols), np.nan)
     for i in range(rows):
         for j in range(cols):
             h0, nr, nc, nh = centre[i, j], normal_r[i, j], normal_c[i, j], normal_h[i, j]
-            # Secant steps on f(s) = surface - point; the surface is nearly parallel, so they converge in three or four.
+            # Secant steps on f(s) = surface - point; the surface is nearly parallel, so they
+            # converge in three or four.
             s0 = 0.0
             f0 = surface[i, j] - h0
             if not (np.isfinite(f0) and np.isfinite(nh)):
@@ -87,12 +93,14 @@ def resample_rays(
     corner          : (3,) int, index in the volume of the block's first voxel
     first           : row of the sheet that the first row of rays belongs to
     wide            : voxels along the edge of a column; its ray starts in the middle of them
-    depth           : (ray rows, cols), index along the axis through the sheet at which a ray has s = 0
+    depth           : (ray rows, cols), index along the axis through the sheet at which a ray has s
+    = 0
     step_r, _c, _d  : (ray rows, cols), voxels per um along the ray
     wanted          : (ray rows, cols) bool
     low, ds         : sample k lies at s = (low + k) ds, um; low is an int
     padding, padded : value of what lies outside the field of view, where (bool) there is one
-    out             : (ray rows, cols, samples), set; NaN outside the block, and beside what is missing
+    out             : (ray rows, cols, samples), set; NaN outside the block, and beside what is
+    missing
     """
     rows, cols, count = out.shape
     height, width, deep = block.shape
@@ -159,7 +167,10 @@ def resample_rays(
 
 @njit(cache=True, nogil=True)
 def _piece(g, x0, x1, least, most):
-    """Between two places in samples: integral of a profile, length on which least <= g <= most, ends on the way."""
+    """Integrate a profile between two places in samples.
+
+    Also gives the length on which least <= g <= most, and the ends on the way.
+    """
     if not (x0 >= 0 and x1 <= g.size - 1):
         return np.nan, np.nan, 0
     total = length = 0.0
@@ -187,10 +198,11 @@ def _piece(g, x0, x1, least, most):
 
 @njit(cache=True, nogil=True)
 def pieces(grey, s0, ds, lower, upper, least, most):
-    """Integral and phase between two places, ``lower`` and ``upper`` (rows, cols) in um, on each ray.
+    """Give integral and phase on each ray between ``lower`` and ``upper`` (rows, cols) in um.
 
-    ``grey``: (rows, cols, samples), from ``s0`` in steps of ``ds``, um. Gives, each (rows, cols), grey times um, um of
-    the phase with least <= grey <= most, and the number of its ends; 0 where upper lies below lower, NaN where unknown.
+    ``grey``: (rows, cols, samples), from ``s0`` in steps of ``ds``, um. Gives, each (rows, cols),
+    grey times um, um of the phase with least <= grey <= most, and the number of its ends; 0 where
+    upper lies below lower, NaN where unknown.
     """
     rows, cols, _ = grey.shape
     integral, length = np.empty((rows, cols)), np.empty((rows, cols))
@@ -205,7 +217,7 @@ def pieces(grey, s0, ds, lower, upper, least, most):
 
 
 @njit(cache=True, nogil=True)
-def layers(grey, s0, ds, face, inward, level, polarity, reach, gap, limit):
+def layers(grey, s0, ds, face, inward, level, polarity, reach, gap, limit):  # noqa: C901, PLR0912
     """Outermost connected layer of what lies beyond a grey level, from the face inwards.
 
     grey            : (rows, cols, samples)
@@ -216,8 +228,9 @@ def layers(grey, s0, ds, face, inward, level, polarity, reach, gap, limit):
     gap             : um: a shorter gap does not end the layer
     limit           : (rows, cols), place on the ray at which the search ends, um
 
-    Gives, each (rows, cols), summed length and distance from the face to the layer's inner end, um, 0 where it does not
-    begin (the blurred flank between the face and the first crossing counts as layer), and crossings inside the layer.
+    Gives, each (rows, cols), summed length and distance from the face to the layer's inner end, um,
+    0 where it does not begin (the blurred flank between the face and the first crossing counts as
+    layer), and crossings inside the layer.
     """
     rows, cols, count = grey.shape
     summed, envelope = np.empty((rows, cols)), np.empty((rows, cols))
@@ -287,9 +300,9 @@ def layers(grey, s0, ds, face, inward, level, polarity, reach, gap, limit):
 def depths_of_shares(grey, s0, ds, face, limit, least, most, shares):
     """Depth below the face within which given shares of a phase's length lie.
 
-    The phase, ``least`` <= grey <= ``most``, counts from ``face`` down to ``limit`` (rows, cols), um, which lies below;
-    ``shares`` (n,), of its length, ascend. Gives the depths (n, rows, cols) in um, NaN where there is no such phase,
-    and the length of the phase, (rows, cols) in um.
+    The phase, ``least`` <= grey <= ``most``, counts from ``face`` down to ``limit`` (rows, cols),
+    um, which lies below; ``shares`` (n,), of its length, ascend. Gives the depths (n, rows, cols)
+    in um, NaN where there is no such phase, and the length of the phase, (rows, cols) in um.
     """
     rows, cols, _ = grey.shape
     depth = np.full((shares.size, rows, cols), np.nan)

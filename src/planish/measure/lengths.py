@@ -1,4 +1,7 @@
-"""What the faces show on the rays: depth of ink, thicknesses, topography, roughness; and the warp of the sheet."""
+"""What the faces show on the rays: depth of ink, thicknesses, topography, roughness.
+
+And the warp of the sheet.
+"""
 
 from __future__ import annotations
 
@@ -109,10 +112,11 @@ for _which, (_share, _title) in enumerate(
     def depth(rays: Rays, which: int = _which) -> Measured:
         """P-12: depth below the top face that holds 50, 90 or 95 % of the length of ink on the ray.
 
-        Ink is what lies in the grey range ``ink_grey``, from the face down to ``ink_reach_um``. Missing values are
-        censored, not zero: where there is no ink (less than a voxel), and where ink reaches the limit of the search.
-        Colour that bleeds below a cut surface and dye taken up by the resin look like ink. SE: the face's and one
-        crossing's with the contrast of half the ink's range.
+        Ink is what lies in the grey range ``ink_grey``, from the face down to ``ink_reach_um``.
+        Missing values are censored, not zero: where there is no ink (less than a voxel), and where
+        ink reaches the limit of the search. Colour that bleeds below a cut surface and dye taken up
+        by the resin look like ink. SE: the face's and one crossing's with the contrast of half the
+        ink's range.
         """
         assert rays.params.ink_grey is not None
         depths, reason = _depths(rays)
@@ -167,7 +171,10 @@ def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:
     "coating_{side}", units="um", long_name=PROPERTIES["coating_top"].replace("top", "{side}")
 )
 def coating(sheet: Sheet, side: Side) -> Measured:
-    """P-01: face to interface; 0 is possible. SE from the Fisher matrix of the fitted staircase (thickness_errors)."""
+    """P-01: face to interface; 0 is possible.
+
+    SE from the Fisher matrix of the fitted staircase (thickness_errors).
+    """
     if sheet.frame.greys.coated(side):
         return _between_faces(sheet, f"coating_{side}")
     return Measured(values=np.full(sheet.frame.status.shape, np.nan))
@@ -219,10 +226,13 @@ def thickness(sheet: Sheet) -> Measured:
     support_um=lambda params: 2 * params.envelope_radius_um,
 )
 def thickness_envelope(sheet: Sheet) -> Measured:
-    """P-05 with envelopes: a ball of ``envelope_radius_um`` rolls over either face and bridges what it cannot enter.
+    """P-05 with envelopes of the faces.
 
-    The ball is taken as the paraboloid x^2 / (2 R), which it is to H / (2 R) of its height at a depth H; the places of
-    the faces on the rays are the height field. No standard error: an envelope rests on few points.
+    A ball of ``envelope_radius_um`` rolls over either face and bridges what it cannot enter.
+
+    The ball is taken as the paraboloid x^2 / (2 R), which it is to H / (2 R) of its height at a
+    depth H; the places of the faces on the rays are the height field. No standard error: an
+    envelope rests on few points.
     """
     from planish.core._envelope_kernels import rolled
 
@@ -271,10 +281,11 @@ def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
 def coating_sum(rays: Rays, side: Side) -> Measured:
     """P-01 by labels (A-16): summed length of coating in the outermost connected layer.
 
-    Coating is what lies beyond half way between base and coating. The layer begins at the fitted face, whose blurred
-    flank counts, and ends at the first gap longer than ``gap_um``. The half-way rule makes a layer thinner than two
-    blurs too thin or loses it; ``coating_top`` does not. SE: sqrt(SE_face^2 + n (sqrt(2 pi) w sigma / C)^2), n ends of
-    the layer inside, w blur, sigma noise, C contrast between coating and base.
+    Coating is what lies beyond half way between base and coating. The layer begins at the fitted
+    face, whose blurred flank counts, and ends at the first gap longer than ``gap_um``. The half-way
+    rule makes a layer thinner than two blurs too thin or loses it; ``coating_top`` does not. SE:
+    sqrt(SE_face^2 + n (sqrt(2 pi) w sigma / C)^2), n ends of the layer inside, w blur, sigma noise,
+    C contrast between coating and base.
     """
     summed, _, se = _layer(rays, side)
     return Measured(values=summed, se=se)
@@ -287,7 +298,10 @@ def coating_sum(rays: Rays, side: Side) -> Measured:
     check=_has_coating,
 )
 def coating_envelope(rays: Rays, side: Side) -> Measured:
-    """t_env of A-16: from the face to the inner end of the same layer, gaps included; SE as :func:`coating_sum`."""
+    """t_env of A-16: from the face to the inner end of the same layer, gaps included.
+
+    SE as :func:`coating_sum`.
+    """
     _, envelope, se = _layer(rays, side)
     return Measured(values=envelope, se=se)
 
@@ -325,7 +339,8 @@ def topography(sheet: Sheet, side: Side) -> Measured:
 def roughness(sheet: Sheet, side: Side) -> Measured:
     """P-06: the topography between S-filter and L-filter; see :func:`scale_limited`.
 
-    SE: the face's, times what the S-filter leaves of white noise, pitch / (2 sqrt(pi) sigma) where it is below 1.
+    SE: the face's, times what the S-filter leaves of white noise, pitch / (2 sqrt(pi) sigma) where
+    it is below 1.
     """
     f, p = sheet.frame, sheet.params
     outward_sign = 1.0 if side == "top" else -1.0
@@ -345,7 +360,10 @@ def _sigma(cutoff_um: float) -> float:
 
 
 def smoothed(values: Floats, pitch_um: Pair, sigma_um: float) -> Floats:
-    """Gaussian mean of known values (rows, cols) inside the border, by their weight; NaN where that is too small."""
+    """Gaussian mean of known values (rows, cols) inside the border, by their weight.
+
+    NaN where that is too small.
+    """
     from scipy import ndimage
 
     sigma = [sigma_um / p for p in pitch_um]
@@ -362,16 +380,19 @@ def smoothed(values: Floats, pitch_um: Pair, sigma_um: float) -> Floats:
 def scale_limited(
     height: Floats, pitch_um: Pair, *, s_filter_um: float, l_filter_um: float
 ) -> Floats:
-    """Roughness between two Gaussian filters; half of the longer cut-off is discarded along the outline.
+    """Roughness between two Gaussian filters.
+
+    Half of the longer cut-off is discarded along the outline.
 
     Parameters
     ----------
     height : (rows, cols)
-        um, outwards; NaN where unknown. The form is gone: heights are those above the centre surface.
+        um, outwards; NaN where unknown. The form is gone: heights are those above the centre
+        surface.
     pitch_um : (float, float)
     s_filter_um, l_filter_um : float
-        Wavelengths of which half is taken off: shorter ones by the S-filter, longer ones by the L-filter. An S-filter
-        below two pitches is left out, because the grid has filtered already.
+        Wavelengths of which half is taken off: shorter ones by the S-filter, longer ones by the
+        L-filter. An S-filter below two pitches is left out, because the grid has filtered already.
 
     Returns
     -------
@@ -422,16 +443,20 @@ def scale_limited(
     after=("topography_top", "topography_bottom"),
 )
 def topography_difference(sheet: Sheet) -> Measured:
-    """P-14: outward height of the top face less that of the bottom face on the same ray; SE as of coatings.
+    """P-14: outward height of the top face less that of the bottom face on the same ray.
 
-    Both are measured from the centre surface, the smoothed mean of the faces, so that its mean is near 0 by
-    construction; what is left is roughness that only one side has, and form below the centre surface's cut-off.
+    SE as of coatings.
+
+    Both are measured from the centre surface, the smoothed mean of the faces, so that its mean is
+    near 0 by construction; what is left is roughness that only one side has, and form below the
+    centre surface's cut-off.
     """
     return difference(sheet, "topography")
 
 
-# Warp, tilt and curvatures (P-07) have no standard error: what matters is a slow drift of the stack, which bends the
-# surface as a real warp does and cannot be separated from it by one scan. Warp and tilt cost no look at the volume.
+# Warp, tilt and curvatures (P-07) have no standard error: what matters is a slow drift of the
+# stack, which bends the surface as a real warp does and cannot be separated from it by one scan.
+# Warp and tilt cost no look at the volume.
 
 
 @sheet_property(
@@ -463,7 +488,9 @@ def tilt(sheet: Sheet) -> Floats:
 
 @sheet_property("mean_curvature", units="1/mm", long_name="Mean curvature", support_um=400.0)
 def mean_curvature(sheet: Sheet) -> Floats:
-    """H = ((1 + p^2) t - 2 p q s + (1 + q^2) r) / (2 (1 + p^2 + q^2)^(3/2)); positive where the sheet is a bowl.
+    """H = ((1 + p^2) t - 2 p q s + (1 + q^2) r) / (2 (1 + p^2 + q^2)^(3/2)).
+
+    Positive where the sheet is a bowl.
 
     p, q are the slopes, r, s, t the second derivatives of the centre surface's height.
     """
@@ -482,7 +509,10 @@ def gaussian_curvature(sheet: Sheet) -> Floats:
 
 
 def _derivatives(sheet: Sheet) -> list[Floats]:
-    """Slopes p, q and second derivatives r, s, t along columns, mixed and along rows; NaN on the border."""
+    """Slopes p, q and second derivatives r, s, t along columns, mixed and along rows.
+
+    NaN on the border.
+    """
     c = sheet.frame.heights["centre"]
     dy, dx = sheet.frame.pitch_um
     up, down, left, right, centre = (

@@ -1,6 +1,9 @@
-"""Masses: coat weight, grammage and apparent density, from lengths or absorption, densities and what was weighed.
+"""Masses: coat weight, grammage and apparent density.
 
-The user gives densities and weighed masses; their own error is common to a map, and no part of its standard error.
+From lengths or absorption, densities and what was weighed.
+
+The user gives densities and weighed masses; their own error is common to a map, and no part of its
+standard error.
 """
 
 from __future__ import annotations
@@ -30,7 +33,10 @@ if TYPE_CHECKING:
 
 
 def _blur_margin_um(rays: Rays) -> Floats:
-    """Three blurs along the rays, outside a face and inside an interface: 99.9 % of the light of a step."""
+    """Three blurs along the rays, outside a face and inside an interface.
+
+    They hold 99.9 % of the light of a step.
+    """
     return 3.0 * rays.greys.blur_um * rays.oblique
 
 
@@ -151,9 +157,10 @@ def _coating_absorbs(_params: MeasureParams, greys: Greys, side: Side) -> None:
 def coating_absorption(rays: Rays, side: Side) -> Measured:
     """P-02: thickness of a layer of the coating's own grey that absorbs as much as this one.
 
-    The integral of the grey above the base's level, from three blurs outside the face to three blurs inside the
-    interface, over the contrast between coating and base; outside the face the air's level takes the base's place. A
-    blur moves grey along the ray but does not change its integral, so that thin layers count in full.
+    The integral of the grey above the base's level, from three blurs outside the face to three
+    blurs inside the interface, over the contrast between coating and base; outside the face the
+    air's level takes the base's place. A blur moves grey along the ray but does not change its
+    integral, so that thin layers count in full.
 
     SE: sqrt(noise * L + ((base - air) SE_face)^2) / (coating - base), L the length of the integral.
     """
@@ -217,7 +224,10 @@ def _layer(params: MeasureParams, _greys: Greys, side: Side) -> tuple[str, ...]:
     when=_weight_given,
 )
 def coat_weight(sheet: Sheet, side: Side) -> Measured:
-    """P-02: w = w_mean t / t_mean where the coat weight was weighed, rho t where the density is known (A-23).
+    """P-02: the coat weight w from what was weighed or from the density (A-23).
+
+    It is w = w_mean t / t_mean where the coat weight was weighed, and rho t where the density is
+    known.
 
     SE: the layer's, times the same factor.
     """
@@ -232,9 +242,12 @@ def _absorbs(_params: MeasureParams, greys: Greys) -> None:
 
 
 def _absorption(rays: Rays) -> Measured:
-    """Length of base that absorbs as much as the whole ray: the integral above the air over base - air.
+    """Length of base that absorbs as much as the whole ray.
 
-    From three blurs outside the one face to three outside the other. SE: sqrt(noise L) / (base - air).
+    It is the integral above the air, divided by base - air.
+
+    From three blurs outside the one face to three outside the other. SE: sqrt(noise L) / (base -
+    air).
     """
     margin_um, contrast = _blur_margin_um(rays), rays.greys.base - rays.greys.air
     lower, upper = rays.bottom - margin_um, rays.top + margin_um
@@ -253,8 +266,9 @@ ray_property("absorption", units="um", long_name="Absorption of the sheet", chec
 def absorption_base(rays: Rays) -> Measured:
     """Absorption without what the coatings add to or take from the base's level.
 
-    What the coated sides absorb is taken off as (coating's excess + base's level) over each layer; what remains is the
-    base. SE: sqrt(noise L) / (base - air) and those of the layers, as independent.
+    What the coated sides absorb is taken off as (coating's excess + base's level) over each layer;
+    what remains is the base. SE: sqrt(noise L) / (base - air) and those of the layers, as
+    independent.
     """
     greys = rays.greys
     sheet_absorption = _absorption(rays)
@@ -306,10 +320,11 @@ def _sources(params: MeasureParams, greys: Greys) -> tuple[str, ...]:
 def grammage(sheet: Sheet) -> Measured:
     """P-08: absorption along the ray, scaled so that its mean is the weighed grammage.
 
-    Where coat weights or densities are known, each material is scaled on its own: coatings to their coat weight
-    (or density), the base to what remains of the grammage (or to its density). Without them one factor serves both,
-    although a coating absorbs more per gram than fibres do: local grammage then follows the coating too strongly.
-    SE: each part's times its factor, as independent.
+    Where coat weights or densities are known, each material is scaled on its own: coatings to their
+    coat weight (or density), the base to what remains of the grammage (or to its density). Without
+    them one factor serves both, although a coating absorbs more per gram than fibres do: local
+    grammage then follows the coating too strongly. SE: each part's times its factor, as
+    independent.
     """
     params, greys, maps = sheet.params, sheet.frame.greys, sheet.maps
     base_g_m2 = params.grammage_g_m2
@@ -353,8 +368,8 @@ def grammage(sheet: Sheet) -> Measured:
 def apparent_density(sheet: Sheet) -> Measured:
     """P-09: grammage over thickness, both averaged with the same Gaussian first.
 
-    SE: rho sqrt((SE_w / w)^2 + (SE_t / t)^2), each SE times pitch / (2 sqrt(pi) sigma) for the average over rays whose
-    noise is independent; noise that neighbours share makes it larger.
+    SE: rho sqrt((SE_w / w)^2 + (SE_t / t)^2), each SE times pitch / (2 sqrt(pi) sigma) for the
+    average over rays whose noise is independent; noise that neighbours share makes it larger.
     """
     f = sheet.frame
     sigma = f.params.density_support_um / FWHM

@@ -1,4 +1,7 @@
-"""Numbers of a sheet that are no maps: thin coating, roughness, two-sidedness, and profiles in depth."""
+"""Numbers of a sheet that are no maps.
+
+Thin coating, roughness, two-sidedness, and profiles in depth.
+"""
 
 from itertools import repeat
 
@@ -32,17 +35,18 @@ def thin_fraction(
     se : array like it
         Standard error of each value, um.
     marked_um : tuple of float
-        Thicknesses for which the share is told apart; at 0 it is the share of no coating at all, 5 um is the outline of
-        Fig. 6 in Hirn et al. (2009).
+        Thicknesses for which the share is told apart; at 0 it is the share of no coating at all, 5
+        um is the outline of Fig. 6 in Hirn et al. (2009).
 
     Returns
     -------
     Dataset
-        ``share`` along ``thickness`` (um), and for every marked thickness ``marked_share`` along ``marked``,
-        ``marked_se`` (sampling of n values that were independent, sqrt(F (1 - F) / n): a lower bound, because
-        neighbours are alike) and ``biased``: 1 where x lies below twice the median SE of the values around it, so that
-        noise alone puts ever more values below it. ``n`` and ``support_um`` in the attributes, and ``warning`` where
-        a marked share is biased: F depends on support and noise and must not be compared without them.
+        ``share`` along ``thickness`` (um), and for every marked thickness ``marked_share`` along
+        ``marked``, ``marked_se`` (sampling of n values that were independent, sqrt(F (1 - F) / n):
+        a lower bound, because neighbours are alike) and ``biased``: 1 where x lies below twice the
+        median SE of the values around it, so that noise alone puts ever more values below it. ``n``
+        and ``support_um`` in the attributes, and ``warning`` where a marked share is biased: F
+        depends on support and noise and must not be compared without them.
 
     Raises
     ------
@@ -155,14 +159,16 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
     Parameters
     ----------
     maps : Dataset
-        With ``coating_top`` and ``coating_bottom``, or ``topography_top`` and ``topography_bottom``, or both pairs.
+        With ``coating_top`` and ``coating_bottom``, or ``topography_top`` and
+        ``topography_bottom``, or both pairs.
 
     Returns
     -------
     dict
-        For each pair ``<pair>_difference_um`` (mean, top less bottom), ``<pair>_sd_ratio`` (top over bottom) and
-        ``<pair>_correlation`` (Pearson's r of top and bottom; outward heights correlate negatively where the sheet as a
-        whole bends, positively where it is thick and thin), ``<pair>_n``.
+        For each pair ``<pair>_difference_um`` (mean, top less bottom), ``<pair>_sd_ratio`` (top
+        over bottom) and ``<pair>_correlation`` (Pearson's r of top and bottom; outward heights
+        correlate negatively where the sheet as a whole bends, positively where it is thick and
+        thin), ``<pair>_n``.
 
     Raises
     ------
@@ -199,14 +205,17 @@ def sheet_numbers(
     params: MeasureParams | None = None,
     engine: Engine | None = None,
 ) -> SheetNumbers:
-    """Describe a sheet in numbers: thin and bare shares, roughness, two-sidedness, and profiles in depth.
+    """Describe a sheet in numbers.
+
+    Thin and bare shares, roughness, two-sidedness, and profiles in depth.
 
     Parameters
     ----------
     measured : Dataset
         From :func:`measure_properties`.
     volume : DataArray
-        Needed for the profiles of porosity and filler, which are made where their maps were measured.
+        Needed for the profiles of porosity and filler, which are made where their maps were
+        measured.
     params, engine
     """
     params = params or MeasureParams()

@@ -1,7 +1,8 @@
 """Options of the measurement, and the table of the modules with properties: an import, and a base.
 
-Every module declares properties, as :mod:`~planish.measure.registry` says, and its own options as a ``Params`` model;
-:class:`MeasureParams` inherits these, for the study file, the command line and the documents. No numba or scipy here.
+Every module declares properties, as :mod:`~planish.measure.registry` says, and its own options as a
+``Params`` model; :class:`MeasureParams` inherits these, for the study file, the command line and
+the documents. No numba or scipy here.
 """
 
 from typing import Literal

@@ -1,4 +1,7 @@
-"""Void and filler in the base: their share on the ray between the interfaces, mass, and profiles through the depth."""
+"""Void and filler in the base.
+
+Their share on the ray between the interfaces, mass, and profiles through the depth.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,10 @@ class Options(Params):
 
 
 def void_level(greys: Greys, params: MeasureParams) -> float:
-    """Level between void and solid: given, or half way between air and base (or solid, where that is given)."""
+    """Give the level between void and solid.
+
+    It is given, or half way between air and base (or solid, where that is given).
+    """
     if params.void_grey is not None:
         return params.void_grey
     return 0.5 * (greys.air + (greys.base if params.solid_grey is None else params.solid_grey))
@@ -69,10 +75,11 @@ def _solid(params: MeasureParams, greys: Greys) -> None:
 def porosity(rays: Rays) -> Measured:
     """P-10: share of void on the ray inside the base, its blurred edges (``edge_um``) left out.
 
-    With ``solid_grey``: 1 - mean grey above the air / (solid - air). It sees pores smaller than a voxel and is not
-    biased by noise. SE: sqrt(noise / L) / (solid - air), L the length on the ray. Without: the share beyond
-    ``void_grey``; pores below two voxels are lost, and noise makes voids where the base is faint. SE:
-    sqrt(n) sqrt(2 pi) w sigma / (base - air) / L with n ends of voids, each as uncertain as one crossing.
+    With ``solid_grey``: 1 - mean grey above the air / (solid - air). It sees pores smaller than a
+    voxel and is not biased by noise. SE: sqrt(noise / L) / (solid - air), L the length on the ray.
+    Without: the share beyond ``void_grey``; pores below two voxels are lost, and noise makes voids
+    where the base is faint. SE: sqrt(n) sqrt(2 pi) w sigma / (base - air) / L with n ends of voids,
+    each as uncertain as one crossing.
     """
     return _share_of_void(rays, *rays.core)
 
@@ -95,7 +102,10 @@ def _share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
 def _share_beyond(
     rays: Rays, lower: Floats, upper: Floats, level: float, contrast: float
 ) -> Measured:
-    """Share of what lies beyond a level between two places of each ray; NaN where they are less than a step apart."""
+    """Share of what lies beyond a level between two places of each ray.
+
+    NaN where they are less than a step apart.
+    """
     beyond, ends = rays.beyond(lower, upper, level)
     length = upper - lower
     is_long = length >= rays.step_um
@@ -107,7 +117,10 @@ def _share_beyond(
 
 
 def _filler_level(params: MeasureParams, greys: Greys) -> float:
-    """Level between fibres and filler; CannotMeasure where there is neither one nor a coating to tell it from."""
+    """Level between fibres and filler.
+
+    CannotMeasure where there is neither one nor a coating to tell it from.
+    """
     if params.filler_grey is not None:
         return params.filler_grey
     coats = [level for level in (greys.coating_top, greys.coating_bottom) if np.isfinite(level)]
@@ -129,9 +142,9 @@ def _filler_level(params: MeasureParams, greys: Greys) -> float:
 def filler(rays: Rays) -> Measured:
     """P-11: share of bright matter on the ray inside the base.
 
-    The base's edges (``edge_um``) are left out, and what is bright from there on without a gap: that is coating which
-    has run in. Grains smaller than a voxel are faint and are lost. SE: sqrt(n) sqrt(2 pi) w sigma / (level - base) / L
-    with n ends of grains.
+    The base's edges (``edge_um``) are left out, and what is bright from there on without a gap:
+    that is coating which has run in. Grains smaller than a voxel are faint and are lost. SE:
+    sqrt(n) sqrt(2 pi) w sigma / (level - base) / L with n ends of grains.
     """
     from planish.core.grid import first_and_last
 
@@ -142,7 +155,8 @@ def filler(rays: Rays) -> Measured:
     is_within = rays.between(lower, upper)
     is_dark = is_within & ~is_beyond
     (first, last), ends = (first_and_last(mask) for mask in (is_dark, is_within))
-    # An end that is dark already, or a ray that is bright throughout, stays as it is, between two samples.
+    # An end that is dark already, or a ray that is bright throughout, stays as it is, between two
+    # samples.
     has_dark = is_dark.any(axis=-1)
     start = np.where(has_dark & (ends[0] != first), rays.s_um[first], lower)
     stop = np.where(has_dark & (ends[1] != last), rays.s_um[last], upper)
@@ -167,7 +181,10 @@ def _weighable(params: MeasureParams, greys: Greys) -> None:
     after=("filler", "base_thickness"),
 )
 def filler_weight(sheet: Sheet) -> Measured:
-    """P-11 as a mass: share of filler times base thickness times the filler's density; SE: the share's, likewise."""
+    """P-11 as a mass: share of filler times base thickness times the filler's density.
+
+    SE: the share's, likewise.
+    """
     mass = sheet.maps["base_thickness"].values * sheet.params.need("Filler", "filler_g_cm3")
     share = sheet.maps["filler"]
     return Measured(values=share.values * mass, se=share.se * mass)
@@ -182,7 +199,10 @@ _SHARES: dict[str, tuple[Callable[[Rays, Floats, Floats], Measured], str]] = {
 def _layer_sums(
     names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile_rows: slice, _: slice
 ) -> Floats:
-    """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows)."""
+    """Give number, sum and sum of squares of each share in each layer by row.
+
+    The shape is (names, layers, 3, rows).
+    """
     # Rows are summed by themselves, then added in the same order however they were cut.
     rays = halo_rays.rows(tile_rows)
     base_um = rays.interface_top - rays.interface_bottom
@@ -224,14 +244,15 @@ def depth_profiles(
     Returns
     -------
     Dataset, dim (depth)
-        Each name with ``<name>_sd``, the standard deviation from ray to ray, and ``<name>_n``. Depth 0 is the bottom
-        interface, 1 the top one; ``blurred``: 1 in the layers within two blurs of an interface, where what lies
-        beside the base shines in.
+        Each name with ``<name>_sd``, the standard deviation from ray to ray, and ``<name>_n``.
+        Depth 0 is the bottom interface, 1 the top one; ``blurred``: 1 in the layers within two
+        blurs of an interface, where what lies beside the base shines in.
 
     Raises
     ------
     CannotMeasure
-        If a name is unknown, a grey level is missing, or the layers are thinner than a step everywhere.
+        If a name is unknown, a grey level is missing, or the layers are thinner than a step
+        everywhere.
     """
     import xarray as xr
 

@@ -1,4 +1,6 @@
-"""The step of a run: the six properties of the faces (Hirn et al. 2009, section 2.2), and all further maps along rays.
+"""The step of a run: the six properties of the faces (Hirn et al.
+
+2009, section 2.2), and all further maps along rays.
 
 Further maps are worked out on row tiles on threads: the same bytes however they are cut.
 """
@@ -54,8 +56,9 @@ def measure_properties(
         ``top``, ``bottom``, ``interface_top``, ``interface_bottom``, ``centre`` and ``status``, as
         :func:`planish.surface.find_surfaces` returns them.
     volume : DataArray, dims (z, y, x), coordinates in um
-        Where they were found. Without it the six properties of the faces are measured, with it all further maps too:
-        those that cost nothing, those whose numbers are given in ``params``, and those that ``params.maps`` names.
+        Where they were found. Without it the six properties of the faces are measured, with it all
+        further maps too: those that cost nothing, those whose numbers are given in ``params``, and
+        those that ``params.maps`` names.
     params : MeasureParams
     engine : Engine
         Threads and memory; no result depends on it.
@@ -63,11 +66,12 @@ def measure_properties(
     Returns
     -------
     Dataset, dims (y, x)
-        The surfaces and beside them, in um: ``coating_top``, ``coating_bottom``: outer face to interface; NaN on a
-        side without a coating. ``base_thickness``: interface to interface (a face where that side has no coating).
-        ``thickness``: face to face. ``topography_top``, ``topography_bottom``: from the centre surface to the face,
-        positive outwards. ``status``: that of the surfaces, and 4 where a normal does not meet both faces. All six are
-        NaN where it is not 0. Further maps are as in :func:`measure_along_rays`.
+        The surfaces and beside them, in um: ``coating_top``, ``coating_bottom``: outer face to
+        interface; NaN on a side without a coating. ``base_thickness``: interface to interface (a
+        face where that side has no coating). ``thickness``: face to face. ``topography_top``,
+        ``topography_bottom``: from the centre surface to the face, positive outwards. ``status``:
+        that of the surfaces, and 4 where a normal does not meet both faces. All six are NaN where
+        it is not 0. Further maps are as in :func:`measure_along_rays`.
 
     Raises
     ------
@@ -76,13 +80,13 @@ def measure_properties(
     CannotMeasure
         If no normal meets both faces, a map is unknown, or a map needs a number that is not given.
     InputError
-        If further maps of labels are asked for, or further maps without the volume; if the volume or the surfaces are
-        something else.
+        If further maps of labels are asked for, or further maps without the volume; if the volume
+        or the surfaces are something else.
 
     Notes
     -----
-    On a face tilted by ``a`` a vertical thickness is too large by 1 / cos a; a normal within the slice only, as the
-    paper's, is too large by 1 / cos of the tilt across the slices.
+    On a face tilted by ``a`` a vertical thickness is too large by 1 / cos a; a normal within the
+    slice only, as the paper's, is too large by 1 / cos of the tilt across the slices.
     """
     params = params_of(MeasureParams, params, "pl.measure_properties")
     check_dataset(
@@ -133,7 +137,10 @@ def surfaces_of(measured: xr.Dataset) -> xr.Dataset:
 
 
 def further_maps(measured: xr.Dataset) -> list[str]:
-    """Names of the maps in a dataset beside the six of the faces, and of their standard errors where there are any."""
+    """Return the names of the maps in a dataset beside the six of the faces.
+
+    Also returns the names of their standard errors, where there are any.
+    """
     maps = [
         str(name) for name, variable in measured.data_vars.items() if "support_um" in variable.attrs
     ]
@@ -142,14 +149,18 @@ def further_maps(measured: xr.Dataset) -> list[str]:
 
 
 def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
-    """Add the standard error of each thickness where it is known how the faces were found; NaN for white noise."""
+    """Add the standard error of each thickness where it is known how the faces were found.
+
+    NaN for white noise.
+    """
     attrs, frame, pitch_um = measured.attrs, Frame.of(measured), pitch(measured)
     if "voxel_um" not in attrs or not ("from_labels" in attrs or "grey_noise" in attrs):
         return measured
     voxel_um = dict(zip("zyx", map(float, attrs["voxel_um"]), strict=True))
     through_um, column_um2 = voxel_um[frame.through], pitch_um[0] * pitch_um[1]
     if "from_labels" in attrs:
-        # A face lies anywhere within a voxel: the difference of two has the variance of two uniform distributions.
+        # A face lies anywhere within a voxel: the difference of two has the variance of two uniform
+        # distributions.
         common, patch_um2 = common_errors(through_um), column_um2
         errors = {name: np.hypot(through_um / np.sqrt(6), se_um) for name, se_um in common.items()}
     else:
@@ -235,7 +246,7 @@ def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
 T = TypeVar("T")
 
 
-def measure_along_rays(
+def measure_along_rays(  # noqa: C901
     volume: xr.DataArray,
     surfaces: xr.Dataset,
     *,
@@ -263,10 +274,11 @@ def measure_along_rays(
     Returns
     -------
     Dataset, dims (y, x), float32
-        Each property with ``units``, ``long_name`` and ``support_um`` (the width that one value speaks for), and
-        ``<name>_se``, its standard error in the same unit: NaN where none can be stated. ``status``: 0 measured, and
-        the reasons in ``flag_meanings``. A property with reasons of its own has ``<name>_status`` beside it.
-        Attributes hold the densities that were used.
+        Each property with ``units``, ``long_name`` and ``support_um`` (the width that one value
+        speaks for), and ``<name>_se``, its standard error in the same unit: NaN where none can be
+        stated. ``status``: 0 measured, and the reasons in ``flag_meanings``. A property with
+        reasons of its own has ``<name>_status`` beside it. Attributes hold the densities that were
+        used.
 
     Raises
     ------
@@ -358,10 +370,13 @@ def each_tile(
     rows: int | None = None,
     engine: Engine | None,
 ) -> list[T]:
-    """Straighten the sheet tile by tile and call ``work`` on threads; return what it gave, in the order of the rows.
+    """Straighten the sheet tile by tile and call ``work`` on threads.
 
-    ``work`` is called with the rays of a tile and of ``halo`` rows on both sides, the tile's rows within them, and its
-    rows in the sheet. ResourceError if a single row with its halo does not fit into the memory.
+    Return what it gave, in the order of the rows.
+
+    ``work`` is called with the rays of a tile and of ``halo`` rows on both sides, the tile's rows
+    within them, and its rows in the sheet. ResourceError if a single row with its halo does not fit
+    into the memory.
     """
     engine = engine or Engine()
     row_count = frame.status.shape[0]
@@ -418,7 +433,10 @@ def _measured(prop: Property, rays_or_sheet: Rays | Sheet) -> Measured:
 def _variables(
     prop: Property, answer: Measured, status: NDArray[np.uint8], frame: RayFrame
 ) -> dict[str, xr.Variable]:
-    """Give a property, its standard error, and its status where it has reasons of its own, as they are stored."""
+    """Give a property and its standard error as they are stored.
+
+    Also gives its status where it has reasons of its own.
+    """
     is_valid, dims, title = status == 0, ("y", "x"), prop.long_name
     ray_width_um = max(*frame.pitch_um, FWHM * frame.greys.blur_um)
     support_um = max(

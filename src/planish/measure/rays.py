@@ -1,4 +1,7 @@
-"""The rays of the centre surface: where they meet the faces, grey values along them, integrals, lengths, means."""
+"""The rays of the centre surface.
+
+Where they meet the faces, grey values along them, integrals, lengths, means.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +94,10 @@ class Rays:
         return slice(max(first, 0), max(min(last, self.s_um.size), max(first, 0) + 1))
 
     def integral(self, lower: Floats, upper: Floats) -> Floats:
-        """Integral of the grey above the air from ``lower`` to ``upper`` (rows, cols); grey times um."""
+        """Integral of the grey above the air from ``lower`` to ``upper`` (rows, cols).
+
+        Grey times um.
+        """
         grey_integral = _ray_kernels.pieces(
             self.grey, float(self.s_um[0]), self.step_um, lower, upper, 0.0, 0.0
         )[0]
@@ -106,7 +112,10 @@ class Rays:
     def length(
         self, lower: Floats, upper: Floats, *, least: float, most: float
     ) -> tuple[Floats, NDArray[np.int32]]:
-        """Length in um with ``least <= grey <= most`` between two places, and how many ends it has there."""
+        """Length in um with ``least <= grey <= most`` between two places.
+
+        Also gives how many ends it has there.
+        """
         grey_range = float(least), float(most)
         return _ray_kernels.pieces(
             self.grey, float(self.s_um[0]), self.step_um, lower, upper, *grey_range
@@ -115,15 +124,21 @@ class Rays:
     def beyond(
         self, lower: Floats, upper: Floats, level: float
     ) -> tuple[Floats, NDArray[np.int32]]:
-        """Length in um on which the grey is farther from the air than ``level``, and how many ends it has."""
+        """Length in um on which the grey is farther from the air than ``level``.
+
+        Also gives how many ends it has.
+        """
         least, most = (level, np.inf) if self.greys.polarity > 0 else (-np.inf, level)
         return self.length(lower, upper, least=least, most=most)
 
     def crossing_se(self, contrast: float) -> Floats:
-        """Standard error in um of one crossing of a blurred step (rows, cols): ``sqrt(2 pi) w sigma / |contrast|``.
+        """Standard error in um of one crossing of a blurred step (rows, cols).
 
-        A step of height C blurred with a Gaussian of standard deviation w has the slope C / (sqrt(2 pi) w) where it is
-        half way, and noise of standard deviation sigma moves that place by sigma over the slope.
+        It is ``sqrt(2 pi) w sigma / |contrast|``.
+
+        A step of height C blurred with a Gaussian of standard deviation w has the slope C / (sqrt(2
+        pi) w) where it is half way, and noise of standard deviation sigma moves that place by sigma
+        over the slope.
         """
         blur = max(self.greys.blur_um, 0.5 * self.voxel_um)
         return self.oblique * (
@@ -135,7 +150,10 @@ class Rays:
         return np.sqrt(self.noise_um * np.maximum(np.asarray(length, dtype=np.float64), 0.0))
 
     def cached(self, key: str, work: Callable[[], T]) -> T:
-        """Return the outcome of ``work``, worked out once for these rays: for properties that share an inner step."""
+        """Return the outcome of ``work``, worked out once for these rays.
+
+        For properties that share an inner step.
+        """
         if key not in self._cache:
             self._cache[key] = work()
         return self._cache[key]  # type: ignore[return-value]
@@ -148,10 +166,13 @@ class Rays:
 
 
 def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Find where the rays meet the faces; SurfaceError where a surface is missing or the top lies below the bottom.
+    """Find where the rays meet the faces.
 
-    Gives the heights of ``centre`` and the faces (rows, cols), um, up towards the top, and the signed distances of the
-    faces along the rays. An interface of a side without a coating is its face, the same array.
+    SurfaceError where a surface is missing or the top lies below the bottom.
+
+    Gives the heights of ``centre`` and the faces (rows, cols), um, up towards the top, and the
+    signed distances of the faces along the rays. An interface of a side without a coating is its
+    face, the same array.
     """
     if lacking := [name for name in (*FACES, "centre", "status") if name not in surfaces]:
         raise SurfaceError(
@@ -183,10 +204,13 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RayFrame:
-    """Where the rays of a whole sheet lie and meet its faces; what a tile needs to be cut out of the volume.
+    """Where the rays of a whole sheet lie and meet its faces.
 
-    ``heights`` and ``faces`` are as :func:`meet` gives them. ``low``, ``high``: first and last sample; sample k lies at
-    k * step_um. ``wide``: voxels along the edge of a column of the surfaces.
+    What a tile needs to be cut out of the volume.
+
+    ``heights`` and ``faces`` are as :func:`meet` gives them. ``low``, ``high``: first and last
+    sample; sample k lies at k * step_um. ``wide``: voxels along the edge of a column of the
+    surfaces.
     """
 
     frame: Frame
@@ -206,7 +230,10 @@ class RayFrame:
 
     @classmethod
     def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
-        """Find where every ray meets the faces; of the volume only size and coordinates are looked at."""
+        """Find where every ray meets the faces.
+
+        Of the volume only size and coordinates are looked at.
+        """
         (heights, faces), frame = meet(surfaces, params.rays), Frame.of(surfaces)
         volume_shape, shape = (
             (volume.sizes[frame.rows], volume.sizes[frame.cols]),
@@ -355,7 +382,10 @@ class RayFrame:
 
 
 def slopes_of(heights: Floats, pitch: Pair, rows: slice = slice(None)) -> Floats:
-    """Slope of a surface along rows and columns (rows, cols, 2); of some rows the same as of the whole surface."""
+    """Slope of a surface along rows and columns (rows, cols, 2).
+
+    Of some rows the same as of the whole surface.
+    """
     start, stop, _ = rows.indices(heights.shape[0])
     first_row, last_row = max(start - 1, 0), min(stop + 1, heights.shape[0])
     while last_row - first_row < 2:
@@ -365,7 +395,10 @@ def slopes_of(heights: Floats, pitch: Pair, rows: slice = slice(None)) -> Floats
 
 
 def directions(slope: Floats, rays: Direction) -> Floats:
-    """Unit vectors of the rays along rows, columns and height (rows, cols, 3), pointing up; NaN without a slope."""
+    """Unit vectors of the rays along rows, columns and height (rows, cols, 3), pointing up.
+
+    NaN without a slope.
+    """
     if rays == "vertical":
         return np.where(np.isfinite(slope).all(axis=-1, keepdims=True), [0.0, 0.0, 1.0], np.nan)
     length = np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)

@@ -1,4 +1,6 @@
-"""What a property is, and the list of them: a function of rays, or of whole maps, with a name, a unit and its reasons.
+"""What a property is, and the list of them.
+
+A property is a function of rays, or of whole maps, with a name, a unit and its reasons.
 
 ::
 
@@ -7,10 +9,10 @@
         bright, _ = rays.beyond(rays.bottom, rays.top, 150.0)
         return bright / (rays.top - rays.bottom)
 
-A function returns an array (rows, cols), NaN where it has no answer, or a :class:`Measured` that carries a standard
-error and reasons beside it. A name with ``{side}`` in it makes two properties, top and bottom, and every function of
-theirs is also given ``side``. A module with properties of planish's own becomes known by its entry in the table in
-:mod:`planish.measure.params`.
+A function returns an array (rows, cols), NaN where it has no answer, or a :class:`Measured` that
+carries a standard error and reasons beside it. A name with ``{side}`` in it makes two properties,
+top and bottom, and every function of theirs is also given ``side``. A module with properties of
+planish's own becomes known by its entry in the table in :mod:`planish.measure.params`.
 """
 
 from __future__ import annotations
@@ -95,7 +97,10 @@ class Greys:
         return level
 
     def need_absorption(self, subject: str) -> None:
-        """Refuse grey values that are no X-ray absorption: those of a sheet darker than what surrounds it."""
+        """Refuse grey values that are no X-ray absorption.
+
+        Those of a sheet darker than what surrounds it.
+        """
         if self.polarity < 0:
             raise CannotMeasure(
                 f"{subject} is read from X-ray absorption, and this sheet is darker than what"
@@ -202,9 +207,11 @@ class Property:
     reasons: tuple[str, ...] = ()  #: the property's own reasons for a missing value
     # : properties that this is made from, or a function from parameters and grey levels to them.
     after: After = ()
-    #: Of parameters and grey levels; CannotMeasure, before anything is read, where a number is missing.
+    # : Of parameters and grey levels; CannotMeasure, before anything is read, where a number is
+    # missing.
     check: Check | None = None
-    #: Of parameters and grey levels: whether it is measured without being named, as its numbers are given.
+    # : Of parameters and grey levels: whether it is measured without being named, as its numbers
+    # are given.
     when: Callable[..., bool] | None = None
     together: tuple[str, ...] = ()  #: properties that are measured with it where it is named
 
@@ -224,7 +231,10 @@ def _registers(kind: Literal["rays", "sheet"]):
         halo_um: Length = 0.0,
         **more: Any,
     ) -> Callable[[Answer], Property]:
-        """Register a function of rays or maps, explained by :class:`Property`; CannotMeasure if the name is taken."""
+        """Register a function of rays or maps, explained by :class:`Property`.
+
+        CannotMeasure if the name is taken.
+        """
         return lambda function: _add(
             Property(
                 name=name,
@@ -283,7 +293,10 @@ def registered() -> dict[str, Property]:
 
 
 def find_property(name: str | Property) -> Property:
-    """Return a property by name; CannotMeasure if there is none: the message lists those there are."""
+    """Return a property by name.
+
+    CannotMeasure if there is none: the message lists those there are.
+    """
     if isinstance(name, Property):
         return name
     if name not in _REGISTERED:
@@ -313,7 +326,10 @@ def check_maps(params: MeasureParams) -> None:
 
 
 def possible_maps(params: MeasureParams) -> list[str]:
-    """Names of the maps that a sheet may have with these parameters: which sides are coated is not known yet."""
+    """Return the names of the maps that a sheet may have with these parameters.
+
+    Which sides are coated is not known yet.
+    """
     further_names = [name for greys in _coated_and_bare() for name in chosen(params, greys)]
     return list(dict.fromkeys([*PROPERTIES, *further_names]))
 
@@ -333,7 +349,10 @@ def _coated_and_bare() -> tuple[Greys, Greys]:
 
 
 def chosen(params: MeasureParams, greys: Greys) -> list[str]:
-    """Names of the maps to measure: those that cost nothing, those whose numbers are given, those asked for."""
+    """Return the names of the maps to measure.
+
+    Those that cost nothing, those whose numbers are given, and those asked for.
+    """
     names = [
         prop.name
         for prop in registered().values()

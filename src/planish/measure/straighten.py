@@ -1,4 +1,7 @@
-"""The volume straightened along the normals, on the pixels of the flat maps: every sheet lies flat in it."""
+"""The volume straightened along the normals, on the pixels of the flat maps.
+
+Every sheet lies flat in it.
+"""
 
 from collections.abc import Mapping
 from functools import partial
@@ -43,14 +46,15 @@ def straightened(
         Flat maps of these surfaces, with ``volume_x``, ``volume_y`` and ``volume_z``.
     params : MeasureParams, optional
     depth_um : (float, float), optional
-        From where to where along the normals, from the centre surface, up to the top; from below the lowest to above
-        the highest face where not given.
+        From where to where along the normals, from the centre surface, up to the top; from below
+        the lowest to above the highest face where not given.
 
     Returns
     -------
     DataArray, dims (z, y, x), float32, in um
-        z is the height on the normal, y and x are v and u of the maps; worked out where it is asked for. Grey values
-        are interpolated once, between the eight voxels around a place. NaN is missing: beside the sheet and the volume.
+        z is the height on the normal, y and x are v and u of the maps; worked out where it is asked
+        for. Grey values are interpolated once, between the eight voxels around a place. NaN is
+        missing: beside the sheet and the volume.
 
     Raises
     ------

@@ -1,10 +1,14 @@
-"""Structure of the base in the plane of the sheet: fibre orientation (P-13) and the size of the pores (P-10).
+"""Structure of the base in the plane of the sheet.
 
-Orientation comes from the structure tensor of the straightened volume: gradients in the tangent plane are gathered and
-turned into its own frame by the root of the metric; a fibre lies along the direction in which the grey changes least.
-Pores are voids (:func:`~planish.measure.phases.void_level`) inside the base: chords in the plane of the sheet, and the
-largest spheres that fit. What is smaller than two voxels is not seen. Neither size has a standard error: it depends on
-which voids were resolved, and a distribution of pores needs 20 mm2 to be stable.
+Fibre orientation (P-13) and the size of the pores (P-10).
+
+Orientation comes from the structure tensor of the straightened volume: gradients in the tangent
+plane are gathered and turned into its own frame by the root of the metric; a fibre lies along the
+direction in which the grey changes least. Pores are voids
+(:func:`~planish.measure.phases.void_level`) inside the base: chords in the plane of the sheet, and
+the largest spheres that fit. What is smaller than two voxels is not seen. Neither size has a
+standard error: it depends on which voids were resolved, and a distribution of pores needs 20 mm2 to
+be stable.
 """
 
 from __future__ import annotations
@@ -64,7 +68,10 @@ def _width(params: MeasureParams) -> float:
 
 @cached
 def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
-    """Gradient along rows and columns, per um of projection, of the samples (slice) that some base reaches."""
+    """Give the gradient of the samples (slice) that some base reaches.
+
+    Along rows and columns, per um of projection.
+    """
     from scipy import ndimage
 
     samples = rays.samples_within(*rays.core)
@@ -88,9 +95,12 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
 
 @cached
 def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, Floats]:
-    """Trace, cosine part and sine part (rows, cols) of the gathered tensor between two relative depths of the base."""
-    # With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over the layer, outside
-    # voids and the base's edges, then averaged over orientation_rho_um.
+    """Give trace, cosine part and sine part (rows, cols) of the gathered tensor.
+
+    It is gathered between two relative depths of the base.
+    """
+    # With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over
+    # the layer, outside voids and the base's edges, then averaged over orientation_rho_um.
     from scipy import ndimage
 
     by_row, by_col, samples = _gradients(rays)
@@ -118,9 +128,12 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
 def _in_tangent_plane(
     xx: Floats, yy: Floats, xy: Floats, slope: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane: G^(-1/2) J G^(-1/2)."""
-    # G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the slope,
-    # G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
+    """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane.
+
+    The result is G^(-1/2) J G^(-1/2).
+    """
+    # G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the
+    # slope, G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
     q, p = slope[..., 0], slope[..., 1]
     squared_slope = p * p + q * q
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -139,7 +152,8 @@ def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[
     trace, cosine, sine = _tensor(rays, lowest, highest)
     turn = -1.0 if rays.mirrored else 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        # The fibre stands across the gradient: its double angle is the other one's plus half a turn.
+        # The fibre stands across the gradient: its double angle is the other one's plus half a
+        # turn.
         return np.where(trace > 0, -cosine / trace, np.nan), np.where(
             trace > 0, -turn * sine / trace, np.nan
         )
@@ -180,8 +194,9 @@ def fibre_sin2(rays: Rays) -> Floats:
 def fibre_angle(rays: Rays, **depth: float) -> Floats:
     """P-13: mean axis of the fibres, -90 to 90 degrees from the map's u axis towards its v axis.
 
-    Axial statistics: of doubled angles, each gradient with its square. No standard error: the directions of one
-    neighbourhood are those of few fibres. Do not interpolate it; use ``fibre_cos2`` and ``fibre_sin2``.
+    Axial statistics: of doubled angles, each gradient with its square. No standard error: the
+    directions of one neighbourhood are those of few fibres. Do not interpolate it; use
+    ``fibre_cos2`` and ``fibre_sin2``.
     """
     return axial_angle(*_components(rays, **depth))
 
@@ -190,7 +205,9 @@ def fibre_angle(rays: Rays, **depth: float) -> Floats:
     "fibre_anisotropy", units="1", long_name="Fibre anisotropy", halo_um=_halo, support_um=_width
 )
 def fibre_anisotropy(rays: Rays, **depth: float) -> Floats:
-    """P-13: (l1 - l2) / (l1 + l2) of the tensor's eigenvalues: 0 where no direction prevails, 1 where all are one.
+    """P-13: (l1 - l2) / (l1 + l2) of the tensor's eigenvalues.
+
+    It is 0 where no direction prevails, 1 where all are one.
 
     Noise adds to both eigenvalues and makes it smaller.
     """
@@ -198,7 +215,9 @@ def fibre_anisotropy(rays: Rays, **depth: float) -> Floats:
 
 
 def orientation_layers(count: int) -> tuple[Property, ...]:
-    """Make properties of the same for each of ``count`` layers of equal share of the base, from its bottom to its top.
+    """Make orientation properties for each of ``count`` layers of equal share of the base.
+
+    The layers go from the bottom of the base to its top.
 
     Returns
     -------
@@ -224,7 +243,8 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
 @cached
 def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     """Samples that are void (rows, cols, s), and how many there are on each ray."""
-    # Beyond what any base reaches there is no void; one sample more on either side is the wall there.
+    # Beyond what any base reaches there is no void; one sample more on either side is the wall
+    # there.
     samples = rays.samples_within(*rays.core, more=1)
     above_void_level = rays.greys.polarity * (
         rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params))
@@ -238,7 +258,10 @@ def _limit(params: MeasureParams) -> float:
 
 
 def chords(void: NDArray[np.uint8], axis: int, most: int) -> NDArray[np.int64]:
-    """Sum over each ray's void samples of the run of void along an axis, ``most`` steps to each side, in steps."""
+    """Sum over each ray's void samples of the run of void along an axis, in steps.
+
+    A run counts ``most`` steps to each side.
+    """
     total = np.zeros(void.shape, dtype=np.int16)
     for direction in (slice(None), slice(None, None, -1)):
         void_lines, sums = (np.moveaxis(a, axis, 0)[direction] for a in (void, total))
@@ -253,10 +276,13 @@ def chords(void: NDArray[np.uint8], axis: int, most: int) -> NDArray[np.int64]:
     "pore_chord", units="um", long_name="Pore chord in the plane", halo_um=_limit, support_um=_limit
 )
 def pore_chord(rays: Rays) -> Floats:
-    """Mean in-plane length of the voids on the ray: of the runs through each void sample, along rows and columns.
+    """Mean in-plane length of the voids on the ray.
 
-    Lengths are those in the centre surface. A run counts ``pore_limit_um`` to each side and no further. Longer runs
-    hold more samples and count so much more often. NaN where the ray meets no void.
+    The mean of the runs through each void sample, along rows and columns.
+
+    Lengths are those in the centre surface. A run counts ``pore_limit_um`` to each side and no
+    further. Longer runs hold more samples and count so much more often. NaN where the ray meets no
+    void.
     """
     void, count = _voids(rays)
     total = np.zeros(count.shape)
@@ -270,7 +296,10 @@ def pore_chord(rays: Rays) -> Floats:
 def distances(
     void: NDArray[np.uint8], step: tuple[float, float, float], most: float
 ) -> NDArray[np.float32]:
-    """Distance of each void sample to the nearest solid one, no more than ``most``; um, 0 in the solid."""
+    """Distance of each void sample to the nearest solid one, no more than ``most``.
+
+    Um, 0 in the solid.
+    """
     from scipy import ndimage
 
     if void.all():
@@ -286,11 +315,13 @@ def distances(
     halo_um=lambda params: 1.5 * params.pore_limit_um,
 )
 def pore_diameter(rays: Rays) -> Floats:
-    """Diameter of the largest sphere inside the voids, at most ``pore_limit_um``, mean over the void on the ray.
+    """Diameter of the largest sphere inside the voids, at most ``pore_limit_um``.
 
-    Each void sample takes the largest sphere that holds it. The distance to the nearest solid sample is half a sample
-    too long; a mean half step is taken off. Distances along slopes are stretched by the sheet's mean slope. NaN where
-    the ray meets no void.
+    The mean over the void on the ray.
+
+    Each void sample takes the largest sphere that holds it. The distance to the nearest solid
+    sample is half a sample too long; a mean half step is taken off. Distances along slopes are
+    stretched by the sheet's mean slope. NaN where the ray meets no void.
     """
     from planish.measure import _pore_kernels
 

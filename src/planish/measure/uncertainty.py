@@ -1,9 +1,12 @@
-"""Uncertainty of a value: the noise of an integral along a ray, and what noise leaves open about a fitted layer.
+"""Uncertainty of a value.
 
-Errors of neighbouring columns are not independent: the lateral blur and the interpolation between columns share them
-out (autocorrelation 0.74, 0.41, 0.19 at one, two, three columns on specimens of several makers). The mean of N columns
-has about N / 14 independent values, fewer where the noise is correlated or columns were averaged before the fit. What
-pores at the faces, blur and levels leave is common to all.
+The noise of an integral along a ray, and what noise leaves open about a fitted layer.
+
+Errors of neighbouring columns are not independent: the lateral blur and the interpolation between
+columns share them out (autocorrelation 0.74, 0.41, 0.19 at one, two, three columns on specimens of
+several makers). The mean of N columns has about N / 14 independent values, fewer where the noise is
+correlated or columns were averaged before the fit. What pores at the faces, blur and levels leave
+is common to all.
 """
 
 from __future__ import annotations
@@ -30,8 +33,9 @@ _SHARED = 14.0
 def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     """Variance of the grey's integral over one um of ray, from the noise alone; grey^2 um.
 
-    White noise of standard deviation sigma in voxels of v um has sigma^2 v. Noise that neighbours share has more: the
-    scatter of means over L um of air, beside the faces of some rows, is read as well, var(mean) L; the larger is taken.
+    White noise of standard deviation sigma in voxels of v um has sigma^2 v. Noise that neighbours
+    share has more: the scatter of means over L um of air, beside the faces of some rows, is read as
+    well, var(mean) L; the larger is taken.
     """
     white_noise = frame.greys.noise**2 * frame.voxel_um
     rows = np.flatnonzero((frame.status == 0).any(axis=1))
@@ -67,8 +71,8 @@ class SharedNoise:
     noise_um: float
     # Error of each thickness and topography that averaging does not lessen.
     common_um: Mapping[str, float]
-    # The same with what differs from place to place: a column of voxels that are longer across than along it takes in
-    # more of the boundary's detail.
+    # The same with what differs from place to place: a column of voxels that are longer across than
+    # along it takes in more of the boundary's detail.
     local_um: Mapping[str, float]
     patch_um2: float  # area that one independent value stands for
 
@@ -84,12 +88,13 @@ class SharedNoise:
     ) -> SharedNoise:
         """Work it out.
 
-        ``voxel_um``: of a voxel along the column; ``pitch_um``: of the columns, ``column_px`` voxels broad;
-        ``noise_um``: of single rays, as from :func:`ray_noise`; NaN for white noise.
+        ``voxel_um``: of a voxel along the column; ``pitch_um``: of the columns, ``column_px``
+        voxels broad; ``noise_um``: of single rays, as from :func:`ray_noise`; NaN for white noise.
         """
         white_noise = (greys.single_noise * column_px) ** 2 * voxel_um
-        # The integral of the noise's autocorrelation along one axis, in voxels; the same is taken for all axes. Beside
-        # noise that moves no face, what scatters in the air says nothing of it.
+        # The integral of the noise's autocorrelation along one axis, in voxels; the same is taken
+        # for all axes. Beside noise that moves no face, what scatters in the air says nothing of
+        # it.
         min_noise = (0.003 * (greys.base - greys.air)) ** 2 * voxel_um
         correlation_length = (
             max(1.0, noise_um / max(white_noise, min_noise)) if np.isfinite(noise_um) else 1.0
@@ -98,9 +103,9 @@ class SharedNoise:
         averaged_voxels = 4 * np.pi * (greys.averaged * column_px) ** 2
         columns_per_value = _SHARED + correlation_length**2 - 1 + averaged_voxels
         column_um2 = pitch_um[0] * pitch_um[1]
-        # Averaging divides the variance of white noise by 1 + averaged, but mixes the sheet's own detail in: some two
-        # thirds of the gain, as a power, are left. Noise that neighbours share is averaged farther, and the detail lost
-        # costs as much as is gained.
+        # Averaging divides the variance of white noise by 1 + averaged, but mixes the sheet's own
+        # detail in: some two thirds of the gain, as a power, are left. Noise that neighbours share
+        # is averaged farther, and the detail lost costs as much as is gained.
         gain = (1 + averaged_voxels) ** 0.7 if correlation_length < 1.2 else 1.0
         noise = greys.single_noise**2 * voxel_um * correlation_length / gain
         longest_um, correlation_factor = (
@@ -124,8 +129,9 @@ def thickness_errors(
 ) -> dict[str, Floats]:
     """Standard errors of coatings, base, sheet and topography along the normals, um (rows, cols).
 
-    ``coatings``: their thicknesses; those of a side without one are ignored. ``cosine``: of the sheet's tilt against
-    the columns; a tilted column holds 1 / cosine times as many voxels of the same blurred edge.
+    ``coatings``: their thicknesses; those of a side without one are ignored. ``cosine``: of the
+    sheet's tilt against the columns; a tilted column holds 1 / cosine times as many voxels of the
+    same blurred edge.
     """
     root, noise_um = np.sqrt(cosine), shared_noise.noise_um
     sides = {
@@ -143,7 +149,10 @@ def thickness_errors(
 
 
 def common_errors(unit_um: float) -> dict[str, float]:
-    """Give the error of each thickness and topography that averaging does not lessen, um; ``unit_um``: of a voxel."""
+    """Give the error of each thickness and topography that averaging does not lessen, um.
+
+    ``unit_um``: of a voxel.
+    """
     # What pores at a boundary and the levels leave, besides noise, in voxels.
     face_um, interface_um = unit_um * 0.025, unit_um * 0.07
     coating_um, root2 = float(np.hypot(face_um, interface_um)), float(np.sqrt(2))
@@ -160,20 +169,24 @@ def common_errors(unit_um: float) -> dict[str, float]:
 def layer_errors(
     thickness: Floats, greys: Greys, noise_um: float, side: Side
 ) -> tuple[Floats, Floats, Floats]:
-    """Standard errors of a fitted staircase air-coating-base: of its face, its thickness and its interface, um.
+    """Standard errors in um of a fitted staircase air-coating-base.
 
-    The least variance that an unbiased fit can have, the inverse of the Fisher matrix of the blurred staircase
+    Those of its face, its thickness and its interface.
+
+    The least variance that an unbiased fit can have, the inverse of the Fisher matrix of the
+    blurred staircase
 
         g(s) = a + (c - a) P((s - h) / w) + (b - c) P((s - h - t) / w)
 
-    for the four unknowns h, t, c, b: F_ij = integral of (dg/dp_i)(dg/dp_j) ds / noise_um, plus 1 / spread^2 for the
-    levels, which vary by 5 % (coating) and 10 % (base) of their contrast from place to place. Where a side has no
-    coating there are h and b only, and ``thickness``, (rows, cols) of the layer in um, is ignored. ``noise_um`` is as
-    from :func:`ray_noise`. As t goes to 0, h and t cannot be told apart and the matrix becomes singular; below the
-    thickness that equals its own standard error, that error is given. It says nothing about a wrong model: fringes,
-    burnt rims, fillers at the interface. Walls and pores of the base are no part of the staircase either: what they
-    scatter beyond the noise below an interface is added as it acts on the fit, F^-1 (F + G) F^-1 with G the same
-    integral of their surplus.
+    for the four unknowns h, t, c, b: F_ij = integral of (dg/dp_i)(dg/dp_j) ds / noise_um, plus 1 /
+    spread^2 for the levels, which vary by 5 % (coating) and 10 % (base) of their contrast from
+    place to place. Where a side has no coating there are h and b only, and ``thickness``, (rows,
+    cols) of the layer in um, is ignored. ``noise_um`` is as from :func:`ray_noise`. As t goes to 0,
+    h and t cannot be told apart and the matrix becomes singular; below the thickness that equals
+    its own standard error, that error is given. It says nothing about a wrong model: fringes, burnt
+    rims, fillers at the interface. Walls and pores of the base are no part of the staircase either:
+    what they scatter beyond the noise below an interface is added as it acts on the fit, F^-1 (F +
+    G) F^-1 with G the same integral of their surplus.
     """
     blur_um = max(greys.blur_um, 1e-3)
     coating_level, base_level = greys.coating(side), greys.base
@@ -220,7 +233,8 @@ def _layer_errors_at(
     fisher = gradient @ gradient.T * step_um / noise_um
     fisher[2, 2] += 1 / (_LEVELS[0] * c) ** 2
     fisher[3, 3] += 1 / (_LEVELS[1] * b) ** 2
-    # The fit weighs all samples alike, but below the interface walls and pores scatter more than the noise.
+    # The fit weighs all samples alike, but below the interface walls and pores scatter more than
+    # the noise.
     surplus = gradient * np.where(s > t, np.sqrt(max(texture_um - noise_um, 0.0)), 0.0) / noise_um
     inverse = np.linalg.inv(fisher)
     covariance = inverse @ (fisher + surplus @ surplus.T * step_um) @ inverse

@@ -1,9 +1,12 @@
-"""Marks of two layers -> which belong together, the transformation between them, and how far it may be off.
+"""From marks of two layers to the transformation between them.
 
-``holes`` is the entry point: ``match`` pairs marks by ``match_search`` and ``match_choose``, ``fit`` fits a model of
-the table ``models`` and finds wrong marks. ``model`` is the base of all: ``similarity``, ``bent``, ``spline``, and
-``field``, what the marks make likely. ``result`` is a fit with its errors, and a chain of them; ``refinement`` moves
-a fit by the maps themselves; ``through_scale`` asks the marks for the scale of heights.
+Which marks belong together, and how far the transformation may be off.
+
+``holes`` is the entry point: ``match`` pairs marks by ``match_search`` and ``match_choose``,
+``fit`` fits a model of the table ``models`` and finds wrong marks. ``model`` is the base of all:
+``similarity``, ``bent``, ``spline``, and ``field``, what the marks make likely. ``result`` is a fit
+with its errors, and a chain of them; ``refinement`` moves a fit by the maps themselves;
+``through_scale`` asks the marks for the scale of heights.
 """
 
 import lazy_loader as lazy

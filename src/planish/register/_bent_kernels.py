@@ -8,7 +8,10 @@ from planish.core.jit import njit
 
 @njit(cache=True, nogil=True)
 def add_thin_plate(at, nodes, bend, out):
-    """Add ``sum_i r_i**2 log(r_i) bend_i`` at points ``at`` (n, 2) to ``out`` (n, 2); r_i: distance from node i."""
+    """Add ``sum_i r_i**2 log(r_i) bend_i`` at points ``at`` (n, 2) to ``out`` (n, 2).
+
+    R_i: distance from node i.
+    """
     for k in range(at.shape[0]):
         x, y = at[k, 0], at[k, 1]
         u, v = 0.0, 0.0

@@ -1,9 +1,10 @@
 # pyright: standard
 """Two-point hypotheses, tried exhaustively: numpy and numba only, arrays in, arrays out.
 
-Marks are complex numbers ``x + 1j y`` in um; ``a`` is the smaller set, ``b`` the larger. A hypothesis says that marks
-``i, j`` of ``a`` are marks ``k, q`` of ``b``, which fixes ``w = alpha z + beta``. Refined, it may also stretch the
-sheet a little more in one direction than in the other: ``w = alpha z + gamma conj(z) + beta``.
+Marks are complex numbers ``x + 1j y`` in um; ``a`` is the smaller set, ``b`` the larger. A
+hypothesis says that marks ``i, j`` of ``a`` are marks ``k, q`` of ``b``, which fixes ``w = alpha z
++ beta``. Refined, it may also stretch the sheet a little more in one direction than in the other:
+``w = alpha z + gamma conj(z) + beta``.
 """
 
 import numpy as np
@@ -13,11 +14,13 @@ from planish.core.jit import njit
 
 @njit(cache=True, nogil=True)
 def count_near(a, b, base, first, start, target, raster, share):
-    """Return ``(h,)`` uint16: how many marks of ``a`` land near a mark of ``b`` under each hypothesis.
+    """Count the marks of ``a`` that land near a mark of ``b`` under each hypothesis.
 
-    ``base (p, 2)`` are pairs of ``a``; its row ``p`` is laid on rows ``first[p]`` on of ``target (t, 2)``, pairs of
-    ``b``, either end first, giving the hypotheses ``start[p]`` up to ``start[p + 1]``. Counts that cannot reach
-    ``share`` of the best so far are left unfinished.
+    Returns ``(h,)`` uint16.
+
+    ``base (p, 2)`` are pairs of ``a``; its row ``p`` is laid on rows ``first[p]`` on of ``target
+    (t, 2)``, pairs of ``b``, either end first, giving the hypotheses ``start[p]`` up to ``start[p +
+    1]``. Counts that cannot reach ``share`` of the best so far are left unfinished.
     """
     x0, y0, size, near = raster
     rows, columns = near.shape
@@ -42,7 +45,8 @@ def count_near(a, b, base, first, start, target, raster, share):
             for s in range(n):
                 x = ar * a[s].real - ai * a[s].imag + br
                 y = ai * a[s].real + ar * a[s].imag + bi
-                # The raster's border is empty, so what falls outside may be counted there; a branch would be slower.
+                # The raster's border is empty, so what falls outside may be counted there; a branch
+                # would be slower.
                 x, y = min(max(x, 0.0), last_x), min(max(y, 0.0), last_y)
                 count += int(flat[np.uint64(int(y) * columns + int(x))])
                 if s - count >= spare:
@@ -53,16 +57,18 @@ def count_near(a, b, base, first, start, target, raster, share):
 
 
 @njit(cache=True, nogil=True)
-def refine(seeds, a, b, reaches, soft, ridge, raster, start, index):
-    """Refit each hypothesis to the marks that agree with it, once for each reach, and find which agree in the end.
+def refine(seeds, a, b, reaches, soft, ridge, raster, start, index):  # noqa: C901, PLR0912
+    """Refit each hypothesis to the marks that agree with it, and find which agree in the end.
 
-    ``seeds (h, 4)`` are ``i, j, k, q``; ``reaches (r,)`` in um, the last of which holds; ``soft`` in um2 is the squared
-    distance at which a mark counts half; ``ridge`` in um2 is what holds the stretch small. Three marks are fitted
-    without stretch. ``raster`` are ``x0, y0, size, rows, columns`` of cells whose marks within reach are
-    ``index[start[cell]:start[cell + 1]]``.
+    Each is refitted once for each reach.
 
-    Returns ``partner (h, n)`` int32 with -1 where there is none, ``squares (h, n)`` squared distances in um2, and
-    ``alpha, gamma, beta (h,)``, ``power (h,)`` in um2.
+    ``seeds (h, 4)`` are ``i, j, k, q``; ``reaches (r,)`` in um, the last of which holds; ``soft``
+    in um2 is the squared distance at which a mark counts half; ``ridge`` in um2 is what holds the
+    stretch small. Three marks are fitted without stretch. ``raster`` are ``x0, y0, size, rows,
+    columns`` of cells whose marks within reach are ``index[start[cell]:start[cell + 1]]``.
+
+    Returns ``partner (h, n)`` int32 with -1 where there is none, ``squares (h, n)`` squared
+    distances in um2, and ``alpha, gamma, beta (h,)``, ``power (h,)`` in um2.
     """
     n, total = a.size, seeds.shape[0]
     x0, y0, size, rows, columns = raster

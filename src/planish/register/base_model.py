@@ -1,6 +1,7 @@
 """The base of all registration models: the fit to marks, and the error at marks that are left out.
 
-Models of a fixed number of parameters share everything but the fit itself and the derivatives by the parameters.
+Models of a fixed number of parameters share everything but the fit itself and the derivatives by
+the parameters.
 """
 
 from abc import ABC, abstractmethod
@@ -19,7 +20,10 @@ Frame = tuple[Floats, float]
 
 
 class Model(ABC):
-    """A kind of transformation. A new one is a subclass and an entry in :mod:`planish.register.models`."""
+    """A kind of transformation.
+
+    A new one is a subclass and an entry in :mod:`planish.register.models`.
+    """
 
     name: ClassVar[str]  # in options and files
     words: ClassVar[str]  # in tables and on the page
@@ -34,12 +38,14 @@ class Model(ABC):
         """Weighted least squares."""
 
     def refit(self, pairs: Pairs, transform: Any, _field: DeviationField, /) -> Any:
-        """Fit pairs that were moved, with all else that the first fit found: its transformation and its field."""
+        """Fit moved pairs with the first fit's transformation and field."""
         return self.fit(pairs, transform.mirrored)
 
     @abstractmethod
     def left_out(self, pairs: Pairs, transform: Any, field: DeviationField, /) -> Floats:
-        """Vector by which the fit to all other marks misses each mark, (n, 2) in um; NaN where they fix nothing.
+        """Vector by which the fit to all other marks misses each mark, (n, 2) in um.
+
+        NaN where they fix nothing.
 
         Weights and smoothing stay as they are.
         """
@@ -48,15 +54,22 @@ class Model(ABC):
 class ParametricModel(Model):
     """A transformation with a fixed number of parameters."""
 
-    # True where the image is linear in the parameters: leave-one-out errors then follow from the leverages.
+    # True where the image is linear in the parameters: leave-one-out errors then follow from the
+    # leverages.
     linear: ClassVar[bool] = False
 
     @abstractmethod
     def design(self, transform: Any, frame: Frame, points: Floats, /) -> Floats:
-        """Derivatives of the image of points (..., 2) by the parameters, which the frame scales: (..., 2, p)."""
+        """Derivatives of the image of points (..., 2) by the parameters: (..., 2, p).
+
+        The frame scales the parameters.
+        """
 
     def left_out(self, pairs: Pairs, transform: Transform, _field: DeviationField, /) -> Floats:
-        """``(I - H)**-1 e`` with the mark's 2 x 2 block of the hat matrix for linear models; refits otherwise."""
+        """``(I - H)**-1 e`` with the mark's 2 x 2 block of the hat matrix for linear models.
+
+        Refits otherwise.
+        """
         if len(pairs) <= self.least:
             return np.full((len(pairs), 2), np.nan)
         if not self.linear:
@@ -81,7 +94,10 @@ class ParametricModel(Model):
 
 
 def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
-    """Parameters (p,) by weighted QR from design (n, 2, p), target (n, 2); CannotRegister if marks leave one free."""
+    """Parameters (p,) by weighted QR from design (n, 2, p), target (n, 2).
+
+    CannotRegister if marks leave one free.
+    """
     q, r = whitened_qr(whitening, design, name)
     return np.asarray(
         np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1)), dtype=np.float64
@@ -89,7 +105,10 @@ def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) 
 
 
 def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, Floats]:
-    """Return the QR factors of the whitened design, (2n, p) and (p, p); refuse equations that leave something free."""
+    """Return the QR factors of the whitened design, (2n, p) and (p, p).
+
+    Refuse equations that leave something free.
+    """
     equations = (whitening @ design).reshape(-1, design.shape[-1])
     q, r = np.linalg.qr(equations)
     singular_values = np.linalg.svd(
@@ -111,7 +130,8 @@ def refuse_line(pairs: Pairs, name: str) -> None:
     for side, points in (("moving", pairs.moving), ("fixed", pairs.fixed)):
         offsets = np.sqrt(share)[:, None] * (points - share @ points)
         long_um, across_um = np.linalg.svd(offsets, compute_uv=False)[:2]
-        # Marks whose spread across a line is below this share of that along it fix nothing across it.
+        # Marks whose spread across a line is below this share of that along it fix nothing across
+        # it.
         if across_um < 0.01 * long_um:
             raise CannotRegister(
                 f"The {side} marks lie on one line (spread {long_um:.4g} um rms along it,"

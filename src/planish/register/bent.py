@@ -1,4 +1,7 @@
-"""A transformation that is affine but for smooth changes around marks: image, derivatives, inverse, strain, folds."""
+"""A transformation that is affine but for smooth changes around marks.
+
+Its image, derivatives, inverse, strain and folds.
+"""
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
@@ -18,17 +21,21 @@ Kernel = Callable[[Floats], Floats]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bent(NearSimilarity):
-    """``(1, p') @ affine + sum_i U(|p' - node_i|) bend_i`` with ``p' = (p - source) / size``, for one or more ``U``."""
+    """``(1, p') @ affine + sum_i U(|p' - node_i|) bend_i`` for one or more ``U``.
+
+    Here ``p' = (p - source) / size``.
+    """
 
     source: Pair  # middle of the marks, in um
     size: float  # their rms distance from it, in um
     nodes: Floats  # places of the marks (n, 2), scaled
     affine: Floats  # constant and linear part (3, 2), in um
-    # True where the local changes end beside the marks, so that the inverse has a meaning far from them.
+    # True where the local changes end beside the marks, so that the inverse has a meaning far from
+    # them.
     everywhere: ClassVar[bool]
 
     def __post_init__(self) -> None:
-        """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
+        """Lay the arrays out as read back from a file, so that sums have the same bytes."""
         for name in (f.name for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)):
             object.__setattr__(
                 self, name, np.array(getattr(self, name), dtype=np.float64, order="C")
@@ -36,7 +43,10 @@ class Bent(NearSimilarity):
 
     @abstractmethod
     def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:
-        """``U`` of squared distances, its derivative by half of them, and the coefficients (n, 2) in um of each."""
+        """``U`` of squared distances, its derivative by half of them, and the coefficients of each.
+
+        The coefficients are (n, 2) in um.
+        """
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um; NaN stays NaN."""
@@ -71,7 +81,10 @@ class Bent(NearSimilarity):
                 out += value(squares) @ bend
 
     def jacobian(self, points: ArrayLike) -> Floats:
-        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
+        """Derivatives of the image at points ``(..., 2)``.
+
+        The shape is ``(..., 2, 2)``: a row for x and y of the image.
+        """
         points_um = np.asarray(points, dtype=np.float64)
         scaled_points = (points_um.reshape(-1, 2) - self.source) / self.size
         out = np.broadcast_to(self.affine[1:].T, (len(scaled_points), 2, 2)).copy()
@@ -87,7 +100,10 @@ class Bent(NearSimilarity):
 
     @property
     def inverse(self) -> Callable[[ArrayLike], Floats]:
-        """The transformation back, by Newton's method from the nearest image of a grid; NaN where it finds no point."""
+        """The transformation back, by Newton's method from the nearest image of a grid.
+
+        NaN where it finds no point.
+        """
         return _Inverse(self)
 
 
@@ -101,7 +117,8 @@ class _Inverse:
         low, high = nodes.min(axis=0), nodes.max(axis=0)
         self.bent, self.around = bent, float(np.max(high - low))
         self.low, self.high = low - self.around, high + self.around
-        # The inverse begins at the nearest image of a grid that reaches one extent of the marks beyond them.
+        # The inverse begins at the nearest image of a grid that reaches one extent of the marks
+        # beyond them.
         axes = [np.linspace(a, b, 49) for a, b in zip(self.low, self.high, strict=True)]
         self.grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         self.images, self.slopes = bent(self.grid), bent.jacobian(self.grid)
@@ -186,7 +203,8 @@ class LocalStrain(NamedTuple):
     """Local strain between the marks, after the overall scale is taken off."""
 
     area: Pair  # least and largest ratio of local areas to their mean
-    # Least and largest principal strain: 0.01 where a length is 1 % longer than the overall scale makes it.
+    # Least and largest principal strain: 0.01 where a length is 1 % longer than the overall scale
+    # makes it.
     stretch: Pair
     at_um: Pair  # where in the moving map the strain is largest, as (x, y) in um
 
@@ -197,7 +215,10 @@ class LocalStrain(NamedTuple):
 
 
 def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrain:
-    """Strain at the marks and on a grid in their hull; CannotRegister where the map folds or its hand is wrong."""
+    """Strain at the marks and on a grid in their hull.
+
+    CannotRegister where the map folds or its hand is wrong.
+    """
     worst_place = marks.mean(axis=0)
     if isinstance(transform, Similarity):
         return LocalStrain(
@@ -234,7 +255,10 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
 
 
 def inside(marks: Floats, steps: int = 65) -> Floats:
-    """The marks, and points of a grid of ``steps x steps`` over their extent that lie in their hull: (k, 2) in um."""
+    """Return the marks, and the points of a grid that lie in their hull: (k, 2) in um.
+
+    The grid has ``steps x steps`` points over the extent of the marks.
+    """
     from scipy.spatial import Delaunay, QhullError
 
     axes = [

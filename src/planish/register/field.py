@@ -1,11 +1,18 @@
-"""The map that the marks make likely: a similarity, an affine deviation and a smooth random field, averaged.
+"""The map that the marks make likely.
 
-The map is ``alpha z + beta + gamma conj(z) + h(z)`` with the places ``z`` as complex numbers. Nothing is known
-beforehand of the similarity; ``gamma`` and the Gaussian process ``h`` are random: their variances are one of a few
-ratios to that of the marks, and ``h`` has one of nine covariances. Each of these assumptions is weighted by its
-restricted likelihood (Patterson and Thompson 1971, Biometrika 58, 545, doi:10.1093/biomet/58.3.545), so that no single
+A similarity, an affine deviation and a smooth random field, averaged.
+
+The map is ``alpha z + beta + gamma conj(z) + h(z)`` with the places ``z`` as complex numbers.
+Nothing is known
+beforehand of the similarity; ``gamma`` and the Gaussian process ``h`` are random: their variances
+are one of a few
+ratios to that of the marks, and ``h`` has one of nine covariances. Each of these assumptions is
+weighted by its
+restricted likelihood (Patterson and Thompson 1971, Biometrika 58, 545,
+doi:10.1093/biomet/58.3.545), so that no single
 guess of size or length has to be right (Handcock and Stein 1993, Technometrics 35, 403,
-doi:10.1080/00401706.1993.10485354; Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, sections 2.2,
+doi:10.1080/00401706.1993.10485354; Rasmussen and Williams 2006, Gaussian Processes for Machine
+Learning, sections 2.2,
 2.7 and 5.4).
 """
 
@@ -17,17 +24,20 @@ import numpy as np
 from planish.core.typing import Floats, Ints
 from planish.register.pairs import COINCIDENT, Pairs, inverse_of, whitened
 
-# Gaussian and Matern 3/2 covariances, each with its length over the rms distance of the marks from their middle.
+# Gaussian and Matern 3/2 covariances, each with its length over the rms distance of the marks from
+# their middle.
 KERNELS = (
     *(("gauss", length) for length in (0.35, 0.6, 1.0, 1.6, 2.4)),
     *(("matern", length) for length in (0.3, 0.8, 2.0, 5.0)),
 )
-# Variance of the affine deviation at that distance, and of the field, over that of a mark; 0 is as likely as not.
+# Variance of the affine deviation at that distance, and of the field, over that of a mark; 0 is as
+# likely as not.
 _AFFINE = np.array([0.0, 3.0, 30.0, 300.0])
 _FIELD = np.array([0.0, *np.logspace(-1, 4, 6)])
 _LEAST = 1e-3  # kernels that are less likely than this share count for nothing
 _AT_ONCE = 1 << 18
-# Of more marks, those that lie together are one with their mean: the field is smooth, and the time grows with the cube.
+# Of more marks, those that lie together are one with their mean: the field is smooth, and the time
+# grows with the cube.
 MOST = 256
 
 
@@ -49,7 +59,10 @@ def covariance_slope(kernel: tuple[str, float], squares: Floats) -> Floats:
 
 
 class _KernelFit(NamedTuple):
-    """The marks under one covariance, in its eigenvectors, for all ratios: axes (affine, field, ...)."""
+    """The marks under one covariance, in its eigenvectors, for all ratios.
+
+    The axes are (affine, field, ...).
+    """
 
     eigenvectors: Floats  # (2n, 2n): whitened marks to eigenvectors, as columns
     y: Floats  # (2n,)
@@ -64,8 +77,9 @@ class _KernelFit(NamedTuple):
 class DeviationField:
     """Map and errors that pairs make likely.
 
-    ``mixture`` (kernels, affine ratios, field ratios) is the probability of each assumption; ``mark_variance``, in
-    um**2, is the variance of one coordinate of a pair with information 1, NaN where no residual is left.
+    ``mixture`` (kernels, affine ratios, field ratios) is the probability of each assumption;
+    ``mark_variance``, in um**2, is the variance of one coordinate of a pair with information 1, NaN
+    where no residual is left.
     """
 
     def __init__(self, pairs: Pairs, mirrored: bool, mixture: Floats | None = None) -> None:
@@ -102,7 +116,10 @@ class DeviationField:
         self.mark_variance = total * self._unit if self.freedom > 0 else float("nan")
 
     def _columns(self, scaled: Floats) -> Floats:
-        """Derivatives of the image of scaled points (k, 2) by shift, scale and turn, and the affine deviation."""
+        """Derivatives of the image of scaled points (k, 2).
+
+        By shift, scale and turn, and by the affine deviation.
+        """
         x, y = (-scaled[:, 0] if self.mirrored else scaled[:, 0]), scaled[:, 1]
         ones, zeros = np.ones(len(scaled)), np.zeros(len(scaled))
         rows = [[ones, zeros, x, -y, x, y], [zeros, ones, y, x, -y, x]]
@@ -152,10 +169,13 @@ class DeviationField:
             eigenvectors, y, design, shrinkage, coefficient_cov, coefficients, misfit, log_posterior
         )
 
-    # --- the map and its errors ----------------------------------------------------------------------------------
+    # --- the map and its errors -------------------------------------------------------------------
 
     def mean(self) -> tuple[Floats, tuple[tuple[str, float], ...], Floats]:
-        """Affine part (3, 2) in um, and coefficients (kernels, n, 2) in um of the likely kernels at the nodes."""
+        """Affine part, and coefficients of the likely kernels at the nodes, in um.
+
+        Their shapes are (3, 2) and (kernels, n, 2).
+        """
         plane_coefficients, kernel_coefficients = np.zeros(6), dict[int, Floats]()
         for k, kernel_fit in self._kernel_fits.items():
             probabilities = self.mixture[k]
@@ -183,10 +203,10 @@ class DeviationField:
 
     @cached_property
     def _square_forms(self) -> dict[int, tuple[Floats, Floats, float]]:
-        """For each kernel: mean square of the deviation from the first similarity as a quadratic form.
+        """Mean square deviation from the first similarity as a quadratic form, for each kernel.
 
-        It is ``f' S f + c`` with ``f = (1, x, y, covariances with the nodes)``; ``S`` (3 + n, 3 + n), and ``b``
-        (3 + n, 2), the mean deviation, for cross terms.
+        It is ``f' S f + c`` with ``f = (1, x, y, covariances with the nodes)``; ``S`` (3 + n, 3 +
+        n), and ``b`` (3 + n, 2), the mean deviation, for cross terms.
         """
         from scipy.linalg import block_diag
 
@@ -231,7 +251,9 @@ class DeviationField:
         return forms
 
     def expected_square(self, points: Floats, images: Floats) -> Floats:
-        """Mean square distance of the true images of points (k, 2) from given ones (k, 2): shape (k,), in um**2.
+        """Mean square distance of the true images of points from given ones.
+
+        Points and given images have shape (k, 2), the result (k,), in um**2.
 
         The square of the distance from the mean map, and the variance around that.
         """
@@ -254,12 +276,14 @@ class DeviationField:
         return out
 
     def left_out(self) -> tuple[Floats, Floats]:
-        """Errors of the marks left out (n, 2) in um, and the log of the chance (n,) that a right one is missed by more.
+        """Errors of the marks left out, and log of the chance that a right one is missed by more.
 
-        The vectors hold the mixture; the chances are those of the others alone. With the residual operator ``P`` the
-        vector is ``(P_ii)**-1 (P y)_i`` and the chance ``(1 - q / rest)**(freedom / 2 - 1)``, the tail of a t
-        distribution in the plane, where ``q = (P y)_i' (P_ii)**-1 (P y)_i``. A mark of a group is missed by its
-        residual.
+        The errors are (n, 2) in um, the logs (n,).
+
+        The vectors hold the mixture; the chances are those of the others alone. With the residual
+        operator ``P`` the vector is ``(P_ii)**-1 (P y)_i`` and the chance ``(1 - q /
+        rest)**(freedom / 2 - 1)``, the tail of a t distribution in the plane, where ``q = (P y)_i'
+        (P_ii)**-1 (P y)_i``. A mark of a group is missed by its residual.
         """
         if len(self._all_pairs) > len(self._pairs):
             plane, kernels, bends = self.mean()
@@ -298,7 +322,10 @@ class DeviationField:
         return np.linalg.solve(self._whitening, errors[..., None])[..., 0], log_chance
 
     def _missed(self, kernel_fit: _KernelFit) -> tuple[Floats, Floats, Floats]:
-        """Errors (a, g, n, 2) of the marks left out, determinants (a, g, n) of ``P_ii``, and ``q`` (a, g, n)."""
+        """Errors of the marks left out, determinants of ``P_ii``, and ``q``.
+
+        Their shapes are (a, g, n, 2), (a, g, n) and (a, g, n).
+        """
         n = len(self._pairs)
         rows = kernel_fit.eigenvectors.reshape(n, 2, -1)
         residuals = (self._scaled_residuals(kernel_fit) @ kernel_fit.eigenvectors.T).reshape(
@@ -328,7 +355,10 @@ class DeviationField:
 
 
 def _groups(places: Floats, most: int) -> Ints:
-    """Number of the group of each place (n, 2): halves of halves along their longer side, at most ``most``."""
+    """Give the number of the group of each place (n, 2).
+
+    Groups are halves of halves along their longer side, at most ``most``.
+    """
     if len(places) <= most:
         return np.arange(len(places))
     group = np.zeros(len(places), dtype=np.intp)
@@ -347,7 +377,10 @@ def _groups(places: Floats, most: int) -> Ints:
 
 
 def _grouped_pairs(pairs: Pairs, group: Ints) -> Pairs:
-    """One pair for each group: the mean place on either side, which any affine map keeps, and its information."""
+    """Give one pair for each group: the mean place on either side, and its information.
+
+    Any affine map keeps the mean place.
+    """
     group_count, weights = int(group.max()) + 1, pairs.weights
     share = weights / np.bincount(group, weights)[group]
     moving, fixed, covariances = (
@@ -372,7 +405,10 @@ def _log_prior(ratios: Floats) -> Floats:
 
 
 def _shares(logs: Floats) -> Floats:
-    """Probabilities (kernels, affine ratios, field ratios) from logarithms, none for kernels that are unlikely."""
+    """Give probabilities (kernels, affine ratios, field ratios) from logarithms.
+
+    Unlikely kernels get none.
+    """
     shares = np.exp(logs - logs.max())
     shares[shares.sum(axis=(1, 2)) < _LEAST * shares.sum()] = 0.0
     return shares / shares.sum()

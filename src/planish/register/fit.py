@@ -35,27 +35,32 @@ def fit_transform(
     Parameters
     ----------
     moving, fixed : array-like, shape (n, 2), in um
-        Paired marks ``(x, y)``. With one pair more than the model needs, the residuals show the error.
+        Paired marks ``(x, y)``. With one pair more than the model needs, the residuals show the
+        error.
     model : str
-        One of :data:`planish.register.models.MODELS`: ``rigid``, ``similarity``, ``affine``, ``projective``, ``tps``
-        (thin-plate spline with the smoothing under which marks left out are missed least), ``averaged`` (similarity
-        with as much affine and smooth deviation as the marks show); or ``auto``, which is ``averaged`` from 6 marks in
-        use on, a similarity for 3 to 5 and ``lowest`` for 2.
+        One of :data:`planish.register.models.MODELS`: ``rigid``, ``similarity``, ``affine``,
+        ``projective``, ``tps`` (thin-plate spline with the smoothing under which marks left out are
+        missed least), ``averaged`` (similarity with as much affine and smooth deviation as the
+        marks show); or ``auto``, which is ``averaged`` from 6 marks in use on, a similarity for 3
+        to 5 and ``lowest`` for 2.
     mirrored : bool or None
-        Whether the moving x axis runs in the opposite direction, as when the two maps show opposite sides of the
-        sheet. ``None`` takes the hand that fits better.
+        Whether the moving x axis runs in the opposite direction, as when the two maps show opposite
+        sides of the sheet. ``None`` takes the hand that fits better.
     weights : array-like, shape (n,) or (n, 2, 2), optional
-        Proportional to one over the variance of each pair, 0 leaves a pair out of the fit but reports its residual; or
-        the covariance of each pair in the fixed frame, that of the moving mark (turned into that frame) and of the
-        fixed mark added. Their common factor is found from the residuals.
+        Proportional to one over the variance of each pair, 0 leaves a pair out of the fit but
+        reports its residual; or the covariance of each pair in the fixed frame, that of the moving
+        mark (turned into that frame) and of the fixed mark added. Their common factor is found from
+        the residuals.
     robust : bool
-        Whether marks that do not agree with the others are left out: about a quarter at most, and from 4 marks on.
-        Where no mark is further off than chance puts one of n once in a hundred times, nothing changes.
+        Whether marks that do not agree with the others are left out: about a quarter at most, and
+        from 4 marks on. Where no mark is further off than chance puts one of n once in a hundred
+        times, nothing changes.
     lowest : str
         Model of ``auto`` for 2 marks.
     inspect : bool
-        Whether the fit is compared with what the marks make likely, for its warnings. Without it, and without
-        ``robust``, a model of few parameters is fitted in a millisecond, with the same numbers.
+        Whether the fit is compared with what the marks make likely, for its warnings. Without it,
+        and without ``robust``, a model of few parameters is fitted in a millisecond, with the same
+        numbers.
 
     Returns
     -------
@@ -65,23 +70,25 @@ def fit_transform(
     Raises
     ------
     MarkError
-        If counts differ, a coordinate or weight is not finite, there are too few pairs, a mark has two partners, all
-        marks of one side coincide, or the marks fit only with the other handedness (exchanged columns, undeclared
-        mirror).
+        If counts differ, a coordinate or weight is not finite, there are too few pairs, a mark has
+        two partners, all marks of one side coincide, or the marks fit only with the other
+        handedness (exchanged columns, undeclared mirror).
     CannotRegister
-        If the marks leave a parameter free, as marks on one line do, or the transformation folds between them.
+        If the marks leave a parameter free, as marks on one line do, or the transformation folds
+        between them.
 
     Notes
     -----
-    A pair that is given again exactly counts once. Leave-one-out errors of similarity and affine are ``(I - H)**-1 e``
-    with the block H of the hat matrix; those of rigid and projective are found by refitting without each mark; those of
-    the spline hold its smoothing fixed, those of the averaged map its probabilities.
+    A pair that is given again exactly counts once. Leave-one-out errors of similarity and affine
+    are ``(I - H)**-1 e`` with the block H of the hat matrix; those of rigid and projective are
+    found by refitting without each mark; those of the spline hold its smoothing fixed, those of the
+    averaged map its probabilities.
 
     References
     ----------
-    Umeyama (1991), IEEE Trans. Pattern Anal. Mach. Intell. 13, 376, doi:10.1109/34.88573.
-    Hartley (1997), IEEE Trans. Pattern Anal. Mach. Intell. 19, 580, doi:10.1109/34.601246.
-    Hirn et al. (2009), section 2.4: control points, translation with rotation and rescaling, least squares.
+    Umeyama (1991), IEEE Trans. Pattern Anal. Mach. Intell. 13, 376, doi:10.1109/34.88573. Hartley
+    (1997), IEEE Trans. Pattern Anal. Mach. Intell. 19, 580, doi:10.1109/34.601246. Hirn et al.
+    (2009), section 2.4: control points, translation with rotation and rescaling, least squares.
 
     Examples
     --------
@@ -140,10 +147,11 @@ def fit_transform(
 def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     """Marks that agree, shape (n,), and the field that they make likely.
 
-    The mark that the others expect least is taken out, up to a quarter of all and a few, and judged by the chance that
-    they miss a right one by as much (Rosner 1983, Technometrics 25, 165, doi:10.1080/00401706.1983.10487848). All up to
-    the last one whose chance is below one in a hundred sets are wrong, but for those that the marks left at the end do
-    expect: wrong marks hide each other and accuse right ones. With fewer than 4 marks none can be told.
+    The mark that the others expect least is taken out, up to a quarter of all and a few, and judged
+    by the chance that they miss a right one by as much (Rosner 1983, Technometrics 25, 165,
+    doi:10.1080/00401706.1983.10487848). All up to the last one whose chance is below one in a
+    hundred sets are wrong, but for those that the marks left at the end do expect: wrong marks hide
+    each other and accuse right ones. With fewer than 4 marks none can be told.
     """
     n = len(pairs)
     field = best_field = DeviationField(pairs, mirrored)
@@ -162,7 +170,8 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
         # Among many marks a few wrong ones accuse no right ones: all that stand out at once.
         count = max(1, int(np.count_nonzero(chance < limit))) if n > _MANY else 1
         outliers = np.argsort(chance, kind="stable")[:count]
-        # Of marks that were taken together, the one that stands out most: it moves the mean of the others.
+        # Of marks that were taken together, the one that stands out most: it moves the mean of the
+        # others.
         outliers = outliers[np.sort(np.unique(field.group[outliers], return_index=True)[1])]
         removed += remaining_rows[outliers].tolist()
         is_right[removed] = False
@@ -238,7 +247,8 @@ def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
 def _warn_of_size(fit: FittedTransform) -> Iterator[str]:
     rms, scale, strain = fit.rms_um, fit.transform.scale, fit.strain
     spread = scale * fit.field.size
-    # Residuals over the spread of the marks from which on the pairs, not their errors, are in doubt.
+    # Residuals over the spread of the marks from which on the pairs, not their errors, are in
+    # doubt.
     if rms > 0.05 * spread:
         yield (
             f"The residuals, {rms:.3g} um rms, are {100 * rms / spread:.0f} % of the spread of the"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DesignedHoles:
-    """Holes of the pattern that was burnt: places (d, 2) in um, as an image shows them, and labels."""
+    """Holes of the burnt pattern: places (d, 2) in um, as an image shows them, and labels."""
 
     name: str
     places_um: Floats
@@ -55,7 +55,8 @@ def register_marks(
     Raises
     ------
     CannotRegister
-        If there are too few holes, they do not match, or they fit at a scale that the calibrations exclude.
+        If there are too few holes, they do not match, or they fit at a scale that the calibrations
+        exclude.
     MarkError
         If the pairs cannot be used, or ``seen_from`` is no side.
     """
@@ -106,8 +107,8 @@ def fit_pairs(
     Parameters
     ----------
     moving, fixed : Dataset (mark)
-        ``x``, ``y`` and, where known, the covariance ``cov_xx``, ``cov_xy``, ``cov_yy`` of the marks' centres, in um:
-        each pair is weighted by those of its two marks where all are known.
+        ``x``, ``y`` and, where known, the covariance ``cov_xx``, ``cov_xy``, ``cov_yy`` of the
+        marks' centres, in um: each pair is weighted by those of its two marks where all are known.
     params : RegistrationParams
         Model and tolerance of the scale.
     mirrored : bool or None
@@ -156,7 +157,9 @@ def _centres(holes: xr.Dataset) -> Floats:
 
 
 def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> None:
-    """Stop early where there cannot be a match; ``name`` is that of the layer, if its attributes do not say it.
+    """Stop early where there cannot be a match.
+
+    ``name`` is that of the layer, if its attributes do not say it.
 
     Raises
     ------

@@ -1,9 +1,12 @@
-"""Find which mark of one map is which mark of the other, from their positions alone or through the designed pattern.
+"""Find which mark of one map is which mark of the other.
 
-An arrangement is believed only if it is far better than chance and than every different arrangement. Without a design,
-the pattern behind the marks must not coincide with itself in a second orientation either. With one, each side is
-matched to the design and the two are joined: a side that lost some marks still has most of the design, so that two
-sides which share few marks can be matched, and a symmetry that one side alone seems to have is judged by the design.
+From their positions alone or through the designed pattern.
+
+An arrangement is believed only if it is far better than chance and than every different
+arrangement. Without a design, the pattern behind the marks must not coincide with itself in a
+second orientation either. With one, each side is matched to the design and the two are joined: a
+side that lost some marks still has most of the design, so that two sides which share few marks can
+be matched, and a symmetry that one side alone seems to have is judged by the design.
 """
 
 from collections.abc import Sequence
@@ -73,8 +76,8 @@ def match_marks(
     scale_tolerance : float
         The scale between the two lies within ``1 - scale_tolerance`` and ``1 + scale_tolerance``.
     tolerance_um : float
-        Two marks agree if the arrangement puts them this close. A stretch of up to 0.5 % more in one
-        direction than in the other is fitted before that is judged.
+        Two marks agree if the arrangement puts them this close. A stretch of up to 0.5 % more in
+        one direction than in the other is fitted before that is judged.
     mirror : bool
         Whether the moving side may also be turned over. Both hands then compete.
     names : (str, str)
@@ -87,19 +90,21 @@ def match_marks(
     Raises
     ------
     CannotRegister
-        If there are fewer than three marks on a side, if the scale is out of range, if fewer than 4 marks or 35 % of
-        those in the common field agree, if the mirror image agrees better although ``mirror`` is not set, if as good an
-        agreement is expected by chance, if a different arrangement is nearly as good, or if the marks found on both
-        sides together may belong to a symmetric or regular pattern. Three marks on a side are enough when all three
-        agree and their distances cannot be confused.
+        If there are fewer than three marks on a side, if the scale is out of range, if fewer than 4
+        marks or 35 % of those in the common field agree, if the mirror image agrees better although
+        ``mirror`` is not set, if as good an agreement is expected by chance, if a different
+        arrangement is nearly as good, or if the marks found on both sides together may belong to a
+        symmetric or regular pattern. Three marks on a side are enough when all three agree and
+        their distances cannot be confused.
     MarkError
         If a position is not finite or an array has another shape.
 
     Notes
     -----
-    Chance is judged a contrario: the expected number of arrangements of randomly scattered marks that agree at ``k``
-    marks within ``r`` is ``tests * C(n - 2, k - 2) * p(r)**(k - 2)``. A symmetric pattern that lost so many marks on
-    one side or both that what is left shows no symmetry at all cannot be distinguished from one without symmetry.
+    Chance is judged a contrario: the expected number of arrangements of randomly scattered marks
+    that agree at ``k`` marks within ``r`` is ``tests * C(n - 2, k - 2) * p(r)**(k - 2)``. A
+    symmetric pattern that lost so many marks on one side or both that what is left shows no
+    symmetry at all cannot be distinguished from one without symmetry.
 
     References
     ----------
@@ -224,9 +229,10 @@ def match_by_design(
     Raises
     ------
     CannotRegister
-        If there are fewer than three marks or holes, if fewer than 4 marks or 35 % of a side agree with the design, if
-        as good an agreement is expected by chance, if a different arrangement is nearly as good, as in a symmetric
-        design, or if the sides show different hands although ``mirror`` is not set.
+        If there are fewer than three marks or holes, if fewer than 4 marks or 35 % of a side agree
+        with the design, if as good an agreement is expected by chance, if a different arrangement
+        is nearly as good, as in a symmetric design, or if the sides show different hands although
+        ``mirror`` is not set.
     MarkError
         If a position is not finite, an array has another shape, or there is not one label a hole.
     """
@@ -266,7 +272,8 @@ def match_by_design(
     order = np.argsort(pairs[:, 0])
     pairs, shared_holes = np.ascontiguousarray(pairs[order]), shared_holes[order]
     mirrored = first_match.mirrored != second_match.mirrored
-    # From so many marks on both sides on, they alone give the transformation; with fewer, the design helps.
+    # From so many marks on both sides on, they alone give the transformation; with fewer, the
+    # design helps.
     if len(pairs) >= 4:
         transform, rms = _fit_similarity(
             side_points[0][pairs[:, 0]], side_points[1][pairs[:, 1]], mirrored
@@ -296,7 +303,9 @@ def match_by_design(
 def _choose_hands(
     choices: list[dict[bool, BestMatch]], names: tuple[str, str], mirror: bool
 ) -> tuple[tuple[BestMatch, BestMatch], bool]:
-    """Choose the hand that a design has on either side; say whether another choice fits nearly as well.
+    """Choose the hand that a design has on either side.
+
+    Say whether another choice fits nearly as well.
 
     The hand that it has against the sheet is not known; both sides have the same, unless mirrored.
     """
@@ -372,7 +381,10 @@ def _fit_choice(
     *,
     hint_text: str,
 ) -> tuple[Similarity, float]:
-    """Fit the arrangement and give its rms residual; refuse one with a rival, or at a scale that is out of range."""
+    """Fit the arrangement and give its rms residual.
+
+    Refuse one with a rival, or at a scale that is out of range.
+    """
     count = len(choice.pairs)
     if rival_chance < choice.log_chance + _MARGIN:
         raise CannotRegister(

@@ -1,4 +1,7 @@
-"""The best arrangement of two sets of marks, the best different one, and whether the pattern may repeat itself."""
+"""The best arrangement of two sets of marks, and the best different one.
+
+Also whether the pattern may repeat itself.
+"""
 
 from math import comb, log10
 from typing import NamedTuple
@@ -23,11 +26,12 @@ from planish.register.pairs import as_complex
 class BestMatch(NamedTuple):
     """The best arrangement of two sides; by default, none.
 
-    ``pairs`` (k, 2) hold the row of the first side and of the second, sorted by the first; with fewer than
-    ``needed_count`` they may be chance. ``log_chance`` is log10 of how many such arrangements chance would offer,
-    ``second_log_chance`` that of the best different match, in which ``second_best_count`` marks agree; ``stretch`` the
-    share by which one direction is longer than the other. ``small_points`` and ``large_points`` are the marks of the
-    smaller side, which is the second one if ``is_swapped``, and of the larger side, in the frame of the latter.
+    ``pairs`` (k, 2) hold the row of the first side and of the second, sorted by the first; with
+    fewer than ``needed_count`` they may be chance. ``log_chance`` is log10 of how many such
+    arrangements chance would offer, ``second_log_chance`` that of the best different match, in
+    which ``second_best_count`` marks agree; ``stretch`` the share by which one direction is longer
+    than the other. ``small_points`` and ``large_points`` are the marks of the smaller side, which
+    is the second one if ``is_swapped``, and of the larger side, in the frame of the latter.
     """
 
     pairs: Ints = np.empty((0, 2), np.intp)
@@ -42,7 +46,10 @@ class BestMatch(NamedTuple):
     is_swapped: bool = False
 
     def together(self) -> tuple[Complexes, tuple[int, int]]:
-        """All marks of the field that both sides show, first the pairs; and how many each side alone shows."""
+        """All marks of the field that both sides show, first the pairs.
+
+        And how many each side alone shows.
+        """
         rows, columns = self.pairs.T[::-1] if self.is_swapped else self.pairs.T
         # Marks of a larger map are no evidence about a smaller one.
         alone = [
@@ -73,13 +80,14 @@ def choose(
         return BestMatch()
     misfit = np.sum(np.minimum(arrangements.squares, tolerance_um**2), axis=1)
     best = int(np.lexsort((misfit, arrangements.log_chance))[0])
-    # Pairs are within the tolerance, or less where the others agree much better. The median distance of a normal
-    # scatter in the plane is 1.18 standard deviations.
+    # Pairs are within the tolerance, or less where the others agree much better. The median
+    # distance of a normal scatter in the plane is 1.18 standard deviations.
     squares = arrangements.squares[best]
     agreeing_squares = squares[squares <= tolerance_um * tolerance_um]
     free_count = max(len(agreeing_squares) - float(arrangements.freedom[best]), 1.0)
     scatter = np.sqrt(np.median(agreeing_squares) * len(agreeing_squares) / free_count) / 1.18
-    # A pair this many times further apart than the others are is not one, however wide the tolerance.
+    # A pair this many times further apart than the others are is not one, however wide the
+    # tolerance.
     rows = np.flatnonzero(
         squares <= float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um)) ** 2
     )
@@ -110,7 +118,10 @@ def choose(
 def _rival(
     arrangements: Arrangements, best: int, b: Complexes, tolerance: float
 ) -> tuple[float, int]:
-    """Give log10 of how often chance offers the best different arrangement, and the marks that agree in it."""
+    """Give log10 of how often chance offers the best different arrangement.
+
+    Also gives how many marks agree in it.
+    """
     is_used = arrangements.squares[best] <= tolerance * tolerance
     moved = np.max(
         np.abs(arrangements.landed[:, is_used] - arrangements.landed[best, is_used]), axis=1
@@ -148,18 +159,20 @@ def _inside(points: Complexes, field_points: Complexes, border: float) -> Bools:
 
 
 _NOT_BURNT = 0.05  # share of holes that were not burnt through
-# Of the marks that one side alone shows, some are no holes at all, and no evidence of what the other side lost.
+# Of the marks that one side alone shows, some are no holes at all, and no evidence of what the
+# other side lost.
 _LOST_OF_ALONE = 0.75
 
 
 def self_likeness(
     points: Complexes, alone_counts: tuple[int, int], *, tolerance_um: float, mirror: bool
 ) -> str | None:
-    """Return how a pattern may repeat itself, as part of a sentence, or None if it can be ruled out.
+    """Return how a pattern may repeat itself, as part of a sentence, or None if that is ruled out.
 
-    ``points`` (u,) in um are all marks found on either side, in one frame, each once; those found on both come first,
-    then those found on one side alone, ``alone_counts`` of either: lost on the other, or no marks. On each side, a
-    symmetric pattern that lost some marks looks like one without symmetry; together they give it away.
+    ``points`` (u,) in um are all marks found on either side, in one frame, each once; those found
+    on both come first, then those found on one side alone, ``alone_counts`` of either: lost on the
+    other, or no marks. On each side, a symmetric pattern that lost some marks looks like one
+    without symmetry; together they give it away.
     """
     count, n_common = len(points), len(points) - sum(alone_counts)
     if count < 4:
@@ -182,12 +195,14 @@ def self_likeness(
     lost_share = float(
         np.prod([_LOST_OF_ALONE * (c + 1.0) / (n_common + c + 2.0) for c in alone_counts])
     )
-    # Where as many partners are missing as in fewer than this share of symmetric patterns, there is no symmetry.
+    # Where as many partners are missing as in fewer than this share of symmetric patterns, there is
+    # no symmetry.
     is_plausible = np.array(
         [_at_least(count - k, count, missing_share) > 1e-3 for k in range(count + 1)]
     )
-    # The same for marks found on both sides, of whose partners only those lost on both are missing. A wrong arrangement
-    # that agrees well makes losses look rare; the symmetry itself gives what has to be lost.
+    # The same for marks found on both sides, of whose partners only those lost on both are missing.
+    # A wrong arrangement that agrees well makes losses look rare; the symmetry itself gives what
+    # has to be lost.
     common_lost_shares = [
         max(lost_share, (gap / max(n_common + gap, 1)) ** 2) for gap in range(n_common + 1)
     ]
@@ -197,9 +212,9 @@ def self_likeness(
             for gap, p in enumerate(common_lost_shares)
         ]
     )
-    # How much better than chance a symmetry has to explain the marks before it counts: symmetric patterns are rare
-    # among those that people burn, but a wrong match is worse than none. Marks on one line meet by chance so often that
-    # what is plausible alone decides.
+    # How much better than chance a symmetry has to explain the marks before it counts: symmetric
+    # patterns are rare among those that people burn, but a wrong match is worse than none. Marks on
+    # one line meet by chance so often that what is plausible alone decides.
     evidence_limit = -2.0 if extents(points)[1] > 4.0 * tolerance_um else -8.0
     log_alike = np.array([_lost_alike(count - k, count, alone_counts) for k in range(count + 1)])
     is_suspect = is_plausible[n_met] & is_plausible_common[n_common - n_common_met]
@@ -227,7 +242,10 @@ def self_likeness(
 def _log_evidence(
     symmetries: Arrangements, points: Complexes, single_count: int, tolerance: float
 ) -> Floats:
-    """log10 of how much better a symmetry explains the marks that meet, and those that do not, than chance does."""
+    """Give log10 of how much better than chance a symmetry explains the marks.
+
+    Both those that meet and those that do not.
+    """
     count = len(points)
     is_paired = symmetries.partner >= 0
     is_moved = is_paired & (np.abs(symmetries.landed - points) > 2.0 * tolerance)
@@ -237,7 +255,8 @@ def _log_evidence(
     is_mutual = is_moved & (reverse_partner == np.arange(count))
     moved_counts = is_moved.sum(axis=1)
     mutual_counts = is_mutual.sum(axis=1)
-    # A half turn or a mirror image exchanges marks: each couple is one coincidence, and the first fixes the symmetry.
+    # A half turn or a mirror image exchanges marks: each couple is one coincidence, and the first
+    # fixes the symmetry.
     is_exchange = mutual_counts > 0.6 * moved_counts
     pair_counts = moved_counts - mutual_counts / 2
     free_counts = np.where(is_exchange, pair_counts - 1, moved_counts - 2)
@@ -258,9 +277,12 @@ def _log_evidence(
 
 
 def _lost_alike(n_lost: int, count: int, alone_counts: tuple[int, int]) -> float:
-    """log10 of the probability that both sides lost the same ``n_lost`` marks and no others but those found alone.
+    """Give log10 of the probability that both sides lost the same ``n_lost`` marks.
 
-    Either by chance, among the marks that each side lost, or because these holes were never burnt through.
+    They lost no others but those found alone.
+
+    Either by chance, among the marks that each side lost, or because these holes were never burnt
+    through.
     """
     n_holes = count + n_lost
     n_first, n_second = n_lost + alone_counts[1], n_lost + alone_counts[0]

@@ -1,7 +1,7 @@
 """All arrangements of one set of marks on another, and how likely chance would offer each.
 
-Pairs of marks on one side are laid on all pairs of like length on the other; the marks that then agree are counted,
-and the best are refitted with a little stretch allowed.
+Pairs of marks on one side are laid on all pairs of like length on the other; the marks that then
+agree are counted, and the best are refitted with a little stretch allowed.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from planish.core.typing import Bools, Complexes, Floats, Ints, Pair
 
-# Arrangements whose marks lie this many tolerances off are followed, so that a slightly displaced rival is noticed.
+# Arrangements whose marks lie this many tolerances off are followed, so that a slightly displaced
+# rival is noticed.
 REACH = 1.6
 # Largest difference of stretch between two directions that the search follows: humidity, a lens.
 STRETCH = 0.005
-# Scales so far outside the tolerance are still followed: they are named, and they stop worse ones being taken.
+# Scales so far outside the tolerance are still followed: they are named, and they stop worse ones
+# being taken.
 SCALE_SPARE = 0.01
 _MOST_REFINED = 400  # hypotheses
 # A chance agreement as good as the one accepted is expected in fewer than 10**-3 of all searches.
@@ -29,11 +31,13 @@ ACCEPTED = -3.0
 class Arrangements(NamedTuple):
     """Refined hypotheses between the smaller set ``a`` and the larger set ``b``, one a row."""
 
-    # (h, n): mark of ``b`` within :data:`REACH` tolerances of each mark of ``a``; -1 where there is none.
+    # (h, n): mark of ``b`` within :data:`REACH` tolerances of each mark of ``a``; -1 where there is
+    # none.
     partner: NDArray[np.int32]
     squares: Floats  # (h, n), in um2: squared distance to it; infinite where there is none
     inliers: Ints  # (h,): marks within the tolerance
-    # (h,): log10 of the number of arrangements as good that are expected where the marks are scattered at random.
+    # (h,): log10 of the number of arrangements as good that are expected where the marks are
+    # scattered at random.
     log_chance: Floats
     # (h,): ``w = alpha z + gamma conj(z) + beta``, with x of ``a`` reversed where ``mirrored``.
     alpha: Complexes
@@ -59,8 +63,9 @@ def search(
 ) -> Arrangements:
     """Try every two-point hypothesis and refine those at which most marks agree, three at least.
 
-    ``a`` is the smaller set; of the ``hands`` True reverses its x. The scale may be :data:`SCALE_SPARE` outside of its
-    tolerance. Refined is what reaches 60 % of the best count, or, where a set is laid on itself, 30 % of its marks.
+    ``a`` is the smaller set; of the ``hands`` True reverses its x. The scale may be
+    :data:`SCALE_SPARE` outside of its tolerance. Refined is what reaches 60 % of the best count,
+    or, where a set is laid on itself, 30 % of its marks.
     """
     from planish.register import _kernels
 
@@ -153,7 +158,10 @@ def share_within(radius: Floats, b: Complexes, tolerance_um: float) -> Floats:
 
 
 def marks_needed(n: int, b: Complexes, tests: int, tolerance_um: float) -> int:
-    """Smallest number of ``n`` marks whose close agreement chance would not offer; ``n + 1`` where none is enough."""
+    """Smallest number of ``n`` marks whose close agreement chance would not offer.
+
+    ``n + 1`` where none is enough.
+    """
     share_near = float(share_within(np.array([0.3 * tolerance_um]), b, tolerance_um)[0])
     for k in range(3 if n == 3 else 4, n + 1):
         log_tests = log10(max(tests, 1) * max(n - 2, 1)) + _log10_choose(n - 2, k - 2)
@@ -165,10 +173,13 @@ def marks_needed(n: int, b: Complexes, tests: int, tolerance_um: float) -> int:
 def _hypotheses(
     a: Complexes, b: Complexes, scale_tolerance: float, tolerance: float, most_count: int
 ) -> tuple[tuple[Ints, Ints, Ints, Ints], Ints]:
-    """Lay each pair of ``a`` on the pairs of ``b`` that are as long within ``scale_tolerance``, either end first.
+    """Lay each pair of ``a`` on the pairs of ``b`` that are as long within ``scale_tolerance``.
 
-    Gives ``base``, ``first``, ``start`` and ``target`` as the kernel takes them; and of each hypothesis the marks
-    ``i, j`` of ``a`` and ``k, q`` of ``b``: (h, 4). Beyond ``most_count``, pairs of ``a`` are thinned out evenly.
+    Either end comes first.
+
+    Gives ``base``, ``first``, ``start`` and ``target`` as the kernel takes them; and of each
+    hypothesis the marks ``i, j`` of ``a`` and ``k, q`` of ``b``: (h, 4). Beyond ``most_count``,
+    pairs of ``a`` are thinned out evenly.
     """
     base, base_lengths = _by_length(a)
     base, base_lengths = (
@@ -205,7 +216,10 @@ def _by_length(points: Complexes) -> tuple[Ints, Floats]:
 
 
 def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np.uint8]]:
-    """Raster of the cells within ``reach`` of a mark, roughly: ``x0, y0, size, near``; its border is 0."""
+    """Raster of the cells within ``reach`` of a mark, roughly: ``x0, y0, size, near``.
+
+    Its border is 0.
+    """
     x0, x1 = b.real.min() - reach, b.real.max() + reach
     y0, y1 = b.imag.min() - reach, b.imag.max() + reach
     size = float(
@@ -220,7 +234,8 @@ def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np
         ((p - p0) / size).astype(np.intp)[:, None] + steps for p, p0 in ((b.real, x0), (b.imag, y0))
     )
     dx, dy = x0 + (column + 0.5) * size - b.real[:, None], y0 + (row + 0.5) * size - b.imag[:, None]
-    # A cell counts where its middle does, or a little beyond, so that no cell with a good place is lost.
+    # A cell counts where its middle does, or a little beyond, so that no cell with a good place is
+    # lost.
     mark, r, c = np.nonzero(dy[:, :, None] ** 2 + dx[:, None, :] ** 2 <= (reach + 0.5 * size) ** 2)
     near[
         np.clip(row[mark, r], 1, near.shape[0] - 2), np.clip(column[mark, c], 1, near.shape[1] - 2)
@@ -231,7 +246,10 @@ def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np
 def _cells(
     b: Complexes, reach: float
 ) -> tuple[tuple[float, float, float, int, int], Ints, NDArray[np.int32]]:
-    """Raster whose cells list the marks within reach: ``x0, y0, size, rows, columns``, then ``start`` and ``index``."""
+    """Give a raster whose cells list the marks within reach.
+
+    It is ``x0, y0, size, rows, columns``, then ``start`` and ``index``.
+    """
     x0, x1, y0, y1 = b.real.min(), b.real.max(), b.imag.min(), b.imag.max()
     # Never more than about a million cells, however large the field.
     size = float(

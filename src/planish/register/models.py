@@ -1,4 +1,7 @@
-"""The table of registration models, from few to many parameters, and the default: what the marks make likely."""
+"""The table of registration models, from few to many parameters, and the default.
+
+The default is what the marks make likely.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,10 +22,12 @@ from planish.register.spline import SplineModel
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Averaged(Bent):
-    """An affine map and smooth local changes that end beside the marks, each kernel with coefficients of its own.
+    """An affine map and smooth local changes that end beside the marks.
 
-    ``U`` is ``exp(-r**2 / 2 l**2)`` for the lengths ``gauss`` and ``(1 + s) exp(-s)``, ``s = sqrt(3) r / l``, for
-    ``matern``, in this order.
+    Each kernel has coefficients of its own.
+
+    ``U`` is ``exp(-r**2 / 2 l**2)`` for the lengths ``gauss`` and ``(1 + s) exp(-s)``, ``s =
+    sqrt(3) r / l``, for ``matern``, in this order.
     """
 
     everywhere: ClassVar[bool] = True

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from planish.core.errors import MarkError
 from planish.core.typing import Bools, Complexes, Floats, Ints
 
-# Marks closer together than this share of their distance from the origin cannot be distinguished in float64.
+# Marks closer together than this share of their distance from the origin cannot be distinguished in
+# float64.
 COINCIDENT = 1e-9
 
 
@@ -21,7 +22,8 @@ class Pairs:
 
     moving: Floats  # (n, 2), in um: places in the two maps
     fixed: Floats
-    # (n, 2, 2): inverse covariance of ``fixed - f(moving)``, up to one factor common to all; zero leaves a pair out.
+    # (n, 2, 2): inverse covariance of ``fixed - f(moving)``, up to one factor common to all; zero
+    # leaves a pair out.
     information: Floats
 
     def __len__(self) -> int:
@@ -30,7 +32,10 @@ class Pairs:
 
     @property
     def weights(self) -> Floats:
-        """Half the trace of the information, shape (n,): the weight of a pair whose error has no direction."""
+        """Half the trace of the information, shape (n,).
+
+        It is the weight of a pair whose error has no direction.
+        """
         return 0.5 * (self.information[:, 0, 0] + self.information[:, 1, 1])
 
     @property
@@ -50,7 +55,10 @@ class Pairs:
         )
 
     def whitening(self) -> Floats:
-        """Return ``U`` of shape (n, 2, 2) with ``U.T @ U`` the information: ``U @ error`` has equal, free parts."""
+        """Return ``U`` of shape (n, 2, 2) with ``U.T @ U`` the information.
+
+        ``U @ error`` has equal, free parts.
+        """
         info = self.information
         a = np.sqrt(info[:, 0, 0])
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -59,7 +67,10 @@ class Pairs:
         return np.stack([a, b, 0.0 * c, c], axis=-1).reshape(-1, 2, 2)
 
     def frame(self) -> tuple[Floats, float]:
-        """Return middle (2,) and rms distance from it of the moving marks, in um: coordinates near 1 start here."""
+        """Return middle (2,) and rms distance from it of the moving marks, in um.
+
+        Coordinates near 1 start here.
+        """
         middle = self.share @ self.moving
         return middle, float(np.sqrt(self.share @ np.sum((self.moving - middle) ** 2, axis=1)))
 
@@ -80,13 +91,14 @@ def as_complex(points: Floats, mirrored: bool) -> Complexes:
     return (-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]
 
 
-def check_pairs(
+def check_pairs(  # noqa: C901
     moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None
 ) -> tuple[Pairs, Ints]:
     """Bring marks and weights into one form; MarkError names all their faults.
 
-    These: wrong shapes, unequal counts, values that are not finite, weights that are none, fewer than two pairs, a mark
-    with two partners, all marks at one place. A pair given again counts once: the numbers of the others are returned.
+    These: wrong shapes, unequal counts, values that are not finite, weights that are none, fewer
+    than two pairs, a mark with two partners, all marks at one place. A pair given again counts
+    once: the numbers of the others are returned.
     """
     from scipy.spatial import KDTree
 
@@ -151,7 +163,10 @@ def listed(rows: Sequence[int] | Ints) -> str:
 
 
 def weighted_rms(lengths: Floats, weights: Floats) -> float:
-    """Root of the weighted mean square; what has no weight counts for nothing, also where it is NaN."""
+    """Root of the weighted mean square.
+
+    What has no weight counts for nothing, also where it is NaN.
+    """
     used = weights > 0
     return float(np.sqrt(np.sum(weights[used] * lengths[used] ** 2) / np.sum(weights)))
 
@@ -171,7 +186,10 @@ def points_of(marks: ArrayLike, name: str) -> Floats:
 
 
 def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats:
-    """Information (n, 2, 2) of pairs with weights (n,) or covariances (n, 2, 2); what is wrong goes into ``faults``."""
+    """Information (n, 2, 2) of pairs with weights (n,) or covariances (n, 2, 2).
+
+    What is wrong goes into ``faults``.
+    """
     weights = np.ones(n) if weights is None else np.array(weights, dtype=np.float64)
     if weights.shape == (n,):
         if not (np.all(np.isfinite(weights)) and np.all(weights >= 0.0)):
@@ -197,9 +215,10 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
 
 
 def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
-    """Return ``mirrored``, or, where it is None, whether the marks fit better if one side is turned over.
+    """Return ``mirrored`` or, where None, whether the marks fit better with one side turned over.
 
-    MarkError where they only fit with the other handedness: columns swapped on one side, or an undeclared mirror.
+    MarkError where they only fit with the other handedness: columns swapped on one side, or an
+    undeclared mirror.
     """
     w = as_complex(pairs.fixed, False)
     w = w - pairs.share @ w
@@ -216,7 +235,8 @@ def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
     rms_um, other_um = hand_rms[mirrored], hand_rms[not mirrored]
     offsets = pairs.fixed - pairs.weights @ pairs.fixed / np.sum(pairs.weights)
     spread = np.sqrt(np.average(np.sum(offsets**2, axis=1), weights=pairs.weights))
-    # The other hand has to fit five times as well, and this one has to miss by 5 % of the marks' spread, to be refused.
+    # The other hand has to fit five times as well, and this one has to miss by 5 % of the marks'
+    # spread, to be refused.
     if len(pairs) < 3 or rms_um < 0.05 * spread or other_um > 0.2 * rms_um:
         return mirrored
     # Exchanged columns are a mirror image that is turned by -90 degrees.

@@ -1,4 +1,7 @@
-"""Options of the registration: how marks of two layers are matched, and which model takes one to the other."""
+"""Options of the registration.
+
+How marks of two layers are matched, and which model takes one layer to the other.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Registration refined by the maps themselves, on top of a fit to marks: optional, bounded by what the marks allow."""
+"""Registration refined by the maps themselves, on top of a fit to marks.
+
+It is optional, and bounded by what the marks allow.
+"""
 
 import importlib
 import math
@@ -26,10 +29,13 @@ _STEPS = 100
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FreeForm:
-    """A map ``p -> p + sum of coefficients x cubic B-splines`` of ``(x, y)`` in um; as its border outside the mesh."""
+    """A map ``p -> p + sum of coefficients x cubic B-splines`` of ``(x, y)`` in um.
 
-    # (2, rows + 3, cols + 3), in um: displacements along x and y at the nodes of a mesh of ``rows x cols`` cells and
-    # of one more on every side.
+    As its border outside the mesh.
+    """
+
+    # (2, rows + 3, cols + 3), in um: displacements along x and y at the nodes of a mesh of ``rows x
+    # cols`` cells and of one more on every side.
     coefficients_um: Floats
     origin_um: Pair  # ``(x, y)`` of the first coefficient
     mesh_um: Pair  # side of a cell along x and y
@@ -41,7 +47,10 @@ class FreeForm:
         return np.where(np.isfinite(points_um).all(axis=-1, keepdims=True), moved_um, np.nan)
 
     def jacobian(self, points: ArrayLike) -> Floats:
-        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
+        """Derivatives of the image at points ``(..., 2)``.
+
+        The shape is ``(..., 2, 2)``: a row for x and y of the image.
+        """
         points_um = np.asarray(points, dtype=np.float64)
         clamped, is_inside = self._clamped(points_um)
         slopes = np.stack([self._values(clamped, nu) for nu in ((0, 1), (1, 0))], axis=-1)
@@ -59,7 +68,10 @@ class FreeForm:
         return clamped, np.equal(clamped, finite_points)
 
     def _values(self, points: Floats, nu: tuple[int, int]) -> Floats:
-        """Displacement (..., 2) at points of the mesh, or its derivatives of the orders ``nu`` along y and x."""
+        """Displacement (..., 2) at points of the mesh, or its derivatives.
+
+        The derivatives are of the orders ``nu`` along y and x.
+        """
         from scipy.interpolate import NdBSpline
 
         axes = zip(
@@ -73,8 +85,9 @@ class FreeForm:
 class Refined(ResultModel):
     """Displacement of points that the marks have placed, found by the maps.
 
-    Call it with points ``(..., 2)``, ``(x, y)`` in um of the fixed map as the marks' fit gives them, to get points of
-    the fixed map: ``refined(fit(points))`` takes points of the moving map there.
+    Call it with points ``(..., 2)``, ``(x, y)`` in um of the fixed map as the marks' fit gives
+    them, to get points of the fixed map: ``refined(fit(points))`` takes points of the moving map
+    there.
     """
 
     transform: Affine | FreeForm = Field(description="Close to the identity.")
@@ -101,7 +114,9 @@ class Refined(ResultModel):
         return self.transform(points)
 
     def image_at(self, image: Floats, pixel_um: Pair) -> Floats:
-        """Return the image on the pixels of the linked map: what each pixel of the marks' fit shows once refined.
+        """Return the image on the pixels of the linked map.
+
+        It is what each pixel of the marks' fit shows once refined.
 
         Parameters
         ----------
@@ -139,7 +154,8 @@ class RefineOptions:
     grid_um: float = 2000.0  #: mesh of the B-spline, made a little smaller to fit the map
     # : largest displacement that is accepted, in expected errors of the marks at the place.
     most: float = 3.0
-    #: False returns what goes too far or folds, with a warning; only for a search's null, whose maps are unrelated.
+    # : False returns what goes too far or folds, with a warning; only for a search's null, whose
+    # maps are unrelated.
     bounded: bool = True
 
 
@@ -178,15 +194,16 @@ def refine(
     Raises
     ------
     CannotRegister
-        If SimpleITK is not installed, too few pixels are known, the search fails, the result folds the map, or it moves
-        points further than the marks allow.
+        If SimpleITK is not installed, too few pixels are known, the search fails, the result folds
+        the map, or it moves points further than the marks allow.
     SizeError
         If pixel or mesh are not positive.
 
     Notes
     -----
-    One thread, every pixel, nothing random: the same bytes on every run with one version of SimpleITK. The search
-    climbs from the marks' fit to the nearest summit, so the marks have to be right to about a texture length.
+    One thread, every pixel, nothing random: the same bytes on every run with one version of
+    SimpleITK. The search climbs from the marks' fit to the nearest summit, so the marks have to be
+    right to about a texture length.
 
     References
     ----------
@@ -219,7 +236,10 @@ def refine(
 def _assess(
     transform: Affine | FreeForm, points: Floats, fit: FittedTransform, options: RefineOptions
 ) -> Refined:
-    """Look at displacement and derivatives at the points; refuse folds and what the marks do not allow."""
+    """Look at displacement and derivatives at the points.
+
+    Refuse folds and what the marks do not allow.
+    """
     jacobians = transform.jacobian(points)
     areas = jacobians[:, 0, 0] * jacobians[:, 1, 1] - jacobians[:, 0, 1] * jacobians[:, 1, 0]
     moved_um = np.linalg.norm(transform(points) - points, axis=1)
@@ -282,7 +302,10 @@ def _search(
     first_um: Pair,
     options: RefineOptions,
 ) -> Affine | FreeForm:
-    """Climb from the identity. The library works in pixels (of the columns' axis), so its steps are pixels too."""
+    """Climb from the identity.
+
+    The library works in pixels (of the columns' axis), so its steps are pixels too.
+    """
     unit_um = pixel_um[1]
     images: list[Any] = []
     for values in (*maps, *masks):
@@ -353,7 +376,10 @@ def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affi
 def _prepare(
     linked: Floats, image: Floats, valid: Bools | None, pixel_um: Pair, grid_um: float
 ) -> tuple[list[Floats], list[Bools], Pair, Pair]:
-    """Both maps, averaged and filled with their means, their masks, the pixel, and (x, y) of the first one's middle."""
+    """Give both maps, averaged and filled with their means.
+
+    Also gives their masks, the pixel, and (x, y) of the first one's middle.
+    """
     if (
         linked.ndim != 2
         or linked.shape != image.shape

@@ -25,10 +25,12 @@ _ARRAYS = ("moving", "fixed", "information", "robust_weights", "residuals_um")
 class FittedTransform:
     """A transformation fitted to marks, and its errors.
 
-    Call it with points ``(..., 2)``, ``(x, y)`` in um of the moving frame to get points of the fixed frame.
+    Call it with points ``(..., 2)``, ``(x, y)`` in um of the moving frame to get points of the
+    fixed frame.
     """
 
-    #: Moving to fixed, with ``scale``, ``rotation_rad``, ``shift_um`` and ``mirrored`` of the closest similarity.
+    # : Moving to fixed, with ``scale``, ``rotation_rad``, ``shift_um`` and ``mirrored`` of the
+    # closest similarity.
     transform: Transform
     model: str  #: its name; ``rigid`` keeps scale 1
     moving: Floats  #: the marks as given, (n, 2) in um
@@ -39,14 +41,15 @@ class FittedTransform:
     robust_weights: Floats
     residuals_um: Floats  #: (n, 2), ``fixed - transform(moving)`` in the fixed frame
     sentence: str  #: model and residuals
-    #: Marks left out or given twice, few marks, a model that leaves structure, a scale far from 1, strain above 1 %.
+    # : Marks left out or given twice, few marks, a model that leaves structure, a scale far from 1,
+    # strain above 1 %.
     warnings: tuple[str, ...] = ()
     # : error that all marks share and none of them shows, rms, where it is known.
     shared_um: float = 0.0
     likely: DeviationField | None = None  # where it is there already
 
     def __post_init__(self) -> None:
-        """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
+        """Lay the arrays out as read back from a file, so that sums have the same bytes."""
         for name in _ARRAYS:
             object.__setattr__(
                 self, name, np.array(getattr(self, name), dtype=np.float64, order="C")
@@ -58,7 +61,10 @@ class FittedTransform:
 
     @property
     def inverse(self) -> Callable[[ArrayLike], Floats]:
-        """The transformation from the fixed to the moving frame; that of a spline is NaN where it finds no point."""
+        """The transformation from the fixed to the moving frame.
+
+        That of a spline is NaN where it finds no point.
+        """
         return self.transform.inverse
 
     @property
@@ -68,7 +74,7 @@ class FittedTransform:
 
     @property
     def weights(self) -> Floats:
-        """Relative weights of the marks in the fit, shape (n,): half the trace of their information."""
+        """Relative weights (n,) of the marks in the fit: half the trace of their information."""
         return self._pairs.weights
 
     @property
@@ -84,9 +90,9 @@ class FittedTransform:
     def leave_one_out_um(self) -> Floats:
         """Distance by which the fit to all other marks misses each mark, shape (n,), in um.
 
-        NaN where the others fix no transformation. All weights, also the robust ones, the smoothing of a spline and
-        the probabilities of an averaged map stay as they are in the fit to all marks. A mark that is left out of the
-        fit is missed by its residual.
+        NaN where the others fix no transformation. All weights, also the robust ones, the smoothing
+        of a spline and the probabilities of an averaged map stay as they are in the fit to all
+        marks. A mark that is left out of the fit is missed by its residual.
         """
         missed, used = self.residuals_um.copy(), self.weights > 0
         missed[used] = MODELS[self.model].left_out(
@@ -100,7 +106,7 @@ class FittedTransform:
         return weighted_rms(self.leave_one_out_um, self.weights)
 
     def agreement(self, labels: Sequence[str]) -> str:
-        """State in a sentence how many marks agree, how well, and which were left out because they do not.
+        """State in a sentence how many marks agree, how well, and which do not and were left out.
 
         ``labels`` (n,) are those of all marks; "agree to" is the leave-one-out error, rms.
         """
@@ -128,15 +134,17 @@ class FittedTransform:
 
     @property
     def rms_um(self) -> float:
-        """Root mean square length of the residuals, weighted, in um (fiducial registration error)."""
+        """Weighted rms length of the residuals, in um (fiducial registration error)."""
         return weighted_rms(np.linalg.norm(self.residuals_um, axis=1), self.weights)
 
     @property
     def localisation_error_um(self) -> float:
-        """Error of one pair of marks, rms in the plane, in um; NaN where the marks leave no residual.
+        """Error of one pair of marks, rms in the plane, in um.
 
-        With weights, that of a pair of mean weight. It is what is left when all deviations that the marks make likely
-        are taken off, and does not depend on the model.
+        NaN where the marks leave no residual.
+
+        With weights, that of a pair of mean weight. It is what is left when all deviations that the
+        marks make likely are taken off, and does not depend on the model.
         """
         used = self.weights > 0
         return float(
@@ -153,22 +161,24 @@ class FittedTransform:
         Parameters
         ----------
         points : array-like, shape (..., 2), in um
-            Places ``(x, y)`` in the moving frame, as taken by the transformation itself. For places of the fixed frame
-            pass ``fit.inverse(points)``.
+            Places ``(x, y)`` in the moving frame, as taken by the transformation itself. For places
+            of the fixed frame pass ``fit.inverse(points)``.
 
         Returns
         -------
         ndarray, shape (...), in um
-            Root mean square error. All NaN where the marks fit exactly by their number, so that their error is unknown.
+            Root mean square error. All NaN where the marks fit exactly by their number, so that
+            their error is unknown.
 
         Notes
         -----
-        The map is taken for a similarity with affine and smooth deviations whose sizes and lengths the marks make
-        likely (:mod:`planish.register.field`); the error is the rms distance of such maps from the fitted one. So it
-        holds what a model with too few parameters leaves. Where the marks show no deviation it is close to that of a
-        similarity, ``FLE**2 / n * (1 + d**2 / f**2)`` with the distance ``d`` from the centroid of the marks, their rms
-        distance ``f`` from it, and ``FLE`` from `localisation_error_um` (Fitzpatrick and West 2001). With fewer than 6
-        marks it is itself known to no better than about 40 %.
+        The map is taken for a similarity with affine and smooth deviations whose sizes and lengths
+        the marks make likely (:mod:`planish.register.field`); the error is the rms distance of such
+        maps from the fitted one. So it holds what a model with too few parameters leaves. Where the
+        marks show no deviation it is close to that of a similarity, ``FLE**2 / n * (1 + d**2 /
+        f**2)`` with the distance ``d`` from the centroid of the marks, their rms distance ``f``
+        from it, and ``FLE`` from `localisation_error_um` (Fitzpatrick and West 2001). With fewer
+        than 6 marks it is itself known to no better than about 40 %.
 
         References
         ----------
@@ -182,7 +192,7 @@ class FittedTransform:
         return np.sqrt(squares_um2).reshape(points_um.shape[:-1])
 
     def refitted(self, moving: ArrayLike) -> Transform:
-        """Fit the same pairs with other moving places, as another flattening of the sheet puts them.
+        """Fit the same pairs with other moving places, from another flattening of the sheet.
 
         Parameters
         ----------
@@ -192,7 +202,8 @@ class FittedTransform:
         Returns
         -------
         Transform
-            Of the same model; weights, smoothing and all else that the first fit chose stay as they are.
+            Of the same model; weights, smoothing and all else that the first fit chose stay as they
+            are.
 
         Raises
         ------
@@ -209,7 +220,10 @@ class FittedTransform:
         return MODELS[self.model].refit(pairs, self.transform, self.field)
 
     def jacobian(self, points: ArrayLike) -> Floats:
-        """Derivatives of the image at points ``(..., 2)`` of the moving frame: ``(..., 2, 2)``, a row for x and y."""
+        """Derivatives of the image at points ``(..., 2)`` of the moving frame.
+
+        The shape is ``(..., 2, 2)``: a row for x and y of the image.
+        """
         return self.transform.jacobian(points)
 
     @cached_property
@@ -220,9 +234,12 @@ class FittedTransform:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chain:
-    """Fitted transformations from a map over others to a reference, composed: nothing is resampled twice.
+    """Fitted transformations from a map over others to a reference, composed.
 
-    Call it with points ``(..., 2)``, ``(x, y)`` in um of the first map to get points of the last one.
+    Nothing is resampled twice.
+
+    Call it with points ``(..., 2)``, ``(x, y)`` in um of the first map to get points of the last
+    one.
 
     Raises
     ------
@@ -247,7 +264,10 @@ class Chain:
         return points_um
 
     def inverse(self, points: ArrayLike) -> Floats:
-        """Take points ``(..., 2)`` of the last map back to the first one, in um; NaN where a link finds no point."""
+        """Take points ``(..., 2)`` of the last map back to the first one, in um.
+
+        NaN where a link finds no point.
+        """
         points_um = np.asarray(points, dtype=np.float64)
         for fit in reversed(self.fits):
             points_um = fit.inverse(points_um)
@@ -277,10 +297,12 @@ class Chain:
         return sum(fit.mirrored for fit in self.fits) % 2 == 1
 
     def expected_error_um(self, points: ArrayLike) -> Floats:
-        """Expected distance, rms, between the composed and the true image of points ``(..., 2)`` of the first map.
+        """Expected rms distance between the composed and the true image of points.
 
-        In um of the last map: the errors of the links are independent, and each is carried on by the links after it,
-        with the mean square of their stretch.
+        The points ``(..., 2)`` are of the first map.
+
+        In um of the last map: the errors of the links are independent, and each is carried on by
+        the links after it, with the mean square of their stretch.
         """
         points_um = np.asarray(points, dtype=np.float64)
         square_errors = np.zeros(points_um.shape[:-1])
@@ -297,8 +319,8 @@ FORMAT = "planish registration 1"
 def registration_to_json(fit: FittedTransform) -> dict[str, Any]:
     """Return a fit as numbers, texts, lists and dictionaries, for :func:`json.dump`; lengths in um.
 
-    Besides what `registration_from_json` needs it holds numbers to read: scale, rotation, errors of every mark. NaN
-    becomes None.
+    Besides what `registration_from_json` needs it holds numbers to read: scale, rotation, errors of
+    every mark. NaN becomes None.
     """
     t = fit.transform
     return {

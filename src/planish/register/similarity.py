@@ -1,4 +1,7 @@
-"""Transformations of few parameters: rotation, shift, no scale, one, or one in each direction; projective."""
+"""Transformations of few parameters: rotation, shift, no scale, one, or one in each direction.
+
+Projective.
+"""
 
 from dataclasses import replace
 
@@ -23,7 +26,10 @@ class RigidModel(ParametricModel):
     parameters, least = 3, 2
 
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Similarity:
-        """Closed form for equal weights of both axes; Gauss-Newton on the angle from there for covariances."""
+        """Closed form for equal weights of both axes.
+
+        Gauss-Newton on the angle from there for covariances.
+        """
         z_mean, middle, product, square = _sums(pairs, mirrored)
         turn = product / abs(product)
         if not pairs.isotropic:
@@ -99,7 +105,10 @@ class SimilarityModel(ParametricModel):
 
 
 class AffineModel(ParametricModel):
-    """Rotation, shift, and another scale in every direction: humidity, embedding, a camera's pixel aspect."""
+    """Rotation, shift, and another scale in every direction.
+
+    For humidity, embedding, and a camera's pixel aspect.
+    """
 
     name, words = "affine", "affine"
     purpose = (
@@ -129,7 +138,10 @@ class AffineModel(ParametricModel):
 
 
 def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, float]:
-    """Weighted means of both sides as complex numbers, and means of ``conj(z) w`` and ``|z|**2`` around them."""
+    """Weighted means of both sides, and means of ``conj(z) w`` and ``|z|**2`` around them.
+
+    Both sides are taken as complex numbers.
+    """
     share = pairs.share
     z, w = as_complex(pairs.moving, mirrored), as_complex(pairs.fixed, False)
     z_mean, w_mean = share @ z, share @ w
@@ -148,14 +160,20 @@ def _refuse_no_rotation(product: complex, square: float) -> None:
 
 
 def similarity_columns(z: NDArray[np.complex128], *, only_turn: bool = False) -> Floats:
-    """Derivatives of ``beta + alpha z`` by the parts of beta and alpha (or of the turn alone): (..., 2, 4 or 3)."""
+    """Derivatives of ``beta + alpha z`` by the parts of beta and alpha: (..., 2, 4 or 3).
+
+    The turn alone may take the place of alpha.
+    """
     columns = [np.ones(z.shape), np.full(z.shape, 1j), *([] if only_turn else [z]), 1j * z]
     design = np.stack(columns, axis=-1)
     return np.stack([design.real, design.imag], axis=-2)
 
 
 def affine_columns(scaled_points: Floats) -> Floats:
-    """Derivatives of an affine map of points (..., 2) by shift and linear part, row by row: (..., 2, 6)."""
+    """Derivatives of an affine map of points (..., 2) by shift and linear part: (..., 2, 6).
+
+    The linear part goes row by row.
+    """
     design = np.zeros((*scaled_points.shape[:-1], 2, 6))
     design[..., 0, 0] = design[..., 1, 1] = 1.0
     design[..., 0, 2:4] = design[..., 1, 4:6] = scaled_points
@@ -171,7 +189,10 @@ class ProjectiveModel(ParametricModel):
     parameters, least = 8, 4
 
     def fit(self, pairs: Pairs, _mirrored: bool, /) -> Projective:
-        """Normalised direct linear transformation, then Gauss-Newton on the distances in the fixed map."""
+        """Fit by a normalised direct linear transformation, then by Gauss-Newton.
+
+        Gauss-Newton acts on the distances in the fixed map.
+        """
         middle, size = pairs.frame()
         refuse_line(pairs, self.name)
         share = pairs.share

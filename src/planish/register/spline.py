@@ -1,7 +1,8 @@
 """The smoothing thin-plate spline as a transformation, solved for every smoothing at once.
 
-``scipy.interpolate.RBFInterpolator`` solves the same equations for one smoothing, and gives neither derivatives nor the
-errors of marks left out, nor takes covariances. One eigenvalue decomposition gives all (Wahba 1990, chapters 1 and 4).
+``scipy.interpolate.RBFInterpolator`` solves the same equations for one smoothing, and gives neither
+derivatives nor the errors of marks left out, nor takes covariances. One eigenvalue decomposition
+gives all (Wahba 1990, chapters 1 and 4).
 """
 
 from collections.abc import Iterator
@@ -43,8 +44,8 @@ class ThinPlate(Bent):
     everywhere: ClassVar[bool] = False
 
     bend: Floats  # (m, 2), in um: coefficients of the kernels
-    # The parameter lambda of the spline in um**2: 0 goes through all marks, infinity is affine. It is what
-    # ``scipy.interpolate.RBFInterpolator`` calls ``smoothing``.
+    # The parameter lambda of the spline in um**2: 0 goes through all marks, infinity is affine. It
+    # is what ``scipy.interpolate.RBFInterpolator`` calls ``smoothing``.
     smoothing_um2: float
 
     def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:
@@ -88,8 +89,9 @@ class SplineModel(Model):
 class Smoothing:
     """The spline system of a set of marks.
 
-    Whitened, the fixed marks are ``y = T b + K c + error`` with the affine part ``T``. Everything is expressed in the
-    eigenvectors ``V`` and eigenvalues of ``K`` where ``T`` is projected out; smoothings are in um**2.
+    Whitened, the fixed marks are ``y = T b + K c + error`` with the affine part ``T``. Everything
+    is expressed in the eigenvectors ``V`` and eigenvalues of ``K`` where ``T`` is projected out;
+    smoothings are in um**2.
     """
 
     def __init__(self, pairs: Pairs) -> None:
@@ -125,9 +127,12 @@ class Smoothing:
         self.z = self.vectors.T @ self.y
 
     def missed(self, smoothing_um2: float) -> Floats:
-        """Whitened errors (n, 2) of the marks left out at a fixed smoothing; NaN where the others lie on one line."""
-        # The share of each eigenvector that the spline leaves in the residuals, times a factor that keeps the numbers
-        # near 1 also for an interpolating spline, which leaves nothing.
+        """Whitened errors (n, 2) of the marks left out at a fixed smoothing.
+
+        NaN where the others lie on one line.
+        """
+        # The share of each eigenvector that the spline leaves in the residuals, times a factor that
+        # keeps the numbers near 1 also for an interpolating spline, which leaves nothing.
         smoothing, residual_shares = smoothing_um2 / self.size**2, np.ones_like(self.eigenvalues)
         if np.isfinite(smoothing):
             residual_shares = (float(np.median(self.eigenvalues)) + smoothing) / (
@@ -140,7 +145,10 @@ class Smoothing:
         return (inverse_of(blocks) @ (rows @ (residual_shares * self.z))[..., None])[..., 0]
 
     def choose(self) -> float:
-        """Return the smoothing with the least sum of squares of marks left out; the smoothest among equals."""
+        """Return the smoothing with the least sum of squares of marks left out.
+
+        The smoothest among equals.
+        """
         from scipy.optimize import minimize_scalar
 
         def cost(smoothing_um2: float) -> float:

@@ -1,4 +1,7 @@
-"""The scale of the heights of a sheet that the marks ask for: flattened anew at several scales, it has to fit them."""
+"""The scale of the heights of a sheet that the marks ask for.
+
+Flattened anew at several scales, the sheet has to fit the marks.
+"""
 
 from itertools import product
 
@@ -63,7 +66,7 @@ class ThroughScale(ResultModel):
 def find_through_scale(
     scales: Floats, places: Floats, pairs: Pairs, *, mirrored: bool
 ) -> ThroughScale | None:
-    """Estimate the scale of heights at which a similarity brings the moving to the fixed marks best.
+    """Estimate the scale of heights at which a similarity best brings moving to fixed marks.
 
     Parameters
     ----------
@@ -83,9 +86,10 @@ def find_through_scale(
 
     Notes
     -----
-    Generalised least squares. Beside the errors of the marks, two things may look like a scale: a stretch of the paper,
-    with the standard deviation that paper has, and smooth displacements, whose variance is found by restricted maximum
-    likelihood (Rasmussen and Williams 2006, section 2.7); what is not certain about variances is averaged over.
+    Generalised least squares. Beside the errors of the marks, two things may look like a scale: a
+    stretch of the paper, with the standard deviation that paper has, and smooth displacements,
+    whose variance is found by restricted maximum likelihood (Rasmussen and Williams 2006, section
+    2.7); what is not certain about variances is averaged over.
     """
     rows = np.flatnonzero((pairs.weights > 0) & np.isfinite(places).all(axis=(0, 2)))
     if rows.size > _MOST:
@@ -133,7 +137,10 @@ def find_through_scale(
 
 
 def _without_any(designs: Floats, target: Floats, precision: Floats, one_index: int) -> float:
-    """Evidence against a scale of 1, the mark left out that speaks most for it; of four marks none can be spared."""
+    """Evidence against a scale of 1, the mark left out that speaks most for it.
+
+    Of four marks none can be spared.
+    """
     covariance = np.linalg.inv(precision)
     mark_rows = np.arange(len(target))
     evidences: list[float] = []
@@ -146,14 +153,20 @@ def _without_any(designs: Floats, target: Floats, precision: Floats, one_index: 
 
 
 def _centred(places: Floats, mirrored: bool) -> Floats:
-    """Derivatives of a similarity of points (m, n, 2), from their middle, by shift, stretch, turn: (m, n, 2, 4)."""
+    """Derivatives of a similarity of points (m, n, 2) by shift, stretch and turn: (m, n, 2, 4).
+
+    The points count from their middle.
+    """
     return similarity_columns(as_complex(places - places.mean(axis=1, keepdims=True), mirrored))
 
 
 def _solved(
     design: Floats, target: Floats, precision: NDArray[np.floating]
 ) -> tuple[Floats, Floats]:
-    """Generalised least squares for each design (m, n, 2, p): parameters (m, p) and rest in variances (m,)."""
+    """Solve generalised least squares for each design (m, n, 2, p).
+
+    Gives parameters (m, p) and rest in variances (m,).
+    """
     m, n, _, p = design.shape
     rows = np.moveaxis(design.reshape(m, 2 * n, p), 0, 1).reshape(2 * n, m * p)
     whitened = np.linalg.cholesky(precision).T @ np.concatenate(
@@ -176,7 +189,9 @@ def _solved(
 def _precisions(
     designs: Floats, target: Floats, pairs: Pairs, spread: float
 ) -> tuple[Floats, Floats]:
-    """Mean inverse covariance (2n, 2n) of the marks by restricted likelihood, without and with the strain of the paper.
+    """Mean inverse covariance (2n, 2n) of the marks by restricted likelihood.
+
+    Without and with the strain of the paper.
 
     A scale is one of the parameters that are free, so that what it explains is no variance.
     """
@@ -187,7 +202,8 @@ def _precisions(
     # Standard deviation of either part of a shear of the paper: a stretch of 0.14 %, rms.
     shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * 0.0005
     squares = np.sum((target[:, None] - target) ** 2, axis=-1) / spread**2
-    # Smooth displacements: their reach over the spread of the marks, and their variance over that of a mark.
+    # Smooth displacements: their reach over the spread of the marks, and their variance over that
+    # of a mark.
     lengths_ratios = product((0.5, 1.0), (1.0, 10.0, 100.0, 1000.0))
     field_covariances = [
         ratio * np.exp(-squares / (2 * length**2)) for length, ratio in lengths_ratios
@@ -216,7 +232,10 @@ def _precisions(
 
 
 def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[Floats, float]:
-    """Columns (n, 2, p) of the best similarity and of a change of the scale, where it is one; and the misfit left."""
+    """Columns (n, 2, p) of the best similarity and of a change of the scale, where it is one.
+
+    And the misfit left.
+    """
     parameters, misfit = _solved(designs, target, precision)
     best = int(np.argmin(misfit))
     slope = (designs[min(best + 1, len(designs) - 1)] - designs[max(best - 1, 0)]) @ parameters[
@@ -229,7 +248,10 @@ def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[F
 
 
 def _toward_one(fine_scales: Floats, misfit: Floats, best: int, one_index: int) -> float:
-    """Distance from the best scale towards 1 at which marks fit worse by one variance; infinite where nowhere."""
+    """Distance from the best scale towards 1 at which marks fit worse by one variance.
+
+    Infinite where nowhere.
+    """
     distances: list[float] = []
     for step in [1] * (best <= one_index) + [-1] * (best >= one_index):
         scales, excess = fine_scales[best::step], misfit[best::step] - misfit[best] - 1.0

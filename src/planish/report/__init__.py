@@ -1,8 +1,9 @@
 """From results to one HTML page that can be handed on, and to what a notebook shows.
 
-``page`` puts the sections of any run together: ``first`` the first page, ``maps``, ``relation``, ``diagnostics``,
-``registration``, ``flattening``, ``slices``, ``tables``. ``draw`` and ``colours`` make figures; ``summary``,
-``statement`` and ``text`` the words and numbers; ``series`` the page of a series.
+``page`` puts the sections of any run together: ``first`` the first page, ``maps``, ``relation``,
+``diagnostics``, ``registration``, ``flattening``, ``slices``, ``tables``. ``draw`` and ``colours``
+make figures; ``summary``, ``statement`` and ``text`` the words and numbers; ``series`` the page of
+a series.
 """
 
 import lazy_loader as lazy

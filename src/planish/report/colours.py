@@ -1,4 +1,7 @@
-"""Colours of maps: five perceptually ordered scales, limits from percentiles, and maps as small PNG or JPEG images."""
+"""Colours of maps.
+
+Five perceptually ordered scales, limits from percentiles, and maps as small PNG or JPEG images.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,10 @@ _SHADES = 255  # and one more for missing values
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Colour limits and the name of the colours between them; values beyond a limit have its colour."""
+    """Colour limits and the name of the colours between them.
+
+    Values beyond a limit have its colour.
+    """
 
     low: float
     high: float
@@ -76,9 +82,10 @@ def limits(
     symmetric: bool = False,
     low: float | None = None,
 ) -> Scale:
-    """Return a colour scale with limits from percentiles, so that single pixels do not flatten the rest.
+    """Return a colour scale with limits from percentiles, so single pixels do not flatten the rest.
 
-    ``percent`` of the values lie beyond either limit; ``symmetric`` puts zero in the middle, ``low`` is the lower one.
+    ``percent`` of the values lie beyond either limit; ``symmetric`` puts zero in the middle,
+    ``low`` is the lower one.
     """
     data = np.asarray(values, dtype=np.float64).ravel()
     data = data[np.isfinite(data)]

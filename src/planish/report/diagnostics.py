@@ -1,4 +1,7 @@
-"""Figures of what stands beside r: scale, distance, two measurements of one quantity, light over a coating."""
+"""Figures of what stands beside r.
+
+Scale, distance, two measurements of one quantity, light over a coating.
+"""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -40,7 +43,10 @@ def draw_scale(
     excluded_text: str = HOLES,
     registered: str = REGISTERED,
 ) -> Picture:
-    """Draw r against the size of points with the band that holds the whole curve, and coherence by octaves."""
+    """Draw r against the size of points, and coherence by octaves.
+
+    The band that holds the whole curve is drawn with r.
+    """
     canvas = Canvas(FULL, 360)
     _draw_size_curve(canvas, evidence)
     _draw_octaves(canvas, evidence)
@@ -157,7 +163,10 @@ def _draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> No
 def draw_variograms(
     evidence: EvidenceFacts, *, titles: Sequence[str], excluded_text: str = HOLES
 ) -> Picture:
-    """Draw the variogram of each of the two maps, with its sill and range; ``titles`` are those of the maps."""
+    """Draw the variogram of each of the two maps, with its sill and range.
+
+    ``titles`` are those of the maps.
+    """
     canvas = Canvas(FULL, 345)
     for left_px, curve, title in zip((_LEFT, _RIGHT), evidence.variograms, titles, strict=False):
         y_max = _ROOM * max(*curve.values, curve.sill, 1e-12)
@@ -315,7 +324,10 @@ def draw_kubelka_munk(
     excluded_text: str = HOLES,
     registered: str = REGISTERED,
 ) -> Picture:
-    """Draw the larger points with the straight line, and the curve with what its interval leaves open."""
+    """Draw the larger points with the straight line and the curve.
+
+    The curve is drawn with what its interval leaves open.
+    """
     unit_x = "g/m²" if evidence.a_map.startswith("coat_weight") else "µm"
     density = evidence.density_g_cm3 if curve.weight else None
     points, (row,), _, axis_labels = as_drawn(points, (row,), titles, (unit_x, ""), density)

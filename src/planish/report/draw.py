@@ -1,4 +1,7 @@
-"""What every figure is made of: SVG in CSS pixels, sharp and the same each time, with maps as images, bars, axes."""
+"""What every figure is made of.
+
+SVG in CSS pixels, sharp and the same each time, with maps as images, bars, axes.
+"""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,12 +34,16 @@ _TOP = 8.0  # above a map: half a line, for a number at the end of the colour ba
 _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 
 
-# Something that a figure shows as numbers, for those who plot it again: columns of one length, by their headings
+# Something that a figure shows as numbers, for those who plot it again: columns of one length, by
+# their headings
 Table = Mapping[str, Sequence[object]]
 
 
 def columns(rows: Iterable[object], fields: Mapping[str, str]) -> Table:
-    """Return fields of rows as the columns of a table, by their headings; what is not known is empty."""
+    """Return fields of rows as the columns of a table, by their headings.
+
+    What is not known is empty.
+    """
     return {
         heading: or_blank([getattr(row, name) for row in rows]) for heading, name in fields.items()
     }
@@ -49,7 +56,10 @@ def or_blank(values: Iterable[float | None]) -> list[object]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """A figure ready for the page: SVG, its size in CSS pixels, and what it shows with n, unit and mask."""
+    """A figure ready for the page.
+
+    SVG, its size in CSS pixels, and what it shows with n, unit and mask.
+    """
 
     svg: str
     width: float
@@ -61,7 +71,10 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class ShownMap:
-    """A map at most as fine as the figure that shows it, with its place in um (left, right, bottom, top)."""
+    """A map at most as fine as the figure that shows it, with its place in um.
+
+    The place is (left, right, bottom, top).
+    """
 
     values: Array
     extent: Extent
@@ -83,7 +96,10 @@ class ShownMap:
 
 
 class Axes:
-    """A rectangle of a figure with coordinates of its own: um, or the units of a plot; drawings end at its border."""
+    """A rectangle of a figure with coordinates of its own: um, or the units of a plot.
+
+    Drawings end at its border.
+    """
 
     def __init__(self, x: float, y: float, width: float, height: float, extent: Extent) -> None:
         self.x, self.y, self.width, self.height, self.extent = x, y, width, height, extent
@@ -104,7 +120,10 @@ class Axes:
         return (data - (x0, y1)) / (x1 - x0, y0 - y1) * (self.width, self.height)
 
     def image(self, shown: ShownMap, scale: Scale, *, missing: str = MISSING) -> None:
-        """Draw a map within a thin frame; what is missing is neutral grey. The scale bar says how large things are."""
+        """Draw a map within a thin frame; what is missing is neutral grey.
+
+        The scale bar says how large things are.
+        """
         self.shown, (left, right, bottom, top) = shown, shown.extent
         (x0, y0), (x1, y1) = self.place([(left, top), (right, bottom)])
         self._elements.append(_image((x0, y0, x1 - x0, y1 - y0), shown.values, scale, missing))
@@ -176,7 +195,10 @@ class Axes:
         halo: str = "",
         bold: bool = False,
     ) -> None:
-        """Write a text whose base line begins, ends or has its middle at a place, moved by some pixels."""
+        """Write a text whose base line begins, ends or has its middle at a place.
+
+        The place is moved by some pixels.
+        """
         x_px, y_px = (_n(v) for v in self.place((x, y))[0] + shift)
         attributes = ' font-weight="600"' if bold else ""
         attributes += f' text-anchor="{anchor}"' if anchor != "start" else ""
@@ -200,7 +222,10 @@ class Axes:
         width: float,
         halo: str = "white",
     ) -> None:
-        """Draw arrows that start at points and are as long as vectors (both (n, 2), in the units of the data)."""
+        """Draw arrows that start at points and are as long as vectors.
+
+        Both are (n, 2), in the units of the data.
+        """
         shafts, heads = "", ""
         ends = self.place(np.asarray(points) + np.asarray(vectors))
         for (x, y), (u, v) in zip(self.place(points), ends, strict=True):
@@ -220,7 +245,10 @@ class Axes:
                 )
 
     def contours(self, levels: Array, *, labels: bool = False, avoided: ArrayLike = ()) -> None:
-        """Draw contour lines of the map in white, with their values on request, away from some places."""
+        """Draw contour lines of the map in white.
+
+        On request with their values, away from some places.
+        """
         from contourpy import LineType, contour_generator
 
         shown, (left, right, bottom, top) = self.shown, self.shown.extent
@@ -335,7 +363,10 @@ class Canvas(Axes):
     def colour_bar(
         self, x: float, y: float, width: float, height: float, scale: Scale, *, log: bool = False
     ) -> None:
-        """Draw the colours of a scale with their values, upwards, or to the right where it is wider than high."""
+        """Draw the colours of a scale with their values.
+
+        Upwards, or to the right where it is wider than high.
+        """
         across, low, high = width > height, scale.low, scale.high
         shades = (
             np.linspace(low, high, 128)[None] if across else np.linspace(high, low, 128)[:, None]
@@ -359,7 +390,10 @@ class Canvas(Axes):
         log: bool = False,
         x_ticks: Ticks | None = None,
     ) -> None:
-        """Draw the left and lower axis with round numbers; ``log``: y in powers of ten; ``x_ticks``: places, texts."""
+        """Draw the left and lower axis with round numbers.
+
+        ``log``: y in powers of ten; ``x_ticks``: places, texts.
+        """
         x, bottom, (x0, x1, y0, y1) = axes.x, axes.y + axes.height, axes.extent
         self.line([(x, axes.y), (x, bottom), (x + axes.width, bottom)], colour=SOFT, width=0.8)
         y_ticks = _ticks(y0, y1, max_count=axes.height / 44, log=log)
@@ -387,7 +421,8 @@ class Canvas(Axes):
     def _tick(self, x: float, y: float, right: int, down: int, text: str) -> None:
         self.line([(x, y), (x + 3 * right, y + 3 * down)], colour=SOFT, width=0.8)
         anchor, half_px = "middle" if down else "start" if right > 0 else "end", 3.1 * len(text)
-        # A long number at the end of an axis stays within the figure, and is smaller where its margin is too narrow.
+        # A long number at the end of an axis stays within the figure, and is smaller where its
+        # margin is too narrow.
         x_px = min(max(x, half_px), self.width - half_px) if down else x + 6 * right
         room_px = x_px if right < 0 else self.width
         self.text(
@@ -408,7 +443,10 @@ class Canvas(Axes):
         *,
         has_y_ticks: bool = True,
     ) -> Axes:
-        """Draw a map with its axes in um below and, on request, to the left, where ``MARGIN`` is needed for them."""
+        """Draw a map with its axes in um.
+
+        Below and, on request, to the left, where ``MARGIN`` is needed for them.
+        """
         axes = self.axes(x, y, *box, shown.extent)
         axes.image(shown, scale)
         x0, x1, bottom, upper = shown.extent
@@ -438,7 +476,10 @@ class Canvas(Axes):
         scale: Scale,
         label: str,
     ) -> Axes:
-        """Put a map with its axes and scale bar, and a colour bar where there is a label, somewhere on the canvas."""
+        """Put a map with its axes and scale bar somewhere on the canvas.
+
+        With a colour bar where there is a label.
+        """
         x, y = x + MARGIN, y + _TOP
         axes = self.map_axes(x, y, box, shown, scale)
         self.draw_scale_row(axes, 3)
@@ -451,7 +492,10 @@ class Canvas(Axes):
     def picture(
         self, *, title: str, caption: str, data: Mapping[str, Table] | None = None
     ) -> Picture:
-        """Return the finished figure; ``data`` are tables of the numbers that it shows, by what they are."""
+        """Return the finished figure.
+
+        ``data`` are tables of the numbers that it shows, by what they are.
+        """
         view = f'viewBox="0 0 {_n(self.width)} {_n(self.height)}"'
         svg = self.svg(f'{view} role="img" aria-label="{escape(title)}" {_FONTS}')
         return Picture(
@@ -465,7 +509,10 @@ class Canvas(Axes):
 
 
 def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> ShownMap:
-    """Reduce a map with coordinates in um to axes so many pixels wide, by area means; rows may run upwards (height)."""
+    """Reduce a map with coordinates in um to axes so many pixels wide, by area means.
+
+    Rows may run upwards (height).
+    """
     data = np.asarray(values, dtype=np.float64)
     steps = (pitch(rows), pitch(cols))
     # Pixels of an image in one CSS pixel.
@@ -481,7 +528,10 @@ def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Sho
 def draw_map(
     values: Array, y: Array, x: Array, *, scale: Scale, label: str, width: float = HALF
 ) -> tuple[Canvas, Axes]:
-    """Draw a map (y, x) on half a page, or as wide as given, with its scale bar and, where labelled, its colour bar."""
+    """Draw a map (y, x) on half a page, or as wide as given.
+
+    With its scale bar and, where labelled, its colour bar.
+    """
     shown = reduced(values, y, x, width=width - MARGIN - BESIDE)
     box = shown.fit(width - MARGIN - BESIDE, 480.0 if width <= HALF else 640.0)
     canvas = Canvas(width, panel_height(box, label) + _TOP + BELOW + 26)
@@ -489,7 +539,10 @@ def draw_map(
 
 
 def panel_height(box: tuple[float, float], label: str) -> float:
-    """Return the height of a panel without its scale bar: a colour bar needs room for its numbers."""
+    """Return the height of a panel without its scale bar.
+
+    A colour bar needs room for its numbers.
+    """
     return max(box[1], _LOWEST_BAR if label else 0.0)
 
 
@@ -536,7 +589,10 @@ def multiples(low: float, high: float, step: float) -> Array:
 
 
 def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float]:
-    """Return round levels between two values, and their step; none where the two are next to the same."""
+    """Return round levels between two values, and their step.
+
+    None where the two are next to the same.
+    """
     if not high - low > 1e-6 * max(abs(low), abs(high)):
         return np.empty(0), 0.0
     step = round_step((high - low) / steps)
@@ -544,7 +600,10 @@ def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float
 
 
 def _ticks(low: float, high: float, *, max_count: float, log: bool = False) -> Ticks:
-    """Return the places of ticks and what is written there; ``log``: the places are powers of ten."""
+    """Return the places of ticks and what is written there.
+
+    ``log``: the places are powers of ten.
+    """
     if log:
         powers = np.arange(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1.0)
         return [(float(k), f"{10.0**k:g}") for k in powers[:: max(1, math.ceil(len(powers) / 6))]]

@@ -1,4 +1,7 @@
-"""The first page: the maps that lead side by side on one mask, their larger points, and what would make it certain."""
+"""The first page: the maps that lead, side by side on one mask, and their larger points.
+
+Also what would make it certain.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,10 @@ if TYPE_CHECKING:
 
 
 def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Picture]:
-    """Draw the two maps that lead, on one grid and mask, and larger points of ``pairs``; none that is withheld."""
+    """Draw the two maps that lead, on one grid and mask, and larger points of ``pairs``.
+
+    None that is withheld.
+    """
     rows = lead_pair(run_maps.results)
     shown_pair = MapPair.of(run_maps.drawn, rows) if rows else None
     if shown_pair is None:
@@ -67,7 +73,10 @@ def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Pict
 def _draw_map(
     data: xr.DataArray, colour_values: Array, *, layer: str, excluded_text: str
 ) -> Picture:
-    """Draw a map on a third of the page, with its colours below, which span those of ``colour_values``."""
+    """Draw a map on a third of the page, with its colours below.
+
+    The colours span those of ``colour_values``.
+    """
     x, map_px = data["x"].values, THIRD - MARGIN - 12
     shown = reduced(data.values, data["y"].values, x, width=map_px)
     map_size = shown.fit(map_px, 330.0)
@@ -88,7 +97,10 @@ def _draw_map(
 
 
 def recommendations(results: Results) -> list[tuple[str, Check | None]]:
-    """Say in one or two sentences what would make the results more certain, each with the check whose advice it is."""
+    """Say in one or two sentences what would make the results more certain.
+
+    Each comes with the check whose advice it is.
+    """
     advice: list[tuple[str, Check | None]] = [
         (f"{capital(check.name)}: {capital(advice_text)}", check)
         for check in (*results.checks_in("fail"), *results.checks_in("look"))
@@ -115,7 +127,10 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
 
 
 def operator_notes(results: Results) -> list[str]:
-    """What the next run can be given, by the options of the command line, which stand nowhere else on the page."""
+    """Return what the next run can be given, by the options of the command line.
+
+    These stand nowhere else on the page.
+    """
     notes = [
         f"{capital(check.name)}:"
         f" {typeset(check.advice if names_option(check.advice) else check.sentence)}"

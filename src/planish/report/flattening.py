@@ -1,4 +1,7 @@
-"""How the sheet was warped and what flattened it: height, displacement, strain, developability, convergence."""
+"""How the sheet was warped and what flattened it.
+
+Height, displacement, strain, developability, convergence.
+"""
 
 import numpy as np
 import xarray as xr
@@ -84,7 +87,10 @@ def _draw_displacement(flat: xr.Dataset) -> draw.Picture:
 
 
 def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
-    """Draw what flattening did to each cell of the mesh (row, col): change of area, shear, and the largest stretch."""
+    """Draw what flattening did to each cell of the mesh (row, col).
+
+    Change of area, shear, and the largest stretch.
+    """
     stretches = [np.abs(strain[f"stretch_{extreme}"].values - 1) for extreme in ("max", "min")]
     area_change, largest_strain = (
         100 * (strain["area_ratio"].values - 1),

@@ -1,4 +1,7 @@
-"""Maps of a run by layer: with their distributions, two side by side, and thin regions outlined on the image."""
+"""Maps of a run by layer.
+
+With their distributions, two side by side, and thin regions outlined on the image.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -28,11 +31,15 @@ class RunMaps:
     """Results of a run with its maps."""
 
     results: Results
-    # ``layers/NAME`` or ``linked``, and ``layers/NAME/PART`` or, where there is one sheet, ``PART``.
+    # ``layers/NAME`` or ``linked``, and ``layers/NAME/PART`` or, where there is one sheet,
+    # ``PART``.
     data: Mapping[str, xr.Dataset]
 
     def part(self, layer: LayerFacts, name: str) -> xr.Dataset | None:
-        """Return what was measured of a sheet: ``surfaces``, ``flat``, ``strain``, ``maps``, ``slices``."""
+        """Return what was measured of a sheet.
+
+        That is ``surfaces``, ``flat``, ``strain``, ``maps`` or ``slices``.
+        """
         is_only_sheet = (
             layer.sheet is not None
             and sum(other.sheet is not None for other in self.results.layers) == 1
@@ -47,12 +54,18 @@ class RunMaps:
 
     @cached_property
     def linked(self) -> dict[str, xr.Dataset]:
-        """Maps of each layer on the pixels of the reference, by the layer's name; empty without a link."""
+        """Maps of each layer on the pixels of the reference, by the layer's name.
+
+        Empty without a link.
+        """
         return self._by_layer(self.data.get)
 
     @cached_property
     def drawn(self) -> dict[str, xr.Dataset]:
-        """The same for figures: of large maps a smaller copy of at most 4 million pixels, where the run has one."""
+        """The same for figures, with a smaller copy of large maps where the run has one.
+
+        The copy has at most 4 million pixels.
+        """
         return self._by_layer(self._smaller)
 
     def _by_layer(self, read_group: Callable[[str], xr.Dataset | None]) -> dict[str, xr.Dataset]:
@@ -108,10 +121,12 @@ def draw_maps(
     rim_um: float,
     lead_only: bool = False,
 ) -> list[draw.Picture]:
-    """Draw every property that has values, the headline first and large; ``rim_um`` around holes is left out.
+    """Draw every property that has values, the headline first and large.
 
-    ``lead_only``: the first alone, for the first page. Mean and standard deviation are those of ``facts``, over the
-    columns of the volume, as everywhere on the page.
+    ``rim_um`` around holes is left out.
+
+    ``lead_only``: the first alone, for the first page. Mean and standard deviation are those of
+    ``facts``, over the columns of the volume, as everywhere on the page.
     """
     names = [name for name in facts if name in maps and bool(np.isfinite(maps[name].values).any())]
     names.sort(key=lambda name: name != headline)
@@ -186,7 +201,10 @@ def draw_side_by_side(
     same_scale: bool,
     excluded_text: str = HOLES,
 ) -> draw.Picture:
-    """Draw two maps (y, x) side by side, NaN where not valid; ``excluded_text`` says in words what masks leave out."""
+    """Draw two maps (y, x) side by side, NaN where not valid.
+
+    ``excluded_text`` says in words what masks leave out.
+    """
     y, x, map_px = maps[0]["y"].values, maps[0]["x"].values, draw.HALF - draw.MARGIN - draw.BESIDE
     shown_maps = [draw.reduced(data.values, y, x, width=map_px) for data in maps]
     map_size = shown_maps[0].fit(map_px, 480.0)
@@ -206,13 +224,13 @@ def draw_side_by_side(
             label=label_of(data),
         )
     titles, units = [in_words(title_of(m)) for m in maps], [unit_of(m) or "none" for m in maps]
+    scale_text = "Both have the same" if same_scale else "Each has its own"
     return canvas.picture(
         title=f"{layers[0]} on the pixels of {layers[1]}",
         caption=(
             f"Left, {titles[0]} of {layers[0]}; right, {titles[1]} of {layers[1]}, at the same"
             " places."
-            f" {'Both have the same colour scale' if same_scale else 'Each has its own colour scale'},"
-            " from the 1st to the 99th percentile. n ="
+            f" {scale_text} colour scale, from the 1st to the 99th percentile. n ="
             f" {' and '.join(draw.n_of(m.values) for m in maps)} pixels of {draw.pixel_of(x)};"
             f" units: {' and '.join(units)}; mask: measured, without {excluded_text}."
         ),
@@ -241,7 +259,10 @@ def _draw_histogram(
 def draw_outlines(
     linked: xr.Dataset, *, name: str, thin_um: float, excluded_text: str = HOLES
 ) -> list[draw.Picture]:
-    """Draw property and image, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6)."""
+    """Draw property and image, and the image with thin regions outlined (Hirn et al.
+
+    2009, Fig. 6).
+    """
     y, x, valid = linked["y"].values, linked["x"].values, linked["valid"].values.astype(bool)
     ground = ground_of(linked["image"], layer="image", valid=valid)
     values = np.where(valid, linked[name].values.astype(np.float64), np.nan)

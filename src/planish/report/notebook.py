@@ -39,9 +39,10 @@ def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None 
         f" {escape(typeset(f'{check.sentence} {check.advice}'))}</li>"
         for check in results.checks_in("fail", "look", "unknown")
     )
+    list_of_checks = f"<ul>{check_items}</ul>" if check_items else ""
     return (
         f'<div style="max-width:72ch"><p>{escape(sentence)}</p><table>{rows}</table>'
-        f"<p>{escape(check_summary(results))}</p>{f'<ul>{check_items}</ul>' if check_items else ''}</div>"
+        f"<p>{escape(check_summary(results))}</p>{list_of_checks}</div>"
     )
 
 

@@ -1,4 +1,7 @@
-"""One page from one run, whatever was linked: a section appears where there is something to show."""
+"""One page from one run, whatever was linked.
+
+A section appears where there is something to show.
+"""
 
 from __future__ import annotations
 
@@ -65,11 +68,13 @@ def write_report(
     run : Run, optional
         A run; or its parts one by one:
     groups : mapping of name to Dataset
-        Of each sheet that was measured ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u) and
-        ``slices``, as ``layers/NAME/surfaces`` or, where there is one sheet, ``surfaces``. After a link the maps on the
-        pixels of the reference (y, x): ``layers/NAME``, or ``linked`` of a sheet and an image.
+        Of each sheet that was measured ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col),
+        ``maps`` (v, u) and ``slices``, as ``layers/NAME/surfaces`` or, where there is one sheet,
+        ``surfaces``. After a link the maps on the pixels of the reference (y, x): ``layers/NAME``,
+        or ``linked`` of a sheet and an image.
     marks : mapping of name to Dataset (mark)
-        Pairs of marks, with residuals, of each layer but the reference, by its name; ``fixed_*`` in its own reference.
+        Pairs of marks, with residuals, of each layer but the reference, by its name; ``fixed_*`` in
+        its own reference.
     results : Results
     figures : path, optional
         Folder to make for the figures, each as SVG and the numbers that it shows as CSV.
@@ -125,7 +130,7 @@ def write_report(
 def render_report(
     groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results
 ) -> tuple[str, list[Picture]]:
-    """Return the page of :func:`write_report` as text, and its figures in the order in which it shows them."""
+    """Return the page of :func:`write_report` as text, and its figures in the order shown."""
     run_maps, pictures = maps.RunMaps(results, groups), list[Picture]()
 
     def numbered(picture: Picture) -> int:
@@ -171,7 +176,10 @@ def report_template() -> Template:
 
 
 def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] | None:
-    """Draw all that is shown of a sheet; None for an image, and for a sheet whose groups are elsewhere."""
+    """Draw all that is shown of a sheet.
+
+    None for an image, and for a sheet whose groups are elsewhere.
+    """
     facts = layer.sheet
     sheet_data = {
         name: part_data
@@ -270,7 +278,10 @@ def _registration_pictures(
     results: Results,
     map_texts: tuple[str, str],
 ) -> list[Picture]:
-    """Draw a layer's residuals, expected error and lags of tiles; ``map_texts``: its map and the reference's."""
+    """Draw a layer's residuals, expected error and lags of tiles.
+
+    ``map_texts``: its map and the reference's.
+    """
     reference_layer, has_two_layers = results.reference, len(results.layers) == 2
     hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))) / 2)
     has_window = "valid" in layer_maps and reference_layer.kind == "image"
@@ -317,7 +328,10 @@ def _registration_pictures(
 
 
 def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
-    """Give the pairs of maps that stand for two layers, and all maps of the same quantity, where both are at hand."""
+    """Give the pairs of maps that stand for two layers, and all maps of the same quantity.
+
+    Only where both are at hand.
+    """
     results, pairs = run_maps.results, dict[summary.PairKey, MapPair]()
     headlines = {(layer.name, layer.headline) for layer in results.layers}
     for pair_rows in summary.by_pair(results):

@@ -1,4 +1,7 @@
-"""How to read the r that leads: what it explains, how high errors would let it be, and which checks bear on it."""
+"""How to read the r that leads.
+
+What it explains, how high errors would let it be, and which checks bear on it.
+"""
 
 import math
 
@@ -11,14 +14,18 @@ from planish.report.statement import r2_limits
 from planish.report.summary import key_of, lead_pair
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
-# Share of what image and sheet have in common that needs the slopes. On synthetic sheets with less, no displacement
-# raises r of 100 um points by 0.005; at 0.56 to 0.71, one of 30 um raises it by 0.03 to 0.1: tests/test_side_light.py.
+# Share of what image and sheet have in common that needs the slopes. On synthetic sheets with less,
+# no displacement raises r of 100 um points by 0.005; at 0.56 to 0.71, one of 30 um raises it by
+# 0.03 to 0.1: tests/test_side_light.py.
 SIDE_LIGHT = 0.25
 _ABOVE_ERROR = 3.0  # times the expected error: a lag beyond that is more than the marks allow
 
 
 def reading(results: Results) -> list[str]:
-    """Say how strong the r that leads is, and which checks bear on it; nothing where no r leads or it is withheld."""
+    """Say how strong the r that leads is, and which checks bear on it.
+
+    Nothing where no r leads or it is withheld.
+    """
     rows = lead_pair(results)
     row = largest(rows) if rows else None
     if row is None or row.trust == "withheld" or not is_known(row.r2):
@@ -75,7 +82,10 @@ def _short_waves_text(row: CorrelationRow, evidence: EvidenceFacts | None) -> st
 
 
 def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) -> list[str]:
-    """Reconcile side light, the lag of the largest r and that with slopes allowed for; then the strain."""
+    """Reconcile side light, the lag of the largest r and that with slopes allowed for.
+
+    Then the strain.
+    """
     registration = None if moving is None else moving.registration
     lag = None if registration is None else registration.lag
     texts: list[str] = []

@@ -1,4 +1,7 @@
-"""Marks on what they belong to: residuals, expected error, and where the maps themselves lie against each other."""
+"""Marks on what they belong to.
+
+Residuals, expected error, and where the maps themselves lie against each other.
+"""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +27,10 @@ _BLANK = 64  # pixels across a ground that shows nothing
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """A picture to draw on: values in grey, the border of another layer, what it is, and the words for a caption."""
+    """A picture to draw on.
+
+    Values in grey, the border of another layer, what it is, and the words for a caption.
+    """
 
     values: Array
     y: Array
@@ -36,7 +42,10 @@ class Ground:
     edge_of: str = ""
 
     def draw(self, width: float) -> tuple[draw.Canvas, draw.Axes]:
-        """Draw it with its scale bar, and the border where there is one; below it is room for another scale bar."""
+        """Draw it with its scale bar, and the border where there is one.
+
+        Below it is room for another scale bar.
+        """
         shown = draw.reduced(self.values, self.y, self.x, width=width - draw.MARGIN)
         box = shown.fit(width - draw.MARGIN - 12, 700.0 if width == draw.FULL else 480.0)
         canvas = draw.Canvas(width, box[1] + draw.BELOW + 36)
@@ -53,7 +62,10 @@ def ground_of(
     edge: NDArray[np.bool_] | None = None,
     edge_layer: str = "",
 ) -> Ground:
-    """Return a map or image (y, x) as ground, greys of its ``valid`` pixels; ``edge`` is where ``edge_layer`` lies."""
+    """Return a map or image (y, x) as ground, greys of its ``valid`` pixels.
+
+    ``edge`` is where ``edge_layer`` lies.
+    """
     values, y, x = data.values.astype(np.float64), data["y"].values, data["x"].values
     window_values = values[valid] if valid is not None and valid.any() else values
     pixels_text = f"{draw.n_of(values)} pixels of {draw.pixel_of(x)}"
@@ -70,7 +82,10 @@ def ground_of(
 
 
 def blank_ground(points: Array, *, layer: str) -> Ground:
-    """Return an empty ground around points (x, y), for places in coordinates of which no map is at hand."""
+    """Return an empty ground around points (x, y).
+
+    For places in coordinates of which no map is at hand.
+    """
     points = points[np.isfinite(points).all(axis=1)]
     low, high = (
         (points.min(axis=0), points.max(axis=0)) if points.size else (np.zeros(2), np.ones(2))
@@ -100,7 +115,10 @@ def _draw_arrows(
     label: str,
     width: float,
 ) -> draw.Magnified:
-    """Draw vectors, the longest over a share of the width, with a scale bar of their own beside that of the ground."""
+    """Draw vectors, the longest over a share of the width.
+
+    With a scale bar of their own beside that of the ground.
+    """
     magnification = draw.magnified(vectors, width_share * axes.shown.width)
     axes.arrows(starts, magnification.times * vectors, colour=ARROW, width=width)
     if magnification.longest > 1e-9:
@@ -117,7 +135,10 @@ def _draw_arrows(
 
 
 def with_tiles_named(pairs: xr.Dataset, marks: xr.Dataset) -> xr.Dataset:
-    """Pairs of a registration by all its marks: ``is_tile`` says which are tiles of texture, without a diameter."""
+    """Return the pairs of a registration by all its marks.
+
+    ``is_tile`` says which are tiles of texture, without a diameter.
+    """
     is_tile = np.any(
         [marks[f"{plane}_source"].values == "tile" for plane in ("moving", "fixed")], axis=0
     )
@@ -125,7 +146,10 @@ def with_tiles_named(pairs: xr.Dataset, marks: xr.Dataset) -> xr.Dataset:
 
 
 def judged(r: RegistrationFacts | None) -> RegistrationFacts | None:
-    """The facts without the lag of the maps where the same texture gave the place: it says nothing of it."""
+    """Return the facts without the lag of the maps where the same texture gave the place.
+
+    There the lag says nothing of the place.
+    """
     return r if r is None or r.source != "texture" else r.model_copy(update={"lag": None})
 
 
@@ -138,13 +162,17 @@ def draw_registration(
     moving_layer: str,
     width: float,
 ) -> draw.Picture:
-    """Draw a ground with its numbered marks (``fixed_*``), ``hole_um`` wide, and the residual of each as an arrow."""
+    """Draw a ground with its numbered marks, and the residual of each as an arrow.
+
+    The marks (``fixed_*``) are ``hole_um`` wide.
+    """
     canvas, axes = ground.draw(width)
     if ground.edge is not None:
         axes.outline(ground.edge, ground.y, ground.x, colour=EDGE, width=1.6)
     fixed_xy = points_of(marks, "fixed")
     _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
-    # A residual is the mark in the image minus the mark that was carried over: the arrow shows where that one falls.
+    # A residual is the mark in the image minus the mark that was carried over: the arrow shows
+    # where that one falls.
     magnification = _draw_arrows(
         canvas,
         axes,
@@ -238,7 +266,10 @@ def draw_expected_error(
     reference: str,
     layer: str,
 ) -> draw.Picture | None:
-    """Draw the expected error of ``layer`` on ``reference``, with contour lines and marks; None if unknown."""
+    """Draw the expected error of ``layer`` on ``reference``, with contour lines and marks.
+
+    None if unknown.
+    """
     y, x = error["y"].values, error["x"].values
     finite_errors = error.values[np.isfinite(error.values)].astype(np.float64)
     if finite_errors.size == 0:
@@ -289,7 +320,10 @@ def draw_expected_error(
 def draw_lags(
     lag: LagNumbers | None, ground: Ground, *, moving_text: str, reference_text: str
 ) -> draw.Picture | None:
-    """Draw the lags of the tiles of two maps, named in words, that have a distinct one; None where there are none."""
+    """Draw the lags of the tiles of two maps, named in words, that have a distinct one.
+
+    None where there are none.
+    """
     if lag is None:
         return None
     distinct_xy, lags, silent_xy = lag_places(lag, ground)
@@ -328,7 +362,10 @@ def draw_lags(
 
 
 def machine_direction(r: RegistrationFacts, moving_layer: str) -> tuple[float, str] | None:
-    """Return the machine direction in degrees from x, clockwise on screen, and its source; None where it is unknown."""
+    """Return the machine direction in degrees from x, clockwise on screen, and its source.
+
+    None where it is unknown.
+    """
     o = r.orientation
     if o.md_deg_fixed is not None:
         return o.md_deg_fixed, f"given for {with_article(r.to)}"
@@ -341,9 +378,12 @@ def machine_direction(r: RegistrationFacts, moving_layer: str) -> tuple[float, s
 
 
 def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
-    """Return where tiles with a distinct lag lie on a ground, their lags, and where the others lie, (n, 2) in um.
+    """Return where tiles with a distinct lag lie on a ground, their lags, and where the others lie.
 
-    Tiles count from the middle of the first pixel that was compared, which may be the mean of several.
+    All are (n, 2) in um.
+
+    Tiles count from the middle of the first pixel that was compared, which may be the mean of
+    several.
     """
     y0, x0 = (
         float(c[0]) + (p - draw.pitch(c)) / 2

@@ -1,4 +1,4 @@
-"""The point-wise relation of two maps, at the pixel and at larger points, and how far they differ."""
+"""The point-wise relation of two maps, at the pixel and larger points, and how far they differ."""
 
 from __future__ import annotations
 
@@ -52,7 +52,10 @@ _LEFT, _RIGHT = 85.0, 635.0
 
 @dataclass(frozen=True)
 class MapPair:
-    """Two maps (y, x) on one grid, correlations from the pixel up, masks; ``density`` (g/cm3) turns map a into g/m2."""
+    """Two maps (y, x) on one grid, correlations from the pixel up, masks.
+
+    ``density`` (g/cm3) turns map a into g/m2.
+    """
 
     a: xr.DataArray
     b: xr.DataArray
@@ -88,9 +91,12 @@ class MapPair:
 def block_means(
     a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Sequence[xr.DataArray] = ()
 ) -> Points:
-    """Average two maps (y, x) on one grid over points of ``point_um``, over the pixels that are known in both.
+    """Average two maps (y, x) on one grid over points of ``point_um``.
 
-    ``valid`` are masks of pixels that count. Points less than half known do not count; none are smaller than pixels.
+    The averages are over the pixels that are known in both.
+
+    ``valid`` are masks of pixels that count. Points less than half known do not count; none are
+    smaller than pixels.
     """
     factors = [point_um / pitch(a[axis].values) for axis in ("y", "x")]
     if min(factors) < 1 - 1e-9:
@@ -108,10 +114,13 @@ def draw_pair(
     excluded_text: str = HOLES,
     registered: str = REGISTERED,
 ) -> Picture:
-    """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
+    """Draw map b over map a as the density of the pixels.
 
-    ``excluded_text`` says what the masks leave out. The difference of two maps of the same quantity is drawn over their
-    mean, with its mean and the limits that hold 95 % of normal differences (Bland and Altman 1986).
+    Beside it are larger points or the difference of the two.
+
+    ``excluded_text`` says what the masks leave out. The difference of two maps of the same quantity
+    is drawn over their mean, with its mean and the limits that hold 95 % of normal differences
+    (Bland and Altman 1986).
     """
     stride, (p, q, *masks) = thinned(pair.a, pair.b, *pair.valid)
     is_valid, density = valid_in_all((p, q), masks), pair.density
@@ -165,7 +174,7 @@ def draw_pair(
 def draw_points(
     pair: MapPair, *, names: tuple[str, str], height: float, registered: str = REGISTERED
 ) -> Picture:
-    """Draw the larger points of two maps on a third of the page, with both lines of least squares."""
+    """Draw the larger points of two maps on a third of the page, with both least-squares lines."""
     units = unit_of(pair.a), unit_of(pair.b)
     points, (row,), _, labels = as_drawn(pair.points, (pair.coarse,), names, units, pair.density)
     canvas, size_text = Canvas(THIRD, max(height, 300.0)), plain(round(row.point_um, 4))
@@ -194,9 +203,12 @@ def as_drawn(
     units: tuple[str, str],
     density: float | None,
 ) -> tuple[Points, list[CorrelationRow], tuple[str, str], list[str]]:
-    """Return points, correlations and units as the axes of a figure have them, and the labels of its axes.
+    """Return points, correlations and units as the axes of a figure have them.
 
-    With a density (g/cm3), which its label states, the first map, a thickness in um, is a weight: um x g/cm3 = g/m2.
+    Also returns the labels of its axes.
+
+    With a density (g/cm3), which its label states, the first map, a thickness in um, is a weight:
+    um x g/cm3 = g/m2.
     """
     if density is not None:
         points = points[0] * density, points[1]
@@ -284,7 +296,10 @@ def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, u
 
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
-    """Return mean, standard deviation and limits of a difference, all to two digits of the standard deviation."""
+    """Return mean, standard deviation and limits of a difference.
+
+    All are given to two digits of the standard deviation.
+    """
     return tuple(
         to_spread(v, row.difference_sd)
         for v in (row.difference_mean, row.difference_sd, *row.limits)
@@ -294,7 +309,10 @@ def written_difference(row: CorrelationRow) -> tuple[str, ...]:
 def draw_dots(
     canvas: Canvas, points: Points, box: tuple[float, float, float, float], *, bar_px: float = 0.0
 ) -> Axes:
-    """Draw larger points one by one; where they are many and there is room for a colour ``bar_px``, their density."""
+    """Draw larger points one by one.
+
+    Where they are many and there is room for a colour ``bar_px``, their density.
+    """
     if bar_px and points[0].size > 5000:
         return _draw_density(
             canvas, (*box[:2], box[2] - bar_px, box[3]), points, counted_text="points"

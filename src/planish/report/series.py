@@ -1,6 +1,9 @@
-"""The page of a series: one file that needs nothing else, no script among it, with the figures that it shows.
+"""The page of a series, one file that needs nothing else.
 
-Figures are sheets and their mean in each group, and small maps of all specimens on one colour scale.
+It holds the figures that it shows, and no script.
+
+Figures are sheets and their mean in each group, and small maps of all specimens on one colour
+scale.
 """
 
 from __future__ import annotations
@@ -85,7 +88,10 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
 def _specimen_line(
     specimen: SeriesSpecimen, factors: Sequence[str], columns: Sequence[int], results: SeriesResults
 ) -> dict[str, Any]:
-    """Return what the table shows of one specimen: its cells are texts, each with a word of doubt."""
+    """Return what the table shows of one specimen.
+
+    Its cells are texts, each with a word of doubt.
+    """
     cells = [(NONE, "")] * len(columns)
     for k in columns if specimen.cells else ():
         cell = specimen.cells[k]
@@ -167,9 +173,12 @@ def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> Sma
 
 
 def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
-    """Colour small maps by one scale, from the 1st to the 99th percentile of all of them, and on one scale of lengths.
+    """Colour small maps by one scale, and on one scale of lengths.
 
-    ``images`` are specimen, address, width and height in CSS pixels; ``missing`` the specimens without.
+    The colours go from the 1st to the 99th percentile of all of them.
+
+    ``images`` are specimen, address, width and height in CSS pixels; ``missing`` the specimens
+    without.
     """
     shown_maps = {
         m.specimen: m.shown

@@ -91,7 +91,10 @@ def light_of(results: SeriesResults) -> str:
 
 
 def value(v: float | None, q: Quantity, limits: tuple[float, float] | None = None) -> str:
-    """Write a value of a quantity: a share in per cent, r with two decimals, others by the width of an interval."""
+    """Write a value of a quantity.
+
+    A share is written in per cent, r with two decimals, others by the width of an interval.
+    """
     if v is None or not is_known(v):
         return NONE
     spread = (limits[1] - limits[0]) / 2 if limits is not None and is_known(limits) else None
@@ -251,7 +254,10 @@ def equivalent(d: DifferenceFacts, q: Quantity) -> str:
 
 
 def tiles(results: SeriesResults) -> list[KeyFigure]:
-    """The leading map's figures: their differences where something is compared, else their means."""
+    """Give the figures of the leading map.
+
+    They are its differences where something is compared, else its means.
+    """
     figures: list[KeyFigure] = []
     for k, q in enumerate(results.quantities):
         d = next((d for d in results.differences if d.quantity == k), None)

@@ -179,7 +179,10 @@ def _px_per_um(windows: list[Window], width: float) -> float:
 
 
 def _detail_windows(cuts: list[Slice], spans: list[Window], margin: float) -> list[Window]:
-    """Return a clear window of each span, all as high as the highest, so that they can stand side by side."""
+    """Return a clear window of each span, all as high as the highest.
+
+    They can thus stand side by side.
+    """
     half_um, tight_windows = _WINDOW_UM / 2, list[Window]()
     for cut, span in zip(cuts, spans, strict=True):
         centre_um = _clear_place(cut, span)

@@ -1,4 +1,4 @@
-"""How a correlation is written: with its interval, and with the figures that the interval allows."""
+"""How a correlation is written, with its interval and the figures that the interval allows."""
 
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, count, decimals_of_r, fixed, interval_text, number
@@ -16,7 +16,10 @@ def r2_limits(row: Row) -> tuple[float, float] | None:
 
 
 def r2_text(row: Row | None) -> str:
-    """Write r² with two decimals, as the page writes it in per cent; three where the interval is narrow."""
+    """Write r² with two decimals, as the page writes it in per cent.
+
+    Three where the interval is narrow.
+    """
     return NONE if row is None else fixed(row.r2, decimals_of_r(r2_limits(row)))
 
 

@@ -1,4 +1,7 @@
-"""Results of a run in one sentence and a few numbers; what the image-based check of a registration means."""
+"""Results of a run in one sentence and a few numbers.
+
+What the image-based check of a registration means.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -48,7 +51,10 @@ class LagVerdict(NamedTuple):
 
 
 def summarise(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
-    """Return the result of a run in one sentence and a few numbers, as far as it goes and no further."""
+    """Return the result of a run in one sentence and a few numbers.
+
+    They go as far as the result does, and no further.
+    """
     if not results.is_link:
         return _map_summary(results, titles)
     return (
@@ -97,7 +103,10 @@ def key_of(pair: CorrelationRow | EvidenceFacts) -> PairKey:
 def titles_of(
     pair: CorrelationRow | EvidenceFacts, titles: Titles, *, with_layers: bool = False
 ) -> tuple[str, str]:
-    """Return the titles of both maps of a pair, their names where they have none; on request with their layers."""
+    """Return the titles of both maps of a pair, their names where they have none.
+
+    On request with their layers.
+    """
 
     def title(layer: str, name: str) -> str:
         return titles.get((layer, name), name) + (f", {layer}" if with_layers else "")
@@ -112,7 +121,7 @@ def names_in_words(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> tupl
 
 
 def by_pair(results: Results) -> list[list[CorrelationRow]]:
-    """Group the correlations that are of the same two maps, each group from the pixel to the largest points."""
+    """Group correlations of the same two maps, each group from the pixel to the largest points."""
     groups: dict[PairKey, list[CorrelationRow]] = {}
     for row in results.correlations:
         groups.setdefault(key_of(row), []).append(row)
@@ -120,7 +129,10 @@ def by_pair(results: Results) -> list[list[CorrelationRow]]:
 
 
 def headline_pair(results: Results, moving: LayerFacts) -> list[CorrelationRow]:
-    """Return the correlations of the maps that stand for a layer and for the reference; empty where there are none."""
+    """Return the correlations of the maps that stand for a layer and for the reference.
+
+    Empty where there are none.
+    """
     map_keys = {
         (moving.name, moving.headline),
         (results.reference.name, results.reference.headline),
@@ -134,8 +146,8 @@ def headline_pair(results: Results, moving: LayerFacts) -> list[CorrelationRow]:
 def lead_pair(results: Results) -> list[CorrelationRow]:
     """Return the correlations that the first page shows; empty where there are none.
 
-    Of two layers those of the maps that stand for them, of more those of the pair with the weakest correlation: one
-    that correlates well does not vouch for the others.
+    Of two layers those of the maps that stand for them, of more those of the pair with the weakest
+    correlation: one that correlates well does not vouch for the others.
     """
     if not results.is_link:
         return []
@@ -149,7 +161,10 @@ def lead_pair(results: Results) -> list[CorrelationRow]:
 
 
 def density_of(results: Results, row: CorrelationRow) -> float | None:
-    """Density by which the coating of a correlation is drawn as a weight; None where the run knows none."""
+    """Density by which the coating of a correlation is drawn as a weight.
+
+    None where the run knows none.
+    """
     return next((e.density_g_cm3 for e in results.evidence if key_of(e) == key_of(row)), None)
 
 
@@ -305,7 +320,10 @@ def cautions(results: Results) -> list[str]:
 
 
 def declared(results: Results) -> str:
-    """Say whether the map that leads was named before r was looked at; empty where nothing leads."""
+    """Say whether the map that leads was named before r was looked at.
+
+    Empty where nothing leads.
+    """
     if not results.evidence or all(layer.headline == "image" for layer in results.layers):
         return ""
     if results.evidence[0].declared:

@@ -1,4 +1,7 @@
-"""Tables of the page whose rows depend on the run: column status, correlations, comparison, parameters."""
+"""Tables of the page whose rows depend on the run.
+
+They are column status, correlations, comparison and parameters.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
@@ -35,7 +38,10 @@ _COLOURS = {
 
 
 def columns(surfaces: SurfaceFacts) -> list[tuple[str, float, str]]:
-    """Return the status of the volume's columns: class of the style, share of all columns, and what it means."""
+    """Return the status of the volume's columns.
+
+    Each entry gives the class of the style, the share of all columns, and what the status means.
+    """
     names = {status.label: status.sentence for status in Status}
     shares = {name: surfaces.shares.get(name) for name in (*_COLOURS, *surfaces.shares)}
     return [
@@ -159,7 +165,10 @@ def parameters(values: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str
 
 
 def _flat_rows(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Write a section of parameters; what lies in a section of its own has that one's name before it."""
+    """Write a section of parameters.
+
+    What lies in a section of its own has that one's name before it.
+    """
     for key, value in section.items():
         if isinstance(value, Mapping):
             yield from _flat_rows(cast("Mapping[str, Any]", value), f"{prefix}{key}.")

@@ -1,4 +1,7 @@
-"""What the pages of runs, series and certificates share: templates with their filters, titles and units of maps."""
+"""What the pages of runs, series and certificates share.
+
+That is templates with their filters, titles and units of maps.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ HOLES = "holes and rims"  # what the mask of valid pixels leaves out where no re
 
 
 def registered_by(results: Results) -> str:
-    """Say what the maps of a run were registered by: marks, or the texture that is compared as well."""
+    """Say what registered the maps of a run: marks, or the texture that is compared as well."""
     sources = {layer.registration.source for layer in results.layers if layer.registration}
     return BY_TEXTURE if "texture" in sources else BY_BOTH if "both" in sources else REGISTERED
 
@@ -38,7 +41,9 @@ def names_option(text: str) -> bool:
 
 
 def for_readers(text: str) -> str:
-    """Typeset sentences for those that a page is handed on to: without brackets and sentences that name an option.
+    """Typeset sentences for those that a page is handed on to.
+
+    Brackets and sentences that name an option are left out.
 
     >>> for_readers("Top side assumed (--image-side). Crop it. Give a closer --hole-um.")
     'Top side assumed. Crop it.'
@@ -69,7 +74,10 @@ def template(package: str, name: str) -> Template:
 
 
 def left_out(regions: object) -> str:
-    """Name what the mask of valid pixels leaves out; ``regions`` is empty where none were declared."""
+    """Name what the mask of valid pixels leaves out.
+
+    ``regions`` is empty where none were declared.
+    """
     return "holes, rims and declared regions" if regions else HOLES
 
 

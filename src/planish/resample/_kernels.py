@@ -1,10 +1,13 @@
 # pyright: standard
-"""Compiled inner loops of resampling: which triangle covers a pixel and what stands there, and sums over areas.
+"""Compiled inner loops of resampling.
 
-A quad with the corners 0 = (0, 0), 1 = (0, 1), 2 = (1, 1), 3 = (1, 0) in (row, column) is cut along 0-2 into the
-triangles 0-1-2 and 0-2-3. Triangle t of the quad whose first corner is node n of the mesh has the number 2 n + t.
-Kernels of triangles work on the rows ``begin`` to ``end`` of their output only, so that several may run at the same
-time; no result depends on how the rows are shared out.
+They find which triangle covers a pixel and what stands there, and sums over areas.
+
+A quad with the corners 0 = (0, 0), 1 = (0, 1), 2 = (1, 1), 3 = (1, 0) in (row, column) is cut along
+0-2 into the triangles 0-1-2 and 0-2-3. Triangle t of the quad whose first corner is node n of the
+mesh has the number 2 n + t. Kernels of triangles work on the rows ``begin`` to ``end`` of their
+output only, so that several may run at the same time; no result depends on how the rows are shared
+out.
 """
 
 import numpy as np
@@ -24,17 +27,20 @@ def _place(number, wb, wc, cols):
 
 
 @njit(cache=True, nogil=True)
-def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin, end):
+def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin, end):  # noqa: C901, PLR0912
     """Find, for every pixel of a regular grid, the triangle of a quad mesh that it lies in.
 
-    uv                 : (rows, cols, 2), flat coordinates of the nodes; not finite where there is none
-    first, pitch       : (2), (u, v) of the centre of the target's first pixel, and from one pixel to the next
-    segment, low, high : int, (rows, segments), (rows, segments): extent of the nodes ``s * segment`` to ``(s + 1) *
-                         segment``, both included, of each row, in rows of the target
-    triangle           : (rows_out, cols_out) int32, set to the number of the triangle; -1 where there is no quad. Where
-                         quads overlap, the first one stays
-    weight             : (2, rows_out, cols_out), set to the weights of the triangle's second and third corner; the
-                         first one has what is left of 1
+    uv                 : (rows, cols, 2), flat coordinates of the nodes; not finite where there is
+                         none
+    first, pitch       : (2), (u, v) of the centre of the target's first pixel, and from one pixel
+                         to the next
+    segment, low, high : int, (rows, segments), (rows, segments): extent of the nodes ``s *
+                         segment`` to ``(s + 1) * segment``, both included, of each row, in rows of
+                         the target
+    triangle           : (rows_out, cols_out) int32, set to the number of the triangle; -1 where
+                         there is no quad. Where quads overlap, the first one stays
+    weight             : (2, rows_out, cols_out), set to the weights of the triangle's second and
+                         third corner; the first one has what is left of 1
     twice              : (rows_out, cols_out) uint8, zeros; set to 1 where more than one quad lies
     begin, end         : rows of the target to do
 
@@ -89,7 +95,8 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
                     for x in range(int(left), int(right) + 1):
                         p = x - ax
                         across = p * fy - fx * q
-                        # Weights times the area, which is divided by only where it is known that the pixel is inside.
+                        # Weights times the area, which is divided by only where it is known that
+                        # the pixel is inside.
                         t, area, nb, nc = 0, upper, across, ex * q - p * ey
                         if area < 0.0:
                             area, nb, nc = -area, -nb, -nc
@@ -160,14 +167,16 @@ def _value(field, a, b, c, wb, wc):
 
 @njit(cache=True, nogil=True)
 def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end):
-    """Set ``out`` to the mean of a field over the known sub-pixels of each pixel and ``share`` to their share.
+    """Set ``out`` to a field's mean over each pixel's known sub-pixels, ``share`` to their share.
 
     field      : (rows * cols), values at the nodes of a mesh with ``cols`` columns; NaN is missing
     triangle   : (rows_out * fine, cols_out * fine), as :func:`locate` sets it
     weight     : (2, rows_out * fine, cols_out * fine), as :func:`locate` sets it
-    corners    : (triangles, 3) int32, nodes of each triangle; without rows for the triangles of the quads
+    corners    : (triangles, 3) int32, nodes of each triangle; without rows for the triangles of the
+    quads
     fine       : sub-pixels per pixel and axis
-    out, share : (rows_out, cols_out); ``out`` NaN where less than half the sub-pixels are known; ``share`` may be empty
+    out, share : (rows_out, cols_out); ``out`` NaN where less than half the sub-pixels are known;
+    ``share`` may be empty
     begin, end : rows of ``out`` to do
     """
     for y in range(begin, end):
@@ -191,12 +200,16 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
 
 @njit(cache=True, nogil=True)
 def interpolate(image, nodes, down, across, least, out):
-    """Set ``out`` to bilinear values of an image at places that are polynomials of third degree in each direction.
+    """Set ``out`` to bilinear values of an image at places that are polynomials.
+
+    The polynomials are of third degree in each direction.
 
     image        : (height, width); what is not finite is missing
     nodes        : (4, 4, 2), places, (x, y) in pixels of the image, that the polynomials go through
-    down, across : (rows, 4), (cols, 4), weights of the nodes for each row and each column of ``out``, (rows, cols)
-    least        : share of the weight of the pixels around a place that has to be known; otherwise NaN
+    down, across : (rows, 4), (cols, 4), weights of the nodes for each row and each column of
+    ``out``, (rows, cols)
+    least        : share of the weight of the pixels around a place that has to be known; otherwise
+    NaN
     """
     height, width = image.shape
     for r in range(out.shape[0]):
@@ -239,7 +252,9 @@ def interpolate(image, nodes, down, across, least, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _under(sums, x0, y0, x1, y1):
-    """Integral over x, along a straight line, of the integral over y of an image from row 0 down to the line.
+    """Integrate an image from row 0 down to a straight line.
+
+    The integral over y, from row 0 down to the line, is integrated over x along the line.
 
     Linear in y within a pixel, so the value at the middle of the line's piece in it is exact.
     """
@@ -278,9 +293,10 @@ def _under(sums, x0, y0, x1, y1):
 def integrals(sums, x, y):
     """Return the integrals (rows, cols) of an image over the quadrilaterals between nodes, exactly.
 
-    The integral over a quadrilateral is the one along its four sides (Green), and neighbours share their sides.
-    ``sums`` (height + 1, width) are those of the pixels above each row; pixel (r, c) reaches from x = c to c + 1 and
-    from y = r to r + 1. ``x`` and ``y`` (rows + 1, cols + 1) are the nodes, all inside the image.
+    The integral over a quadrilateral is the one along its four sides (Green), and neighbours share
+    their sides. ``sums`` (height + 1, width) are those of the pixels above each row; pixel (r, c)
+    reaches from x = c to c + 1 and from y = r to r + 1. ``x`` and ``y`` (rows + 1, cols + 1) are
+    the nodes, all inside the image.
     """
     rows, cols = x.shape[0] - 1, x.shape[1] - 1
     out = np.zeros((rows, cols))

@@ -1,4 +1,4 @@
-"""The maps of a flattened sheet, and images, on a regular grid: each is brought there in one step."""
+"""Bring the maps of a flattened sheet, and images, onto a regular grid, each in one step."""
 
 from typing import Any
 
@@ -23,13 +23,13 @@ def resample_maps(
     transform: Any = None,
     map_um: float | None = None,
 ) -> xr.Dataset:
-    """Bring the properties of a sheet onto its flat maps, or in one step onto the pixels of a reference.
+    """Bring the properties of a sheet onto its flat maps, or in one step onto a reference's pixels.
 
     Parameters
     ----------
     surfaces : Dataset, dims (y, x)
-        Surfaces with their measured properties: all variables whose attribute ``role`` is ``property`` or that have a
-        ``support_um``, and their standard errors.
+        Surfaces with their measured properties: all variables whose attribute ``role`` is
+        ``property`` or that have a ``support_um``, and their standard errors.
     flat : Dataset, dims (y, x), in um
         Of :func:`planish.flatten.flatten_sheet`.
     onto : Grid, optional
@@ -42,9 +42,9 @@ def resample_maps(
     Returns
     -------
     Dataset, dims (v, u), or (y, x) on a reference
-        The properties, and of each pixel the place in the volume (``volume_x``, ``volume_y``, ``volume_z``). Flat maps
-        also hold the place in the projection, the layers in which holes are looked for, and ``valid``; maps on a
-        reference the place ``u``, ``v`` in the flat sheet.
+        The properties, and of each pixel the place in the volume (``volume_x``, ``volume_y``,
+        ``volume_z``). Flat maps also hold the place in the projection, the layers in which holes
+        are looked for, and ``valid``; maps on a reference the place ``u``, ``v`` in the flat sheet.
 
     Raises
     ------
@@ -53,10 +53,11 @@ def resample_maps(
 
     Notes
     -----
-    The transformation is applied to the nodes of the sheet: values are interpolated once, from the volume's columns to
-    the pixels. The standard error of a pixel that is the mean of many columns is smaller than theirs by the share of
-    the variance that the mean keeps; what is common to all columns stays. Axial angles are averaged by their
-    components, ``NAME_cos2`` and ``NAME_sin2`` for ``NAME_angle``.
+    The transformation is applied to the nodes of the sheet: values are interpolated once, from the
+    volume's columns to the pixels. The standard error of a pixel that is the mean of many columns
+    is smaller than theirs by the share of the variance that the mean keeps; what is common to all
+    columns stays. Axial angles are averaged by their components, ``NAME_cos2`` and ``NAME_sin2``
+    for ``NAME_angle``.
     """
     if onto is not None:
         return SheetOnto(surfaces, flat, transform=transform).on(onto)
@@ -74,7 +75,8 @@ def resample_maps(
     maps.attrs["overlaps"] = places.overlaps
     layer_heights = [float(np.mean(surfaces[name].attrs["layer"])) for name in layers]
     if layer_heights:
-        # Where the layers lie that holes are found in: the face is half a thickness from the centre surface.
+        # Where the layers lie that holes are found in: the face is half a thickness from the centre
+        # surface.
         separation = max(layer_heights) - min(layer_heights)
         maps.attrs["layers_apart_um"] = separation * float(surfaces.attrs["thickness_um"])
         maps.attrs["layer_to_face"] = (0.5 - max(layer_heights)) / separation
@@ -82,11 +84,15 @@ def resample_maps(
 
 
 Names = tuple[list[str], list[str], list[str]]
-"""Of the properties, of the standard errors that are known, and of the layers that holes are found in."""
+"""Of the properties, of the standard errors that are known, and of the layers that holes are found
+in."""
 
 
 class SheetOnto:
-    """The maps of a sheet on a reference's pixels, part by part; ``transform``, with a ``similarity``, leads there."""
+    """The maps of a sheet on a reference's pixels, part by part.
+
+    ``transform``, with a ``similarity``, leads there.
+    """
 
     def __init__(self, surfaces: xr.Dataset, flat: xr.Dataset, *, transform: Any = None) -> None:
         uv, self._surfaces, self._similarity = _flat_coordinates(flat), surfaces, Similarity()
@@ -112,7 +118,7 @@ def _flat_coordinates(flat: xr.Dataset) -> Floats:
 def _as_stored(
     maps: xr.Dataset, surfaces: xr.Dataset, names: Names, pixel_um: float, similarity: Similarity
 ) -> xr.Dataset:
-    """Turn angles with the sheet, give the errors of means, and take the types in which maps are stored."""
+    """Turn angles with the sheet, give the errors of means, and cast maps to their stored types."""
     properties, errors, layers = names
     maps = _with_angles(maps, similarity)
     for name in errors:
@@ -169,13 +175,19 @@ def resample_image(
 
 
 def image_attrs(image: xr.DataArray) -> dict[str, Any]:
-    """Name and unit of an image's values, and how far each reached for its neighbours where it did."""
+    """Give the name and unit of an image's values.
+
+    They come with how far each value reached for its neighbours, where it did.
+    """
     reach = {"reach_um": image.attrs["reach_um"]} if "reach_um" in image.attrs else {}
     return {"long_name": str(image.attrs.get("long_name", "Image")), "units": "1", **reach}
 
 
 class Lattice:
-    """Some of a grid's places, evenly spaced, at most some 200 x 200: ``places`` (rows, cols, 2), (x, y) in um."""
+    """Some of a grid's places, evenly spaced, at most some 200 x 200.
+
+    ``places`` (rows, cols, 2) are their (x, y) in um.
+    """
 
     def __init__(self, grid: Grid) -> None:
         self._nodes_um = [
@@ -184,7 +196,7 @@ class Lattice:
         self.places: Floats = np.stack(np.meshgrid(self._nodes_um[1], self._nodes_um[0]), axis=-1)
 
     def between(self, values: Floats, part: Grid) -> Floats:
-        """Values (rows, cols) of the places on some pixels of the grid, by bilinear interpolation."""
+        """Interpolate values (rows, cols) of the places bilinearly on some pixels of the grid."""
         for axis, (nodes_um, pixels_um) in enumerate(
             zip(self._nodes_um, (part.y_um, part.x_um), strict=True)
         ):
@@ -220,10 +232,12 @@ def _variable_names(surfaces: xr.Dataset) -> Names:
 
 
 def _mean_se(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
-    """Standard error of the mean over a pixel of columns whose errors have a Gaussian autocorrelation.
+    """Give the standard error of the mean over a pixel of columns.
 
-    Its integral is ``patch_um2`` = 2 pi s^2; a square of side L keeps the variance's share g(L / s)^2,
-    g(x) = sqrt(2 pi) / x erf(x / sqrt 2) - 2 (1 - exp(-x^2 / 2)) / x^2.
+    The errors of the columns have a Gaussian autocorrelation.
+
+    Its integral is ``patch_um2`` = 2 pi s^2; a square of side L keeps the variance's share g(L /
+    s)^2, g(x) = sqrt(2 pi) / x erf(x / sqrt 2) - 2 (1 - exp(-x^2 / 2)) / x^2.
     """
     if "patch_um2" not in attrs:
         return se
@@ -263,7 +277,7 @@ def _on_columns(
 
 
 def _with_angles(maps: xr.Dataset, similarity: Similarity) -> xr.Dataset:
-    """Turn axial directions with the sheet, and work the angles out again from their averaged components."""
+    """Turn axial directions with the sheet and recompute angles from their averaged components."""
     for name in [
         str(n).removesuffix("_angle") for n in maps.data_vars if str(n).endswith("_angle")
     ]:

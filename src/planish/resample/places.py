@@ -1,7 +1,8 @@
 """The places of the pixels of a regular grid in a flattened quad mesh, and values brought to them.
 
-Hirn et al. (2009), section 2.3.4, triangulate the moved points anew (Delaunay). Here the connectivity of the mesh is
-used: no triangle can bridge a gap, and overlaps are noticed. The paper's mode can be had for comparison.
+Hirn et al. (2009), section 2.3.4, triangulate the moved points anew (Delaunay). Here the
+connectivity of the mesh is used: no triangle can bridge a gap, and overlaps are noticed. The
+paper's mode can be had for comparison.
 """
 
 from __future__ import annotations
@@ -78,11 +79,11 @@ def find_places(
         Flat coordinates of the nodes in um; NaN where there is no sheet.
     grid : Grid
     least_um : float, optional
-        Pitch of the mesh. A pixel wider than that is cut into sub-pixels, so that it takes the mean over its area
-        and not the value at its centre.
+        Pitch of the mesh. A pixel wider than that is cut into sub-pixels, so that it takes the mean
+        over its area and not the value at its centre.
     method : {"quads", "delaunay"}
-        Through the two triangles of each known quad; or through a new triangulation of the known nodes (scipy, some
-        hundred times slower), which bridges gaps and does not notice folds.
+        Through the two triangles of each known quad; or through a new triangulation of the known
+        nodes (scipy, some hundred times slower), which bridges gaps and does not notice folds.
 
     Returns
     -------
@@ -91,11 +92,13 @@ def find_places(
     Raises
     ------
     SurfaceError
-        The grid is empty or too large, the mesh is not (rows, cols, 2), has over 2^30 nodes or no triangle.
+        The grid is empty or too large, the mesh is not (rows, cols, 2), has over 2^30 nodes or no
+        triangle.
 
     Notes
     -----
-    Where quads overlap, the first in the order of the mesh stays. A quad without one of its corners covers nothing.
+    Where quads overlap, the first in the order of the mesh stays. A quad without one of its corners
+    covers nothing.
     """
     shape = grid.shape
     if min(shape) < 1 or shape[0] * shape[1] > 2**31:
@@ -149,11 +152,15 @@ def find_places(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mesh:
-    """A quad mesh with flat coordinates ``uv`` (rows, cols, 2), in which parts of a grid are located one by one."""
+    """A quad mesh in which parts of a grid are located one by one.
+
+    Its flat coordinates are ``uv`` (rows, cols, 2).
+    """
 
     uv: Floats
     least_um: float
-    # First and last u, then v, that the quads of each segment of each row reach: (2, rows - 1, segments).
+    # First and last u, then v, that the quads of each segment of each row reach: (2, rows - 1,
+    # segments).
     _low: Floats
     _high: Floats
 
@@ -167,7 +174,7 @@ class Mesh:
         return cls(uv=uv, least_um=least_um, _low=low, _high=high)
 
     def under(self, grid: Grid) -> tuple[tuple[slice, slice], Places]:
-        """Return the nodes that lie under the pixels of a grid, and where each pixel lies among them."""
+        """Return the nodes under the pixels of a grid, and where each pixel lies among them."""
         touched = np.ones(self._low.shape[1:], dtype=bool)
         for k, (centres_um, pixel) in enumerate(
             ((grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0]))
@@ -208,7 +215,10 @@ def covering_grid(uv: Floats, pixel_um: float) -> Grid:
 
 
 def each_band(work: Callable[[int, int], Result], rows: int) -> list[Result]:
-    """Call ``work(begin, end)`` for bands of ``rows`` rows, on several threads, and return what it gives, in order."""
+    """Call ``work(begin, end)`` for bands of ``rows`` rows on several threads.
+
+    What the calls give is returned in order.
+    """
     threads = count_threads()
     # Four a thread, so that one with an easy band takes over from one with a hard band.
     count = max(1, min(4 * threads, rows // _LEAST_ROWS))
@@ -217,7 +227,10 @@ def each_band(work: Callable[[int, int], Result], rows: int) -> list[Result]:
 
 
 def _extents(v: Floats, first: float, step: float) -> tuple[Floats, Floats]:
-    """Extent of each row's segments of nodes, both ends included, in rows of the target; without the missing ones."""
+    """Extent of each row's segments of nodes, both ends included, in rows of the target.
+
+    Without the missing ones.
+    """
     rows, cols = v.shape
     starts = np.arange(0, cols - 1, _SEGMENT)
     if not rows or not starts.size:
@@ -234,7 +247,10 @@ def _extents(v: Floats, first: float, step: float) -> tuple[Floats, Floats]:
 def _locate_in_delaunay(
     uv: Floats, first_um: Pair, step_um: Pair, triangle: Indices, weight: Floats
 ) -> Indices:
-    """Locate pixels in triangles made anew as in the paper: they bridge gaps and bays, and notice no fold."""
+    """Locate pixels in triangles made anew as in the paper.
+
+    These triangles bridge gaps and bays, and notice no fold.
+    """
     from scipy.spatial import Delaunay, QhullError
 
     nodes = uv.reshape(-1, 2)
@@ -265,7 +281,9 @@ def _locate_in_delaunay(
 
 
 def resample(field: NDArray[Any], places: Places) -> Floats:
-    """Values of a mesh field on the grid: linear in each triangle, the mean over a pixel's sub-pixels.
+    """Give the values of a mesh field on the grid.
+
+    The field is linear in each triangle, and a pixel gets the mean over its sub-pixels.
 
     Parameters
     ----------
@@ -277,7 +295,8 @@ def resample(field: NDArray[Any], places: Places) -> Floats:
     Returns
     -------
     (rows, cols) of the grid, float64
-        A sub-pixel is known where the corners of its triangle are; a pixel is NaN unless half of its area is known.
+        A sub-pixel is known where the corners of its triangle are; a pixel is NaN unless half of
+        its area is known.
 
     Raises
     ------
@@ -290,7 +309,8 @@ def resample(field: NDArray[Any], places: Places) -> Floats:
 def support(known: Bools, places: Places) -> Floats:
     """Share of each pixel's area that is known on the mesh, from 0 to 1.
 
-    ``support(np.isfinite(field), places) >= 0.5`` is where :func:`resample` of the same field has a value.
+    ``support(np.isfinite(field), places) >= 0.5`` is where :func:`resample` of the same field has a
+    value.
 
     Parameters
     ----------
@@ -307,7 +327,9 @@ def support(known: Bools, places: Places) -> Floats:
 def resample_dataset(
     data: xr.Dataset, places: Places, *, dims: tuple[str, str], coords: Mapping[str, NDArray[Any]]
 ) -> xr.Dataset:
-    """Resample every floating variable of ``data`` (rows, cols); units and names are set anew from the source's.
+    """Resample every floating variable of ``data`` (rows, cols).
+
+    Units and names are set anew from the source's.
 
     Parameters
     ----------

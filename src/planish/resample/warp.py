@@ -1,7 +1,8 @@
 """Images on another grid: warped by any transformation, of any size, patch by patch.
 
-The transformation is asked at 4 x 4 points of a block, which give a polynomial, and at 3 x 3 between them; blocks where
-it errs too much are cut into four. They lie where the grid says: no result depends on what is worked on together.
+The transformation is asked at 4 x 4 points of a block, which give a polynomial, and at 3 x 3
+between them; blocks where it errs too much are cut into four. They lie where the grid says: no
+result depends on what is worked on together.
 """
 
 from collections.abc import Callable
@@ -24,8 +25,10 @@ TOLERANCE = 0.01
 """Error that a place may have, in source pixels."""
 
 LARGER = 1.1
-"""Length of a pixel's longer side in source pixels from which on values are averaged. A calibration that is a few
-percent off does not change the method in the middle of an image."""
+"""Length of a pixel's longer side in source pixels from which on values are averaged.
+
+A calibration that is a few percent off does not change the method in the middle of an image.
+"""
 
 _TILE = (512, 4096)  # target pixels that a thread works on, always the same ones; whole blocks
 _BLOCK = 256  # target pixels
@@ -54,14 +57,16 @@ def warp_image(
     grid : Grid
         Pixels of the target.
     to_source : callable
-        Takes points (..., 2), (x, y) in um, of the target to the image: the ``inverse`` of a transformation that takes
-        the image to the target. NaN where there is none. It is called for few points, from several threads.
+        Takes points (..., 2), (x, y) in um, of the target to the image: the ``inverse`` of a
+        transformation that takes the image to the target. NaN where there is none. It is called for
+        few points, from several threads.
     pixel_um : (float, float)
         Pitch of the image's rows and columns.
     memory_bytes : int
         What may be taken beside the image.
     must_meet : bool
-        Whether it is an error that the target shows nothing of the image; otherwise all of it is NaN then.
+        Whether it is an error that the target shows nothing of the image; otherwise all of it is
+        NaN then.
 
     Returns
     -------
@@ -81,14 +86,17 @@ def warp_image(
 
     Notes
     -----
-    Places in the image are right to 0.01 of its pixels, and exact for affine transformations. Values are averaged where
-    the longer side of a pixel is more than 1.1 source pixels long, and interpolated elsewhere, decided patch by patch.
-    A pixel's area is the quadrilateral between the images of its four corners, and every source pixel counts with its
-    part inside: nothing is sampled, and of whole images the sums are kept. A pixel is known where at least half of its
-    area is. Between the middles of source pixels, a bilinear value is known where all pixels that have weight are, as
-    in :func:`planish.resample.resample`: it ends at the outermost middles, half a pixel before the area does.
+    Places in the image are right to 0.01 of its pixels, and exact for affine transformations.
+    Values are averaged where the longer side of a pixel is more than 1.1 source pixels long, and
+    interpolated elsewhere, decided patch by patch. A pixel's area is the quadrilateral between the
+    images of its four corners, and every source pixel counts with its part inside: nothing is
+    sampled, and of whole images the sums are kept. A pixel is known where at least half of its area
+    is. Between the middles of source pixels, a bilinear value is known where all pixels that have
+    weight are, as in :func:`planish.resample.resample`: it ends at the outermost middles, half a
+    pixel before the area does.
 
-    Rounding leaves 1e-13 of the largest value nearby in a mean: mark values that stand for missing ones as NaN.
+    Rounding leaves 1e-13 of the largest value nearby in a mean: mark values that stand for missing
+    ones as NaN.
     """
     shape, size = grid.shape, image.shape
     if image.ndim != 2 or min(size) < 1 or image.dtype.kind != "f":
@@ -163,7 +171,10 @@ def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: T
 
 
 def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[Any], Floats]:
-    """Part of an image under places (..., 2) and ``more`` pixels around, NaN beside it; and its first pixel (x, y)."""
+    """Part of an image under places (..., 2) and ``more`` pixels around, NaN beside it.
+
+    And its first pixel (x, y).
+    """
     low = np.floor(positions.min(axis=(0, 1))).astype(np.int64) - margin
     high = np.floor(positions.max(axis=(0, 1))).astype(np.int64) + 2 + margin
     pixel_count = np.prod((high - low).astype(np.float64))
@@ -181,7 +192,10 @@ def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[
 
 
 def _averaged(image: NDArray[Any], nodes: Floats) -> Floats:
-    """Means over the quadrilaterals between nodes (rows + 1, cols + 1, 2); NaN where less than half is known."""
+    """Means over the quadrilaterals between nodes (rows + 1, cols + 1, 2).
+
+    NaN where less than half is known.
+    """
     part, first = _part(image, nodes + 0.5, 1)
     is_valid = np.isfinite(part)
     # From here on a pixel of the source begins at a whole number.
@@ -205,11 +219,14 @@ def _sums(values: NDArray[Any]) -> Floats:
 
 
 def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple[Integers, Floats]:
-    """Cut a tile of the target into patches; those that show nothing of the source (rows, cols) are left out.
+    """Cut a tile of the target into patches.
 
-    ``mapping`` goes from points (..., 2) of the target to the source, both (x, y) in pixels. Returns the bounds (n, 4)
-    of the patches: first row, row after the last, first column, column after the last; and the places
-    (n, 4, 4, 2), (x, y) in source pixels, of points at thirds of their height and width, outline included.
+    Those that show nothing of the source (rows, cols) are left out.
+
+    ``mapping`` goes from points (..., 2) of the target to the source, both (x, y) in pixels.
+    Returns the bounds (n, 4) of the patches: first row, row after the last, first column, column
+    after the last; and the places (n, 4, 4, 2), (x, y) in source pixels, of points at thirds of
+    their height and width, outline included.
     """
     bounds = np.array(tiles_of(tile.shape, (_BLOCK, _BLOCK)), np.int64)
     bounds += np.array([tile.r0, tile.r0, tile.c0, tile.c0])
@@ -236,8 +253,9 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
         )
         is_empty = (is_finite & is_outside) | ~is_defined.any(axis=1)
         is_single = (bounds[:, 1] - bounds[:, 0] == 1) & (bounds[:, 3] - bounds[:, 2] == 1)
-        # Where it is tested the polynomial may err by half; the rest is for between the tests. What is summed for area
-        # means stays in the cache where no more pixels of the source lie under a patch.
+        # Where it is tested the polynomial may err by half; the rest is for between the tests. What
+        # is summed for area means stays in the cache where no more pixels of the source lie under a
+        # patch.
         small = (error <= 0.5 * TOLERANCE) & ((high - low).prod(axis=1) <= 2**18)
         is_patch = is_finite & ~is_empty & (small | is_single)
         patches.append((bounds[is_patch], nodes[is_patch]))
@@ -253,7 +271,10 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
 
 
 def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
-    """Polynomials through nodes (..., 4, 4, 2) at shares (p,) of the height and (q,) of the width: (..., p, q, 2)."""
+    """Evaluate polynomials through nodes (..., 4, 4, 2).
+
+    The values, (..., p, q, 2), are those at shares (p,) of the height and (q,) of the width.
+    """
     down, across = _weights(v), _weights(u)
     return np.moveaxis(down @ np.moveaxis(nodes, -1, -3) @ across.T, -3, -1)
 

@@ -1,4 +1,7 @@
-"""Layers that are arrays in memory: written beside the run, so that it can be repeated from its ``run.toml``."""
+"""Layers that are arrays in memory.
+
+They are written beside the run, so that it can be repeated from its ``run.toml``.
+"""
 
 import tempfile
 from collections.abc import Generator, Sequence
@@ -65,9 +68,12 @@ class ArrayLayer:
 def layer_sources(
     layers: Sequence[LayerInput], out: str | Path | None, call_text: str
 ) -> Generator[list[str | Path | ArrayLayer]]:
-    """Give each layer its path; arrays get one in ``OUT-inputs``, or in a folder that is removed at the end.
+    """Give each layer its path.
 
-    InputError for what is neither a path, a run with a folder, a volume nor an image; FileError where a folder exists.
+    Arrays get one in ``OUT-inputs``, or in a folder that is removed at the end.
+
+    InputError for what is neither a path, a run with a folder, a volume nor an image; FileError
+    where a folder exists.
     """
     sources = [_source(layer, call_text) for layer in layers]
     kinds = [source.kind for source in sources if isinstance(source, ArrayLayer)]
@@ -91,7 +97,8 @@ def layer_sources(
                 sources[k] = replace(source, path=folder / f"{stem}{suffix}")
         yield sources
     except BaseException:
-        # The maps of a link that was refused at the marks are kept, and setting them by hand needs the files.
+        # The maps of a link that was refused at the marks are kept, and setting them by hand needs
+        # the files.
         if out is not None and not any(folder.parent.glob(f"{Path(out).name}-*/run.toml")):
             remove(folder)
         raise

@@ -39,8 +39,8 @@ def map_sheet(
     Parameters
     ----------
     layer : path or DataArray
-        File, folder of slices or sections, or store; or a volume of :func:`planish.volume`, which is then written into
-        ``OUT-inputs``.
+        File, folder of slices or sections, or store; or a volume of :func:`planish.volume`, which
+        is then written into ``OUT-inputs``.
     out : path, optional
         Run folder to make.
     compute : Compute, optional
@@ -48,9 +48,9 @@ def map_sheet(
     progress : callable, optional
         Called with the name of a stage and a few words.
     **options
-        Words of ``planish map``, ``through="y"`` for ``--through y``; or sections as in the study file: ``volume``
-        (sizes, ``through``, ``top`` ...), ``surface``, ``properties``, ``flatten``, ``about``; each a dict or the
-        parameter model.
+        Words of ``planish map``, ``through="y"`` for ``--through y``; or sections as in the study
+        file: ``volume`` (sizes, ``through``, ``top`` ...), ``surface``, ``properties``,
+        ``flatten``, ``about``; each a dict or the parameter model.
 
     Returns
     -------
@@ -83,8 +83,9 @@ def link(
     Parameters
     ----------
     *layers : path, Run or DataArray
-        Volumes, run folders and images; ``"NAME=PATH"`` gives one a name. Volumes of :func:`planish.volume` and images
-        of :func:`planish.image` are written into ``OUT-inputs`` first; without ``out`` into a folder that is removed.
+        Volumes, run folders and images; ``"NAME=PATH"`` gives one a name. Volumes of
+        :func:`planish.volume` and images of :func:`planish.image` are written into ``OUT-inputs``
+        first; without ``out`` into a folder that is removed.
     out : path, optional
         Run folder to make.
     chain : bool
@@ -92,15 +93,16 @@ def link(
     compute, progress
         As for :func:`planish.map_sheet`.
     **options
-        Words of ``planish link``, ``image_side="bottom"`` for ``--image-side bottom``; or sections as in the study
-        file: ``volume``, ``image``, ``surface``, ``properties``, ``flatten``, ``holes``, ``registration``,
-        ``correlate``, ``about``; each a dict or the parameter model. They hold for all layers, and go before what an
-        array says.
+        Words of ``planish link``, ``image_side="bottom"`` for ``--image-side bottom``; or sections
+        as in the study file: ``volume``, ``image``, ``surface``, ``properties``, ``flatten``,
+        ``holes``, ``registration``, ``correlate``, ``about``; each a dict or the parameter model.
+        They hold for all layers, and go before what an array says.
 
     Returns
     -------
     Run
-        ``run.linked`` holds all maps on the pixels of the image, where one sheet is linked to one image.
+        ``run.linked`` holds all maps on the pixels of the image, where one sheet is linked to one
+        image.
 
     Raises
     ------
@@ -152,7 +154,8 @@ def study_of(
     Raises
     ------
     StudyError
-        If an option is unknown, out of range, or means nothing for these layers; all faults are named.
+        If an option is unknown, out of range, or means nothing for these layers; all faults are
+        named.
     """
     options = {name: dict(values) for name, values in sections.items()}
     if unknown := sorted(set(options) - set(SECTIONS)):
@@ -198,7 +201,10 @@ class PathLayer(NamedTuple):
 
 
 def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> PathLayer | ArrayLayer:
-    """Tell a run, an image and a volume; its own reader names its faults. A text may be ``NAME=PATH``."""
+    """Tell a run, an image and a volume; its own reader names its faults.
+
+    A text may be ``NAME=PATH``.
+    """
     if isinstance(layer, ArrayLayer):
         return layer
     name, path = None, Path(layer)
@@ -237,7 +243,10 @@ def _table(
 
 
 def _all_names(sources: Sequence[PathLayer | ArrayLayer]) -> list[str]:
-    """Names as given; sheet and image where there is one of each; else of the files, with folders where those agree."""
+    """Names as given.
+
+    Sheet and image where there is one of each; else of the files, with folders where those agree.
+    """
 
     def as_name(text: str) -> str:
         return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:40] or "layer"
@@ -260,7 +269,10 @@ def _all_names(sources: Sequence[PathLayer | ArrayLayer]) -> list[str]:
 def sections_of(
     options: Mapping[str, Any], sections: Iterable[str], compute: Compute | None, *, call: str
 ) -> tuple[dict[str, dict[str, Any]], Compute | None]:
-    """Sort what a call was given into sections of a study, and what may be used; StudyError names all faults."""
+    """Sort what a call was given into sections of a study, and what may be used.
+
+    StudyError names all faults.
+    """
     word_places = words_of([*sections, "compute"])
     tables: dict[str, Any] = (
         {} if compute is None else {"compute": params_of(Compute, compute, call).model_dump()}
@@ -292,7 +304,10 @@ def sections_of(
 
 
 def words_of(sections: Iterable[str] = SECTIONS) -> dict[str, tuple[str, ...]]:
-    """Words of some sections, and where each stands in a study; of the same word in two the first one."""
+    """Words of some sections, and where each stands in a study.
+
+    Of the same word in two the first one.
+    """
     models = {**SECTIONS, "compute": Compute}
     places = [item for section in sections for item in words_in(models[section], section).items()]
     return dict(reversed(places))

@@ -1,4 +1,7 @@
-"""Maps that outlive a refused link: a run beside its place, taken up again where the same is asked for."""
+"""Maps that outlive a refused link.
+
+They are a run beside its place, taken up again where the same is asked for.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ _REQUEST = ".request"
 
 
 class CachedMaps(NamedTuple):
-    """Where the maps of a layer stand, or will: ``OUT-map``, or ``OUT-map-2`` where that is another's."""
+    """Where the maps of a layer stand, or will stand.
+
+    The place is ``OUT-map``, or ``OUT-map-2`` where that is another's.
+    """
 
     path: Path
     key: str
@@ -29,9 +35,12 @@ class CachedMaps(NamedTuple):
     def of_link(
         cls, study: Study, hashes: Sequence[str], out: Path, compute: Compute
     ) -> dict[str, CachedMaps]:
-        """Those of all volumes of a link to ``out``, by layer: ``OUT-NAME-map`` where there are several.
+        """Give the cached maps of all volumes of a link to ``out``, by layer.
 
-        Each is the folder with the maps of the volume as the link asks for them, or a name that is free.
+        Their names are ``OUT-NAME-map`` where there are several.
+
+        Each is the folder with the maps of the volume as the link asks for them, or a name that is
+        free.
         """
         caches = dict[str, CachedMaps]()
         is_link = len(study.layers) > 1
@@ -65,7 +74,7 @@ class CachedMaps(NamedTuple):
             return None
 
     def note(self, folder: Path, study: Study) -> None:
-        """Mark the folder that will stand there with what was asked for, and the link that was refused."""
+        """Mark the folder that will stand there with the request and the link that was refused."""
         (folder / _REQUEST).write_text(
             f"{self.key}\n{study.model_dump_json()}\n", encoding="utf-8", newline="\n"
         )
@@ -74,9 +83,10 @@ class CachedMaps(NamedTuple):
 def sheets_of(
     old: Path, study: Study, hashes: Sequence[str]
 ) -> tuple[dict[str, Layer], dict[str, Layer]]:
-    """Give the sheets of a run that a study asks for, of the same files and by this code of planish.
+    """Give the sheets of a run that a study asks for, of the same files and by this planish code.
 
-    The first have the same parameters; the second the same surface, and other properties, flattening, or corrections.
+    The first have the same parameters; the second the same surface, and other properties,
+    flattening, or corrections.
     """
     ready_sheets, similar_sheets = dict[str, Layer](), dict[str, Layer]()
     try:
@@ -111,7 +121,10 @@ def sheets_of(
 
 
 def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Study) -> str:
-    """Say where maps are kept of a link that was refused; where none are, how to get them without the image."""
+    """Say where maps are kept of a link that was refused.
+
+    Where none are, how to get them without the image.
+    """
 
     def view(map_folder: str) -> str:
         return f"planish view {quoted(map_folder)} {quoted(study.layers[-1].path)}"
@@ -137,7 +150,10 @@ def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Stud
 
 
 def noted_study(path: Path) -> Study | None:
-    """The link that was refused after it had made these maps; None where they are of no such link."""
+    """The link that was refused after it had made these maps.
+
+    None where they are of no such link.
+    """
     try:
         return Study.model_validate_json(_request(path)[1])
     except (IndexError, ValueError):

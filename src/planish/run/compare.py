@@ -1,4 +1,4 @@
-"""The image of linked maps against every property, without the regions that are declared artefacts."""
+"""Compare the image of linked maps with every property, without regions declared artefacts."""
 
 import numpy as np
 import xarray as xr

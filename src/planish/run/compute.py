@@ -1,6 +1,9 @@
-"""How a run is worked on: memory, threads, a cluster, and what is kept so that a killed run goes on.
+"""How a run is worked on.
 
-No result depends on it, except that columns get wider where the memory would not hold the maps, which the results say.
+That is memory, threads, a cluster, and what is kept so that a killed run goes on.
+
+No result depends on it, except that columns get wider where the memory would not hold the maps,
+which the results say.
 """
 
 from __future__ import annotations
@@ -109,7 +112,9 @@ class Compute(Params):
 def column_step(
     volume: xr.DataArray, frame: Frame, column_um: float | None, compute: Compute
 ) -> int:
-    """Width of the measured columns in voxels: ``column_um``, or single voxels, or as wide as the memory demands.
+    """Give the width of the measured columns in voxels.
+
+    The columns are as wide as ``column_um``, or single voxels, or as wide as the memory demands.
 
     Raises
     ------
@@ -140,7 +145,10 @@ def column_step(
 
 
 def return_memory(compute: Compute) -> None:
-    """Where the memory is short, have glibc give freed arrays back at once: by itself it keeps ever larger ones."""
+    """Have glibc give freed arrays back at once where the memory is short.
+
+    By itself it keeps ever larger ones.
+    """
     least = next((size for memory, size in RETURNED_BYTES if compute.memory < memory), None)
     if least is not None:
         with suppress(OSError, AttributeError, TypeError):  # another C library
@@ -149,7 +157,10 @@ def return_memory(compute: Compute) -> None:
 
 @contextmanager
 def engine(compute: Compute, *, tiles: Path | None = None) -> Generator[Engine]:
-    """Give the engine that works on tiles; InputError without scheduler or library, ResourceError if it is lost."""
+    """Give the engine that works on tiles.
+
+    InputError without scheduler or library, ResourceError if it is lost.
+    """
     memory = int((1 - MAPS_SHARE) * compute.for_work)
     if compute.scheduler is None:
         yield Engine(threads=compute.threads, memory_bytes=memory, folder=tiles)
@@ -193,6 +204,9 @@ def engine(compute: Compute, *, tiles: Path | None = None) -> Generator[Engine]:
 
 
 def run_key(study: dict[str, Any], fingerprints: list[str]) -> str:
-    """What tells a run whose tiles may be used again: the study, the bytes of its inputs, and the program's code."""
+    """Identify a run whose tiles may be used again.
+
+    The study, the bytes of its inputs and the program's code tell it.
+    """
     text = json.dumps([__version__, hash_sources(), study, fingerprints], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -62,7 +62,10 @@ def surface_facts(surfaces: xr.Dataset) -> SurfaceFacts:
 
 
 def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
-    """Distribution of each property over the columns; those that were measured nowhere are left out."""
+    """Distribution of each property over the columns.
+
+    Those that were measured nowhere are left out.
+    """
     facts: dict[str, PropertyFacts] = {}
     for name, data in surfaces.data_vars.items():
         if not is_property(data):
@@ -191,7 +194,10 @@ def _registration_facts(
 
 
 def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> OrientationFacts:
-    """How two registered layers lie on each other: side, hand and machine direction, as given; nothing is guessed."""
+    """How two registered layers lie on each other: side, hand and machine direction, as given.
+
+    Nothing is guessed.
+    """
     is_reversed = fit.mirrored != (moving.side != fixed.side)
     md_fixed_deg = None
     if moving.md_deg is not None:  # an axis, deg clockwise on screen from x: 0 to 180
@@ -248,7 +254,10 @@ def _angle(deg: float | None) -> str:
 
 
 def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea:
-    """How much of the reference shows the sheet, and how much of that is valid; ``mask`` is that of holes."""
+    """How much of the reference shows the sheet, and how much of that is valid.
+
+    ``mask`` is that of holes.
+    """
     grid, counts = Grid.of(linked), np.zeros(3, dtype=np.int64)
     for rows, (u, valid) in read_bands(linked["u"], linked["valid"]):
         is_sheet = np.isfinite(u)
@@ -269,7 +278,8 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
 def figures_text(results: Results) -> str:
     """Text of ``figures.csv``: a row for every figure that the page leads with.
 
-    ``trust`` is ``ok``, ``doubtful`` or ``withheld`` (then there is no value), ``checks`` names the checks that say so.
+    ``trust`` is ``ok``, ``doubtful`` or ``withheld`` (then there is no value), ``checks`` names the
+    checks that say so.
     """
     header = (
         "layers",

@@ -1,4 +1,7 @@
-"""Numbers, checks and groups of a run put together: of one mapped sheet, or of layers on the pixels of a reference."""
+"""Put the numbers, checks and groups of a run together.
+
+They are of one mapped sheet, or of layers on the pixels of a reference.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -105,7 +108,7 @@ def _results(
 
 
 def gather_link(linked: LinkedLayers) -> Run:
-    """Correlate linked layers in pairs, and put the numbers, checks and groups of their run together."""
+    """Correlate linked layers in pairs and gather the numbers, checks and groups of their run."""
     study, layers, maps, correlate = (
         linked.study,
         linked.layers,
@@ -205,7 +208,10 @@ def _side_of(a: Layer, b: Layer) -> Side:
 
 
 def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[EvidenceFacts]:
-    """What stands beside the correlation of each layer with the reference; not where they share too little."""
+    """What stands beside the correlation of each layer with the reference.
+
+    Not where they share too little.
+    """
     params, reference = linked.study.correlate, linked.reference
     columns = {
         layer.name: SheetColumns(
@@ -248,7 +254,8 @@ def _refined(
 ) -> tuple[xr.Dataset, RefinementFacts]:
     """The first of two layers where the maps of both bring it.
 
-    It stands beside that of the marks: nothing that the page correlates was fitted to what it is correlated with.
+    It stands beside that of the marks: nothing that the page correlates was fitted to what it is
+    correlated with.
     """
     (layer, reference), grid, sink = linked.layers, linked.reference.grid, linked.sink
     data = linked.maps[layer.name], linked.maps[reference.name]
@@ -273,7 +280,10 @@ def _refined(
 def _compared_names(
     layer: LayerFacts, reference: LayerFacts, moving: xr.Dataset, fixed: xr.Dataset
 ) -> list[str]:
-    """The maps by which two layers are compared: the headlines, of two sheets one that both have."""
+    """Give the maps by which two layers are compared.
+
+    They are the headlines; of two sheets, one that both have.
+    """
     common_names = [
         name for name in (layer.headline, reference.headline) if name in moving and name in fixed
     ]

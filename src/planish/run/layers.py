@@ -1,4 +1,7 @@
-"""A layer of a run, a sheet with its maps or an image; sheets as they are mapped, and the laser holes of layers."""
+"""A layer of a run, a sheet with its maps or an image.
+
+Sheets as they are mapped, and the laser holes of layers.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,7 +22,8 @@ from planish.results import SheetFacts
 from planish.run.study import LayerParams
 
 Shown = xr.DataArray | Mapping[str, xr.Dataset]
-"""What is brought to the reference: an image, or the groups of a sheet; the maps only where it is the reference."""
+"""What is brought to the reference: an image, or the groups of a sheet; the maps only where it is
+the reference."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,8 +37,8 @@ class Layer:
     image: xr.DataArray | None = None
     # An image as it is compared; holes are found in the image itself.
     compared: xr.DataArray | None = None
-    # Of a sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
-    # ``sections`` of serial sections.
+    # Of a sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u),
+    # ``slices``, and ``sections`` of serial sections.
     groups: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])
     # Groups that stand in the store of another run with the same bytes, and that store.
     unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
@@ -55,7 +59,10 @@ class Layer:
 
     @property
     def shown(self) -> Shown:
-        """What is brought to the reference: an image as it is compared, or the groups of a sheet."""
+        """What is brought to the reference.
+
+        That is an image as it is compared, or the groups of a sheet.
+        """
         return self.groups if self.compared is None else self.compared
 
     @property
@@ -70,7 +77,10 @@ class Layer:
 
     @property
     def side(self) -> Side:
-        """Side of the sheet that it shows: the top for flat maps, and for an image of which nothing is known."""
+        """Side of the sheet that the layer shows.
+
+        It is the top for flat maps, and for an image of which nothing is known.
+        """
         return self.side_given or self.side_found or "top"
 
 
@@ -81,7 +91,10 @@ class LayerHoles:
         self.params, self._holes = params, dict[tuple[str, Side], xr.Dataset]()
 
     def of(self, layer: Layer, to: Layer) -> xr.Dataset:
-        """Holes of an image, or of a sheet, which is seen from its top, in the face that the layer ``to`` shows."""
+        """Give the holes of an image, or of a sheet in the face that the layer ``to`` shows.
+
+        A sheet is seen from its top.
+        """
         face_data, side = (
             (layer.groups["maps"], to.side) if layer.image is None else (layer.image, layer.side)
         )
@@ -112,16 +125,17 @@ def find_holes(
         An image of :func:`planish.read_image`, or maps of :func:`planish.resample_maps`.
     params : HoleParams, optional
     side : {"top", "bottom"}
-        Side of the sheet that the image shows, as the image says where not given, else the top; for maps, the side that
-        the image shows which they are registered to: the holes are searched in that face.
+        Side of the sheet that the image shows, as the image says where not given, else the top; for
+        maps, the side that the image shows which they are registered to: the holes are searched in
+        that face.
     layer : str, optional
         What messages call it; ``image`` or ``sheet`` where not given.
 
     Returns
     -------
     Dataset (mark)
-        ``x``, ``y``, ``diameter`` in um, the covariance of each centre in um2; the attributes ``layer`` and
-        ``seen_from`` (a flat map is always seen from the top).
+        ``x``, ``y``, ``diameter`` in um, the covariance of each centre in um2; the attributes
+        ``layer`` and ``seen_from`` (a flat map is always seen from the top).
 
     Raises
     ------

@@ -1,6 +1,9 @@
-"""Layers linked: registered by their marks, brought onto the reference's pixels in one step, compared in pairs.
+"""Link layers by their marks and compare them in pairs.
 
-The sheets themselves are never registered in space; their flat maps are (Hirn et al. 2009, section 3.4).
+Registered layers are brought onto the reference's pixels in one step.
+
+The sheets themselves are never registered in space; their flat maps are (Hirn et al. 2009, section
+3.4).
 """
 
 from collections.abc import Mapping
@@ -45,7 +48,10 @@ def link_layers(
     progress: Progress,
     sink: StoredMaps,
 ) -> Run:
-    """Register layers, ``sheets`` of volumes among them, to the last one; bring all onto its pixels and correlate."""
+    """Register layers, ``sheets`` of volumes among them, to the last one.
+
+    Bring all onto its pixels and correlate.
+    """
     layers_by_name, regions, holes = (
         {**sheets, **link_inputs.layers},
         link_inputs.regions,
@@ -102,7 +108,10 @@ def link_layers(
 
 
 def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> LinkInputs:
-    """Read the images and runs of a link, check its marks, and lay ``regions`` on a reference that is one of them."""
+    """Read the images and runs of a link and check its marks.
+
+    ``regions`` are laid on a reference that is one of them.
+    """
     layers, holes = dict[str, Layer](), LayerHoles(study.holes)
     for params in study.layers:
         if params.kind == "volume":
@@ -112,7 +121,8 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> Li
             sheet = open_sheet(params.path)
             md_deg = sheet.md_deg if params.md_deg is None else params.md_deg
             if study.is_sheet_on_image and sheet.params.volume is not None:
-                # The study of the run becomes part of this one: the volume linked to the image has the same bytes.
+                # The study of the run becomes part of this one: the volume linked to the image has
+                # the same bytes.
                 params = changed(
                     sheet.params, name=params.name, marks=params.marks, volume={"md_deg": md_deg}
                 )

@@ -1,4 +1,7 @@
-"""Sheets and images on the pixels of a reference, each brought there in one step; what is near a hole is masked."""
+"""Sheets and images on the pixels of a reference, each brought there in one step.
+
+What is near a hole is masked.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -26,7 +29,10 @@ from planish.run.registration import Registration
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ValidMask:
-    """Which pixels lie outside ``circles`` (n, 3: x, y, radius), holes with their rims, and ``regions``; all in um."""
+    """Tell which pixels lie outside ``circles`` and ``regions``.
+
+    ``circles`` (n, 3: x, y, radius) are holes with their rims; all is in um.
+    """
 
     circles: Floats
     regions: Regions | None = None
@@ -48,7 +54,10 @@ class ValidMask:
 def _on_tiles(
     layer_data: Shown, chain: Chain | None, grid: Grid
 ) -> Callable[[Tile, Grid], xr.Dataset]:
-    """Give the function from a tile of a reference to a layer's maps there, with errors where a chain moved it."""
+    """Give the function from a tile of a reference to a layer's maps there.
+
+    The maps have errors where a chain moved the layer.
+    """
     is_image = isinstance(layer_data, xr.DataArray)
     if chain is None:
         if is_image:
@@ -87,8 +96,9 @@ def resample_layers(
 ) -> dict[str, xr.Dataset]:
     """Bring sheets and images onto a grid, tile by tile, and mark what is valid there.
 
-    Put into ``sink`` are all maps of each sheet, or ``image``, ``valid``, and ``expected_error`` of what was moved with
-    its shares: as ``layers/NAME``, or one sheet and image as one group ``joint_group``. Returns the maps of each layer.
+    Put into ``sink`` are all maps of each sheet, or ``image``, ``valid``, and ``expected_error`` of
+    what was moved with its shares: as ``layers/NAME``, or one sheet and image as one group
+    ``joint_group``. Returns the maps of each layer.
     """
     tile_readers = {name: _on_tiles(*source, grid) for name, source in layer_sources.items()}
     absent = [name for name, (_, chain) in layer_sources.items() if chain is not None]
@@ -140,7 +150,8 @@ def hole_circles(
 ) -> Floats:
     """Circles (n, 3: x, y, radius in um) around all holes of one layer, on the reference.
 
-    ``chain`` leads from another layer to the reference; of the layer's own ``image``, holes at the border are included.
+    ``chain`` leads from another layer to the reference; of the layer's own ``image``, holes at the
+    border are included.
     """
     holes = holes_of(marks, side)
     if "diameter" not in holes:  # tiles of texture are no holes
@@ -187,9 +198,9 @@ def resample_maps(
     Returns
     -------
     Dataset
-        Maps (v, u) of the flat sheet; or linked maps (y, x) on the image's pixels: all properties, where in the volume
-        each pixel lies, ``image``, ``expected_error`` in um, and ``valid``: measured, and away from holes and their
-        rims.
+        Maps (v, u) of the flat sheet; or linked maps (y, x) on the image's pixels: all properties,
+        where in the volume each pixel lies, ``image``, ``expected_error`` in um, and ``valid``:
+        measured, and away from holes and their rims.
 
     Raises
     ------
@@ -232,7 +243,8 @@ def resample_maps(
             " image. Write pl.register_marks(pl.find_holes(maps), pl.find_holes(image))."
         )
     grid = Grid.of(onto)
-    # Marks beside the image show that the registration belongs to another one, or its pixels have another size.
+    # Marks beside the image show that the registration belongs to another one, or its pixels have
+    # another size.
     fixed_um, pixel_um = registration.fit.fixed, max(grid.pixel_um)
     low_um, high_um = (
         np.array(grid.origin_um) - pixel_um,

@@ -1,11 +1,16 @@
-"""How far a pixel may be off: marks and model, the neutral surface, the smoothing, the poses of sections.
+"""How far a pixel may be off.
 
-None of them sees the others. Marks and model are the registration's own statement. Which surface of a bent sheet stays
-unstrained is not known: it is the middle of the base or the mean of the faces where the coating is 0 and 1 times as
-stiff as the base, and it may be 3. What the other surface moves, registered to the same marks, is the measure D of
-that; the error is c D, one c for all sheets (below). In the same way the smoothing of the centre surface is judged by
-what five eighths of its cut-off move. What is left of the poses of serial sections displaces their pixels: their quick
-errors, of which the alignment sees most, and a slow wander that it leaves alone, since it looks like the sheet's own.
+The errors are those of marks and model, the neutral surface, the smoothing, and the poses of
+sections.
+
+None of them sees the others. Marks and model are the registration's own statement. Which surface of
+a bent sheet stays unstrained is not known: it is the middle of the base or the mean of the faces
+where the coating is 0 and 1 times as stiff as the base, and it may be 3. What the other surface
+moves, registered to the same marks, is the measure D of that; the error is c D, one c for all
+sheets (below). In the same way the smoothing of the centre surface is judged by what five eighths
+of its cut-off move. What is left of the poses of serial sections displaces their pixels: their
+quick errors, of which the alignment sees most, and a slow wander that it leaves alone, since it
+looks like the sheet's own.
 """
 
 from collections.abc import Mapping
@@ -22,13 +27,15 @@ from planish.register import Chain
 from planish.resample import Lattice, covering_grid, find_places, resample
 from planish.results import ErrorShares
 
-# Root mean square over stiffness ratios coating/base drawn evenly from 0 to 3 of the neutral surface's distance from
-# the one that was flattened, in distances of the two: e(r) = r sum(t z) / (b + r sum(t)), e(0) = 0, e(1) = 1; with a
-# base of 50-60 um and coatings of 9-20 um, e(3) = 1.7-1.9.
+# Root mean square over stiffness ratios coating/base drawn evenly from 0 to 3 of the neutral
+# surface's distance from the one that was flattened, in distances of the two: e(r) = r sum(t z) /
+# (b + r sum(t)), e(0) = 0, e(1) = 1; with a base of 50-60 um and coatings of 9-20 um, e(3) =
+# 1.7-1.9.
 NEUTRAL = {"base": 1.25, "faces": 0.55}
-# Of serial sections: true over stated error of what is left of their quick shifts (1.2-2.1 on ten drawn specimens), as
-# each column sees what all share in one section; and the step of the slow wander, which no alignment sees, for a quick
-# shift of 1: microtomes of the field jitter by 1-2 um and wander by 0.1-0.2 um a section.
+# Of serial sections: true over stated error of what is left of their quick shifts (1.2-2.1 on ten
+# drawn specimens), as each column sees what all share in one section; and the step of the slow
+# wander, which no alignment sees, for a quick shift of 1: microtomes of the field jitter by 1-2 um
+# and wander by 0.1-0.2 um a section.
 _SHARED, _WANDER = 1.3, 0.1
 _SHARES = {  # their words, and what would lower them
     "marks": ("marks and model", "more marks, spread over the field"),
@@ -48,10 +55,10 @@ _SHARES = {  # their words, and what would lower them
 
 
 class PositionErrors:
-    """How far the pixels of a reference (``grid``) may be off, worked out at the places of a lattice.
+    """How far the pixels of a reference (``grid``) may be off, computed at the places of a lattice.
 
-    ``sheet`` holds ``surfaces``, ``flat`` and, of serial sections, ``sections``; None for an image that was moved.
-    ``chain`` goes from its map to the reference.
+    ``sheet`` holds ``surfaces``, ``flat`` and, of serial sections, ``sections``; None for an image
+    that was moved. ``chain`` goes from its map to the reference.
     """
 
     def __init__(self, sheet: Mapping[str, xr.Dataset] | None, chain: Chain, grid: Grid) -> None:
@@ -66,9 +73,10 @@ class PositionErrors:
         self._shares |= _moved(sheet, chain, places)
         if "sections" not in sheet:
             return
-        # What is left of the sections' shifts in the plane of the sheet, rms. The wander is a random walk with a step q
-        # a section. Marks hold it at the square root of their number of places along the cut; n sections between two
-        # such places leave q sqrt(n / 6), the mean over a Brownian bridge.
+        # What is left of the sections' shifts in the plane of the sheet, rms. The wander is a
+        # random walk with a step q a section. Marks hold it at the square root of their number of
+        # places along the cut; n sections between two such places leave q sqrt(n / 6), the mean
+        # over a Brownian bridge.
         sections, through = sheet["sections"], Frame.of(sheet["surfaces"]).through
         n_between_marks = sections.sizes["section"] / np.sqrt(max(chain.fits[0].moving.shape[0], 1))
         variance_um2 = 0.0
@@ -89,10 +97,13 @@ class PositionErrors:
         )
 
     def on(self, part: Grid, layer_values: Floats) -> dict[str, xr.DataArray]:
-        """Errors of the place of some pixels of the reference (y, x), rms, um: ``expected_error``, and shares of it.
+        """Give the rms errors of the place of some pixels of the reference (y, x), in um.
 
-        ``layer_values`` (y, x) is finite where a pixel shows the layer. The shares of a sheet are ``error_marks``,
-        ``error_neutral``, ``error_smoothing`` and ``error_sections`` where they exist.
+        They are ``expected_error``, and shares of it.
+
+        ``layer_values`` (y, x) is finite where a pixel shows the layer. The shares of a sheet are
+        ``error_marks``, ``error_neutral``, ``error_smoothing`` and ``error_sections`` where they
+        exist.
         """
         is_shown = np.isfinite(layer_values)
         shares = {
@@ -118,7 +129,9 @@ class PositionErrors:
 
 
 def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares | None:
-    """Root mean square of each share over the pixels, which is the largest, and what would lower it.
+    """Give the root mean square of each share over the pixels.
+
+    It comes with which share is the largest, and what would lower it.
 
     ``has_shared`` says that the error of the marks holds what all of them share.
     """
@@ -150,7 +163,10 @@ def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares |
 
 
 def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dict[str, Floats]:
-    """What other surfaces move at places (rows, cols, 2) of the reference, registered to the same marks; um."""
+    """Give what other surfaces move at places (rows, cols, 2) of the reference, in um.
+
+    They are registered to the same marks.
+    """
     surfaces, attrs = sheet["surfaces"], sheet["flat"].attrs
     if "centre_shorter" not in surfaces or "neutral" not in attrs:
         return {}  # of a run that does not say what was flattened

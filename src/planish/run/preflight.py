@@ -1,4 +1,7 @@
-"""What can be refused before anything is read: names, numbers that an option needs, images beyond the memory."""
+"""Refuse what can be refused before anything is read.
+
+That is names, numbers that an option needs, and images beyond the memory.
+"""
 
 from pathlib import Path
 
@@ -13,23 +16,28 @@ from planish.run.compute import Compute
 from planish.run.sheet import asked_corrections
 from planish.run.study import Study
 
-# Each map is the sum of the others, or their difference: given all but one, that one says nothing new.
+# Each map is the sum of the others, or their difference: given all but one, that one says nothing
+# new.
 _SUMS = (
     ("thickness", "coating_top", "coating_bottom", "base_thickness"),
     ("coating_difference", "coating_top", "coating_bottom"),
     ("topography_difference", "topography_top", "topography_bottom"),
 )
 
-# Bytes a pixel: refining holds image and map in double precision, filtered, several times; without a folder, all linked
-# maps are held; beside an image, its values as compared and, while a screen is taken off, two means and their weights.
+# Bytes a pixel: refining holds image and map in double precision, filtered, several times; without
+# a folder, all linked maps are held; beside an image, its values as compared and, while a screen is
+# taken off, two means and their weights.
 _REFINED_BYTES, _HELD_BYTES, _COMPARED_BYTES = 120, 130, 24
 
 
 def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regions | None:
-    """Raise what no volume can change, and give the regions that were read; ``held``: the results stay in memory.
+    """Raise what no volume can change, and give the regions that were read.
 
-    CannotMeasure names further maps that are unknown or lack a number, InputError what needs other maps, layers or
-    references, FileError a file that cannot be read, and ResourceError an image beyond the memory.
+    ``held``: the results stay in memory.
+
+    CannotMeasure names further maps that are unknown or lack a number, InputError what needs other
+    maps, layers or references, FileError a file that cannot be read, and ResourceError an image
+    beyond the memory.
     """
     for layer in study.layers:
         if layer.kind != "volume":
@@ -78,7 +86,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
 
 
 def _check_beside(study: Study) -> None:
-    """Raise InputError where the maps to stand beside hold one twice, or parts together with their sum."""
+    """Raise InputError where the maps to stand beside hold one twice, or parts and their sum."""
     names = study.correlate.beside
     is_bottom = any(
         layer.image is not None and layer.image.side == "bottom" for layer in study.layers
@@ -101,7 +109,7 @@ def _check_beside(study: Study) -> None:
 
 
 def _check_light(study: Study) -> None:
-    """Raise InputError where an option needs an image, references or volumes that the study does not have."""
+    """Raise InputError where an option needs an image, references or volumes the study lacks."""
     correlate, reference = study.correlate, study.layers[-1].image
     sheets = [layer for layer in study.layers if layer.kind != "image"]
     options = {

@@ -1,4 +1,7 @@
-"""Regions that a study declares as artefacts: on the pixels of the reference, and as results say them."""
+"""Regions that a study declares as artefacts.
+
+They are given on the pixels of the reference, and as results say them.
+"""
 
 from pathlib import Path
 
@@ -15,7 +18,10 @@ REGIONS = "regions.geojson"
 
 
 def regions_on(declared: Regions, grid: Grid, path: str | None) -> Regions:
-    """Bring regions read from ``path`` to um of the reference; InputError where they hold none or all of its pixels."""
+    """Bring regions read from ``path`` to um of the reference.
+
+    InputError where they hold none or all of its pixels.
+    """
     regions = declared.on(grid)
     share = region_facts(regions, grid).share
     if share in (0, 1):

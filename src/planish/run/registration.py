@@ -1,4 +1,7 @@
-"""A registration with all marks of both layers: found, matched and fitted, or given; and its file, ``marks.json``."""
+"""A registration with all marks of both layers: found, matched and fitted, or given.
+
+And its file, ``marks.json``.
+"""
 
 from __future__ import annotations
 
@@ -54,12 +57,14 @@ from planish.run.study import Study
 class Registration:
     """How a layer, the moving one, comes to another one, the fixed one.
 
-    Call it with points ``(..., 2)``, ``(x, y)`` in um of the moving layer to get points of the fixed one.
+    Call it with points ``(..., 2)``, ``(x, y)`` in um of the moving layer to get points of the
+    fixed one.
     """
 
     fit: FittedTransform  #: the transformation with its errors
-    #: Dims (mark,): all marks of both layers, matched or not: ``label``, ``used``, ``moving_x``, ``moving_y``,
-    #: ``fixed_x``, ``fixed_y`` in um (NaN where a mark is not in a layer), diameters, covariances, sources, residuals.
+    # : Dims (mark,): all marks of both layers, matched or not: ``label``, ``used``, ``moving_x``,
+    # ``moving_y``, : ``fixed_x``, ``fixed_y`` in um (NaN where a mark is not in a layer),
+    # diameters, covariances, sources, residuals.
     marks: xr.Dataset
     # : ``found``, ``texture``, ``both``, or the format of the file that the marks came from.
     source: str = "found"
@@ -70,7 +75,8 @@ class Registration:
     # : of a search by texture: that unrelated layers would have been linked.
     false_probability: float | None = None
 
-    #: Of ``both``: how far apart the places by holes and by texture lie in the middle, and how far they may, um, rms.
+    # : Of ``both``: how far apart the places by holes and by texture lie in the middle, and how far
+    # they may, um, rms.
     apart_um: tuple[float, float] | None = None
 
     def __call__(self, points: Any) -> Floats:
@@ -153,14 +159,17 @@ def register_marks(
     params: RegistrationParams | None = None,
     hole_um: tuple[float, float] = (100.0, 300.0),
 ) -> Registration:
-    """Match the laser holes of two layers, whose rotation and shift are unknown, and fit the transformation.
+    """Match the laser holes of two layers and fit the transformation.
+
+    The rotation and shift of the layers are unknown.
 
     Parameters
     ----------
     moving, fixed : Dataset (mark)
-        Holes of :func:`planish.find_holes`, or ``x`` and ``y`` in um alone. The attribute ``layer`` says what they are
-        called in messages, ``seen_from`` which side of the sheet is seen, ``"top"`` or ``"bottom"``: the top where it
-        is missing. Layers that show opposite sides see each other mirrored.
+        Holes of :func:`planish.find_holes`, or ``x`` and ``y`` in um alone. The attribute ``layer``
+        says what they are called in messages, ``seen_from`` which side of the sheet is seen,
+        ``"top"`` or ``"bottom"``: the top where it is missing. Layers that show opposite sides see
+        each other mirrored.
     params : RegistrationParams, optional
     hole_um : (float, float)
         Diameters that were looked for, for messages.
@@ -172,7 +181,8 @@ def register_marks(
     Raises
     ------
     CannotRegister
-        If there are too few holes, they do not match, or they ask for a scale that the calibrations exclude.
+        If there are too few holes, they do not match, or they ask for a scale that the calibrations
+        exclude.
     MarkError
         If ``seen_from`` is neither top nor bottom.
 
@@ -222,7 +232,10 @@ def with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
 
 
 class Link(NamedTuple):
-    """How a layer comes to the reference: its registration to the next layer of the path, and all of them composed."""
+    """How a layer comes to the reference.
+
+    It has its registration to the next layer of the path, and all registrations composed.
+    """
 
     path: list[Layer]
     registration: Registration
@@ -230,7 +243,7 @@ class Link(NamedTuple):
 
 
 def register_layers(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> Registration:
-    """Register one layer to another one by the marks that the study names, or by the holes of both."""
+    """Register one layer to another by the marks that the study names, or by the holes of both."""
     params = study.registration
     path = layer.params.marks or params.marks
     if path is None:
@@ -270,7 +283,7 @@ def register_layers(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study)
 def fit_marks(
     marks: xr.Dataset, *, params: RegistrationParams, mirrored: bool | None
 ) -> FittedTransform:
-    """Fit the marks that are in use and lie in both layers, as a run fits marks that it is given."""
+    """Fit the marks in use that lie in both layers, as a run fits marks that it is given."""
     pairs = marks.isel(mark=np.flatnonzero(paired(marks)))
     return fit_pairs(
         holes_of(pairs, "moving"), holes_of(pairs, "fixed"), params=params, mirrored=mirrored
@@ -285,10 +298,12 @@ def check_marks(
     *,
     needed: bool = True,
 ) -> None:
-    """Refuse what cannot be registered, before a volume is mapped: too few holes in an image, or marks of no use.
+    """Refuse what cannot be registered, before a volume is mapped.
 
-    ``layer`` and ``to`` are names where they are volumes that were not read yet; ``path`` is the file of their marks.
-    Holes are not needed where the texture can take their place.
+    That is an image with too few holes, or marks of no use.
+
+    ``layer`` and ``to`` are names where they are volumes that were not read yet; ``path`` is the
+    file of their marks. Holes are not needed where the texture can take their place.
     """
     if path is not None:
         read_given(path, layer, fixed)
@@ -319,7 +334,10 @@ def read_given(path: str, moving: Layer | str, fixed: Layer | str) -> xr.Dataset
 
 
 def volume_to_map(marks: xr.Dataset, name: str, groups: Mapping[str, xr.Dataset]) -> xr.Dataset:
-    """Marks on the flat map of a layer, those too that were set in its volume; without ``groups`` it is an image."""
+    """Marks on the flat map of a layer, those too that were set in its volume.
+
+    Without ``groups`` it is an image.
+    """
     if "volume_x" not in marks:
         return marks
     if not groups:

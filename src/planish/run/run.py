@@ -36,9 +36,10 @@ class Run:
 
     study: Study  #: the parameters, with the sizes and pitches that were used
     results: Results  #: every number, as ``results.json`` has it
-    #: Of one sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
-    #: ``sections`` of serial sections. Of a sheet linked to an image also ``linked`` (y, x of the image), and
-    #: ``refined``. Of other links ``layers/NAME`` on the pixels of the reference.
+    # : Of one sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u),
+    # ``slices``, and : ``sections`` of serial sections. Of a sheet linked to an image also
+    # ``linked`` (y, x of the image), and : ``refined``. Of other links ``layers/NAME`` on the
+    # pixels of the reference.
     groups: Mapping[str, xr.Dataset]
     # : by the moving layer.
     registrations: Mapping[str, Registration] = field(default_factory=dict[str, Registration])
@@ -111,7 +112,7 @@ class Run:
         )
 
     def __repr__(self) -> str:
-        """Return its folder, layers, checks, groups, and r where it is a link: ten lines at most."""
+        """Return folder, layers, checks, groups, and r if it is a link, in ten lines at most."""
         from planish.report.relation import largest
         from planish.report.summary import lead_pair
 
@@ -179,8 +180,8 @@ def open_run(path: str | Path) -> Run:
     Raises
     ------
     FileError
-        If it is no run, was made by planish 0.1.0, or a file of it is missing or damaged; of groups and registrations
-        where they are asked for.
+        If it is no run, was made by planish 0.1.0, or a file of it is missing or damaged; of groups
+        and registrations where they are asked for.
     InputError
         If its study has parameters that are not known.
     """

@@ -62,8 +62,8 @@ def run_study(
     Raises
     ------
     PlanishError
-        Any of the tree in :mod:`planish.core.errors`; nothing is left at ``out`` then. What was mapped of a
-        link stays beside it, as ``OUT-map``.
+        Any of the tree in :mod:`planish.core.errors`; nothing is left at ``out`` then. What was
+        mapped of a link stays beside it, as ``OUT-map``.
     """
     compute = compute or Compute()
     # What is free changes while a run works, and the width of its columns must not.
@@ -125,14 +125,18 @@ def _make(
     work_dir: Path | None = None,
     sink: StoredMaps | None = None,
 ) -> Run:
-    """Map the volumes that are not ready, and link the layers; maps of a refused link are kept in ``caches``."""
+    """Map the volumes that are not ready, and link the layers.
+
+    Maps of a refused link are kept in ``caches``.
+    """
     sheets, tile_dir, is_link = (
         {**ready_sheets},
         work_dir and work_dir / "tiles",
         len(study.layers) > 1,
     )
     try:
-        # Volumes come last: what is wrong with images, runs, marks and regions should not cost their time.
+        # Volumes come last: what is wrong with images, runs, marks and regions should not cost
+        # their time.
         link_inputs = read_inputs(study, regions, progress) if is_link else None
         for layer in study.layers:
             if layer.kind == "volume" and layer.name not in sheets:
@@ -169,11 +173,14 @@ def _make(
 def save_run(
     run: Run, folder: Path, *, home: Path, store: StoredMaps | None = None, figures: bool = False
 ) -> None:
-    """Write all files of a run into ``folder``, which will stand at ``home``, on request those of its figures, too.
+    """Write all files of a run into ``folder``, which will stand at ``home``.
 
-    The store ``store``, which holds some of its groups, becomes that of the run. A volume that was mapped on the way to
-    a link of several layers stands in ``layers/NAME`` as a run of its own. Maps get smaller copies beside them,
-    ``overviews/GROUP/1`` half as fine, ``/2`` half of that, and so on.
+    On request, the files of its figures are written, too.
+
+    The store ``store``, which holds some of its groups, becomes that of the run. A volume that was
+    mapped on the way to a link of several layers stands in ``layers/NAME`` as a run of its own.
+    Maps get smaller copies beside them, ``overviews/GROUP/1`` half as fine, ``/2`` half of that,
+    and so on.
     """
     for name, sheet in run.sheets.items():
         sheet_folder = folder / "layers" / name
@@ -209,10 +216,12 @@ def save_run(
 
 
 def _with_files_of_run(study: Study, run: Run, folder: Path, final_folder: Path) -> Study:
-    """Name the run's own files of marks and corrections in its study, in place of those that they came from.
+    """Name the run's own files of marks and corrections in its study.
 
-    Marks of another run are in this one too, with all that is known of them. Corrections of ``run.sheets`` stand in
-    their folders by now.
+    They stand in place of those that they came from.
+
+    Marks of another run are in this one too, with all that is known of them. Corrections of
+    ``run.sheets`` stand in their folders by now.
     """
 
     def is_of_a_run(path: str | None) -> bool:  # such as edits/NAME/FILE of it
@@ -249,7 +258,10 @@ def _with_files_of_run(study: Study, run: Run, folder: Path, final_folder: Path)
 
 
 def hash_of_input(path: str | Path) -> str:
-    """Hash of a file, a folder or a run, which its results stand for; what is wrong with it is said by its reader."""
+    """Hash of a file, a folder or a run, which its results stand for.
+
+    What is wrong with it is said by its reader.
+    """
     results = Path(path) / "results.json"
     try:
         return fingerprint(results if results.is_file() else Path(path))

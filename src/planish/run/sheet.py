@@ -40,9 +40,9 @@ def map_layer(
 ) -> Layer:
     """Go from a volume to flattened maps of its properties.
 
-    ``tile_dir`` is for the results of single tiles, where a run that was killed finds them again. ``old_sheet``
-    is of the same volume with the same surface but for corrections: only what other parameters change is done anew,
-    and only the tiles that a correction touches are searched again.
+    ``tile_dir`` is for the results of single tiles, where a run that was killed finds them again.
+    ``old_sheet`` is of the same volume with the same surface but for corrections: only what other
+    parameters change is done anew, and only the tiles that a correction touches are searched again.
     """
     v = layer.volume
     assert v is not None
@@ -54,7 +54,8 @@ def map_layer(
         # They need no flat map, and are worked out beside it.
         checks_and_numbers = pool.submit(_judged, layer, volume, sections, columns, local)
         progress("flatten", "eight-spring mesh")
-        # Before the properties: a column whose normal meets no face still has its place in the sheet.
+        # Before the properties: a column whose normal meets no face still has its place in the
+        # sheet.
         flattened = flatten_sheet(surfaces, params=layer.flatten)
         if volume is not None:
             progress("check", "slices, grey, layers")
@@ -83,7 +84,8 @@ def map_layer(
         return _remapped(old_sheet, sheet)
     step = column_step(volume, v.frame, v.column_um, compute)
     groups["slices"] = some_slices(volume, v.frame, step)
-    # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
+    # Where single columns of voxels were measured without being asked for, nothing has to be
+    # repeated.
     column_params = {"column_um": column_um} if step > 1 and v.column_um is None else {}
     size_params = {"voxel_um": tuple(float(s) for s in volume.attrs["voxel_um"])} | column_params
     return Layer(
@@ -104,7 +106,10 @@ def _measure(
     compute: Compute,
     progress: Progress,
 ) -> tuple[xr.DataArray | None, xr.Dataset | None, xr.Dataset, xr.Dataset]:
-    """Give volume (None where not read), sections, surfaces and measured columns; a similar sheet may have them."""
+    """Give volume (None where not read), sections, surfaces and measured columns.
+
+    A similar sheet may have them.
+    """
     v = layer.volume
     assert v is not None
 
@@ -206,7 +211,10 @@ def search_sheet(
 
 
 def asked_corrections(layer: LayerParams) -> str:
-    """Text of the corrections that a study asks for, empty where there are none; FileError where it holds others."""
+    """Text of the corrections that a study asks for, empty where there are none.
+
+    FileError where it holds others.
+    """
     if layer.surface.corrections is None:
         return ""
     corrections = read_corrections(layer.surface.corrections)

@@ -1,4 +1,7 @@
-"""The study: every parameter of a run, checked; what the command line fills in and ``run.toml`` repeats."""
+"""The study: every parameter of a run, checked.
+
+What the command line fills in and ``run.toml`` repeats.
+"""
 
 import datetime
 import os
@@ -122,8 +125,8 @@ class LayerParams(Params):
 class Study(Params):
     """One run: a sheet that is mapped, or layers that are linked onto the last one, the reference.
 
-    With ``chain`` each layer is registered to the next one and carried on from there, otherwise all are registered to
-    the reference.
+    With ``chain`` each layer is registered to the next one and carried on from there, otherwise all
+    are registered to the reference.
     """
 
     layers: tuple[LayerParams, ...]
@@ -176,8 +179,9 @@ class Study(Params):
 def read_study(path: Path) -> Study:
     """Read a study file; paths in it are relative to its folder and come back absolute.
 
-    A study of one volume, with or without an image, may leave out the list of layers: tables ``[volume]``, ``[image]``,
-    ``[surface]`` ... on the top level then stand for them. So do the files of planish 0.1.0.
+    A study of one volume, with or without an image, may leave out the list of layers: tables
+    ``[volume]``, ``[image]``, ``[surface]`` ... on the top level then stand for them. So do the
+    files of planish 0.1.0.
 
     Raises
     ------
@@ -206,7 +210,10 @@ def toml_tables(path: Path, text: str) -> dict[str, Any]:
 
 
 def checked_study(path: Path, text: str, tables: dict[str, Any]) -> Study:
-    """The study in the tables of a file with this text; InputError names the lines of all faults."""
+    """The study in the tables of a file with this text.
+
+    InputError names the lines of all faults.
+    """
     try:
         return as_study(tables)
     except ValidationError as error:
@@ -224,12 +231,16 @@ def checked_study(path: Path, text: str, tables: dict[str, Any]) -> Study:
 
 
 def _absolute(path: Path) -> str:
-    # On Windows, resolve() makes \\server\share of Z:, to which no relative path leads from a run on Z:.
+    # On Windows, resolve() makes \\server\share of Z:, to which no relative path leads from a run
+    # on Z:.
     return os.path.normpath(path.absolute()) if os.name == "nt" else str(path.resolve())
 
 
 def as_study(data: dict[str, Any]) -> Study:
-    """Check the content of a study file, in any form that :func:`read_study` takes; ValidationError where wrong."""
+    """Check the content of a study file, in any form that :func:`read_study` takes.
+
+    ValidationError where wrong.
+    """
     data = dict(data)
     registration: Any = data.get("registration")
     if isinstance(registration, dict) and "hole_um" in registration:  # as planish 0.1.0 wrote it
@@ -253,9 +264,13 @@ def as_study(data: dict[str, Any]) -> Study:
 
 
 def with_values(study: Study, changes: Sequence[str]) -> Study:
-    """Change single parameters: ``surface.cutoff_um=600``, for one layer only ``NAME.surface.cutoff_um=600``.
+    """Change single parameters.
 
-    Values are written as in a study file; text needs no quotes, and nothing behind the sign takes a parameter out.
+    ``surface.cutoff_um=600`` changes one, ``NAME.surface.cutoff_um=600`` changes it for one layer
+    only.
+
+    Values are written as in a study file; text needs no quotes, and nothing behind the sign takes a
+    parameter out.
 
     Raises
     ------
@@ -306,7 +321,10 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
 
 
 def in_study_words(text: str) -> str:
-    """Name the keys of a study in a message that names options of the command line: surface.rim_um for --rim-um."""
+    """Name the keys of a study in a message that names options of the command line.
+
+    It then says surface.rim_um for --rim-um.
+    """
     keys = {
         shown.flags[0]: f"{section}.{name}"
         for section, model in reversed(SECTIONS.items())  # of the same flag in two the first one
@@ -316,7 +334,8 @@ def in_study_words(text: str) -> str:
 
 
 def _value(text: str) -> Any:
-    # As in a study file; numbers with commas stand without their brackets too, which shells treat as their own.
+    # As in a study file; numbers with commas stand without their brackets too, which shells treat
+    # as their own.
     for written in (text, f"[{text}]"):
         try:
             return tomllib.loads(f"value = {written}")["value"]
@@ -326,7 +345,10 @@ def _value(text: str) -> Any:
 
 
 def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None:
-    """Write ``run.toml`` into ``folder``, with paths relative to ``home``, the place where the folder will stand."""
+    """Write ``run.toml`` into ``folder``, with paths relative to ``home``.
+
+    ``home`` is the place where the folder will stand.
+    """
     study = with_paths(study, lambda path: relative_path(path, home))
     (folder / RUN_TOML).write_text(
         tomli_w.dumps({"planish": version} | to_dict(study)), encoding="utf-8", newline="\n"
@@ -334,7 +356,10 @@ def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None
 
 
 def relative_path(path: str | Path, base_folder: Path) -> str:
-    """Return a path relative to a folder, or as it is where none leads there: from one drive to another."""
+    """Return a path relative to a folder, or as it is where none leads there.
+
+    None leads from one drive to another.
+    """
     try:
         return Path(os.path.relpath(path, base_folder)).as_posix()
     except ValueError:
@@ -342,7 +367,10 @@ def relative_path(path: str | Path, base_folder: Path) -> str:
 
 
 def to_dict(study: Study) -> dict[str, Any]:
-    """Plain values of a study: nothing that is not given, and nothing about mapping where nothing is mapped."""
+    """Give the plain values of a study.
+
+    They hold nothing that is not given, and nothing about mapping where nothing is mapped.
+    """
     data = study.model_dump(mode="json", exclude_none=True)
     if not data["about"]:
         del data["about"]

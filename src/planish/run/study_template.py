@@ -1,4 +1,7 @@
-"""A study to be filled in: what the files say, every option with its default, and what only the user knows."""
+"""A study to be filled in.
+
+It holds what the files say, every option with its default, and what only the user knows.
+"""
 
 import textwrap
 from pathlib import Path
@@ -54,7 +57,9 @@ class Draft(NamedTuple):
 def draft_study(
     volume: str | Path, image: str | Path | None = None, *, home: str | Path = ".", name: str = ""
 ) -> Draft:
-    """Write a study of a volume, with or without an image: what was read from them, and all options as comments.
+    """Write a study of a volume, with or without an image.
+
+    It holds what was read from them, and all options as comments.
 
     Parameters
     ----------
@@ -68,8 +73,8 @@ def draft_study(
     Returns
     -------
     Draft
-        ``text`` is a study that :func:`planish.run.study.read_study` reads. Lines that begin with ``#`` and a key hold
-        defaults; where an option has none, what is needed stands in capitals.
+        ``text`` is a study that :func:`planish.run.study.read_study` reads. Lines that begin with
+        ``#`` and a key hold defaults; where an option has none, what is needed stands in capitals.
 
     Raises
     ------
@@ -93,7 +98,10 @@ def draft_study(
 
 
 def _options(model: type[Params]) -> list[tuple[str, FieldInfo, Shown]]:
-    """All options of a model, those last that are tables of their own: a key behind a table would belong to it."""
+    """Give all options of a model, those last that are tables of their own.
+
+    A key behind a table would belong to it.
+    """
     flags = {name: shown for name, _, shown in options_of(model)}
     options = [
         (k, field, flags.get(k, Shown(flags=())))
@@ -242,7 +250,10 @@ def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]
 
 
 def _placeholder(kinds: list[Any], shown: Shown) -> str:
-    """What is needed where an option has no default, in capitals: no value, so that it cannot be run by mistake."""
+    """Say what is needed where an option has no default, in capitals.
+
+    This is no value, so that the study cannot be run by mistake.
+    """
     count = next((len(get_args(kind)) for kind in kinds if get_origin(kind) is tuple), 0)
     if count:
         words = (shown.metavar or "").rpartition("|")[2].split(",")

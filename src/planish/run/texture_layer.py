@@ -1,4 +1,7 @@
-"""What a layer shows of its texture: the maps of a sheet, or an image, and parts of them on larger pixels."""
+"""What a layer shows of its texture.
+
+That is the maps of a sheet, or an image, and parts of them on larger pixels.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,10 @@ class TextureLayer:
     def of(
         cls, layer: xr.Dataset | xr.DataArray, side: Side = "top", holes: xr.Dataset | None = None
     ) -> TextureLayer:
-        """Take the maps that may show in an image of a side, or an image without its holes; InputError for none."""
+        """Take the maps that may show in an image of a side, or an image without its holes.
+
+        InputError for none.
+        """
         if isinstance(layer, xr.DataArray):
             grid, valid = Grid.of(layer), None
             if holes is not None and holes.sizes["mark"]:
@@ -106,7 +112,10 @@ class TextureLayer:
         )
 
     def texture(self, pixel_um: float, *, slopes: bool = False) -> tuple[Textures, Floats]:
-        """Textures on pixels of about a size, with the slopes of its face; ``(x, y)`` of the middle of the first."""
+        """Textures on pixels of about a size, with the slopes of its face.
+
+        ``(x, y)`` of the middle of the first.
+        """
         factors = [max(int(pixel_um / p + 1e-6), 1) for p in self.grid.pixel_um]
         masks = [] if self.valid is None else [self.valid]
         shown_maps = dict(self.maps)

@@ -1,4 +1,7 @@
-"""The registration of two layers by the texture that both show, without holes: searched, and fitted to tiles."""
+"""Register two layers by the texture that both show, without holes.
+
+The registration is searched, and fitted to tiles.
+"""
 
 from __future__ import annotations
 
@@ -75,24 +78,28 @@ def register_texture(
     holes: tuple[xr.Dataset, xr.Dataset] | None = None,
     place: Similarity | None = None,
 ) -> Registration:
-    """Find a sheet in an image by the texture that both show, without any hole, and fit the transformation.
+    """Find a sheet in an image by the texture that both show, and fit the transformation.
+
+    This works without any hole.
 
     Parameters
     ----------
     moving, fixed : Dataset (v, u) or DataArray (y, x)
-        Flat maps of :func:`planish.resample_maps`, or an image of :func:`planish.read_image`. The smaller one lies in
-        the larger one at any rotation, with 40 % of it or more.
+        Flat maps of :func:`planish.resample_maps`, or an image of :func:`planish.read_image`. The
+        smaller one lies in the larger one at any rotation, with 40 % of it or more.
     params : RegistrationParams, optional
-        ``near`` limits the place and ``scale_tolerance`` the scale, ``model`` is fitted to the tiles; with ``mirror``
-        the other hand is tried as well.
+        ``near`` limits the place and ``scale_tolerance`` the scale, ``model`` is fitted to the
+        tiles; with ``mirror`` the other hand is tried as well.
     mirrored : bool or None
-        Whether the layers see each other mirrored, as an image of the bottom and a flat map do. None tries an image of
-        either side.
+        Whether the layers see each other mirrored, as an image of the bottom and a flat map do.
+        None tries an image of either side.
     holes : (Dataset, Dataset), optional
-        Laser holes of both layers, of :func:`planish.find_holes`. They are masked and have no part in the fit; where
-        there are 1 or 2 in both, the places that put one onto another are searched first.
+        Laser holes of both layers, of :func:`planish.find_holes`. They are masked and have no part
+        in the fit; where there are 1 or 2 in both, the places that put one onto another are
+        searched first.
     place : Similarity, optional
-        From the moving to the fixed layer, right to some 25 um: nothing is searched, and no probability is stated.
+        From the moving to the fixed layer, right to some 25 um: nothing is searched, and no
+        probability is stated.
 
     Returns
     -------
@@ -102,8 +109,8 @@ def register_texture(
     Raises
     ------
     Undecided
-        If no place stands out so far that an unrelated image would reach it in fewer than 4 of 10 000 cases, or two
-        places are nearly alike.
+        If no place stands out so far that an unrelated image would reach it in fewer than 4 of 10
+        000 cases, or two places are nearly alike.
     CannotRegister
         If too few tiles by themselves show where they lie.
     InputError
@@ -111,9 +118,9 @@ def register_texture(
 
     Notes
     -----
-    Coatings and thicknesses are band-passed (18 to 150 um) and correlated with the image at all rotations and shifts,
-    either sign, in pixels of 20 um; the best place is tuned and tiles are placed in pixels of 8 um. Of two sheets the
-    same map is compared.
+    Coatings and thicknesses are band-passed (18 to 150 um) and correlated with the image at all
+    rotations and shifts, either sign, in pixels of 20 um; the best place is tuned and tiles are
+    placed in pixels of 8 um. Of two sheets the same map is compared.
     """
     fit_params = params_of(RegistrationParams, params, "pl.register_texture")
     if place is not None:
@@ -146,7 +153,10 @@ def register_texture(
 
 
 def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> bool:
-    """Whether two layers are registered by their texture: where that is asked for, or holes are too few to match."""
+    """Tell whether two layers are registered by their texture.
+
+    They are where that is asked for, or holes are too few to match.
+    """
     params = study.registration
     if layer.params.marks or params.marks:
         return False
@@ -158,7 +168,10 @@ def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) ->
 def register_layers_by_texture(
     layer: Layer, fixed: Layer, holes: LayerHoles, study: Study
 ) -> Registration:
-    """Register one layer of a link to another one by the texture of both; what holes there are is masked."""
+    """Register one layer of a link to another one by the texture of both.
+
+    What holes there are is masked.
+    """
     pair, params = (holes.of(layer, fixed), holes.of(fixed, layer)), study.registration
     moving, image = (of.groups["maps"] if of.image is None else of.shown for of in (layer, fixed))
     assert isinstance(moving, xr.Dataset | xr.DataArray)
@@ -207,7 +220,10 @@ class _Layers(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """A search, the place from the first to the second layer, and by what the second one is larger than stated."""
+    """A search, and the place from the first to the second layer.
+
+    It also says by what the second layer is larger than stated.
+    """
 
     search: PlaceSearch
     place: Similarity
@@ -222,7 +238,10 @@ def _searched_sides(
     mirrored: bool | None,
     holes: tuple[xr.Dataset, xr.Dataset] | None,
 ) -> tuple[_Layers, _Found]:
-    """Search by the maps of one side or of either, where holes say so first; stop where the place is sure."""
+    """Search by the maps of one side or of either, where holes say so first.
+
+    Stop where the place is sure.
+    """
     tried: list[tuple[_Layers, _Found]] = []
     for is_bottom in (False, True) if mirrored is None else (mirrored,):
         layers = _Layers.of(moving, fixed, "bottom" if is_bottom else "top", holes)
@@ -237,7 +256,10 @@ def _searched_sides(
 def _nears(
     layers: _Layers, params: RegistrationParams, holes: tuple[xr.Dataset, xr.Dataset] | None
 ) -> Iterator[Sequence[Near]]:
-    """Where to look, one after the other: about a given place, where a hole lies on a hole, everywhere."""
+    """Say where to look, one after the other.
+
+    The order is about a given place, where a hole lies on a hole, everywhere.
+    """
     if params.near is not None:
         x, y, *radius = params.near
         radius_um = radius[0] if radius else _NEAR_UM
@@ -264,7 +286,10 @@ def _nears(
 def _searched(
     layers: _Layers, params: RegistrationParams, *, mirrored: bool | None, near: Sequence[Near]
 ) -> _Found:
-    """Search the smaller layer in the larger one, at all sizes of the second one that the tolerance allows."""
+    """Search the smaller layer in the larger one.
+
+    The second layer is tried at all sizes that the tolerance allows.
+    """
     half = 0.5 * _SEARCHED_UM
     a = layers.a.part(layers.a.middle_um - half, layers.a.middle_um + half)
     (a_texture, a_first), best = a.texture(_SEARCH_UM), None
@@ -311,7 +336,10 @@ def _searched(
 
 
 def _between_layers(place: Similarity, scaled: float, *, swapped: bool) -> Similarity:
-    """A place of the first layer in the second one, ``scaled``, from the moving to the fixed layer as they are."""
+    """Give a place of the first layer in the second one from the moving to the fixed layer.
+
+    The second layer is ``scaled``; the moving and the fixed layer are taken as they are.
+    """
     if swapped:
         return replace(place.inverse, scale=place.inverse.scale * scaled)
     x, y = place.shift_um
@@ -338,7 +366,9 @@ def _tiles_near(
     names: Names | None = None,
     off_um: float = 0.0,
 ) -> TilePlaces:
-    """Tune a place of the first layer in the second one, ``scaled``, by as much as it may be off, and find tiles there.
+    """Tune a place of the first layer in the second one, ``scaled``, by as much as it may be off.
+
+    Tiles are then found there.
 
     Their places and covariances are those in the second layer as it is.
     """
@@ -377,7 +407,10 @@ def _fitted(
     pairs: Ints,
     params: RegistrationParams,
 ) -> Registration:
-    """Fit the transformation to tiles and, by ``pairs`` of their rows, to holes of the moving and the fixed layer."""
+    """Fit the transformation to tiles and to holes of the moving and the fixed layer.
+
+    The holes are taken by ``pairs`` of their rows.
+    """
     count, (a_holes, b_holes) = len(tiles.moving_um), holes or (None, None)
     if layers.swapped:
         a_holes, b_holes = b_holes, a_holes
@@ -411,7 +444,10 @@ def _with_tiles(
     holes: tuple[xr.Dataset, xr.Dataset],
     side: Side,
 ) -> Registration:
-    """Fit holes and the tiles that are found at the place by holes in one, and say how far apart both lie."""
+    """Fit holes and tiles in one, and say how far apart both lie.
+
+    The tiles are those that are found at the place by holes.
+    """
     layers = _Layers.of(moving, fixed, side, holes)
     place = known.fit.transform.similarity
     tiles = _tiles_near(layers, place.inverse if layers.swapped else place)
@@ -441,13 +477,12 @@ def _with_tiles(
     count = len(tiles.moving_um)
     # An error that tiles share does not get smaller with their number.
     tiles = tiles._replace(covariance_um2=tiles.covariance_um2 + count * tiles.shared_um2)
+    sentence = f"{known.sentence or ''} {count} tiles of the texture are fitted with the holes."
     return replace(
         _fitted(layers, tiles, holes, pairs, params),
         source="both",
         apart_um=(apart_um, expected_um),
-        sentence=(
-            f"{known.sentence or ''} {count} tiles of the texture are fitted with the holes.".strip()
-        ),
+        sentence=sentence.strip(),
         second_best=known.second_best,
         design=known.design,
         tilt=known.tilt,
@@ -482,13 +517,13 @@ def _decided(search: PlaceSearch, tiles: TilePlaces) -> str:
     next_best = (
         f", the next best place {search.candidates[1].z:.1f}" if len(search.candidates) > 1 else ""
     )
+    thickness_leads = "image" in best.names and "thickness" in _title(best.names)
     return (
         f"Found by texture: {_title(best.names)} go together at one place (r = {tiles.r:.2f};"
-        f" {best.z:.0f} standard "
-        f"deviations of chance{next_best}; probability of a false link {probability})."
-        f" {len(tiles.moving_um)} tiles "
-        "give the"
-        f" place.{_ABOUT_THICKNESS if 'image' in best.names and 'thickness' in _title(best.names) else ''}"
+        f" {best.z:.0f} standard deviations of chance{next_best};"
+        f" probability of a false link {probability})."
+        f" {len(tiles.moving_um)} tiles give the place."
+        f"{_ABOUT_THICKNESS if thickness_leads else ''}"
     )
 
 

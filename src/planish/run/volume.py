@@ -22,7 +22,10 @@ from planish.run.compute import Compute, Progress
 def read_sheet_volume(
     params: VolumeParams, compute: Compute, progress: Progress
 ) -> tuple[xr.DataArray, xr.Dataset | None]:
-    """Read a volume; serial sections are aligned and joined, and come with what was done to each of them."""
+    """Read a volume.
+
+    Serial sections are aligned and joined, and come with what was done to each of them.
+    """
     path = find_place(params.path).path
     if is_section_folder(path):
         volume, sections = _join_sections(params, compute, progress)
@@ -38,7 +41,7 @@ def read_sheet_volume(
 
 
 def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
-    """Read a volume that is none of sections, for local threads or for the processes of a cluster."""
+    """Read a volume that is not of sections, for local threads or the processes of a cluster."""
     read_options: dict[str, Any] = params.how | {"memory_bytes": compute.volume_bytes}
     volume = read_volume(params.path, **read_options)
     if compute.scheduler is None:
@@ -59,7 +62,9 @@ def _opened(path: str, read_options: tuple[tuple[str, Any], ...]) -> xr.DataArra
 
 
 def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr.DataArray:
-    """Read a volume, or join serial sections to one, of any size: what does not fit into memory is worked out in parts.
+    """Read a volume, or join serial sections to one, of any size.
+
+    What does not fit into memory is worked out in parts.
 
     What was done to sections is in the attributes, in short.
     """
@@ -88,7 +93,10 @@ def _in_parts(
 def _join_sections(
     params: VolumeParams, compute: Compute, progress: Progress
 ) -> tuple[xr.DataArray, xr.Dataset]:
-    """Align serial sections and join them to a volume; return it with what was done to each of them."""
+    """Align serial sections and join them to a volume.
+
+    Return it with what was done to each of them.
+    """
     path = Path(params.path)
     if compute.scheduler is not None:
         raise InputError(
@@ -157,7 +165,10 @@ def _join_sections(
 
 
 def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
-    """A few slices through the sheet, to draw its surfaces on; ``row`` is the row of columns that each lies in."""
+    """A few slices through the sheet, to draw its surfaces on.
+
+    ``row`` is the row of columns that each lies in.
+    """
     rows = volume.sizes[frame.rows] // step * step
     row_indices = np.unique(np.linspace(0, rows - 1, 5).astype(int)[1:-1])
     slices_2d = [

@@ -1,7 +1,9 @@
-"""Photographs of serial sections -> one volume: neighbours aligned, grey levels made equal, gaps bridged.
+"""Turn photographs of serial sections into one volume.
 
-``band`` finds the sheet in the stack, ``pairs`` the offsets between two sections, ``network`` one place for every
-section, ``align`` the whole alignment, ``volume`` the volume.
+Neighbours are aligned, grey levels made equal, and gaps bridged.
+
+``band`` finds the sheet in the stack, ``pairs`` the offsets between two sections, ``network`` one
+place for every section, ``align`` the whole alignment, ``volume`` the volume.
 """
 
 import lazy_loader as lazy

@@ -1,8 +1,8 @@
 # pyright: standard
 """Compiled inner loops of the section stage: the straightened band, pairs of bands, and resampling.
 
-Places in a section are in pixels (row, col), pixel i has its centre at i. The pose of a section is ``(row, col,
-row per col, col per row)``: what belongs at (r, c) is found at
+Places in a section are in pixels (row, col), pixel i has its centre at i. The pose of a section is
+``(row, col, row per col, col per row)``: what belongs at (r, c) is found at
 
     (r + pose[0] + pose[2] (c - middle), c + pose[1] - pose[3] (r - middle)).
 """
@@ -20,10 +20,12 @@ _SUMS = {**_SETTINGS, "fastmath": {"contract", "nsz", "reassoc"}}
 
 @njit(**_SETTINGS)
 def straighten(section, height, first, rows, cols, pose, out):
-    """Sample the band along the sheet: out[k, b] is the mean over rows x cols samples; NaN outside the section.
+    """Sample the band along the sheet: out[k, b] is the mean over rows x cols samples.
 
-    height[c] is the row of the sheet in column c; the first sample lies ``first`` pixels from it. ``out`` has to come
-    filled with zeros.
+    NaN outside the section.
+
+    height[c] is the row of the sheet in column c; the first sample lies ``first`` pixels from it.
+    ``out`` has to come filled with zeros.
     """
     high, wide = section.shape
     middle_r, middle_c = 0.5 * (high - 1), 0.5 * (wide - 1)
@@ -50,7 +52,10 @@ def straighten(section, height, first, rows, cols, pose, out):
 
 @njit(**_SUMS)
 def smooth(values, down, across, line, out):
-    """Weight every value with its neighbours: ``down`` along the rows' axis, ``across`` along the other; clamped."""
+    """Weight every value with its neighbours.
+
+    ``down`` acts along the rows' axis, ``across`` along the other; both are clamped.
+    """
     rows, cols = values.shape
     far, wide = down.size // 2, across.size // 2
     for k in range(rows):
@@ -76,16 +81,17 @@ def smooth(values, down, across, line, out):
 def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
     """Set sums[chunk] to what the displacement of band b against band a follows from.
 
-    With the gradient g = (row, col, turn) of the mean of both bands and the difference d = b - a, the thirteen numbers
-    are the upper triangle of the sum of g g' (6), the sum of g d (3), the sum of d d, that of the squares of both
-    around 0.5, all weighted with trust[row] and Tukey's (1 - (d / limit[row])^2)^2, 0 where |d| >= limit; then the sum
-    of the weights, and that of trust over all samples without NaN.
+    With the gradient g = (row, col, turn) of the mean of both bands and the difference d = b - a,
+    the thirteen numbers are the upper triangle of the sum of g g' (6), the sum of g d (3), the sum
+    of d d, that of the squares of both around 0.5, all weighted with trust[row] and Tukey's (1 - (d
+    / limit[row])^2)^2, 0 where |d| >= limit; then the sum of the weights, and that of trust over
+    all samples without NaN.
 
-    With ``shared`` 1 the first six are instead the sums of g_a g_b', made symmetric: noise, which the bands do not
-    share, enlarges g g' and so shortens the displacement, but cancels here.
+    With ``shared`` 1 the first six are instead the sums of g_a g_b', made symmetric: noise, which
+    the bands do not share, enlarges g g' and so shortens the displacement, but cancels here.
 
-    x[c] is the place of the column and y[c] that of the sheet's height there, from the middle of the section; both
-    and the samples' distances, pitch (row, col), in um.
+    x[c] is the place of the column and y[c] that of the sheet's height there, from the middle of
+    the section; both and the samples' distances, pitch (row, col), in um.
     """
     rows, cols = a.shape
     half_r, half_c = np.float32(0.25 / pitch[0]), np.float32(0.25 / pitch[1])
@@ -144,7 +150,10 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
 
 @njit(**_SETTINGS)
 def _clamped(value, last):
-    """Return the pixel below a place and the share of the next one; places outside are taken to the border."""
+    """Return the pixel below a place and the share of the next one.
+
+    Places outside are taken to the border.
+    """
     value = min(max(value, 0.0), float(last))
     i = min(int(value), max(last - 1, 0))
     return i, np.float32(value - i)
@@ -152,7 +161,10 @@ def _clamped(value, last):
 
 @njit(**_SETTINGS)
 def _line(section, r, pose, grade, line):
-    """Set line to row r of a corrected section: found where the pose says, grey made gain x value + offset."""
+    """Set line to row r of a corrected section.
+
+    It is found where the pose says, and its grey is made gain x value + offset.
+    """
     high, wide = section.shape
     middle_r, middle_c = 0.5 * (high - 1), 0.5 * (wide - 1)
     gain, offset = np.float32(grade[0]), np.float32(grade[1])
@@ -163,7 +175,8 @@ def _line(section, r, pose, grade, line):
     # Columns whose neighbours both lie inside; the few others are clamped one by one.
     begin = min(max(0, -step), wide)
     end = max(begin, min(wide, wide - 1 - step))
-    # A turn is small: the row changes seldom along the columns, and in between the inner loop has nothing to decide.
+    # A turn is small: the row changes seldom along the columns, and in between the inner loop has
+    # nothing to decide.
     c = begin
     while c < end:
         y = y0 + pose[2] * c
@@ -200,7 +213,10 @@ def _line(section, r, pose, grade, line):
 
 @njit(**_SETTINGS)
 def interpolate(first, second, share, poses, grades, low, high, is_integer, out):
-    """Set out to (1 - share) first + share second, both corrected; integers are rounded and kept in low..high."""
+    """Set out to (1 - share) first + share second, both corrected.
+
+    Integers are rounded and kept in low..high.
+    """
     cols = out.shape[1]
     first_line, second_line = np.empty(cols, np.float32), np.empty(cols, np.float32)
     t = np.float32(share)

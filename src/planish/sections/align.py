@@ -1,7 +1,10 @@
-"""Joint alignment of serial sections: each against its neighbours on both sides, and only what changes quickly.
+"""Align serial sections jointly.
 
-Offsets between all sections up to five apart are fitted together; waves longer than some fifty sections, in which the
-bend of the sheet cannot be told from a drift of the stage, stay, unless something fixed to the stage shows that drift.
+Each is aligned against its neighbours on both sides, and only in what changes quickly.
+
+Offsets between all sections up to five apart are fitted together; waves longer than some fifty
+sections, in which the bend of the sheet cannot be told from a drift of the stage, stay, unless
+something fixed to the stage shows that drift.
 """
 
 import numpy as np
@@ -32,9 +35,10 @@ _SURER = 0.5
 class Alignment(ResultModel):
     """Places of the sections against their neighbours.
 
-    What belongs at (row, col) of section i is found at (row, col) + ``shift_um[i]`` / pixel, turned about the middle
-    of the section by ``rotation_rad[i]``: with x, y the distances from the middle along the columns and rows, in um,
-    the row is larger by ``rotation x`` and the column smaller by ``rotation y``.
+    What belongs at (row, col) of section i is found at (row, col) + ``shift_um[i]`` / pixel, turned
+    about the middle of the section by ``rotation_rad[i]``: with x, y the distances from the middle
+    along the columns and rows, in um, the row is larger by ``rotation x`` and the column smaller by
+    ``rotation y``.
     """
 
     shift_um: Floats = Field(
@@ -81,8 +85,9 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     ----------
     series : SectionSeries
     fixed : ndarray (sections, 3), optional
-        Places against something that does not move, as :func:`planish.sections.fixed_places` gives them: the slow waves
-        are then taken from there instead of being left alone. NaN where it is not visible.
+        Places against something that does not move, as :func:`planish.sections.fixed_places` gives
+        them: the slow waves are then taken from there instead of being left alone. NaN where it is
+        not visible.
 
     Returns
     -------
@@ -95,20 +100,23 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
 
     Notes
     -----
-    Offsets come from the gradients of texture and faces (Lucas and Kanade 1981) in the band along the sheet; those
-    along the columns once more from fine texture of next neighbours, where it determines them better. Robust weighted
-    least squares joins them, and a filter with its half amplitude at the cut-off removes the slow part.
-    Joint alignment: Saalfeld et al. 2012, Nature Methods 9, 717. A sheet that rises along the cut has a true offset
-    from section to section; it belongs to the slow part, and the band follows it before anything is compared.
+    Offsets come from the gradients of texture and faces (Lucas and Kanade 1981) in the band along
+    the sheet; those along the columns once more from fine texture of next neighbours, where it
+    determines them better. Robust weighted least squares joins them, and a filter with its half
+    amplitude at the cut-off removes the slow part. Joint alignment: Saalfeld et al. 2012, Nature
+    Methods 9, 717. A sheet that rises along the cut has a true offset from section to section; it
+    belongs to the slow part, and the band follows it before anything is compared.
     """
     away_um, n = series.away_um, series.away_um.size
     cutoff_um = _CUTOFF_PITCHES * series.pitch_um
     first, second = neighbours(away_um, series.pitch_um, _REACH)
-    # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the pairs do not see.
+    # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the
+    # pairs do not see.
     sheet_course = _sheet_course(series)
     pose = np.zeros((n, 3))
     pose[:, 0] = series.band.jump * series.pixel_um[0]
-    # The first rounds only bring the sections near, with few pairs; the offsets that count are those of the last.
+    # The first rounds only bring the sections near, with few pairs; the offsets that count are
+    # those of the last.
     is_near = second - first <= _REACH_FIRST
     for is_compared in (is_near, is_near, np.ones_like(is_near)):
         coarse_pairs = compare(series, pose, first[is_compared], second[is_compared])
@@ -117,8 +125,9 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
             coarse_pairs.first[is_used], coarse_pairs.second[is_used], n
         )
         pose = quick_places(places + sheet_course, away_um, components, cutoff_um=cutoff_um)
-    # Coarse texture wanders along the columns with the fibres that come and go; fine texture less. The place along the
-    # columns is measured once more in it, now that the sections lie near enough.
+    # Coarse texture wanders along the columns with the fibres that come and go; fine texture less.
+    # The place along the columns is measured once more in it, now that the sections lie near
+    # enough.
     is_close = (second - first == 1) & is_used
     fine_pairs: SectionPairs | None = None
     coarse_pose = pose
@@ -139,7 +148,8 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     )
     pose[~aligned] = 0.0
     pose_variance = _jackknife_variance(series, coarse_pairs, fine_pairs, components, aligned)
-    # A narrow image determines rotations badly: they are shortened to what is more than their own error (Wiener).
+    # A narrow image determines rotations badly: they are shortened to what is more than their own
+    # error (Wiener).
     mean_square_rotation = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
     pose[:, 2] *= (
         max(0.0, 1.0 - pose_variance[2] / mean_square_rotation) if mean_square_rotation > 0 else 0.0
@@ -168,7 +178,10 @@ def _jackknife_variance(
     components: list[Ints],
     aligned: Bools,
 ) -> Floats:
-    """Variance of the poses (3,) from solutions that each leave out a run of columns, of the surface too; or NaN."""
+    """Give the variance of the poses (3,), or NaN.
+
+    It comes from solutions that each leave out a run of columns, of the surface too.
+    """
     if not aligned.any():
         return np.full(3, np.nan)
     poses: list[Floats] = []
@@ -201,7 +214,10 @@ def _add_fixed_drift(
 
 
 def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Ints, Ints]:
-    """Give the pairs of sections at most ``reach`` apart with no wide gap between them, ordered by the first."""
+    """Give the pairs of sections at most ``reach`` apart, ordered by the first.
+
+    No wide gap lies between them.
+    """
     n = away_um.size
     # Neighbours farther apart show other fibres: three missing sections are bridged, no more.
     n_gaps = np.cumsum(np.concatenate([[0], np.diff(away_um) > 4.5 * pitch_um]))
@@ -216,7 +232,10 @@ def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Ints, Ints
 
 
 def _sheet_course(series: SectionSeries, left_out_group: int = -1) -> Floats:
-    """Mean height in um, 0, and slope of the smooth surface in each section, (sections, 3); one group left out."""
+    """Mean height in um, 0, and slope of the smooth surface in each section, (sections, 3).
+
+    One group left out.
+    """
     band, (_, rows, cols) = series.band, series.stack.shape
     is_included = band.at_col * GROUPS // cols != left_out_group
     x = (band.at_col[is_included] - 0.5 * (cols - 1)) * series.pixel_um[1]
@@ -243,8 +262,9 @@ def _join_pairs(pairs: SectionPairs, n: int) -> tuple[Floats, Bools]:
 
 def _join_columns(coarse_pairs: SectionPairs, fine_pairs: SectionPairs, n: int) -> Floats:
     """Places along the columns from the coarse and the fine texture together; (sections,)."""
-    # The coarse ones bridge what the fine ones do not hold together, and take over where noise hides fine texture.
-    # Coarse pairs over the same sections, and the next ones, share their errors: hence the factor on their sigma.
+    # The coarse ones bridge what the fine ones do not hold together, and take over where noise
+    # hides fine texture. Coarse pairs over the same sections, and the next ones, share their
+    # errors: hence the factor on their sigma.
     column_offsets = [
         (
             p.first[p.is_sound],
@@ -274,15 +294,17 @@ def fixed_places(
     stack : ndarray (sections, rows, cols)
     pixel_um : (row, col)
     rows : (int, int), optional
-        First and last row of a strip that shows a line or edge along the rows, and nothing else that changes.
+        First and last row of a strip that shows a line or edge along the rows, and nothing else
+        that changes.
     cols : (int, int), optional
         The same for a line or edge along the columns.
 
     Returns
     -------
     ndarray (sections, 3)
-        Shift along (row, col) in um and rotation in rad, about their means over the sections, signs as in
-        :class:`planish.sections.Alignment`; NaN where no strip was given for it or a section does not show the line.
+        Shift along (row, col) in um and rotation in rad, about their means over the sections, signs
+        as in :class:`planish.sections.Alignment`; NaN where no strip was given for it or a section
+        does not show the line.
 
     Raises
     ------
@@ -369,7 +391,10 @@ def _shifted(profiles: Floats, shift: Floats) -> Floats:
 
 
 def _match_template(profiles: Floats, template: Floats) -> tuple[Floats, Floats]:
-    """Fit gain x template + offset, moved, to profiles: how much further each lies, in pixels, and its correlation."""
+    """Fit gain x template + offset, moved, to profiles.
+
+    It gives how much further each profile lies, in pixels, and its correlation.
+    """
     gradient = np.gradient(template, axis=1)
     interior = slice(2, -2)
     t, g, f = template[:, interior], gradient[:, interior], profiles[..., interior]

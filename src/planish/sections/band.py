@@ -1,6 +1,9 @@
-"""Course of the sheet in a stack of sections: a smooth surface through its middle, and the grey levels on both sides.
+"""Course of the sheet in a stack of sections.
 
-It straightens the band in which neighbours are compared; smooth, it lends neighbours no difference of its own.
+It is a smooth surface through the sheet's middle, and the grey levels on both sides.
+
+It straightens the band in which neighbours are compared; smooth, it lends neighbours no difference
+of its own.
 """
 
 from dataclasses import dataclass
@@ -27,7 +30,8 @@ from planish.core.typing import Bools, Floats
 from planish.sections.network import slow_part
 
 Stack = NDArray[Any] | LazyArray
-"""Sections (section, row, col): an array, or photographs that are decoded when they are asked for."""
+"""Sections (section, row, col): an array, or photographs that are decoded when they are asked
+for."""
 
 
 class SheetBand(ResultModel):
@@ -67,7 +71,8 @@ class SectionSeries:
         If the stack is none, or positions are not monotonic; of :attr:`band` if no sheet is found.
     """
 
-    #: (section, row, col), of any integer or real type; NaN is missing; the sheet is a band along the columns.
+    # : (section, row, col), of any integer or real type; NaN is missing; the sheet is a band along
+    # the columns.
     stack: Stack
     # : (sections,), true places along the cut, monotonic; missing sections are gaps.
     positions_um: Floats
@@ -112,8 +117,8 @@ class SectionSeries:
     @cached_property
     def band(self) -> SheetBand:
         """Course of the sheet."""
-        # Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to
-        # the section's background; the largest connected part is the sheet.
+        # Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62)
+        # on the difference to the section's background; the largest connected part is the sheet.
         n, rows, cols = self.stack.shape
         block_rows = max(1, min(round(5.0 / self.pixel_um[0]), rows // 16))
         block_cols = max(1, min(round(80.0 / self.pixel_um[1]), cols // 8))
@@ -145,7 +150,8 @@ class SectionSeries:
         jump = np.nan_to_num(_row_medians(deviation))
         contrast = _row_medians(np.where(is_sheet, blocks, np.nan).reshape(n, -1)) - background
         median_contrast = float(np.nanmedian(contrast))
-        # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
+        # A section without a sheet has no contrast of its own; a drift of colour is far less than a
+        # factor of two.
         is_plausible = np.isfinite(contrast) & (
             np.abs(contrast - median_contrast) < 0.5 * abs(median_contrast)
         )
@@ -181,7 +187,10 @@ def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools,
 
 
 def block_means(section: NDArray[Any], rows: int, cols: int) -> NDArray[np.float32]:
-    """Means of blocks of rows x cols pixels; NaN where a block holds a NaN, and what is left over is left out."""
+    """Means of blocks of rows x cols pixels.
+
+    NaN where a block holds a NaN, and what is left over is left out.
+    """
     n_down, n_across = section.shape[0] // rows, section.shape[1] // cols
     interior = section[: n_down * rows, : n_across * cols].reshape(n_down, rows, n_across * cols)
     total = (
@@ -201,7 +210,7 @@ def _row_medians(values: NDArray[Any]) -> Floats:
 
 
 def _smooth_surface(middle_row: Floats, away_um: Floats) -> Floats:
-    """Smooth the middle of the sheet (sections, blocks) along both axes and fill it where it is NaN."""
+    """Smooth the sheet's middle (sections, blocks) along both axes and fill it where it is NaN."""
     is_valid = np.isfinite(middle_row)
     nearest_indices: NDArray[Any] = distance_transform_edt(
         ~is_valid, return_distances=False, return_indices=True
@@ -241,10 +250,11 @@ def normalise_sections(series: SectionSeries) -> Gains:
 
     Notes
     -----
-    The anchors are the mode of the background and the middle of the sheet's core; both are the mean of the crowd around
-    the median, iterated, which is surer than the median. What limits the gain is the sheet: its fibres go up and down
-    together by their standard deviation over the root of the number of flocs in the core, some 0.3 % of the contrast in
-    8 mm, and this, like a slow change of the sheet's own material, is taken for a drift of colour.
+    The anchors are the mode of the background and the middle of the sheet's core; both are the mean
+    of the crowd around the median, iterated, which is surer than the median. What limits the gain
+    is the sheet: its fibres go up and down together by their standard deviation over the root of
+    the number of flocs in the core, some 0.3 % of the contrast in 8 mm, and this, like a slow
+    change of the sheet's own material, is taken for a drift of colour.
     """
     band, pixel = series.band, series.pixel_um[0]
     n, rows, cols = series.stack.shape
@@ -278,8 +288,9 @@ def core_and_background(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Grey levels of the sheet's core and of the background.
 
-    height[c] is the row of the sheet: pixels within ``near_px`` of it are the core, of which every strides[0]-th is
-    taken; those beyond ``far_px`` are the background, of which every strides[1]-th is.
+    height[c] is the row of the sheet: pixels within ``near_px`` of it are the core, of which every
+    strides[0]-th is taken; those beyond ``far_px`` are the background, of which every strides[1]-th
+    is.
     """
     row, sheet_row = np.arange(section.shape[0])[:, None], height.astype(np.float64)
     is_core = (row >= sheet_row - near_px) & (row <= sheet_row + near_px)
@@ -293,7 +304,10 @@ def core_and_background(
 
 
 def _crowd_mean(greys: NDArray[np.float32]) -> float:
-    """Value around which most of the data lie, by iteration from the median; NaN for a few pixels."""
+    """Value around which most of the data lie, by iteration from the median.
+
+    NaN for a few pixels.
+    """
     if greys.size < 50:
         return np.nan
     values = greys.astype(np.float64)

@@ -1,4 +1,7 @@
-"""One place for every section from the offsets between pairs, and the slow part of their course: the specimen's own."""
+"""Find one place for every section from the offsets between pairs.
+
+It also gives the slow part of their course, which is the specimen's own.
+"""
 
 import itertools
 import math
@@ -14,12 +17,16 @@ from planish.core.typing import Floats, Ints
 
 LEAST_SHARE = 0.05  # a pair with less than this share of its weight is refused
 _ORDER = 4
-"""Of the derivative that is held down. With 3 a wave of 600 um and 48 um height is bent by 0.5 um at the ends of the
-series, with 4 by 0.1 um."""
+"""Of the derivative that is held down.
+
+With 3 a wave of 600 um and 48 um height is bent by 0.5 um at the ends of the series, with 4 by 0.1
+um.
+"""
 
 
 _HALF = 1.0 / np.sqrt(0.5) - 1.0
-"""(1 - H)^2 = 1/2 of the smoother applied twice, H = 1 / (1 + l w^8), so l w^8 = 1 / _HALF at the cut-off."""
+"""(1 - H)^2 = 1/2 of the smoother applied twice, H = 1 / (1 + l w^8), so l w^8 = 1 / _HALF at the
+cut-off."""
 
 
 def solve_places(
@@ -27,10 +34,11 @@ def solve_places(
 ) -> tuple[Floats, Floats]:
     """Find the places whose differences are the offsets.
 
-    ``offset`` (pairs,) is the place of the second section of a pair less that of the first, which comes before it, and
-    ``sigma`` its standard deviation, in any one unit. The places (n,) are known up to a constant in each connected
-    part; the second array (pairs,) is the share of its weight that each pair kept: 1 for a good one, near 0 for an
-    outlier. Least squares with Cauchy's weights, iterated; the scale is the median of the residuals over their sigma.
+    ``offset`` (pairs,) is the place of the second section of a pair less that of the first, which
+    comes before it, and ``sigma`` its standard deviation, in any one unit. The places (n,) are
+    known up to a constant in each connected part; the second array (pairs,) is the share of its
+    weight that each pair kept: 1 for a good one, near 0 for an outlier. Least squares with Cauchy's
+    weights, iterated; the scale is the median of the residuals over their sigma.
     """
     trust = 1.0 / sigma**2
     weight_shares = np.ones(first.size)
@@ -44,7 +52,8 @@ def solve_places(
         np.add.at(band[reach], first, w)
         np.add.at(band[reach], second, w)
         np.add.at(band, (reach - (second - first), second), -w)
-        # Weight of the prior "where the stage put it", against the pairs: settles what they leave open.
+        # Weight of the prior "where the stage put it", against the pairs: settles what they leave
+        # open.
         band[reach] += 1e-7 * float(np.median(trust))
         right_side = np.zeros(n)
         np.add.at(right_side, second, w * offset)
@@ -69,7 +78,10 @@ def section_components(first: Ints, second: Ints, n: int) -> list[Ints]:
 def quick_places(
     places: Floats, away_um: Floats, components: list[Ints], *, cutoff_um: float
 ) -> Floats:
-    """Take the slow part off places (sections, axes), in each part by itself; 0 for sections in none."""
+    """Take the slow part off places (sections, axes), in each part by itself.
+
+    0 for sections in none.
+    """
     quick = np.zeros_like(places)
     for component in components:
         for axis in range(places.shape[1]):
@@ -84,10 +96,11 @@ def slow_part(
 ) -> Floats:
     """Low-pass a series at uneven places; slopes and curvature pass unchanged, up to the ends.
 
-    Places increase; values are finite where the weight is not 0. Of the wavelength ``cutoff_um`` half the amplitude
-    passes; of one twice as long 99.99 % do, of one half as long 2 %. Whittaker's smoother with a penalty on the fourth
-    derivative (Eilers 2003, Anal. Chem. 75, 3631), applied again to what it left. Divided differences at the true
-    places make it, so a gap neither shifts nor bends anything.
+    Places increase; values are finite where the weight is not 0. Of the wavelength ``cutoff_um``
+    half the amplitude passes; of one twice as long 99.99 % do, of one half as long 2 %. Whittaker's
+    smoother with a penalty on the fourth derivative (Eilers 2003, Anal. Chem. 75, 3631), applied
+    again to what it left. Divided differences at the true places make it, so a gap neither shifts
+    nor bends anything.
     """
     n = values.size
     weights = np.ones(n) if weights is None else weights
@@ -102,7 +115,8 @@ def slow_part(
     for k, m in itertools.permutations(range(_ORDER + 1), 2):
         coefficients[k] /= x[k : rows + k] - x[m : rows + m]
     length = (x[_ORDER:] - x[:-_ORDER]) / _ORDER
-    # Upper band of the matrix: the last row is the diagonal, the d-th before it the d-th above the diagonal.
+    # Upper band of the matrix: the last row is the diagonal, the d-th before it the d-th above the
+    # diagonal.
     band = np.zeros((_ORDER + 1, n))
     for k in range(_ORDER + 1):
         for m in range(k, _ORDER + 1):

@@ -1,6 +1,9 @@
-"""Offsets between two sections from the band along the sheet: texture and faces, by gradients, in parts of the columns.
+"""Find the offsets between two sections from the band along the sheet.
 
-Neighbouring samples share their fibres; parts of some 150 um are independent: their scatter is the error of an offset.
+They come from texture and faces, by gradients, in parts of the columns.
+
+Neighbouring samples share their fibres; parts of some 150 um are independent: their scatter is the
+error of an offset.
 """
 
 from __future__ import annotations
@@ -30,10 +33,13 @@ _BLOCK = 32  # sections that a thread takes at a time
 
 
 class SectionPairs(NamedTuple):
-    """Offsets between pairs of sections: pose of the second less that of the first, along row and col in um, and rad.
+    """Offsets between pairs of sections.
 
-    Where ``is_sound``, the offset is also known well enough. The offsets follow from ``normal_sums`` (pairs, parts, 13)
-    and ``base_offset`` (pairs, 3), the difference of the bands' poses; fine bands show no rotation.
+    Each is the pose of the second less that of the first, along row and col in um, and in rad.
+
+    Where ``is_sound``, the offset is also known well enough. The offsets follow from
+    ``normal_sums`` (pairs, parts, 13) and ``base_offset`` (pairs, 3), the difference of the bands'
+    poses; fine bands show no rotation.
     """
 
     first: Ints
@@ -58,8 +64,8 @@ class SectionPairs(NamedTuple):
 class Bands(NamedTuple):
     """Makes straightened bands of sections and compares them.
 
-    Fine bands show texture between some 1 and 4 um along the columns; what is wider wanders along the
-    columns with fibres that come and go, and would hold the offset with it.
+    Fine bands show texture between some 1 and 4 um along the columns; what is wider wanders along
+    the columns with fibres that come and go, and would hold the offset with it.
     """
 
     stack: Stack
@@ -80,7 +86,9 @@ class Bands(NamedTuple):
         return self.step[0] * self.pixel_um[0], self.step[1] * self.pixel_um[1]
 
     def samples(self, section: int, pose: Floats) -> tuple[Samples, Samples]:
-        """Smoothed band of a section, grey as 0 off the sheet and 1 in it, and the heights of its columns in um.
+        """Give the smoothed band of a section, and the heights of its columns in um.
+
+        Its grey is 0 off the sheet and 1 in it.
 
         ``pose``, (row, col) in um and rotation in rad, is taken off.
         """
@@ -124,12 +132,16 @@ class Bands(NamedTuple):
         return smoothed, (height_um - 0.5 * (rows - 1) * pixel_r).astype(np.float32)
 
     def _replace_knife_marks(self, samples: Samples) -> None:
-        """Replace columns in which the resin shows a knife mark by those beside: a knife's nick stays where it is."""
+        """Replace columns in which the resin shows a knife mark by those beside.
+
+        A knife's nick stays where it is.
+        """
         rim_rows = max(1, int(0.7 * _MARGIN_UM / self.pitch_um[0]))
         profile = np.concatenate([samples[:rim_rows], samples[-rim_rows:]]).mean(axis=0)
         if not np.isfinite(profile).all():
             return
-        # Window of the median against which a mark stands out by five sigma, and the mark's surroundings.
+        # Window of the median against which a mark stands out by five sigma, and the mark's
+        # surroundings.
         window, margin = (max(1, round(length_um / self.pitch_um[1])) for length_um in (75.0, 5.0))
         deviation = np.abs(profile - median_filter(profile, window, mode="nearest"))
         is_marked = deviation > 5.0 * 1.4826 * float(np.median(deviation))
@@ -143,7 +155,10 @@ class Bands(NamedTuple):
         samples[:, marked_cols] = samples[:, a] * (1 - weight) + samples[:, b] * weight
 
     def normal_sums(self, pose: Floats, first: Ints, second: Ints) -> Floats:
-        """Sums of `pair_sums` for pairs that are ordered by the first section; (pairs, parts, 13)."""
+        """Sums of `pair_sums` for pairs that are ordered by the first section.
+
+        (pairs, parts, 13).
+        """
         cols = self.stack.shape[2] // self.step[1]
         x = (
             (np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)
@@ -173,8 +188,9 @@ class Bands(NamedTuple):
                 if s not in bands:
                     bands[s] = self.samples(s, pose[s])
             (a, y_a), (b, y_b) = bands[i], bands[j]
-            # Beyond a limit a sample of a row is an outlier, and its residual has a weight. Rows in which faces lie,
-            # which are rough, count less. No row counts more than the median row, or the empty resin would count.
+            # Beyond a limit a sample of a row is an outlier, and its residual has a weight. Rows in
+            # which faces lie, which are rough, count less. No row counts more than the median row,
+            # or the empty resin would count.
             difference = np.abs(a[:, ::4] - b[:, ::4])
             is_valid = np.isfinite(difference)
             mean_difference = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(
@@ -187,9 +203,10 @@ class Bands(NamedTuple):
                 _OUTLIER_SIGMAS * 1.2533 * mean_difference,
                 (mean_difference.min() / mean_difference) ** 2,
             )
-            # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its faces would else
-            # tell the shift along the columns, and every unevenness of the smooth surface would count as one. What
-            # this neglects vanishes with the shift itself, after two or three rounds.
+            # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its
+            # faces would else tell the shift along the columns, and every unevenness of the smooth
+            # surface would count as one. What this neglects vanishes with the shift itself, after
+            # two or three rounds.
             pair_sums(
                 a,
                 b,
@@ -220,7 +237,9 @@ def _smoothed(samples: Samples, row_weights: Samples, col_weights: Samples) -> S
 def compare(
     series: SectionSeries, pose: Floats, first: Ints, second: Ints, *, is_fine: bool = False
 ) -> SectionPairs:
-    """Offsets of pairs of sections, ordered by the first, in bands that are straightened by their poses.
+    """Give the offsets of pairs of sections, ordered by the first.
+
+    They are found in bands that are straightened by the poses of the sections.
 
     Fine bands show neither a rotation nor whether both are of one sheet.
     """
@@ -260,7 +279,8 @@ def _solve(
         solution = np.einsum(
             "pij,pj->pi", inverse, (part_weights[..., None] * right_side).sum(axis=1)
         )
-        # What each part would still pull: the spread of these is the error, and a part that pulls too far is torn.
+        # What each part would still pull: the spread of these is the error, and a part that pulls
+        # too far is torn.
         residual = right_side - np.einsum("pkij,pj->pki", normal_matrix, solution)
         scatter = np.einsum("pk,pki,pkj->pij", part_weights**2, residual, residual)
         covariance = np.einsum("pij,pjk,pkl->pil", inverse, scatter, inverse)

@@ -1,4 +1,7 @@
-"""One regular volume from aligned sections: every voxel is interpolated once, missing sections from both sides."""
+"""Make one regular volume from aligned sections.
+
+Every voxel is interpolated once, missing sections from both sides.
+"""
 
 from __future__ import annotations
 
@@ -35,29 +38,34 @@ def regular_volume(
     Parameters
     ----------
     series : SectionSeries
-        Integers up to 16 bits or real numbers; others lose digits, for the kernels compute in single precision.
+        Integers up to 16 bits or real numbers; others lose digits, for the kernels compute in
+        single precision.
     alignment : Alignment, optional
-        Corrections; none are made where not given. Sections that could not be aligned count as missing.
+        Corrections; none are made where not given. Sections that could not be aligned count as
+        missing.
     gains : Gains, optional
         Corrections of the grey levels.
     most_missing : int
         Runs of so many missing sections are interpolated.
     attrs : mapping, optional
-        What the reader knows: ``voxel_um_source``, ``full_scale``, ``file_name``, ``file_bytes`` and others.
+        What the reader knows: ``voxel_um_source``, ``full_scale``, ``file_name``, ``file_bytes``
+        and others.
 
     Returns
     -------
     DataArray, dims (z, y, x) = (section, row, col)
-        Computed plane by plane when it is read, where the stack is no ndarray. In the type of the stack. Coordinates in
-        um, voxel i has its centre at i × size; z counts from the first section used, and its pitch is the median step
-        of the positions. Attributes as `planish.io.read_volume` gives them, with ``sections``, ``sections_missing``
-        (planes between sections more than 1.5 pitches apart), ``first_position_um`` and ``jitter_left_um`` (row, col).
-        Pixels that a shift brings in from outside repeat the border.
+        Computed plane by plane when it is read, where the stack is no ndarray. In the type of the
+        stack. Coordinates in um, voxel i has its centre at i × size; z counts from the first
+        section used, and its pitch is the median step of the positions. Attributes as
+        `planish.io.read_volume` gives them, with ``sections``, ``sections_missing`` (planes between
+        sections more than 1.5 pitches apart), ``first_position_um`` and ``jitter_left_um`` (row,
+        col). Pixels that a shift brings in from outside repeat the border.
 
     Raises
     ------
     VolumeError
-        If more than `most_missing` sections in a row are missing from integers; of real numbers these planes are NaN.
+        If more than `most_missing` sections in a row are missing from integers; of real numbers
+        these planes are NaN.
     """
     stack, real = series.stack, series.stack.dtype.kind == "f"
     n = stack.shape[0]
@@ -109,7 +117,10 @@ def _place_planes(
     alignment: Alignment | None,
     gains: Gains | None,
 ) -> Planes:
-    """Place the planes of a regular grid between the sections that are used; those in one of the gaps are empty."""
+    """Place the planes of a regular grid between the sections that are used.
+
+    Those in one of the gaps are empty.
+    """
     places_um, pitch_um, n = series.away_um[used_sections], series.pitch_um, series.stack.shape[0]
     planes_um = places_um[0] + pitch_um * np.arange(
         int(np.ptp(places_um) / pitch_um + 0.5 * _ON_SECTION) + 1
@@ -148,8 +159,8 @@ def _place_planes(
 class Planes(LazyArray):
     """The planes of a volume, each interpolated between the sections before and after it.
 
-    ``weight`` is that of the section after it; ``empty`` planes lie in a gap that is too wide; ``poses`` (sections, 4)
-    and ``grades`` (sections, 2) are those of the kernels.
+    ``weight`` is that of the section after it; ``empty`` planes lie in a gap that is too wide;
+    ``poses`` (sections, 4) and ``grades`` (sections, 2) are those of the kernels.
     """
 
     whole_slices = True

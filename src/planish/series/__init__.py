@@ -1,8 +1,8 @@
 """Series of specimens: many links as one piece of work, and what they say together.
 
-``plan`` reads the table of specimens, ``jobs`` does one and knows what is done, ``workers`` does all, ``watch`` takes
-scans as they come. ``gather`` reads the runs, ``quantities`` and ``summary`` compare them, ``cautions`` warns,
-``pages`` writes, ``open`` gives arrays.
+``plan`` reads the table of specimens, ``jobs`` does one and knows what is done, ``workers`` does
+all, ``watch`` takes scans as they come. ``gather`` reads the runs, ``quantities`` and ``summary``
+compare them, ``cautions`` warns, ``pages`` writes, ``open`` gives arrays.
 """
 
 import lazy_loader as lazy

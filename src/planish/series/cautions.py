@@ -130,7 +130,7 @@ def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[s
             )
 
 
-def _factors(
+def _factors(  # noqa: C901
     counted: Sequence[SeriesSpecimen],
     grouped_by: Sequence[str],
     compared_by: str | None,
@@ -159,7 +159,8 @@ def _factors(
     if compared_by is None:
         return
     if compared_by not in FACTORS:
-        # Sheets that pair by a factor of which the program cannot know whether it is done to a sheet, or tells sheets.
+        # Sheets that pair by a factor of which the program cannot know whether it is done to a
+        # sheet, or tells sheets.
         levels_of_sheets: dict[str, set[str]] = {}
         for specimen in counted:
             if specimen.factor("sheet") and (level := specimen.factor(compared_by)):

@@ -1,4 +1,7 @@
-"""Runs of a series, read one by one and none kept in memory: of each its figures as rows, and what a table says."""
+"""Read the runs of a series one by one and keep none in memory.
+
+Each gives its figures as rows, and what a table says.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
@@ -22,11 +25,13 @@ _STATES: tuple[State, ...] = ("fail", "look", "unknown")
 class FigureRow:
     """One figure of one specimen."""
 
-    #: ``mean``, ``sd``, ``p5``, ``median``, ``p95``, ``columns``, ``n_independent``, ``mean_standard_error``,
-    #: ``support_um``, ``thin_share``, ``sa``, ``sq``, ``measured_share``; ``r``, ``r2``, ``slope``, ``points``,
-    #: ``n_eff``, ``n_eff_interval``, ``bias``, ``limit_low``, ``limit_high``, ``shared_um``; ``marks_used``,
-    #: ``residual``, ``leave_one_out``, ``expected_error``, ``largest_expected_error``; ``coefficient_of_variation``;
-    #: ``checks_fail``, ``checks_look``, ``checks_unknown``, ``checks_pass``.
+    # : ``mean``, ``sd``, ``p5``, ``median``, ``p95``, ``columns``, ``n_independent``,
+    # ``mean_standard_error``, : ``support_um``, ``thin_share``, ``sa``, ``sq``, ``measured_share``;
+    # ``r``, ``r2``, ``slope``, ``points``, : ``n_eff``, ``n_eff_interval``, ``bias``,
+    # ``limit_low``, ``limit_high``, ``shared_um``; ``marks_used``, : ``residual``,
+    # ``leave_one_out``, ``expected_error``, ``largest_expected_error``;
+    # ``coefficient_of_variation``; : ``checks_fail``, ``checks_look``, ``checks_unknown``,
+    # ``checks_pass``.
     quantity: str
     value: float | None  #: None where it is withheld, or cannot be stated
     unit: str = "1"
@@ -72,7 +77,10 @@ class Gathered:
     runs: dict[str, RunSummary] = field(default_factory=dict[str, RunSummary])
 
     def rows_of_series(self) -> list[FigureRow]:
-        """Rows in which the only sheet and the only image of each specimen, which need no name, have none."""
+        """Give rows in which the only sheet and the only image of each specimen have no name.
+
+        Those need none.
+        """
         is_only_sheet = all(len(run.sheets) <= 1 for run in self.runs.values())
         is_only_image = all(len(run.images) <= 1 for run in self.runs.values())
 
@@ -128,7 +136,10 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
 
 
 def as_judged(member: Member, results: Results) -> Member:
-    """A member with the state of its run, and what the failed checks say where it says nothing yet."""
+    """Give a member with the state of its run.
+
+    It also says what the failed checks say, where it says nothing yet.
+    """
     if results.passed:
         return member.model_copy(update={"state": "whole"})
     failures = [
@@ -189,7 +200,10 @@ def _largest(lengths: Sequence[float | None]) -> float | None:
 def _instruments(
     member: Member, results: Results, e: EvidenceFacts, twice: Twice
 ) -> InstrumentFacts | None:
-    """How two measurements of the map that stands for both sheets differ; None where they are of two quantities."""
+    """How two measurements of the map that stands for both sheets differ.
+
+    None where they are of two quantities.
+    """
     rows = [row for row in results.correlations if key_of(row) == key_of(e)]
     if is_known(twice.point_um):
         rows = [row for row in rows if abs(row.point_um - twice.point_um) <= 1e-6 * twice.point_um]
@@ -246,7 +260,7 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
     ]
 
 
-def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
+def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterator[FigureRow]:  # noqa: C901
     sheet, registration = layer.sheet, layer.registration
     make_row = partial(make_row, layer=layer.name)
     if sheet is not None:
@@ -322,7 +336,10 @@ def _number(value: float) -> float | None:
 
 
 def _differences(c: CorrelationRow, twice: Twice | None, make_row: MakeRow) -> Iterator[FigureRow]:
-    """Bias and limits of two measurements of one quantity, with intervals at the points where the run states them."""
+    """Give the bias and limits of two measurements of one quantity.
+
+    They have intervals at the points where the run states them.
+    """
     if twice is not None and (c.trust == "withheld" or not abs(twice.point_um - c.point_um) < 1e-6):
         twice = None
     intervals = (None,) * 3 if twice is None else (twice.bias_interval, *twice.limit_intervals)

@@ -1,4 +1,7 @@
-"""One specimen of a series: whether it is done already, what it will take, how it is done, and what became of it."""
+"""One specimen of a series.
+
+Whether it is done already, what it will take, how it is done, and what became of it.
+"""
 
 import json
 import os
@@ -37,7 +40,10 @@ _PER_COLUMN, _PER_PIXEL = 150, 110  # bytes
 
 
 class Note(ResultModel):
-    """What is remembered of a specimen beside its run: what was asked for, and why there is no run."""
+    """What is remembered of a specimen beside its run.
+
+    That is what was asked for, and why there is no run.
+    """
 
     key: str
     # An input that kept its is not hashed again.
@@ -71,7 +77,10 @@ class Estimate:
 
 @contextmanager
 def series_folder(out: Path) -> Generator[None]:
-    """Make the folder of a series, or go on with one; FileError where something else stands or works there."""
+    """Make the folder of a series, or go on with one.
+
+    FileError where something else stands or works there.
+    """
     if out.exists() and not (out / NOTES).is_dir():
         if (out / RUN_TOML).is_file():
             raise FileError(f"{out} is a run. Give the series a folder of its own with --out.")
@@ -100,9 +109,12 @@ class SeriesState:
         return job
 
     def look(self, specimen: PlannedSpecimen, compute: Compute) -> Job | Member:
-        """What is to be done for a specimen; what became of it where it is done, or cannot be begun.
+        """What is to be done for a specimen.
 
-        One refused with the same files and options is not tried again; one that lacked memory or disk is.
+        What became of it where it is done, or cannot be begun.
+
+        One refused with the same files and options is not tried again; one that lacked memory or
+        disk is.
         """
         try:
             study = self.plan.study(specimen)
@@ -255,7 +267,10 @@ def _without_run(specimen: PlannedSpecimen, note: Note) -> Member:
 
 
 def stamp_of(path: Path) -> str:
-    """Number, size and times of change of the files of an input, those that its headers name among them."""
+    """Give the number, size and times of change of the files of an input.
+
+    Files that its headers name are among them.
+    """
     files = list(path.rglob("*")) if path.is_dir() else [path]
     if not path.is_dir():
         # a header whose values are not there yet is a file like another one.

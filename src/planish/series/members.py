@@ -1,4 +1,4 @@
-"""Runs that are there already as the specimens of a series, with the factors that a table gives them."""
+"""Existing runs as the specimens of a series, with the factors that a table gives them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,8 +23,9 @@ def members_of(
     home : path
         Folder that the members' runs are to be relative to.
     table : path, optional
-        CSV with a column ``run``, a path relative to the table or the name of the folder, or ``name``; other columns
-        are factors. A row without a run among ``runs`` is of no use and an error.
+        CSV with a column ``run``, a path relative to the table or the name of the folder, or
+        ``name``; other columns are factors. A row without a run among ``runs`` is of no use and an
+        error.
 
     Returns
     -------

@@ -49,14 +49,16 @@ def open_study(path: str | Path) -> xr.Dataset:
     Returns
     -------
     Dataset
-        Variables by the names of ``quantity`` in values.csv, NaN where a figure is missing or withheld, with ``units``
-        where all values share one. ``mean``, ``sd``, ``p5`` ... over (specimen, map); ``thin_share`` over (specimen,
-        map, limit_um); ``r``, ``n_eff``, ``bias`` ... over (specimen, pair, point_um); ``marks_used`` ... over
-        (specimen, registration); ``coefficient_of_variation`` over (specimen, map, wave_um); counts of checks over
-        (specimen). Quantities with intervals have ``r_low`` and ``r_high`` beside them. ``trust``, ``pair_trust`` and
-        ``registration_trust`` say what the checks leave: 0 ok, 1 doubtful, 2 withheld, -1 not there. Factors and
-        ``state`` are coordinates of ``specimen``; specimens without a run are there, too. Where specimens have several
-        sheets, a map is named with its layer, ``LAYER.MAP``.
+        Variables by the names of ``quantity`` in values.csv, NaN where a figure is missing or
+        withheld, with ``units`` where all values share one. ``mean``, ``sd``, ``p5`` ... over
+        (specimen, map); ``thin_share`` over (specimen, map, limit_um); ``r``, ``n_eff``, ``bias``
+        ... over (specimen, pair, point_um); ``marks_used`` ... over (specimen, registration);
+        ``coefficient_of_variation`` over (specimen, map, wave_um); counts of checks over
+        (specimen). Quantities with intervals have ``r_low`` and ``r_high`` beside them. ``trust``,
+        ``pair_trust`` and ``registration_trust`` say what the checks leave: 0 ok, 1 doubtful, 2
+        withheld, -1 not there. Factors and ``state`` are coordinates of ``specimen``; specimens
+        without a run are there, too. Where specimens have several sheets, a map is named with its
+        layer, ``LAYER.MAP``.
 
     Raises
     ------
@@ -66,7 +68,8 @@ def open_study(path: str | Path) -> xr.Dataset:
     Examples
     --------
     >>> study = planish.open_study("series")  # doctest: +SKIP
-    >>> study.r.sel(pair="coating_top/image", point_um=100).groupby("paper").mean()  # doctest: +SKIP
+    >>> r = study.r.sel(pair="coating_top/image", point_um=100)  # doctest: +SKIP
+    >>> r.groupby("paper").mean()  # doctest: +SKIP
     """
     folder = Path(path)
     missing = [name for name in (RESULTS, VALUES) if not (folder / name).is_file()]
@@ -159,7 +162,10 @@ def _number(text: str) -> float:
 def _arrays(
     quantity: str, rows: Sequence[Mapping[str, str]], names: Sequence[str], has_several_sheets: bool
 ) -> dict[str, xr.DataArray]:
-    """A quantity as an array, the ends of its intervals where it has any, and what the checks leave of it."""
+    """Give a quantity as an array.
+
+    With it come the ends of its intervals, where it has any, and what the checks leave of it.
+    """
     figure_labels = [
         {"specimen": row["specimen"]} | _labels(row, has_several_sheets) for row in rows
     ]

@@ -1,4 +1,7 @@
-"""The folder of a series: its page with a small map of every specimen, its numbers, and its tables."""
+"""The folder of a series.
+
+It holds its page with a small map of every specimen, its numbers, and its tables.
+"""
 
 import io
 import math
@@ -73,8 +76,9 @@ def write_series(
         Folder that their runs are relative to.
     declared : Declared
     out : path
-        Folder that is there: report.html, results.json, specimens.csv (a row for each specimen) and values.csv (a row
-        for each figure) are written into it, each whole, over earlier ones; with pyarrow, values.parquet, too.
+        Folder that is there: report.html, results.json, specimens.csv (a row for each specimen) and
+        values.csv (a row for each figure) are written into it, each whole, over earlier ones; with
+        pyarrow, values.parquet, too.
 
     Returns
     -------
@@ -90,7 +94,8 @@ def write_series(
 
     Notes
     -----
-    The same runs give the same bytes on any machine, in any order of work; the Parquet file per version of pyarrow.
+    The same runs give the same bytes on any machine, in any order of work; the Parquet file per
+    version of pyarrow.
     """
     gathered = gather(members, home)
     results = summary_of(gathered, declared)
@@ -118,7 +123,10 @@ def write_series(
 
 
 def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
-    """The map that leads of every specimen that has it, one read after the other; without values where none can be."""
+    """The map that leads of every specimen that has it, one read after the other.
+
+    Without values where none can be.
+    """
     small_maps: list[SmallMap] = []
     # The maps of more than 250 specimens have fewer pixels: the page has to stay below 10 MB.
     # Along the longer side.
@@ -136,7 +144,10 @@ def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
 
 
 def _read_map(store: Path, kind: RunKind, quantity: Quantity) -> xr.DataArray | None:
-    """The map of a sheet, flat or, of two sheets, on the pixels of the reference; the smallest copy that will do."""
+    """The map of a sheet, flat or, of two sheets, on the pixels of the reference.
+
+    The smallest copy that will do.
+    """
     name, layer_group = quantity.map, f"layers/{quantity.layer}"
     for group in (
         f"{layer_group}/maps",
@@ -197,7 +208,10 @@ def parquet_bytes(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes
 
 
 def _specimens_text(results: SeriesResults) -> str:
-    """Text of specimens.csv: one row a specimen, its quantities in columns named by map, statistic and unit."""
+    """Give the text of specimens.csv, one row a specimen.
+
+    Its quantities are in columns named by map, statistic and unit.
+    """
     header = ["specimen", *factor_columns(results.factors, _OF_A_SPECIMEN), *_OF_A_SPECIMEN[1:]]
     for q in results.quantities:
         name_parts, suffixes = [q.layer, q.map, q.what], ("", "_trust")

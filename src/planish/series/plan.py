@@ -1,4 +1,7 @@
-"""What a series is made of: a table of specimens with their files and factors, and the options that they share."""
+"""What a series is made of.
+
+That is a table of specimens with their files and factors, and the options that they share.
+"""
 
 import os
 import re
@@ -98,8 +101,9 @@ def read_plan(path: Path, changes: Sequence[str] = ()) -> Plan:
     Parameters
     ----------
     path : Path
-        ``.toml``, or a table with the columns ``volume`` and ``image`` (or ``layers``), ``name`` and factors. A column
-        with a point in its name, such as ``volume.through``, is an option of each specimen.
+        ``.toml``, or a table with the columns ``volume`` and ``image`` (or ``layers``), ``name``
+        and factors. A column with a point in its name, such as ``volume.through``, is an option of
+        each specimen.
     changes : sequence of str
         Options of all specimens, `SECTION.NAME=VALUE`.
 
@@ -154,7 +158,7 @@ def _rows_of(path: Path, text: str) -> list[_TableRow]:
     return rows
 
 
-def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
+def _of_toml(path: Path, text: str, plan: Plan) -> Plan:  # noqa: C901, PLR0912
     sections = toml_tables(path, text)
     if not {"specimens", "watch"} & set(sections):
         raise FileError(

@@ -1,4 +1,7 @@
-"""What is compared over the specimens of a series: statistics of the leading maps, and their correlation."""
+"""What is compared over the specimens of a series.
+
+These are statistics of the leading maps, and their correlation.
+"""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,7 +31,10 @@ def check_maps_known(declared: Declared) -> None:
 
 
 def maps_of(declared: Declared) -> list[str]:
-    """Maps that were declared, by themselves or with a margin: of ``MAP`` or ``MAP.sd``; that of r has none."""
+    """Maps that were declared, by themselves or with a margin: of ``MAP`` or ``MAP.sd``.
+
+    That of r has none.
+    """
     names = list(declared.headline)
     for margin in declared.margin:
         name, dot, statistic = margin.rpartition(".")
@@ -47,9 +53,13 @@ def margin_of(quantity: Quantity, declared: Declared) -> float | None:
 def quantities_of(
     rows: Sequence[FigureRow], runs: Mapping[str, RunSummary], declared: Declared
 ) -> tuple[Quantity, ...]:
-    """What is compared: of each leading map its mean, standard deviation and thin share, and r with the other map.
+    """Give the quantities that are compared.
 
-    Maps lead that are declared (InputError for one in no run), or else stand for most runs; those with a margin follow.
+    Of each leading map these are its mean, standard deviation and thin share, and r with the other
+    map.
+
+    Maps lead that are declared (InputError for one in no run), or else stand for most runs; those
+    with a margin follow.
     """
     maps, declared_maps = {row.map for row in rows if row.quantity == "mean"}, maps_of(declared)
     for name in declared_maps if runs else ():
@@ -105,14 +115,20 @@ def quantities_of(
 
 
 def _in_words(name: str, layer: str) -> str:
-    """A map in a sentence: as the program calls it, or by its name where the program does not know it."""
+    """Name a map in a sentence.
+
+    It is called what the program calls it, or by its name where the program does not know it.
+    """
     properties = registered()
     title = properties[name].long_name if name in properties else name.replace("_", " ")
     return in_words(title) + (f" of {layer}" if layer else "")
 
 
 def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
-    """Correlations of a map with the images, or with the same map of another sheet, at the usual points."""
+    """Give the correlations of a map at the usual points.
+
+    They are with the images, or with the same map of another sheet.
+    """
     size_counts: dict[Pair, Counter[float]] = {}
     for specimen in dict.fromkeys(row.specimen for row in rows):
         for pair, size in _largest_points(
@@ -163,7 +179,10 @@ def _pair_of(row: FigureRow) -> Pair | None:
 
 
 def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> Cell:
-    """A quantity of the specimen that rows are of, and whether it takes part in means, as doubtful figures may."""
+    """Give a quantity of the specimen that rows are of.
+
+    It says whether it takes part in means, as doubtful figures may.
+    """
     if q.what == "r":
         return _cell_of_r(rows, q, with_doubtful=with_doubtful)
     for row in rows:

@@ -1,4 +1,7 @@
-"""What a series of specimens says: means over sheets, differences between papers or treatments, pooled r."""
+"""What a series of specimens says.
+
+It gives means over sheets, differences between papers or treatments, and pooled r.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -43,11 +46,12 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
 
     Notes
     -----
-    Specimens with one ``paper`` and ``sheet`` are fields of one sheet; a specimen without a ``sheet`` counts as a sheet
-    of its own. Groups are made of the levels of ``paper``, ``treatment``, ``side`` and of the factor that is compared,
-    where they vary. Two levels are compared where all other factors of the groups are the same: paired where they have
-    sheets in common, else as two groups (Welch). p is corrected for all differences together (Holm). A figure that is
-    withheld takes part in nothing; a doubtful one does only where that was declared.
+    Specimens with one ``paper`` and ``sheet`` are fields of one sheet; a specimen without a
+    ``sheet`` counts as a sheet of its own. Groups are made of the levels of ``paper``,
+    ``treatment``, ``side`` and of the factor that is compared, where they vary. Two levels are
+    compared where all other factors of the groups are the same: paired where they have sheets in
+    common, else as two groups (Welch). p is corrected for all differences together (Holm). A figure
+    that is withheld takes part in nothing; a doubtful one does only where that was declared.
     """
     factors = tuple(dict.fromkeys(name for member in gathered.members for name in member.factors))
     compared_by = _compared_by(gathered, factors, declared)
@@ -206,7 +210,10 @@ def _pairs(
     factor: str,
     grouped_by: Sequence[str],
 ) -> Iterator[tuple[dict[str, Any], analyze.SheetDifference]]:
-    """Compare every quantity of every two levels of a factor, within each level of the others that make groups."""
+    """Compare every quantity of every two levels of a factor.
+
+    This is done within each level of the other factors that make groups.
+    """
     other_factors = [name for name in grouped_by if name != factor]
     levels = [*dict.fromkeys(level for specimen in specimens if (level := specimen.factor(factor)))]
     if [level.casefold() for level in levels] == ["after", "before"]:

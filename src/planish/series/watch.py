@@ -1,4 +1,7 @@
-"""New scans of a folder as they appear: pairs of files that are whole and have stood still for a while."""
+"""Find new scans of a folder as they appear.
+
+They are pairs of files that are whole and have stood still for a while.
+"""
 
 import re
 import time
@@ -61,8 +64,8 @@ def watched(
 ) -> Iterator[PlannedSpecimen | None]:
     """Give specimens as their files are whole; None where there is none as yet.
 
-    A file is taken when it has not changed for ``settle_s`` and its own reader finds it complete. One that is not
-    complete is named once, and tried again when it changes.
+    A file is taken when it has not changed for ``settle_s`` and its own reader finds it complete.
+    One that is not complete is named once, and tried again when it changes.
     """
     params = watch_params(plan)
     volume_place = find_place(params.volume)

@@ -1,4 +1,7 @@
-"""A plan's jobs on processes of this computer or on a cluster; a process that dies takes no other job with it."""
+"""A plan's jobs on processes of this computer or on a cluster.
+
+A process that dies takes no other job with it.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,8 @@ from planish.series.jobs import KILLED, Job, Note, SeriesState, do
 from planish.series.plan import Plan, PlannedSpecimen
 from planish.series_results import Member
 
-# Called with each specimen that is done, and the seconds that it took; None where it was done before
+# Called with each specimen that is done, and the seconds that it took; None where it was done
+# before
 Tell = Callable[[Member, float | None], None]
 _PAUSE = 1.0  # seconds until it is asked again whether there is more to do
 _END: Final = object()
@@ -39,10 +43,11 @@ def run_series(
 ) -> None:
     """Do all specimens of a series that are not done, each into ``out/runs/NAME``; ``out`` exists.
 
-    Memory and threads are shared out among ``jobs`` specimens at a time; with a scheduler, whole specimens go to its
-    workers. ``members`` is filled as specimens come in and are done, so that it can be read after an interrupt, too.
-    ``coming`` gives specimens instead of those of the plan, as they appear; None for none as yet. What is wrong with a
-    specimen raises nothing; a folder that cannot be written, or a scheduler that is lost, does.
+    Memory and threads are shared out among ``jobs`` specimens at a time; with a scheduler, whole
+    specimens go to its workers. ``members`` is filled as specimens come in and are done, so that it
+    can be read after an interrupt, too. ``coming`` gives specimens instead of those of the plan, as
+    they appear; None for none as yet. What is wrong with a specimen raises nothing; a folder that
+    cannot be written, or a scheduler that is lost, does.
     """
     state, specimens = SeriesState(out, plan), dict[str, PlannedSpecimen]()
     if compute.scheduler is not None:  # one thread, since the scheduler counts threads
@@ -93,7 +98,10 @@ def _workers(compute: Compute, jobs: int) -> Generator[_Cluster | _Processes]:
 def _run_jobs(
     jobs: Iterator[Job | None], workers: _Cluster | _Processes
 ) -> Generator[tuple[Job, Note]]:
-    """Keep all workers busy with jobs, taken as there is room (None: none as yet); give outcomes as they come."""
+    """Keep all workers busy with jobs, taken as there is room (None: none as yet).
+
+    Give outcomes as they come.
+    """
     running: dict[Future[Note], Job] = {}
     tries: Counter[str] = Counter()
     retries: deque[Job] = deque()
@@ -127,7 +135,10 @@ def _run_jobs(
 
 
 class _Cluster:
-    """Workers of a dask scheduler, so many jobs at a time as these have threads. It tries lost jobs again itself."""
+    """Workers of a dask scheduler, so many jobs at a time as these have threads.
+
+    It tries lost jobs again itself.
+    """
 
     tries = 1
 
@@ -145,7 +156,10 @@ class _Cluster:
 
 
 class _Processes:
-    """Processes of this computer, each doing job after job; another takes its place where one ends."""
+    """Processes of this computer, each doing job after job.
+
+    Another takes its place where one ends.
+    """
 
     deaths: tuple[type[BaseException], ...] = (BrokenProcessPool,)
     tries = 2
@@ -174,7 +188,10 @@ class _Processes:
         self._used.pop(future).shutdown(wait=False)
 
     def stop(self) -> None:
-        """End all: idle ones by themselves; busy ones leave their job, which goes on from there the next time."""
+        """End all: idle ones by themselves.
+
+        Busy ones leave their job, which goes on from there the next time.
+        """
         for future, pool in self._used.items():
             if not future.done():
                 for process in list((pool._processes or {}).values()):  # pyright: ignore[reportPrivateUsage]
@@ -184,9 +201,12 @@ class _Processes:
 
 
 def _begin() -> None:
-    """Leave Ctrl-C to the process that started this one, and end where that is gone: nobody waits any more.
+    """Leave Ctrl-C to the process that started this one, and end where that is gone.
 
-    Terminated, a process leaves its job as a single run does at Ctrl-C, and its libraries give their locks back.
+    Nobody waits any more then.
+
+    Terminated, a process leaves its job as a single run does at Ctrl-C, and its libraries give
+    their locks back.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -1,5 +1,8 @@
 # pyright: standard
-"""Compiled inner loop of the corrections: an edge whose levels are free, sought close to where it is expected."""
+"""Compiled inner loop of the corrections.
+
+It seeks an edge whose levels are free, close to where it is expected.
+"""
 
 from math import ceil, floor, isfinite
 
@@ -23,7 +26,10 @@ def _blurred(x, w, fringe, ratio):
 
 @njit(cache=True, nogil=True)
 def _misfit(g, lo, hi, w, at, other, fringe, ratio):
-    """Squares left by levels on both sides of ``at`` and beyond ``other`` (NaN: none); and the rise at ``at``."""
+    """Squares left by levels on both sides of ``at`` and beyond ``other`` (NaN: none).
+
+    And the rise at ``at``.
+    """
     m = np.zeros((3, 3))
     r = np.zeros(3)
     x = np.ones(3)
@@ -66,8 +72,10 @@ def draw_edges(
     """Find one edge of every column near the place where it is expected.
 
     columns  : (n, depth) float32, grey above the air, read from outside to inside
-    expected : (n,), depth in voxels; ``error``, its standard error; ``band``, how far from it the edge is sought
-    other    : (n,), the second edge of the staircase: its distance where it ``rides`` on the first one, else its depth;
+    expected : (n,), depth in voxels; ``error``, its standard error; ``band``, how far from it the
+    edge is sought
+    other    : (n,), the second edge of the staircase: its distance where it ``rides`` on the first
+    one, else its depth;
                NaN: none
     sign     : -1 where the grey falls at the edge
     width    : (n,), standard deviation of the blur along the column, in voxels

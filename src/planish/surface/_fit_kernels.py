@@ -1,16 +1,20 @@
 # pyright: standard
-"""Compiled inner loops of the fit: the blurred staircase of one column, and the faces of a slab of columns.
+"""Compiled inner loops of the fit.
 
-A column is read from outside to inside. Its model is a blurred staircase: ``air | coating | base`` with steps at the
-face ``h`` and the interface ``h + t``,
+They give the blurred staircase of one column, and the faces of a slab of columns.
+
+A column is read from outside to inside. Its model is a blurred staircase: ``air | coating | base``
+with steps at the face ``h`` and the interface ``h + t``,
 
     g(d) = a + (c - a) P((d - h) / w) + (b - c) P((d - h - t) / w),
 
-with P the normal distribution and w the width of the blur along the column. Without a coating it has one step, and c is
-the level outside, which need not be that of the air: ``g(d) = c + (b - c) P((d - h) / w)``.
+with P the normal distribution and w the width of the blur along the column. Without a coating it
+has one step, and c is the level outside, which need not be that of the air: ``g(d) = c + (b - c)
+P((d - h) / w)``.
 
-A phase-contrast fringe of size f and ``ratio`` r = w / (its own width) adds the second derivative of a blurred edge:
-P(x) becomes ``P(x) + f y N(y)`` with ``y = r x`` and N the normal density: an undershoot outside, an overshoot inside.
+A phase-contrast fringe of size f and ``ratio`` r = w / (its own width) adds the second derivative
+of a blurred edge: P(x) becomes ``P(x) + f y N(y)`` with ``y = r x`` and N the normal density: an
+undershoot outside, an overshoot inside.
 """
 
 from math import exp, floor, isfinite, sqrt
@@ -23,7 +27,8 @@ from planish.core.jit import njit
 _ROOT2PI = sqrt(2.0 * np.pi)
 _STEPS = 20
 _CLOSE = 1e-3  # voxels: a fiftieth of what noise leaves
-# The normal distribution, linear between 256 nodes a standard deviation: within 5e-7, several times faster than erf.
+# The normal distribution, linear between 256 nodes a standard deviation: within 5e-7, several times
+# faster than erf.
 _PER_SIGMA = 256
 _LAST = 6
 _TABLE = ndtr(np.arange(-_LAST * _PER_SIGMA, _LAST * _PER_SIGMA + 2) / _PER_SIGMA)
@@ -31,7 +36,10 @@ _TABLE = ndtr(np.arange(-_LAST * _PER_SIGMA, _LAST * _PER_SIGMA + 2) / _PER_SIGM
 
 @njit(cache=True, nogil=True, inline="always")
 def _step(x):
-    """Return the normal distribution and its density: the table's slope there, bent as the density is between nodes."""
+    """Return the normal distribution and its density.
+
+    The density is the table's slope there, bent as the density is between nodes.
+    """
     t = (x + _LAST) * _PER_SIGMA
     if t <= 0.0:
         return 0.0, 0.0
@@ -50,7 +58,10 @@ def _bell(x):
 
 @njit(cache=True, nogil=True)
 def _solve4(m, r, n):
-    """Solve the symmetric positive system m[:n, :n] x = r[:n] in place by Cholesky; False where it is not positive."""
+    """Solve the symmetric positive system m[:n, :n] x = r[:n] in place by Cholesky.
+
+    False where it is not positive.
+    """
     for i in range(n):
         for j in range(i + 1):
             s = m[i, j]
@@ -76,8 +87,11 @@ def _solve4(m, r, n):
 
 
 @njit(cache=True, nogil=True)
-def _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio):
-    """Return the cost at p; set the lower triangle of ``matrix`` and ``step`` to the normal equations there."""
+def _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio):  # noqa: C901
+    """Return the cost at p.
+
+    Set the lower triangle of ``matrix`` and ``step`` to the normal equations there.
+    """
     # Sums in variables of their own stay in registers.
     cost = s0 = s1 = s2 = s3 = 0.0
     m00 = m10 = m11 = m20 = m21 = m22 = m30 = m31 = m32 = m33 = 0.0
@@ -155,13 +169,13 @@ def _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, 
 
 
 @njit(cache=True, nogil=True)
-def fit_column(
+def fit_column(  # noqa: C901
     g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe=None, ratio=1.0
 ):
     """Fit p = (h, t, c, b) to g[lo:hi+1] by Levenberg-Marquardt; return the cost per sample.
 
-    ``prior`` and ``spread`` (4): Gaussian prior on p; a spread of 0 means none, below 0 holds the value fixed.
-    Without a coating t is left as it is.
+    ``prior`` and ``spread`` (4): Gaussian prior on p; a spread of 0 means none, below 0 holds the
+    value fixed. Without a coating t is left as it is.
     """
     damping = 1e-3
     old = np.empty((6, 4))  # matrix, step and p before a trial
@@ -204,7 +218,10 @@ def fit_column(
 
 @njit(cache=True, nogil=True)
 def outermost(g, start, stop, level):
-    """First index in [start, stop] from which the lightly smoothed g stays above level for two samples, or -1."""
+    """Find the first index in [start, stop] from which the lightly smoothed g stays above level.
+
+    It stays there for two samples; without such an index the result is -1.
+    """
     for d in range(max(start, 1), min(stop, g.size - 3) + 1):
         here = 0.25 * g[d - 1] + 0.5 * g[d] + 0.25 * g[d + 1]
         then = 0.25 * g[d] + 0.5 * g[d + 1] + 0.25 * g[d + 2]
@@ -239,7 +256,8 @@ def darkest(g, d0, reach, noise):
 @njit(cache=True, nogil=True)
 def _guess(g, d0, air, w, middle, prior, coated):
     depth = g.size
-    # Half height between the air and what lies just inside, so that a coating does not pull the start outwards.
+    # Half height between the air and what lies just inside, so that a coating does not pull the
+    # start outwards.
     inside = g[d0]
     for d in range(d0, min(d0 + int(2.5 * w) + 2, depth)):
         inside = max(inside, g[d])
@@ -264,7 +282,7 @@ def _guess(g, d0, air, w, middle, prior, coated):
 
 
 @njit(cache=True, nogil=True)
-def fit_faces(
+def fit_faces(  # noqa: C901, PLR0912
     slab,
     expected,
     other,
@@ -285,22 +303,29 @@ def fit_faces(
 ):
     """Fit the outer face and the interface of every column of a slab, read from outside to inside.
 
-    slab          : (rows, cols, depth) float32, grey, oriented so that the sheet is brighter than the air
-    expected      : (rows, cols), depth in voxels of this face, and ``other`` of the opposite one, from the coarse
-                    search; NaN where there is no sheet
-    tilt          : (rows, cols), cosine of the sheet's tilt: the blur along the column is ``width`` / tilt, in voxels
+    slab          : (rows, cols, depth) float32, grey, oriented so that the sheet is brighter than
+                    the air
+    expected      : (rows, cols), depth in voxels of this face, and ``other`` of the opposite one,
+                    from the coarse search; NaN where there is no sheet
+    tilt          : (rows, cols), cosine of the sheet's tilt: the blur along the column is ``width``
+                    / tilt, in voxels
     air, noise    : level and standard deviation of a voxel
-    prior, spread : (4,), of (h, t, c, b); those of h are not used. c is the coating, or without one (not ``coated``)
+    prior, spread : (4,), of (h, t, c, b); those of h are not used. c is the coating, or without one
+    (not ``coated``)
                     the level outside
     search        : how far outside the expected face the search starts, in voxels
     result        : (5, rows, cols), set to h, t, c, b and cost; NaN where nothing is found
-    window        : width after which the samples that are fitted are chosen, where it is not ``width``: costs of
+    window        : width after which the samples that are fitted are chosen, where it is not
+    ``width``: costs of
                     several widths can be compared only over the same samples
-    amid          : above 0: the sheet lies amid other material, from which it was separated at this grey. The face is
-                    then sought next to where it is expected, and no sample beyond the darkest one of the gap counts
-    fringe, ratio : size of the phase-contrast fringe, and width of the blur over that of the fringe. None is compiled
-                    apart, which makes the fit of an edge without a fringe as quick as if there were none
-    reverse       : whether the slab is read from its far end; ``expected`` and ``other`` are counted from there
+    amid          : above 0: the sheet lies amid other material, from which it was separated at this
+                    grey. The face is then sought next to where it is expected, and no sample beyond
+                    the darkest one of the gap counts
+    fringe, ratio : size of the phase-contrast fringe, and width of the blur over that of the
+                    fringe. None is compiled apart, which makes the fit of an edge without a fringe
+                    as quick as if there were none
+    reverse       : whether the slab is read from its far end; ``expected`` and ``other`` are
+                    counted from there
     """
     rows, cols, depth = slab.shape
     matrix = np.zeros((4, 4))
@@ -363,7 +388,8 @@ def fit_faces(
                     g, lo, hi, air, noise, w, p, prior, local, coated, matrix, step, fringe, ratio
                 )
                 if coated and p[3] > 0.5 * (prior[2] + prior[3]):
-                    # No base is as bright: this is coating in a valley that the blur dims from the sides.
+                    # No base is as bright: this is coating in a valley that the blur dims from the
+                    # sides.
                     local[3] = -1.0
                     p[0], p[1], p[2], p[3] = h0, thick, prior[2], prior[3]
                     now = fit_column(

@@ -11,13 +11,14 @@ _ABREAST = 16  # columns whose means are worked out together
 
 
 @njit(cache=True, nogil=True)
-def follow(inside, row, col, start, stop, most, low, high, merged):
+def follow(inside, row, col, start, stop, most, low, high, merged):  # noqa: C901, PLR0912
     """Follow a sheet from the run of one column to overlapping runs of its neighbours.
 
-    ``row``, ``col``, ``start``, ``stop`` are the column of the seed and the first and last index of its run in
-    ``inside``, (rows, cols, depth) bool. ``low`` and ``high``, (rows, cols) int64, are set to the first and last index
-    of the run; they come as -1. A run longer than ``most`` belongs to two sheets that touch, or to one that folds back:
-    it is marked in ``merged``, (rows, cols) bool, and not followed.
+    ``row``, ``col``, ``start``, ``stop`` are the column of the seed and the first and last index of
+    its run in ``inside``, (rows, cols, depth) bool. ``low`` and ``high``, (rows, cols) int64, are
+    set to the first and last index of the run; they come as -1. A run longer than ``most`` belongs
+    to two sheets that touch, or to one that folds back: it is marked in ``merged``, (rows, cols)
+    bool, and not followed.
     """
     rows, cols, depth = inside.shape
     queue = np.empty((rows * cols, 2), dtype=np.int64)
@@ -65,14 +66,16 @@ def follow(inside, row, col, start, stop, most, low, high, merged):
 
 @njit(cache=True, nogil=True)
 def blend(grey, slope, weights, down, right, out):
-    """Mean of neighbouring columns along rows or columns, each moved along its depth by the sheet's slope.
+    """Average neighbouring columns along rows or columns, each moved in depth by the sheet's slope.
 
-    Without the move a sheet at 40 degrees would be blurred by 0.8 voxels a column. Between voxels Keys' cubic is used:
-    it passes parabolas, and so adds nothing to the width of an edge.
+    Without the move a sheet at 40 degrees would be blurred by 0.8 voxels a column. Between voxels
+    Keys' cubic is used: it passes parabolas, and so adds nothing to the width of an edge.
 
     grey, out   : (rows, cols, depth) float32
-    slope       : (rows, cols), rise of the sheet from one column to the next in this direction, in voxels
-    weights     : (n,) float32, of the column itself and of its neighbours on either side; the border's column stands
+    slope       : (rows, cols), rise of the sheet from one column to the next in this direction, in
+    voxels
+    weights     : (n,) float32, of the column itself and of its neighbours on either side; the
+    border's column stands
                   for those beyond it
     down, right : 1, 0 or 0, 1
     """
@@ -123,10 +126,12 @@ def blend(grey, slope, weights, down, right, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def trilinear(flat, shape, first, deep, r, c, d, fr, fc):
-    """Value of a flat slab of shape (rows, cols, depth) at the indices r + fr, c + fc and d - first; NaN outside.
+    """Give the value of a flat slab at the indices r + fr, c + fc and d - first.
 
-    The slab holds a part of columns that are ``deep`` voxels long. r and c are whole; shares of a voxel come apart from
-    them, because the place in a tile must not round them.
+    Its shape is (rows, cols, depth); the value is NaN outside.
+
+    The slab holds a part of columns that are ``deep`` voxels long. r and c are whole; shares of a
+    voxel come apart from them, because the place in a tile must not round them.
     """
     rows, cols, depth = shape
     step_r, step_c = floor(fr), floor(fc)
@@ -170,15 +175,17 @@ def presence(
     base,
     out,
 ):
-    """Share of material along each normal, layer by layer: mean of (g - air) / (base - air), cut to 0..1.
+    """Give the share of material along each normal, layer by layer.
 
-    slab           : (rows + halo, cols + halo, depth) float32, contiguous; carries ``lead_r`` more rows and ``lead_c``
-                     more columns before the first of the maps
-    first, deep    : depth index of its first voxel, and length of the whole columns
-    centre, normal : (rows, cols), height of the centre surface and the normal, per um, all in voxels
-    offsets        : (n,), distances from the centre surface along the normal, in um
-    layers         : (m, k) int64, which of the offsets each layer is the mean of
-    out            : (m, rows, cols), set; NaN where the normal leaves the slab
+    It is the mean of (g - air) / (base - air), cut to 0..1.
+
+    slab           : (rows + halo, cols + halo, depth) float32, contiguous; carries ``lead_r`` more
+                     rows and ``lead_c`` more columns before the first of the maps
+    first, deep    : depth index of its first voxel, and length of the whole columns centre, normal
+    : (rows, cols), height of the centre surface and the normal, per um, all in voxels offsets
+    : (n,), distances from the centre surface along the normal, in um layers         : (m, k) int64,
+    which of the offsets each layer is the mean of out            : (m, rows, cols), set; NaN where
+    the normal leaves the slab
     """
     rows, cols = centre.shape
     flat = slab.reshape(-1)
@@ -207,10 +214,13 @@ def presence(
 def block_sums(voxels, wide, corner, sums, bad, holds):
     """Sums over blocks of columns, in the order in which the voxels lie in memory.
 
-    voxels : (a, b, c), as they lie in memory, the last axis without jumps; one of the axes is the depth
-    wide   : voxels of a block along each axis, 1 along the depth. The last block of an axis takes what is left over
+    voxels : (a, b, c), as they lie in memory, the last axis without jumps; one of the axes is the
+             depth
+    wide   : voxels of a block along each axis, 1 along the depth. The last block of an axis takes
+             what is left over
     corner : value that may be the padding; NaN where there is none
-    sums, bad, holds : (blocks along a, b, c), zeros before; ``sums`` not finite where a voxel is not, ``bad`` how many
+    sums, bad, holds : (blocks along a, b, c), zeros before; ``sums`` not finite where a voxel is
+    not, ``bad`` how many
                        voxels are not finite, ``holds`` whether a voxel has the value of the corner
     """
     last = np.array([n - 1 for n in sums.shape])
@@ -243,12 +253,13 @@ def block_sums(voxels, wide, corner, sums, bad, holds):
 
 
 @njit(cache=True, nogil=True)
-def mean_columns(voxels, step, slope_r, slope_c, missing, out):
-    """Means of ``step`` x ``step`` columns of voxels, each moved along its depth by the sheet's slope.
+def mean_columns(voxels, step, slope_r, slope_c, missing, out):  # noqa: C901, PLR0912
+    """Average ``step`` x ``step`` columns of voxels, each moved in depth by the sheet's slope.
 
-    ``voxels``: (rows * step, cols * step, depth). ``slope_r``, ``slope_c``: (rows, cols), rise of the sheet in voxels
-    of depth, from one voxel row and column to the next. ``missing``: value that counts as missing; NaN: none. ``out``:
-    (rows, cols, depth) float32, set; NaN where a voxel is missing. Beyond the ends of a column its last voxel counts.
+    ``voxels``: (rows * step, cols * step, depth). ``slope_r``, ``slope_c``: (rows, cols), rise of
+    the sheet in voxels of depth, from one voxel row and column to the next. ``missing``: value that
+    counts as missing; NaN: none. ``out``: (rows, cols, depth) float32, set; NaN where a voxel is
+    missing. Beyond the ends of a column its last voxel counts.
     """
     rows, cols, depth = out.shape
     share = np.float32(1.0 / (step * step))
@@ -258,8 +269,8 @@ def mean_columns(voxels, step, slope_r, slope_c, missing, out):
     shift = np.empty(_ABREAST * step, dtype=np.int64)
     for i in range(rows):
         for first in range(0, cols, _ABREAST):
-            # Some columns at a time: voxels lie side by side either along the row or along the depth, and this way
-            # both are read without jumping.
+            # Some columns at a time: voxels lie side by side either along the row or along the
+            # depth, and this way both are read without jumping.
             count = min(_ABREAST, cols - first)
             wide = count * step
             total[:] = 0.0

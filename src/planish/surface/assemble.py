@@ -1,4 +1,7 @@
-"""From the faces of single columns to the result: sheet, rim and hole, centre surface, presence of material, status."""
+"""Make the result from the faces of single columns.
+
+It is sheet, rim and hole, centre surface, presence of material, and status.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,10 @@ _TITLES = {
 
 
 class ColumnStates(NamedTuple):
-    """Columns with both faces, where the sheet touches another or leaves the volume, and below attached particles."""
+    """Tell which columns have both faces, and which lie below attached particles.
+
+    It also says where the sheet touches another or leaves the volume.
+    """
 
     has_faces: Bools
     is_touching: Bools
@@ -78,10 +84,12 @@ def assemble(
     levels: Pair,
     engine: Engine,
 ) -> xr.Dataset:
-    """Build the result of :func:`planish.surface.find_surfaces` but for the grey levels in its attributes.
+    """Build the result of :func:`planish.surface.find_surfaces`.
 
-    ``doubt``: columns in which the sheet touches another or itself, and in which it may run out of the volume;
-    ``levels``: grey of air and base.
+    The grey levels in its attributes are left out.
+
+    ``doubt``: columns in which the sheet touches another or itself, and in which it may run out of
+    the volume; ``levels``: grey of air and base.
     """
     pitch = columns.pitch[:2]
     states = ColumnStates.of(faces, columns.frame.sign, *doubt)
@@ -193,9 +201,12 @@ def alternative_surfaces(
     pitch: Pair,
     params: SurfaceParams,
 ) -> dict[str, tuple[Floats, str]]:
-    """Give the heights over the centre surface of alternatives that could stand for it, smoothed alike and carried on.
+    """Give the heights over the centre surface of alternatives that could stand for it.
 
-    ``base_offset``: from the mean of the faces to the middle of the base; left out where an interface is missing.
+    They are smoothed alike and carried on.
+
+    ``base_offset``: from the mean of the faces to the middle of the base; left out where an
+    interface is missing.
     """
     shorter_params = params.model_copy(update={"cutoff_um": _SHORTER * params.cutoff_um})
     surfaces = {
@@ -217,7 +228,10 @@ def alternative_surfaces(
 def centre_surface(
     face_mean: Floats, in_outline: Bools, pitch: Pair, params: SurfaceParams
 ) -> tuple[Floats, Floats]:
-    """Smooth the mean of the faces and carry it across holes; the centre surface and the cut-off used, in um."""
+    """Smooth the mean of the faces and carry it across holes.
+
+    The centre surface and the cut-off used, in um.
+    """
     cutoff_um = params.cutoff_um
     if params.method == "paper":
         centre = np.where(
@@ -226,7 +240,8 @@ def centre_surface(
         return centre, np.where(np.isfinite(centre), cutoff_um, np.nan)
     centre = gaussian_regression(face_mean, pitch, cutoff_um=cutoff_um)
     used_um = np.full(centre.shape, cutoff_um)
-    # A hole with its rim may be wider than a short cut-off reaches: it is bridged with a longer one.
+    # A hole with its rim may be wider than a short cut-off reaches: it is bridged with a longer
+    # one.
     for wider_um in (2.0 * cutoff_um, 4.0 * cutoff_um):
         is_gap = np.isnan(centre)
         if is_gap[in_outline].any():
@@ -246,7 +261,8 @@ LAYERS = {
     "presence_centre": (-_INNER, _INNER),
     "presence_bottom": (-_TO, -_FROM),
 }
-"""First and last place of each layer in shares of the thickness, from the centre surface towards the top."""
+"""First and last place of each layer in shares of the thickness, from the centre surface towards
+the top."""
 _PLACES = dict(
     zip(
         LAYERS,
@@ -259,12 +275,15 @@ _PLACES = dict(
 def find_presence(
     columns: Columns, centre: Floats, thickness: float, up_sign: float, levels: Pair, engine: Engine
 ) -> dict[str, Floats]:
-    """Share of material in three layers of the sheet, along the true normals, of every column; 0 to 1.
+    """Share of material in three layers of the sheet, along the true normals, of every column.
 
-    ``centre``: height of the centre surface, um; ``up_sign``: +1 where heights grow towards the top; ``levels``: grey
-    of air and base. Returns a map (rows, cols) for each of ``LAYERS``; NaN where there is no centre surface or the
-    normal leaves the volume. The voxels are read once for all layers. The bottom's layer mirrors the top's: with the
-    other side on top, the two maps change places to the last bit.
+    0 to 1.
+
+    ``centre``: height of the centre surface, um; ``up_sign``: +1 where heights grow towards the
+    top; ``levels``: grey of air and base. Returns a map (rows, cols) for each of ``LAYERS``; NaN
+    where there is no centre surface or the normal leaves the volume. The voxels are read once for
+    all layers. The bottom's layer mirrors the top's: with the other side on top, the two maps
+    change places to the last bit.
     """
     pitch = columns.pitch
     slope = [np.gradient(centre, p, axis=i) for i, p in enumerate(pitch[:2])]
@@ -298,8 +317,8 @@ def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -
     is_sheet = np.isfinite(centre_depth) & np.isfinite(normal[2])
     if not is_sheet.any():
         return shares
-    # Places along the normal, and which of them each layer is the mean of: the centre's layer takes the two places of
-    # either neighbour that lie in it, and three of its own.
+    # Places along the normal, and which of them each layer is the mean of: the centre's layer takes
+    # the two places of either neighbour that lie in it, and three of its own.
     top_offsets = np.linspace(_FROM, _TO, _STEPS)
     inner_offset = 2 * top_offsets[0] - top_offsets[1]
     offsets = thickness * np.concatenate(

@@ -1,7 +1,10 @@
-"""Faces at boundaries: slice by slice as Hirn et al. (2009) found them, or between the labels of another program.
+"""Faces at boundaries: slice by slice as Hirn et al.
 
-A slice is a row of the maps, its thresholds separate the classes of grey best (Otsu): air, paper and, where there is
-one, coating. A coating thinner than the blur comes out as thick as the blur; that is how it was.
+(2009) found them, or between the labels of another program.
+
+A slice is a row of the maps, its thresholds separate the classes of grey best (Otsu): air, paper
+and, where there is one, coating. A coating thinner than the blur comes out as thick as the blur;
+that is how it was.
 """
 
 from dataclasses import dataclass, replace
@@ -29,7 +32,10 @@ _BINS = 128
 def find_faces_by_slice(
     columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0
 ) -> Faces:
-    """Find the faces and interfaces of every column with its slice's own thresholds; ``particles`` float in the air."""
+    """Find the faces and interfaces of every column with its slice's own thresholds.
+
+    ``particles`` float in the air.
+    """
     rows, cols, depth = columns.shape
     # Whole rows: a threshold belongs to a slice. A voxel of a slab takes 16 bytes.
     rows_per_tile = max(
@@ -47,7 +53,10 @@ def find_faces_by_slice(
 
 
 def _fit_slices(job: FitJob, tile: Tile) -> Floats:
-    """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
+    """Give the depth of the face and the thickness of the coating, (4, rows, cols).
+
+    They are from the high end, then from the low end.
+    """
     columns, guide, priors, _ = job
     grey, guide = oriented(columns, tile, guide, priors.scale)
     margin_px = 20.0 / columns.pitch[2]  # of air beside the sheet that counts in the histogram
@@ -77,9 +86,13 @@ def _fit_slices(job: FitJob, tile: Tile) -> Floats:
 def _outer_boundaries(
     grey: Floats, expected: Floats, opposite: Floats, start: Floats, paper: float, coating: float
 ) -> tuple[Floats, Floats]:
-    """Outermost boundary of the sheet, and thickness of the outermost run of coating, (cols,); NaN for none."""
-    # The grey (cols, depth) is read from outside to inside; this face and the opposite one should lie where expected
-    # and other say. Paper and coating are thresholds; that of a side without a coating is infinite.
+    """Outermost boundary of the sheet, and thickness of the outermost run of coating, (cols,).
+
+    NaN for none.
+    """
+    # The grey (cols, depth) is read from outside to inside; this face and the opposite one should
+    # lie where expected and other say. Paper and coating are thresholds; that of a side without a
+    # coating is infinite.
     cols, depth = grey.shape
     is_expected = np.isfinite(expected) & np.isfinite(opposite)
     middle = np.where(is_expected, 0.5 * (expected + opposite), -1.0).astype(int)
@@ -154,7 +167,10 @@ class LabelColumns(Columns):
 def surfaces_from_labels(
     labels: xr.DataArray, frame: Frame, meaning: LabelParams, params: SurfaceParams, engine: Engine
 ) -> xr.Dataset:
-    """Find the surfaces in labels: a boundary lies half way between the voxels, there are no grey levels."""
+    """Find the surfaces in labels.
+
+    A boundary lies half way between the voxels; there are no grey levels.
+    """
     if not np.issubdtype(labels.dtype, np.integer) and labels.dtype != np.bool_:
         raise VolumeError(
             f"Labels are integers; this volume holds {labels.dtype}. Give the label volume, not the"
@@ -192,7 +208,10 @@ def surfaces_from_labels(
 
 
 def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Floats:
-    """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
+    """Give the depth of the face and the thickness of the coating, (4, rows, cols).
+
+    They are from the high end, then from the low end.
+    """
     columns, guide, search_px = job
     codes = columns.voxels(tile)
     depths = np.full((4, *tile.shape), np.nan)

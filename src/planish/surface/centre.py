@@ -1,6 +1,9 @@
-"""The centre surface: Gaussian regression of second order (ISO 16610-31 without its robust weights), applied twice.
+"""Compute the centre surface by Gaussian regression of second order, applied twice.
 
-Its local paraboloids pass slopes and curvatures, run up to the border and across holes; Gaussian smoothing flattens.
+The regression is that of ISO 16610-31 without its robust weights.
+
+Its local paraboloids pass slopes and curvatures, run up to the border and across holes; Gaussian
+smoothing flattens.
 """
 
 from collections.abc import Sequence
@@ -18,7 +21,9 @@ _TERMS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 
 
 def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> Floats:
-    """Smooth ``height`` (rows, cols) in um and carry it across missing values where the neighbourhood holds enough.
+    """Smooth ``height`` (rows, cols) in um and carry it across missing values.
+
+    It is carried on where the neighbourhood holds enough.
 
     ``cutoff_um``: wavelength that passes by half; ``pitch_um``: distance of rows and of columns.
     """
@@ -34,7 +39,8 @@ def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> 
         np.add.reduceat(np.add.reduceat(addend, row_starts, 0), col_starts, 1)
         for addend in (np.where(is_finite, height, 0.0), is_finite.astype(float))
     )
-    # A partial block's mean does not lie at its nominal centre; it is left out unless it is (nearly) whole.
+    # A partial block's mean does not lie at its nominal centre; it is left out unless it is
+    # (nearly) whole.
     is_block_whole = finite_count >= 0.5 * block[0] * block[1]
     pad_nodes = 8  # the spline forgets its end condition by a factor of four a node
     mean = np.pad(
@@ -43,7 +49,8 @@ def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> 
     weight = np.pad(np.where(is_block_whole, finite_count / (block[0] * block[1]), 0.0), pad_nodes)
     regression = _Regression(weight, (pitch_um[0] * block[0], pitch_um[1] * block[1]), cutoff_um)
     coarse = regression(mean)
-    # A second pass over what the first left behind: a wave of 1500 um then loses 0.02 % of its height and not 0.6 %.
+    # A second pass over what the first left behind: a wave of 1500 um then loses 0.02 % of its
+    # height and not 0.6 %.
     coarse += regression(np.where(weight > 0, mean - coarse, 0.0))
     node_positions = [
         np.clip((np.arange(n) - 0.5 * (b - 1)) / b + pad_nodes, 0, m - 1)
@@ -53,7 +60,10 @@ def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> 
 
 
 def interpolate(field: Floats, axis_positions: Sequence[Floats], *, order: Literal[1, 3]) -> Floats:
-    """Interpolate a field where lines, row and column numbers, cross; NaN where the nearest node is NaN."""
+    """Interpolate a field where lines, row and column numbers, cross.
+
+    NaN where the nearest node is NaN.
+    """
     is_finite = np.isfinite(field)
     positions = np.meshgrid(*axis_positions, indexing="ij")
     if not is_finite.any():
@@ -66,9 +76,12 @@ def interpolate(field: Floats, axis_positions: Sequence[Floats], *, order: Liter
 
 
 def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floats:
-    """Smooth every row by itself with a Gaussian, and carry it across what is missing in it; NaN in empty rows.
+    """Smooth every row by itself with a Gaussian, and carry it across what is missing in it.
 
-    ``cutoff_um``: wavelength that passes by half; 400 um is a Gaussian of 75 um. ``pitch_um``: distance of the columns.
+    NaN in empty rows.
+
+    ``cutoff_um``: wavelength that passes by half; 400 um is a Gaussian of 75 um. ``pitch_um``:
+    distance of the columns.
     """
     sigma = cutoff_um * float(np.sqrt(2 * np.log(2))) / (2 * np.pi) / pitch_um
     is_finite = np.isfinite(height)
@@ -89,8 +102,9 @@ class _Regression:
     """Local paraboloids with Gaussian weights, at all nodes of one grid of weights."""
 
     def __init__(self, weight: Floats, pitch: Pair, cutoff: float) -> None:
-        # Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H passes lambda by half
-        # (ISO 16610-31); applied twice, 1 - (1 - H)^2, it does so with a wider weight.
+        # Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H
+        # passes lambda by half (ISO 16610-31); applied twice, 1 - (1 - H)^2, it does so with a
+        # wider weight.
         scale = 0.887 * cutoff
         self.weight = weight
         self.axes: list[tuple[Floats, Floats]] = []
@@ -103,9 +117,9 @@ class _Regression:
             self.axes.append((x, np.exp(-np.pi * x * x)))
         moments = self._moments(weight, [(i, j) for i in range(5) for j in range(5 - i)])
         full_weight = float(self.axes[0][1].sum() * self.axes[1][1].sum())
-        # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own fullest counts then.
-        # Below so much of it the surface would be extrapolated. Where there is data nothing is, however few the
-        # neighbours are.
+        # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own
+        # fullest counts then. Below so much of it the surface would be extrapolated. Where there is
+        # data nothing is, however few the neighbours are.
         self.good = (weight > 0) | (
             moments[0, 0] > 0.04 * min(full_weight, 4.0 * float(moments[0, 0].max()))
         )
@@ -129,7 +143,10 @@ class _Regression:
         return dict(zip(powers, map_threads(across, powers), strict=True))
 
     def __call__(self, mean: Floats) -> Floats:
-        """Return the constant terms; NaN where nothing is known and the neighbourhood holds too little."""
+        """Return the constant terms.
+
+        NaN where nothing is known and the neighbourhood holds too little.
+        """
         has_data = self.weight > 0
         # Heights about their mean keep the sums well conditioned.
         offset = float(mean[has_data].mean()) if has_data.any() else 0.0

@@ -1,4 +1,7 @@
-"""Which object of the volume is the sheet: the only one, that of a grey range, or the one that holds a seed point."""
+"""Choose which object of the volume is the sheet.
+
+It is the only one, that of a grey range, or the one that holds a seed point.
+"""
 
 from contextlib import suppress
 from dataclasses import replace
@@ -14,7 +17,8 @@ from planish.surface.columns import Columns, voxel_pitch
 from planish.surface.params import SurfaceParams
 
 Surroundings = Literal["air", "others", "material"]
-"""What lies beside a sheet: air alone, other objects beyond air, or material from which a grey has to separate it."""
+"""What lies beside a sheet: air alone, other objects beyond air, or material from which a grey has
+to separate it."""
 
 _SIGMAS = 6.0  # a block is material when it differs from the air by so many standard deviations
 
@@ -22,7 +26,7 @@ _SIGMAS = 6.0  # a block is material when it differs from the air by so many sta
 def make_choice(
     columns: Columns, block: int, shape: tuple[int, ...], params: SurfaceParams
 ) -> Choice:
-    """Give the width of a block, the seed point in block indices, and the words for a place in block indices."""
+    """Give block width, the seed point in block indices, and words for a place in block indices."""
     volume, wide = columns.volume, block * columns.step
     scale = dict(zip(columns.axes, (wide, wide, 1), strict=True))
 
@@ -51,7 +55,7 @@ def make_choice(
     return replace(choice, seed=(seed[0], seed[1], seed[2]))
 
 
-def choose_sheet(
+def choose_sheet(  # noqa: C901, PLR0911
     blocks: Blocks,
     sharp_blocks: Blocks,
     air: float,
@@ -74,8 +78,8 @@ def choose_sheet(
         try:
             return _refined(oriented, threshold, choice), "air", polarity
         except VolumeError:
-            # Two bright coatings on a dim base look like two sheets. With a lower threshold they are one, if they are
-            # one.
+            # Two bright coatings on a dim base look like two sheets. With a lower threshold they
+            # are one, if they are one.
             if min_threshold < 0.7 * threshold:
                 with suppress(VolumeError):
                     return _refined(oriented, min_threshold, choice), "air", polarity
@@ -100,8 +104,9 @@ def choose_sheet(
             raise
         return unseeded, "air", polarity
     if unseeded is not None:
-        # A sheet that was found without the seed is the one at the seed, in as many columns: then nothing lies beside
-        # it, and its faces need not be told from those of others, which takes sheets of few voxels for their own blur.
+        # A sheet that was found without the seed is the one at the seed, in as many columns: then
+        # nothing lies beside it, and its faces need not be told from those of others, which takes
+        # sheets of few voxels for their own blur.
         thicknesses_px = [
             float(np.median((s.high - s.low)[s.is_whole]))
             for s in (unseeded, sheet)
@@ -130,10 +135,12 @@ def _has_others_beside(oriented: Blocks, sheet: CoarseSheet) -> bool:
 def material(
     blocks: Blocks, air: float, air_scatter: float | None = None
 ) -> tuple[float, float, float]:
-    """Return polarity, the threshold of a first, coarse search, and the least that noise allows, both above the air.
+    """Return polarity, the threshold of a first, coarse search, and the least that noise allows.
 
-    ``blocks`` are block means; a sheet is what stands out from the air's own scatter, which is that of the half nearest
-    to the air where ``air_scatter`` is not given.
+    Both thresholds are given above the air.
+
+    ``blocks`` are block means; a sheet is what stands out from the air's own scatter, which is that
+    of the half nearest to the air where ``air_scatter`` is not given.
     """
     sampled_grey = blocks.ravel()[:: 1 + blocks.size // 2**21]  # enough to tell the levels from
     deviation = sampled_grey[np.isfinite(sampled_grey)].astype(np.float64) - air
@@ -161,7 +168,10 @@ def material(
 
 
 def _above_air(blocks: Blocks, air: float, polarity: float) -> Blocks:
-    """Grey above the air, 0 where it is missing; in place, because block means fill a good part of the memory."""
+    """Grey above the air, 0 where it is missing.
+
+    In place, because block means fill a good part of the memory.
+    """
     above = np.where(np.isfinite(blocks), blocks, np.float32(air))
     above -= np.float32(air)
     above *= np.float32(polarity)
@@ -188,10 +198,11 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
 def _seeded(
     oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Choice
 ) -> tuple[CoarseSheet, bool]:
-    """Find the sheet at the seed, and tell whether what lies beside it is other material and not air."""
+    """Find the sheet at the seed, and tell whether other material, and not air, lies beside it."""
     assert choice.seed is not None
     last_error: VolumeError | None = None
-    # In air the usual threshold will do. Amid other material it is raised until the sheet stands alone.
+    # In air the usual threshold will do. Amid other material it is raised until the sheet stands
+    # alone.
     try:
         sheet = _refined(oriented, threshold, choice)
         # Of the sheet that may touch others; with a higher threshold it may be less.

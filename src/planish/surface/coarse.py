@@ -1,4 +1,7 @@
-"""Where the sheet is, roughly: block means, one connected slab, and how far it reaches in each block column."""
+"""Find roughly where the sheet is.
+
+Block means, one connected slab, and how far it reaches in each block column.
+"""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -47,7 +50,8 @@ class CoarseSheet:
     block: int  # edge of a block in voxels
     is_leaving: Bools  # (block rows, block cols): where the sheet runs out of the volume
     threshold: float  # grey above the air at which the extent was measured
-    # (block rows, block cols): where it touches another sheet or folds back on itself, as far as that is known.
+    # (block rows, block cols): where it touches another sheet or folds back on itself, as far as
+    # that is known.
     is_touching: Bools
     specks: int = 0  # other objects in the air beside the sheet
     # A film, mount or other sheet that air parts from this one.
@@ -72,7 +76,10 @@ class Choice:
 
 
 def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
-    """Measure the sheet at the seed, or the only slab ``inside``; VolumeError if none, several, or from end to end."""
+    """Measure the sheet at the seed, or the only slab ``inside``.
+
+    VolumeError if none, several, or from end to end.
+    """
     if choice.seed is not None:
         return followed_sheet(blocks, inside, threshold, choice)
     labels, n_objects = ndimage.label(inside)
@@ -105,10 +112,10 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
         covered_share = n_covered[largest_label] / n_columns
     elif len(sheet_labels) > 1:
         shares_text = ", ".join(f"{100 * n_covered[k] / n_columns:.0f} %" for k in sheet_labels)
+        sheets = [labels == k for k in sheet_labels]
         raise VolumeError(
             f"The volume shows {len(sheet_labels)} separate sheets (they cover {shares_text} of the"
-            f" columns). {_CHOOSE}"
-            f" {_points_text([labels == k for k in sheet_labels], blocks, inside, threshold, choice)}"
+            f" columns). {_CHOOSE} {_points_text(sheets, blocks, inside, threshold, choice)}"
         )
     in_sheet = labels == largest_label
     leaving_share, end = max(
@@ -175,9 +182,12 @@ _UNEVEN = 1.25
 
 
 def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blocks) -> int | None:
-    """Label of the object that alone is paper, above or below all others, and brighter or thicker than they are.
+    """Return the label of the object that alone is paper.
 
-    None where there is no such object: a sheet that came apart is several objects of paper, and none of them leads.
+    It lies above or below all others, and is brighter or thicker than they are.
+
+    None where there is no such object: a sheet that came apart is several objects of paper, and
+    none of them leads.
     """
     covered, is_uneven, bright, thick = [], [], [], []
     for label in candidates:
@@ -239,7 +249,8 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     outside = np.flatnonzero(~run)
     start = int(outside[outside < depth].max(initial=-1)) + 1
     stop = int(outside[outside > depth].min(initial=run.size)) - 1
-    # The seed's own run says roughly how thick the sheet is, the median of what was found then says it well.
+    # The seed's own run says roughly how thick the sheet is, the median of what was found then says
+    # it well.
     shape = inside.shape[:2]
     low, high, is_merged = (
         np.empty(shape, np.int64),
@@ -297,7 +308,8 @@ def _extent(
     blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], threshold: float
 ) -> tuple[Floats, Floats]:
     """Move first and last index (-1: none) outwards to where the grey crosses the threshold."""
-    # A sheet that touches the end of its column is cut there: its face is not in the volume, and that end is NaN.
+    # A sheet that touches the end of its column is cut there: its face is not in the volume, and
+    # that end is NaN.
     extents: list[Floats] = []
     last = blocks.shape[-1] - 1
     for index, outward, end in ((low, -1, 0), (high, 1, last)):

@@ -1,6 +1,7 @@
 """The volume as columns through the sheet, read in tiles, and the priors of their fit.
 
-Only here the surface search meets its voxels. For the fit columns are oriented: the air at 0, the sheet above it.
+Only here the surface search meets its voxels. For the fit columns are oriented: the air at 0, the
+sheet above it.
 """
 
 from __future__ import annotations
@@ -69,7 +70,10 @@ class Columns:
         return rows_um, cols_um
 
     def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
-        """Voxels of a tile as they are stored, (rows * step, cols * step, depth), or of a part of their depth."""
+        """Return the voxels of a tile, or of a part of their depth, as they are stored.
+
+        The shape is (rows * step, cols * step, depth).
+        """
         k = self.step
         box = slice(tile.r0 * k, tile.r1 * k), slice(tile.c0 * k, tile.c1 * k), depth
         return read_box(self.volume, dict(zip(self.axes, box, strict=True)))
@@ -79,9 +83,10 @@ class Columns:
     ) -> NDArray[np.float32]:
         """Grey of the columns of a tile, (rows, cols, depth); NaN is missing.
 
-        ``slope``, two (rows, cols): how far the sheet rises along the column from one voxel row to the next, and from
-        one voxel column to the next, in voxels; the voxels that a column is the mean of are moved by it to the nearest
-        voxel. ``depth``: part of the depth; not together with ``slope``.
+        ``slope``, two (rows, cols): how far the sheet rises along the column from one voxel row to
+        the next, and from one voxel column to the next, in voxels; the voxels that a column is the
+        mean of are moved by it to the nearest voxel. ``depth``: part of the depth; not together
+        with ``slope``.
         """
         stored = self.voxels(tile, depth)
         if self.step > 1:
@@ -101,7 +106,9 @@ class Columns:
         return grey
 
     def tiles(self, engine: Engine, *, multiple: int = 1, share: float = 1.0) -> list[Tile]:
-        """Cover all columns with tiles that fit into the engine's memory; their edges are multiples of ``multiple``.
+        """Cover all columns with tiles that fit into the engine's memory.
+
+        Their edges are multiples of ``multiple``.
 
         ``share``: of the depth that is read.
         """
@@ -121,7 +128,8 @@ class Columns:
             max(int(np.clip(np.sqrt(budget_bytes / column_bytes), 8, _TILE)) // multiple, 1)
             * multiple
         )
-        # Along the rows of the file as far as memory allows, so that neighbours in the file are read together.
+        # Along the rows of the file as far as memory allows, so that neighbours in the file are
+        # read together.
         cols_per_tile = (
             max(int(budget_bytes / column_bytes / rows_per_tile) // multiple, 1) * multiple
         )
@@ -148,7 +156,8 @@ class Guide(NamedTuple):
 
     low: Floats  # (rows, cols): first and last depth index of the sheet; NaN where there is none
     high: Floats
-    # (rows, cols): rise of the sheet, in voxels of depth from one voxel row, or voxel column, to the next.
+    # (rows, cols): rise of the sheet, in voxels of depth from one voxel row, or voxel column, to
+    # the next.
     slope_r: Floats
     slope_c: Floats
     cos_tilt: Floats  # (rows, cols): cosine of the sheet's tilt
@@ -209,7 +218,10 @@ class GreyScale:
 def oriented(
     columns: Columns, tile: Tile, guide: Guide, scale: GreyScale
 ) -> tuple[NDArray[np.float32], Guide]:
-    """Grey above the air of the columns of a tile, (rows, cols, depth), and its guide from that of the grown tile."""
+    """Return the grey above the air of a tile's columns, and its guide from that of the grown tile.
+
+    The grey is (rows, cols, depth).
+    """
     tile_with_halo = scale.grown(tile, columns.shape[:2])
     tile_within = tile.within(tile_with_halo)
     grey = columns.grey(tile_with_halo, (guide.slope_r, guide.slope_c))
@@ -235,12 +247,17 @@ FRINGE_PX = 1.5  # width of a fringe where it is not known better, in voxels
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Edge:
-    """Profile of a sharp edge as the scanner shows it, which a column crosses at a right angle; lengths in voxels."""
+    """Profile of a sharp edge as the scanner shows it, which a column crosses at a right angle.
+
+    Lengths in voxels.
+    """
 
     width: float  # standard deviation of the blur
-    # Size of the phase-contrast fringe beside it: a share of the edge's step; 0 where there is none.
+    # Size of the phase-contrast fringe beside it: a share of the edge's step; 0 where there is
+    # none.
     fringe: float = 0.0
-    # Distance of its undershoot and overshoot from the edge: the sd of the Gaussian whose second derivative it is.
+    # Distance of its undershoot and overshoot from the edge: the sd of the Gaussian whose second
+    # derivative it is.
     fringe_width: float = FRINGE_PX
 
     @property
@@ -251,13 +268,17 @@ class Edge:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Side:
-    """Prior of the layers on one side of a column, (4,): what is expected, and how far a column may differ."""
+    """Prior of the layers on one side of a column, (4,).
+
+    What is expected, and how far a column may differ.
+    """
 
     # Of face, thickness, grey of the coating (or of what lies outside), grey of the base.
     level: Floats
     spread: Floats  # of the same; only those of the greys are used
     coated: bool
-    # Grey of a fibre's wall above the air, where no coating covers a base of walls and pores; 0 elsewhere.
+    # Grey of a fibre's wall above the air, where no coating covers a base of walls and pores; 0
+    # elsewhere.
     wall_level: float = 0.0
 
 
@@ -290,7 +311,10 @@ class Priors:
         return self.sides[True].coated, self.sides[False].coated
 
     def attrs(self, pitch_um: float, frame: Frame) -> dict[str, float]:
-        """Return grey levels (NaN for a coating that is not there), noise, blur and fringe as surfaces carry them."""
+        """Return grey levels, noise, blur and fringe as surfaces carry them.
+
+        The grey level of a coating that is not there is NaN.
+        """
         air_grey, polarity, edge = self.scale.air_grey, self.scale.polarity, self.edge
         top, bottom = (
             float(polarity * side.level[2] + air_grey) if side.coated else float("nan")

@@ -34,7 +34,8 @@ def correct_surfaces(
     Parameters
     ----------
     surfaces : Dataset, dims (y, x)
-        Of :func:`planish.surface.find_surfaces`, with corrections of their own or without: theirs are taken off first.
+        Of :func:`planish.surface.find_surfaces`, with corrections of their own or without: theirs
+        are taken off first.
     volume : DataArray, dims (z, y, x)
         Where they were found. Only the tiles that the corrections touch are read.
     corrections : Corrections
@@ -45,11 +46,13 @@ def correct_surfaces(
     Returns
     -------
     Dataset, dims (y, x)
-        The surfaces. Columns beyond the reach of every stretch keep their faces and their status to the last bit. The
-        centre surface follows as far as its smoothing reaches; the presence of material stays that along the centre
-        surface that was found. ``correction_top``, ``correction_bottom``: 0 as found, 1 found again in the image, 2
-        interpolated; ``correction_top_error``, ``correction_bottom_error``: standard error in um that this adds.
-        ``found_top``, ``found_interface_top`` ...: heights before, and ``found_status``, in columns that changed.
+        The surfaces. Columns beyond the reach of every stretch keep their faces and their status to
+        the last bit. The centre surface follows as far as its smoothing reaches; the presence of
+        material stays that along the centre surface that was found. ``correction_top``,
+        ``correction_bottom``: 0 as found, 1 found again in the image, 2 interpolated;
+        ``correction_top_error``, ``correction_bottom_error``: standard error in um that this adds.
+        ``found_top``, ``found_interface_top`` ...: heights before, and ``found_status``, in columns
+        that changed.
 
     Raises
     ------
@@ -116,7 +119,8 @@ def preview_faces(
     Returns
     -------
     (rows, columns) and heights by face, or None
-        Window of the columns that was drawn, which holds all that changes in ``part``; None where nothing does.
+        Window of the columns that was drawn, which holds all that changes in ``part``; None where
+        nothing does.
     """
     boxes = [(stretch, _box(stretch, surfaces)) for stretch in corrections.stretches]
     near_boxes = [
@@ -161,7 +165,10 @@ def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
 
 
 def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> xr.Dataset:
-    """Put the faces of corrections in, the status and centre surface that follow from them, and what was before."""
+    """Put the faces of corrections in, and the status and centre surface that follow from them.
+
+    What was before is put in too.
+    """
     top, bottom = (drawn.heights[face] for face in SIDES)
     is_changed = np.any([drawn.how[face] > 0 for face in SIDES], axis=0)
     # Where the two faces would change places nothing is drawn.

@@ -1,7 +1,8 @@
 """Faces drawn to points that a person set, where the search followed something else.
 
-Kriging between the points and the face around them says where a face is expected. Columns that lie elsewhere are
-searched again for an edge whose levels are free; the face is the mean of both, each weighted by its variance.
+Kriging between the points and the face around them says where a face is expected. Columns that lie
+elsewhere are searched again for an edge whose levels are free; the face is the mean of both, each
+weighted by its variance.
 """
 
 import hashlib
@@ -54,7 +55,10 @@ def columns_of(surfaces: xr.Dataset, volume: xr.DataArray) -> Columns:
 
 
 class Patch:
-    """Columns around the points (n, 3) of a stretch: rows and columns (``window``), and how far each is ``away``."""
+    """Columns around the points of a stretch.
+
+    The points are (n, 3); ``window`` holds rows and columns, ``away`` how far each is away.
+    """
 
     def __init__(
         self, lateral_um: tuple[Floats, Floats], points: Floats, reach_um: float, voxel_um: float
@@ -91,7 +95,7 @@ class Patch:
         *,
         uses_points: bool = False,
     ) -> tuple[Floats, Floats] | None:
-        """Krige a field, and its error, where it is wanted from where it is trusted, and from the points."""
+        """Krige a field and its error where wanted, from trusted places and from the points."""
         sample_indices = subsample(np.argwhere(is_trusted), 160)
         rows, cols = sample_indices.T
         points = self.points if uses_points else self.points[:0]
@@ -112,7 +116,10 @@ class Patch:
 
 
 class Drawing:
-    """Heights as corrections leave them, (rows, cols); ``how`` and ``error_um`` by face; ``tiles`` searched again."""
+    """Heights as corrections leave them, (rows, cols).
+
+    ``how`` and ``error_um`` by face; ``tiles`` searched again.
+    """
 
     def __init__(
         self, surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, engine: Engine
@@ -190,7 +197,10 @@ class Drawing:
         self._redraw_interface(other_face, patch, is_missing, is_near_wrong)
 
     def _points(self, stretch: Stretch, face: Side) -> Floats:
-        """Points of a face as (row, col, height) in um; InputError if one lies outside the columns."""
+        """Points of a face as (row, col, height) in um.
+
+        InputError if one lies outside the columns.
+        """
         axes = self.columns.axes
         points = np.array(
             [[getattr(point, axis) for axis in axes] for point in stretch.of(face)],
@@ -244,7 +254,10 @@ class Drawing:
     def _redraw_interface(
         self, face: Side, patch: Patch, is_redrawn: Bools, is_near: Bools
     ) -> None:
-        """Move an interface with its face that was redrawn: to edges in the image, or by the coating around."""
+        """Move an interface with its face that was redrawn.
+
+        It is moved to edges in the image, or by the coating around.
+        """
         interface, window = self.heights[f"interface_{face}"], patch.window
         if not np.isfinite(interface).any() or not is_redrawn.any():
             return
@@ -302,7 +315,8 @@ class Drawing:
         # How far from the expected place an edge is sought, in voxels.
         band_px = np.clip(2.0 * error_px + 1, 2.0, 8.0)
         edge_searches = np.stack([self._depth(expected[0], face), error_px, band_px, second_edge])
-        # The noise; the least step, and how much it gains: an edge of five standard errors; the fringe.
+        # The noise; the least step, and how much it gains: an edge of five standard errors; the
+        # fringe.
         search_options = (
             max(self.attrs["grey_noise"], _MISFIT * self.contrast),
             max(min_step, 4 * self.attrs["grey_noise"]),
@@ -328,7 +342,8 @@ class Drawing:
         tiles = [t for t in columns.tiles(self.engine) if _in_tile(column_indices, t).any()]
         self.tiles.update(tiles)
         depths = np.full(column_indices.shape[1], np.nan)
-        # Named by what is asked for: a run that goes on with other corrections finds nothing of these.
+        # Named by what is asked for: a run that goes on with other corrections finds nothing of
+        # these.
         request = hashlib.sha256(
             b"".join(a.tobytes() for a in (*column_indices, *expected, second_edge))
         )
@@ -348,8 +363,9 @@ EdgeJob = tuple[
     tuple[bool, float],
     tuple[float, ...],
 ]
-"""What the profiles of a tile are read with, whether from the high end, and their blur; rows and columns of the edges;
-for each the depth expected, its error, how far from it an edge may be, and the other depth; options of the search."""
+"""What the profiles of a tile are read with, whether from the high end, and their blur; rows and
+columns of the edges; for each the depth expected, its error, how far from it an edge may be, and
+the other depth; options of the search."""
 
 
 def _in_tile(places: NDArray[np.intp], tile: Tile) -> Bools:
@@ -396,10 +412,13 @@ def distance_to_line(grid: Floats, places: Floats) -> Floats:
 def krige(
     targets: Floats, *, places: Floats, heights: Floats, variances: Floats, slope: float
 ) -> tuple[Floats, Floats]:
-    """Height and its standard error at targets (m, 2), from heights (n,) known at places (n, 2) in um.
+    """Return height and its standard error at targets, from heights known at places.
 
-    Ordinary kriging with a linear variogram: the semivariance of two heights that lie r apart is ``slope * r``, um2
-    (Matheron 1963, doi:10.2113/gsecongeo.58.8.1246). Heights have their own variances; a plane takes slow trends off.
+    The targets are (m, 2), the heights (n,), and the places (n, 2) in um.
+
+    Ordinary kriging with a linear variogram: the semivariance of two heights that lie r apart is
+    ``slope * r``, um2 (Matheron 1963, doi:10.2113/gsecongeo.58.8.1246). Heights have their own
+    variances; a plane takes slow trends off.
     """
     centroid, n = places.mean(axis=0), len(heights)
     plane = np.zeros(3)
@@ -430,7 +449,9 @@ def krige(
 
 
 def variogram_slope(heights: Floats, pitch: Pair, lag_um: float, *, least: float) -> float:
-    """Slope of the linear variogram of a field (rows, cols), NaN where unknown, from pairs ``lag_um`` apart.
+    """Return the slope of the linear variogram of a field, from pairs ``lag_um`` apart.
+
+    The field is (rows, cols), NaN where unknown.
 
     ``least``: variance at that lag where no more is seen.
     """

@@ -20,23 +20,24 @@ _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own
 _MOST_OF = 0.8
 _LEVEL_DOUBT = 0.14  # of a wall's grey: what filler and walls thinner than the blur leave open
 FitJob = tuple[Columns, Guide, Priors, Floats | None]
-"""Of a tile's fit: the guide is that of the tile and its halo; of (2, rows, cols), where given, only columns with a
-number, and those next to them, are fitted."""
+"""Of a tile's fit: the guide is that of the tile and its halo; of (2, rows, cols), where given,
+only columns with a number, and those next to them, are fitted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Faces:
     """Faces of every column.
 
-    ``heights``: of both faces and the interfaces below them, (rows, cols) in um, NaN where nothing was found;
-    ``stuck`` (rows, cols): columns below an attached particle; ``particles``: how many particles were removed.
+    ``heights``: of both faces and the interfaces below them, (rows, cols) in um, NaN where nothing
+    was found; ``stuck`` (rows, cols): columns below an attached particle; ``particles``: how many
+    particles were removed.
     """
 
     heights: dict[str, Floats]
     below_particle: Bools
     particles: int
-    # By side without a coating, in um: how far the face moves where the wall's grey is a little off, in each column
-    # (rows, cols) and in the mean of all.
+    # By side without a coating, in um: how far the face moves where the wall's grey is a little
+    # off, in each column (rows, cols) and in the mean of all.
     level_errors: dict[str, tuple[Floats, float]] = field(default_factory=dict)
 
 
@@ -54,9 +55,10 @@ def find_faces(
         engine.map("faces", _fit_tile, job, tiles), np.empty((_planes(priors), *shape))
     )
     if not priors.embedded_level:
-        # The coarse sheet is one connected object: what is seen far outside it hangs on nothing, and the face is looked
-        # for again below it. Where the gap is so narrow that the coarse search saw one object, a plate with a step all
-        # around is tried too. Such plates are counted here; what floats farther away was counted by the coarse search.
+        # The coarse sheet is one connected object: what is seen far outside it hangs on nothing,
+        # and the face is looked for again below it. Where the gap is so narrow that the coarse
+        # search saw one object, a plate with a step all around is tried too. Such plates are
+        # counted here; what floats farther away was counted by the coarse search.
         is_floating, expected_depths = np.zeros((2, *shape), dtype=bool), np.empty((2, *shape))
         plates_by_end, opened_faces = zip(
             *map_threads(_plates, -depths[:4:2], repeat(columns.pitch)), strict=True
@@ -103,9 +105,10 @@ def faces_from_depths(
 ) -> Faces:
     """Turn depths into heights.
 
-    ``depths`` (4 or 6, rows, cols): depth of the face and thickness of the coating, counted from the high end, then
-    from the low end, in voxels, and how far either face moves with the wall's grey; ``coated`` and ``cleaned`` in the
-    same order. ``cleaned``: take off spikes and attached particles; ``particles`` were removed before.
+    ``depths`` (4 or 6, rows, cols): depth of the face and thickness of the coating, counted from
+    the high end, then from the low end, in voxels, and how far either face moves with the wall's
+    grey; ``coated`` and ``cleaned`` in the same order. ``cleaned``: take off spikes and attached
+    particles; ``particles`` were removed before.
     """
     first_um, step_um, last_index = (
         float(columns.depth_um[0]),
@@ -142,7 +145,10 @@ def faces_from_depths(
 def _cleaned(
     outer: Floats, pitch: tuple[float, float, float], is_asked: bool
 ) -> tuple[Floats, Bools]:
-    """Give a face without spikes and attached particles, and where these are; as it is where that is not asked."""
+    """Give a face without spikes and attached particles, and where these are.
+
+    As it is where that is not asked.
+    """
     if not is_asked or not np.isfinite(outer).any():
         return outer, np.zeros(outer.shape, dtype=bool)
     # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
@@ -151,7 +157,8 @@ def _cleaned(
     # 3 um or voxels.
     limit_px = max(8.0 * mad_sd(deviation_px[is_finite]) + 1.0, 3.0 / step_um, 3.0)
     outer = np.where(is_finite & (deviation_px <= limit_px), outer, np.nan)
-    # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow place.
+    # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow
+    # place.
     is_finite, filled_face = np.isfinite(outer), filled(-outer)
     rows, cols = (max(int(15.0 / p), 1) + 1 for p in pitch[:2])  # an attached particle is narrower
     top_hat = filled_face - _opened(filled_face, (rows, cols))
@@ -162,7 +169,7 @@ def _cleaned(
 
 
 def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Floats]:
-    """Label what stands three voxels out of the face with a step all around, and give the face without it."""
+    """Label what stands three voxels off the face with a step all round; give the face below."""
     is_finite = np.isfinite(outward)
     if not is_finite.any():
         return np.zeros(outward.shape, np.int32), outward
@@ -200,9 +207,12 @@ def _share(mask: Bools, labels: NDArray[np.integer], count: int) -> Floats:
 
 
 def _fit_tile(job: FitJob, tile: Tile) -> Floats:
-    """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols).
+    """Return face and coating thickness seen from the high end, then from the low end.
 
-    Where a base of walls and pores lies bare, two more: how far each face moves where the wall's grey is a little off.
+    The values are in voxels, (4, rows, cols).
+
+    Where a base of walls and pores lies bare, two more: how far each face moves where the wall's
+    grey is a little off.
     """
     columns, guide, priors, search_depths = job
     edge = priors.edge
@@ -262,7 +272,10 @@ def _planes(priors: Priors) -> int:
 def outermost_crossing(
     grey: NDArray[np.floating], start: Floats, stop: Floats, level: float
 ) -> Floats:
-    """Depth (...) at which ``grey`` (..., depth), read from outside, first passes level; NaN for nowhere."""
+    """Depth (...) at which ``grey`` (..., depth), read from outside, first passes level.
+
+    NaN for nowhere.
+    """
     inside = first_where(
         grey > level, np.where(np.isfinite(start), np.maximum(np.floor(start), 1), grey.shape[-1])
     )
@@ -272,13 +285,19 @@ def outermost_crossing(
 
 
 def first_where(mask: Bools, start: NDArray[Any]) -> NDArray[np.intp]:
-    """First index from ``start`` (...) on at which ``mask`` (..., depth) is set; the depth where there is none."""
+    """First index from ``start`` (...) on at which ``mask`` (..., depth) is set.
+
+    The depth where there is none.
+    """
     candidates = mask & (np.arange(mask.shape[-1]) >= start[..., None])
     return np.where(candidates.any(axis=-1), candidates.argmax(axis=-1), mask.shape[-1])
 
 
 def crossing(grey: NDArray[np.floating], first_sample: NDArray[np.intp], level: float) -> Floats:
-    """Share of the way from one sample of ``grey`` (..., depth) to the next at which level is passed."""
+    """Return the share of the way from one sample to the next at which level is passed.
+
+    The samples are those of ``grey`` (..., depth).
+    """
     next_sample = np.minimum(first_sample + 1, grey.shape[-1] - 1)
     a, b = (
         np.take_along_axis(grey, k[..., None], axis=-1)[..., 0] for k in (first_sample, next_sample)

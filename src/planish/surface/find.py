@@ -1,4 +1,7 @@
-"""From a volume to the faces, interfaces and centre of its sheet, as heights above the volume's own columns."""
+"""Find the faces, interfaces and centre of the sheet in a volume.
+
+They are heights above the volume's own columns.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -48,47 +51,60 @@ def find_surfaces(
         Both in one piece.
     params : SurfaceParams
     step : int
-        Width of a measured column in voxels: 1 measures every column of voxels, 3 the means of 3 x 3.
+        Width of a measured column in voxels: 1 measures every column of voxels, 3 the means of 3 x
+        3.
     engine : Engine
-        How the tiles are worked on; local threads where not given. The result does not depend on it.
+        How the tiles are worked on; local threads where not given. The result does not depend on
+        it.
     unusual_size : bool
         Whether a sheet of 50 nm to 50 mm is taken; one of paper has 2 um to 5 mm.
 
     Returns
     -------
     Dataset, dims (y, x) = rows and columns of the frame
-        ``top``, ``bottom``, ``interface_top``, ``interface_bottom``, ``centre``: heights in um, coordinates along the
-        axis through the sheet. NaN where there is no sheet; the interface of a side without a coating is all NaN.
-        ``centre`` runs on across holes; where a hole or gap had to be bridged with a wider cut-off than the one stated,
-        ``centre_cutoff_um`` gives the cut-off used (attribute ``bridged_share``: share of the columns). ``presence``:
-        share of material along the normal below the top face, 0 to 1; ``presence_centre`` and ``presence_bottom``: the
-        same around the centre surface and above the bottom face. Their attribute ``layer`` says from where to where, in
+        ``top``, ``bottom``, ``interface_top``, ``interface_bottom``, ``centre``: heights in um,
+        coordinates along the
+        axis through the sheet. NaN where there is no sheet; the interface of a side without a
+        coating is all NaN.
+        ``centre`` runs on across holes; where a hole or gap had to be bridged with a wider cut-off
+        than the one stated,
+        ``centre_cutoff_um`` gives the cut-off used (attribute ``bridged_share``: share of the
+        columns). ``presence``:
+        share of material along the normal below the top face, 0 to 1; ``presence_centre`` and
+        ``presence_bottom``: the
+        same around the centre surface and above the bottom face. Their attribute ``layer`` says
+        from where to where, in
         shares of the thickness from the centre towards the top.
-        ``status``: 0 measured, 1 no sheet, 2 rim of a hole or gap, 3 face not found, 5 the sheet touches another or
-        itself, 6 it leaves the volume, 7 a particle sticks to it; 4 is left to the measurement. With
+        ``status``: 0 measured, 1 no sheet, 2 rim of a hole or gap, 3 face not found, 5 the sheet
+        touches another or
+        itself, 6 it leaves the volume, 7 a particle sticks to it; 4 is left to the measurement.
+        With
         ``envelope_um`` also ``top_envelope`` and ``bottom_envelope``.
         Attributes hold the grey levels and what was seen.
-        Attributes ``beside`` and ``beside_gap_um``: what air parts from the sheet and was left out, such as a film, and
+        Attributes ``beside`` and ``beside_gap_um``: what air parts from the sheet and was left out,
+        such as a film, and
         the narrowest gap; only where there is such a thing.
 
     Raises
     ------
     VolumeError
-        If the volume holds no sheet, several, or one that fills it from end to end; if the sheet is not as thick as
-        sheets are, or too few of its columns are measured for a map; if a label has no meaning or two. The axis that
-        looks like the sheet's normal is named where another one was given.
+        If the volume holds no sheet, several, or one that fills it from end to end; if the sheet is
+        not as thick as sheets are, or too few of its columns are measured for a map; if a label has
+        no meaning or two. The axis that looks like the sheet's normal is named where another one
+        was given.
     SizeError
         If the volume has no voxel size, or contradicts itself.
     InputError
-        If it is no volume, or there is no such axis or end; if columns of labels are wider than a voxel, or a point of
-        a correction lies outside the volume.
+        If it is no volume, or there is no such axis or end; if columns of labels are wider than a
+        voxel, or a point of a correction lies outside the volume.
     FileError
         If the corrections cannot be read.
 
     Notes
     -----
-    Every column is fitted with a blurred staircase air-coating-base. Levels differ from place to place within a
-    spread that is learnt from the same volume, which keeps thin layers from taking the width of the blur.
+    Every column is fitted with a blurred staircase air-coating-base. Levels differ from place to
+    place within a spread that is learnt from the same volume, which keeps thin layers from taking
+    the width of the blur.
     """
     check_volume(volume, "pl.find_surfaces({})")
     frame, params = (
@@ -149,7 +165,7 @@ def _search(
 def _attrs_of_companions(
     companions: Sequence[Companion], voxel_um: float, frame: Frame
 ) -> dict[str, str | float]:
-    """Words for the objects that were left out beside the sheet, and the narrowest gap to one of them."""
+    """Describe the objects left out beside the sheet, and give the narrowest gap to one of them."""
     if not companions:
         return {}
     texts = [
@@ -169,7 +185,7 @@ _LEAVES = 0.2
 
 
 def check_sheet(surfaces: xr.Dataset, *, unusual_size: bool) -> None:
-    """Raise VolumeError where a sheet is not as thick as sheets are, or too few of its columns are measured."""
+    """Raise VolumeError if a sheet is too thin or thick, or too few columns are measured."""
     thickness_um = float(surfaces.attrs["thickness_um"])
     # From a thin tissue to a thick board, with room on both sides.
     min_um, max_um = (0.05, 50_000.0) if unusual_size else (2.0, 5000.0)
@@ -192,10 +208,13 @@ def check_sheet(surfaces: xr.Dataset, *, unusual_size: bool) -> None:
 
 
 def check_axis(columns: Columns, survey: Survey, params: SurfaceParams, engine: Engine) -> None:
-    """Raise VolumeError, before every column is searched, where the sheet is seen edge on along the axis of the search.
+    """Raise VolumeError where the sheet is seen edge on along the axis of the search.
 
-    Only a sheet that leaves the volume in many columns is looked at along the axis of its likely normal, too. There it
-    has to stay inside, and to be a sixth as thick or less: its normal is more than 80 degrees off the axis given.
+    It is raised before every column is searched.
+
+    Only a sheet that leaves the volume in many columns is looked at along the axis of its likely
+    normal, too. There it has to stay inside, and to be a sixth as thick or less: its normal is more
+    than 80 degrees off the axis given.
     """
     coarse_sheet = survey.coarse
     if coarse_sheet.is_leaving.mean() < _LEAVES:

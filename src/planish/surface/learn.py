@@ -1,6 +1,9 @@
-"""Learning from some columns what the fit has to know: grey levels, their spread, the blur, a phase-contrast fringe.
+"""Learn from some columns what the fit has to know.
 
-Only a fringe makes the air beside the face darker than the air farther away; where that is not seen none is taken.
+Grey levels, their spread, the blur, and a phase-contrast fringe.
+
+Only a fringe makes the air beside the face darker than the air farther away; where that is not seen
+none is taken.
 """
 
 from collections.abc import Callable
@@ -23,7 +26,8 @@ from planish.surface.survey import Survey
 
 _WIDTHS = np.geomspace(0.35, 3.2, 14)  # blur along a column that is tried, in voxels
 _LEAST_COVER_UM = 15.0  # from a face to a brighter layer: a coating's brightest place is nearer
-# Of the core's variance, what acts on a face: the solid below it is denser. By drawn fibres, and pores of a voxel.
+# Of the core's variance, what acts on a face: the solid below it is denser. By drawn fibres, and
+# pores of a voxel.
 _BELOW_FACE = 0.3
 POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
 # Share of a coating's grey that has to stand out from the noise where the base has pores.
@@ -33,7 +37,10 @@ _PLAIN, _PLAIN_SHARE = 5.5, 0.05
 
 
 def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> Priors:
-    """Learn grey levels, blur and fringe from sample columns; VolumeError if the core does not stand out from air."""
+    """Learn grey levels, blur and fringe from sample columns.
+
+    VolumeError if the core does not stand out from air.
+    """
     learner = _Learner(columns, guide, survey)
     base_level, base_sd = learner.base_level(learner.sample(from_high=True))
     learner.calm(base_level)
@@ -66,8 +73,8 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     if has_pores and is_plain and all(side.coated for side in sides.values()):
         clear_level = _OF_COATING * min(side.level[2] for side in sides.values())
     if clear_level > base_level:
-        # A wall thinner than the blur, or coating in a valley between fibres, must not be blurred further than its own
-        # noise asks for.
+        # A wall thinner than the blur, or coating in a valley between fibres, must not be blurred
+        # further than its own noise asks for.
         learner.calm(clear_level)
         samples = {from_high: learner.sample(from_high=from_high) for from_high in (True, False)}
         wall_levels = {k: learner.wall_level(samples[k]) for k in wall_levels}
@@ -90,7 +97,8 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         side = learner.narrowed(
             sample, sides[from_high], edge, is_preset or from_high in thin_sides
         )
-        # A coating of a grey that was set is none where it is thinner than this in half of the columns.
+        # A coating of a grey that was set is none where it is thinner than this in half of the
+        # columns.
         if (
             is_preset
             and not float(np.nanmedian(learner.fit(sample, side, edge)[1])) > 0.15 * edge.width
@@ -155,10 +163,12 @@ class _Learner(Sampler):
         return core_grey[np.isfinite(core_grey)]
 
     def base_texture(self, sample: Sample) -> float:
-        """Variance of the base's grey along a column, as that of a sample whose neighbours vary by themselves.
+        """Return the variance of the base's grey along a column.
 
-        From means of three samples side by side, in the core; what is brighter or darker as a whole does not count.
-        The solid below a face is denser than the core, and varies by so much less.
+        It is that of a sample whose neighbours vary by themselves.
+
+        From means of three samples side by side, in the core; what is brighter or darker as a whole
+        does not count. The solid below a face is denser than the core, and varies by so much less.
         """
         first = np.rint(0.5 * (sample.outer + sample.opposite))[0].astype(int)[:, None] + np.arange(
             -3, 3
@@ -181,8 +191,8 @@ class _Learner(Sampler):
     def wall_level(self, sample: Sample) -> float:
         """Grey of a fibre's wall above the air, in a base with pores.
 
-        The more of the core is void, the fewer of its places show nothing but wall: its median does where it is even,
-        its brightest where a third is void.
+        The more of the core is void, the fewer of its places show nothing but wall: its median does
+        where it is even, its brightest where a third is void.
         """
         core_grey = self._core_grey(sample)
         void_share = float(np.mean(core_grey < 0.3 * np.percentile(core_grey, 99)))
@@ -235,7 +245,9 @@ class _Learner(Sampler):
         return np.nanmedian(np.take_along_axis(grey[has_start], depth_index, axis=1), axis=0)
 
     def cover(self, profile: Floats) -> float:
-        """Thickness in voxels of what covers a side: an even layer with a brighter one below it; 0 for none.
+        """Thickness in voxels of what covers a side: an even layer with a brighter one below it.
+
+        0 for none.
 
         Tape, film or a mount that touches is of one grey; no coating lies below a dimmer layer.
         """
@@ -259,7 +271,8 @@ class _Learner(Sampler):
         solid_level = base_level + 1.28 * min(base_sd, 0.3 * base_level)
         # A layer is a coating when it stands out from the base by more than a quarter.
         coated = peak_level > 1.25 * (1.2 * solid_level if is_separated else solid_level)
-        # Without a coating the third level is what lies outside: the air, unless the sheet is amid other material.
+        # Without a coating the third level is what lies outside: the air, unless the sheet is amid
+        # other material.
         outside_level = (1.0 if embedded_level else 0.5) * base_level if is_separated else -1.0
         spread = np.array(
             [
@@ -300,10 +313,11 @@ class _Learner(Sampler):
         return float(_WIDTHS[best_index])
 
     def is_thin(self, sample: Sample, side: Side, edge: Edge) -> bool:
-        """Tell if no column shows the coating's own grey, because the blur reaches through all of it."""
+        """Tell if no column shows the coating's own grey, as the blur reaches through all of it."""
         if not side.coated:
             return False
-        # With a grey that is too low the layer seems thicker and the blur narrower than they are, hence the margin.
+        # With a grey that is too low the layer seems thicker and the blur narrower than they are,
+        # hence the margin.
         is_thick = self.fit(sample, side, edge)[1] * sample.cos_tilt > _PLAIN * edge.width
         return float(np.mean(is_thick)) < _PLAIN_SHARE
 
@@ -327,7 +341,10 @@ class _Learner(Sampler):
         return Side(level=level, spread=spread, coated=side.coated)
 
     def undershoots(self, samples: Samples, sides: Sides, edge: Edge) -> bool:
-        """Whether air beside the faces is darker than farther away; a blur that is roughly right will do."""
+        """Whether air beside the faces is darker than farther away.
+
+        A blur that is roughly right will do.
+        """
         if self.embedded_level:
             return False  # what lies beside is no air
         side_weights, weighted_sums = [], []
@@ -356,7 +373,10 @@ class _Learner(Sampler):
         return bool(((near_face < detection_limit) & (beyond_fringe > 0.4 * near_face)).any())
 
     def _undershoots_by_row(self, sample: Sample, side: Side, edge: Edge) -> Floats:
-        """Grey of the air near the faces above that farther away, as a share of the contrast; (distances, rows)."""
+        """Grey of the air near the faces above that farther away, as a share of the contrast.
+
+        (distances, rows).
+        """
         face_depth = self.fit(sample, side, edge)[0, 0]
         unit_px, cos_tilt = max(edge.width, 1.0), sample.cos_tilt[0]
         first_index = np.where(
@@ -394,7 +414,9 @@ class _Learner(Sampler):
     def with_fringe(
         self, samples: Samples, sides: Sides, edge: Edge, thin_sides: list[bool]
     ) -> tuple[Edge, Sides]:
-        """Blur and fringe, and greys of coatings that are nowhere thick, with which the staircase fits the sample best.
+        """Return the blur, fringe and greys with which the staircase fits the sample best.
+
+        The greys are those of coatings that are nowhere thick.
 
         The edge is returned as it came where the best has no fringe.
         """
@@ -429,9 +451,12 @@ class _Learner(Sampler):
     def thin_levels(
         self, samples: Samples, sides: Sides, edge: Edge, thin_sides: list[bool]
     ) -> tuple[Edge, Sides]:
-        """Blur, and greys of coatings that are nowhere thick, with which the staircase fits the sample best.
+        """Return the blur and greys with which the staircase fits the sample best.
 
-        Grey and thickness of one thin layer can hardly be separated; the shape of many profiles helps a little.
+        The greys are those of coatings that are nowhere thick.
+
+        Grey and thickness of one thin layer can hardly be separated; the shape of many profiles
+        helps a little.
         """
         misfit = self._misfit(samples, sides, edge, thin_sides, _WINDOW * edge.width)
 
@@ -447,7 +472,8 @@ class _Learner(Sampler):
         def cost_of_width(log_width: float, share: float) -> float:
             return cost(np.array([log_width, *[share] * len(thin_sides)]))
 
-        # Brighter layers with a wider blur look nearly the same: the search goes along that valley first.
+        # Brighter layers with a wider blur look nearly the same: the search goes along that valley
+        # first.
         optimum_of_share: dict[float, Any] = {
             share: optimize.minimize_scalar(
                 cost_of_width,
@@ -488,7 +514,10 @@ class _Learner(Sampler):
 
 
 def _brighter(sides: Sides, thin_sides: list[bool], shares: Floats) -> Sides:
-    """Return the sides with the greys of thin coatings, from then on known, multiplied by exp(share)."""
+    """Return the sides with the greys of thin coatings multiplied by exp(share).
+
+    From then on these greys are known.
+    """
     brighter = dict(sides)
     for from_high, share in zip(thin_sides, shares, strict=True):
         level, spread = sides[from_high].level.copy(), sides[from_high].spread.copy()

@@ -1,4 +1,7 @@
-"""Options of the surface search, and corrections of the faces: stretches of points that a person set, as JSON."""
+"""Options of the surface search, and corrections of the faces.
+
+Corrections are stretches of points that a person set, as JSON.
+"""
 
 from __future__ import annotations
 
@@ -41,9 +44,10 @@ class SurfaceParams(Params):
 
     Notes
     -----
-    Hirn et al. (2009) call their centre line a smoothed mean of the faces and give no number; the cut-off of 400 um is
-    that of a Gaussian of 75 um. Rims are left out because the laser burns them. A coating's grey is needed only where
-    it is nowhere thicker than the blur: grey and thickness of such a layer cannot be told apart.
+    Hirn et al. (2009) call their centre line a smoothed mean of the faces and give no number; the
+    cut-off of 400 um is that of a Gaussian of 75 um. Rims are left out because the laser burns
+    them. A coating's grey is needed only where it is nowhere thicker than the blur: grey and
+    thickness of such a layer cannot be told apart.
     """
 
     sheet_grey: tuple[float, float] | None = option(
@@ -126,8 +130,8 @@ class Point(Params):
 class Stretch(Params):
     """A stretch of the faces that is drawn to points.
 
-    Columns farther than ``reach_um`` from the line through the points of a face, in their order and seen along the axis
-    through the sheet, keep that face.
+    Columns farther than ``reach_um`` from the line through the points of a face, in their order and
+    seen along the axis through the sheet, keep that face.
     """
 
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=40)]

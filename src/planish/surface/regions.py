@@ -1,4 +1,4 @@
-"""Where there is sheet, the rims of its holes, its outline with the holes filled, and holes that are half closed."""
+"""Find where there is sheet, the rims of its holes, its filled outline, and half-closed holes."""
 
 import numpy as np
 from scipy import ndimage, spatial
@@ -13,13 +13,15 @@ _HOLE_UM = 600.0  # a gap wider than this is missing sheet, not a hole
 def regions(
     is_sheet: Bools, runs_out: Bools, pitch: Pair, rim_um: float
 ) -> tuple[Bools, Bools, Bools]:
-    """Return where the sheet is, the rims of its holes and edges, and its outline with the holes filled.
+    """Return where the sheet is, the rims of its holes and edges, and its outline, holes filled.
 
-    A hole is a gap no wider than 600 um; ``rim_um`` around it is burnt. Other gaps are the end of the sheet or of the
-    field of view. A gap of columns that run out of the volume (``runs_out``) is neither: the sheet goes on there.
+    A hole is a gap no wider than 600 um; ``rim_um`` around it is burnt. Other gaps are the end of
+    the sheet or of the field of view. A gap of columns that run out of the volume (``runs_out``) is
+    neither: the sheet goes on there.
     """
     pitch_um = float(np.sqrt(pitch[0] * pitch[1]))
-    # Single columns without a face are gaps of the measurement; only larger ones are gaps of the sheet.
+    # Single columns without a face are gaps of the measurement; only larger ones are gaps of the
+    # sheet.
     radius_px = max(1, round(12.0 / pitch_um)) if min(is_sheet.shape) * pitch_um > 100 else 1
     padded = np.pad(is_sheet, 2 * radius_px, mode="edge")
     inner = (slice(2 * radius_px, -2 * radius_px),) * 2
@@ -49,7 +51,7 @@ def regions(
 def doubtful(
     guide: Guide, coarse_sheet: CoarseSheet, width: float, depth: int
 ) -> tuple[Bools, Bools]:
-    """Columns in which the sheet touches another or itself, and those in which it may run out of the volume."""
+    """Columns where the sheet touches another or itself, and where it may run out of the volume."""
     extent = (guide.high - guide.low) * guide.cos_tilt
     is_finite = np.isfinite(extent)
     typical_extent = float(np.median(extent[is_finite])) if is_finite.any() else np.inf
@@ -83,9 +85,9 @@ def _disc(radius: int) -> Bools:
 def half_closed(is_sheet: Bools, runs_out: Bools, pitch: Pair) -> Floats:
     """Middles (n, 2), in columns, of the holes of which less than 70 % is open.
 
-    A hole is compared with its own ellipse, and where there are three or more, with the usual ellipse of all: what has
-    half closed with a straight edge is a smaller ellipse of its own. ``is_sheet``: columns with a sheet; ``runs_out``:
-    columns in which it goes on beyond the volume.
+    A hole is compared with its own ellipse, and where there are three or more, with the usual
+    ellipse of all: what has half closed with a straight edge is a smaller ellipse of its own.
+    ``is_sheet``: columns with a sheet; ``runs_out``: columns in which it goes on beyond the volume.
     """
     hole_centres, open_um2, ellipse_um2 = np.split(
         all_holes(is_sheet | runs_out, pitch), (2, 3), axis=1
@@ -97,7 +99,8 @@ def half_closed(is_sheet: Bools, runs_out: Bools, pitch: Pair) -> Floats:
 def all_holes(in_sheet: Bools, pitch: Pair) -> Floats:
     """Gaps of the sheet between 40 and 600 um wide that do not reach the border of the map, (n, 4).
 
-    Row and column of the middle; area without sheet, and of the ellipse with the second moments of the convex outline.
+    Row and column of the middle; area without sheet, and of the ellipse with the second moments of
+    the convex outline.
     """
     radius_px = max(1, round(3.0 / float(np.sqrt(pitch[0] * pitch[1]))))
     # Fibres and flaps across a hole belong to its outline, single columns without a face do not.

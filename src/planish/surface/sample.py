@@ -1,4 +1,4 @@
-"""The columns that levels, blur and fringe are learnt from: read, calmed where they are noisy, and fitted."""
+"""Read, calm where noisy, and fit the columns that levels, blur and fringe are learnt from."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts f
 
 
 class Sample(NamedTuple):
-    """Columns read from one end, as one row: (1, n, depth), with (1, n) expected faces, tilt and number of the row."""
+    """Columns read from one end, as one row.
+
+    They are (1, n, depth), with (1, n) expected faces, tilt and number of the row.
+    """
 
     grey: NDArray[np.float32]
     outer: Floats
@@ -46,7 +49,10 @@ def subsample(indices: Ints, max_count: int) -> Ints:
 
 
 class Sampler:
-    """Reads sample columns from both ends and fits them; what it learns on the way is as in :class:`Priors`."""
+    """Reads sample columns from both ends and fits them.
+
+    What it learns on the way is as in :class:`Priors`.
+    """
 
     def __init__(self, columns: Columns, guide: Guide, survey: Survey) -> None:
         self.columns, self.guide = columns, guide
@@ -60,8 +66,8 @@ class Sampler:
         has_sheet = np.isfinite(guide.low) & np.isfinite(guide.high)
         row_indices = subsample(np.flatnonzero(has_sheet.any(axis=1)), 24)
         col_count = min(columns.shape[1], 1024)  # columns of each of them
-        # Pieces of rows, spread over the sheet: starts that are far apart from one row to the next, multiples of the
-        # golden section.
+        # Pieces of rows, spread over the sheet: starts that are far apart from one row to the next,
+        # multiples of the golden section.
         start_shares = (np.arange(row_indices.size) * 0.6180339887498949) % 1.0
         col_starts = (start_shares * (columns.shape[1] - col_count + 1)).astype(int).tolist()
         self.rows = [
@@ -114,13 +120,14 @@ class Sampler:
         return Sample(*(np.concatenate(arrays)[None] for arrays in zip(*row_samples, strict=True)))
 
     def calm(self, base_level: float) -> None:
-        """Choose how far columns are averaged with their neighbours, and what noise and scatter that leaves."""
+        """Choose how far to average columns with neighbours; say what noise and scatter remain."""
         if self.scale.blend_sd:
             self._blend(0.0)
         self.scatter = self.single_noise = self.noise = self.voxel_noise
         air_noise = self._air_noise()
         if air_noise > 1.15 * self.noise:
-            # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried.
+            # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps
+            # less, so it is tried.
             self.noise = self.single_noise = air_noise
             for blend_sd in (0.5, 0.75, 1.0, 1.5, 2.0):  # voxels
                 if base_level / self.noise >= _QUIET:
@@ -132,12 +139,16 @@ class Sampler:
             blend_sd = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
             self._blend(blend_sd)
             self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend_sd)
-        # What rounding to whole numbers takes off, and no column is a staircase to within a hundredth of its contrast.
+        # What rounding to whole numbers takes off, and no column is a staircase to within a
+        # hundredth of its contrast.
         rounding_sd = 12.0**-0.5 if np.issubdtype(self.columns.volume.dtype, np.integer) else 0.0
         self.scatter = max(self.noise, rounding_sd, 0.01 * base_level)
 
     def _air_noise(self) -> float:
-        """Standard deviation of the air just outside the faces, as the fit will see it; NaN where there is none."""
+        """Standard deviation of the air just outside the faces, as the fit will see it.
+
+        NaN where there is none.
+        """
         if self.embedded_level:
             return float("nan")  # what lies beside is no air
         width_px = int(np.ceil(15.0 / self.columns.pitch[2]))  # from the face into the air
@@ -156,7 +167,10 @@ class Sampler:
         return mad_sd(np.concatenate(air_samples).astype(np.float64))
 
     def quiet(self, samples: Samples, width: float) -> Samples:
-        """Sample columns that are means over their neighbours, as far as the sheet's slope does not widen the blur."""
+        """Sample columns that are means over their neighbours.
+
+        They are averaged as far as the sheet's slope does not widen the blur.
+        """
         steep_slope = (
             float(np.nanpercentile(np.hypot(self.guide.slope_r, self.guide.slope_c), 90))
             * self.columns.step
@@ -199,7 +213,8 @@ class Sampler:
 def cost_limit(cost: Floats) -> float:
     """Cost above which a column counts no more: its fit went astray.
 
-    Where most columns cost more than that, the staircase is what does not fit, and what fits it worse must still show.
+    Where most columns cost more than that, the staircase is what does not fit, and what fits it
+    worse must still show.
     """
     finite_costs = cost[np.isfinite(cost)]
     return max(_ASTRAY, 4.0 * float(np.median(finite_costs))) if finite_costs.size else _ASTRAY

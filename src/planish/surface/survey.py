@@ -1,4 +1,7 @@
-"""The first look at a volume, in one pass: block means, a sample of its columns, levels, noise and gaps."""
+"""Take a first look at a volume, in one pass.
+
+It gives block means, a sample of its columns, levels, noise and gaps.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -36,7 +39,10 @@ class Survey:
 
 
 def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Survey:
-    """Find the sheet roughly; VolumeError if there is none, several, or one that fills the volume from end to end."""
+    """Find the sheet roughly.
+
+    VolumeError if there is none, several, or one that fills the volume from end to end.
+    """
     depth = columns.shape[2]
     reading = _read(columns, engine)
     profiles, missing_share = reading.profiles.reshape(-1, depth), reading.missing_share
@@ -49,7 +55,8 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
             "More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported."
         )
     choice = make_choice(columns, reading.block, blocks.shape, params)
-    # The level comes from means over blocks: where the export has cut the air's noise at 0, single voxels crowd there.
+    # The level comes from means over blocks: where the export has cut the air's noise at 0, single
+    # voxels crowd there.
     end_grey = _ends(blocks.reshape(-1, depth), np.isfinite(blocks).reshape(-1, depth))
     end_voxels = _ends(
         profiles, np.ones(profiles.shape, bool) if padding is None else profiles != padding
@@ -81,7 +88,9 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
 def survey_labels(
     columns: Columns, params: SurfaceParams, engine: Engine
 ) -> tuple[CoarseSheet, float]:
-    """Find the sheet roughly where every voxel is labelled as sheet (1) or not (0); and the share of empty columns.
+    """Find the sheet roughly where every voxel is labelled as sheet (1) or not (0).
+
+    And the share of empty columns.
 
     VolumeError as of :func:`take_survey`.
     """
@@ -179,7 +188,10 @@ def _read(columns: Columns, engine: Engine) -> _Reading:
 
 
 def _read_tile(job: tuple[Columns, int, tuple[int, int], float], tile: Tile) -> NDArray[Any]:
-    """Part of a :class:`_Reading` that a tile gives, as one record; ``missing`` counts its missing voxels."""
+    """Part of a :class:`_Reading` that a tile gives, as one record.
+
+    ``missing`` counts its missing voxels.
+    """
     columns, block, stride, corner = job
     voxels = columns.voxels(tile)
     block_px = block * columns.step
@@ -220,7 +232,10 @@ def _read_tile(job: tuple[Columns, int, tuple[int, int], float], tile: Tile) -> 
 
 
 def _ends(profiles: NDArray[Any], inside: Bools) -> Floats:
-    """First and last three voxels of each column (n, depth) that lie inside the field of view; (2 n, 3)."""
+    """First and last three voxels of each column (n, depth) that lie inside the field of view.
+
+    (2 n, 3).
+    """
     is_long = inside.sum(axis=1) > 12
     if not is_long.any():
         return np.full((1, 3), np.nan)
@@ -233,7 +248,7 @@ def _ends(profiles: NDArray[Any], inside: Bools) -> Floats:
 
 
 def _airy(ends: Floats, voxels: Floats, seed: Floats) -> tuple[Floats, Floats]:
-    """Where the two ends of the columns differ, keep the one that looks less like the object at the seed."""
+    """Where the columns' two ends differ, keep the one less like the object at the seed."""
     values_by_end = [(part[: len(part) // 2], part[len(part) // 2 :]) for part in (ends, voxels)]
     levels = [mode(half) for half in values_by_end[0]]
     contrasts = [abs(level - float(np.median(seed))) for level in levels]
@@ -263,12 +278,15 @@ def mode(values: Floats) -> float:
 
 
 def padding_value(columns: NDArray[np.generic]) -> float | None:
-    """Value that fills the volume outside the field of view, or None where the field fills the volume.
+    """Return the value that fills the volume outside the field of view.
 
-    Reconstructions are round; what lies outside their circle is set to one value, often 0, which is not the grey of the
-    air. It differs from air that the export has clipped to one value by three signs, over ``columns`` (n, depth): the
-    step from the padding to what lies inside is sharp, what lies inside differs from it, and something stands out from
-    that in turn. Clipped air passes into the sheet through the blur, and nothing stands out from the sheet.
+    It is None where the field fills the volume.
+
+    Reconstructions are round; what lies outside their circle is set to one value, often 0, which is
+    not the grey of the air. It differs from air that the export has clipped to one value by three
+    signs, over ``columns`` (n, depth): the step from the padding to what lies inside is sharp, what
+    lies inside differs from it, and something stands out from that in turn. Clipped air passes into
+    the sheet through the blur, and nothing stands out from the sheet.
     """
     corner = columns[0, 0]
     is_padding = columns == corner
@@ -281,7 +299,8 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     first, last = first_and_last(~is_padding[has_inside])
     is_cut = (first > 0) | (last < last_index)
     if np.count_nonzero(is_cut) < 0.05 * is_cut.size:
-        # Few columns end in the padding. If others hold nothing else, the circle lies across the columns.
+        # Few columns end in the padding. If others hold nothing else, the circle lies across the
+        # columns.
         is_empty = is_padding.all(axis=1)
         is_across = is_empty.mean() > 0.01 and not (~is_padding[~is_empty][:, 0]).mean() < 0.5
         return padding if is_across else None

@@ -1,7 +1,8 @@
-"""A specimen whose every answer is known: it feeds the demo, the tests, the benchmarks and the calibration.
+"""A specimen whose every answer is known, for the demo, tests, benchmarks and calibration.
 
-``params`` and ``presets`` say what is ordered; ``sheet`` makes it; ``instruments``, ``camera`` and ``pose`` look at it;
-``specimen`` puts it together with its truth, ``files`` writes as instruments do. It needs nothing that measures.
+``params`` and ``presets`` say what is ordered; ``sheet`` makes it; ``instruments``, ``camera`` and
+``pose`` look at it; ``specimen`` puts it together with its truth, ``files`` writes as instruments
+do. It needs nothing that measures.
 """
 
 import lazy_loader as lazy

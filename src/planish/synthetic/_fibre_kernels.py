@@ -1,5 +1,8 @@
 # pyright: standard
-"""Compiled inner loops of a sheet of fibres: ribbons laid on each other, the press that takes voids, loose fibres."""
+"""Compiled inner loops of a sheet of fibres.
+
+Ribbons laid on each other, the press that takes voids, and loose fibres.
+"""
 
 from math import cos, floor, sin
 
@@ -12,7 +15,10 @@ FULL = 100  # of a cell of wall and nothing else, in the whole numbers that a st
 
 @njit(cache=True, nogil=True)
 def _trace(x, y, angle, length, half_width, curl, stamp, fibre_number, nodes, top, step_height):
-    """Nodes under a ribbon as (row, col, step, place across), and the highest node of ``top`` under each step."""
+    """Return the nodes under a ribbon, and the highest node of ``top`` under each step.
+
+    The nodes are (row, col, step, place across).
+    """
     n_nodes, n_steps = 0, max(int(length), 1)
     n_across = int(half_width / 0.7) + 1
     for t in range(n_steps):
@@ -53,7 +59,7 @@ def _fill(column, bottom, top, cell):
 
 
 @njit(cache=True, nogil=True)
-def lay_ribbons(
+def lay_ribbons(  # noqa: C901
     shares,
     top,
     ground,
@@ -68,13 +74,16 @@ def lay_ribbons(
     cell,
     wall_um,
 ):
-    """Lay ribbons (n) on the heights ``top`` (rows, cols), in um, which rise by them; one after the other.
+    """Lay ribbons (n) on the heights ``top`` (rows, cols), in um, which rise by them.
 
-    ``starts`` (n, tries, 2): of the places (x, y) of a ribbon's beginning, that over the lowest ground is taken.
-    Lengths, widths, curls in nodes; walls and lumens in um. ``shares`` (rows, cols, n) uint8 takes the share of wall of
-    cells of ``cell`` um over ``ground`` (rows, cols). A ribbon lies on the highest node under each piece of it and
-    falls between them by ``flexibility`` um a node at most. The last one is that with which the walls of all nodes
-    together are ``wall_um`` um high.
+    One after the other.
+
+    ``starts`` (n, tries, 2): of the places (x, y) of a ribbon's beginning, that over the lowest
+    ground is taken. Lengths, widths, curls in nodes; walls and lumens in um. ``shares`` (rows,
+    cols, n) uint8 takes the share of wall of cells of ``cell`` um over ``ground`` (rows, cols). A
+    ribbon lies on the highest node under each piece of it and falls between them by ``flexibility``
+    um a node at most. The last one is that with which the walls of all nodes together are
+    ``wall_um`` um high.
     """
     rows, cols = top.shape
     stamp = np.zeros((rows, cols), np.int32)
@@ -132,11 +141,14 @@ def lay_ribbons(
 
 
 @njit(cache=True, nogil=True)
-def press(out, low, sign, shares, heights, ground, pressed, cell, void_floor):
-    """Press columns of ``shares`` over ``ground`` from ``heights`` to ``pressed``, voids first; add them to ``out``.
+def press(out, low, sign, shares, heights, ground, pressed, cell, void_floor):  # noqa: C901
+    """Press columns of ``shares`` over ``ground`` from ``heights`` to ``pressed``, voids first.
 
-    ``out`` (rows, cols, n) uint8 begins at ``low`` um; ``sign`` turns heights of the lower half over. Of a void at
-    least the share ``void_floor`` stays as long as wall can give way instead; its mass is lost.
+    Add them to ``out``.
+
+    ``out`` (rows, cols, n) uint8 begins at ``low`` um; ``sign`` turns heights of the lower half
+    over. Of a void at least the share ``void_floor`` stays as long as wall can give way instead;
+    its mass is lost.
     """
     rows, cols, n_cells = shares.shape
     pressed_shares = np.zeros(out.shape[2])
@@ -183,7 +195,7 @@ def press(out, low, sign, shares, heights, ground, pressed, cell, void_floor):
 def raise_fibres(
     out, low, sign, face, starts, angles, lengths, widths, curls, thickness, rises, cell
 ):
-    """Add fibres (n) that leave a face at their beginning and stand off it by ``rises`` um at their free end."""
+    """Add fibres (n) that begin at a face and stand off it by ``rises`` um at their free end."""
     stamp = np.zeros(face.shape, np.int32)
     longest = int(lengths.max()) + 2
     step_height = np.empty(longest)

@@ -1,9 +1,10 @@
 # pyright: standard
 """Compiled inner loops of the synthetic specimen: the warp and its inverse, voxels, fibres.
 
-A warp travels as one flat array ``w`` and one table ``curve`` (see :meth:`planish.synthetic.params.Warp.packed`):
-``w = [cos a, sin a, psi, k, phase, p0, dp, x0, y0, z0, bump, bump_u, bump_v, bump_r, tilt, curl, curl_p, curl_width]``;
-``curve[i] = (X, Z, X', Z')`` of the profile curve at arc length ``p0 + i * dp``.
+A warp travels as one flat array ``w`` and one table ``curve`` (see
+:meth:`planish.synthetic.params.Warp.packed`): ``w = [cos a, sin a, psi, k, phase, p0, dp, x0, y0,
+z0, bump, bump_u, bump_v, bump_r, tilt, curl, curl_p, curl_width]``; ``curve[i] = (X, Z, X', Z')``
+of the profile curve at arc length ``p0 + i * dp``.
 """
 
 from math import cos, exp, floor, sin, sqrt, tanh
@@ -120,7 +121,8 @@ def columns(w, curve, ys, xs):
     out = np.empty((ys.size, xs.size, 3))
     for i in range(ys.size):
         for j in range(xs.size):
-            # The guess does not come from a neighbour: a column gives the same bytes whatever tile it lies in.
+            # The guess does not come from a neighbour: a column gives the same bytes whatever tile
+            # it lies in.
             u, v = xs[j] - w[7], ys[i] - w[8]
             for _ in range(_MAX_STEPS):
                 mx, my, _mz, ux, uy, _uz, vx, vy, _vz = frame_at(w, curve, u, v)
@@ -160,16 +162,24 @@ def paint(
     cell,
     film,
 ):
-    """Fill slab (rows, cols, depth) with what the unblurred sheet adds to the grey of air, and nothing around it.
+    """Fill slab (rows, cols, depth) with what the unblurred sheet adds to the grey of air.
 
-    With ``z = (first + k) * step`` and x', z' counted from ``middle`` (x, z), the voxel (i, j, k) shows the point
+    Around the sheet, nothing is added.
+
+    With ``z = (first + k) * step`` and x', z' counted from ``middle`` (x, z), the voxel (i, j, k)
+    shows the point
     ``(xs[j] + shift_x[i] - turn[i] * z', ys[i], z + shift_z[i] + turn[i] * x')``.
-    ``fields`` (fr, fc, n): s_T, s_TI, s_BI, s_B, the distances to the rim at both faces, the coating's burn and
-    density, the width of a crack over the top face (below the bottom one where negative), then the density of a slab
-    through its depth; ``origin`` (u, v) of their first node; ``under`` (rows, cols, 3): material below each column, a
+    ``fields`` (fr, fc, n): s_T, s_TI, s_BI, s_B, the distances to the rim at both faces, the
+    coating's burn and
+    density, the width of a crack over the top face (below the bottom one where negative), then the
+    density of a slab
+    through its depth; ``origin`` (u, v) of their first node; ``under`` (rows, cols, 3): material
+    below each column, a
     first guess; ``grey`` of base, coating and crack, less that of air.
-    Each boundary is averaged over ``step`` along the normal, the width of a voxel. ``structure`` (fr, fc, cells), where
-    it has cells, is the density of the base instead, in hundredths, from ``structure_low`` um on in cells of ``cell``;
+    Each boundary is averaged over ``step`` along the normal, the width of a voxel. ``structure``
+    (fr, fc, cells), where
+    it has cells, is the density of the base instead, in hundredths, from ``structure_low`` um on in
+    cells of ``cell``;
     below ``film`` um it has no holes.
     """
     has_cells = structure.shape[2] > 0
@@ -189,7 +199,8 @@ def paint(
             for k in range(k0, k1 + 1):
                 z = (first + k) * step
                 x = xs[j] + shift_x[i] - turn[i] * (z - middle[1])
-                # Up a column the material moves by nearly the same step again and again: one correction is enough.
+                # Up a column the material moves by nearly the same step again and again: one
+                # correction is enough.
                 u0, v0, du0, dv0 = u, v, du, dv
                 u, v, s = invert(w, curve, x, ys[i], z + lift, u + du + ddu, v + dv + ddv)
                 du, dv = (u - u0, v - v0) if k > k0 else (0.0, 0.0)
@@ -278,7 +289,10 @@ def _ramp(t):
 
 @njit(cache=True, nogil=True)
 def lay_fibres(field, starts, angles, lengths, widths, curls, height):
-    """Add fibres (n) of elliptical cross-section to field (rows, cols); all lengths in nodes of the field."""
+    """Add fibres (n) of elliptical cross-section to field (rows, cols).
+
+    All lengths in nodes of the field.
+    """
     rows, cols = field.shape
     for n in range(starts.shape[0]):
         half = widths[n] / 2

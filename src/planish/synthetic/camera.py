@@ -1,7 +1,10 @@
-"""A camera that looks at the sheet's top side: brightness by Kubelka and Munk, print, and what light and lens add.
+"""A camera that looks at the sheet's top side.
 
-What belongs to the paper (scattering of the base, nuisance, tone of the print) is drawn in material coordinates:
-two images made with the same seed, one of them printed, show the same paper with noise of its own in each.
+Brightness by Kubelka and Munk, print, and what light and lens add.
+
+What belongs to the paper (scattering of the base, nuisance, tone of the print) is drawn in material
+coordinates: two images made with the same seed, one of them printed, show the same paper with noise
+of its own in each.
 """
 
 from typing import Literal
@@ -19,7 +22,8 @@ from planish.synthetic.sheet import PITCH_UM, DrawnSheet, Field, noise
 
 BASE_S_M2_PER_KG = 45.0
 BASE_K_M2_PER_KG = 1.2
-# A triple coating from the base outwards: scattering of the pre, middle and top layer, and its share of the thickness.
+# A triple coating from the base outwards: scattering of the pre, middle and top layer, and its
+# share of the thickness.
 COATING_S_M2_PER_KG = (90.0, 110.0, 150.0)
 COATING_SHARES = (0.3, 0.3, 0.4)
 COATING_K_M2_PER_KG = 0.3
@@ -28,7 +32,10 @@ _SHEETS = 200  # of a pile that nothing shines through: 200 sheets of 10 g/m2
 
 
 def base_weight(paper: PaperParams, base_mass: ArrayLike = 1.0) -> Floats:
-    """Grammage of the base in kg/m2: mean thickness by density, times the relative grammage of the place."""
+    """Return the grammage of the base in kg/m2.
+
+    It is mean thickness times density, times the relative grammage of the place.
+    """
     return (
         paper.base_um * paper.base_g_per_cm3 * _KG_PER_M2 * np.asarray(base_mass, dtype=np.float64)
     )
@@ -42,7 +49,10 @@ def coated(
     *,
     outwards: bool = True,
 ) -> Floats:
-    """Reflectance of the triple coating over what lies below it, which is the base unless ``outwards`` is false."""
+    """Return the reflectance of the triple coating over what lies below it.
+
+    That is the base unless ``outwards`` is false.
+    """
     weight = (
         paper.coating_g_per_cm3
         * _KG_PER_M2
@@ -68,7 +78,8 @@ def sheet_reflectance(
 ) -> Floats:
     """Reflectance of the sheet's top side: bottom coating, base and top coating over a backing.
 
-    The backing is a pile of the paper or a black hollow; density of coatings and grammage of the base have a mean of 1.
+    The backing is a pile of the paper or a black hollow; density of coatings and grammage of the
+    base have a mean of 1.
     """
     reflectance = pile_reflectance(paper) if backing == "pile" else 0.0
     reflectance = coated(reflectance, coating_bottom_um, coating_density, paper, outwards=False)
@@ -117,9 +128,9 @@ def photograph(
 ) -> Field:
     """Reflectance (y, x) of the sheet's top side, 0 to 1 in steps of ``camera.bits``.
 
-    What is 0 in ``camera`` is off and changes nothing else; with ``printed`` the sheet carries ``camera.screen``, or
-    the usual screen where that is None. ``seed`` is not changed: the same one gives the same image. ValueError if
-    ``camera.oracle_r2`` is out of reach.
+    What is 0 in ``camera`` is off and changes nothing else; with ``printed`` the sheet carries
+    ``camera.screen``, or the usual screen where that is None. ``seed`` is not changed: the same one
+    gives the same image. ValueError if ``camera.oracle_r2`` is out of reach.
     """
     # As ``seed.spawn`` makes them, which counts in the caller's object and gives others next time.
     seeds = (np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in range(5))
@@ -159,7 +170,10 @@ def photograph(
 def _bare_sheet(
     sheet: DrawnSheet, camera: CameraParams, u: Floats, v: Floats, rng: np.random.Generator
 ) -> tuple[Field, Field, Field, Field, Field]:
-    """Top face, top coating and distance to a rim in um at each pixel; reflectances of a hole and of the sheet."""
+    """Top face, top coating and distance to a rim in um at each pixel.
+
+    Reflectances of a hole and of the sheet.
+    """
     pixel_um = camera.pixel_um
     scattering_field = _BASE_S_SD_M2_PER_KG * _coarse_noise(sheet, _PAPER_UM, rng)
     top_um, coating_um, rim_um, hole_reflectance, reflectance = (
@@ -190,7 +204,10 @@ def _bare_sheet(
 def _expose(
     image: Field, top_um: Field, paper_share: Field, camera: CameraParams, rng: np.random.Generator
 ) -> Field:
-    """Shade the sheet by its topography, holes apart; add blur, vignetting and noise; round to the bits."""
+    """Shade the sheet by its topography, holes apart.
+
+    Add blur, vignetting and noise; round to the bits.
+    """
     shape = (image.shape[0], image.shape[1])
     if camera.shading > 0:
         # The light stands on the left: what rises to the right faces it.
@@ -211,7 +228,10 @@ def _expose(
 def image_material(
     pose: CameraPose, shape: tuple[int, int], pixel_um: float
 ) -> tuple[Floats, Floats]:
-    """Material coordinates (u, v) in um shown by each pixel of an image of ``shape`` (rows, cols)."""
+    """Return the material coordinates (u, v) in um shown by each pixel of an image.
+
+    The image is of ``shape`` (rows, cols).
+    """
     u, v = np.empty(shape), np.empty(shape)
     y, x = (np.arange(n) * pixel_um for n in shape)
     for rows in _row_blocks(shape[0]):
@@ -223,10 +243,12 @@ def image_material(
 def _oracle_gain(
     maps: tuple[Field, Field, Floats], is_clear: NDArray[np.bool_], pixel_um: float, target: float
 ) -> float:
-    """Size of the nuisance, the third map, that brings r2 of thickness and reflectance, both true, to ``target``.
+    """Return the size of the nuisance that brings r2 of thickness and reflectance to ``target``.
 
-    Over points of 100 um away from the holes, the covariances of ``R + g N`` with the thickness and with itself are
-    polynomials in ``g``, so ``r2 = target`` is a quadratic equation.
+    The nuisance is the third map; thickness and reflectance are both true.
+
+    Over points of 100 um away from the holes, the covariances of ``R + g N`` with the thickness and
+    with itself are polynomials in ``g``, so ``r2 = target`` is a quadratic equation.
     """
     cell_px = (_ORACLE_UM / pixel_um, _ORACLE_UM / pixel_um)
     means = [area_mean(np.where(is_clear, m, np.nan), cell_px, least_share=1.0) for m in maps]
@@ -267,7 +289,10 @@ def _oracle_gain(
 def _dot_radii(
     sheet: DrawnSheet, screen: PrintParams, tone: Floats
 ) -> tuple[tuple[int, int], Floats]:
-    """Radii of the dots of the whole sheet, one to each cell of the turned screen, and the (row, col) of the first."""
+    """Return the radii of the dots of the whole sheet, and the (row, col) of the first.
+
+    There is one dot to each cell of the turned screen.
+    """
     rows, cols = sheet.char.shape
     u = sheet.origin[0] + PITCH_UM * np.array([0, cols - 1, 0, cols - 1])
     v = sheet.origin[1] + PITCH_UM * np.array([0, 0, rows - 1, rows - 1])
@@ -310,7 +335,10 @@ def _screen_coordinates(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floa
 
 
 def _coarse_noise(sheet: DrawnSheet, correlation_um: float, rng: np.random.Generator) -> Floats:
-    """Random field of unit standard deviation over the sheet, on every 4th node of its grid and a little beyond."""
+    """Draw a random field of unit standard deviation over the sheet and a little beyond.
+
+    It lies on every 4th node of the sheet's grid.
+    """
     rows, cols = sheet.char.shape
     return noise(
         (rows // _COARSE_STEP + 2, cols // _COARSE_STEP + 2), correlation_um / _COARSE_STEP, rng

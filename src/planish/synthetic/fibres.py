@@ -1,8 +1,11 @@
-"""A base of single fibres: ribbons laid on each other from the middle of the sheet outwards, pressed, with filler.
+"""A base of single fibres, pressed, with filler.
 
-Deposition after K. Niskanen, M. Alava (Phys. Rev. Lett. 73, 3475, 1994) and K. Niskanen et al. (KCL-PAKKA, 11th
-Fundamental Research Symposium, 1997): a fibre takes the lowest surface above what lies there whose slope is at most its
-flexibility. Half of the fibres are laid from each side, so that both faces are rough.
+Ribbons are laid on each other from the middle of the sheet outwards.
+
+Deposition after K. Niskanen, M. Alava (Phys. Rev. Lett. 73, 3475, 1994) and K. Niskanen et al.
+(KCL-PAKKA, 11th Fundamental Research Symposium, 1997): a fibre takes the lowest surface above what
+lies there whose slope is at most its flexibility. Half of the fibres are laid from each side, so
+that both faces are rough.
 """
 
 from __future__ import annotations
@@ -29,7 +32,10 @@ _DEEPEST = (2.5, 10.5)
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """Density of a base (rows, cols, cells) uint8, wall 100, in cells of ``cell_um`` from ``low_um`` up, as faces."""
+    """Density of a base in cells of ``cell_um`` from ``low_um`` up, as faces.
+
+    The density is (rows, cols, cells) uint8, wall 100.
+    """
 
     density: NDArray[np.uint8]
     low_um: float
@@ -77,8 +83,9 @@ class Structure:
     def face(self, blur_um: float, pitch_um: float, *, top: bool) -> NDArray[np.float32]:
         """Height (rows, cols) of a face without coating, NaN where there is none.
 
-        It is the outermost place at which the wall, under a Gaussian blur of ``blur_um`` full width, reaches half of
-        its own density. Give it a structure without loose fibres, which are no part of the face.
+        It is the outermost place at which the wall, under a Gaussian blur of ``blur_um`` full
+        width, reaches half of its own density. Give it a structure without loose fibres, which are
+        no part of the face.
         """
         sigma = blur_um / np.sqrt(8 * np.log(2.0))
         halo_rows = int(np.ceil(4 * sigma / pitch_um)) + 1
@@ -109,7 +116,10 @@ class Structure:
 
 
 class FibreMat:
-    """Fibres of a base before the press: one half above its middle, one below, which is kept upside down."""
+    """Fibres of a base before the press, one half above its middle and one below.
+
+    The lower half is kept upside down.
+    """
 
     def __init__(
         self, paper: PaperParams, shape: tuple[int, int], pitch_um: float, ground: Floats, seed: int
@@ -180,7 +190,8 @@ class FibreMat:
         p, pitch = self._fibres, self._pitch
         area = float(shape[0] * shape[1]) * pitch**2
         volume_um3, batches = 0.0, list[tuple[Floats, ...]]()
-        # A fibre begins outside as often as inside: the field grows by its length, which its middle may lie in.
+        # A fibre begins outside as often as inside: the field grows by its length, which its middle
+        # may lie in.
         while volume_um3 < 1.1 * solid_um * area:
             is_fine = rng.random(512) < p.fines
             lengths = np.where(
@@ -197,8 +208,8 @@ class FibreMat:
     def calendered(self) -> tuple[Floats, Floats]:
         """Heights of both faces, outwards, with the mean thickness and roughness of the paper.
 
-        The voids give way evenly until the thickness is right; then a nip brings the heights closer to their mean, as
-        far as walls and the height before the press allow.
+        The voids give way evenly until the thickness is right; then a nip brings the heights closer
+        to their mean, as far as walls and the height before the press allow.
         """
         p = self._paper
         solids = [
@@ -235,7 +246,10 @@ class FibreMat:
         return upper, lower
 
     def pressed(self, top: Floats, bottom: Floats, neutral_um: float) -> Structure:
-        """Press the upper half to ``top``, the lower to ``bottom``, strew filler; heights count from ``neutral_um``."""
+        """Press the upper half to ``top``, the lower to ``bottom``, strew filler.
+
+        Heights count from ``neutral_um``.
+        """
         from planish.synthetic import _fibre_kernels
 
         p, paper = self._fibres, self._paper

@@ -28,8 +28,9 @@ class InstrumentFiles:
     volume: Path
     voxel_um: tuple[float, float, float]  #: along slices, rows and columns
     through: Literal["z", "y"]  #: axis of the file that runs through the sheet
-    #: From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A second argument holds
-    #: what a run found out about the sections: ``position``, ``shift_row``, ``shift_col`` in um, ``rotation``.
+    # : From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A
+    # second argument holds : what a run found out about the sections: ``position``, ``shift_row``,
+    # ``shift_col`` in um, ``rotation``.
     to_physical: Callable[..., Floats]
     image: Path | None = None
 
@@ -39,8 +40,9 @@ def write_instruments(
 ) -> InstrumentFiles:
     """Write a volume as ``volume`` says, and an image: ``image.tif``.
 
-    "stack": ``volume.tif`` with ImageJ's calibration; "scanner": slices and a log as NRecon writes them, across the
-    axis of rotation, so their rows run through the sheet; "sections": photographs with the microtome's counter.
+    "stack": ``volume.tif`` with ImageJ's calibration; "scanner": slices and a log as NRecon writes
+    them, across the axis of rotation, so their rows run through the sheet; "sections": photographs
+    with the microtome's counter.
     """
     folder.mkdir(parents=True, exist_ok=True)
     write = {"stack": _write_stack, "scanner": _write_scan, "sections": _write_sections}[volume]
@@ -164,7 +166,10 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
 
 
 def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Path:
-    """Write the image with 16 bit and its pixel size; a name that ends in ``.ome.tif`` makes it OME-TIFF."""
+    """Write the image with 16 bit and its pixel size.
+
+    A name that ends in ``.ome.tif`` makes it OME-TIFF.
+    """
     reflectance = (specimen.printed if printed else specimen.image).values
     grey = np.clip(np.rint(reflectance * 65535), 0, 65535).astype(np.uint16)
     pixel = specimen.params.camera.pixel_um
@@ -185,7 +190,10 @@ def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Pat
 def write_specimen(
     options: SpecimenOptions, folder: Path, *, progress: Callable[[str], None] | None = None
 ) -> None:
-    """Make the specimen that ``options`` order and write it: scan/, sections/, images, and truth/ apart from them."""
+    """Make the specimen that ``options`` order, and write it.
+
+    Written are scan/, sections/, images, and truth/ apart from them.
+    """
     specimen = make_specimen(options.params())
     large = options.size == "T3"  # without voxels: nodes of the centre surface instead
     for name in (*options.instrument, "truth"):
@@ -203,7 +211,10 @@ def write_specimen(
 
 
 def write_nodes(specimen: Specimen, path: Path) -> None:
-    """Write ``.npz`` for a sheet too large for voxels: ``points`` (rows, cols, 3), ``u, v``, ``coating_top``; um."""
+    """Write ``.npz`` for a sheet too large for voxels.
+
+    It holds ``points`` (rows, cols, 3), ``u, v`` and ``coating_top``, in um.
+    """
     x, y, _ = specimen.extent_um
     columns = specimen.warp.columns(np.arange(0.0, y, _NODES_UM), np.arange(0.0, x, _NODES_UM))
     u, v = columns[..., 0], columns[..., 1]
@@ -215,7 +226,10 @@ def write_nodes(specimen: Specimen, path: Path) -> None:
 
 
 def write_truth(specimen: Specimen, folder: Path) -> None:
-    """Write all that is true: maps on the image's pixels as float TIFF, holes, poses and parameters."""
+    """Write all that is true: maps on the image's pixels, holes, poses and parameters.
+
+    The maps are float TIFF.
+    """
     folder.mkdir(parents=True)
     pixel = specimen.params.camera.pixel_um
     for name, field in specimen.truth.data_vars.items():

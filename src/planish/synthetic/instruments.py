@@ -1,4 +1,4 @@
-"""The instruments that look through the sheet: an X-ray scanner, and a microtome under a light microscope."""
+"""Instruments that look through the sheet: X-ray scanner, and microtome with a microscope."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,12 +29,15 @@ def painted(
     halo: int,
     moved: Floats,
 ) -> list[tuple[int, int, Slab]]:
-    """Paint the planes at ``ys_um``, of ``shape`` (x, z) voxels of ``step_um``, in blocks as deep as the sheet is.
+    """Paint the planes at ``ys_um`` in blocks as deep as the sheet is.
 
-    Painted is what the sheet adds to the ``grey`` of air (before those of base and coating), so that air stays an exact
-    0 under any filter. Each plane is ``moved`` (3, rows) along x, along z, and turned about its middle. Gives (first
-    column, first depth, block); blocks are (rows, cols + 2 halo, depth + 2 halo), column and depth those of the block's
-    first voxel inside the halo. Around them there is only air.
+    The planes are of ``shape`` (x, z) voxels of ``step_um``.
+
+    Painted is what the sheet adds to the ``grey`` of air (before those of base and coating), so
+    that air stays an exact 0 under any filter. Each plane is ``moved`` (3, rows) along x, along z,
+    and turned about its middle. Gives (first column, first depth, block); blocks are (rows, cols +
+    2 halo, depth + 2 halo), column and depth those of the block's first voxel inside the halo.
+    Around them there is only air.
     """
     middle_um = 0.5 * (shape[0] - 1) * step_um, 0.5 * (shape[1] - 1) * step_um
     shift_x, shift_z, turn = moved
@@ -87,7 +90,10 @@ def painted(
 
 
 def gaussian_taps(sigma: float) -> NDArray[np.float32]:
-    """Symmetric taps [centre, 1, 2, ...] of a Gaussian of ``sigma`` voxels, cut at four sigma; [1] for 0."""
+    """Symmetric taps [centre, 1, 2, ...] of a Gaussian of ``sigma`` voxels, cut at four sigma.
+
+    [1] for 0.
+    """
     reach = int(np.ceil(4 * sigma)) if sigma > 0 else 0
     taps = np.exp(-0.5 * (np.arange(reach + 1) / max(sigma, 1e-9)) ** 2)
     return (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
@@ -129,9 +135,12 @@ _STREAK_ROWS, _STREAK_UM = 8, 1000.0  # a streak lasts so long across and along
 
 @dataclass(frozen=True, kw_only=True)
 class Scanner:
-    """Renders rows of a volume, each of them for itself: the bytes do not depend on tiles or threads.
+    """Renders rows of a volume, each of them for itself.
 
-    ``shape`` counts voxels along z, y, x. The axis of rotation stands along y, in the middle of x and z.
+    The bytes do not depend on tiles or threads.
+
+    ``shape`` counts voxels along z, y, x. The axis of rotation stands along y, in the middle of x
+    and z.
     """
 
     sheet: DrawnSheet
@@ -148,7 +157,10 @@ class Scanner:
         return out
 
     def tiles(self, *, tile_rows: int | None = None) -> Iterator[tuple[int, NDArray[np.generic]]]:
-        """Give (first row, tile (rows, x, z)) one after the other; some ``2 * threads`` tiles are in memory."""
+        """Give (first row, tile (rows, x, z)) one after the other.
+
+        Some ``2 * threads`` tiles are in memory.
+        """
         # Made once, before threads ask for them.
         _ = self.sheet.packed, self._rings_image, self._cupping_factor
         tile_rows = tile_rows or max(_TILE_VOXELS // (self.shape[0] * self.shape[2]), _LEAST_ROWS)
@@ -211,7 +223,10 @@ class Scanner:
         return slab
 
     def _noise(self, start: int, stop: int) -> Slab:
-        """White or correlated noise of unit standard deviation; every row has random numbers of its own."""
+        """White or correlated noise of unit standard deviation.
+
+        Every row has random numbers of its own.
+        """
         taps = gaussian_taps(0.5 * self.params.noise_px)
         halo = taps.size - 1
         plane = (self.shape[2] + 2 * halo, self.shape[0] + 2 * halo)
@@ -227,7 +242,7 @@ class Scanner:
 
     @cached_property
     def _cupping_factor(self) -> Slab:
-        """Factor (x, z) on what is brighter than air: the middle of the field comes out too faint."""
+        """Factor (x, z) that makes what is brighter than air too faint in the field's middle."""
         radius = self._radius()
         return (1 - self.params.cupping * (1 - (radius / radius.max()) ** 2)).astype(np.float32)
 
@@ -241,7 +256,10 @@ class Scanner:
         return plane.astype(np.float32)
 
     def _streaks(self, start: int, stop: int) -> Slab:
-        """Lines along x, thin in z, that fade in and out over rows and along x; unit standard deviation."""
+        """Lines along x, thin in z, that fade in and out over rows and along x.
+
+        Unit standard deviation.
+        """
         n_knots = int(np.ceil(self.shape[2] * self.params.voxel_um / _STREAK_UM)) + 2
         knot_position = np.arange(self.shape[2]) * self.params.voxel_um / _STREAK_UM
         taps = gaussian_taps(1.0)
@@ -264,7 +282,10 @@ class Scanner:
 
 
 def _laplacian(slab: Slab) -> Slab:
-    """Laplacian in voxels, times the variance of the fringe's Gaussian: its size does not depend on its width."""
+    """Return the Laplacian in voxels, times the variance of the fringe's Gaussian.
+
+    The size of the fringe thus does not depend on its width.
+    """
     inner = slab[1:-1, 1:-1, 1:-1]
     total = slab[2:, 1:-1, 1:-1] + slab[:-2, 1:-1, 1:-1] + slab[1:-1, 2:, 1:-1]
     total += slab[1:-1, :-2, 1:-1] + slab[1:-1, 1:-1, 2:] + slab[1:-1, 1:-1, :-2]
@@ -283,9 +304,11 @@ _RESIN_PX = 24
 class Poses:
     """True poses of the sections that were not lost; all (n,).
 
-    ``counter_um`` is the position along the cut that the microtome counts, ``y_um`` the true one in space; the cut runs
+    ``counter_um`` is the position along the cut that the microtome counts, ``y_um`` the true one in
+    space; the cut runs
     towards smaller y. A pixel at (x, z) of the picture shows the point
-    ``(x + shift_x - turn z', z + shift_z + turn x')``; x', z' are counted from the picture's middle.
+    ``(x + shift_x - turn z', z + shift_z + turn x')``; x', z' are counted from the picture's
+    middle.
     """
 
     index: NDArray[np.int64]
@@ -329,7 +352,10 @@ def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
 
 @dataclass(frozen=True, kw_only=True)
 class Microtome:
-    """Renders the picture of each section for itself; ``shape``: its rows along z, its columns along x."""
+    """Renders the picture of each section for itself.
+
+    ``shape``: its rows along z, its columns along x.
+    """
 
     sheet: DrawnSheet
     warp: Warp

@@ -1,8 +1,10 @@
-"""What a specimen is made of and how its instruments see it: every size with its unit and its reason.
+"""Describe what a specimen is made of and how its instruments see it.
 
-Numbers without another source are those of Hirn et al. (2009) or usual ones of the instruments named. A field made by
-:func:`drawn` also holds the range in which real papers and instruments lie. A nuisance is off when its size is 0;
-:mod:`planish.synthetic.presets` lists them by name.
+Every size has its unit and its reason.
+
+Numbers without another source are those of Hirn et al. (2009) or usual ones of the instruments
+named. A field made by :func:`drawn` also holds the range in which real papers and instruments lie.
+A nuisance is off when its size is 0; :mod:`planish.synthetic.presets` lists them by name.
 """
 
 from __future__ import annotations
@@ -19,7 +21,10 @@ from planish.core.typing import Floats
 
 
 def stream(seed: int, *names: str) -> np.random.SeedSequence:
-    """Random numbers of their own for every name: a nuisance that is switched off does not change the others."""
+    """Give every name random numbers of its own.
+
+    A nuisance that is switched off does not change the others.
+    """
     return np.random.SeedSequence(seed, spawn_key=tuple(crc32(name.encode()) for name in names))
 
 
@@ -36,7 +41,10 @@ class Strict:
 
 
 def drawn(default: Any, low: float = 0.0, high: float = 0.0, *, of: tuple[Any, ...] = ()) -> Any:
-    """Make a dataclass field with a range: evenly between two numbers (whole ones where both are), or one ``of``."""
+    """Make a dataclass field with a range.
+
+    A value is drawn evenly between two numbers (whole ones where both are), or is one ``of``.
+    """
     return field(default=default, metadata={"range": of or (low, high), "choice": bool(of)})
 
 
@@ -69,10 +77,11 @@ _GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(5)
 class Warp(Strict):
     """Centre surface ``m(u, v)`` of a bent sheet.
 
-    The sheet is rolled along the direction ``ruling_deg`` from the u axis: its profile curve turns by
-    ``psi(p) = tilt + atan(slope) sin(2 pi p / wavelength + phase)`` at arc length ``p``, so that lengths in the sheet
-    are exactly those in ``(u, v)``. A curl at a border adds ``curl (1 + tanh((p - curl_p) / (2 curl_width))) / 2``
-    to the angle. The bump is added in height and stretches the sheet.
+    The sheet is rolled along the direction ``ruling_deg`` from the u axis: its profile curve turns
+    by ``psi(p) = tilt + atan(slope) sin(2 pi p / wavelength + phase)`` at arc length ``p``, so that
+    lengths in the sheet are exactly those in ``(u, v)``. A curl at a border adds ``curl (1 +
+    tanh((p - curl_p) / (2 curl_width))) / 2`` to the angle. The bump is added in height and
+    stretches the sheet.
     """
 
     # : steepest of the profile against its mean plane (tangent of the angle).
@@ -112,14 +121,20 @@ class Warp(Strict):
         return self._frames(u, v)[1]
 
     def material(self, points: Floats) -> Floats:
-        """Return ``(u, v, s)`` of points ``(..., 3)`` given as x, y, z: the exact inverse of ``m + s n``."""
+        """Return ``(u, v, s)`` of points ``(..., 3)`` given as x, y, z.
+
+        This is the exact inverse of ``m + s n``.
+        """
         from planish.synthetic import _kernels
 
         flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
         return _kernels.materials(*self.packed(), flat).reshape(points.shape)
 
     def columns(self, y_um: Floats, x_um: Floats) -> Floats:
-        """Return ``(u, v, z)`` of the centre surface at the columns (y, x), shape (len(y), len(x), 3)."""
+        """Return ``(u, v, z)`` of the centre surface at the columns (y, x).
+
+        The shape is (len(y), len(x), 3).
+        """
         from planish.synthetic import _kernels
 
         return _kernels.columns(*self.packed(), np.asarray(y_um, float), np.asarray(x_um, float))
@@ -180,7 +195,10 @@ SIZES_UM = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FibreParams(Strict):
-    """Fibres of a base; ranges are drawn from evenly. Sizes are those of pulps for papers of 50 to 135 g/m2."""
+    """Fibres of a base; ranges are drawn from evenly.
+
+    Sizes are those of pulps for papers of 50 to 135 g/m2.
+    """
 
     g_per_m2: float = 30.0  # of fibres alone
     width_um: tuple[float, float] = (15.0, 40.0)
@@ -235,7 +253,10 @@ class PaperParams(Strict):
     least_coating_um: float = 0.0  # left on the highest fibres; 0.3 to 1
 
     def as_slab(self) -> PaperParams:
-        """The same paper with a soft texture in place of single fibres: every face is exact, and nothing is void."""
+        """Return the same paper with a soft texture in place of single fibres.
+
+        Every face is exact, and nothing is void.
+        """
         return replace(self, fibres=None, least_coating_um=0.0)
 
 
@@ -294,7 +315,10 @@ class ScannerParams(Strict):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SectionsParams(Strict):
-    """Serial sections under a light microscope; shares are of the contrast between coating and resin."""
+    """Serial sections under a light microscope.
+
+    Shares are of the contrast between coating and resin.
+    """
 
     pixel_um: float = drawn(0.81, 2.0, 3.0)
     section_um: float = drawn(3.0, 2.5, 4.0)  # 9 to go faster
@@ -355,7 +379,10 @@ class CameraParams(Strict):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpecimenParams(Strict):
-    """One specimen, ``size_um`` (x, y) wide; the same seed is the same sheet under every instrument."""
+    """One specimen, ``size_um`` (x, y) wide.
+
+    The same seed is the same sheet under every instrument.
+    """
 
     size_um: tuple[float, float] = SIZES_UM["T1"]
     paper: PaperParams = field(default_factory=PaperParams)

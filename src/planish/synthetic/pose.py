@@ -1,4 +1,4 @@
-"""Where the camera stands: from material coordinates of the sheet to the image, and exactly back."""
+"""Pose of the camera: from material coordinates of the sheet to the image, and exactly back."""
 
 from dataclasses import dataclass, replace
 
@@ -21,8 +21,8 @@ class CameraPose:
     """Map from material coordinates (u, v) to image coordinates (x, y), both in um.
 
     A point is stretched about the sheet's middle, carried by the similarity, and moved by the lens:
-    ``p' = c + (p - c) (1 + radial r^2)`` with ``r = |p - c| / half_diagonal_um``. That is the first term of the usual
-    polynomial model (Brown, Photogramm. Eng. 37, 855, 1971).
+    ``p' = c + (p - c) (1 + radial r^2)`` with ``r = |p - c| / half_diagonal_um``. That is the first
+    term of the usual polynomial model (Brown, Photogramm. Eng. 37, 855, 1971).
     """
 
     similarity: Similarity  # rotation, scale error, shift and mirror
@@ -35,7 +35,10 @@ class CameraPose:
     half_diagonal_um: float = 1.0  # unit of the radius
 
     def __call__(self, points: ArrayLike) -> Floats:
-        """Carry material points (..., 2), (u, v) in um, to the image: (x, y) in um; NaN stays NaN."""
+        """Carry material points (..., 2), (u, v) in um, to the image: (x, y) in um.
+
+        NaN stays NaN.
+        """
         middle, centre = np.array(self.middle_um), np.array(self.centre_um)
         stretched = middle + (np.asarray(points, dtype=np.float64) - middle) * self._strain()
         offset = self.similarity(stretched) - centre
@@ -43,7 +46,10 @@ class CameraPose:
         return centre + offset * (1 + self.radial * radius_squared)
 
     def inverse(self, points: ArrayLike) -> Floats:
-        """Carry image points (..., 2), (x, y) in um, to (u, v) in um, to 1e-9 um; NaN where the lens shows none."""
+        """Carry image points (..., 2), (x, y) in um, to (u, v) in um, to 1e-9 um.
+
+        NaN where the lens shows none.
+        """
         middle, centre = np.array(self.middle_um), np.array(self.centre_um)
         offset = np.asarray(points, dtype=np.float64) - centre
         if self.radial != 0:
@@ -60,9 +66,12 @@ class CameraPose:
         return np.array([1 + self.stretch, 1 - self.stretch])
 
     def _shrink(self, shown: Floats) -> Floats:
-        """Radius on the sheet over the radius in the image, ``shown``: Newton's method on ``t + k t^3 = shown``.
+        """Return the radius on the sheet over the radius in the image, ``shown``.
 
-        The cubic bends to one side only, and ``t = shown`` lies on the side from which Newton's steps never overshoot.
+        It is found by Newton's method on ``t + k t^3 = shown``.
+
+        The cubic bends to one side only, and ``t = shown`` lies on the side from which Newton's
+        steps never overshoot.
         """
         k = self.radial
         fold = 2 / (3 * np.sqrt(-3 * k)) if k < 0 else np.inf  # the cubic's maximum
@@ -79,12 +88,16 @@ class CameraPose:
 def draw_pose(
     camera: CameraParams, spread: ArrayLike, rng: np.random.Generator
 ) -> tuple[tuple[int, int], CameraPose]:
-    """Frame the camera so that it sees about what the volume holds: turned, beside it, and with its own errors.
+    """Frame the camera so that it sees about what the volume holds.
 
-    Every number is drawn whatever its size, in a fixed order: one that is switched off does not move the others.
+    It is turned, stands beside it, and has errors of its own.
 
-    ``spread`` is the material (u0, v0, u1, v1) in um that the volume shows. At least 85 % of it lies in the frame: the
-    drawn shift is shortened as far as that needs. Gives rows and columns of the image, and the pose.
+    Every number is drawn whatever its size, in a fixed order: one that is switched off does not
+    move the others.
+
+    ``spread`` is the material (u0, v0, u1, v1) in um that the volume shows. At least 85 % of it
+    lies in the frame: the drawn shift is shortened as far as that needs. Gives rows and columns of
+    the image, and the pose.
     """
     turn, shift_x, shift_y, scale, stretch = rng.uniform(-1.0, 1.0, 5)
     field = np.asarray(spread, dtype=np.float64)
@@ -128,7 +141,8 @@ def draw_pose(
     drawn_shift, low, high = camera.shift_range_um * np.array([shift_x, shift_y]), 0.0, 1.0
     if in_view(shape, drawn_shift) >= _LEAST_IN_VIEW:
         return shape, posed(shape, drawn_shift)
-    # A frame that moves away from the middle of a rectangle loses field all the way, so halving finds the limit.
+    # A frame that moves away from the middle of a rectangle loses field all the way, so halving
+    # finds the limit.
     for _ in range(30):
         share = 0.5 * (low + high)
         low, high = (
@@ -138,7 +152,10 @@ def draw_pose(
 
 
 def _frame_sides(field: Floats, rotation: float) -> tuple[float, float]:
-    """Width and height of the field as it lies under the camera; they change places with a quarter turn."""
+    """Width and height of the field as it lies under the camera.
+
+    They change places with a quarter turn.
+    """
     width, height = field[2:] - field[:2]
     off_upright = abs(np.remainder(np.rad2deg(rotation) + 90.0, 180.0) - 90.0)
     turn = np.deg2rad(

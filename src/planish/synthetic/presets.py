@@ -1,6 +1,9 @@
-"""Papers by name: the ones of Hirn et al. (2009), and an uncoated and a one-side-coated one as a contrast.
+"""Papers by name: the ones of Hirn et al.
 
-Also every nuisance by its name, the specimen of the demo, and what a user orders by ``planish specimen``.
+(2009), and an uncoated and a one-side-coated one as a contrast.
+
+Also every nuisance by its name, the specimen of the demo, and what a user orders by ``planish
+specimen``.
 """
 
 from collections.abc import Iterable, Mapping
@@ -130,7 +133,8 @@ MICRO_CT = ScannerParams(
 """A scanner as scanners are: the plain one of the defaults has only blur and noise."""
 
 FIBRE_CT = replace(MICRO_CT, grey=(40.0, 110.0, 190.0))
-"""The same with the grey of a fibre's wall in place of that of a whole base, half of which is air."""
+"""The same with the grey of a fibre's wall in place of that of a whole base, half of which is
+air."""
 
 DEMO = SpecimenParams(
     size_um=(1800.0, 1300.0),
@@ -140,11 +144,15 @@ DEMO = SpecimenParams(
     warp=Warp(wavelength_um=2000.0),
     camera=CameraParams(shading=0.003, nuisance_sd=0.004),
 )
-"""The specimen of the demo: under diffuse light, with an even base, the image shows mostly what the coating does."""
+"""The specimen of the demo: under diffuse light, with an even base, the image shows mostly what the
+coating does."""
 
 
 class Nuisance(NamedTuple):
-    """A disturbance that can be switched off: ``off`` holds values of the ``section`` of :class:`SpecimenParams`."""
+    """A disturbance that can be switched off.
+
+    ``off`` holds values of the ``section`` of :class:`SpecimenParams`.
+    """
 
     title: str
     section: str
@@ -205,7 +213,10 @@ NUISANCES: dict[str, Nuisance] = {
 
 
 def nuisances_of(params: SpecimenParams, instrument: str) -> list[str]:
-    """Names of the nuisances that are on in ``params`` and act on ``instrument`` ("scanner" or "sections")."""
+    """Return names of the nuisances that are on in ``params`` and act on ``instrument``.
+
+    The instrument is "scanner" or "sections".
+    """
     other = {"scanner", "sections"} - {instrument}
     return [
         name

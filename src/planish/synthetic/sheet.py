@@ -1,8 +1,8 @@
-"""The sheet itself in material coordinates: faces, interfaces, fibres, flocs and holes on one fine grid.
+"""The sheet in material coordinates: faces, interfaces, fibres, flocs and holes on one fine grid.
 
-Rules after Dahlström and Uesaka (Ind. Eng. Chem. Res. 48, 10472, 2009): the coating's outer face is a smoothed copy of
-the base's surface plus the mean layer, so that the coating is thin where fibres stand up and thick in the pits; what
-the layer varies beyond that is random deposition.
+Rules after Dahlström and Uesaka (Ind. Eng. Chem. Res. 48, 10472, 2009): the coating's outer face is
+a smoothed copy of the base's surface plus the mean layer, so that the coating is thin where fibres
+stand up and thick in the pits; what the layer varies beyond that is random deposition.
 """
 
 from dataclasses import dataclass
@@ -24,14 +24,20 @@ _FIBRE_UM = ((1000.0, 2500.0), (20.0, 35.0))
 
 
 def noise(shape: tuple[int, int], correlation_um: float, rng: np.random.Generator) -> Floats:
-    """Gaussian random field (rows, cols), mean 0, sd 1, with the autocorrelation ``exp(-(r / correlation_um)^2)``."""
+    """Draw a Gaussian random field (rows, cols), mean 0, sd 1.
+
+    Its autocorrelation is ``exp(-(r / correlation_um)^2)``.
+    """
     return _unit(
         _filtered(rng.standard_normal(_padded(shape)), 0.5 * correlation_um)[: shape[0], : shape[1]]
     )
 
 
 def lowpass(field: Floats, half_um: float) -> Floats:
-    """Gaussian filter that halves a wave of length ``half_um``; the field is mirrored at its borders."""
+    """Gaussian filter that halves a wave of length ``half_um``.
+
+    The field is mirrored at its borders.
+    """
     sigma = half_um * float(np.sqrt(np.log(2.0) / 2)) / np.pi
     pad = min(int(4 * sigma / PITCH_UM) + 1, min(field.shape) - 1)
     padded = np.pad(field, pad, mode="reflect")
@@ -48,7 +54,10 @@ def streaks(shape: tuple[int, int], correlation_um: float, rng: np.random.Genera
 def fibres(
     shape: tuple[int, int], per_mm2: float, anisotropy: float, rng: np.random.Generator
 ) -> Floats:
-    """Height, 0 to 1, of fibres laid at random; ``anisotropy``: number along u over across, by von Mises' angles."""
+    """Height, 0 to 1, of fibres laid at random.
+
+    ``anisotropy``: number along u over across, by von Mises' angles.
+    """
     count = max(int(per_mm2 * shape[0] * shape[1] * PITCH_UM**2 * 1e-6), 8)
     (shortest, longest), (narrowest, widest) = _FIBRE_UM
     field = np.zeros(shape)
@@ -68,7 +77,10 @@ def fibres(
 def fibrous(
     shape: tuple[int, int], anisotropy: float, rng: np.random.Generator, *, per_mm2: float = 29.0
 ) -> Floats:
-    """Random field at fibre scale, mean 0 and standard deviation 1: fibres and the net between them."""
+    """Draw a random field at fibre scale: fibres and the net between them.
+
+    It has mean 0 and standard deviation 1.
+    """
     return _unit(3.0 * fibres(shape, per_mm2, anisotropy, rng) + noise(shape, 35.0, rng))
 
 
@@ -93,7 +105,8 @@ def _filtered(field: Floats, sigma_um: float) -> Floats:
 
 _BORDER_UM = 260.0  # from the middle of a hole to the end of the field
 _APART_UM = 550.0
-# Pitches of the lines in um, all different, and so are the sums of neighbours: distances identify any few holes.
+# Pitches of the lines in um, all different, and so are the sums of neighbours: distances identify
+# any few holes.
 _PITCHES_UM = (
     (500, 725, 590, 860, 650, 950),
     (545, 905, 620, 770, 510, 830),
@@ -105,7 +118,10 @@ _ORDERS = np.arange(2, 25)
 
 
 def hole_pattern(params: BurnParams, low: Floats, high: Floats, seed: int) -> Floats:
-    """Centres (n, 2) in um from ``low`` to ``high`` (u, v), with the stage's error; ValueError if they do not fit."""
+    """Centres (n, 2) in um from ``low`` to ``high`` (u, v), with the stage's error.
+
+    ValueError if they do not fit.
+    """
     if params.count == 0:
         return np.zeros((0, 2))
     designed = (
@@ -162,7 +178,7 @@ def burn(
     depth_um: float,
     seed: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Burn the holes into a sheet of the mean thickness ``depth_um``: its ``rim_um`` and ``char``."""
+    """Burn the holes into a sheet of mean thickness ``depth_um``: its ``rim_um`` and ``char``."""
     rim = np.full((2, *shape), 1e4, dtype=np.float32)
     char = np.ones(shape, dtype=np.float32)
     reach_um = 2.0 * params.diameter_um + 4 * params.char_um
@@ -187,7 +203,10 @@ def burn(
 def _hole(
     params: BurnParams, x: Floats, y: Floats, depth_um: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats, float]:
-    """Distances to one hole's rim at both faces, around its centre at the top face; width of the burnt rim."""
+    """Distances to one hole's rim at both faces, around its centre at the top face.
+
+    Width of the burnt rim.
+    """
     # Everything is drawn, also what is off: then one switch does not move the others.
     radius = 0.5 * (params.diameter_um + params.diameter_sd_um * rng.standard_normal())
     ratio = np.sqrt(1 + (params.axis_ratio - 1) * rng.random())
@@ -238,7 +257,8 @@ class DrawnSheet:
     params: PaperParams
     seed: int
     origin: tuple[float, float]
-    #: (4, rows, cols), signed um from the surface that keeps its lengths where the sheet is bent: s_T, s_TI, s_BI, s_B.
+    # : (4, rows, cols), signed um from the surface that keeps its lengths where the sheet is bent:
+    # s_T, s_TI, s_BI, s_B.
     faces: Field
     # : (2, rows, cols), signed distance to the nearest hole's rim at top and bottom face, negative
     # inside.
@@ -259,7 +279,10 @@ class DrawnSheet:
         return bool(np.all(low >= self.origin) and np.all(high <= end))
 
     def at(self, field: Field, u: Floats, v: Floats) -> Floats:
-        """Bilinear value of one field at material coordinates; the same rule that the renderer uses."""
+        """Bilinear value of one field at material coordinates.
+
+        The same rule that the renderer uses.
+        """
         x = np.clip((u - self.origin[0]) / PITCH_UM, 0.0, field.shape[1] - 1.000001)
         y = np.clip((v - self.origin[1]) / PITCH_UM, 0.0, field.shape[0] - 1.000001)
         return bilinear(field, y, x)
@@ -296,7 +319,10 @@ class DrawnSheet:
 
     @cached_property
     def packed(self) -> Field:
-        """All that a renderer needs of a node side by side: (rows, cols, 9), and LAYERS more for a slab."""
+        """All that a renderer needs of a node, side by side.
+
+        The shape is (rows, cols, 9), with LAYERS more for a slab.
+        """
         texture = self.texture if self.structure is None else ()
         fields = [
             *self.faces,
@@ -323,8 +349,9 @@ def make_sheet(
 ) -> DrawnSheet:
     """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um.
 
-    ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its lengths. ``film`` lies
-    below a base of single fibres; ``crack_um``: spread of the width of cracks between the faces and resin.
+    ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its
+    lengths. ``film`` lies below a base of single fibres; ``crack_um``: spread of the width of
+    cracks between the faces and resin.
     """
     shape = (
         int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2,
@@ -396,15 +423,16 @@ def make_sheet(
 def neutral_height(base_um: float, top_um: float, bottom_um: float, stiffness: float) -> float:
     """Height of a bent laminate's unstrained surface over the middle of its base, in um.
 
-    The layers bend together and no force acts along the sheet: the mean of their middles, weighted with thickness times
-    modulus; ``stiffness`` is the coatings' modulus over the base's. With 1 it is the mean of the outer faces.
+    The layers bend together and no force acts along the sheet: the mean of their middles, weighted
+    with thickness times modulus; ``stiffness`` is the coatings' modulus over the base's. With 1 it
+    is the mean of the outer faces.
     """
     moment = top_um * (base_um + top_um) - bottom_um * (base_um + bottom_um)
     return 0.5 * stiffness * moment / (base_um + stiffness * (top_um + bottom_um))
 
 
 def _base(p: PaperParams, shape: tuple[int, int], seed: int) -> tuple[Floats, Floats]:
-    """Thickness of the base, and what bends both of its faces the same way: single fibres in the net."""
+    """Return base thickness, and what bends both faces the same way: single fibres in the net."""
     thickness = np.full(shape, p.base_um)
     thickness += p.base_fibre_sd_um * fibrous(shape, p.anisotropy, generator(seed, "fibres"))
     thickness += p.base_floc_sd_um * noise(shape, _FLOC_UM, generator(seed, "flocs"))

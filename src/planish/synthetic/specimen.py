@@ -31,7 +31,10 @@ _BEYOND_UM = 150.0  # of the sheet around what the instruments see
 
 @dataclass(frozen=True, kw_only=True)
 class Specimen:
-    """A sheet in space and the poses of its instruments; pictures are rendered when they are asked for."""
+    """A sheet in space and the poses of its instruments.
+
+    Pictures are rendered when they are asked for.
+    """
 
     params: SpecimenParams
     warp: Warp  #: from material (u, v, s) to space (x, y, z); the volume begins at the origin
@@ -88,7 +91,10 @@ class Specimen:
 
     @cached_property
     def volume(self) -> xr.DataArray:
-        """The scanned volume, dims (z, y, x), with coordinates in um: as :func:`planish.read_volume` gives it."""
+        """The scanned volume, as :func:`planish.read_volume` gives it.
+
+        The dims are (z, y, x), with coordinates in um.
+        """
         voxel = self.params.scanner.voxel_um
         values = self.scanner.volume()
         return _labelled(
@@ -106,7 +112,10 @@ class Specimen:
 
     @cached_property
     def image(self) -> xr.DataArray:
-        """Reflectance of the top side, dims (y, x), with coordinates in um: as :func:`planish.read_image` gives it."""
+        """Reflectance of the top side, as :func:`planish.read_image` gives it.
+
+        The dims are (y, x), with coordinates in um.
+        """
         return self._photograph(printed=False)
 
     @cached_property
@@ -137,8 +146,9 @@ class Specimen:
     def truth(self) -> xr.Dataset:
         """True values at each pixel of the image, dims (y, x), in um.
 
-        ``u, v`` material coordinates; ``volume_x, volume_y, volume_z`` of the centre surface; ``coating_top``,
-        ``coating_bottom``, ``base_thickness``, ``thickness``; ``rim``: distance to the nearest hole's rim.
+        ``u, v`` material coordinates; ``volume_x, volume_y, volume_z`` of the centre surface;
+        ``coating_top``, ``coating_bottom``, ``base_thickness``, ``thickness``; ``rim``: distance to
+        the nearest hole's rim.
         """
         pixel = self.params.camera.pixel_um
         u, v = image_material(self.pose, self.image_shape, pixel)
@@ -165,7 +175,7 @@ class Specimen:
 
     @cached_property
     def columns(self) -> xr.Dataset:
-        """``u, v, centre`` of the centre surface at each column (y, x) of the scanned volume, in um."""
+        """The centre surface's ``u, v, centre`` (um) at each column (y, x) of the volume."""
         y, x = (
             np.arange(n, dtype=np.float64) * self.params.scanner.voxel_um
             for n in self.scanner.shape[1:]
@@ -187,7 +197,10 @@ def _labelled(
 
 
 def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
-    """Bring the sheet's own origin to the middle of the volume; give the warp, its columns (u, v, z), and the depth."""
+    """Bring the sheet's own origin to the middle of the volume.
+
+    Give the warp, its columns (u, v, z), and the depth.
+    """
     (width_um, height_um), p = params.size_um, params.paper
     reach_um = 2.0 * max(params.size_um) / np.cos(np.arctan(params.warp.steepest)) + 1000.0
     warp = replace(params.warp, shift_um=(width_um / 2, height_um / 2, 0.0), reach_um=reach_um)
@@ -213,18 +226,19 @@ def make_specimen(
     Parameters
     ----------
     params : SpecimenParams, optional
-        Paper, holes, warp, instruments and seed; the specimen of the demo where not given (1.8 x 1.3 mm, six holes).
-        The same parameters give the same bytes on any number of threads.
+        Paper, holes, warp, instruments and seed; the specimen of the demo where not given (1.8 x
+        1.3 mm, six holes). The same parameters give the same bytes on any number of threads.
     folder : path, optional
-        Folder to make, for ``volume.tif``, ``image.tif`` and ``truth/``; nothing is written where not given.
+        Folder to make, for ``volume.tif``, ``image.tif`` and ``truth/``; nothing is written where
+        not given.
     sheet : DrawnSheet, optional
         That of another specimen: the same piece of paper, bent as ``params`` say.
 
     Returns
     -------
     Specimen
-        ``volume``, ``image``, ``printed`` and ``truth`` are rendered when they are first used; ``files`` holds the
-        paths where they were written.
+        ``volume``, ``image``, ``printed`` and ``truth`` are rendered when they are first used;
+        ``files`` holds the paths where they were written.
 
     Raises
     ------
@@ -233,8 +247,9 @@ def make_specimen(
     InputError
         If ``params`` are something else.
     ValueError
-        If the holes do not fit into the field, or the given sheet does not reach as far as this one has to; if a film
-        is asked for under a base that is no single fibres, or under a given sheet without one.
+        If the holes do not fit into the field, or the given sheet does not reach as far as this one
+        has to; if a film is asked for under a base that is no single fibres, or under a given sheet
+        without one.
 
     Examples
     --------

@@ -1,7 +1,9 @@
-"""The calibration certificate: synthetic specimens through the whole program, and what every stage is off by.
+"""Calibration certificate that states what every stage is off by.
 
-``scenario`` says which specimens and figures, ``certify`` runs them, ``truth`` and ``errors`` compare, ``table`` and
-``page`` write; ``specimen_template`` makes specimens like a real run.
+Synthetic specimens go through the whole program.
+
+``scenario`` says which specimens and figures, ``certify`` runs them, ``truth`` and ``errors``
+compare, ``table`` and ``page`` write; ``specimen_template`` makes specimens like a real run.
 """
 
 import lazy_loader as lazy

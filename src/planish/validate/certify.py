@@ -1,4 +1,7 @@
-"""Run a scenario: specimens into files, files through the whole program, errors against the truth, over seeds."""
+"""Run a scenario over seeds.
+
+Specimens go into files, files through the whole program, and errors are taken against the truth.
+"""
 
 import os
 import tempfile
@@ -33,13 +36,15 @@ from planish.validate.truth import Comparison, rms
 
 
 def make_ledger(comparison: Comparison) -> Values:
-    """Measure the errors of a run against the truth of its specimen; the stages of a map only where it has no image.
+    """Measure the errors of a run against the truth of its specimen.
+
+    The stages of a map only where it has no image.
 
     Returns
     -------
     dict
-        Figure name to value in the order of the line, None where the run has no such thing (paper without coating).
-        Units and sentences are in :data:`planish.validate.scenario.FIGURES`.
+        Figure name to value in the order of the line, None where the run has no such thing (paper
+        without coating). Units and sentences are in :data:`planish.validate.scenario.FIGURES`.
     """
     stages = MAP_STAGES if "linked" not in comparison.groups else (*MAP_STAGES, *LINK_STAGES)
     return in_order(
@@ -66,7 +71,10 @@ class Entry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LedgerLine:
-    """One figure over the seeds: a value a specimen, None where it has no such thing; and its limit, if any."""
+    """One figure over the seeds: a value a specimen, None where it has no such thing.
+
+    And its limit, if any.
+    """
 
     figure: Figure
     values: tuple[float | None, ...]
@@ -89,14 +97,20 @@ class LedgerLine:
 
     @property
     def worst(self) -> float | None:
-        """The value nearest to missing the limit; without one, the least of what ought to be large, or the largest."""
+        """The value nearest to missing the limit.
+
+        Without one, the least of what ought to be large, or the largest.
+        """
         large = self.figure.better != "small" and "ratio" not in self.figure.name
         limit = self.limit or (Limit(least=0.0) if large else Limit(limit=0.0))
         return limit.worst(self.measured) if self.measured else None
 
     @property
     def met(self) -> bool | None:
-        """True if the worst specimen keeps the limit; False where it could not be measured, None without a limit."""
+        """True if the worst specimen keeps the limit.
+
+        False where it could not be measured, None without a limit.
+        """
         return None if self.limit is None else self.limit.met(self.worst)
 
 
@@ -110,7 +124,7 @@ class Certificate:
 
     @property
     def judged(self) -> tuple[Entry, ...]:
-        """Entries that count: all, or those that ended without a warning where the scenario allows one."""
+        """Entries that count: all, or those without a warning where the scenario allows one."""
         return tuple(entry for entry in self.entries if entry.whole or not self.scenario.or_warned)
 
     def lines(self) -> dict[str, LedgerLine]:
@@ -178,7 +192,10 @@ def run_specimen(
     *,
     draw: bool = False,
 ) -> Entry:
-    """Make one specimen, or a pair, run the program on its files, remove them; with ``draw``, also its pictures."""
+    """Make one specimen, or a pair, run the program on its files, remove them.
+
+    With ``draw``, also its pictures.
+    """
     with tempfile.TemporaryDirectory(
         prefix="planish-validate-", ignore_cleanup_errors=True
     ) as name:
@@ -238,7 +255,8 @@ def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[
     return list(range(wanted)) if isinstance(wanted, int) else list(wanted)
 
 
-# Of a baseline: growth against next to nothing is none. A quarter of it is noticed, that is 0.002 of an r.
+# Of a baseline: growth against next to nothing is none. A quarter of it is noticed, that is 0.002
+# of an r.
 _FLOOR = {"um": 0.05, "%": 0.05, "deg": 0.05, "1": 0.008}
 # Share of the largest growth with which an error is taken to have come in at an earlier stage.
 _CARRIED = 0.5
@@ -267,9 +285,11 @@ class Sensitivity:
     quiet: dict[str, float]  # stage to that figure without any and with all nuisances
     loud: Values
     rows: tuple[NuisanceRow, ...]
-    # Stage to the sum of squares of single errors over what all together add; None where neither is worth naming.
+    # Stage to the sum of squares of single errors over what all together add; None where neither is
+    # worth naming.
     ratio: Values
-    # Stage whose ratio is off to the two nuisances whose leaving out changes most: they do not add as squares.
+    # Stage whose ratio is off to the two nuisances whose leaving out changes most: they do not add
+    # as squares.
     together: dict[str, tuple[str, ...]]
     seeds: tuple[int, ...]
 
@@ -280,10 +300,13 @@ def sensitivity(
     progress: Progress = silent,
     compute: Compute | None = None,
 ) -> Sensitivity:
-    """Run a scenario without nuisances, with each alone, and with all; figures are rms over the seeds.
+    """Run a scenario without nuisances, with each alone, and with all.
 
-    Where the single errors do not sum up to the whole, each nuisance is also left out in turn. InputError if the
-    scenario is no line of stages, has no nuisance, or is refused by the program without any of them.
+    Figures are rms over the seeds.
+
+    Where the single errors do not sum up to the whole, each nuisance is also left out in turn.
+    InputError if the scenario is no line of stages, has no nuisance, or is refused by the program
+    without any of them.
     """
     if scenario.kind != "line":
         raise InputError(
@@ -367,7 +390,10 @@ def sensitivity(
 def _most_changing(
     all_error: float, key: str, figures_without: dict[str, Values]
 ) -> tuple[str, ...]:
-    """Name the two nuisances without which a key figure's error changes most; a missing one changes nothing."""
+    """Name the two nuisances without which a key figure's error changes most.
+
+    A missing one changes nothing.
+    """
     errors = {name: figures.get(key) for name, figures in figures_without.items()}
     changes = {name: 0.0 if e is None else abs(all_error**2 - e**2) for name, e in errors.items()}
     return tuple(sorted(changes, key=lambda name: -changes[name])[:2])
@@ -378,8 +404,8 @@ def make_row(
 ) -> NuisanceRow:
     """Give the error that a nuisance adds to every stage, and the stage where it comes in.
 
-    Errors are carried along the line: the stage that suffers is the first one that grows at least half as much,
-    relative to its own baseline, as the one that grows most.
+    Errors are carried along the line: the stage that suffers is the first one that grows at least
+    half as much, relative to its own baseline, as the one that grows most.
     """
     added = {stage: added_error(figures.get(key), quiet[stage]) for stage, key in keys.items()}
     baselines = {stage: max(quiet[stage], _FLOOR[FIGURES[key].unit]) for stage, key in keys.items()}
@@ -401,7 +427,10 @@ def make_row(
 
 
 def added_error(error: float | None, base: float) -> float | None:
-    """Give the error that adds to ``base`` in squares to make ``error``; 0 where that is not larger."""
+    """Give the error that adds to ``base`` in squares to make ``error``.
+
+    0 where that is not larger.
+    """
     return None if error is None else float(np.sqrt(max(0.0, error**2 - base**2)))
 
 
@@ -412,7 +441,10 @@ def _ratio(
     loud: Values,
     rows: Sequence[NuisanceRow],
 ) -> float | None:
-    """Sum of squares over the whole; None where both stay below the floor or half of the baseline."""
+    """Sum of squares over the whole.
+
+    None where both stay below the floor or half of the baseline.
+    """
     total = added_error(loud[stage], quiet[stage])
     sum_of_singles = float(np.sqrt(sum((row.added[stage] or 0.0) ** 2 for row in rows)))
     # Where all together add less, their sum is not worth naming.

@@ -1,4 +1,7 @@
-"""Errors of every stage: of those that know the volume only, then of what links it to an image or a volume."""
+"""Errors of every stage.
+
+First of those that know the volume only, then of what links it to an image or a volume.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -35,7 +38,10 @@ from planish.validate.truth import (
 
 
 def section_errors(comparison: Comparison) -> Values:
-    """Distances of aligned sections from their true places; a shift and a shear of the whole stack are no errors."""
+    """Distances of aligned sections from their true places.
+
+    A shift and a shear of the whole stack are no errors.
+    """
     sections, surfaces = comparison.groups.get("sections"), comparison.surfaces
     frame, sections_um = Frame.of(surfaces), np.asarray(surfaces["y"].values, dtype=np.float64)
     # Through z, a section shows the sheet from above, and its pose has other axes.
@@ -52,8 +58,9 @@ def section_errors(comparison: Comparison) -> Values:
     displacement = comparison.files.to_physical(points, sections) - points
     line_fit = np.polynomial.polynomial.polyfit(sections_um, displacement, 1)
     residual = displacement - np.polynomial.polynomial.polyval(sections_um, line_fit).T
-    # In the physical frame x runs along the section, y across the sections and z through the sheet. What varies more
-    # slowly than the run's cut-off is like the sheet's own bend: it is left alone. The rest is jitter.
+    # In the physical frame x runs along the section, y across the sections and z through the sheet.
+    # What varies more slowly than the run's cut-off is like the sheet's own bend: it is left alone.
+    # The rest is jitter.
     jitter = [
         quick_part(sections_um, residual[:, k], cutoff_um=float(sections.attrs["cutoff_um"]))
         for k in (0, 2)
@@ -82,7 +89,8 @@ def surface_errors(comparison: Comparison) -> Values:
         values |= bias_rmse_p95(face, errors)
         all_errors.append(errors[np.isfinite(errors)])
     values["surfaces_rmse"] = rms(np.concatenate(all_errors))
-    # Columns that have a sheet: away from the true holes, and from the rims that are left out on purpose.
+    # Columns that have a sheet: away from the true holes, and from the rims that are left out on
+    # purpose.
     u, v, _ = np.moveaxis(comparison.material, -1, 0)
     is_off_holes = np.fmin(*(field_at(sheet, field, u, v) for field in sheet.rim_um)) > 0
     status = comparison.at_columns(surfaces["status"].values)
@@ -99,7 +107,10 @@ def surface_errors(comparison: Comparison) -> Values:
 
 
 def centre_errors(comparison: Comparison) -> Values:
-    """Height of the found centre surface over the true one, and the angle between their normals in degrees."""
+    """Return the found centre surface's height over the true one, and their normals' angle.
+
+    The angle between the normals is in degrees.
+    """
     u, v, s = np.moveaxis(
         np.where(comparison.measured[..., None], comparison.material, np.nan), -1, 0
     )
@@ -155,7 +166,7 @@ def thickness_errors(comparison: Comparison) -> Values:
 
 
 def flattening_errors(comparison: Comparison) -> Values:
-    """Flat places of the measured columns against their true ones, after the best turn and shift."""
+    """Compare flat places of measured columns with the true ones, after the best turn and shift."""
     flat_uv = np.stack(
         [comparison.at_columns(comparison.groups["flat"][name].values) for name in ("u", "v")],
         axis=-1,
@@ -199,7 +210,10 @@ _RING = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi 
 
 
 def pixel_errors(comparison: Comparison) -> Values:
-    """Linked thicknesses against those of the material that each pixel shows, and the region of thin coating."""
+    """Compare linked thicknesses with those of the material that each pixel shows.
+
+    The region of thin coating is compared too.
+    """
     values: Values = {}
     for name in THICKNESSES:
         linked_um, true_um = (
@@ -230,9 +244,12 @@ def dice(first_mask: Bools, second_mask: Bools) -> float | None:
 def outline_lag(
     first_map: Floats, second_map: Floats, level: float, pitch_um: tuple[float, float]
 ) -> float | None:
-    """Median distance in um between the contour lines of two maps at ``level``, taken from both sides.
+    """Return the median distance in um between the contour lines of two maps at ``level``.
 
-    No line passes where a map is NaN; None where one of them has no contour. ``pitch_um`` is that of rows and columns.
+    It is taken from both sides.
+
+    No line passes where a map is NaN; None where one of them has no contour. ``pitch_um`` is that
+    of rows and columns.
     """
     a, b = (contour_points(m, level) * np.array(pitch_um) for m in (first_map, second_map))
     if not len(a) or not len(b):
@@ -256,7 +273,10 @@ def contour_points(values: Floats, level: float) -> Floats:
 
 
 def hole_errors(comparison: Comparison) -> Values:
-    """Compare the holes of either side with the true ones; they are found again, with the run's options."""
+    """Compare the holes of either side with the true ones.
+
+    They are found again, with the run's options.
+    """
     linked, maps, specimen = comparison.linked, comparison.groups["maps"], comparison.specimen
     hole_um = comparison.run.study.holes.hole_um
     true_uv = specimen.sheet.holes
@@ -289,7 +309,10 @@ def hole_errors(comparison: Comparison) -> Values:
 
 
 def _side_errors(holes_uv: Floats, true_uv: Floats, is_inside: Bools, side: str) -> Values:
-    """Recall, false ones and localisation error of one side; all places are material (u, v) in um."""
+    """Recall, false ones and localisation error of one side.
+
+    All places are material (u, v) in um.
+    """
     holes_uv = holes_uv[np.isfinite(holes_uv).all(axis=1)]
     if not len(true_uv):
         return {f"false_{side}": float(len(holes_uv))}
@@ -309,7 +332,10 @@ def _side_errors(holes_uv: Floats, true_uv: Floats, is_inside: Bools, side: str)
 
 
 def registration_errors(comparison: Comparison) -> Values:
-    """Error of every pixel in the sheet, what the marks say of it, and what it would be without flattening."""
+    """Return the error of every pixel in the sheet.
+
+    Also what the marks say of it, and what it would be without flattening.
+    """
     fit, errors_um = comparison.fit, comparison.place_error_um
     expected_rms = rms(
         comparison.linked["expected_error"].values[comparison.valid].astype(np.float64)
@@ -340,7 +366,10 @@ def registration_errors(comparison: Comparison) -> Values:
 def _projection_error(
     comparison: Comparison, fit: FittedTransform, scale: float | None
 ) -> float | None:
-    """95th percentile over the columns that the image shows; the distance in the image, brought to the sheet."""
+    """95th percentile over the columns that the image shows.
+
+    The distance in the image, brought to the sheet.
+    """
     names = ("projected_u", "projected_v")
     marks_uv = values_at(comparison.groups["maps"], names, fit.moving)
     if scale is None or not np.isfinite(marks_uv).all():
@@ -363,7 +392,7 @@ def _projection_error(
 
 
 def resampling_errors(comparison: Comparison) -> Values:
-    """Give the columns their true thickness, resample it as the run does, compare with the truth at each pixel."""
+    """Resample the columns' true thickness as the run does, and compare pixels with the truth."""
     surfaces, flat, linked = (comparison.groups[name] for name in ("surfaces", "flat", "linked"))
     name = "coating_top" if np.isfinite(linked["coating_top"].values).any() else "thickness"
     height, width = surfaces["centre"].shape
@@ -385,7 +414,10 @@ def resampling_errors(comparison: Comparison) -> Values:
 
 
 def statistic_errors(comparison: Comparison) -> Values:
-    """Correlation with the image of the measured and of the true map, over the same pixels and the run's points."""
+    """Correlate the measured and the true map with the image.
+
+    Both are taken over the same pixels and the run's points.
+    """
     image, pixel = (
         np.asarray(comparison.linked["image"].values, dtype=np.float64),
         pitch(comparison.linked),
@@ -411,7 +443,10 @@ def statistic_errors(comparison: Comparison) -> Values:
 
 
 def pair_errors(specimens: Sequence[tuple[Specimen, InstrumentFiles]], run: Run) -> Values:
-    """Errors of two linked volumes of one sheet; places and thicknesses against the truth of the sheet."""
+    """Errors of two linked volumes of one sheet.
+
+    Places and thicknesses against the truth of the sheet.
+    """
     maps = [run.groups[f"layers/{name}"] for name in PAIR]
     valid = maps[0]["valid"].values & maps[1]["valid"].values
     values: Values = {}

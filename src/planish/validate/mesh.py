@@ -1,4 +1,7 @@
-"""The spring mesh of Hirn et al. (2009), Fig. 5, alone: how near its state of rest comes to the flat sheet."""
+"""The spring mesh of Hirn et al.
+
+(2009), Fig. 5, alone: how near its state of rest comes to the flat sheet.
+"""
 
 import time
 
@@ -18,7 +21,10 @@ _FEW_STEPS = 5000  # three times what the right reading needs to come to rest
 
 
 def mesh_values(seed: int, *, once: bool) -> Values:
-    """Figures of one random deformation, sizes in %, places in pitches; ``once``: also those that no seed changes."""
+    """Figures of one random deformation, sizes in %, places in pitches.
+
+    ``once``: also those that no seed changes.
+    """
     start, rest = deformed(seed)
     flat = grid(ROWS, COLS)
     if once:  # the first call compiles, which is no part of the time
@@ -68,13 +74,19 @@ def grid(rows: int, cols: int) -> Floats:
 
 
 def rest_lengths(points: Floats) -> Floats:
-    """Rest lengths (4, rows, cols): right, down, and both diagonals; NaN where there is no spring."""
+    """Rest lengths (4, rows, cols): right, down, and both diagonals.
+
+    NaN where there is no spring.
+    """
     missing = np.full((4, *points.shape[:2]), np.nan)
     return of_springs(points, lambda a, b: np.linalg.norm(b - a, axis=-1), missing)
 
 
 def deformed(seed: int, rows: int = ROWS, cols: int = COLS) -> tuple[Floats, Floats]:
-    """Start (rows, cols, 2) and rest lengths after Fig. 5: a flat mesh, scaled, sheared, rows and nodes displaced."""
+    """Start (rows, cols, 2) and rest lengths after Fig.
+
+    5: a flat mesh, scaled, sheared, rows and nodes displaced.
+    """
     rng = np.random.default_rng(seed)
     flat = grid(rows, cols)
     start = flat @ np.array([[0.85, 0.0], [0.15, 1.10]])
@@ -83,7 +95,10 @@ def deformed(seed: int, rows: int = ROWS, cols: int = COLS) -> tuple[Floats, Flo
 
 
 def cylinder(rows: int = 96, cols: int = 128) -> tuple[Floats, Floats]:
-    """Projection (rows, cols, 2) and places (rows, cols, 3) of nodes that are equally spaced in x on an arc."""
+    """Return projection and places of nodes that are equally spaced in x on an arc.
+
+    The projection is (rows, cols, 2), the places are (rows, cols, 3).
+    """
     flat = grid(rows, cols)
     flat[..., 0] -= (cols - 1) / 2
     return flat, np.concatenate([flat, np.sqrt(_RADIUS**2 - flat[..., :1] ** 2)], axis=-1)
@@ -95,7 +110,10 @@ def unrolled(flat: Floats) -> Floats:
 
 
 def size_errors(uv: Floats, flat: Floats) -> Floats:
-    """Relative errors of width, height and aspect; a size is the mean distance between opposite edges' nodes."""
+    """Relative errors of width, height and aspect.
+
+    A size is the mean distance between opposite edges' nodes.
+    """
 
     def size(nodes: Floats) -> Floats:
         width = np.linalg.norm(nodes[:, -1] - nodes[:, 0], axis=-1).mean()

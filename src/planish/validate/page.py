@@ -1,4 +1,7 @@
-"""The certificate as one HTML file that needs nothing else, styled as the report of a run, with its figures."""
+"""The certificate as one HTML file that needs nothing else.
+
+It is styled as the report of a run, with its figures.
+"""
 
 from collections.abc import Sequence
 
@@ -21,7 +24,7 @@ _DOT_MARGIN = 6.0
 
 
 def draw_example(comparison: Comparison, seed: int) -> list[Picture]:
-    """Draw what the image of a linked run showed, what was measured, and the errors of place and thickness."""
+    """Draw what a run's image showed, what was measured, and errors of place and thickness."""
     name, rows, cols = (
         _NAMES[comparison.headline],
         comparison.linked["y"].values,
@@ -69,7 +72,10 @@ def draw_example(comparison: Comparison, seed: int) -> list[Picture]:
 
 
 def draw_expected(entries: Sequence[Entry]) -> Picture | None:
-    """Draw the true error of registration over the one that each run expects; None without a pair of them."""
+    """Draw the true error of registration over the one that each run expects.
+
+    None without a pair of them.
+    """
     error_pairs = [
         (entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries
     ]
@@ -98,7 +104,10 @@ def draw_expected(entries: Sequence[Entry]) -> Picture | None:
 
 
 def dots(seed_values: Sequence[float], bound: float | None) -> str:
-    """Return a row of dots as SVG: one a seed, a long tick at 0 and a red one at the limit; empty without a value."""
+    """Return a row of dots as SVG: one a seed, a long tick at 0 and a red one at the limit.
+
+    Empty without a value.
+    """
     if not seed_values:
         return ""
     width, height = 150.0, 16.0  # CSS pixels of a row of dots

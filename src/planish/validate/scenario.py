@@ -1,4 +1,7 @@
-"""A scenario: which specimens, instrument and nuisances, which errors are allowed; and every figure of the ledger."""
+"""A scenario: which specimens, instrument and nuisances, which errors are allowed.
+
+And every figure of the ledger.
+"""
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -39,7 +42,8 @@ class Figure(NamedTuple):
     unit: str  # ``um``, ``%``, ``deg``, ``pitch``, ``s``, or ``1`` for a plain number
     title: str  # for a table, under the title of its stage
     sentence: str  # what is compared with what
-    # {"small", "large", "neither"}: which values are better; neither where the figure only describes.
+    # {"small", "large", "neither"}: which values are better; neither where the figure only
+    # describes.
     better: str = "small"
 
 
@@ -66,7 +70,10 @@ FIGURES: dict[str, Figure] = {
 
 
 def in_order(values: Values) -> Values:
-    """Figures in the order of the line; what has no value is None, whole stages that are absent are left out."""
+    """Figures in the order of the line.
+
+    What has no value is None, whole stages that are absent are left out.
+    """
     stages = {FIGURES[name].stage for name in values}
     return {name: values.get(name) for name, figure in FIGURES.items() if figure.stage in stages}
 
@@ -86,7 +93,10 @@ _KNOWN: dict[str, tuple[Mapping[str, Any], str]] = {
 
 
 class Limit(Params, populate_by_name=True):
-    """Bounds of a figure: ``limit`` of its absolute value, ``least`` of its value from below, ``from`` their origin."""
+    """Bounds of a figure.
+
+    ``limit`` bounds its absolute value, ``least`` its value from below; ``from`` is their origin.
+    """
 
     limit: float | None = None
     least: float | None = None
@@ -115,7 +125,10 @@ class Limit(Params, populate_by_name=True):
 
 
 class Second(Params):
-    """The second instrument of a pair, and what it does otherwise to the same sheet (how it is bent, above all)."""
+    """The second instrument of a pair, and what it does otherwise to the same sheet.
+
+    Above all, how the sheet is bent.
+    """
 
     instrument: Instrument
     specimen: dict[str, Any] = Field({})
@@ -126,7 +139,8 @@ class Scenario(Params):
 
     name: str
     title: str
-    # {"line", "pair", "mesh"}: the line through files; two linked volumes of one sheet; the spring mesh alone.
+    # {"line", "pair", "mesh"}: the line through files; two linked volumes of one sheet; the spring
+    # mesh alone.
     kind: Literal["line", "pair", "mesh"] = "line"
     preset: str = "wfc135"  # paper, a key of :data:`planish.synthetic.presets.PRESETS`
     # ``T0`` to ``T3``, or the lateral extent (x, y) in um.
@@ -135,9 +149,11 @@ class Scenario(Params):
     seeds: Annotated[int, Field(ge=1, le=1000)] = 3  # how many specimens, seeds 0 to seeds - 1
     # Of :data:`planish.synthetic.presets.NUISANCES`.
     nuisances: Literal["all", "none"] | tuple[str, ...] = ALL
-    # Whether every parameter is drawn by the seed, over the ranges of :data:`planish.synthetic.params.RANGES`.
+    # Whether every parameter is drawn by the seed, over the ranges of
+    # :data:`planish.synthetic.params.RANGES`.
     drawn: bool = False
-    # Whether a run may also end with a warning of its own: then the limits hold for those that do not.
+    # Whether a run may also end with a warning of its own: then the limits hold for those that do
+    # not.
     or_warned: bool = False
     point_um: Length = 100.0  # edge of the larger points of the correlation
     # Fields of SpecimenParams that differ from their defaults; nested as they are there.
@@ -179,8 +195,8 @@ class Scenario(Params):
     ) -> Study:
         """Study of the files of a specimen: what a user would give on the command line.
 
-        ``volumes`` are paths with the axis that runs through the sheet; of a pair, that of the reference is the last.
-        All files state their voxel size, so that none is given.
+        ``volumes`` are paths with the axis that runs through the sheet; of a pair, that of the
+        reference is the last. All files state their voxel size, so that none is given.
         """
         tables = _merged({"correlate": {"point_um": self.point_um}}, self.study)
         sheet = {
@@ -199,7 +215,10 @@ class Scenario(Params):
         return Study.model_validate({"layers": layers, **tables})
 
     def params(self, seed: int, nuisances: str | tuple[str, ...] | None = None) -> SpecimenParams:
-        """Parameters of the specimen of ``seed``; ``nuisances`` replaces the scenario's own choice."""
+        """Parameters of the specimen of ``seed``.
+
+        ``nuisances`` replaces the scenario's own choice.
+        """
         chosen = self.nuisances if nuisances is None else nuisances
         size = SIZES_UM[self.size] if isinstance(self.size, str) else self.size
         params = amended(
@@ -224,7 +243,10 @@ class Scenario(Params):
 
 
 def amended(params: SpecimenParams, changes: dict[str, Any]) -> SpecimenParams:
-    """Replace fields by name, nested as they are; pydantic's ValueError names what is unknown or of a wrong kind."""
+    """Replace fields by name, nested as they are.
+
+    Pydantic's ValueError names what is unknown or of a wrong kind.
+    """
     return TypeAdapter(SpecimenParams).validate_python(_merged(asdict(params), changes))
 
 

@@ -1,4 +1,7 @@
-"""Specimens like a real run: what its results state of sheet, warp and instruments, and what has to be assumed."""
+"""Make specimens like a real run.
+
+From what its results state of sheet, warp and instruments, and what has to be assumed.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,10 @@ _LEAST_HOLES, _BORDER_UM, _HOLE_UM2 = 5, 260.0, 75_000.0
 
 
 def like_run(folder: Path) -> SpecimenTemplate:
-    """Find parameters of specimens like a run of one volume; FileError if it is damaged, InputError if it lacks any."""
+    """Find parameters of specimens like a run of one volume.
+
+    FileError if it is damaged, InputError if it lacks any.
+    """
     run = open_run(folder)
     volumes = [layer for layer in run.study.layers if layer.kind == "volume"]
     if len(volumes) != 1 or "surfaces" not in run.groups:
@@ -79,7 +85,10 @@ class SpecimenTemplate:
         )
 
     def scenario(self, base: Scenario) -> Scenario:
-        """The scenario with this paper and these instruments in place of its own; limits and seeds stay."""
+        """The scenario with this paper and these instruments in place of its own.
+
+        Limits and seeds stay.
+        """
         sections = ("paper", "holes", "warp", "scanner", "camera")
         specimen = {name: asdict(getattr(self.params, name)) for name in sections}
         changes = {
@@ -299,14 +308,18 @@ class SpecimenTemplate:
 def _wavelength(
     centre: Floats, strides: list[int], steps: tuple[float, float], slope: float
 ) -> float:
-    """Wavelength of a sine with this steepest slope and the height of the centre surface: 2 pi A / slope."""
+    """Return the wavelength of a sine with this steepest slope and the centre surface's height.
+
+    It is 2 pi A / slope.
+    """
     heights = _finite(centre)
     y, x = np.indices(centre.shape)[:, np.isfinite(centre)]
     plane = np.stack([np.ones(heights.size), y.astype(np.float64), x.astype(np.float64)], axis=1)
     detrended = heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0]
     span = max(n * e * p for n, e, p in zip(centre.shape, strides, steps, strict=True))
     amplitude = float(np.sqrt(2.0) * detrended.std())
-    # Shorter waves than the surface search passes cannot be in its result; longer ones than the field look like a tilt.
+    # Shorter waves than the surface search passes cannot be in its result; longer ones than the
+    # field look like a tilt.
     return float(np.clip(2 * np.pi * amplitude / max(slope, 1e-6), 800.0, 4 * span))
 
 

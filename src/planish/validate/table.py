@@ -40,7 +40,10 @@ _THICKNESSES = {
 
 
 def by_stage(certificate: Certificate) -> list[tuple[str, list[LedgerLine]]]:
-    """All figures by the title of their stage, in the order of the line, also those that no specimen has."""
+    """Return all figures by the title of their stage, in the order of the line.
+
+    Those that no specimen has are included.
+    """
     lines = certificate.lines().values()
     return [
         (STAGES[stage], list(group))
@@ -49,7 +52,7 @@ def by_stage(certificate: Certificate) -> list[tuple[str, list[LedgerLine]]]:
 
 
 def cells(line: LedgerLine) -> tuple[str, ...]:
-    """Title, unit, mean, standard deviation, worst value, limit and its state, as they are written."""
+    """Return title, unit, mean, standard deviation, worst value, limit and state, as written."""
     numbers = (
         NONE if v is None else number(v, n)
         for v, n in ((line.mean, 3), (line.sd, 2), (line.worst, 3))
@@ -69,7 +72,10 @@ def terminal_rows(certificate: Certificate) -> list[tuple[str, ...]]:
 
 
 def sensitivity_rows(table: Sensitivity) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Column titles and rows: what each nuisance adds to the key figure of each stage, and where it comes in."""
+    """Return column titles and rows: what each nuisance adds to the key figure of each stage.
+
+    The rows also say where it comes in.
+    """
 
     def write(values: Values) -> list[str]:
         return [
@@ -141,7 +147,10 @@ def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
 
 
 def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[str, Any]:
-    """The certificate as plain numbers and sentences; no time of day and no path, so that it can be repeated."""
+    """The certificate as plain numbers and sentences.
+
+    No time of day and no path, so that it can be repeated.
+    """
     lines = certificate.lines()
     options: dict[str, Any] = {"mode": "json", "by_alias": True, "exclude_none": True}
     data: dict[str, Any] = {
@@ -289,7 +298,7 @@ def with_unit(figure: Figure, value: float | None) -> str:
 
 
 def sensitivity_sentences(table: Sensitivity) -> list[str]:
-    """Name the stage that each nuisance harms, then say of each stage if its single errors add up."""
+    """Name the stage each nuisance harms, then say of each stage if its single errors add up."""
     return [
         *(row_sentence(row) for row in table.rows),
         *(sum_sentence(stage, table) for stage in table.keys),

@@ -1,4 +1,7 @@
-"""A run beside the truth of its specimen: which material a place of a file shows, and what is true there."""
+"""Set a run beside the truth of its specimen.
+
+Which material a place of a file shows, and what is true there.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -28,8 +31,8 @@ FITTED = 400
 class Comparison:
     """One run, the files that it read, and the specimen of which they were made.
 
-    All errors are taken over a regular choice of at most some 400 000 columns of the volume, and over the image's
-    pixels. Material is (u, v, s) in um, NaN where a place is missing.
+    All errors are taken over a regular choice of at most some 400 000 columns of the volume, and
+    over the image's pixels. Material is (u, v, s) in um, NaN where a place is missing.
     """
 
     specimen: Specimen
@@ -78,7 +81,10 @@ class Comparison:
         return self.at_columns(self.surfaces["status"].values) == 0
 
     def places(self, heights: Floats, rows: Ints, cols: Ints) -> Floats:
-        """Places (m, n, 3) as x, y, z of the file, in um, of heights (m, n) over the columns ``rows`` and ``cols``."""
+        """Return the places of heights over the columns ``rows`` and ``cols``.
+
+        The places are (m, n, 3) as x, y, z of the file, in um; the heights are (m, n).
+        """
         frame = Frame.of(self.surfaces)
         coordinates = {
             frame.rows: self.surfaces["y"].values[rows][:, None],
@@ -100,7 +106,7 @@ class Comparison:
 
     @property
     def headline(self) -> str:
-        """Property that the run puts first: the coating, or the sheet's thickness where there is none."""
+        """Property that the run puts first: the coating, or without it the sheet's thickness."""
         return next(layer.headline for layer in self.run.results.layers if layer.sheet is not None)
 
     @property
@@ -134,7 +140,7 @@ class Comparison:
 
     @cached_property
     def place_error_um(self) -> Floats:
-        """Error of each pixel: distance in the sheet between the material it shows and the one it was given."""
+        """Error of each pixel: distance in the sheet from the material shown to the one given."""
         u, v = self.true_uv
         return np.hypot(self.linked_material[..., 0] - u, self.linked_material[..., 1] - v)
 
@@ -151,9 +157,10 @@ class Comparison:
 
     @cached_property
     def _offsets(self) -> Floats:
-        """Offsets (k, 2) in (u, v) from the middle of a pixel to the points that its mean is taken over.
+        """Offsets (k, 2) in (u, v) from a pixel's middle to the points that its mean is taken over.
 
-        A pixel is an area: at 12 um it shows the mean of fibres of 20 to 35 um. One of 4 um is taken as a point.
+        A pixel is an area: at 12 um it shows the mean of fibres of 20 to 35 um. One of 4 um is
+        taken as a point.
         """
         truth, axis_offsets = self.specimen.truth, list[Floats]()
         for step in pitch(truth):
@@ -175,7 +182,10 @@ def _where_finite(function: Callable[[Floats], Floats], points: Floats) -> Float
 
 
 def true_thickness(sheet: DrawnSheet, name: str, u: Floats, v: Floats) -> Floats:
-    """True thickness in um at material (u, v); ``name`` as the run calls it. NaN where (u, v) is."""
+    """True thickness in um at material (u, v); ``name`` as the run calls it.
+
+    NaN where (u, v) is.
+    """
     outer, inner = THICKNESSES[name]
     return field_at(sheet, sheet.faces[outer] - sheet.faces[inner], u, v)
 

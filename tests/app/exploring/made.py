@@ -16,7 +16,8 @@ STUDY = '[[layers]]\nname = "volume"\n\n[layers.volume]\npath = "{name}"\n'
 
 
 def put(folder, run, *, volume="sheet.tif"):
-    """Write a made run: its maps, with places in the volume where it holds a sheet, its results and a study."""
+    """Write a made run: its maps, with places in the volume where it holds a sheet, its results and
+    a study."""
     groups = dict(run["groups"])
     if "surfaces" in groups:
         centre, y, x = (groups["surfaces"][name].values for name in ("centre", "y", "x"))
@@ -41,7 +42,8 @@ def put(folder, run, *, volume="sheet.tif"):
 
 
 def codes_of(text, shape, bits, order):
-    """Codes of a packed map, its differences summed up again: the slow counterpart of the script."""
+    """Codes of a packed map, its differences summed up again: the slow counterpart of the
+    script."""
     raw, size = zlib.decompress(base64.b64decode(text)), shape[0] * shape[1]
     differences = [*raw]
     if bits == 16:

@@ -1,4 +1,5 @@
-"""The page of ``planish explore`` as a file: what it holds, what it says, and that nothing else gets in."""
+"""The page of ``planish explore`` as a file: what it holds, what it says, and that nothing else
+gets in."""
 
 import base64
 import hashlib
@@ -44,7 +45,7 @@ def explored(planish, run, tmp_path):
     return Explored(path)
 
 
-# --- values ----------------------------------------------------------------------------------------------------
+# --- values ---------------------------------------------------------------------------------------
 def test_every_value_is_that_of_the_run_to_what_the_page_states(page, linked_run):
     linked = open_run(linked_run).linked
     titles = {str(v.attrs.get("long_name", k)): k for k, v in linked.data_vars.items()}
@@ -117,12 +118,13 @@ def test_a_picture_of_a_slice_shows_the_volume_with_its_top_up(page, specimen_fi
     top = round((stack["top"][k] - 2.0) / 4.0)  # the plane of its first row
     plane = volume[top - shown.shape[0] + 1 : top + 1, round(stack["at"][k] / 4.0)][::-1]
     assert shown.shape == plane.shape
-    # Lossy: grains are noise, layers are not. Turned or shifted by two voxels it would fall far below.
+    # Lossy: grains are noise, layers are not. Turned or shifted by two voxels it would fall far
+    # below.
     assert np.corrcoef(shown.ravel(), plane.ravel())[0, 1] > 0.97
     assert np.corrcoef(shown[::-1].ravel(), plane.ravel())[0, 1] < 0.8
 
 
-# --- what it is made of ----------------------------------------------------------------------------------------
+# --- what it is made of ---------------------------------------------------------------------------
 def test_nothing_but_its_own_style_and_script_may_run_and_nothing_is_asked_of_a_server(page):
     [policy] = [
         attrs["content"]
@@ -148,7 +150,7 @@ def test_nothing_but_its_own_style_and_script_may_run_and_nothing_is_asked_of_a_
     )
 
 
-def test_the_command_says_what_it_wrote_gives_the_same_bytes_again_and_writes_neither_over_nor_into_anything(
+def test_the_command_says_what_it_wrote_repeats_its_bytes_and_writes_over_nothing(
     passes, refuses, linked_run, tmp_path, page
 ):
     path, run = tmp_path / "page.html", bytes_of(linked_run)
@@ -171,7 +173,7 @@ def test_it_refuses_an_output_in_the_run_and_what_is_no_run(refuses, made_run, t
     refuses("explore", tmp_path, "--out", elsewhere, words="is no run", out=False)
 
 
-# --- other runs ------------------------------------------------------------------------------------------------
+# --- other runs -----------------------------------------------------------------------------------
 def test_where_the_volume_is_gone_it_shows_the_slices_of_the_run_and_says_so(planish, tmp_path):
     page = explored(planish, put(tmp_path / "run", a_run()), tmp_path)
     [stack] = page.data["stacks"]
@@ -304,7 +306,7 @@ def test_hostile_names_stay_text(planish, tmp_path):
     assert page.words.count(HOSTILE) >= 5
 
 
-# --- size ------------------------------------------------------------------------------------------------------
+# --- size -----------------------------------------------------------------------------------------
 def test_maps_and_slices_are_thinned_out_to_their_budget_and_the_page_says_so(
     planish, linked_run, tmp_path, monkeypatch, page
 ):

@@ -1,4 +1,5 @@
-"""The page of ``planish explore`` in a browser, opened from a file: with mouse and keys, narrow, without a script."""
+"""The page of ``planish explore`` in a browser, opened from a file: with mouse and keys, narrow,
+without a script."""
 
 import os
 import re
@@ -43,7 +44,8 @@ class Window(Browsed):
 
 @pytest.fixture
 def opened(chromium):
-    """Return a function that opens a page; what it asked for and the faults of its console fail the test at the end."""
+    """Return a function that opens a page; what it asked for and the faults of its console fail the
+    test at the end."""
     windows = []
 
     def begin(path, *, width=1280, height=800, before="", **options):
@@ -89,15 +91,16 @@ def a_pixel(linked):
     return float(linked["x"].values[cols[k]]), float(linked["y"].values[rows[k]])
 
 
-# --- what it shows ---------------------------------------------------------------------------------------------
-def test_cursor_and_slice_have_the_values_of_the_run_under_the_mouse_and_layers_and_colours_are_chosen(
+# --- what it shows --------------------------------------------------------------------------------
+def test_cursor_and_slice_have_the_values_under_the_mouse_and_colours_are_chosen(
     opened, path, linked
 ):
     data, window, at = Explored(path), opened(path), a_pixel(linked)
     window.page.mouse.move(*window.at("Left map", *at, data.data["grid"]))
     told = window.status("Cursor")
     x, y = numbers(told)[:2]
-    # A pixel of the screen is larger than one of the map at most; the cursor says which one it is on.
+    # A pixel of the screen is larger than one of the map at most; the cursor says which one it is
+    # on.
     assert max(abs(x - at[0]), abs(y - at[1])) <= 5.0
     here = linked.sel(x=x, y=y)
     place = [float(here[f"volume_{axis}"]) for axis in "xyz"]
@@ -172,7 +175,8 @@ GREY_BELOW_THE_FACE = """() => {
   }
   return out;
 }"""
-"""In the magnified picture, column by column: by how much it is brighter below the drawn top face than above."""
+"""In the magnified picture, column by column: by how much it is brighter below the drawn top face
+than above."""
 
 
 def drawn_face_lies_on_the_edge_of_the_sheet(window):
@@ -184,9 +188,10 @@ def drawn_face_lies_on_the_edge_of_the_sheet(window):
     assert np.median(steps) > 60
 
 
-# --- selections ------------------------------------------------------------------------------------------------
+# --- selections -----------------------------------------------------------------------------------
 def chosen(data, linked, *, region=None, brush=None):
-    """n and r of what a region and a brush of the coating leave, counted plainly in the values of the page."""
+    """n and r of what a region and a brush of the coating leave, counted plainly in the values of
+    the page."""
     a, b = (data.map(str(linked[name].attrs["long_name"]))[1] for name in ("coating_top", "image"))
     use = linked["valid"].values & np.isfinite(a) & np.isfinite(b)
     if region is not None:
@@ -203,7 +208,8 @@ FULL_COLOURS = """() => {
   const all = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
   let full = 0;
   for (let i = 0; i < all.length; i += 4) {
-    full += Math.max(all[i], all[i + 1], all[i + 2]) - Math.min(all[i], all[i + 1], all[i + 2]) > 60;
+    const colour = all.slice(i, i + 3);
+    full += Math.max(...colour) - Math.min(...colour) > 60;
   }
   return full;
 }"""
@@ -251,13 +257,14 @@ def test_regions_and_brushes_by_fields_and_mouse_leave_the_pixels_that_are_count
     drag(window.page, *at, key="Shift")
     n, of = numbers(window.status("Selection"))[:2]
     assert 0 < n < of
-    # The map is drawn larger than it is, and smoothed; the cursor and the slice's trace are coloured, too.
+    # The map is drawn larger than it is, and smoothed; the cursor and the slice's trace are
+    # coloured, too.
     assert window.page.evaluate(FULL_COLOURS) / before == pytest.approx(n / of, abs=0.1)
     window.view("Scatter").press("Escape")
     assert window.status("Selection").startswith(f"n = {of:.0f} pixels")
 
 
-# --- without a mouse, narrow, without a script -----------------------------------------------------------------
+# --- without a mouse, narrow, without a script ----------------------------------------------------
 def test_all_of_it_works_with_keys_and_every_control_is_reached_and_has_a_name(opened, path):
     window = opened(path)
     left, scatter, slice_ = (window.view(name) for name in ("Left map", "Scatter", "Slice"))
@@ -307,8 +314,10 @@ def test_all_of_it_works_with_keys_and_every_control_is_reached_and_has_a_name(o
     }
     assert wanted - reached == set()
     nameless = window.page.evaluate(
-        """() => [...document.querySelectorAll("input, select, button, [role=application]")].filter((e) =>
-          !(e.labels?.length || e.getAttribute("aria-label") || e.textContent.trim())).map((e) => e.id)"""
+        """() => [...document.querySelectorAll("input, select, button, [role=application]")]
+          .filter((e) => !e.labels?.length && !e.getAttribute("aria-label"))
+          .filter((e) => !e.textContent.trim())
+          .map((e) => e.id)"""
     )
     assert nameless == []
 
@@ -344,7 +353,7 @@ def test_without_a_script_in_an_old_browser_or_damaged_it_says_so_and_shows_the_
         assert not window.page.locator("#desk").is_visible()
 
 
-# --- other runs ------------------------------------------------------------------------------------------------
+# --- other runs -----------------------------------------------------------------------------------
 def test_a_relation_that_is_withheld_is_not_drawn(opened, tmp_path):
     run = a_run()
     run["results"]["checks"].append(
@@ -375,8 +384,9 @@ CURSOR = """async () => {
   window.requestAnimationFrame = (draw) => { job = draw; return 1; };
   for (let k = 0; k < 60; k++) {
     const x = box.left + box.width * (0.2 + 0.6 * (((k * 37) % 60) / 60));
-    const y = box.top + box.height * (0.2 + 0.6 * (((k * 23) % 60) / 60)), begin = performance.now();
-    view.dispatchEvent(new PointerEvent("pointermove", { clientX: x, clientY: y, pointerType: "mouse" }));
+    const y = box.top + box.height * (0.2 + 0.6 * (((k * 23) % 60) / 60));
+    const begin = performance.now(), move = { clientX: x, clientY: y, pointerType: "mouse" };
+    view.dispatchEvent(new PointerEvent("pointermove", move));
     if (job) { const draw = job; job = null; draw(0); }
     document.body.getBoundingClientRect();
     times.push(performance.now() - begin);
@@ -384,7 +394,8 @@ CURSOR = """async () => {
   window.requestAnimationFrame = frame;
   return times;
 }"""
-"""Sixty moves of the mouse, each over to another slice: from the event until all is drawn and laid out."""
+"""Sixty moves of the mouse, each over to another slice: from the event until all is drawn and laid
+out."""
 
 
 @pytest.mark.nightly

@@ -1,4 +1,5 @@
-"""Slices read from a volume: the same voxels for every axis through the sheet, whatever the blocks."""
+"""Slices read from a volume: the same voxels for every axis through the sheet, whatever the
+blocks."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,7 @@
-"""The maps of a run that its page shows, on one grid, thinned out where they would make it too large."""
+"""The maps of a run that its page shows, on one grid.
+
+They are thinned out where they would make the page too large.
+"""
 
 import base64
 import math
@@ -62,8 +65,9 @@ class Packed:
 def packed(values: NDArray[Any], *, bits: int = 8) -> Packed:
     """Pack a map (rows, cols); NaN is missing.
 
-    Eight bits leave 252 steps over the range of the values, sixteen 65 532. Where the outermost 0.05 % at an end would
-    take a third of them, these are only known to lie beyond. Whole multiples of a step lose nothing if codes suffice.
+    Eight bits leave 252 steps over the range of the values, sixteen 65 532. Where the outermost
+    0.05 % at an end would take a third of them, these are only known to lie beyond. Whole multiples
+    of a step lose nothing if codes suffice.
     """
     numbers = np.asarray(values, dtype=np.float64)
     finite = numbers[np.isfinite(numbers)]
@@ -103,7 +107,10 @@ def _range(finite: Floats) -> tuple[float, float]:
 
 
 def _spacing(finite: Floats, max_steps: int) -> float | None:
-    """The step that all values lie a whole number of apart, where so few of them span the range; else None."""
+    """The step that all values lie a whole number of apart, where so few of them span the range.
+
+    Else None.
+    """
     unique = np.unique(finite)
     if unique.size < 2:
         return None
@@ -163,7 +170,10 @@ class Group:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapsOfPage:
-    """All maps, their common grid, and how often it was halved; ``headline`` are the values that lead, NaN outside."""
+    """All maps, their common grid, and how often it was halved.
+
+    ``headline`` are the values that lead, NaN outside.
+    """
 
     maps: tuple[PageMap, ...]
     groups: tuple[Group, ...]
@@ -182,7 +192,10 @@ class MapsOfPage:
 
 
 def maps_of(run: Run) -> MapsOfPage:
-    """Read and pack the maps of a run, halved until they fit into the budget; InputError where it holds none."""
+    """Read and pack the maps of a run, halved until they fit into the budget.
+
+    InputError where it holds none.
+    """
     map_names = _map_names(run)
     shape = Grid.of(run.groups[map_names[0][0]]).shape
     n_maps = sum(len(names) for _, names in map_names)
@@ -194,7 +207,7 @@ def maps_of(run: Run) -> MapsOfPage:
 
 
 def _map_names(run: Run) -> list[tuple[str, list[str]]]:
-    """Groups and the names of their maps: the headline of each first, then what it is compared with."""
+    """Groups and the names of their maps: each headline first, then what it is compared with."""
     results, groups = run.results, run.groups
     group_names = (
         ["linked"] if "linked" in groups else [f"layers/{layer.name}" for layer in results.layers]
@@ -302,7 +315,7 @@ def _packed_map(
 
 
 def _halved_maps(run: Run, group: str, names: list[str], halvings: int) -> xr.Dataset:
-    """Maps of a group, halved so often: from the store's own smaller copies as far as it has them."""
+    """Maps of a group, halved so often: from the store's smaller copies as far as it has them."""
     assert run.folder is not None
     store = run.folder / MAPS
     overviews = overviews_of(store, group)[:halvings]

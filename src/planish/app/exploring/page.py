@@ -177,7 +177,9 @@ class Explored:
 def explore(
     run: str | Path, out: str | Path, *, compute: Compute | None = None, progress: Progress = silent
 ) -> Explored:
-    """Write the maps of a run, their scatter and its slices as one HTML file with a cursor that links them.
+    """Write the maps of a run, their scatter and its slices as one HTML file.
+
+    A cursor links them.
 
     Parameters
     ----------
@@ -195,8 +197,9 @@ def explore(
 
     Notes
     -----
-    The volume is read where it stands unchanged; otherwise the page has the slices that the run keeps, and says so. No
-    page is larger than 12 MB: maps are averaged and slices left out where they would take more.
+    The volume is read where it stands unchanged; otherwise the page has the slices that the run
+    keeps, and says so. No page is larger than 12 MB: maps are averaged and slices left out where
+    they would take more.
     """
     compute, out = compute or Compute(), Path(out)
     refuse_existing(out)

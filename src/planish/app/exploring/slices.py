@@ -1,4 +1,7 @@
-"""The slices of a page: read from the volume by window, or those that the run keeps; with the faces found in them."""
+"""The slices of a page: read from the volume by window, or those that the run keeps.
+
+With the faces found in them.
+"""
 
 import base64
 import io
@@ -36,10 +39,11 @@ _MAX_SLICES, _MAX_COLS, _MAX_ROWS, _MAX_POINTS = 320, 1600, 300, 600
 class Stack:
     """The slices of one sheet, each with its top side up.
 
-    ``spec`` is what the script has to know, in um: ``sheet``; the axes ``rows`` across the slices, ``cols`` along them
-    and ``through`` the sheet; ``sign``, which makes the top the larger height; where each slice lies along ``rows``
-    (``at``), the height of its upper edge (``top``), turned by ``sign``, and its start along ``cols``; width and height
-    of a picture (``size``), where each ends in all of them, their format (``kind``), first point and pitch of lines.
+    ``spec`` is what the script has to know, in um: ``sheet``; the axes ``rows`` across the slices,
+    ``cols`` along them and ``through`` the sheet; ``sign``, which makes the top the larger height;
+    where each slice lies along ``rows`` (``at``), the height of its upper edge (``top``), turned by
+    ``sign``, and its start along ``cols``; width and height of a picture (``size``), where each
+    ends in all of them, their format (``kind``), first point and pitch of lines.
     """
 
     spec: dict[str, Any]
@@ -111,7 +115,10 @@ def _from_volume(
     compute: Compute,
     progress: Progress,
 ) -> tuple[xr.Dataset, xr.Dataset, int]:
-    """Slices as the run keeps them, with the surfaces in their rows, and how many rows of voxels apart they are."""
+    """Slices as the run keeps them, with the surfaces in their rows.
+
+    Also how many rows of voxels apart they are.
+    """
     try:
         params = volume_params(run, layer, progress)
         if is_section_folder(params.path):
@@ -188,7 +195,10 @@ def _read_greys(
     scale: Scale,
     progress: Progress,
 ) -> NDArray[np.uint8]:
-    """Grey values (rows, depth, cols), of every ``col_step`` columns the mean, read in whole blocks along z."""
+    """Read grey values (rows, depth, cols) in whole blocks along z.
+
+    Every ``col_step`` columns give their mean.
+    """
     n_cols = volume.sizes[frame.cols] // col_step
     greys = np.zeros((rows.size, planes.stop - planes.start, n_cols), np.uint8)
     row_step = int(rows[1] - rows[0]) if rows.size > 1 else 1
@@ -222,7 +232,7 @@ def _read_greys(
 def _blocks(
     volume: xr.DataArray, frame: Frame, rows: NDArray[np.intp], planes: slice
 ) -> Iterator[slice]:
-    """Parts of the volume along z, so that each plane of a file, or chunk of a store, is read once."""
+    """Parts of the volume along z, so each plane of a file, or chunk of a store, is read once."""
     chunk_planes = chunks_of(volume)[0]
     sizes = {
         frame.rows: rows.size,

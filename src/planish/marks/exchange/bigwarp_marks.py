@@ -1,4 +1,7 @@
-"""BigWarp (Fiji): a CSV without header, or the landmarks in its JSON; ``Infinity`` is a position that is not set."""
+"""BigWarp (Fiji): a CSV without header, or the landmarks in its JSON.
+
+``Infinity`` is a position that is not set.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -22,7 +25,7 @@ def looks_like(content: Content) -> bool:
     return has_state or bool({"movingPoints", "landmarks"} & content.json.keys())
 
 
-def read(content: Content) -> list[PointList]:
+def read(content: Content) -> list[PointList]:  # noqa: C901
     """Read the moving and target points."""
     name = content.name
     rows: list[tuple[int, list[Any]]] = [*content.rows.rows]

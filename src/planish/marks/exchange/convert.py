@@ -1,4 +1,7 @@
-"""Files of marks -> marks, and back: in any format, recognised by its content and not by its name."""
+"""Convert files of marks to marks, and back, in any format.
+
+The format is recognised by the content of a file and not by its name.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -33,20 +36,25 @@ def read_any(
     path : str or Path
         A file with both layers, or with one.
     second : str or Path, optional
-        The fixed layer, where ``path`` holds the moving one only. Marks belong together in their order.
+        The fixed layer, where ``path`` holds the moving one only. Marks belong together in their
+        order.
     moving, fixed : LayerPixels
-        What is known of the layers: pixel size (needed where the file counts in pixels), place of the first pixel, from
-        which other programs count, and size. Where both sizes are known, marks that cannot lie in a layer are refused.
+        What is known of the layers: pixel size (needed where the file counts in pixels), place of
+        the first pixel, from which other programs count, and size. Where both sizes are known,
+        marks that cannot lie in a layer are refused.
     unit : {"um", "mm", "pixel"}, optional
-        Unit of a file that does not state its own; um for BigWarp and ImageJ, mm for elastix where not given.
+        Unit of a file that does not state its own; um for BigWarp and ImageJ, mm for elastix where
+        not given.
     swap : bool
-        Whether the moving layer of the file is the fixed one here: the image was moved onto the map or the volume.
+        Whether the moving layer of the file is the fixed one here: the image was moved onto the map
+        or the volume.
 
     Returns
     -------
     Dataset, dims (mark)
-        As :func:`planish.marks.exchange.make_marks` makes it, lengths in um, x to the right and y down.
-        ``attrs["read_from"]`` says the format, the unit, and whether the file stated the unit.
+        As :func:`planish.marks.exchange.make_marks` makes it, lengths in um, x to the right and y
+        down. ``attrs["read_from"]`` says the format, the unit, and whether the file stated the
+        unit.
 
     Raises
     ------
@@ -122,14 +130,15 @@ def write_any(
     marks : Dataset, dims (mark)
         As `read_any` gives them; holes go through `marks_of_holes`.
     path : str or Path
-        File to make; nothing is overwritten. For elastix, which takes one side from each file, ``-moving`` and
-        ``-fixed`` are put before the suffix.
+        File to make; nothing is overwritten. For elastix, which takes one side from each file,
+        ``-moving`` and ``-fixed`` are put before the suffix.
     to : str, optional
         One of `FORMATS` but ImageJ; as the name asks where not given.
     moving, fixed : LayerPixels
         Pixel sizes, in place of those that the marks hold.
     unit : {"um", "mm", "pixel"}, optional
-        Unit of a BigWarp (um if not given) or elastix file (mm): that of the images as the other program opens them.
+        Unit of a BigWarp (um if not given) or elastix file (mm): that of the images as the other
+        program opens them.
     swap : bool
         Whether the fixed layer is to be the moving one of the other program.
 
@@ -149,9 +158,9 @@ def write_any(
 
     Notes
     -----
-    Other programs count from the centre of the first pixel, so the origin of a layer is taken off. ``json`` keeps all;
-    ``bigwarp`` and ``slicer`` keep labels, marks that are not used and marks of one layer only; ``csv``, ``elastix``
-    and ``matlab`` hold the pairs in use.
+    Other programs count from the centre of the first pixel, so the origin of a layer is taken off.
+    ``json`` keeps all; ``bigwarp`` and ``slicer`` keep labels, marks that are not used and marks of
+    one layer only; ``csv``, ``elastix`` and ``matlab`` hold the pairs in use.
     """
     place, name = Path(path), to or target_of(path)
     parts = marks_bytes(marks, name, moving=moving, fixed=fixed, unit=unit, swap=swap)
@@ -189,7 +198,8 @@ def marks_bytes(
         )
     if mark_format.unit is None:
         return module_of(to).write(marks, {})
-    # Marks as the other program expects them, and positions by role or by the name of the only layer.
+    # Marks as the other program expects them, and positions by role or by the name of the only
+    # layer.
     names, overrides = layer_names(marks), [moving, fixed]
     single = len(names) == 1 and mark_format.single
     sides = names if single else list(model.pair_of_layers(marks, name="This set of marks"))

@@ -1,8 +1,9 @@
 """planish's own tables, lengths in um: pairs of marks, and holes of one layer.
 
-The first side of a pair is given in one of two frames, which the header names: ``moving_x_um, moving_y_um`` on the
-flattened map, or ``volume_x_um, volume_y_um, volume_z_um`` in the volume. The second side, ``fixed_x_um, fixed_y_um``,
-is the image. Rows whose ``used`` is 0 or false are left out.
+The first side of a pair is given in one of two frames, which the header names: ``moving_x_um,
+moving_y_um`` on the flattened map, or ``volume_x_um, volume_y_um, volume_z_um`` in the volume. The
+second side, ``fixed_x_um, fixed_y_um``, is the image. Rows whose ``used`` is 0 or false are left
+out.
 """
 
 from collections.abc import Iterable, Sequence
@@ -87,8 +88,9 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
     Parameters
     ----------
     dataset : Dataset, dims (mark), in um
-        ``moving_x, moving_y`` (or ``volume_x, volume_y, volume_z``), ``fixed_x, fixed_y``; optionally ``label``,
-        ``residual``, ``leave_one_out``, ``weight`` and ``used``, under these names or with ``_um`` at the end.
+        ``moving_x, moving_y`` (or ``volume_x, volume_y, volume_z``), ``fixed_x, fixed_y``;
+        optionally ``label``, ``residual``, ``leave_one_out``, ``weight`` and ``used``, under these
+        names or with ``_um`` at the end.
     path : str or Path
 
     Raises

@@ -1,8 +1,8 @@
 """elastix and transformix: the word ``point`` or ``index``, the number of points, one point a line.
 
-``point`` means coordinates in the space of the image, in ITK usually mm; ``index`` (or no word at all) means pixels
-from 0. One file holds one side: ``-fp`` the fixed, ``-mp`` the moving points. elastix rounds an index to whole pixels,
-so that points are always written as ``point``.
+``point`` means coordinates in the space of the image, in ITK usually mm; ``index`` (or no word at
+all) means pixels from 0. One file holds one side: ``-fp`` the fixed, ``-mp`` the moving points.
+elastix rounds an index to whole pixels, so that points are always written as ``point``.
 """
 
 import re
@@ -23,7 +23,7 @@ _NEEDED = (
 
 
 def looks_like(content: Content) -> bool:
-    """Return whether it begins with ``point`` or ``index``, or with a whole number alone in its line."""
+    """Return whether it begins with ``point``, ``index``, or a whole number alone in its line."""
     first, *_ = [*content.text.split(maxsplit=1), ""]
     line, *_ = [*content.text.lstrip().splitlines(), ""]
     return first in ("point", "index") or _is_count(line.strip())

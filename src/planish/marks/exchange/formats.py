@@ -1,12 +1,15 @@
-"""The formats of marks: one entry in one table, and one module that reads, writes and recognises it.
+"""List the formats of marks, each by one entry in one table and one module.
+
+The module reads, writes and recognises the format.
 
 The module of a format ``x`` is ``x_marks.py`` with the functions
 
 - ``looks_like(content)``: whether a file is of this format;
 - ``read(content)``: marks in um, or one or two lists of points in the unit of the file;
-- ``write(marks, points)``, where it is written: bytes of the files, by what is put before the suffix of their name.
-  ``points`` are positions (n, 2) or (n, 3) in the unit of the file from the centre of the first pixel, NaN where a mark
-  is not in the layer, by role (``moving``, ``fixed``) or name of the only layer; empty for planish's own formats.
+- ``write(marks, points)``, where it is written: bytes of the files, by what is put before the
+  suffix of their name. ``points`` are positions (n, 2) or (n, 3) in the unit of the file from the
+  centre of the first pixel, NaN where a mark is not in the layer, by role (``moving``, ``fixed``)
+  or name of the only layer; empty for planish's own formats.
 """
 
 import importlib
@@ -24,11 +27,12 @@ Unit = Literal["um", "mm", "pixel"]
 class MarkFormat:
     """A format of marks.
 
-    ``title`` is its name in messages, ``known_by`` that in the list of known formats, ``row`` its row of the table in
-    ``docs/marks-files.md``: format, what it holds, unit, first pixel's centre, direction, what is kept when it is
-    written. ``suffixes`` ask for it. It is written in ``unit`` (None for planish's own, which keep the layer's origin),
-    or in another with ``free_unit``. ``pairs_only``: it holds only marks that are used and lie in both layers;
-    ``single``: one layer alone may be written.
+    ``title`` is its name in messages, ``known_by`` that in the list of known formats, ``row`` its
+    row of the table in ``docs/marks-files.md``: format, what it holds, unit, first pixel's centre,
+    direction, what is kept when it is written. ``suffixes`` ask for it. It is written in ``unit``
+    (None for planish's own, which keep the layer's origin), or in another with ``free_unit``.
+    ``pairs_only``: it holds only marks that are used and lie in both layers; ``single``: one layer
+    alone may be written.
     """
 
     title: str
@@ -162,7 +166,9 @@ def module_of(name: str) -> Any:
 
 
 def target_of(path: str | Path) -> str:
-    """Return the format that a suffix asks for: ``.mrk.json`` Slicer, ``.json`` planish, ``.txt`` elastix ...
+    """Return the format that a suffix asks for.
+
+    ``.mrk.json`` Slicer, ``.json`` planish, ``.txt`` elastix ...
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""ImageJ: results of the point tool with the columns ``X`` and ``Y``, in the unit of the image. Read only."""
+"""ImageJ: results of the point tool with the columns ``X`` and ``Y``, in the unit of the image.
+
+Read only.
+"""
 
 from planish.marks.exchange.csv_marks import read_points
 from planish.marks.exchange.lists import Content, PointList

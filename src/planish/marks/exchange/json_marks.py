@@ -1,4 +1,7 @@
-"""The marks' own JSON (docs/marks-files.md): everything that is known of them, one mark a line, with a version."""
+"""Read and write the marks' own JSON (docs/marks-files.md).
+
+It holds everything that is known of them, one mark a line, with a version.
+"""
 
 from collections.abc import Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar

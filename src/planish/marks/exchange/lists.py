@@ -1,4 +1,7 @@
-"""Lists of points as other programs write them -> marks in um: units, origins, which list is which."""
+"""Turn lists of points as other programs write them into marks in um.
+
+Units, origins, and which list is which.
+"""
 
 import json
 from collections import Counter
@@ -21,14 +24,20 @@ MOST_MARKS = 100_000
 
 
 class Part(BaseModel):
-    """A part of a JSON file of marks or holes: types are not converted, and unknown keys are faults."""
+    """A part of a JSON file of marks or holes.
+
+    Types are not converted, and unknown keys are faults.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Content:
-    """A file of marks: its name, for messages, and what it holds; no text in one of MATLAB, no rows in JSON."""
+    """A file of marks: its name, for messages, and what it holds.
+
+    No text in one of MATLAB, no rows in JSON.
+    """
 
     name: str
     data: bytes
@@ -75,7 +84,10 @@ def json_text(content: object) -> str:
 def json_file(
     header: Mapping[str, Any], list_name: str, brackets: str, entries: Sequence[str]
 ) -> str:
-    """Write a JSON object: a head, one key a line, and under a name a list or an object, one entry a line."""
+    """Write a JSON object: a head, and under a name a list or an object.
+
+    The head has one key a line, the list or object one entry a line.
+    """
     header_text = "".join(f' "{key}": {json_text(content)},\n' for key, content in header.items())
     entries_text = ",\n".join(f"  {entry}" for entry in entries)
     return f'{{\n{header_text} "{list_name}": {brackets[0]}\n{entries_text}\n {brackets[1]}\n}}\n'
@@ -111,10 +123,11 @@ def _unique_keys(key_values: list[tuple[str, Any]]) -> dict[str, Any]:
 class PointList:
     """Points of one layer in the numbers of a file.
 
-    ``points`` (n, 2) or (n, 3) are in ``unit``, which the file states (``stated``) or which is usual for it; pixels
-    count from 0, and NaN is a point that is not set. No labels: they have numbers only; no ``used``: all are used.
-    ``placed`` positions are those of the layer already; others count from the centre of its first pixel. ``extras``
-    and ``source`` are those of `MarkPlaces`, ``about`` is that of `make_marks`.
+    ``points`` (n, 2) or (n, 3) are in ``unit``, which the file states (``stated``) or which is
+    usual for it; pixels count from 0, and NaN is a point that is not set. No labels: they have
+    numbers only; no ``used``: all are used. ``placed`` positions are those of the layer already;
+    others count from the centre of its first pixel. ``extras`` and ``source`` are those of
+    `MarkPlaces`, ``about`` is that of `make_marks`.
     """
 
     title: str
@@ -204,7 +217,7 @@ class LayerPixels:
         )
 
 
-def join_lists(
+def join_lists(  # noqa: C901
     lists: Sequence[PointList],
     *,
     name: str,
@@ -213,9 +226,12 @@ def join_lists(
     unit: Unit | None,
     swap: bool,
 ) -> xr.Dataset:
-    """Join marks in um from one list (layer ``marks``), or two whose points belong together in their order.
+    """Join marks in um from one list (layer ``marks``) or two.
 
-    They are ``moving`` (``volume`` where its z varies) and ``fixed``, exchanged where their names or ``swap`` say so.
+    The points of two lists belong together in their order.
+
+    They are ``moving`` (``volume`` where its z varies) and ``fixed``, exchanged where their names
+    or ``swap`` say so.
     """
     for point_list in lists:
         check_count(name, len(point_list.points))
@@ -274,11 +290,15 @@ def join_lists(
 def _places(
     point_list: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str
 ) -> MarkPlaces:
-    """Convert points to um, shape (n, 2), or (n, 3) where z says something; and what else is known, in um too."""
+    """Convert points to um, shape (n, 2), or (n, 3) where z says something.
+
+    And what else is known, in um too.
+    """
     coordinates = point_list.points
     if coordinates.shape[1] == 3:
         z = coordinates[:, 2][np.isfinite(coordinates[:, 2])]
-        # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a picture.
+        # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a
+        # picture.
         if not z.any() or (side == "fixed" and np.ptp(z) == 0):
             coordinates = coordinates[:, :2]
     origin, factor = facts.frame(unit or point_list.unit, coordinates.shape[1], name, side)

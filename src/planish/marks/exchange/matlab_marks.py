@@ -1,4 +1,7 @@
-"""MATLAB: ``movingPoints``, ``fixedPoints`` of the Control Point Selection tool; the first pixel's centre is (1, 1)."""
+"""MATLAB: ``movingPoints``, ``fixedPoints`` of the Control Point Selection tool.
+
+The first pixel's centre is (1, 1).
+"""
 
 import io
 import warnings
@@ -21,7 +24,10 @@ _SAVE = (
 
 
 def looks_like(content: Content) -> bool:
-    """Return whether it begins as a file of MATLAB 5 to 7.3, or is called one; version 4 has no heading."""
+    """Return whether it begins as a file of MATLAB 5 to 7.3, or is called one.
+
+    Version 4 has no heading.
+    """
     return not content.text
 
 

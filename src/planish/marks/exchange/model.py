@@ -1,6 +1,7 @@
 """Marks as one dataset: each has one label, and a position or none in each layer.
 
-A layer is a picture of the sheet: the flattened map (``moving``), the volume (``volume``), an image (``fixed``) ...
+A layer is a picture of the sheet: the flattened map (``moving``), the volume (``volume``), an image
+(``fixed``) ...
 """
 
 from __future__ import annotations
@@ -49,7 +50,10 @@ class MarkPlaces:
 
     @classmethod
     def of_holes(cls, holes: xr.Dataset, rows: Ints, source: str = "detected") -> MarkPlaces:
-        """Give places of some holes of `find_holes`, ``x``, ``y`` and any of `EXTRAS`; NaN where the row is -1."""
+        """Give places of some holes of `find_holes`, ``x``, ``y`` and any of `EXTRAS`.
+
+        NaN where the row is -1.
+        """
         values = {
             name: np.append(holes[name].values, np.nan)[rows]
             for name in ("x", "y", *EXTRAS)
@@ -78,16 +82,17 @@ def make_marks(
     used : sequence of bool, length n, optional
         Whether a mark takes part in a fit; all where not given.
     about : mapping of str to mapping, optional
-        What is known of a layer: ``title``, ``pixel_um``, ``origin_um`` and ``size_px`` as ``{"x": ..., "y": ...}``,
-        ``side`` (top or bottom), ``machine_direction_deg``.
+        What is known of a layer: ``title``, ``pixel_um``, ``origin_um`` and ``size_px`` as ``{"x":
+        ..., "y": ...}``, ``side`` (top or bottom), ``machine_direction_deg``.
     results : mapping of str to ndarray, shape (n,), in um, optional
         ``residual`` and ``leave_one_out`` of a fit.
 
     Returns
     -------
     Dataset, dims (mark)
-        ``label``, ``used``, and for each layer ``{layer}_x``, ``{layer}_y``, ``{layer}_source``, further
-        ``{layer}_z`` and those of `EXTRAS` that are known. ``attrs["layers"]`` holds ``about``.
+        ``label``, ``used``, and for each layer ``{layer}_x``, ``{layer}_y``, ``{layer}_source``,
+        further ``{layer}_z`` and those of `EXTRAS` that are known. ``attrs["layers"]`` holds
+        ``about``.
 
     Raises
     ------
@@ -130,7 +135,10 @@ def make_marks(
 
 
 def layer_names(marks: xr.Dataset) -> list[str]:
-    """Return the names of the layers, in order; also of pairs and of a run's marks, which have no list of layers."""
+    """Return the names of the layers, in order.
+
+    Also of pairs and of a run's marks, which have no list of layers.
+    """
     ends = [str(name)[:-2] for name in marks.variables if str(name).endswith("_x")]
     names = [name for name in ends if f"{name}_y" in marks and name != RESIDUAL]
     listed: Mapping[str, Any] = marks.attrs.get("layers", {})
@@ -145,7 +153,10 @@ def about_layer(marks: xr.Dataset, layer: str) -> dict[str, Any]:
 
 
 def points_of(marks: xr.Dataset, layer: str) -> Floats:
-    """Return positions in one layer, shape (n, 2) or (n, 3), in um; NaN where a mark is not in it."""
+    """Return positions in one layer, shape (n, 2) or (n, 3), in um.
+
+    NaN where a mark is not in it.
+    """
     axes = [f"{layer}_{axis}" for axis in "xyz" if f"{layer}_{axis}" in marks]
     return np.stack([marks[name].values for name in axes], axis=1).astype(np.float64)
 
@@ -183,7 +194,10 @@ def labels_of(marks: xr.Dataset) -> list[str]:
 
 
 def tiles_of(marks: xr.Dataset) -> Bools:
-    """Return which marks are tiles of texture in any layer: these are no holes and have no diameter."""
+    """Return which marks are tiles of texture in any layer.
+
+    These are no holes and have no diameter.
+    """
     sources = [
         marks[f"{layer}_source"].values == "tile"
         for layer in layer_names(marks)
@@ -204,7 +218,9 @@ def used_of(marks: xr.Dataset) -> Bools:
 def marks_of_holes(
     holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | None = None
 ) -> xr.Dataset:
-    """Make marks with one layer of holes as :func:`planish.marks.find_holes` and `read_holes` give them.
+    """Make marks with one layer of holes.
+
+    The holes are as :func:`planish.marks.find_holes` and `read_holes` give them.
 
     Parameters
     ----------
@@ -222,7 +238,10 @@ def marks_of_holes(
 def join_holes(
     moving: xr.Dataset, fixed: xr.Dataset, pairs: Ints | None = None, labels: Sequence[str] = ()
 ) -> xr.Dataset:
-    """Make marks of two layers' holes: ``pairs`` (k, 2: rows of moving and fixed), with labels, then single holes."""
+    """Make marks of two layers' holes: first ``pairs``, with labels, then single holes.
+
+    ``pairs`` is (k, 2: rows of moving and fixed).
+    """
     paired_rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
     unpaired_rows = [
         np.setdiff1d(np.arange(h.sizes["mark"]), paired_rows[:, k])
@@ -242,7 +261,9 @@ def join_holes(
 
 
 def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
-    """Return the holes of one layer: ``x``, ``y`` (um), ``label`` and what else is known of the marks in it.
+    """Return the holes of one layer.
+
+    ``x``, ``y`` (um), ``label`` and what else is known of the marks in it.
 
     Raises
     ------
@@ -258,10 +279,10 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
 
 
 def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: float) -> xr.Dataset:
-    """Give marks the diameters of the holes that they lie in, and add the holes in which none of them lies.
+    """Give marks the diameters of the holes they lie in, and add the holes that hold none of them.
 
-    ``holes`` are marks of the layer, with diameters. Those known in ``marks`` stay; without a hole, ``usual_um``.
-    Tiles of texture are no holes: they are given none.
+    ``holes`` are marks of the layer, with diameters. Those known in ``marks`` stay; without a hole,
+    ``usual_um``. Tiles of texture are no holes: they are given none.
     """
     holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer]) & ~tiles_of(holes)))
     name, hole_count = f"{layer}_diameter", holes.sizes["mark"]
@@ -312,7 +333,8 @@ def used_pairs(
     ----------
     marks : Dataset, dims (mark)
     moving, fixed : str, optional
-        Names of the layers; ``moving`` (or ``volume``) and ``fixed`` where they are there, otherwise the first two.
+        Names of the layers; ``moving`` (or ``volume``) and ``fixed`` where they are there,
+        otherwise the first two.
     least : int
         Fewer pairs are an error.
     name : str
@@ -321,7 +343,8 @@ def used_pairs(
     Returns
     -------
     Dataset, dims (mark)
-        ``label``, ``fixed_x, fixed_y`` and ``moving_x, moving_y`` or ``volume_x, volume_y, volume_z``, in um.
+        ``label``, ``fixed_x, fixed_y`` and ``moving_x, moving_y`` or ``volume_x, volume_y,
+        volume_z``, in um.
 
     Raises
     ------
@@ -412,7 +435,10 @@ def check_marks(marks: xr.Dataset, name: str) -> None:
 
 
 def check_plausible(marks: xr.Dataset, name: str) -> None:
-    """Refuse marks that cannot be um in their layer, where its pixel size and its size in pixels are known."""
+    """Refuse marks that cannot be um in their layer.
+
+    Checked where the layer's pixel size and its size in pixels are known.
+    """
     stated = marks.attrs.get("read_from", {}).get("stated", True)
     for layer in layer_names(marks):
         about = {"origin_um": {"x": 0.0, "y": 0.0}} | about_layer(marks, layer)
@@ -469,7 +495,10 @@ def _remedy(unit: str, stated: bool) -> str:
 
 
 def _inside(points: Floats, size: Floats) -> Bools:
-    """Return which points lie in a layer, or outside by a twentieth of it: borders are cut in many ways."""
+    """Return which points lie in a layer, or outside by a twentieth of it.
+
+    Borders are cut in many ways.
+    """
     return np.all((points >= -0.05 * size) & (points <= 1.05 * size), axis=1)
 
 

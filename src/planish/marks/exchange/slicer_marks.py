@@ -1,8 +1,9 @@
 """3D Slicer: point lists in ``.mrk.json``, in mm.
 
-In ``LPS``, x runs to the patient's left and y to the back, which for a picture that is read without a direction of its
-own is right and down, as here. In ``RAS`` both signs are opposite. Two lists belong together in the order of
-their points; a point that is not selected takes no part in Slicer's own fits.
+In ``LPS``, x runs to the patient's left and y to the back, which for a picture that is read without
+a direction of its own is right and down, as here. In ``RAS`` both signs are opposite. Two lists
+belong together in the order of their points; a point that is not selected takes no part in Slicer's
+own fits.
 """
 
 import json

@@ -1,4 +1,7 @@
-"""Polygons that a user declares as artefacts, from GeoJSON or ImageJ -> which pixels they cover; one file of a run."""
+"""Polygons that a user declares as artefacts, from GeoJSON or ImageJ -> which pixels they cover.
+
+One file of a run.
+"""
 
 import lazy_loader as lazy
 

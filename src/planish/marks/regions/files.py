@@ -1,9 +1,12 @@
-"""Files of regions: GeoJSON (RFC 7946) with coordinates in um, x then y, read and written; those of ImageJ are read.
+"""Files of regions: GeoJSON (RFC 7946) with coordinates in um, x then y, read and written.
 
-Which program wrote a file is recognised by its first bytes. ImageJ saves a selection, ``.roi``, or those of the ROI
-Manager, ``.zip``. Its header is that of ``ij.io.RoiDecoder`` (public domain): 64 bytes, big-endian, then places in its
-box as shorts, and behind them those of a finer selection as floats. A second header holds the name and the properties.
-Coordinates are in pixels and 0 at the corner of the first one.
+Those of ImageJ are read.
+
+Which program wrote a file is recognised by its first bytes. ImageJ saves a selection, ``.roi``, or
+those of the ROI Manager, ``.zip``. Its header is that of ``ij.io.RoiDecoder`` (public domain): 64
+bytes, big-endian, then places in its box as shorts, and behind them those of a finer selection as
+floats. A second header holds the name and the properties. Coordinates are in pixels and 0 at the
+corner of the first one.
 """
 
 import io
@@ -45,7 +48,8 @@ _NO_AREA = {
 }
 _OVERLAYS = {1: "a text", 2: "an arrow", 4: "an image"}
 _MOVE, _LINE, _QUADRATIC, _CUBIC, _CLOSE = range(5)  # codes of composite selections
-# ImageJ takes a pixel whose centre lies on a border where the region lies left of it, planish where it lies right.
+# ImageJ takes a pixel whose centre lies on a border where the region lies left of it, planish where
+# it lies right.
 _NUDGE = np.array([2.0**-26, 2.0**-34])
 _DRAW = "Draw each region as a polygon, rectangle, oval or freehand selection, and save it again."
 _LARGEST_FILE = 64_000_000
@@ -67,7 +71,8 @@ def read_regions(path: str | Path) -> Regions:
     Raises
     ------
     FileError
-        If the file cannot be read, is damaged, too large, or holds something else than polygons; all faults are named.
+        If the file cannot be read, is damaged, too large, or holds something else than polygons;
+        all faults are named.
     """
     name = Path(path).name
     content = read_bytes(path, what="file of regions", most_bytes=_LARGEST_FILE)
@@ -151,8 +156,11 @@ def _unpacked(data: bytes, name: str) -> list[tuple[str, bytes]]:
     return files
 
 
-def _selection(data: bytes, default_name: str) -> Region:
-    """Make a region of a selection; ValueError where it is none, struct.error where it ends early."""
+def _selection(data: bytes, default_name: str) -> Region:  # noqa: C901
+    """Make a region of a selection.
+
+    ValueError where it is none, struct.error where it ends early.
+    """
     if not data.startswith(ROI):
         raise ValueError("it is no selection of ImageJ")
     version, selection_type = struct.unpack_from(">hB", data, 4)
@@ -210,7 +218,7 @@ def _box(data: bytes, selection_type: int, *, is_subpixel: bool) -> Ring:
 
 
 def _polygon(data: bytes, *, is_subpixel: bool) -> Ring:
-    """Give the places of the points: whole pixels within the box of the selection, or finer ones."""
+    """Give the places of the points, in whole pixels within the selection's box, or finer."""
     y0, x0, count = struct.unpack_from(">2h4xH", data, 8)
     if count == 0:  # more than two bytes can count
         (count,) = struct.unpack_from(">i", data, 18)
@@ -226,7 +234,10 @@ def _polygon(data: bytes, *, is_subpixel: bool) -> Ring:
 
 
 def _composite_rings(data: bytes, float_count: int) -> Iterator[Ring]:
-    """Yield the borders of a composite selection: moves, lines and ends, each a code and its place."""
+    """Yield the borders of a composite selection.
+
+    Moves, lines and ends, each a code and its place.
+    """
     if float_count > 3 * MOST_POINTS:
         raise ValueError(f"it has {float_count} numbers; {MOST_POINTS} points are possible")
     floats = np.array(struct.unpack_from(f">{float_count}f", data, _HEAD))
@@ -269,7 +280,10 @@ def _text(data: bytes, offset: int) -> str:
 
 
 def _features(data: bytes, name: str, faults: list[str]) -> list[Any]:
-    """Read the features of a FeatureCollection or a Feature; a bare Polygon or MultiPolygon becomes one."""
+    """Read the features of a FeatureCollection or a Feature.
+
+    A bare Polygon or MultiPolygon becomes one.
+    """
     text = decode_text(data, name, what="file of regions")
     # Every point has a bracket: what has far more of them would fill the memory when it is decoded.
     if max(text.count("["), text.count("{")) > 2 * MOST_POINTS:
@@ -344,7 +358,10 @@ def _object(content: object) -> dict[str, Any]:
 
 
 def geojson_text(regions: Regions) -> str:
-    """Write regions in um as a FeatureCollection, one feature a line; reading it gives the same numbers back."""
+    """Write regions in um as a FeatureCollection, one feature a line.
+
+    Reading it gives the same numbers back.
+    """
     assert not regions.in_pixels
     feature_lines: list[str] = []
     for region in regions.declared:

@@ -1,4 +1,7 @@
-"""Regions: polygons in the plane of a map or an image, each with a reason and its author; the pixels in them."""
+"""Regions: polygons in the plane of a map or an image, each with a reason and its author.
+
+The pixels in them.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,8 @@ _FARTHEST = 1e9  # um or pixels: nothing that is drawn on paper lies farther awa
 class Region:
     """One declared artefact.
 
-    ``polygons`` are closed borders (n, 2: x, y) without a repeated point: the outer one of each, and those of its
-    holes. ``reason`` and ``author`` are empty where they are not given.
+    ``polygons`` are closed borders (n, 2: x, y) without a repeated point: the outer one of each,
+    and those of its holes. ``reason`` and ``author`` are empty where they are not given.
     """
 
     name: str
@@ -32,10 +35,13 @@ class Region:
     polygons: tuple[tuple[Ring, ...], ...]
 
     def inside(self, grid: Grid) -> tuple[Window, Bools]:
-        """Return the pixels of a grid whose centre lies in a polygon and in none of its holes, by the even-odd rule.
+        """Return the pixels of a grid whose centre lies in a polygon and in none of its holes.
 
-        Rows and columns of a window that holds all of them, and the mask within it. A centre on a border counts where
-        the region lies right of or below it, so that regions side by side share no pixel and leave none out.
+        Decided by the even-odd rule.
+
+        Rows and columns of a window that holds all of them, and the mask within it. A centre on a
+        border counts where the region lies right of or below it, so that regions side by side share
+        no pixel and leave none out.
         """
         from planish.marks.regions._kernels import flip_crossings
 
@@ -56,7 +62,10 @@ class Region:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Regions:
-    """All regions of a file: in um, or ``in_pixels`` from the corner of the first one, as ImageJ counts."""
+    """All regions of a file, in um or in pixels.
+
+    With ``in_pixels`` from the corner of the first pixel, as ImageJ counts.
+    """
 
     declared: tuple[Region, ...]
     in_pixels: bool = False
@@ -86,7 +95,10 @@ class Regions:
 
 
 def ring_of(points: NDArray[np.floating]) -> Ring:
-    """Make a border of points (n, 2) as a file has them; ValueError, with the reason, where they are none."""
+    """Make a border of points (n, 2) as a file has them.
+
+    ValueError, with the reason, where they are none.
+    """
     ring = np.asarray(points, dtype=np.float64)
     if not (np.abs(ring) <= _FARTHEST).all():
         raise ValueError(f"a coordinate is no number, or beyond {_FARTHEST:g}")
@@ -98,7 +110,10 @@ def ring_of(points: NDArray[np.floating]) -> Ring:
 
 
 def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
-    """Make polygons of borders that do not cross, outer ones with their holes; ValueError for none or too many."""
+    """Make polygons of borders that do not cross, outer ones with their holes.
+
+    ValueError for none or too many.
+    """
     if not 0 < len(rings) <= MOST_REGIONS:
         raise ValueError(f"it has {len(rings)} borders; 1 to {MOST_REGIONS} are possible")
     lows, highs = np.array([(ring.min(axis=0), ring.max(axis=0)) for ring in rings]).swapaxes(0, 1)
