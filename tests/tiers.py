@@ -18,14 +18,14 @@ from cpu_time import SHARED, cpu_seconds, loop_seconds
 #: Lowest first. ``run.py test`` runs the first, ``--ci`` the second, ``--all`` all of them.
 TIERS = ("fast", "ci", "nightly")
 
-# : What a fixture takes: a linked run or a browser is no matter of milliseconds, measured data are
-# not everywhere.
+#: What a fixture takes: a linked run or a browser is no matter of milliseconds, measured data are
+#: not everywhere.
 NEEDED_TIER = {"linked_run": "ci", "kinds": "ci", "chromium": "ci", "shared_data": "nightly"}
 
-# : CPU time above which a fast test fails, on a machine that counts to 3 million in .25 s; what
-# several tests share does : not count (fixtures, kernels that are compiled or loaded). Write them
-# for half of it: a machine may be twice as : slow from one minute to the next. This is the one
-# limit on the time of tests.
+#: CPU time above which a fast test fails, on a machine that counts to 3 million in .25 s; what
+#: several tests share does not count (fixtures, kernels that are compiled or loaded). Write them
+#: for half of it: a machine may be twice as slow from one minute to the next. This is the one limit
+#: on the time of tests.
 FAST_CPU_S = 1.0
 REFERENCE_LOOP_S = 0.25
 

@@ -103,8 +103,8 @@ def _read_corrected(volume: xr.Variable, change: Change, where: Where) -> NDArra
 class Corrected:
     """A corrected volume, and what was done to it."""
 
-    # : (z, y, x), of the same type; the one that was given where nothing had to be changed; its
-    # attribute : ``corrections`` holds the record.
+    #: (z, y, x), of the same type; the one that was given where nothing had to be changed; its
+    #: attribute ``corrections`` holds the record.
     volume: xr.DataArray
     record: CorrectionRecord
     turning: Turning

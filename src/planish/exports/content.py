@@ -30,7 +30,7 @@ class ExportHistory:
     planish: str  #: version that made the run
     exported_by: str  #: version that exports it
     study_sha256: str  #: of ``run.toml``
-    # : of each layer its name, the name of its file, and the file's SHA-256.
+    #: of each layer its name, the name of its file, and the file's SHA-256.
     inputs: tuple[Mapping[str, Any], ...]
 
     def json(self, **more: Any) -> str:
@@ -58,8 +58,8 @@ class Maps:
     group: str  #: its name in the run
     #: By name, where they are chosen: limits and colours with which maps are shown.
     scales: Mapping[str, Scale] = field(default_factory=dict[str, Scale])
-    # : By name, where they are there: folders in a zarr store of a map's array and its overviews,
-    # the finest first.
+    #: By name, where they are there: folders in a zarr store of a map's array and its overviews,
+    #: the finest first.
     levels: Mapping[str, Sequence[Path]] = field(default_factory=dict[str, Sequence[Path]])
 
     @property

@@ -31,11 +31,11 @@ class ExportFormat:
 
     title: str  #: its name in messages and documents
     writer: str  #: ``module:function`` of this package
-    # : the first is what is meant where nothing else is asked for.
+    #: the first is what is meant where nothing else is asked for.
     holds: tuple[Holds, ...] = ("maps",)
-    # : ends of the names of its files, the usual one first; none: it is always a folder.
+    #: ends of the names of its files, the usual one first; none: it is always a folder.
     suffixes: tuple[str, ...]
-    # : of files of a registration; those after the first only if not affine.
+    #: of files of a registration; those after the first only if not affine.
     endings: tuple[str, ...] = ()
     is_folder: bool = False  #: whether what has such a name is a folder
     stack: bool = False  #: whether one file holds several maps
@@ -47,7 +47,7 @@ class ExportFormat:
     most: int | None = None  #: most pixels or nodes held in memory; None: written part by part
     byte_cost: int = 0  #: bytes of memory that a pixel or node of such a map takes
     needs: str | None = None  #: library of the extra ``export``
-    # : those of :class:`ExportParams` that are for some formats, and for this.
+    #: those of :class:`ExportParams` that are for some formats, and for this.
     options: tuple[str, ...] = ()
     note: str = ""  #: what has to be known when the files are used
 

@@ -29,7 +29,7 @@ SURFACES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
 class Surface:
     """A surface of the sheet and what it carries."""
 
-    # : heights and maps (y, x) on the columns of the volume, in um; the frame in its attributes.
+    #: heights and maps (y, x) on the columns of the volume, in um; the frame in its attributes.
     data: xr.Dataset
     name: str  #: one of `SURFACES`
     maps: tuple[str, ...]  #: that its nodes carry; the first is their colour where there is one

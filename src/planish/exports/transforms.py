@@ -33,7 +33,7 @@ class DirectedTransform:
 
     source: str
     target: str
-    # : takes points (..., 2), (x, y) in um, of the source to the target, or NaN.
+    #: takes points (..., 2), (x, y) in um, of the source to the target, or NaN.
     function: Callable[[Floats], Floats]
     grid: Grid  #: pixels of the source
     affine: Affine  #: the affine map that is closest at the middle of the marks

@@ -27,38 +27,38 @@ class RelaxationParams:
     The values are those of Hirn et al. (2009) where they give one.
     """
 
-    # : The paper names none. ``symplectic``: Euler's method with the new velocity in the position
-    # and the damping taken : implicitly, stable up to a time step of 2 / sqrt(8) = 0.71. ``rk4``:
-    # Runge-Kutta of fourth order, the same motion : for four times the work. ``euler``: the old
-    # velocity in the position; the paper calls it unstable, and it is.
+    #: The paper names none. ``symplectic``: Euler's method with the new velocity in the position
+    #: and the damping taken implicitly, stable up to a time step of 2 / sqrt(8) = 0.71. ``rk4``:
+    #: Runge-Kutta of fourth order, the same motion for four times the work. ``euler``: the old
+    #: velocity in the position; the paper calls it unstable, and it is.
     integrator: Literal["symplectic", "rk4", "euler"] = "symplectic"
-    # : How Eq. (4), ``max |grad v| < a``, is read. ``scale``: the strain of one step is limited,
-    # ``dt max |grad v| <= : a``, for the velocity before and after the step. ``feedback``: dt is
-    # cut as long as ``max |grad v| >= a``. The : gradient does not depend on dt, so that this comes
-    # to a halt; it is kept to show that. ``fixed``: ``fixed_dt`` : and ``fixed_c`` throughout.
+    #: How Eq. (4), ``max |grad v| < a``, is read. ``scale``: the strain of one step is limited,
+    #: ``dt max |grad v| <= a``, for the velocity before and after the step. ``feedback``: dt is cut
+    #: as long as ``max |grad v| >= a``. The gradient does not depend on dt, so that this comes to a
+    #: halt; it is kept to show that. ``fixed``: ``fixed_dt`` and ``fixed_c`` throughout.
     control: Literal["scale", "feedback", "fixed"] = "scale"
-    # : How Eq. (6), ``mean |v| < mean_speed``, is read. ``first``: the first time after the mesh
-    # has been faster once. : ``sustained``: for a whole period of the slowest mode, 2 max(rows,
-    # cols); an oscillating mesh is slow at every : turning point. ``residual``: no force on a node
-    # exceeds ``residual``.
+    #: How Eq. (6), ``mean |v| < mean_speed``, is read. ``first``: the first time after the mesh has
+    #: been faster once. ``sustained``: for a whole period of the slowest mode, 2 max(rows, cols);
+    #: an oscillating mesh is slow at every turning point. ``residual``: no force on a node exceeds
+    #: ``residual``.
     stop: Literal["first", "sustained", "residual"] = "sustained"
     a: float = 1e-2  #: Eq. (4); a strain of 1 % in one step
     b: float = 0.2  #: Eq. (5): ``c > max |grad v| / b``
-    # : Eq. (5); critical for the slowest mode of 314 nodes a side; wider meshes creep.
+    #: Eq. (5); critical for the slowest mode of 314 nodes a side; wider meshes creep.
     c_min: float = 0.02
-    # : Share to which the damping falls in a step at most: one calm step does not free the mesh;
-    # not in the paper.
+    #: Share to which the damping falls in a step at most: one calm step does not free the mesh;
+    #: not in the paper.
     c_fall: float = 0.97
     dt_max: float = 0.3  #: Eq. (4)
     most_move: float = 0.2  #: of the fastest node in one step; the paper's 20 % of the grid spacing
     mean_speed: float = 1e-3  #: Eq. (6)
-    # : Largest force at rest, in stiffness times pitch; only for ``stop="residual"``; a hundredth
-    # of the speed's limit.
+    #: Largest force at rest, in stiffness times pitch; only for ``stop="residual"``; a hundredth
+    #: of the speed's limit.
     residual: float = 1e-5
-    # : a mesh of 128 x 96 nodes takes 2000 to 3000; the number grows with the longer side.
+    #: a mesh of 128 x 96 nodes takes 2000 to 3000; the number grows with the longer side.
     most_steps: int = 50_000
     fixed_dt: float = 0.0025  #: for ``control="fixed"``; ``feedback`` starts with it
-    # : for ``control="fixed"``; forward Euler is stable for ``fixed_dt < fixed_c / 8`` only.
+    #: for ``control="fixed"``; forward Euler is stable for ``fixed_dt < fixed_c / 8`` only.
     fixed_c: float = 0.02
 
 

@@ -61,14 +61,14 @@ class FlatteningQuality(ResultModel):
 class Flattened:
     """Flat coordinates and their quality."""
 
-    # : Dims (y, x): ``u``, ``v`` in um as seen from the top: u to the right, v downwards. NaN where
-    # there is no sheet or : a folded cell. ``projected_u``, ``projected_v``: the same without
-    # flattening.
+    #: Dims (y, x): ``u``, ``v`` in um as seen from the top: u to the right, v downwards. NaN where
+    #: there is no sheet or a folded cell. ``projected_u``, ``projected_v``: the same without
+    #: flattening.
     flat: xr.Dataset
-    # : Dims (row, col): strains of the mesh's cells, with their place ``y``, ``x``, as
-    # ``cell_strain`` gives them; : ``gaussian_curvature`` in 1/um2 and ``needed_strain``, what a
-    # patch of paper around the cell would need to be : flat; and over ``step`` the solver's
-    # progress: ``step_nodes``, ``step_energy``, ``step_move``.
+    #: Dims (row, col): strains of the mesh's cells, with their place ``y``, ``x``, as
+    #: ``cell_strain`` gives them; ``gaussian_curvature`` in 1/um2 and ``needed_strain``, what a
+    #: patch of paper around the cell would need to be flat; and over ``step`` the solver's
+    #: progress: ``step_nodes``, ``step_energy``, ``step_move``.
     strain: xr.Dataset
     quality: FlatteningQuality  #: how the flattening ended
 

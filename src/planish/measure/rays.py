@@ -36,22 +36,22 @@ class Rays:
     Lengths are in um; ``s`` is the signed distance from the centre surface, the top is positive.
     """
 
-    # : (rows, cols, s) float32; NaN outside the volume, beside missing voxels, on rays without a
-    # status of 0.
+    #: (rows, cols, s) float32; NaN outside the volume, beside missing voxels, on rays without a
+    #: status of 0.
     grey: Grey
     s_um: Floats  #: (s,), the same for all rays, in equal steps
     top: Floats  #: place of the face, (rows, cols)
     bottom: Floats  #: as ``top``
-    # : place of the interface, (rows, cols); of a side without a coating its face.
+    #: place of the interface, (rows, cols); of a side without a coating its face.
     interface_top: Floats
     interface_bottom: Floats  #: as ``interface_top``
     normals: Floats  #: (rows, cols, 3), directions of the rays along rows, columns and height
-    # : (rows, cols, 2), length in the centre surface of a step of one um along rows and columns.
+    #: (rows, cols, 2), length in the centre surface of a step of one um along rows and columns.
     stretch: Floats
-    # : (rows, cols, 2), of the centre surface along rows and columns, up towards the top.
+    #: (rows, cols, 2), of the centre surface along rows and columns, up towards the top.
     slope: Floats
-    # : (rows, cols), um of ray for one along the normal: 1 on normals, 1 / cos(tilt) on vertical
-    # rays.
+    #: (rows, cols), um of ray for one along the normal: 1 on normals, 1 / cos(tilt) on vertical
+    #: rays.
     oblique: Floats
     status: NDArray[np.uint8]  #: (rows, cols)
     pitch_um: Pair  #: between rows and between columns, in projection

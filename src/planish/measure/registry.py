@@ -142,9 +142,9 @@ class Measured:
     """Values of a property with what is known of them."""
 
     values: Floats  #: (rows, cols); NaN where there is no answer
-    # : standard error (rows, cols) in the same unit; NaN where it cannot be stated.
+    #: standard error (rows, cols) in the same unit; NaN where it cannot be stated.
     se: Floats | float = np.nan
-    # : (rows, cols): 1, 2, ... of the property's own where ``values`` is NaN.
+    #: (rows, cols): 1, 2, ... of the property's own where ``values`` is NaN.
     reason: NDArray[np.uint8] | int = 0
 
     def times(self, factor: float) -> Measured:
@@ -202,16 +202,16 @@ class Property:
     kind: Literal["rays", "sheet"]
     function: Answer  #: of :class:`~planish.measure.rays.Rays`, or of :class:`Sheet`
     halo_um: Length = 0.0  #: rows beyond a tile that a ray's answer depends on, as a length
-    # : width of what one value speaks for; None: one ray, with what the blur adds.
+    #: width of what one value speaks for; None: one ray, with what the blur adds.
     support_um: Length | None = None
     reasons: tuple[str, ...] = ()  #: the property's own reasons for a missing value
-    # : properties that this is made from, or a function from parameters and grey levels to them.
+    #: properties that this is made from, or a function from parameters and grey levels to them.
     after: After = ()
-    # : Of parameters and grey levels; CannotMeasure, before anything is read, where a number is
-    # missing.
+    #: Of parameters and grey levels; CannotMeasure, before anything is read, where a number is
+    #: missing.
     check: Check | None = None
-    # : Of parameters and grey levels: whether it is measured without being named, as its numbers
-    # are given.
+    #: Of parameters and grey levels: whether it is measured without being named, as its numbers
+    #: are given.
     when: Callable[..., bool] | None = None
     together: tuple[str, ...] = ()  #: properties that are measured with it where it is named
 

@@ -149,13 +149,13 @@ class RefineOptions:
     """Options of a refinement by the maps."""
 
     model: Refinement = "affine"  #: 6 parameters, or a cubic B-spline on a mesh
-    # : squared correlation, of either sign, or Mattes' mutual information.
+    #: squared correlation, of either sign, or Mattes' mutual information.
     metric: Metric = "correlation"
     grid_um: float = 2000.0  #: mesh of the B-spline, made a little smaller to fit the map
-    # : largest displacement that is accepted, in expected errors of the marks at the place.
+    #: largest displacement that is accepted, in expected errors of the marks at the place.
     most: float = 3.0
-    # : False returns what goes too far or folds, with a warning; only for a search's null, whose
-    # maps are unrelated.
+    #: False returns what goes too far or folds, with a warning; only for a search's null, whose
+    #: maps are unrelated.
     bounded: bool = True
 
 

@@ -29,22 +29,22 @@ class FittedTransform:
     fixed frame.
     """
 
-    # : Moving to fixed, with ``scale``, ``rotation_rad``, ``shift_um`` and ``mirrored`` of the
-    # closest similarity.
+    #: Moving to fixed, with ``scale``, ``rotation_rad``, ``shift_um`` and ``mirrored`` of the
+    #: closest similarity.
     transform: Transform
     model: str  #: its name; ``rigid`` keeps scale 1
     moving: Floats  #: the marks as given, (n, 2) in um
     fixed: Floats  #: as ``moving``
-    # : (n, 2, 2), inverse covariances up to one factor, those of marks in doubt weighted down.
+    #: (n, 2, 2), inverse covariances up to one factor, those of marks in doubt weighted down.
     information: Floats
-    # : (n,): 1, or 0 for marks that do not agree with the others and were left out.
+    #: (n,): 1, or 0 for marks that do not agree with the others and were left out.
     robust_weights: Floats
     residuals_um: Floats  #: (n, 2), ``fixed - transform(moving)`` in the fixed frame
     sentence: str  #: model and residuals
-    # : Marks left out or given twice, few marks, a model that leaves structure, a scale far from 1,
-    # strain above 1 %.
+    #: Marks left out or given twice, few marks, a model that leaves structure, a scale far from 1,
+    #: strain above 1 %.
     warnings: tuple[str, ...] = ()
-    # : error that all marks share and none of them shows, rms, where it is known.
+    #: error that all marks share and none of them shows, rms, where it is known.
     shared_um: float = 0.0
     likely: DeviationField | None = None  # where it is there already
 

@@ -62,21 +62,21 @@ class Registration:
     """
 
     fit: FittedTransform  #: the transformation with its errors
-    # : Dims (mark,): all marks of both layers, matched or not: ``label``, ``used``, ``moving_x``,
-    # ``moving_y``, : ``fixed_x``, ``fixed_y`` in um (NaN where a mark is not in a layer),
-    # diameters, covariances, sources, residuals.
+    #: Dims (mark,): all marks of both layers, matched or not: ``label``, ``used``, ``moving_x``,
+    #: ``moving_y``, ``fixed_x``, ``fixed_y`` in um (NaN where a mark is not in a layer), diameters,
+    #: covariances, sources, residuals.
     marks: xr.Dataset
-    # : ``found``, ``texture``, ``both``, or the format of the file that the marks came from.
+    #: ``found``, ``texture``, ``both``, or the format of the file that the marks came from.
     source: str = "found"
     sentence: str | None = None  #: how the marks were matched
     second_best: int | None = None  #: marks that the second-best match has in common
     design: str | None = None  #: what the designed pattern says
     tilt: HoleTiltFacts | None = None  #: what the holes look like through the sheet
-    # : of a search by texture: that unrelated layers would have been linked.
+    #: of a search by texture: that unrelated layers would have been linked.
     false_probability: float | None = None
 
-    # : Of ``both``: how far apart the places by holes and by texture lie in the middle, and how far
-    # they may, um, rms.
+    #: Of ``both``: how far apart the places by holes and by texture lie in the middle, and how far
+    #: they may, um, rms.
     apart_um: tuple[float, float] | None = None
 
     def __call__(self, points: Any) -> Floats:

@@ -36,12 +36,12 @@ class Run:
 
     study: Study  #: the parameters, with the sizes and pitches that were used
     results: Results  #: every number, as ``results.json`` has it
-    # : Of one sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u),
-    # ``slices``, and : ``sections`` of serial sections. Of a sheet linked to an image also
-    # ``linked`` (y, x of the image), and : ``refined``. Of other links ``layers/NAME`` on the
-    # pixels of the reference.
+    #: Of one sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u),
+    #: ``slices``, and ``sections`` of serial sections. Of a sheet linked to an image also
+    #: ``linked`` (y, x of the image), and ``refined``. Of other links ``layers/NAME`` on the pixels
+    #: of the reference.
     groups: Mapping[str, xr.Dataset]
-    # : by the moving layer.
+    #: by the moving layer.
     registrations: Mapping[str, Registration] = field(default_factory=dict[str, Registration])
     #: Sheets that were mapped on the way to a link of other layers than one sheet and one image.
     sheets: dict[str, Layer] = field(default_factory=dict[str, Layer])

@@ -71,10 +71,10 @@ class SectionSeries:
         If the stack is none, or positions are not monotonic; of :attr:`band` if no sheet is found.
     """
 
-    # : (section, row, col), of any integer or real type; NaN is missing; the sheet is a band along
-    # the columns.
+    #: (section, row, col), of any integer or real type; NaN is missing; the sheet is a band along
+    #: the columns.
     stack: Stack
-    # : (sections,), true places along the cut, monotonic; missing sections are gaps.
+    #: (sections,), true places along the cut, monotonic; missing sections are gaps.
     positions_um: Floats
     pixel_um: tuple[float, float]  #: (row, col)
 

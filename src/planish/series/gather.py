@@ -25,13 +25,12 @@ _STATES: tuple[State, ...] = ("fail", "look", "unknown")
 class FigureRow:
     """One figure of one specimen."""
 
-    # : ``mean``, ``sd``, ``p5``, ``median``, ``p95``, ``columns``, ``n_independent``,
-    # ``mean_standard_error``, : ``support_um``, ``thin_share``, ``sa``, ``sq``, ``measured_share``;
-    # ``r``, ``r2``, ``slope``, ``points``, : ``n_eff``, ``n_eff_interval``, ``bias``,
-    # ``limit_low``, ``limit_high``, ``shared_um``; ``marks_used``, : ``residual``,
-    # ``leave_one_out``, ``expected_error``, ``largest_expected_error``;
-    # ``coefficient_of_variation``; : ``checks_fail``, ``checks_look``, ``checks_unknown``,
-    # ``checks_pass``.
+    #: ``mean``, ``sd``, ``p5``, ``median``, ``p95``, ``columns``, ``n_independent``,
+    #: ``mean_standard_error``, ``support_um``, ``thin_share``, ``sa``, ``sq``, ``measured_share``;
+    #: ``r``, ``r2``, ``slope``, ``points``, ``n_eff``, ``n_eff_interval``, ``bias``, ``limit_low``,
+    #: ``limit_high``, ``shared_um``; ``marks_used``, ``residual``, ``leave_one_out``,
+    #: ``expected_error``, ``largest_expected_error``; ``coefficient_of_variation``;
+    #: ``checks_fail``, ``checks_look``, ``checks_unknown``, ``checks_pass``.
     quantity: str
     value: float | None  #: None where it is withheld, or cannot be stated
     unit: str = "1"
@@ -70,10 +69,10 @@ class RunSummary:
 class Gathered:
     """Specimens of a series as their runs are now."""
 
-    # : with the state of the run that was read; ``damaged`` where it could not be.
+    #: with the state of the run that was read; ``damaged`` where it could not be.
     members: tuple[Member, ...]
     rows: list[FigureRow] = field(default_factory=list[FigureRow])
-    # : by name, of runs that could be read.
+    #: by name, of runs that could be read.
     runs: dict[str, RunSummary] = field(default_factory=dict[str, RunSummary])
 
     def rows_of_series(self) -> list[FigureRow]:

@@ -28,9 +28,9 @@ class InstrumentFiles:
     volume: Path
     voxel_um: tuple[float, float, float]  #: along slices, rows and columns
     through: Literal["z", "y"]  #: axis of the file that runs through the sheet
-    # : From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A
-    # second argument holds : what a run found out about the sections: ``position``, ``shift_row``,
-    # ``shift_col`` in um, ``rotation``.
+    #: From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A
+    #: second argument holds what a run found out about the sections: ``position``, ``shift_row``,
+    #: ``shift_col`` in um, ``rotation``.
     to_physical: Callable[..., Floats]
     image: Path | None = None
 

@@ -84,12 +84,12 @@ class Warp(Strict):
     stretches the sheet.
     """
 
-    # : steepest of the profile against its mean plane (tangent of the angle).
+    #: steepest of the profile against its mean plane (tangent of the angle).
     slope: float = drawn(0.5, 0.0, 0.42)
     tilt_deg: float = drawn(0.0, -7.0, 7.0)  #: of the whole sheet along the profile
     wavelength_um: float = drawn(3000.0, 2500.0, 15000.0)  #: of the profile curve
     phase_rad: float = drawn(0.6, 0.0, 6.28)  #: of the profile curve
-    # : of the profile curve; the rulings stand perpendicular to it.
+    #: of the profile curve; the rulings stand perpendicular to it.
     ruling_deg: float = drawn(20.0, -90.0, 90.0)
     bump_um: float = drawn(0.0, of=(0.0, 0.0, 50.0, 100.0, 150.0))  #: height of the bump
     bump_u_um: float = 0.0  #: centre of the bump

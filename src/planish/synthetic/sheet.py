@@ -257,19 +257,19 @@ class DrawnSheet:
     params: PaperParams
     seed: int
     origin: tuple[float, float]
-    # : (4, rows, cols), signed um from the surface that keeps its lengths where the sheet is bent:
-    # s_T, s_TI, s_BI, s_B.
+    #: (4, rows, cols), signed um from the surface that keeps its lengths where the sheet is bent:
+    #: s_T, s_TI, s_BI, s_B.
     faces: Field
-    # : (2, rows, cols), signed distance to the nearest hole's rim at top and bottom face, negative
-    # inside.
+    #: (2, rows, cols), signed distance to the nearest hole's rim at top and bottom face, negative
+    #: inside.
     rim_um: Field
     char: Field  #: factor on the coating's grey: 1 = untouched, 0.5 at the rim of a hole
     coating_density: Field  #: relative, with a mean of 1
     base_mass: Field  #: relative, with a mean of 1
-    # : width of a crack in the resin over the top face; below the bottom one where negative.
+    #: width of a crack in the resin over the top face; below the bottom one where negative.
     crack_um: Field
     holes: Floats  #: (n, 2), true centres (u, v) at the top face, in um
-    # : density of a base of single fibres, and a film below it; None for a slab.
+    #: density of a base of single fibres, and a film below it; None for a slab.
     structure: Structure | None = None
 
     def covers(self, low: Floats, high: Floats) -> bool:

@@ -42,7 +42,7 @@ class Specimen:
     pose: CameraPose  #: from (u, v) to the image
     extent_um: tuple[float, float, float]  #: of the volume along x, y, z
     image_shape: tuple[int, int]
-    # : where the files of its instruments are, if they were written.
+    #: where the files of its instruments are, if they were written.
     files: InstrumentFiles | None = None
 
     def __repr__(self) -> str:

@@ -157,7 +157,7 @@ class LayerPixels:
         If a size is no positive number, or an origin no finite one.
     """
 
-    # : one size, ``(y, x)``, or ``(z, y, x)`` for a volume, in um; kept as a tuple.
+    #: one size, ``(y, x)``, or ``(z, y, x)`` for a volume, in um; kept as a tuple.
     pixel_um: Any = None
     #: ``(x, y)`` of the centre of the first pixel, from which other programs count, in um.
     origin_um: Sequence[float] | None = None

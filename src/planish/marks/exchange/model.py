@@ -40,12 +40,12 @@ _TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed":
 class MarkPlaces:
     """Places of the marks in one layer."""
 
-    # : (n, 2) ``x, y`` or (n, 3) ``x, y, z``, in um; NaN where a mark is not in this layer.
+    #: (n, 2) ``x, y`` or (n, 3) ``x, y, z``, in um; NaN where a mark is not in this layer.
     um: Floats
-    # : (n,) or one: ``detected``, ``clicked``, ``predicted``, ``imported``,
+    #: (n,) or one: ``detected``, ``clicked``, ``predicted``, ``imported``,
     source: str | Sequence[str] = "imported"
     #: or ``tile`` of a texture
-    # : of `EXTRAS`, (n,); NaN where not known.
+    #: of `EXTRAS`, (n,); NaN where not known.
     extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
 
     @classmethod
