@@ -11,8 +11,9 @@ import planish.app.changes
 import planish.core.files  # noqa: F401  their errors, too, are in the tree
 from planish.analyze import CorrelateParams
 from planish.core import errors
+from planish.core.annotations import kinds_of
 from planish.core.errors import SWITCHES, PlanishError, SizeError, in_python_words
-from planish.core.options import kinds_of, options_of
+from planish.core.options import options_of
 from planish.exports import ExportParams
 from planish.io import ImageParams, VolumeParams
 from planish.marks import HoleParams

@@ -15,12 +15,12 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from planish.core.annotations import kinds_of
 from planish.core.errors import StudyError
 from planish.core.options import (
     Params,
     Shown,
     flag_of,
-    kinds_of,
     options_of,
     params_of,
     put_options,

@@ -12,14 +12,14 @@ The study is put together of these models, ``planish.cli`` makes click options o
 and functions take the model as ``params``. A field that no command shows has ``cli=None``.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from types import UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
+from planish.core.annotations import models_in
 from planish.core.errors import StudyError
 
 
@@ -184,24 +184,3 @@ _UNITS = {"_um": "um", "_deg": "deg", "_g_cm3": "g/cm3", "_g_m2": "g/m2", "_s": 
 def unit_of(name: str) -> str | None:
     """Unit of a field by the end of its name; None where it has none."""
     return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
-
-
-def kinds_of(annotation: Any) -> list[Any]:
-    """The types that an annotation allows, without None and without the limits."""
-    if get_origin(annotation) is Annotated:
-        return kinds_of(get_args(annotation)[0])
-    if get_origin(annotation) in (Union, UnionType):
-        return [kind for alternative in get_args(annotation) for kind in kinds_of(alternative)]
-    return [] if annotation is type(None) else [annotation]
-
-
-def models_in(annotation: Any) -> Sequence[type[BaseModel]]:
-    """Models that a field may hold, as they are, optional, or several of them."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    arguments = (
-        get_args(annotation)
-        if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list)
-        else ()
-    )
-    return [model for argument in arguments for model in models_in(argument)]

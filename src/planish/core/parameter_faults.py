@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from planish.core.options import models_in
+from planish.core.annotations import models_in
 
 # a key with the tables around it; the tables of an array are numbered from 0.
 Key = tuple[str | int, ...]

@@ -10,8 +10,9 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 import tomli_w
 from pydantic.fields import FieldInfo
 
+from planish.core.annotations import kinds_of, models_in
 from planish.core.errors import StudyError
-from planish.core.options import Params, Shown, kinds_of, models_in, options_of, unit_of
+from planish.core.options import Params, Shown, options_of, unit_of
 from planish.io.info import describe
 from planish.run.run import is_run
 from planish.run.study import LINK_SECTIONS, MAP_SECTIONS, SECTIONS, in_study_words, relative_path

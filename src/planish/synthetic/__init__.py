@@ -1,8 +1,8 @@
 """A specimen whose every answer is known, for the demo, tests, benchmarks and calibration.
 
 ``params`` and ``presets`` say what is ordered; ``sheet`` makes it; ``instruments``, ``camera`` and
-``pose`` look at it; ``specimen`` puts it together with its truth, ``files`` writes as instruments
-do. It needs nothing that measures.
+``pose`` look at it; ``specimen`` holds it with its truth, ``files`` writes as instruments do, and
+``making`` puts all of this together. It needs nothing that measures.
 """
 
 import lazy_loader as lazy

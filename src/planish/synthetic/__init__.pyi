@@ -1,11 +1,11 @@
 from .camera import image_material as image_material
 from .camera import photograph as photograph
-from .files import InstrumentFiles as InstrumentFiles
 from .files import write_image as write_image
 from .files import write_instruments as write_instruments
 from .files import write_nodes as write_nodes
-from .files import write_specimen as write_specimen
 from .files import write_truth as write_truth
+from .making import make_specimen as make_specimen
+from .making import write_specimen as write_specimen
 from .params import SIZES_UM as SIZES_UM
 from .params import BurnParams as BurnParams
 from .params import CameraParams as CameraParams
@@ -32,5 +32,5 @@ from .presets import without as without
 from .sheet import DrawnSheet as DrawnSheet
 from .sheet import make_sheet as make_sheet
 from .sheet import neutral_height as neutral_height
+from .specimen import InstrumentFiles as InstrumentFiles
 from .specimen import Specimen as Specimen
-from .specimen import make_specimen as make_specimen

@@ -1,8 +1,7 @@
 """A specimen as instrument files of the field, with the truth apart from them."""
 
 import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,28 +10,12 @@ import tifffile
 import xarray as xr
 
 from planish.core.typing import Floats
-from planish.synthetic.presets import SpecimenOptions
-from planish.synthetic.specimen import Specimen, make_specimen
+from planish.synthetic.specimen import InstrumentFiles, Specimen
 
 Instrument = Literal["stack", "scanner", "sections"]
 COUNTER = "sections.csv"
 _PREFIX = "sheet_rec"
 _NODES_UM = 10.0
-_VOLUMES: dict[str, Instrument] = {"ct": "scanner", "sections": "sections", "stack": "stack"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class InstrumentFiles:
-    """Paths of the files, and the pose of their axes in space."""
-
-    volume: Path
-    voxel_um: tuple[float, float, float]  #: along slices, rows and columns
-    through: Literal["z", "y"]  #: axis of the file that runs through the sheet
-    #: From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A
-    #: second argument holds what a run found out about the sections: ``position``, ``shift_row``,
-    #: ``shift_col`` in um, ``rotation``.
-    to_physical: Callable[..., Floats]
-    image: Path | None = None
 
 
 def write_instruments(
@@ -185,29 +168,6 @@ def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Pat
         }
     tifffile.imwrite(path, grey, **size)
     return path
-
-
-def write_specimen(
-    options: SpecimenOptions, folder: Path, *, progress: Callable[[str], None] | None = None
-) -> None:
-    """Make the specimen that ``options`` order, and write it.
-
-    Written are scan/, sections/, images, and truth/ apart from them.
-    """
-    specimen = make_specimen(options.params())
-    large = options.size == "T3"  # without voxels: nodes of the centre surface instead
-    for name in (*options.instrument, "truth"):
-        if progress is not None:
-            progress(name)
-        if name == "truth":
-            write_truth(specimen, folder / "truth")
-        elif name not in _VOLUMES:
-            file = "printed.ome.tif" if name == "print" else "image.ome.tif"
-            write_image(specimen, folder / file, printed=name == "print")
-        elif not large:
-            write_instruments(specimen, folder, volume=_VOLUMES[name], image=False)
-    if large:
-        write_nodes(specimen, folder / "nodes.npz")
 
 
 def write_nodes(specimen: Specimen, path: Path) -> None:

@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.arrays import not_taken
-from planish.core.errors import FileError
 from planish.core.labelled import labelled
 from planish.core.typing import Floats
 from planish.synthetic.camera import image_material, photograph
 from planish.synthetic.instruments import Microtome, Poses, Scanner, draw_poses
-from planish.synthetic.params import SpecimenParams, Warp, generator, stream
-from planish.synthetic.pose import CameraPose, draw_pose
-from planish.synthetic.presets import DEMO
-from planish.synthetic.sheet import DrawnSheet, hole_pattern, make_sheet
-
-if TYPE_CHECKING:
-    from planish.synthetic.files import InstrumentFiles
+from planish.synthetic.params import SpecimenParams, Warp, stream
+from planish.synthetic.pose import CameraPose
+from planish.synthetic.sheet import DrawnSheet
 
 
-_BEYOND_UM = 150.0  # of the sheet around what the instruments see
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InstrumentFiles:
+    """Paths of the files, and the pose of their axes in space."""
+
+    volume: Path
+    voxel_um: tuple[float, float, float]  #: along slices, rows and columns
+    through: Literal["z", "y"]  #: axis of the file that runs through the sheet
+    #: From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A
+    #: second argument holds what a run found out about the sections: ``position``, ``shift_row``,
+    #: ``shift_col`` in um, ``rotation``.
+    to_physical: Callable[..., Floats]
+    image: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,126 +200,3 @@ def _labelled(
     name = "volume" if len(dims) == 3 else "image"
     attrs = {"units": "1", "file_name": "synthetic specimen", **attrs}
     return labelled(values, dims, [pitch_um] * len(dims), name=name, attrs=attrs)
-
-
-def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
-    """Bring the sheet's own origin to the middle of the volume.
-
-    Give the warp, its columns (u, v, z), and the depth.
-    """
-    (width_um, height_um), p = params.size_um, params.paper
-    reach_um = 2.0 * max(params.size_um) / np.cos(np.arctan(params.warp.steepest)) + 1000.0
-    warp = replace(params.warp, shift_um=(width_um / 2, height_um / 2, 0.0), reach_um=reach_um)
-    uvz = warp.columns(np.linspace(0, height_um, 61), np.linspace(0, width_um, 81))
-    thickness_um = p.base_um + p.coating_top_um + p.coating_bottom_um
-    film = params.film
-    film_depth_um = film.film_um + film.gap_um if film is not None else 0.0
-    margin_um = (0.5 * thickness_um + 20.0 + film_depth_um) * float(
-        np.hypot(1.0, warp.steepest)
-    ) + 60.0
-    low_z, high_z = float(uvz[..., 2].min()) - margin_um, float(uvz[..., 2].max()) + margin_um
-    return replace(warp, shift_um=(width_um / 2, height_um / 2, -low_z)), uvz, high_z - low_z
-
-
-def make_specimen(
-    params: SpecimenParams | None = None,
-    folder: str | Path | None = None,
-    *,
-    sheet: DrawnSheet | None = None,
-) -> Specimen:
-    """Make a sheet of paper whose every property is known, as a scanner and a microscope show it.
-
-    Parameters
-    ----------
-    params : SpecimenParams, optional
-        Paper, holes, warp, instruments and seed; the specimen of the demo where not given (1.8 x
-        1.3 mm, six holes). The same parameters give the same bytes on any number of threads.
-    folder : path, optional
-        Folder to make, for ``volume.tif``, ``image.tif`` and ``truth/``; nothing is written where
-        not given.
-    sheet : DrawnSheet, optional
-        That of another specimen: the same piece of paper, bent as ``params`` say.
-
-    Returns
-    -------
-    Specimen
-        ``volume``, ``image``, ``printed`` and ``truth`` are rendered when they are first used;
-        ``files`` holds the paths where they were written.
-
-    Raises
-    ------
-    FileError
-        If ``folder`` exists.
-    InputError
-        If ``params`` are something else.
-    ValueError
-        If the holes do not fit into the field, or the given sheet does not reach as far as this one
-        has to; if a film is asked for under a base that is no single fibres, or under a given sheet
-        without one.
-
-    Examples
-    --------
-    >>> import planish as pl
-    >>> specimen = pl.make_specimen()  # doctest: +SKIP
-    >>> surfaces = pl.find_surfaces(specimen.volume)  # doctest: +SKIP
-    """
-    if params is not None and not isinstance(params, SpecimenParams):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise not_taken(
-            params, "SpecimenParams", 'pl.make_specimen(folder="sheet")', "pl.make_specimen"
-        )
-    params = params or DEMO
-    if params.film is not None and (
-        params.paper.fibres is None if sheet is None else not sheet.has_film
-    ):
-        raise ValueError(
-            "a film lies under a base of fibres only: set paper.fibres, or give a sheet made with a"
-            " film"
-        )
-    warp, uvz, depth_um = _place_in_volume(params)
-    field_uv = np.concatenate([uvz[..., :2].min(axis=(0, 1)), uvz[..., :2].max(axis=(0, 1))])
-    image_shape, pose = draw_pose(params.camera, field_uv, generator(params.seed, "pose"))
-    rows, cols = np.multiply(image_shape, params.camera.pixel_um)
-    corners = pose.inverse([[x, y] for x in (0.0, cols) for y in (0.0, rows)])
-    low = np.minimum(field_uv[:2], corners.min(axis=0)) - _BEYOND_UM
-    high = np.maximum(field_uv[2:], corners.max(axis=0)) + _BEYOND_UM
-    if sheet is None:
-        inner_low = np.array([uvz[:, 0, 0].max(), uvz[0, :, 1].max()])
-        inner_high = np.array([uvz[:, -1, 0].min(), uvz[-1, :, 1].min()])
-        centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
-        sheet = make_sheet(
-            params.paper,
-            params.holes,
-            low=low,
-            high=high,
-            centres=centres,
-            seed=params.seed,
-            stiffness=params.stiffness,
-            film=params.film,
-            crack_um=params.crack_um,
-        )
-    elif not sheet.covers(field_uv[:2], field_uv[2:]):
-        raise ValueError(
-            "the given sheet does not reach as far as the volume shows it; bend it more or make it"
-            " larger"
-        )
-    specimen = Specimen(
-        params=params,
-        warp=warp,
-        sheet=sheet,
-        pose=pose,
-        extent_um=(*params.size_um, depth_um),
-        image_shape=image_shape,
-    )
-    if folder is None:
-        return specimen
-    from planish.synthetic.files import write_instruments, write_truth
-
-    specimen_folder = Path(folder)
-    if specimen_folder.exists():
-        raise FileError(
-            f"{specimen_folder} exists already. Name another folder for the specimen, or remove"
-            " that one."
-        )
-    files = write_instruments(specimen, specimen_folder)
-    write_truth(specimen, specimen_folder / "truth")
-    return replace(specimen, files=files)

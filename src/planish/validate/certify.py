@@ -241,7 +241,7 @@ def run_specimen(
             )
         comparison, pictures = Comparison(*specimens[0], run), ()
         if draw and "linked" in run.groups:
-            from planish.validate.page import draw_example  # which draws whole certificates, too
+            from planish.validate.example import draw_example  # which loads all that draws
 
             pictures = tuple(draw_example(comparison, seed))
         return Entry(

@@ -1,0 +1,28 @@
+"""The types, and the models, that the annotation of a field allows."""
+
+from collections.abc import Sequence
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel
+
+
+def kinds_of(annotation: Any) -> list[Any]:
+    """The types that an annotation allows, without None and without the limits."""
+    if get_origin(annotation) is Annotated:
+        return kinds_of(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return [kind for alternative in get_args(annotation) for kind in kinds_of(alternative)]
+    return [] if annotation is type(None) else [annotation]
+
+
+def models_in(annotation: Any) -> Sequence[type[BaseModel]]:
+    """Models that a field may hold, as they are, optional, or several of them."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    arguments = (
+        get_args(annotation)
+        if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list)
+        else ()
+    )
+    return [model for argument in arguments for model in models_in(argument)]
