@@ -10,7 +10,14 @@ import xarray as xr
 from folders import refused
 from planish.core._envelope_kernels import rolled
 from planish.core.errors import CannotMeasure
-from planish.measure import lengths, registry, roughness_numbers, scale_limited, two_sidedness
+from planish.measure import (
+    MeasureParams,
+    lengths,
+    registry,
+    roughness_numbers,
+    scale_limited,
+    two_sidedness,
+)
 from planish.measure.lengths import smoothed
 
 
@@ -149,7 +156,7 @@ def test_peaks_of_both_sides_point_outwards(monkeypatch, side, outwards):
     y, x = np.mgrid[:120, :120] * 5.0
     bump = 3.0 * np.exp(-((x - 300) ** 2 + (y - 300) ** 2) / 900)
     frame = SimpleNamespace(faces={side: outwards * (40.0 + bump)}, pitch_um=(5.0, 5.0))
-    params = SimpleNamespace(s_filter_um=20.0, l_filter_um=200.0)
+    params = MeasureParams(s_filter_um=20.0, l_filter_um=200.0)
     monkeypatch.setattr(lengths, "thickness_se", lambda *_: np.ones(x.shape))
     sheet = SimpleNamespace(frame=frame, params=params, valid=np.ones(x.shape, dtype=bool))
     values = registry.find_property(f"roughness_{side}").function(sheet).values

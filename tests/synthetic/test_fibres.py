@@ -12,10 +12,10 @@ from planish.synthetic import (
     FilmParams,
     PaperParams,
     SpecimenParams,
+    make_specimen,
 )
 from planish.synthetic.fibres import WALL_G_PER_CM3, Structure
 from planish.synthetic.sheet import PITCH_UM, make_sheet
-from planish.synthetic.specimen import make_specimen
 
 PAPER = PaperParams(
     base_um=50.0,

@@ -87,7 +87,7 @@ def test_every_seed_gives_an_entry_and_the_first_an_example(monkeypatch, small):
     monkeypatch.setattr(certify, "run_study", lambda *_, **__: run)
     monkeypatch.setattr(certify, "make_ledger", lambda _both: {"tre_p95": 7.0})
     monkeypatch.setattr(
-        "planish.validate.page.draw_example", lambda _both, seed: [f"maps of {seed}"]
+        "planish.validate.example.draw_example", lambda _both, seed: [f"maps of {seed}"]
     )
     reports = []
     found = run_scenario(small, [4, 2], progress=lambda *words: reports.append(words))

@@ -11,7 +11,7 @@ import xarray as xr
 from planish.core.status import Status
 from planish.core.transform import Similarity
 from planish.register import fit_transform
-from planish.validate import Comparison, errors, make_ledger, page, scenario
+from planish.validate import Comparison, errors, example, make_ledger, scenario
 from planish.validate.truth import FACES
 
 ROWS, COLS, PITCH = 75, 100, 10.0  # columns of the volume
@@ -217,7 +217,7 @@ def test_a_false_and_a_missed_hole():
 
 
 def test_pictures_of_errors():
-    pictures = page.draw_example(Comparison(*exact_run(shift=(3.0, 0.0), thicker=-0.4)), 7)
+    pictures = example.draw_example(Comparison(*exact_run(shift=(3.0, 0.0), thicker=-0.4)), 7)
     assert [picture.title for picture in pictures] == [
         "The image of one specimen",
         "Measured coating thickness",

@@ -19,7 +19,7 @@ from planish.core.facts import SIDES
 from planish.core.frame import Frame
 from planish.core.robust import mad_sd
 from planish.core.typing import Array, Floats, Ints
-from planish.measure.registry import FWHM, Greys
+from planish.measure.greys import FWHM, Greys
 from planish.surface.learn import POROUS
 
 # Height of the spike over what the histogram leads to; least share of the voxels.

@@ -14,7 +14,7 @@ from planish.checks.windows import Window, read_windows
 from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
 from planish.core.typing import Array, Bools, Floats, Ints, Pair
-from planish.measure.registry import Greys
+from planish.measure.greys import Greys
 
 TILE_UM = 60.0
 _TILES, _SQUARE = 2500, 10  # tiles at most, about; tiles along an edge of a square

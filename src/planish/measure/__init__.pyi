@@ -1,10 +1,11 @@
+from .depth_profiles import depth_profiles as depth_profiles
+from .greys import Greys as Greys
 from .lengths import scale_limited as scale_limited
 from .numbers import roughness_numbers as roughness_numbers
 from .numbers import sheet_numbers as sheet_numbers
 from .numbers import thin_fraction as thin_fraction
 from .numbers import two_sidedness as two_sidedness
 from .params import MeasureParams as MeasureParams
-from .phases import depth_profiles as depth_profiles
 from .properties import further_maps as further_maps
 from .properties import measure_along_rays as measure_along_rays
 from .properties import measure_properties as measure_properties
@@ -12,7 +13,6 @@ from .properties import surfaces_of as surfaces_of
 from .rays import Rays as Rays
 from .rays import directions as directions
 from .registry import PROPERTIES as PROPERTIES
-from .registry import Greys as Greys
 from .registry import Measured as Measured
 from .registry import Property as Property
 from .registry import Sheet as Sheet

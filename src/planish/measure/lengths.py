@@ -15,10 +15,11 @@ from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
 from planish.core.robust import masked_gaussian
 from planish.core.typing import Floats, Pair
+from planish.measure.greys import Greys
+from planish.measure.options import Common
 from planish.measure.registry import (
     PROPERTIES,
     SIDES,
-    Greys,
     Measured,
     Sheet,
     Side,
@@ -29,7 +30,6 @@ from planish.measure.registry import (
 )
 
 if TYPE_CHECKING:
-    from planish.measure.params import MeasureParams
     from planish.measure.rays import Rays
 
 
@@ -60,7 +60,7 @@ REASONS = ("no_ink", "ink_reaches_limit")
 NO_INK, AT_LIMIT = 1, 2
 
 
-def _check_ink(params: MeasureParams, _greys: Greys) -> None:
+def _check_ink(params: InkOptions, _greys: Greys) -> None:
     if params.ink_grey is None:
         raise CannotMeasure(
             "The depth of ink needs the grey values that are ink. Read them from a printed and an"
@@ -73,14 +73,15 @@ def _check_ink(params: MeasureParams, _greys: Greys) -> None:
 def _depths(rays: Rays) -> tuple[Floats, NDArray[np.uint8]]:
     from planish.measure import _ray_kernels
 
-    assert rays.params.ink_grey is not None
-    reach = rays.params.ink_reach_um
+    options = rays.params.of(InkOptions)
+    assert options.ink_grey is not None
+    reach = options.ink_reach_um
     limit = (
         0.5 * (rays.top + rays.bottom)
         if reach is None
         else np.maximum(rays.top - reach, rays.bottom)
     )
-    low, high = rays.params.ink_grey
+    low, high = options.ink_grey
     step, shares = rays.step_um, np.array([0.50, 0.90, 0.95])
     depth, total = _ray_kernels.depths_of_shares(
         rays.grey, float(rays.s_um[0]), step, rays.top, limit, low, high, shares
@@ -118,9 +119,10 @@ for _which, (_share, _title) in enumerate(
         by the resin look like ink. SE: the face's and one crossing's with the contrast of half the
         ink's range.
         """
-        assert rays.params.ink_grey is not None
+        options = rays.params.of(InkOptions)
+        assert options.ink_grey is not None
         depths, reason = _depths(rays)
-        low, high = rays.params.ink_grey
+        low, high = options.ink_grey
         se = np.where(
             np.isfinite(depths[which]), np.sqrt(2.0) * rays.crossing_se(0.5 * (high - low)), np.nan
         )
@@ -163,7 +165,7 @@ def thickness_se(sheet: Sheet, name: str) -> Floats:
     return thickness_errors(coatings_um, f.greys, shared_noise, cosine=cosine)[name] * oblique
 
 
-def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:
+def _has_coating(_params: Common, greys: Greys, side: Side) -> None:
     greys.need_coating(side, f"Coating thickness, {side} side,")
 
 
@@ -184,7 +186,7 @@ def _between_faces(sheet: Sheet, name: str) -> Measured:
     return Measured(values=face_length(sheet.frame.faces, name), se=thickness_se(sheet, name))
 
 
-def _needs_both_coatings(_params: MeasureParams, greys: Greys) -> None:
+def _needs_both_coatings(_params: Common, greys: Greys) -> None:
     for side in SIDES:
         greys.need_coating(side, "The difference of both coatings")
 
@@ -238,7 +240,9 @@ def thickness_envelope(sheet: Sheet) -> Measured:
 
     f = sheet.frame
     faces = (np.where(sheet.valid, face, np.nan) for face in (f.faces["top"], -f.faces["bottom"]))
-    top, bottom = (rolled(face, f.pitch_um, f.params.envelope_radius_um) for face in faces)
+    top, bottom = (
+        rolled(face, f.pitch_um, f.params.of(ThicknessOptions).envelope_radius_um) for face in faces
+    )
     return Measured(values=top + bottom)
 
 
@@ -262,7 +266,7 @@ def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
         0.5 * (coating_level + greys.base),
         greys.polarity,
         rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
-        rays.params.gap_um,
+        rays.params.of(ThicknessOptions).gap_um,
         other,
     )
     face_se = rays.oblique * layer_errors(envelope / rays.oblique, greys, rays.noise_um, side)[0]
@@ -342,7 +346,7 @@ def roughness(sheet: Sheet, side: Side) -> Measured:
     SE: the face's, times what the S-filter leaves of white noise, pitch / (2 sqrt(pi) sigma) where
     it is below 1.
     """
-    f, p = sheet.frame, sheet.params
+    f, p = sheet.frame, sheet.params.of(RoughnessOptions)
     outward_sign = 1.0 if side == "top" else -1.0
     height = np.where(sheet.valid, outward_sign * f.faces[side], np.nan)
     limited = scale_limited(

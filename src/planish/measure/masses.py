@@ -15,20 +15,12 @@ import numpy as np
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option, option_names
 from planish.core.typing import Floats
+from planish.measure.greys import FWHM, Greys
 from planish.measure.lengths import smoothed
-from planish.measure.registry import (
-    FWHM,
-    SIDES,
-    Greys,
-    Measured,
-    Sheet,
-    Side,
-    ray_property,
-    sheet_property,
-)
+from planish.measure.options import Common
+from planish.measure.registry import SIDES, Measured, Sheet, Side, ray_property, sheet_property
 
 if TYPE_CHECKING:
-    from planish.measure.params import MeasureParams
     from planish.measure.rays import Rays
 
 
@@ -113,8 +105,8 @@ class Densities(Params):
         }
 
 
-class Options(Params):
-    """Options of the masses."""
+class Options(Densities):
+    """Options of the masses: what is known from elsewhere, and how they are measured."""
 
     coat_weight_from: Literal["thickness", "attenuation"] = option(
         "thickness",
@@ -139,7 +131,7 @@ def _in_grams(
     layer: Measured, sheet: Sheet, quantity_text: str, weighed_g_m2: float | None, density: str
 ) -> Measured:
     if weighed_g_m2 is None:
-        return layer.times(sheet.params.need(quantity_text, density))
+        return layer.times(sheet.params.of(Options).need(quantity_text, density))
     mean_um = sheet.mean(layer.values)
     if not mean_um > 0:
         raise CannotMeasure(
@@ -149,7 +141,7 @@ def _in_grams(
     return layer.times(weighed_g_m2 / mean_um)
 
 
-def _coating_absorbs(_params: MeasureParams, greys: Greys, side: Side) -> None:
+def _coating_absorbs(_params: Common, greys: Greys, side: Side) -> None:
     greys.need_coating(side, f"Coating by absorption, {side} side,")
     greys.need_absorption(f"Coating by absorption, {side} side,")
 
@@ -194,18 +186,18 @@ ray_property(
 )(coating_absorption)
 
 
-def _weight_given(params: MeasureParams, greys: Greys, side: Side) -> bool:
+def _weight_given(params: Options, greys: Greys, side: Side) -> bool:
     return greys.coated(side) and bool(params.coating_g_cm3 or params.coat_weight(side))
 
 
-def _weight_check(params: MeasureParams, greys: Greys, side: Side) -> None:
+def _weight_check(params: Options, greys: Greys, side: Side) -> None:
     greys.need_coating(side, f"Coat weight, {side} side,")
     params.need(f"Coat weight, {side} side,", f"coat_weight_{side}_g_m2", "coating_g_cm3")
     if params.coat_weight_from == "attenuation":
         greys.need_absorption(f"Coat weight, {side} side,")
 
 
-def _layer(params: MeasureParams, _greys: Greys, side: Side) -> tuple[str, ...]:
+def _layer(params: Options, _greys: Greys, side: Side) -> tuple[str, ...]:
     return (
         (
             f"coating_{side}"
@@ -231,13 +223,17 @@ def coat_weight(sheet: Sheet, side: Side) -> Measured:
 
     SE: the layer's, times the same factor.
     """
-    layer = sheet.maps[_layer(sheet.params, sheet.frame.greys, side)[0]]
+    layer = sheet.maps[_layer(sheet.params.of(Options), sheet.frame.greys, side)[0]]
     return _in_grams(
-        layer, sheet, f"Coat weight, {side} side,", sheet.params.coat_weight(side), "coating_g_cm3"
+        layer,
+        sheet,
+        f"Coat weight, {side} side,",
+        sheet.params.of(Options).coat_weight(side),
+        "coating_g_cm3",
     )
 
 
-def _absorbs(_params: MeasureParams, greys: Greys) -> None:
+def _absorbs(_params: Common, greys: Greys) -> None:
     greys.need_absorption("Absorption of the sheet")
 
 
@@ -285,7 +281,7 @@ def absorption_base(rays: Rays) -> Measured:
     return Measured(values=base_um, se=np.sqrt(variance))
 
 
-def _check(params: MeasureParams, greys: Greys) -> None:
+def _check(params: Options, greys: Greys) -> None:
     greys.need_absorption("Grammage")
     if params.grammage_g_m2 is not None:
         return
@@ -298,13 +294,13 @@ def _check(params: MeasureParams, greys: Greys) -> None:
         )
 
 
-def _has_masses(params: MeasureParams, greys: Greys) -> bool:
+def _has_masses(params: Options, greys: Greys) -> bool:
     is_bare = not any(map(greys.coated, SIDES))
     has_densities = params.base_g_cm3 is not None and (is_bare or params.coating_g_cm3 is not None)
     return params.grammage_g_m2 is not None or has_densities
 
 
-def _sources(params: MeasureParams, greys: Greys) -> tuple[str, ...]:
+def _sources(params: Options, greys: Greys) -> tuple[str, ...]:
     coated_sides: list[Side] = [side for side in SIDES if greys.coated(side)]
     is_separable = params.coating_g_cm3 is not None or None not in map(
         params.coat_weight, coated_sides
@@ -326,7 +322,7 @@ def grammage(sheet: Sheet) -> Measured:
     grammage then follows the coating too strongly. SE: each part's times its factor, as
     independent.
     """
-    params, greys, maps = sheet.params, sheet.frame.greys, sheet.maps
+    params, greys, maps = sheet.params.of(Options), sheet.frame.greys, sheet.maps
     base_g_m2 = params.grammage_g_m2
     if "absorption" in _sources(params, greys):
         return _in_grams(maps["absorption"], sheet, "Grammage", base_g_m2, "base_g_cm3")
@@ -372,7 +368,7 @@ def apparent_density(sheet: Sheet) -> Measured:
     average over rays whose noise is independent; noise that neighbours share makes it larger.
     """
     f = sheet.frame
-    sigma = f.params.density_support_um / FWHM
+    sigma = f.params.of(Options).density_support_um / FWHM
     noise_share = min(1.0, float(np.sqrt(np.prod(f.pitch_um))) / (2 * np.sqrt(np.pi) * sigma))
     grammage_map, thickness_map = sheet.maps["grammage"], sheet.maps["thickness"]
     # Both means are of the same rays.

@@ -14,9 +14,9 @@ from planish.core.grid import pitch
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine
 from planish.core.typing import Floats, Pair
+from planish.measure.depth_profiles import depth_profiles
 from planish.measure.lengths import scale_limited
 from planish.measure.params import MeasureParams
-from planish.measure.phases import depth_profiles
 from planish.measure.registry import SIDES, Side
 
 

@@ -5,8 +5,6 @@ Their share on the ray between the interfaces, mass, and profiles through the de
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,13 +12,12 @@ import numpy as np
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
 from planish.core.typing import Floats
-from planish.measure.registry import Greys, Measured, Sheet, ray_property, sheet_property
+from planish.measure.greys import Greys
+from planish.measure.masses import Densities
+from planish.measure.options import Common
+from planish.measure.registry import Measured, Sheet, ray_property, sheet_property
 
 if TYPE_CHECKING:
-    import xarray as xr
-
-    from planish.core.tiles import Engine
-    from planish.measure.params import MeasureParams
     from planish.measure.rays import Rays
 
 
@@ -46,7 +43,7 @@ class Options(Params):
     )
 
 
-def void_level(greys: Greys, params: MeasureParams) -> float:
+def void_level(greys: Greys, params: Options) -> float:
     """Give the level between void and solid.
 
     It is given, or half way between air and base (or solid, where that is given).
@@ -56,7 +53,7 @@ def void_level(greys: Greys, params: MeasureParams) -> float:
     return 0.5 * (greys.air + (greys.base if params.solid_grey is None else params.solid_grey))
 
 
-def _solid(params: MeasureParams, greys: Greys) -> None:
+def _solid(params: Options, greys: Greys) -> None:
     if params.solid_grey is not None and not (params.solid_grey - greys.base) * greys.polarity > 0:
         raise CannotMeasure(
             f"solid_grey is {params.solid_grey:g}, the base's mean grey {greys.base:.4g} and the"
@@ -81,14 +78,15 @@ def porosity(rays: Rays) -> Measured:
     where the base is faint. SE: sqrt(n) sqrt(2 pi) w sigma / (base - air) / L with n ends of voids,
     each as uncertain as one crossing.
     """
-    return _share_of_void(rays, *rays.core)
+    return share_of_void(rays, *rays.core)
 
 
-def _share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
-    greys, solid_grey = rays.greys, rays.params.solid_grey
+def share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
+    """Share of void on each ray between two places (rows, cols)."""
+    greys, solid_grey = rays.greys, rays.params.of(Options).solid_grey
     if solid_grey is None:
         matter = _share_beyond(
-            rays, lower, upper, void_level(greys, rays.params), greys.base - greys.air
+            rays, lower, upper, void_level(greys, rays.params.of(Options)), greys.base - greys.air
         )
         return Measured(values=1 - matter.values, se=matter.se)
     length, contrast = upper - lower, solid_grey - greys.air
@@ -116,13 +114,14 @@ def _share_beyond(
         )
 
 
-def _filler_level(params: MeasureParams, greys: Greys) -> float:
+def filler_level(params: Common, greys: Greys) -> float:
     """Level between fibres and filler.
 
     CannotMeasure where there is neither one nor a coating to tell it from.
     """
-    if params.filler_grey is not None:
-        return params.filler_grey
+    filler_grey = params.of(Options).filler_grey
+    if filler_grey is not None:
+        return filler_grey
     coats = [level for level in (greys.coating_top, greys.coating_bottom) if np.isfinite(level)]
     if not coats:
         raise CannotMeasure(
@@ -136,7 +135,7 @@ def _filler_level(params: MeasureParams, greys: Greys) -> float:
     "filler",
     units="1",
     long_name="Filler in the base",
-    check=_filler_level,
+    check=filler_level,
     when=lambda params, _greys: params.filler_grey is not None,
 )
 def filler(rays: Rays) -> Measured:
@@ -150,7 +149,7 @@ def filler(rays: Rays) -> Measured:
 
     lower, upper = rays.core
     is_beyond = (
-        rays.greys.polarity * (rays.grey - np.float32(_filler_level(rays.params, rays.greys))) > 0
+        rays.greys.polarity * (rays.grey - np.float32(filler_level(rays.params, rays.greys))) > 0
     )
     is_within = rays.between(lower, upper)
     is_dark = is_within & ~is_beyond
@@ -160,17 +159,18 @@ def filler(rays: Rays) -> Measured:
     has_dark = is_dark.any(axis=-1)
     start = np.where(has_dark & (ends[0] != first), rays.s_um[first], lower)
     stop = np.where(has_dark & (ends[1] != last), rays.s_um[last], upper)
-    return _share_of_filler(rays, start, stop)
+    return share_of_filler(rays, start, stop)
 
 
-def _share_of_filler(rays: Rays, lower: Floats, upper: Floats) -> Measured:
-    level = _filler_level(rays.params, rays.greys)
+def share_of_filler(rays: Rays, lower: Floats, upper: Floats) -> Measured:
+    """Share of bright matter on each ray between two places (rows, cols)."""
+    level = filler_level(rays.params, rays.greys)
     return _share_beyond(rays, lower, upper, level, 2 * (level - rays.greys.base))
 
 
-def _weighable(params: MeasureParams, greys: Greys) -> None:
-    params.need("Filler", "filler_g_cm3")
-    _filler_level(params, greys)
+def _weighable(params: Common, greys: Greys) -> None:
+    params.of(Densities).need("Filler", "filler_g_cm3")
+    filler_level(params, greys)
 
 
 @sheet_property(
@@ -185,123 +185,8 @@ def filler_weight(sheet: Sheet) -> Measured:
 
     SE: the share's, likewise.
     """
-    mass = sheet.maps["base_thickness"].values * sheet.params.need("Filler", "filler_g_cm3")
+    mass = sheet.maps["base_thickness"].values * sheet.params.of(Densities).need(
+        "Filler", "filler_g_cm3"
+    )
     share = sheet.maps["filler"]
     return Measured(values=share.values * mass, se=share.se * mass)
-
-
-_SHARES: dict[str, tuple[Callable[[Rays, Floats, Floats], Measured], str]] = {
-    "porosity": (_share_of_void, "Porosity of the base"),
-    "filler": (_share_of_filler, "Filler in the base"),
-}
-
-
-def _layer_sums(
-    names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile_rows: slice, _: slice
-) -> Floats:
-    """Give number, sum and sum of squares of each share in each layer by row.
-
-    The shape is (names, layers, 3, rows).
-    """
-    # Rows are summed by themselves, then added in the same order however they were cut.
-    rays = halo_rays.rows(tile_rows)
-    base_um = rays.interface_top - rays.interface_bottom
-    edge_um = [rays.interface_bottom + edge * base_um for edge in layer_edges]
-    layer_sums = np.zeros((len(names), layer_edges.size - 1, 3, len(base_um)))
-    for name_index, name in enumerate(names):
-        for layer in range(layer_edges.size - 1):
-            share = _SHARES[name][0](rays, edge_um[layer], edge_um[layer + 1]).values
-            is_valid = np.isfinite(share) & (rays.status == 0)
-            share = np.where(is_valid, share, 0.0)
-            layer_sums[name_index, layer] = [
-                is_valid.sum(axis=1),
-                share.sum(axis=1),
-                (share**2).sum(axis=1),
-            ]
-    return layer_sums
-
-
-def depth_profiles(
-    volume: xr.DataArray,
-    surfaces: xr.Dataset,
-    *,
-    names: Sequence[str] = ("porosity",),
-    bins: int = 20,
-    params: MeasureParams | None = None,
-    rows_per_tile: int | None = None,
-    engine: Engine | None = None,
-) -> xr.Dataset:
-    """Share of a phase in layers of equal relative depth, mean over all valid rays (P-10, P-11).
-
-    Parameters
-    ----------
-    volume, surfaces, params, rows_per_tile, engine
-        As in :func:`~planish.measure.measure_along_rays`; no result depends on the last two.
-    names : sequence of {"porosity", "filler"}
-    bins : int
-        Layers. On a ray where a layer is thinner than a step of the ray it is not counted.
-
-    Returns
-    -------
-    Dataset, dim (depth)
-        Each name with ``<name>_sd``, the standard deviation from ray to ray, and ``<name>_n``.
-        Depth 0 is the bottom interface, 1 the top one; ``blurred``: 1 in the layers within two
-        blurs of an interface, where what lies beside the base shines in.
-
-    Raises
-    ------
-    CannotMeasure
-        If a name is unknown, a grey level is missing, or the layers are thinner than a step
-        everywhere.
-    """
-    import xarray as xr
-
-    from planish.measure.properties import each_tile, ray_frame
-
-    unknown_names = [name for name in names if name not in _SHARES]
-    if unknown_names or bins < 1:
-        raise CannotMeasure(
-            f"There is no profile of {', '.join(unknown_names) or 'no layers'}. Choose from"
-            f" {', '.join(_SHARES)}, and at least one layer."
-        )
-    frame = ray_frame(volume, surfaces, params)
-    if "filler" in names:
-        _filler_level(frame.params, frame.greys)
-    layer_edges = np.linspace(0.0, 1.0, bins + 1)
-    sum_layers = partial(_layer_sums, names, layer_edges)
-    tile_sums = each_tile(volume, frame, sum_layers, rows=rows_per_tile, engine=engine)
-    count, total, squares = np.moveaxis(np.concatenate(tile_sums, axis=-1).sum(axis=-1), -1, 0)
-    if not (count > 0).any():
-        raise CannotMeasure(
-            f"The base is too thin for {bins} layers of a step of the rays ({frame.step_um:g} um)."
-            " Ask for fewer bins."
-        )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.where(count > 0, total / count, np.nan)
-        sd = np.sqrt(np.maximum(squares / count - mean**2, 0.0))
-    base_map_um = frame.faces["interface_top"] - frame.faces["interface_bottom"]
-    base_um = float(np.nanmedian(np.where(frame.status == 0, base_map_um, np.nan)))
-    middle_depth = 0.5 * (layer_edges[1:] + layer_edges[:-1])
-    is_blurred = np.minimum(middle_depth, 1 - middle_depth) < 2 * frame.greys.blur_um / base_um
-    profiles = xr.Dataset(attrs={"base_um": base_um, "rays": frame.params.rays}).assign_coords(
-        depth=(
-            "depth",
-            middle_depth,
-            {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"},
-        )
-    )
-    for a, name in enumerate(names):
-        title = _SHARES[name][1]
-        profiles[name] = "depth", mean[a], {"units": "1", "long_name": title}
-        profiles[f"{name}_sd"] = (
-            "depth",
-            sd[a],
-            {"units": "1", "long_name": f"{title}, standard deviation of rays"},
-        )
-        profiles[f"{name}_n"] = "depth", count[a], {"long_name": "Rays"}
-    profiles["blurred"] = (
-        "depth",
-        is_blurred.astype(np.float64),
-        {"long_name": "Within two blurs of an interface"},
-    )
-    return profiles

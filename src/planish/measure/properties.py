@@ -22,13 +22,12 @@ from planish.core.status import FIRST_OWN, Status, status_flags
 from planish.core.threads import count_threads, map_threads
 from planish.core.tiles import Engine
 from planish.core.typing import Floats
+from planish.measure.greys import FWHM, Greys
 from planish.measure.params import MeasureParams
 from planish.measure.rays import RayFrame, Rays, meet
 from planish.measure.registry import (
-    FWHM,
     PROPERTIES,
     SIDES,
-    Greys,
     Measured,
     Property,
     Sheet,

@@ -20,8 +20,8 @@ from planish.core.labelled import read_box
 from planish.core.status import Status
 from planish.core.typing import Bools, Floats, Pair
 from planish.measure import _ray_kernels
-from planish.measure.params import MeasureParams
-from planish.measure.registry import Greys
+from planish.measure.greys import Greys
+from planish.measure.options import Common
 
 Grey = NDArray[np.float32]
 Direction = Literal["normal", "vertical"]
@@ -57,7 +57,7 @@ class Rays:
     pitch_um: Pair  #: between rows and between columns, in projection
     voxel_um: float  #: along the axis through the sheet
     greys: Greys
-    params: MeasureParams
+    params: Common
     noise_um: float  #: variance of the grey's integral over one um of ray, from the noise alone
     mirrored: bool  #: whether the array shows the sheet as a mirror does
     mean_stretch: Pair
@@ -223,13 +223,13 @@ class RayFrame:
     low: int
     high: int
     greys: Greys
-    params: MeasureParams
+    params: Common
     mean_stretch: Pair
     column_px: int
     noise_um: float = float("nan")
 
     @classmethod
-    def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
+    def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: Common) -> RayFrame:
         """Find where every ray meets the faces.
 
         Of the volume only size and coordinates are looked at.

@@ -26,90 +26,18 @@ from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.errors import CannotMeasure, SurfaceError
+from planish.core.errors import CannotMeasure
 from planish.core.facts import SIDES, Side
 from planish.core.typing import Bools, Floats
+from planish.measure.greys import Greys
+from planish.measure.options import Common
 
 if TYPE_CHECKING:
-    import xarray as xr
-
-    from planish.measure.params import MeasureParams
     from planish.measure.rays import RayFrame, Rays
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Greys:
-    """Grey levels, noise and blur."""
-
-    air: float
-    base: float
-    coating_top: float  # NaN where that side has no coating
-    coating_bottom: float
-    noise: float  # standard deviation of one voxel
-    polarity: float  # +1 where the sheet is brighter than the air, -1 where it is darker
-    blur_um: float  # standard deviation of the blur across the faces
-    padding: float  # value outside the field of view; NaN where there is none
-    single_noise: float = float("nan")  # that of a column before it is averaged with its neighbours
-    # Variance of the integral over one um of the base's grey, from walls and pores; grey^2 um.
-    texture_um: float = 0.0
-    # Standard deviation of the Gaussian over neighbouring columns that the fit saw, in columns.
-    averaged: float = 0.0
-
-    @classmethod
-    def of(cls, surfaces: xr.Dataset) -> Greys:
-        """Read the levels from the surfaces' attributes; SurfaceError if they are not there."""
-        attrs = surfaces.attrs
-        keys = [
-            f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")
-        ]
-        keys += ["polarity", "blur_um"]
-        if lacking := [key for key in keys if key not in attrs]:
-            raise SurfaceError(
-                f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'."
-            )
-        return cls(
-            **{key.removeprefix("grey_"): float(attrs[key]) for key in keys},
-            padding=float(attrs.get("padding", np.nan)),
-            averaged=float(attrs.get("averaged_columns", 0.0)),
-            texture_um=float(attrs.get("base_texture_um", 0.0)),
-            single_noise=float(attrs.get("grey_noise_single", attrs["grey_noise"])),
-        )
-
-    def coating(self, side: Side) -> float:
-        """Level of the coating of ``top`` or ``bottom``."""
-        return self.coating_top if side == "top" else self.coating_bottom
-
-    def coated(self, side: Side) -> bool:
-        """Tell if that side has a coating."""
-        return bool(np.isfinite(self.coating(side)))
-
-    def need_coating(self, side: Side, subject: str) -> float:
-        """Level of the coating; CannotMeasure if that side has none."""
-        level = self.coating(side)
-        if not np.isfinite(level):
-            raise CannotMeasure(
-                f"{subject} needs a coating on the {side} side, and none was seen there. Leave it"
-                " out."
-            )
-        return level
-
-    def need_absorption(self, subject: str) -> None:
-        """Refuse grey values that are no X-ray absorption.
-
-        Those of a sheet darker than what surrounds it.
-        """
-        if self.polarity < 0:
-            raise CannotMeasure(
-                f"{subject} is read from X-ray absorption, and this sheet is darker than what"
-                " surrounds it. Use a property that needs lengths only, with a density."
-            )
-
-
-FWHM = float(np.sqrt(8 * np.log(2.0)))
-"""Full width at half maximum of a Gaussian over its standard deviation."""
 
 PROPERTIES = {
     "coating_top": "Coating thickness, top side",
@@ -160,8 +88,8 @@ class Sheet:
     maps: Mapping[str, Measured]  #: the properties that were named with ``after``
 
     @property
-    def params(self) -> MeasureParams:
-        """Options of the measurement."""
+    def params(self) -> Common:
+        """Options of the measurement; ``params.of(Options)`` are those of one property."""
         return self.frame.params
 
     @property
@@ -185,10 +113,11 @@ def cached(function: Callable[Concatenate[Rays, P], T]) -> Callable[Concatenate[
     return cached_function
 
 
-Length = float | Callable[["MeasureParams"], float]
+# Functions of a property are given all options of the measurement, and name the model of their own.
+Length = float | Callable[[Any], float]
 After = tuple[str, ...] | Callable[..., tuple[str, ...]]
 Check = Callable[..., object]
-When = Callable[["MeasureParams", "Greys"], bool] | Callable[["MeasureParams", "Greys", Side], bool]
+When = Callable[[Any, Greys], bool] | Callable[[Any, Greys, Side], bool]
 Answer = Callable[..., "Floats | Measured"]
 
 
@@ -306,7 +235,7 @@ def find_property(name: str | Property) -> Property:
     return _REGISTERED[name]
 
 
-def check_maps(params: MeasureParams) -> None:
+def check_maps(params: Common) -> None:
     """Refuse maps that no sheet can have with these parameters, before a volume is read.
 
     Raises
@@ -325,7 +254,7 @@ def check_maps(params: MeasureParams) -> None:
                 raise fault from None
 
 
-def possible_maps(params: MeasureParams) -> list[str]:
+def possible_maps(params: Common) -> list[str]:
     """Return the names of the maps that a sheet may have with these parameters.
 
     Which sides are coated is not known yet.
@@ -348,7 +277,7 @@ def _coated_and_bare() -> tuple[Greys, Greys]:
     return replace(bare, coating_top=2.0, coating_bottom=2.0), bare
 
 
-def chosen(params: MeasureParams, greys: Greys) -> list[str]:
+def chosen(params: Common, greys: Greys) -> list[str]:
     """Return the names of the maps to measure.
 
     Those that cost nothing, those whose numbers are given, and those asked for.
@@ -363,9 +292,7 @@ def chosen(params: MeasureParams, greys: Greys) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def in_order(
-    names: Sequence[str | Property], params: MeasureParams, greys: Greys
-) -> list[Property]:
+def in_order(names: Sequence[str | Property], params: Common, greys: Greys) -> list[Property]:
     """Return the properties and all that they are made from, each after what it needs.
 
     Raises
@@ -391,6 +318,6 @@ def in_order(
     return list(ordered.values())
 
 
-def length_of(length: Length, params: MeasureParams) -> float:
+def length_of(length: Length, params: Common) -> float:
     """Value in um of a length that may depend on the parameters."""
     return length(params) if callable(length) else length

@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 from planish.core.options import Params, option
 from planish.core.transform import axial_angle
 from planish.core.typing import Floats
+from planish.measure import phases
+from planish.measure.greys import FWHM
 from planish.measure.phases import void_level
-from planish.measure.registry import FWHM, Property, cached, ray_property
+from planish.measure.registry import Property, cached, ray_property
 
 if TYPE_CHECKING:
-    from planish.measure.params import MeasureParams
     from planish.measure.rays import Rays
 
 
@@ -56,13 +57,13 @@ class Options(Params):
     )
 
 
-def _halo(params: MeasureParams) -> float:
+def _halo(params: Options) -> float:
     # The gradient's own reach is a few voxels, whose size is not known here.
     sigma = params.orientation_sigma_um or 10.0
     return _CUT * (params.orientation_rho_um + sigma) + 20.0
 
 
-def _width(params: MeasureParams) -> float:
+def _width(params: Options) -> float:
     return FWHM * params.orientation_rho_um
 
 
@@ -80,7 +81,7 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
     gaussians: list[Floats] = []
     derivatives: list[Floats] = []
     for pitch in rays.pitch_um:
-        sigma = max((rays.params.orientation_sigma_um or pitch) / pitch, 0.5)
+        sigma = max((rays.params.of(Options).orientation_sigma_um or pitch) / pitch, 0.5)
         x = np.arange(-int(np.ceil(_CUT * sigma)), int(np.ceil(_CUT * sigma)) + 1)
         gaussian = np.exp(-0.5 * (x / sigma) ** 2)
         gaussians.append(gaussian / gaussian.sum())
@@ -109,7 +110,9 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
     is_inside = rays.s_um[samples] >= np.maximum(lower, bottom + lowest * base_um)[..., None]
     is_inside &= rays.s_um[samples] < np.minimum(upper, bottom + highest * base_um)[..., None]
     is_inside &= (
-        rays.greys.polarity * (rays.grey[..., samples] - void_level(rays.greys, rays.params)) > 0
+        rays.greys.polarity
+        * (rays.grey[..., samples] - void_level(rays.greys, rays.params.of(phases.Options)))
+        > 0
     )
     xx_sum, yy_sum, xy_sum = (
         np.einsum("ijk,ijk,ijk->ij", a, b, is_inside, dtype=np.float64)
@@ -117,7 +120,7 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
     )
     xx, yy, xy = _in_tangent_plane(xx_sum, yy_sum, xy_sum, rays.slope)
     is_valid = (rays.status == 0) & np.isfinite(xx)
-    sigma = [rays.params.orientation_rho_um / p for p in rays.pitch_um]
+    sigma = [rays.params.of(Options).orientation_rho_um / p for p in rays.pitch_um]
     averaged = [
         ndimage.gaussian_filter(np.where(is_valid, v, 0.0), sigma, mode="constant", truncate=_CUT)
         for v in (xx + yy, xx - yy, 2 * xy)
@@ -247,13 +250,13 @@ def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     # there.
     samples = rays.samples_within(*rays.core, more=1)
     above_void_level = rays.greys.polarity * (
-        rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params))
+        rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params.of(phases.Options)))
     )
     is_void = ((above_void_level < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
     return is_void, is_void.sum(axis=-1, dtype=np.int64)
 
 
-def _limit(params: MeasureParams) -> float:
+def _limit(params: Options) -> float:
     return params.pore_limit_um
 
 
@@ -287,7 +290,7 @@ def pore_chord(rays: Rays) -> Floats:
     void, count = _voids(rays)
     total = np.zeros(count.shape)
     for k, pitch in enumerate(rays.pitch_um):
-        chord_steps = chords(void, k, max(int(rays.params.pore_limit_um / pitch), 1))
+        chord_steps = chords(void, k, max(int(rays.params.of(Options).pore_limit_um / pitch), 1))
         total += 0.5 * chord_steps * pitch * rays.stretch[..., k]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(count > 0, total / count, np.nan)
@@ -332,7 +335,7 @@ def pore_diameter(rays: Rays) -> Floats:
         rays.step_um,
     )
     half_step_um = 0.5 * float(np.mean(step))
-    distance = distances(void, step, 0.5 * rays.params.pore_limit_um + half_step_um)
+    distance = distances(void, step, 0.5 * rays.params.of(Options).pore_limit_um + half_step_um)
     radius = _pore_kernels.inscribed(distance, step)
     diameter_um = np.where(void > 0, 2 * np.maximum(radius - half_step_um, 0.5 * half_step_um), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):

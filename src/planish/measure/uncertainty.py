@@ -18,10 +18,11 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
+from planish.core.facts import Side
 from planish.core.robust import mad_sd
 from planish.core.typing import Floats, Pair
+from planish.measure.greys import Greys
 from planish.measure.rays import RayFrame
-from planish.measure.registry import Greys, Side
 
 # Spread of the coating's and the base's level from place to place, as a share of their contrast.
 _LEVELS = (0.05, 0.10)

@@ -1,0 +1,135 @@
+"""Shares of voids and filler over the depth of the base."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import CannotMeasure
+from planish.core.typing import Floats
+from planish.measure.params import MeasureParams
+from planish.measure.phases import filler_level, share_of_filler, share_of_void
+from planish.measure.properties import each_tile, ray_frame
+from planish.measure.rays import Rays
+from planish.measure.registry import Measured
+
+if TYPE_CHECKING:
+    from planish.core.tiles import Engine
+
+_SHARES: dict[str, tuple[Callable[[Rays, Floats, Floats], Measured], str]] = {
+    "porosity": (share_of_void, "Porosity of the base"),
+    "filler": (share_of_filler, "Filler in the base"),
+}
+
+
+def _layer_sums(
+    names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile_rows: slice, _: slice
+) -> Floats:
+    """Give number, sum and sum of squares of each share in each layer by row.
+
+    The shape is (names, layers, 3, rows).
+    """
+    # Rows are summed by themselves, then added in the same order however they were cut.
+    rays = halo_rays.rows(tile_rows)
+    base_um = rays.interface_top - rays.interface_bottom
+    edge_um = [rays.interface_bottom + edge * base_um for edge in layer_edges]
+    layer_sums = np.zeros((len(names), layer_edges.size - 1, 3, len(base_um)))
+    for name_index, name in enumerate(names):
+        for layer in range(layer_edges.size - 1):
+            share = _SHARES[name][0](rays, edge_um[layer], edge_um[layer + 1]).values
+            is_valid = np.isfinite(share) & (rays.status == 0)
+            share = np.where(is_valid, share, 0.0)
+            layer_sums[name_index, layer] = [
+                is_valid.sum(axis=1),
+                share.sum(axis=1),
+                (share**2).sum(axis=1),
+            ]
+    return layer_sums
+
+
+def depth_profiles(
+    volume: xr.DataArray,
+    surfaces: xr.Dataset,
+    *,
+    names: Sequence[str] = ("porosity",),
+    bins: int = 20,
+    params: MeasureParams | None = None,
+    rows_per_tile: int | None = None,
+    engine: Engine | None = None,
+) -> xr.Dataset:
+    """Share of a phase in layers of equal relative depth, mean over all valid rays (P-10, P-11).
+
+    Parameters
+    ----------
+    volume, surfaces, params, rows_per_tile, engine
+        As in :func:`~planish.measure.measure_along_rays`; no result depends on the last two.
+    names : sequence of {"porosity", "filler"}
+    bins : int
+        Layers. On a ray where a layer is thinner than a step of the ray it is not counted.
+
+    Returns
+    -------
+    Dataset, dim (depth)
+        Each name with ``<name>_sd``, the standard deviation from ray to ray, and ``<name>_n``.
+        Depth 0 is the bottom interface, 1 the top one; ``blurred``: 1 in the layers within two
+        blurs of an interface, where what lies beside the base shines in.
+
+    Raises
+    ------
+    CannotMeasure
+        If a name is unknown, a grey level is missing, or the layers are thinner than a step
+        everywhere.
+    """
+    import xarray as xr
+
+    unknown_names = [name for name in names if name not in _SHARES]
+    if unknown_names or bins < 1:
+        raise CannotMeasure(
+            f"There is no profile of {', '.join(unknown_names) or 'no layers'}. Choose from"
+            f" {', '.join(_SHARES)}, and at least one layer."
+        )
+    frame = ray_frame(volume, surfaces, params)
+    if "filler" in names:
+        filler_level(frame.params, frame.greys)
+    layer_edges = np.linspace(0.0, 1.0, bins + 1)
+    sum_layers = partial(_layer_sums, names, layer_edges)
+    tile_sums = each_tile(volume, frame, sum_layers, rows=rows_per_tile, engine=engine)
+    count, total, squares = np.moveaxis(np.concatenate(tile_sums, axis=-1).sum(axis=-1), -1, 0)
+    if not (count > 0).any():
+        raise CannotMeasure(
+            f"The base is too thin for {bins} layers of a step of the rays ({frame.step_um:g} um)."
+            " Ask for fewer bins."
+        )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.where(count > 0, total / count, np.nan)
+        sd = np.sqrt(np.maximum(squares / count - mean**2, 0.0))
+    base_map_um = frame.faces["interface_top"] - frame.faces["interface_bottom"]
+    base_um = float(np.nanmedian(np.where(frame.status == 0, base_map_um, np.nan)))
+    middle_depth = 0.5 * (layer_edges[1:] + layer_edges[:-1])
+    is_blurred = np.minimum(middle_depth, 1 - middle_depth) < 2 * frame.greys.blur_um / base_um
+    profiles = xr.Dataset(attrs={"base_um": base_um, "rays": frame.params.rays}).assign_coords(
+        depth=(
+            "depth",
+            middle_depth,
+            {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"},
+        )
+    )
+    for a, name in enumerate(names):
+        title = _SHARES[name][1]
+        profiles[name] = "depth", mean[a], {"units": "1", "long_name": title}
+        profiles[f"{name}_sd"] = (
+            "depth",
+            sd[a],
+            {"units": "1", "long_name": f"{title}, standard deviation of rays"},
+        )
+        profiles[f"{name}_n"] = "depth", count[a], {"long_name": "Rays"}
+    profiles["blurred"] = (
+        "depth",
+        is_blurred.astype(np.float64),
+        {"long_name": "Within two blurs of an interface"},
+    )
+    return profiles

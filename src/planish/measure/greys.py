@@ -1,0 +1,86 @@
+"""Grey levels of a sheet, as its surfaces carry them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planish.core.errors import CannotMeasure, SurfaceError
+from planish.core.facts import Side
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Greys:
+    """Grey levels, noise and blur."""
+
+    air: float
+    base: float
+    coating_top: float  # NaN where that side has no coating
+    coating_bottom: float
+    noise: float  # standard deviation of one voxel
+    polarity: float  # +1 where the sheet is brighter than the air, -1 where it is darker
+    blur_um: float  # standard deviation of the blur across the faces
+    padding: float  # value outside the field of view; NaN where there is none
+    single_noise: float = float("nan")  # that of a column before it is averaged with its neighbours
+    # Variance of the integral over one um of the base's grey, from walls and pores; grey^2 um.
+    texture_um: float = 0.0
+    # Standard deviation of the Gaussian over neighbouring columns that the fit saw, in columns.
+    averaged: float = 0.0
+
+    @classmethod
+    def of(cls, surfaces: xr.Dataset) -> Greys:
+        """Read the levels from the surfaces' attributes; SurfaceError if they are not there."""
+        attrs = surfaces.attrs
+        keys = [
+            f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")
+        ]
+        keys += ["polarity", "blur_um"]
+        if lacking := [key for key in keys if key not in attrs]:
+            raise SurfaceError(
+                f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'."
+            )
+        return cls(
+            **{key.removeprefix("grey_"): float(attrs[key]) for key in keys},
+            padding=float(attrs.get("padding", np.nan)),
+            averaged=float(attrs.get("averaged_columns", 0.0)),
+            texture_um=float(attrs.get("base_texture_um", 0.0)),
+            single_noise=float(attrs.get("grey_noise_single", attrs["grey_noise"])),
+        )
+
+    def coating(self, side: Side) -> float:
+        """Level of the coating of ``top`` or ``bottom``."""
+        return self.coating_top if side == "top" else self.coating_bottom
+
+    def coated(self, side: Side) -> bool:
+        """Tell if that side has a coating."""
+        return bool(np.isfinite(self.coating(side)))
+
+    def need_coating(self, side: Side, subject: str) -> float:
+        """Level of the coating; CannotMeasure if that side has none."""
+        level = self.coating(side)
+        if not np.isfinite(level):
+            raise CannotMeasure(
+                f"{subject} needs a coating on the {side} side, and none was seen there. Leave it"
+                " out."
+            )
+        return level
+
+    def need_absorption(self, subject: str) -> None:
+        """Refuse grey values that are no X-ray absorption.
+
+        Those of a sheet darker than what surrounds it.
+        """
+        if self.polarity < 0:
+            raise CannotMeasure(
+                f"{subject} is read from X-ray absorption, and this sheet is darker than what"
+                " surrounds it. Use a property that needs lengths only, with a density."
+            )
+
+
+FWHM = float(np.sqrt(8 * np.log(2.0)))
+"""Full width at half maximum of a Gaussian over its standard deviation."""
