@@ -11,18 +11,18 @@ import pytest
 from analyze.fields import compared, gaussian_maps, lags_of, related_maps
 from planish.analyze import (
     CorrelateParams,
-    PairWords,
     agreement,
     bland_altman,
     correlograms,
     cross_correlogram,
     deming,
     ring_correlation,
-    sentences,
     variogram,
 )
 from planish.analyze.variograms import answer_variograms
 from planish.report import diagnostics
+from planish.report.sentences.table import sentences
+from planish.report.sentences.wording import Wording
 from planish.results import EvidenceFacts, Results
 
 CELL = (8.0, 8.0)
@@ -131,7 +131,7 @@ def facts(seed=0, *, md_deg=None, same=False, **how):
 
 
 def of_each(evidence, titles):
-    return [*sentences(evidence, "distance", PairWords(titles=titles))]
+    return [*sentences(evidence, "distance", Wording(titles=titles))]
 
 
 def test_the_page_names_ranges_directions_and_the_lag():

@@ -10,18 +10,18 @@ from scipy import ndimage
 
 from planish.analyze import (
     CorrelateParams,
-    PairWords,
     commonality,
     correlate,
     correlate_layers,
     correlation_diagnostics,
-    correlation_evidence,
     headline_of,
     partial,
 )
 from planish.core.area import area_mean
 from planish.core.errors import InputError
 from planish.report import summary
+from planish.report.sentences import table
+from planish.report.sentences.wording import Wording
 from planish.results import Results
 from planish.run import Compute, as_study, preflight
 from report.runs import a_run
@@ -287,7 +287,7 @@ def evidence_of(maps, *, declared=False, **options):
 
 
 def sentences(evidence, point_um):
-    return [*correlation_evidence.sentences(evidence, "scale", PairWords(point_um))]
+    return [*table.sentences(evidence, "scale", Wording(point_um))]
 
 
 def test_unrelated_noise_says_nothing_at_any_scale():

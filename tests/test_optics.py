@@ -16,13 +16,13 @@ from planish.analyze import (
     light_spread,
     mottle_of,
     reflectance,
-    sentences,
     spread_light,
     without_screen,
 )
 from planish.analyze.kubelka_munk import answer_kubelka_munk, density_of, kubelka_munk_of
 from planish.core.errors import InputError, PlanishError
 from planish.io import ImageParams
+from planish.report.sentences.table import sentences
 from planish.results import EvidenceFacts, Results
 from planish.run import Compute, as_study, correlate_maps, preflight
 

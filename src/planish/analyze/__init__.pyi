@@ -19,9 +19,7 @@ from .correlation import PairAtSizes as PairAtSizes
 from .correlation import PairSums as PairSums
 from .correlation import correlate as correlate
 from .correlation import pearson as pearson
-from .correlation_evidence import PairWords as PairWords
 from .correlation_evidence import correlation_diagnostics as correlation_diagnostics
-from .correlation_evidence import sentences as sentences
 from .correlograms import Correlogram as Correlogram
 from .correlograms import CorrelogramProfiles as CorrelogramProfiles
 from .correlograms import LagProfile as LagProfile
@@ -86,6 +84,7 @@ from .robustness import origins as origins
 from .robustness import partial as partial
 from .second_opinion import SecondOpinion as SecondOpinion
 from .second_opinion import second_opinion as second_opinion
+from .sheet_columns import SheetColumns as SheetColumns
 from .sheets import Fields as Fields
 from .sheets import RandomEffects as RandomEffects
 from .sheets import SheetMean as SheetMean
@@ -99,7 +98,6 @@ from .sides import texture_of as texture_of
 from .sides import two_images as two_images
 from .sides import two_sheets as two_sheets
 from .split_half import Reliability as Reliability
-from .split_half import SheetColumns as SheetColumns
 from .split_half import split_reliability as split_reliability
 from .study_power import StudyDesign as StudyDesign
 from .study_power import expected_n_eff as expected_n_eff

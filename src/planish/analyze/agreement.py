@@ -6,7 +6,6 @@ Bias, scatter and limits of agreement, the line between both, and waves in commo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -28,12 +27,11 @@ from planish.analyze.distributions import t_95
 from planish.analyze.rings import RingCorrelation, ring_correlation
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, is_known, optional
-from planish.core.numbers import count, fixed, limits_text, number, plain, typeset, unit
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.compared_maps import ComparedMaps
 
 LIMIT = 1.96
 """Standard deviations of differences that hold 95 % of normal ones, as Bland and Altman write
@@ -296,33 +294,6 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
                 "error_interval": fit.interval,
             }
     return {"twice": Twice.holding(rings, agreement, point_um=point_um, units=units, **line_fields)}
-
-
-def say_twice(agreement: Twice, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
-    """Down to which wavelength two measurements agree, and how far they differ."""
-    if agreement.sentence:
-        yield typeset(agreement.sentence)
-    if is_known(agreement.bias) and is_known(agreement.point_um):
-        units = unit(agreement.units)
-        text = (
-            f"{evidence.b} minus {evidence.a}, over {count(agreement.n)} points of"
-            f" {plain(agreement.point_um)}: {fixed(agreement.bias, 2)} {units} on average"
-            f" ({limits_text(agreement.bias_interval) or 'no interval'})"
-        )
-        if sd_text := limits_text(agreement.sd_interval):
-            text += f"; standard deviation of a point within {f'{sd_text} {units}'.rstrip()}"
-        yield f"{text}."
-    if is_known(agreement.error_ratio):
-        if not is_known(agreement.error_slope):
-            yield (
-                "No line is given: the two do not vary together, or too few points are independent."
-            )
-            return
-        yield (
-            "Line with errors in both (Deming, variances in a ratio of "
-            f"{number(agreement.error_ratio)}, as declared): slope {number(agreement.error_slope)} "
-            f"({limits_text(agreement.error_interval) or 'no interval'})."
-        )
 
 
 class Instruments(ResultModel):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,14 +11,14 @@ from scipy import fft
 
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.covariance import Lags, covariance_of
-from planish.analyze.split_half import reliability_of, say_reliability
+from planish.analyze.split_half import reliability_of
 from planish.core.bands import thinned
 from planish.core.errors import InputError
 from planish.core.facts import ResultModel
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts
+    from planish.analyze.compared_maps import ComparedMaps
 
 
 _QUANTILES = 16  # of the errors of a map
@@ -162,13 +161,3 @@ def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
             if "ceiling" in answers:
                 answers["ceiling_both"] = noise_r * answers["ceiling"]
     return answers
-
-
-def say_ceiling(_: object, evidence: EvidenceFacts, *__: object) -> Iterator[str]:
-    """What a perfect relation would show."""
-    if evidence.ceiling_sentence:
-        yield (
-            f"{evidence.ceiling_sentence} It rests on the expected error of the registration and"
-            " the texture of the map; noise lowers it further."
-        )
-    yield from say_reliability(evidence)

@@ -9,7 +9,6 @@ saturating curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,11 +20,10 @@ from planish.analyze.covariance import Lags, scatter_of
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
-from planish.core.numbers import fixed, plain
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.compared_maps import ComparedMaps
 
 
 class IndependentPoints(ResultModel):
@@ -222,12 +220,3 @@ def answer_curve(pair: ComparedMaps) -> dict[str, Any]:
     counts = independent_points(x, y, pixel_um=pair.point_um)
     curvature = straight_or_curved(x, y, n_eff=counts.n_eff, n_eff_square=counts.n_eff_square)
     return {"curve": Curvature.holding(curvature, point_um=pair.point_um)}
-
-
-def say_curve(curvature: Curvature, _: EvidenceFacts, words: PairWords) -> Iterator[str]:
-    """Whether the relation is straight."""
-    r2_text = (
-        f"r² is {fixed(curvature.r2_line, 2)} of the line and {fixed(curvature.r2_parabola, 2)} of"
-        " the parabola"
-    )
-    yield f"Over points of {plain(words.point_um)} the relation is {curvature.words} ({r2_text})."

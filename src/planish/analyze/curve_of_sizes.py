@@ -16,7 +16,7 @@ from planish.core.facts import Interval, optional
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps
+    from planish.analyze.compared_maps import ComparedMaps
 
 
 class SizeRow(PointsCorrelation):

@@ -9,7 +9,7 @@ some 0.2 mm is blurred by that, and its brightness follows the coating less than
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,13 +22,12 @@ from scipy import optimize
 from planish.analyze.curve import independent_points, known_points
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import Interval, ResultModel, Value, is_known, optional
-from planish.core.numbers import number
+from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.reflectance import layer_over
 from planish.core.typing import Floats, Pair
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps
+    from planish.analyze.compared_maps import ComparedMaps
 
 # S times the mean of x, up to where a layer hides everything, and the backing.
 _LOW, _HIGH = np.array([0.0, 0.0]), np.array([1e6, 1.0])
@@ -451,27 +450,3 @@ def answer_kubelka_munk(pair: ComparedMaps) -> dict[str, Any]:
             pair.points, point_um=point_um, ratio=ratio, density=density
         )
     }
-
-
-def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
-    """S and the backing with their intervals."""
-    title = f"Kubelka and Munk's curve with K/S = {curve.ratio:g}"
-    if curve.silence is not None:
-        yield f"{title}: none. {curve.silence}"
-        return
-    unit_text = "m²/kg" if curve.weight else "per µm"
-    interval_text = _limits_text(curve.scattering_interval) or "its 95 % interval has no upper end"
-    backing_text = _limits_text(curve.backing_interval)
-    density_hint = (
-        "" if curve.weight else " (in m²/kg with the density of the coating: --coating-density)"
-    )
-    yield (
-        f"{title}: the coating scatters with S = {number(curve.scattering)} {unit_text}"
-        f" ({interval_text}){density_hint}, over a backing of {number(curve.backing)}"
-        f" ({backing_text}). S counts all that varies with the thickness as scattering in the"
-        " coating; errors of the thickness lower it, as they lower a slope."
-    )
-
-
-def _limits_text(limits: Pair) -> str:
-    return f"95 %: {number(limits[0])} to {number(limits[1])}" if is_known(limits) else ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +14,11 @@ from planish.analyze.correlation import PointsCorrelation, correlate, valid_pixe
 from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import Interval, ResultModel, Value, is_known, optional
-from planish.core.numbers import count, fixed, limits_text, plain
+from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps
+    from planish.analyze.compared_maps import ComparedMaps
 
 
 class _Spread(ResultModel):
@@ -129,25 +127,3 @@ def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
             difference_interval=difference.interval,
         )
     }
-
-
-def say_light_spread(spread: LightSpread, *_: object) -> Iterator[str]:
-    """R with the coating blurred, and whether it differs from that of the coating as it is."""
-    width_text = (
-        f"With the coating blurred by light that spreads over {plain(spread.width_um)} (declared)"
-    )
-    if not is_known(spread.r):
-        yield f"{width_text}, there is no r. {spread.silence or ''}".strip()
-        return
-    text = f"{width_text}, r = {fixed(spread.r, 2)} at points of {plain(spread.point_um)}"
-    if interval_text := limits_text(spread.interval):
-        text += f" ({interval_text}; {count(round(spread.n_eff))} independent points)"
-    if not is_known(spread.difference_interval):
-        yield f"{text}."
-        return
-    low, high = spread.difference_interval
-    verdict = "not distinguishable from" if low <= 0 <= high else "distinguishable from"
-    change_text = (
-        f"r changes by {fixed(spread.difference, 3)}, {limits_text(spread.difference_interval, 3)}"
-    )
-    yield f"{text}: {verdict} that of the coating as it is ({change_text})."

@@ -20,7 +20,7 @@ from planish.core.facts import ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Bools, Complexes, Floats, Ints, Pair, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps
+    from planish.analyze.compared_maps import ComparedMaps
 
 
 class Band(ResultModel):

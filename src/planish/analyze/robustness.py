@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
@@ -27,12 +27,11 @@ from planish.analyze.curve_of_sizes import SizeRow
 from planish.analyze.texture import low_pass
 from planish.core.area import common_means
 from planish.core.errors import InputError, PlanishError, SizeError
-from planish.core.facts import ResultModel, is_known, optional
-from planish.core.numbers import count, decimals_of_r, fixed, limits_text, plain
+from planish.core.facts import ResultModel, optional
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.compared_maps import ComparedMaps
 
 
 class _Given(ResultModel):
@@ -239,36 +238,12 @@ def answer_origins(pair: ComparedMaps) -> dict[str, Any]:
     return {"origins": (r_of_origins.least, r_of_origins.r, r_of_origins.largest)}
 
 
-def say_origins(
-    r_range: tuple[float, float, float], _: EvidenceFacts, words: PairWords
-) -> Iterator[str]:
-    """How far r depends on where the grid of points begins."""
-    decimals = decimals_of_r((r_range[0], r_range[2]))
-    least_text, mean_text, largest_text = (fixed(v, decimals) for v in r_range)
-    yield (
-        f"Where the grid of points of {plain(words.point_um)} begins is arbitrary: over 16 origins"
-        f" r is {mean_text} on average, from {least_text} to {largest_text}."
-    )
-
-
 def answer_short_waves(pair: ComparedMaps) -> dict[str, Any]:
     """R without the waves of which the field holds few."""
     if not pair.has_points:
         return {}
     correlation, longest_um = of_short_waves(pair.x, pair.y, **pair.sizes)
     return {"short_waves": SizeRow.of(correlation), "short_waves_um": longest_um}
-
-
-def say_short_waves(short_waves: SizeRow, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
-    """R of short waves, where it has an interval."""
-    if is_known(short_waves.interval) and evidence.short_waves_um:
-        decimals = decimals_of_r(short_waves.interval)
-        yield (
-            f"Waves below {plain(round(evidence.short_waves_um, -1))} alone: r ="
-            f" {fixed(short_waves.r, decimals)} ({limits_text(short_waves.interval, decimals)};"
-            f" {count(round(short_waves.n_eff))} independent points). This says nothing of longer"
-            " waves."
-        )
 
 
 def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
@@ -322,23 +297,3 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
         "partial": Partial.of(correlation, given=covariates, point_um=point_um),
         "commonality": shares,
     }
-
-
-def say_partial(partial_r: Partial, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
-    """R given other maps, and the share that the map explains alone."""
-    names_text = " and ".join(name.replace("_", " ") for name in partial_r.given)
-    if not is_known(partial_r.r):
-        yield f"Given {names_text}, there is no r. {partial_r.silence or ''}".strip()
-        return
-    interval_text = f"{limits_text(partial_r.interval)}; ".lstrip("; ")
-    unique_share = (evidence.commonality or {}).get(evidence.a_map)
-    unique_text = (
-        ""
-        if unique_share is None
-        else f" Alone, the map explains {fixed(unique_share, 2)} of the variance."
-    )
-    yield (
-        f"Given {names_text}, r = {fixed(partial_r.r, 2)} at points of {plain(partial_r.point_um)}"
-        f" ({interval_text}{count(round(partial_r.n_eff) if is_known(partial_r.n_eff) else 0)}"
-        f" independent points).{unique_text}"
-    )

@@ -9,7 +9,6 @@ used.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from pydantic import Field
 from planish.analyze.correlation import (
     BANDWIDTH,
     LEAST_CLAIMED,
-    UNEVEN,
     correlate,
     pearson,
     valid_pixels,
@@ -27,11 +25,10 @@ from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import t_95
 from planish.core.area import area_mean
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
-from planish.core.numbers import decimals_of_r, fixed, limits_text, plain
 from planish.core.typing import Array, Bools, Pair, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps
+    from planish.analyze.compared_maps import ComparedMaps
 
 
 class SecondOpinion(ResultModel):
@@ -142,17 +139,3 @@ def answer_second_opinion(pair: ComparedMaps) -> dict[str, Any]:
     return (
         {"second_opinion": second_opinion(pair.x, pair.y, **pair.sizes)} if pair.has_points else {}
     )
-
-
-def say_second_opinion(opinion: SecondOpinion, *_: object) -> Iterator[str]:
-    """The second interval, where there is one."""
-    if interval_text := limits_text(opinion.interval, decimals_of_r(opinion.interval)):
-        is_uneven = opinion.ratio > UNEVEN
-        caveat = (
-            "the maps vary unevenly" if is_uneven else "it is too narrow for maps with a long range"
-        )
-        yield (
-            f"Second opinion, from what single points of {plain(opinion.point_um)} add to r:"
-            f" {interval_text} ({fixed(opinion.critical, 2)} standard errors after Conley);"
-            f" {caveat}."
-        )

@@ -10,12 +10,9 @@ cross from column to column, neighbouring rows would share their noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
@@ -23,24 +20,13 @@ from planish.analyze.correlation import correlate
 from planish.core.area import area_mean
 from planish.core.bands import bands
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import Interval, ResultModel, Value, is_known, optional
-from planish.core.frame import Frame
-from planish.core.grid import pitch
-from planish.core.numbers import count, fixed, percent, plain
-from planish.core.transform import Similarity
+from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts
+    from planish.analyze.compared_maps import ComparedMaps
+from planish.analyze.sheet_columns import SheetColumns
 
-_ENDS = {
-    "thickness": ("top", "bottom"),
-    "base_thickness": ("interface_top", "interface_bottom"),
-    "coating_top": ("top", "interface_top"),
-    "coating_bottom": ("interface_bottom", "bottom"),
-    "topography_top": ("top", "centre"),
-    "topography_bottom": ("centre", "bottom"),
-}
 """Of each map that is a distance of two surfaces, the upper and the lower."""
 
 
@@ -138,64 +124,6 @@ def _of_both(r: float) -> float:
     return r if math.isnan(r) else 2 * r / (1 + r) if r > 0 else 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SheetColumns:
-    """The columns of a sheet and where they lie on a reference.
-
-    ``measured`` and ``flat`` (y, x) are those of the sheet. ``similarity`` leads from the flat
-    sheet to the reference: what the registration adds to it moves both halves alike.
-    ``interpolated`` says whether rows were made of others.
-    """
-
-    measured: xr.Dataset
-    flat: xr.Dataset
-    similarity: Similarity
-    interpolated: bool = False
-
-    def part(self, rows: slice) -> SheetColumns:
-        """Some rows of columns."""
-        return replace(self, measured=self.measured.isel(y=rows), flat=self.flat.isel(y=rows))
-
-    def values(self, name: str) -> tuple[Floats, bool]:
-        """A map by columns, and whether each is of its column alone.
-
-        NaN where it was not measured.
-        """
-        data = self.measured
-        is_valid = np.isfinite(data[name].values)
-        if name not in _ENDS:
-            return np.where(is_valid, data[name].values, np.nan), False
-        faces: list[Floats] = []
-        for end in _ENDS[name]:
-            values = data[end].values
-            # a side without a coating.
-            if end.startswith("interface_") and not np.isfinite(values).any():
-                values = data[end.removeprefix("interface_")].values
-            faces.append(values)
-        slopes = np.gradient(data["centre"].values, *pitch(data))
-        cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        return (
-            np.where(is_valid, Frame.of(data).sign * (faces[0] - faces[1]) * cosine, np.nan),
-            True,
-        )
-
-    def shared(self, *, alone: bool) -> str:
-        """What both halves share, in words."""
-        attrs, causes = self.measured.attrs, ["grey levels, blur and rings of one scan"]
-        if "from_labels" in attrs:
-            causes = ["whatever the program smoothed that made the labels"]
-        if (blend := float(attrs.get("averaged_columns", 0.0))) > 0:
-            causes.append(
-                f"noise, as columns were averaged with their neighbours (Gaussian of {blend:.2g}"
-                " columns)"
-            )
-        elif not alone:
-            causes.append("noise, as this map is read between columns")
-        if self.interpolated:
-            causes.append("sections from which others were interpolated")
-        return "; ".join(causes)
-
-
 def half_points(
     columns: SheetColumns,
     name: str,
@@ -286,44 +214,3 @@ def reliability_of(pair: ComparedMaps, layer: str, name: str) -> Reliability:
     return Reliability.holding(
         reliability, layer=layer, map=name, shared=columns.shared(alone=alone)
     )
-
-
-def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
-    """How far two halves of each measurement agree and, behind the last one, what that bounds."""
-    for k, reliability in enumerate(evidence.reliability):
-        map_text = reliability.map.replace("_", " ")
-        if len(evidence.reliability) > 1:
-            map_text += f" of {reliability.layer}"
-        if not is_known(reliability.value):
-            yield f"Reliability of {map_text}: not known. {reliability.silence or ''}".strip()
-            continue
-        size_text = f"over {count(reliability.n)} points of {plain(reliability.point_um)}"
-        share_text = ("below " if reliability.value > 0.99 else "") + percent(
-            max(1 - reliability.value, 0.01), 1
-        )
-        text = (
-            f"Odd and even rows of columns are two half measurements of {map_text}: {size_text}"
-            f" they correlate with r {_near_one(reliability.halves_r)}, so that noise which differs"
-            f" between them is {share_text} of the variance of the map"
-        )
-        if k == len(evidence.reliability) - 1 and evidence.ceiling_noise is not None:
-            ceiling_both = evidence.ceiling_both
-            shift_text = (
-                ""
-                if ceiling_both is None
-                else f", r {_near_one(ceiling_both)} with misplacement, too"
-            )
-            noise_r = _near_one(evidence.ceiling_noise)
-            text += f"; with such noise alone a perfect relation would show r {noise_r}{shift_text}"
-        yield (
-            f"{text}. Errors that neighbouring columns share are not in it, and the standard error"
-            f" of a column may be larger: both halves share {reliability.shared}."
-        )
-
-
-def _near_one(value: float) -> str:
-    """Write r with its sign of equality.
-
-    More than two nines would claim what halves of one scan cannot show.
-    """
-    return "above 0.99" if value > 0.99 else f"= {fixed(value, 2)}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,12 +12,11 @@ from planish.analyze.correlation import LEAST, LEAST_CLAIMED, on_one_grid, valid
 from planish.analyze.covariance import Lags, scatter_of
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import Interval, ResultModel, Value, is_known, optional
-from planish.core.numbers import number, percent, plain
+from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.compared_maps import ComparedMaps
 
 THIN_UM = (2.0, 5.0, 10.0)
 
@@ -110,17 +108,3 @@ def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
             continue
         differences.append(RegionDifference.holding(difference, thinner_than_um=limit_um))
     return {"thin": tuple(differences)}
-
-
-def say_thin(
-    regions: tuple[RegionDifference, ...], _: EvidenceFacts, words: PairWords
-) -> Iterator[str]:
-    """How the image differs where the coating is thin."""
-    for region in regions:
-        if is_known(region.interval):
-            low, high = map(number, region.interval)
-            yield (
-                f"Where the coating is below {plain(region.thinner_than_um)}"
-                f" ({percent(region.share, 2)} of the valid area) the mean {words.image} differs by"
-                f" {number(region.difference)} (95 %: {low} to {high})."
-            )

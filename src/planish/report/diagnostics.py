@@ -11,7 +11,6 @@ import numpy as np
 from planish.analyze import CorrelogramProfiles, LagProfile
 from planish.analyze.agreement import Twice
 from planish.analyze.kubelka_munk import KubelkaMunk
-from planish.analyze.variograms import squared_unit
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, count, in_words, number, plain
 from planish.report.draw import (
@@ -27,6 +26,7 @@ from planish.report.draw import (
     or_blank,
 )
 from planish.report.relation import Points, as_drawn, draw_dots, draw_fit, points_table
+from planish.report.sentences.variograms import squared_unit
 from planish.report.text import HOLES, REGISTERED
 from planish.results import CorrelationRow, EvidenceFacts, Mottle
 

@@ -17,7 +17,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.analyze.correlation_evidence import PairWords, Section, sentences
 from planish.core.arrays import check_path, not_taken
 from planish.core.facts import is_known
 from planish.core.files import write_whole
@@ -39,6 +38,8 @@ from planish.report import (
 )
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.relation import MapPair, draw_pair
+from planish.report.sentences.table import Section, sentences
+from planish.report.sentences.wording import Wording
 from planish.results import EvidenceFacts, LayerFacts, RegistrationFacts, Results
 
 if TYPE_CHECKING:
@@ -400,8 +401,8 @@ def _evidence_section(
             )
         )
     point_um = float(run_maps.results.parameters.get("correlate", {}).get("point_um", "nan"))
-    pair_words = PairWords(point_um, titles_text[1], map_titles)
-    section_sentences = {section: [*sentences(e, section, pair_words)] for section in figures}
+    wording = Wording(point_um, titles_text[1], map_titles)
+    section_sentences = {section: [*sentences(e, section, wording)] for section in figures}
     return {"of": f"{e.a} and {e.b}", "figures": figures, "sentences": section_sentences}
 
 

@@ -18,8 +18,8 @@ from planish.analyze.compare import comparison_rows, correlate_layers
 from planish.analyze.correlation_evidence import EvidenceFacts, correlation_diagnostics
 from planish.analyze.mottle import mottle_of
 from planish.analyze.refinement import RefinementFacts, held_out_r, refine_link
+from planish.analyze.sheet_columns import SheetColumns
 from planish.analyze.sides import TextureFound, found_by_texture, holes_and_texture, texture_of
-from planish.analyze.split_half import SheetColumns
 from planish.checks import (
     DetectedHoles,
     HolesOnSheet,

@@ -1,0 +1,80 @@
+"""The columns of a sheet as two halves of a measurement are taken from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+from planish.core.frame import Frame
+from planish.core.grid import pitch
+from planish.core.transform import Similarity
+from planish.core.typing import Floats
+
+_ENDS = {
+    "thickness": ("top", "bottom"),
+    "base_thickness": ("interface_top", "interface_bottom"),
+    "coating_top": ("top", "interface_top"),
+    "coating_bottom": ("interface_bottom", "bottom"),
+    "topography_top": ("top", "centre"),
+    "topography_bottom": ("centre", "bottom"),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SheetColumns:
+    """The columns of a sheet and where they lie on a reference.
+
+    ``measured`` and ``flat`` (y, x) are those of the sheet. ``similarity`` leads from the flat
+    sheet to the reference: what the registration adds to it moves both halves alike.
+    ``interpolated`` says whether rows were made of others.
+    """
+
+    measured: xr.Dataset
+    flat: xr.Dataset
+    similarity: Similarity
+    interpolated: bool = False
+
+    def part(self, rows: slice) -> SheetColumns:
+        """Some rows of columns."""
+        return replace(self, measured=self.measured.isel(y=rows), flat=self.flat.isel(y=rows))
+
+    def values(self, name: str) -> tuple[Floats, bool]:
+        """A map by columns, and whether each is of its column alone.
+
+        NaN where it was not measured.
+        """
+        data = self.measured
+        is_valid = np.isfinite(data[name].values)
+        if name not in _ENDS:
+            return np.where(is_valid, data[name].values, np.nan), False
+        faces: list[Floats] = []
+        for end in _ENDS[name]:
+            values = data[end].values
+            # a side without a coating.
+            if end.startswith("interface_") and not np.isfinite(values).any():
+                values = data[end.removeprefix("interface_")].values
+            faces.append(values)
+        slopes = np.gradient(data["centre"].values, *pitch(data))
+        cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
+        return (
+            np.where(is_valid, Frame.of(data).sign * (faces[0] - faces[1]) * cosine, np.nan),
+            True,
+        )
+
+    def shared(self, *, alone: bool) -> str:
+        """What both halves share, in words."""
+        attrs, causes = self.measured.attrs, ["grey levels, blur and rings of one scan"]
+        if "from_labels" in attrs:
+            causes = ["whatever the program smoothed that made the labels"]
+        if (blend := float(attrs.get("averaged_columns", 0.0))) > 0:
+            causes.append(
+                f"noise, as columns were averaged with their neighbours (Gaussian of {blend:.2g}"
+                " columns)"
+            )
+        elif not alone:
+            causes.append("noise, as this map is read between columns")
+        if self.interpolated:
+            causes.append("sections from which others were interpolated")
+        return "; ".join(causes)

@@ -1,0 +1,60 @@
+"""What a perfect relation would show, by misplacement and by noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from planish.analyze.correlation_evidence import EvidenceFacts
+from planish.core.facts import is_known
+from planish.core.numbers import count, fixed, percent, plain
+
+
+def say_ceiling(_: object, evidence: EvidenceFacts, *__: object) -> Iterator[str]:
+    """What a perfect relation would show."""
+    if evidence.ceiling_sentence:
+        yield (
+            f"{evidence.ceiling_sentence} It rests on the expected error of the registration and"
+            " the texture of the map; noise lowers it further."
+        )
+    yield from say_reliability(evidence)
+
+
+def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
+    """How far two halves of each measurement agree and, behind the last one, what that bounds."""
+    for k, reliability in enumerate(evidence.reliability):
+        map_text = reliability.map.replace("_", " ")
+        if len(evidence.reliability) > 1:
+            map_text += f" of {reliability.layer}"
+        if not is_known(reliability.value):
+            yield f"Reliability of {map_text}: not known. {reliability.silence or ''}".strip()
+            continue
+        size_text = f"over {count(reliability.n)} points of {plain(reliability.point_um)}"
+        share_text = ("below " if reliability.value > 0.99 else "") + percent(
+            max(1 - reliability.value, 0.01), 1
+        )
+        text = (
+            f"Odd and even rows of columns are two half measurements of {map_text}: {size_text}"
+            f" they correlate with r {_near_one(reliability.halves_r)}, so that noise which differs"
+            f" between them is {share_text} of the variance of the map"
+        )
+        if k == len(evidence.reliability) - 1 and evidence.ceiling_noise is not None:
+            ceiling_both = evidence.ceiling_both
+            shift_text = (
+                ""
+                if ceiling_both is None
+                else f", r {_near_one(ceiling_both)} with misplacement, too"
+            )
+            noise_r = _near_one(evidence.ceiling_noise)
+            text += f"; with such noise alone a perfect relation would show r {noise_r}{shift_text}"
+        yield (
+            f"{text}. Errors that neighbouring columns share are not in it, and the standard error"
+            f" of a column may be larger: both halves share {reliability.shared}."
+        )
+
+
+def _near_one(value: float) -> str:
+    """Write r with its sign of equality.
+
+    More than two nines would claim what halves of one scan cannot show.
+    """
+    return "above 0.99" if value > 0.99 else f"= {fixed(value, 2)}"

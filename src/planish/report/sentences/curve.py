@@ -1,0 +1,19 @@
+"""Whether the relation is straight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from planish.analyze.correlation_evidence import EvidenceFacts
+from planish.analyze.curve import Curvature
+from planish.core.numbers import fixed, plain
+from planish.report.sentences.wording import Wording
+
+
+def say_curve(curvature: Curvature, _: EvidenceFacts, words: Wording) -> Iterator[str]:
+    """Whether the relation is straight."""
+    r2_text = (
+        f"r² is {fixed(curvature.r2_line, 2)} of the line and {fixed(curvature.r2_parabola, 2)} of"
+        " the parabola"
+    )
+    yield f"Over points of {plain(words.point_um)} the relation is {curvature.words} ({r2_text})."

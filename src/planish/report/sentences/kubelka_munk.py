@@ -1,0 +1,34 @@
+"""Kubelka and Munk's curve: scattering of the coating and its backing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from planish.analyze.kubelka_munk import KubelkaMunk
+from planish.core.facts import is_known
+from planish.core.numbers import number
+from planish.core.typing import Pair
+
+
+def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
+    """S and the backing with their intervals."""
+    title = f"Kubelka and Munk's curve with K/S = {curve.ratio:g}"
+    if curve.silence is not None:
+        yield f"{title}: none. {curve.silence}"
+        return
+    unit_text = "m²/kg" if curve.weight else "per µm"
+    interval_text = _limits_text(curve.scattering_interval) or "its 95 % interval has no upper end"
+    backing_text = _limits_text(curve.backing_interval)
+    density_hint = (
+        "" if curve.weight else " (in m²/kg with the density of the coating: --coating-density)"
+    )
+    yield (
+        f"{title}: the coating scatters with S = {number(curve.scattering)} {unit_text}"
+        f" ({interval_text}){density_hint}, over a backing of {number(curve.backing)}"
+        f" ({backing_text}). S counts all that varies with the thickness as scattering in the"
+        " coating; errors of the thickness lower it, as they lower a slope."
+    )
+
+
+def _limits_text(limits: Pair) -> str:
+    return f"95 %: {number(limits[0])} to {number(limits[1])}" if is_known(limits) else ""

@@ -1,0 +1,65 @@
+"""The sentences on a pair of maps: a row a question, in the order of the page."""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Literal, NamedTuple
+
+from planish.analyze.correlation_evidence import EvidenceFacts
+from planish.report.sentences.agreement import say_twice
+from planish.report.sentences.ceiling import say_ceiling
+from planish.report.sentences.correlogram import say_correlogram
+from planish.report.sentences.curve import say_curve
+from planish.report.sentences.kubelka_munk import say_kubelka_munk
+from planish.report.sentences.light_spread import say_light_spread
+from planish.report.sentences.origins import say_origins
+from planish.report.sentences.partial import say_partial
+from planish.report.sentences.second_opinion import say_second_opinion
+from planish.report.sentences.short_waves import say_short_waves
+from planish.report.sentences.thin_regions import say_thin
+from planish.report.sentences.variograms import say_variograms
+from planish.report.sentences.wording import Wording
+
+Section = Literal["scale", "distance", "repeated", "light"]
+
+
+class Said(NamedTuple):
+    """What the page says of one question.
+
+    Where one of ``fields`` of :class:`~planish.analyze.correlation_evidence.EvidenceFacts` is not
+    empty, ``say`` gives the sentences of ``section`` from the first of them.
+    """
+
+    fields: tuple[str, ...]
+    say: Callable[[Any, EvidenceFacts, Wording], Iterable[str]]
+    section: Section = "scale"
+
+
+SENTENCES = (
+    Said(("origins",), say_origins),
+    Said(("second_opinion",), say_second_opinion),
+    Said(("curve",), say_curve),
+    Said(("thin",), say_thin),
+    Said(("short_waves", "short_waves_um"), say_short_waves),
+    Said(("partial", "commonality"), say_partial),
+    Said(
+        ("ceiling", "ceiling_sentence", "reliability", "ceiling_noise", "ceiling_both"), say_ceiling
+    ),
+    Said(("variograms",), say_variograms, section="distance"),
+    Said(("correlogram",), say_correlogram, section="distance"),
+    Said(("twice",), say_twice, section="repeated"),
+    Said(("kubelka_munk",), say_kubelka_munk, section="light"),
+    Said(("light_spread",), say_light_spread, section="light"),
+)
+
+
+def sentences(
+    evidence: EvidenceFacts, section: Section, words: Wording | None = None
+) -> Iterator[str]:
+    """Give what a section of the page says of two maps, question by said."""
+    for said in SENTENCES:
+        answers = [getattr(evidence, name) for name in said.fields]
+        if (
+            said.section == section
+            and said.say
+            and any(answer not in (None, ()) for answer in answers)
+        ):
+            yield from said.say(answers[0], evidence, words or Wording())
