@@ -55,7 +55,7 @@ def sentences(
     evidence: EvidenceFacts, section: Section, words: Wording | None = None
 ) -> Iterator[str]:
     """Give what a section of the page says of two maps, question by question."""
-    for said in SENTENCES:
-        answers = [getattr(evidence, name) for name in said.fields]
-        if said.section == section and any(answer not in (None, ()) for answer in answers):
-            yield from said.say(answers[0], evidence, words or Wording())
+    for row in SENTENCES:
+        answers = [getattr(evidence, name) for name in row.fields]
+        if row.section == section and any(answer not in (None, ()) for answer in answers):
+            yield from row.say(answers[0], evidence, words or Wording())
