@@ -28,12 +28,12 @@ from scipy import ndimage
 from benchmarks.holes import gauss
 from benchmarks.paper import KINDS
 from benchmarks.shared import rms
-from planish.analyze.texture import textures
-from planish.analyze.texture_search import BAND_UM
 from planish.core.errors import CannotRegister
+from planish.register.by_texture.search import BAND_UM
 from planish.run import find_holes, register_texture
 from planish.synthetic import BurnParams, CameraParams, make_specimen
 from planish.synthetic.pose import CameraPose, draw_pose
+from planish.texture.textures import textures
 
 SHEETS = 8
 _MAP_UM, _LEAST_R, _MOST_R = 4.0, 0.15, 0.8

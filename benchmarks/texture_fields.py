@@ -19,9 +19,9 @@ import numpy as np
 from scipy import ndimage
 
 from planish.analyze.refinement import CrossFitted, held_out_r
-from planish.analyze.texture import textures
-from planish.analyze.texture_search import BAND_UM, FALSE, search_place
 from planish.core.transform import Similarity, nearest_similarity
+from planish.register.by_texture.search import BAND_UM, FALSE, search_place
+from planish.texture.textures import textures
 
 _SEARCH_UM, _MAP_UM, _RS = 20.0, 8.0, (0.3, 0.5, 0.7)
 _AREAS_MM2, _POWER_RS, _PAPER_UM = (1.0, 2.0, 4.0, 8.0), (0.1, 0.15, 0.2, 0.3, 0.5), 20.0

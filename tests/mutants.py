@@ -412,7 +412,7 @@ MUTANTS = [
         "analyze/test_correlate.py",
     ),
     Mutant(
-        "analyze/ncc.py",
+        "texture/ncc.py",
         "isfinite(r), r, -np.inf",
         "isfinite(r), np.abs(r), -np.inf",
         "analyze/test_lag.py",

@@ -6,7 +6,7 @@ import pytest
 from scipy import ndimage
 
 import planish as pl
-from planish.analyze import texture_lag, textures
+from planish.analyze import texture_lag
 from planish.core.grid import Grid
 from planish.report import reading_r, tables
 from planish.results import Results
@@ -18,6 +18,7 @@ from planish.synthetic import (
     image_material,
     make_specimen,
 )
+from planish.texture import textures
 from report.runs import a_run
 
 POINT_UM, PIXEL_UM, BORDER = 100.0, 6.0, 20

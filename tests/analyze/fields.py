@@ -5,8 +5,8 @@ import xarray as xr
 from scipy import fft, ndimage
 
 from planish.analyze import CorrelateParams, correlation_evidence, covariance
-from planish.analyze.ncc import MaskedNcc
 from planish.core.grid import Grid
+from planish.texture.ncc import MaskedNcc
 
 
 def gaussian_maps(rng, shape, length, *, kind="exp"):

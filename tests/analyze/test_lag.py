@@ -6,16 +6,9 @@ from scipy import fft, ndimage
 
 from analyze.fields import by_shift, texture
 from folders import refused
-from planish.analyze import (
-    RegistrationBasis,
-    cross_fitted,
-    in_band,
-    ncc,
-    searched_null,
-    texture_lag,
-    textures,
-)
+from planish.analyze import RegistrationBasis, cross_fitted, ncc, searched_null, texture_lag
 from planish.core.errors import CannotMeasure, SizeError
+from planish.texture import in_band, textures
 
 PAD = 16
 

@@ -5,7 +5,9 @@ import pytest
 from scipy import ndimage
 
 from analyze.fields import texture as smooth
-from planish.analyze import Textures, image_of_sheet, texture, textures, two_images, two_sheets
+from planish.analyze import image_of_sheet, two_images, two_sheets
+from planish.texture import Textures, textures
+from planish.texture.textures import relate
 
 PIXEL = (5.0, 5.0)
 SHAPE = (180, 220)
@@ -138,7 +140,7 @@ def test_z_of_unrelated_textures_is_standard_normal_or_less(kind):
             spot = 8 * np.exp(-((y - 90) ** 2 + (x - 110) ** 2) / 50)
             a, b = a + spot, b + spot
         found = prepared(a=a, b=b)
-        z.append(texture.relate(found.maps["a"], found.maps["b"], found.known, PIXEL).z)
+        z.append(relate(found.maps["a"], found.maps["b"], found.known, PIXEL).z)
     rms = float(np.sqrt(np.mean(np.square(z))))
     print(f"{kind}: rms z {rms:.2f}, largest {np.abs(z).max():.1f}")
     assert rms < 1.4  # 1 within 3 standard errors of 30
@@ -163,11 +165,11 @@ def test_the_variance_of_unrelated_textures_is_the_sum_over_lags():
                     for k, m in enumerate((a, b)):
                         sums[k] += m[row, col] * m[(row + dy) % 10, (col + dx) % 12]
             total += sums[0] * sums[1]
-    found = texture.relate(a, b, known, (1.0, 1.0))  # all in one tile, whose sum is 0
+    found = relate(a, b, known, (1.0, 1.0))  # all in one tile, whose sum is 0
     assert found.r == pytest.approx(float(np.vdot(a, b)) / n)
     assert found.sd == pytest.approx(np.sqrt(total / n**3))
     # Half of a spread of 2 that is explained is as much as all of a spread of 1.
-    assert texture.relate(a, b, known, (1.0, 1.0), of=2.0 * b).part == pytest.approx(0.5 * found.r)
+    assert relate(a, b, known, (1.0, 1.0), of=2.0 * b).part == pytest.approx(0.5 * found.r)
 
 
 def test_maps_that_are_known_in_little_of_the_field_are_left_out():

@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from planish.analyze import Lag, LagField
+from planish.analyze import Lag
+from planish.texture import LagField
 
 
 def _lag(lag, *, expected_um, headline):

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from planish.analyze import Lag, texture_lag, textures
+from planish.analyze import Lag, texture_lag
+from planish.texture import textures
 
 from .common import draw_map, extent_mm, interval, known, one_run, pitch
 

@@ -12,9 +12,10 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import planish as pl
-from planish.analyze import Fields, correlate, difference_of_pooled_r, in_band, over_sheets, pearson
+from planish.analyze import Fields, correlate, difference_of_pooled_r, over_sheets, pearson
 from planish.results import RegistrationFacts
 from planish.series_results import SeriesResults
+from planish.texture import in_band
 
 from .common import interval, known, pitch, runs_of
 

@@ -30,7 +30,6 @@ from .curve import independent_points as independent_points
 from .curve import straight_or_curved as straight_or_curved
 from .curve_of_sizes import SizeRow as SizeRow
 from .curve_of_sizes import size_curve as size_curve
-from .detrend import in_band as in_band
 from .differences import Difference as Difference
 from .differences import difference_of as difference_of
 from .differences import holm as holm
@@ -51,7 +50,6 @@ from .lag import Lag as Lag
 from .lag import LagNumbers as LagNumbers
 from .lag import LagTile as LagTile
 from .lag import texture_lag as texture_lag
-from .lag_field import LagField as LagField
 from .light_spread import LightSpread as LightSpread
 from .light_spread import spread_light as spread_light
 from .mottle import Mottle as Mottle
@@ -103,8 +101,6 @@ from .study_power import StudyDesign as StudyDesign
 from .study_power import expected_n_eff as expected_n_eff
 from .study_power import power_of_study as power_of_study
 from .study_power import sheets_needed as sheets_needed
-from .texture import Textures as Textures
-from .texture import textures as textures
 from .thin_regions import RegionDifference as RegionDifference
 from .thin_regions import region_difference as region_difference
 from .variograms import Variogram as Variogram

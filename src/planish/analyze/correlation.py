@@ -13,7 +13,6 @@ from pydantic import Field
 from scipy import special
 
 from planish.analyze.covariance import Lags, PairCovariances
-from planish.analyze.detrend import shared_trend
 from planish.analyze.distributions import ranks, student_tail, t_95
 from planish.core.area import AreaMeans
 from planish.core.arrays import step_um
@@ -21,6 +20,7 @@ from planish.core.bands import Rows, read_bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
+from planish.texture.detrend import shared_trend
 
 LEAST_CLAIMED = 10.0
 """Independent points below which nothing is claimed: no p and no interval."""

@@ -12,15 +12,15 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from planish.analyze.detrend import PhaseSurrogate
-from planish.analyze.lag_field import LagField, lag_field
-from planish.analyze.lag_search import LagSearch
-from planish.analyze.ncc import MARGIN, find_peak, rival_of, within
-from planish.analyze.texture import Textures
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Floats, Pair
+from planish.texture.detrend import PhaseSurrogate
+from planish.texture.lag_field import LagField, lag_field
+from planish.texture.lag_search import LagSearch
+from planish.texture.ncc import MARGIN, find_peak, rival_of, within
+from planish.texture.textures import Textures
 
 Silence = Literal["few", "texture", "border", "rival", "light"]
 NAME = "position by texture"

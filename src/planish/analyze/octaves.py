@@ -14,10 +14,10 @@ from pydantic import Field
 from scipy import fft, ndimage
 
 from planish.analyze.correlation import valid_pixels
-from planish.analyze.detrend import without_trend
 from planish.core.errors import CannotMeasure
 from planish.core.facts import ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Bools, Complexes, Floats, Ints, Pair, Pixel
+from planish.texture.detrend import without_trend
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps

@@ -15,19 +15,19 @@ from pydantic import Field
 from scipy import ndimage
 
 from planish.analyze.correlation import correlate, pearson
-from planish.analyze.detrend import PhaseSurrogate, Plane, correlation_length_um, in_band
 from planish.analyze.differences import paired_difference
 from planish.analyze.distributions import largest_tail
-from planish.analyze.texture import textures
-from planish.analyze.texture_place import tuned_place
-from planish.analyze.texture_search import BAND_UM
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
 from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.register import Chain, FittedTransform, Refined, RefineOptions, refine
+from planish.register.by_texture.place import tuned_place
+from planish.register.by_texture.search import BAND_UM
 from planish.register.refinement import Refinement
+from planish.texture.detrend import PhaseSurrogate, Plane, correlation_length_um, in_band
+from planish.texture.textures import textures
 
 Tune = Callable[[Floats, Bools], Floats]
 """From map a and the pixels that may be looked at to map b on a's grid, placed so that it fits best

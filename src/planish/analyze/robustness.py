@@ -24,11 +24,11 @@ from planish.analyze.correlation import (
     valid_pixels,
 )
 from planish.analyze.curve_of_sizes import SizeRow
-from planish.analyze.texture import low_pass
 from planish.core.area import common_means
 from planish.core.errors import InputError, PlanishError, SizeError
 from planish.core.facts import ResultModel, optional
 from planish.core.typing import Array, Bools, Floats, Pixel
+from planish.texture.textures import low_pass
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps

@@ -9,14 +9,14 @@ import xarray as xr
 
 from planish.analyze import lag
 from planish.analyze.lag import LagNumbers
-from planish.analyze.texture import Relation, Textures, relate, textures, unexplained
-from planish.analyze.texture_search import FALSE
 from planish.core.bands import any_finite, rms_of, thinned
 from planish.core.checks import CORRELATION, POSITION, Check, State
 from planish.core.errors import SizeError
 from planish.core.facts import Side
 from planish.core.grid import Grid
 from planish.core.numbers import capital, with_article
+from planish.register.by_texture.search import FALSE
+from planish.texture.textures import Relation, Textures, relate, textures, unexplained
 
 NAME = "side and specimen"
 Z_RELATED, Z_CLEAR = 4.5, 3.0

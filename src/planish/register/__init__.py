@@ -6,7 +6,8 @@ Which marks belong together, and how far the transformation may be off.
 ``fit`` fits a model of the table ``models`` and finds wrong marks. ``model`` is the base of all:
 ``similarity``, ``bent``, ``spline``, and ``field``, what the marks make likely. ``result`` is a fit
 with its errors, and a chain of them; ``refinement`` moves a fit by the maps themselves;
-``through_scale`` asks the marks for the scale of heights.
+``through_scale`` asks the marks for the scale of heights. ``by_texture`` is for layers without
+holes.
 """
 
 import lazy_loader as lazy

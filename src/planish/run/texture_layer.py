@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from planish.analyze.texture import Textures, textures
-from planish.analyze.texture_search import BAND_UM
-from planish.analyze.white_noise import without_white_noise
 from planish.core.area import common_means
 from planish.core.errors import InputError
 from planish.core.facts import Side
 from planish.core.grid import Grid
 from planish.core.typing import Array, Bools, Floats, Pair
 from planish.marks import hole_mask
+from planish.register.by_texture.search import BAND_UM
+from planish.texture.textures import Textures, textures
+from planish.texture.white_noise import without_white_noise
 
 _RIM_UM = 60.0  # of a hole in an image, whose burnt rim is no texture
 

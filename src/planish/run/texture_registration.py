@@ -14,8 +14,6 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from planish.analyze.texture_place import TilePlaces, leading_maps, tile_places, tuned_place
-from planish.analyze.texture_search import FALSE, Names, Near, PlaceSearch, search_place
 from planish.core.errors import CannotRegister, InputError
 from planish.core.facts import Side
 from planish.core.options import params_of
@@ -23,6 +21,8 @@ from planish.core.transform import Similarity
 from planish.core.typing import Floats, Ints, Pair
 from planish.marks.exchange.model import join_holes, paired, points_of
 from planish.register import RegistrationParams, fit_pairs, need_holes
+from planish.register.by_texture.place import TilePlaces, leading_maps, tile_places, tuned_place
+from planish.register.by_texture.search import FALSE, Names, Near, PlaceSearch, search_place
 from planish.run.layers import Layer, LayerHoles
 from planish.run.registration import Registration, register_layers, with_residuals
 from planish.run.study import Study

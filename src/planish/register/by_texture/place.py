@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage, optimize
 
-from planish.analyze.detrend import PhaseSurrogate
-from planish.analyze.lag_field import lag_field
-from planish.analyze.lag_search import LagSearch
-from planish.analyze.ncc import MARGIN, Peak, find_peak, within
-from planish.analyze.texture import Textures, relate, standard
-from planish.analyze.texture_search import Names, compared
 from planish.core.transform import Similarity, nearest_similarity
 from planish.core.typing import Bools, Floats, Pair
+from planish.register.by_texture.search import Names, compared
+from planish.texture.detrend import PhaseSurrogate
+from planish.texture.lag_field import lag_field
+from planish.texture.lag_search import LagSearch
+from planish.texture.ncc import MARGIN, Peak, find_peak, within
+from planish.texture.textures import Textures, relate, standard
 
 _LEAST_PIXELS, _MOST_PIXELS = 100, 15_000  # that both layers show; of them, used for tuning
 _REACH_UM = 25.0  # of a tile about the place of the whole

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage, special
 
-from planish.analyze.texture import Textures
 from planish.core.errors import CannotRegister
 from planish.core.threads import map_threads
 from planish.core.transform import Similarity, nearest_similarity
 from planish.core.typing import Floats, Pair
+from planish.texture.textures import Textures
 
 BAND_UM = (18.0, 150.0)
 """Waves that a scan and an image share: shorter ones are noise, longer ones light and print."""

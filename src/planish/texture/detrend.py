@@ -12,9 +12,9 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import fft
 
-from planish.analyze.ncc import MaskedNcc
 from planish.core.robust import masked_gaussian
 from planish.core.typing import Bools, Floats, Pair
+from planish.texture.ncc import MaskedNcc
 
 
 def without_trend(values: Floats, is_valid: Bools) -> Floats:

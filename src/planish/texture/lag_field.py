@@ -8,10 +8,10 @@ from itertools import product
 import numpy as np
 from pydantic import Field
 
-from planish.analyze.ncc import MARGIN, MaskedNcc, covariance_of, find_peak, within
 from planish.core.errors import SizeError
 from planish.core.facts import ResultModel
 from planish.core.typing import Bools, Floats, Pair
+from planish.texture.ncc import MARGIN, MaskedNcc, covariance_of, find_peak, within
 
 
 class LagField(ResultModel):

@@ -9,8 +9,8 @@ import numpy as np
 from scipy import fft, ndimage
 from scipy.interpolate import RectBivariateSpline
 
-from planish.analyze.texture import standard
 from planish.core.typing import Bools, Complexes, Floats
+from planish.texture.textures import standard
 
 # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
 LEAST_PAIRS = 0.2

@@ -8,9 +8,9 @@ import math
 import numpy as np
 from scipy import fft, special
 
-from planish.analyze.ncc import LEAST_PAIRS, Peak, cropped, overlap
-from planish.analyze.texture import tile_sums
 from planish.core.typing import Bools, Complexes, Floats, Pair
+from planish.texture.ncc import LEAST_PAIRS, Peak, cropped, overlap
+from planish.texture.textures import tile_sums
 
 
 class LagSearch:

@@ -1,0 +1,10 @@
+"""Textures of maps, and how far two of them agree: what registration and statistics share.
+
+``textures`` takes what is no texture off and averages; ``detrend`` parts waves by their length, and
+makes unrelated maps; ``ncc`` is the correlation at every lag; ``lag_field`` and ``lag_search`` find
+the lag of tiles; ``white_noise`` takes off noise that no neighbour shares.
+"""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
