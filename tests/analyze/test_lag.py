@@ -6,9 +6,9 @@ from scipy import fft, ndimage
 
 from analyze.fields import by_shift, texture
 from folders import refused
-from planish.analyze import RegistrationBasis, cross_fitted, ncc, searched_null, texture_lag
+from planish.analyze import RegistrationBasis, cross_fitted, searched_null, texture_lag
 from planish.core.errors import CannotMeasure, SizeError
-from planish.texture import in_band, textures
+from planish.texture import in_band, ncc, textures
 
 PAD = 16
 

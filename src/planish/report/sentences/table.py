@@ -21,7 +21,7 @@ from planish.report.sentences.wording import Wording
 Section = Literal["scale", "distance", "repeated", "light"]
 
 
-class Said(NamedTuple):
+class QuestionText(NamedTuple):
     """What the page says of one question.
 
     Where one of ``fields`` of :class:`~planish.analyze.correlation_evidence.EvidenceFacts` is not
@@ -34,20 +34,20 @@ class Said(NamedTuple):
 
 
 SENTENCES = (
-    Said(("origins",), say_origins),
-    Said(("second_opinion",), say_second_opinion),
-    Said(("curve",), say_curve),
-    Said(("thin",), say_thin),
-    Said(("short_waves", "short_waves_um"), say_short_waves),
-    Said(("partial", "commonality"), say_partial),
-    Said(
+    QuestionText(("origins",), say_origins),
+    QuestionText(("second_opinion",), say_second_opinion),
+    QuestionText(("curve",), say_curve),
+    QuestionText(("thin",), say_thin),
+    QuestionText(("short_waves", "short_waves_um"), say_short_waves),
+    QuestionText(("partial", "commonality"), say_partial),
+    QuestionText(
         ("ceiling", "ceiling_sentence", "reliability", "ceiling_noise", "ceiling_both"), say_ceiling
     ),
-    Said(("variograms",), say_variograms, section="distance"),
-    Said(("correlogram",), say_correlogram, section="distance"),
-    Said(("twice",), say_twice, section="repeated"),
-    Said(("kubelka_munk",), say_kubelka_munk, section="light"),
-    Said(("light_spread",), say_light_spread, section="light"),
+    QuestionText(("variograms",), say_variograms, section="distance"),
+    QuestionText(("correlogram",), say_correlogram, section="distance"),
+    QuestionText(("twice",), say_twice, section="repeated"),
+    QuestionText(("kubelka_munk",), say_kubelka_munk, section="light"),
+    QuestionText(("light_spread",), say_light_spread, section="light"),
 )
 
 
