@@ -1,6 +1,5 @@
 """The specimen's truth has to be exact: everything else is judged by it."""
 
-import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +27,6 @@ from planish.synthetic import (
 from planish.synthetic.instruments import draw_poses
 from planish.synthetic.sheet import PITCH_UM
 
-module = importlib.import_module("planish.synthetic.specimen")
 SMALL = SpecimenParams(size_um=(700.0, 600.0), holes=BurnParams(pattern="irregular", count=1))
 EVERYTHING = ScannerParams(
     voxel_um=8.0, noise_px=2.0, fringe=0.12, cupping=0.04, rings=2, streak=0.03
@@ -279,7 +277,7 @@ def test_drawn_parameters_lie_in_their_ranges():
 def test_the_default_specimen_in_one_call(tmp_path, monkeypatch):
     """Volume and image carry coordinates in um, as the readers give them; files only where a folder
     is named."""
-    monkeypatch.setattr(module, "DEMO", SMALL)
+    monkeypatch.setattr("planish.synthetic.making.DEMO", SMALL)
     specimen = make_specimen(folder=tmp_path / "made")
     voxel, pixel = SMALL.scanner.voxel_um, SMALL.camera.pixel_um
     assert (specimen.volume.dims, float(specimen.volume["x"][1])) == (("z", "y", "x"), voxel)
