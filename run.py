@@ -2,16 +2,14 @@
 r"""Set planish up in this folder and run it. Needs Python 3.11, 3.12 or 3.13, and nothing else.
 
     python3 run.py demo     link a made-up specimen; prints the table and the path of the report
-    python3 run.py test     run the fast tests; what follows goes to pytest: python3 run.py test -k
-    flatten
+    python3 run.py test     run the fast tests; what follows goes to pytest, such as -k flatten
                             --ci runs those that link, open a browser or read whole formats instead
                             --all runs these and all others (Monte Carlo, certificates, whole
                             corpora of damage)
-    python3 run.py check    format, lint, types, import contracts, tests (--no-tests leaves the
-    tests out)
+    python3 run.py check    format, lint, types, import contracts, tests (not with --no-tests)
     python3 run.py bench    run the benchmarks
     python3 run.py docs     write what documents say of the program, and build the site into
-    docs/_build/html
+                            docs/_build/html
     python3 run.py wheel    build wheel and source archive into dist/; same sources, same bytes
     python3 run.py lock     renew requirements/*.lock (needs uv; --upgrade for newer versions)
 

@@ -5,10 +5,10 @@
 ``octaves`` (at which scale), ``robustness``, ``second_opinion``, ``curve``, ``thin_regions``,
 ``ceiling`` and ``split_half`` (what could be seen), ``variograms`` and ``correlograms`` (by
 distance), ``agreement`` and ``rings`` (one quantity twice), ``kubelka_munk`` and ``light_spread``
-(light over a coating). ``sides``, ``texture``, ``lag``, ``lag_search`` and ``lag_field`` check the
-registration by what the maps share, ``refinement`` improves it. ``image_values`` and ``mottle`` are
-about images. ``sheets``, ``between_sheets``, ``pooled``, ``differences`` and ``study_power`` are
-about many sheets; ``distributions``, ``detrend`` and ``ncc`` are what they need.
+(light over a coating). ``compared_maps`` and ``sheet_columns`` are what these are given. ``sides``
+and ``lag`` check the registration by what the maps share, ``refinement`` improves it.
+``image_values`` and ``mottle`` are about images. ``sheets``, ``between_sheets``, ``pooled``,
+``differences`` and ``study_power`` are about many sheets; ``distributions`` is what they need.
 """
 
 import lazy_loader as lazy

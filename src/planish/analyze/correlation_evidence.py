@@ -2,8 +2,8 @@
 
 A table of questions, each answered for two maps on one grid.
 
-Each is a module with result, computation and sentence, a field of :class:`EvidenceFacts` and a row
-of ``QUESTIONS``.
+Each is a module with result and computation, a field of :class:`EvidenceFacts` and a row of
+``QUESTIONS``. The sentences on them stand in :mod:`planish.report.sentences`.
 """
 
 from collections.abc import Callable, Mapping

@@ -7,8 +7,7 @@
     │   ├── FileError                a file or folder cannot be read or written
     │   ├── SizeError                a voxel or pixel size is missing, contradictory or impossible
     │   ├── VolumeError              the volume does not show one sheet
-    │   ├── StudyError               parameters that do not fit together, or mean nothing for these
-    files
+    │   ├── StudyError               parameters do not fit together, or not to these files
     │   ├── SurfaceError             a surface is missing or out of order
     │   └── MarkError                marks are missing, malformed or unusable
     ├── CannotMeasure                exit code 3: no property can be measured on this surface

@@ -5,8 +5,9 @@ The field makes the study file, the command line and the Python default.
 A stage keeps its options in its ``params.py``::
 
     class SurfaceParams(Params):
-        cutoff_um: float = option(400.0, gt=0, help="Wavelength of the centre surface that its
-        smoothing halves.")
+        cutoff_um: float = option(
+            400.0, gt=0, help="Wavelength of the centre surface that its smoothing halves."
+        )
 
 The study is put together of these models, ``planish.cli`` makes click options of the same fields,
 and functions take the model as ``params``. A field that no command shows has ``cli=None``.

@@ -1,7 +1,4 @@
-"""Void and filler in the base.
-
-Their share on the ray between the interfaces, mass, and profiles through the depth.
-"""
+"""Void and filler in the base: their share on the ray between the interfaces, and their mass."""
 
 from __future__ import annotations
 

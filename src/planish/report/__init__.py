@@ -2,8 +2,8 @@
 
 ``page`` puts the sections of any run together: ``first`` the first page, ``maps``, ``relation``,
 ``diagnostics``, ``registration``, ``flattening``, ``slices``, ``tables``. ``draw`` and ``colours``
-make figures; ``summary``, ``statement`` and ``text`` the words and numbers; ``series`` the page of
-a series.
+make figures; ``summary``, ``statement`` and ``text`` the words and numbers, ``sentences`` those on
+statistics; ``series`` the page of a series.
 """
 
 import lazy_loader as lazy

@@ -3,7 +3,8 @@
 Synthetic specimens go through the whole program.
 
 ``scenario`` says which specimens and figures, ``certify`` runs them, ``truth`` and ``errors``
-compare, ``table`` and ``page`` write; ``specimen_template`` makes specimens like a real run.
+compare, ``example`` draws one specimen, ``table`` and ``page`` write; ``specimen_template`` makes
+specimens like a real run.
 """
 
 import lazy_loader as lazy
