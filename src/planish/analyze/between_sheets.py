@@ -231,12 +231,16 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
         student_tail((margin + s * shift.difference) / shift.standard_error, shift.free)
         for s in (-1, 1)
     )
-    inside, beyond = -margin < low and high < margin, low > margin or high < -margin
+    verdict = "undecided"
+    if -margin < low and high < margin:
+        verdict = "equivalent"
+    elif low > margin or high < -margin:
+        verdict = "larger"
     return Equivalence(
         margin=margin,
         interval=(low, high),
         p=p,
-        verdict="equivalent" if inside else "larger" if beyond else "undecided",
+        verdict=verdict,
     )
 
 

@@ -160,19 +160,21 @@ def correlate_layers(
     table: list[CorrelationRow] = []
     for sums_of_pair, pair in zip(sums, pairs, strict=True):
         correlations = [*sums_of_pair.sizes()]
-        for row, pair_sums in correlations if correlations[0][0].n else []:
-            mean, sd = pair_sums.difference
-            agreement: dict[str, Any] = {
-                "same_quantity": True,
-                "difference_mean": mean,
-                "difference_sd": sd,
-            }
-            agreement["limits"] = mean - LIMIT * sd, mean + LIMIT * sd
-            agreement["units"] = str(layers[0][pair[0]].attrs.get("units", "1"))
+        if not correlations[0][0].n:
+            continue
+        for row, pair_sums in correlations:
+            agreement: dict[str, Any] = {}
+            if are_sheets:
+                mean, sd = pair_sums.difference
+                agreement = {
+                    "same_quantity": True,
+                    "difference_mean": mean,
+                    "difference_sd": sd,
+                    "limits": (mean - LIMIT * sd, mean + LIMIT * sd),
+                    "units": str(layers[0][pair[0]].attrs.get("units", "1")),
+                }
             table.append(
-                CorrelationRow.holding(
-                    row, a=a, a_map=pair[0], b=b, b_map=pair[1], **(agreement if are_sheets else {})
-                )
+                CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement)
             )
     for size_um in {row.point_um for row in table}:
         row_numbers = [k for k, row in enumerate(table) if row.point_um == size_um]

@@ -74,7 +74,7 @@ class Correlation(ResultModel):
     def direction(self) -> int:
         """1 or -1 where the interval of r excludes 0, else 0."""
         low, high = self.interval
-        return 1 if low > 0 else -1 if high < 0 else 0
+        return int(low > 0) - int(high < 0)
 
 
 class PointsCorrelation(ResultModel):

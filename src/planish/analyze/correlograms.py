@@ -241,7 +241,10 @@ def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
     moments = (directions * half_height_um**4) @ directions.T / 4 / area
     values, vectors = np.linalg.eigh(moments)
     angle = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1]))
-    angle = angle - 180 if angle > 90 else angle + 180 if angle <= -90 else angle
+    if angle > 90:
+        angle -= 180
+    elif angle <= -90:
+        angle += 180
     return (4 * math.sqrt(values[1]), 4 * math.sqrt(values[0])), angle
 
 

@@ -36,13 +36,9 @@ class Difference(ResultModel):
     def words(self) -> str:
         """What may be said."""
         verdict = self.distinguishable
-        return (
-            "unknown"
-            if verdict is None
-            else "distinguishable"
-            if verdict
-            else "not distinguishable"
-        )
+        if verdict is None:
+            return "unknown"
+        return "distinguishable" if verdict else "not distinguishable"
 
 
 def paired_difference(

@@ -121,7 +121,7 @@ def _of_both(r: float) -> float:
 
     A share of variance is not below 0.
     """
-    return r if math.isnan(r) else 2 * r / (1 + r) if r > 0 else 0.0
+    return 0.0 if r <= 0 else 2 * r / (1 + r)
 
 
 def half_points(

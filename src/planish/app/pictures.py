@@ -110,20 +110,20 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
             yield image_picture(image, plane="moving", layer=name, name=f"{prefix}image")
     if study.is_sheet_on_image:
         yield from group_pictures(run, LINKED, plane="fixed", layer=results.reference.name)
-    for layer in () if study.is_sheet_on_image else results.layers:
-        yield from group_pictures(
-            run, f"layers/{layer.name}", plane="fixed", layer=layer.name, prefix=f"{layer.name}/"
-        )
+    else:
+        for layer in results.layers:
+            group, prefix = f"layers/{layer.name}", f"{layer.name}/"
+            yield from group_pictures(run, group, plane="fixed", layer=layer.name, prefix=prefix)
     yield from group_pictures(run, "refined", plane="fixed", layer="refined", prefix="refined/")
 
 
 def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:
     maps = [*group_pictures(run, "maps", plane="moving", layer=layer, prefix=prefix)]
     yield from maps
+    if not (run / MAPS / "strain").is_dir():
+        return
     levels_of = {picture.name.removeprefix(prefix): picture.levels for picture in maps}
-    for name, display, levels in (
-        strains(run, levels_of) if (run / MAPS / "strain").is_dir() else ()
-    ):
+    for name, display, levels in strains(run, levels_of):
         yield PlanePicture(
             plane="moving",
             layer=layer,

@@ -178,7 +178,11 @@ def _static() -> list[BaseRoute]:
 
 
 async def _error_response(_request: Request, error: Exception) -> Response:
-    status = 409 if isinstance(error, Stale) else 507 if isinstance(error, ResourceError) else 400
+    status = 400
+    if isinstance(error, Stale):
+        status = 409
+    elif isinstance(error, ResourceError):
+        status = 507
     assert isinstance(error, PlanishError)
     places = error.places if isinstance(error, Undecided) else ()
     described = [

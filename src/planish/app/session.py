@@ -306,12 +306,7 @@ class Session:
         self.changed_at = self.version
 
     def _replay(self) -> None:
-        regions: list[DrawnRegion] = []
-        for region in read_regions(self.folder / REGIONS).declared if self.results.regions else ():
-            for polygon, *holes in ([*map(_ring, rings)] for rings in region.polygons):
-                texts = {"name": region.name, "author": region.author, "reason": region.reason}
-                texts["id"] = f"r0-{len(regions) + 1}"
-                regions.append(DrawnRegion(polygon=polygon, holes=tuple(holes), **texts))
+        regions = _drawn_regions(self.folder / REGIONS) if self.results.regions else ()
         marks = {
             layer: pairs_of(registration.marks)
             for layer, registration in self.registrations.items()
@@ -320,7 +315,7 @@ class Session:
             State(
                 marks=marks or {self.layers[0]: ()},
                 model=self.study.registration.model,
-                regions=tuple(regions),
+                regions=regions,
                 corrections=corrections_of(self.study),
                 first_layer=self.layers[0],
             )
@@ -374,9 +369,10 @@ def _image_params(run: Path, image: ImageParams | None, results: Results) -> Ima
         raise FileError(f"{path} is not a file. Give the image of the sheet.")
     options = image.model_dump(exclude_unset=True) | {"path": str(path.resolve())}
     recorded = noted_study(run)
-    for layer in () if recorded is None else recorded.layers:
-        if layer.image is not None and layer.image.path == options["path"]:
-            return layer.image.model_copy(update=options)
+    if recorded is not None:
+        for layer in recorded.layers:
+            if layer.image is not None and layer.image.path == options["path"]:
+                return layer.image.model_copy(update=options)
     return ImageParams.model_validate(options)
 
 
@@ -444,6 +440,25 @@ def dataset_of(marks: Sequence[Mark], **options: Any) -> xr.Dataset:
     return make_marks(
         [mark.label for mark in marks], places, used=[mark.used for mark in marks], **options
     )
+
+
+def _drawn_regions(path: Path) -> tuple[DrawnRegion, ...]:
+    """The regions that a file declares: each polygon for itself, numbered."""
+    regions: list[DrawnRegion] = []
+    for region in read_regions(path).declared:
+        for rings in region.polygons:
+            polygon, *holes = map(_ring, rings)
+            regions.append(
+                DrawnRegion(
+                    id=f"r0-{len(regions) + 1}",
+                    name=region.name,
+                    author=region.author,
+                    reason=region.reason,
+                    polygon=polygon,
+                    holes=tuple(holes),
+                )
+            )
+    return tuple(regions)
 
 
 def _ring(points: Any) -> tuple[tuple[float, float], ...]:

@@ -62,7 +62,11 @@ def read_scan(
     Parameters as of :func:`planish.checks.check_scan`.
     """
     through = Frame.of(measured).through
-    all_axes: tuple[Axis, ...] = ("z", "y", "x")
+    assembled_axes: tuple[Axis, ...] = ()
+    if labels:
+        assembled_axes = ("z", "y", "x")
+    elif sections:
+        assembled_axes = ("z",)
     heights = np.asarray(volume.coords[through].values, dtype=np.float64)
     faces = np.stack([measured["top"].values, measured["bottom"].values])
     low, high = np.clip(
@@ -81,7 +85,7 @@ def read_scan(
         "volume": volume,
         "measured": measured,
         "through": through,
-        "assembled_axes": all_axes if labels else all_axes[:1] if sections else (),
+        "assembled_axes": assembled_axes,
         "windows": {window.axis: window for window in reading.windows},
         "voxel_count": voxels_through(volume, measured),
     }

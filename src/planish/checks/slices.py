@@ -108,16 +108,14 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
         )
     # Heights that are wrong displace on every slope.
     is_grave = order_faults or axis == scan.through
-    commonest_kind = max(dict.fromkeys(kinds), key=kinds.count)
+    advised_kind = "order" if order_faults else max(dict.fromkeys(kinds), key=kinds.count)
     return rule.check(
         "fail" if order_faults else "look",
         value=float(sum(1 if f.kind == "jump" else f.count for f in faults)),
         limit=0.0,
         units="slices",
         sentence=" ".join(sentences) + " Slices count from 0.",
-        advice=_ADVICE[
-            "order" if order_faults else "foreign" if commonest_kind == "empty" else commonest_kind
-        ],
+        advice=_ADVICE["foreign" if advised_kind == "empty" else advised_kind],
         figures=(
             CORRELATION,
             *([POSITION] if is_grave or {*kinds} & {"repeated", "jump"} else []),
@@ -313,8 +311,11 @@ def _foreign(t: _Stack) -> Iterator[Fault]:
         is_copy = np.array_equal(t.stored[k], t.stored[nearest])
         if is_copy and nearest in copied:
             continue
-        does_fit = differences[nearest] < _FITS * t.usual_difference(nearest)
-        kind: Kind = "repeated" if is_copy else "moved" if does_fit else "foreign"
+        kind: Kind = "foreign"
+        if is_copy:
+            kind = "repeated"
+        elif differences[nearest] < _FITS * t.usual_difference(nearest):
+            kind = "moved"
         copied.add(k)
         yield Fault(kind=kind, first=k, last=k, other=None if kind == "foreign" else nearest)
 

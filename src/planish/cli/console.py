@@ -182,13 +182,11 @@ def stacked(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], w
                 continue
             name, _, heading_unit = heading.rpartition(" ")
             has_unit = bool(name) and heading_unit in _UNITS and heading not in _UNITLESS
-            unit = (
-                heading_unit
-                if has_unit
-                else row[unit_column]
-                if unit_column is not None and k in numeric
-                else ""
-            )
+            unit = ""
+            if has_unit:
+                unit = heading_unit
+            elif unit_column is not None and k in numeric:
+                unit = row[unit_column]
             text = f"{cell} {unit}" if unit not in ("", "1") and cell != "-" else cell
             lines += wrapped(f"  {name if has_unit else heading}  {text}", width).split("\n")
     return "\n".join(lines)

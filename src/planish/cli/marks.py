@@ -313,9 +313,10 @@ def convert(
             f"{title} states no unit; the positions were taken as {source['unit']} (--unit).",
             err=True,
         )
-    for layer in layers if FORMATS[out_format].unit is not None else ():
+    has_unit = FORMATS[out_format].unit is not None
+    for layer in layers:
         origin = about_layer(marks, layer).get("origin_um", {"x": 0.0, "y": 0.0})
-        if any(origin.values()):
+        if has_unit and any(origin.values()):
             origin_text = (
                 f"{origin['x']:g},{origin['y']:g} um; give that as its origin when they are read"
                 " again."

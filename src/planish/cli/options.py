@@ -96,22 +96,21 @@ class Value(click.ParamType[Any]):
     def __init__(
         self, field_type: Any, metavar: str | None = None, *, repeat: bool = False
     ) -> None:
+        """Read off a type how many values it takes, which words, and what stands for them."""
         self.adapter, self.can_repeat = TypeAdapter[Any](field_type), repeat
         types = kinds_of(field_type)
         tuples = [get_args(t) for t in types if get_origin(t) is tuple]
         self.n_values = len(tuples[0]) if tuples else 0
         self.is_any_count = any(arguments[1:] == (...,) for arguments in tuples)
         self.words = [str(word) for t in types if get_origin(t) is Literal for word in get_args(t)]
-        number_word = (
-            ["N,..."]
-            if tuples
-            else ["NUMBER"]
-            if float in types
-            else ["INTEGER"]
-            if int in types
-            else []
-        )
-        self.metavar = metavar or "|".join([*self.words, *number_word]) or "TEXT"
+        kinds = [*self.words]
+        if tuples:
+            kinds.append("N,...")
+        elif float in types:
+            kinds.append("NUMBER")
+        elif int in types:
+            kinds.append("INTEGER")
+        self.metavar = metavar or "|".join(kinds) or "TEXT"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
         """Show what is expected in the help."""

@@ -402,14 +402,14 @@ def _show(results: SeriesResults) -> None:
 
 
 def _number_text(value: float | None, statistic: str) -> str:
-    digits = (
-        4
-        if statistic == "thin_share"
-        else 5
-        if statistic == "r" and abs(value or 0.0) > _CLOSE_R
-        else 3
-    )
-    return "-" if value is None or not is_known(value) else f"{value:.{digits}f}"
+    if value is None or not is_known(value):
+        return "-"
+    digits = 3
+    if statistic == "thin_share":
+        digits = 4
+    elif statistic == "r" and abs(value) > _CLOSE_R:
+        digits = 5
+    return f"{value:.{digits}f}"
 
 
 def _interval_text(limits: tuple[float, float], statistic: str) -> str:

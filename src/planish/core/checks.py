@@ -128,4 +128,6 @@ def concerned(
 def trust_of(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]) -> Trust:
     """Trust in a figure of some layers, by all checks that concern one of ``figures``."""
     states = {check.state for check in concerned(checks, layers, figures)}
-    return "withheld" if "fail" in states else "doubtful" if "look" in states else "ok"
+    if "fail" in states:
+        return "withheld"
+    return "doubtful" if "look" in states else "ok"

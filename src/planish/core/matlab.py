@@ -244,9 +244,8 @@ def _variable_5(header: bytes, byte_order: str) -> Variable | None:  # noqa: C90
     if size > matrix_bytes:
         raise Damaged("the values of a variable are longer than the variable")
     number_flags = (flags >> 8) & (_COMPLEX | _LOGICAL)
-    class_name = (
-        class_name if not number_flags else "complex" if number_flags & _COMPLEX else "logical"
-    )
+    if number_flags:
+        class_name = "complex" if number_flags & _COMPLEX else "logical"
     return Variable(name=name, shape=shape, kind=class_name, real=not number_flags)
 
 

@@ -107,36 +107,36 @@ def _words(name: str) -> list[str]:
 
 def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:
     """Refuse a data set whose values lie outside the folder, or in files that are not there."""
-    fault_text = ""
-    if dataset.external:
-        fault_text = (
-            f"keeps its values in another file ({dataset.external[0][0]!r}), which planish does not"
-            " open"
-        )
-    elif dataset.is_virtual and depth > 4:
-        fault_text = "is virtual over virtual data sets"
-    sources = sorted(
-        {(s.file_name, s.dset_name) for s in dataset.virtual_sources()}
-        if dataset.is_virtual
-        else ()
-    )
-    for source, name in sources if not fault_text else ():
-        if "%" in source or "%" in name:
-            fault_text = "takes its parts from a pattern of files"
-            break
-        file = path if source == "." else referenced_file(path.parent, source, path)
-        target, target_name = find_dataset(file, name)
-        if target.resolve() != file.resolve() or target_name.strip("/") != name.strip("/"):
-            fault_text = "reaches its parts through links"
-            break
-        with opened(file) as source_file:
-            source_dataset: Any = source_file[name]
-            check_storage(source_dataset, file, depth=depth + 1)
+    fault_text = _storage_fault(dataset, path, depth)
     if fault_text:
         raise FileError(
             f"{path.name}: {dataset.name} {fault_text}. Copy it into one file, for example with"
             " h5repack."
         )
+
+
+def _storage_fault(dataset: h5py.Dataset, path: Path, depth: int) -> str:
+    """What is wrong with where a data set keeps its values; empty where nothing is."""
+    if dataset.external:
+        return (
+            f"keeps its values in another file ({dataset.external[0][0]!r}), which planish does not"
+            " open"
+        )
+    if not dataset.is_virtual:
+        return ""
+    if depth > 4:
+        return "is virtual over virtual data sets"
+    for source, name in sorted({(s.file_name, s.dset_name) for s in dataset.virtual_sources()}):
+        if "%" in source or "%" in name:
+            return "takes its parts from a pattern of files"
+        file = path if source == "." else referenced_file(path.parent, source, path)
+        target, target_name = find_dataset(file, name)
+        if target.resolve() != file.resolve() or target_name.strip("/") != name.strip("/"):
+            return "reaches its parts through links"
+        with opened(file) as source_file:
+            source_dataset: Any = source_file[name]
+            check_storage(source_dataset, file, depth=depth + 1)
+    return ""
 
 
 def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
@@ -282,10 +282,12 @@ def _child(group: Any, name: str) -> Any:
 
 def _stated_by_nexus(dataset: Any, axis_names: Sequence[str], order: Sequence[int]) -> list[Stated]:
     """Voxel size from the values along the axes, which have to be evenly spaced."""
+    if not axis_names:
+        return []
     steps: list[float | None] = [None] * len(dataset.shape)
     units = [""] * len(dataset.shape)
     notes: list[str] = []
-    for axis in order if axis_names else ():
+    for axis in order:
         coordinates: Any = _child(dataset.parent, axis_names[axis])
         n = dataset.shape[axis]
         if not isinstance(coordinates, h5py.Dataset) or coordinates.shape != (n,) or n > 10_000_000:

@@ -150,13 +150,12 @@ def _stated_by_nrrd(fields: Mapping[str, Any], axes: tuple[int, ...]) -> list[St
         ]
         # A direction may mix the axes of space only if all of these have one unit.
         unit_names = {str(u).strip('"') for u in np.atleast_1d(fields.get("space units", ()))}
-        is_medical = not unit_names and "-" in str(fields.get("space", ""))
-        unit = "mm" if is_medical else unit_names.pop() if len(unit_names) == 1 else ""
-        unit_text = (
-            " (no unit written; mm, as programs for anatomical spaces have it)"
-            if is_medical
-            else ""
-        )
+        unit = unit_text = ""
+        if len(unit_names) == 1:
+            unit = unit_names.pop()
+        elif not unit_names and "-" in str(fields.get("space", "")):
+            unit = "mm"
+            unit_text = " (no unit written; mm, as programs for anatomical spaces have it)"
         stated.append(
             stated_in(f"the NRRD space directions{unit_text}", lengths, [unit] * len(lengths), axes)
         )
@@ -210,6 +209,9 @@ def _meta_header(head: bytes, path: Path) -> Header:  # noqa: C901
         )
     is_packed = switched("compresseddata", "False")
     is_big_endian = switched("binarydatabyteordermsb", fields.get("elementbyteordermsb", "False"))
+    offset = header_bytes if is_local else 0
+    if skip_text == "-1" and not is_packed:
+        offset = -1
     unit = fields.get("distanceunits", "")
     stated: list[Stated] = []
     for key in ("ElementSpacing", "ElementSize"):
@@ -226,7 +228,7 @@ def _meta_header(head: bytes, path: Path) -> Header:  # noqa: C901
         data=path if is_local else _data_file(data_name, path),
         shape=tuple(extents[axis] for axis in axes),
         stored_dtype=dtype.newbyteorder(">" if is_big_endian else "<"),
-        offset=-1 if skip_text == "-1" and not is_packed else header_bytes if is_local else 0,
+        offset=offset,
         packing="deflate" if is_packed else "",
         stated=stated,
     )

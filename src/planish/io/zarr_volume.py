@@ -221,7 +221,9 @@ def _axes(
 
 def _scale_of(owner: Keys, count: int) -> list[float] | None:
     transformations: Any = owner.get("coordinateTransformations")
-    for transformation in transformations if isinstance(transformations, list) else []:
+    if not isinstance(transformations, list):
+        return None
+    for transformation in transformations:
         is_scale = isinstance(transformation, dict) and transformation.get("type") == "scale"
         scale: Any = transformation.get("scale") if is_scale else None
         if (

@@ -63,12 +63,10 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
         is wider than twice the largest.
     """
     grid = Grid.of(image)
-    centres, radii_um = (
-        np.stack([holes["x"].values, holes["y"].values], axis=1),
-        0.5 * holes["diameter"].values,
-    )
+    centres = np.stack([holes["x"].values, holes["y"].values], axis=1)
+    radii_um = 0.5 * holes["diameter"].values
     circles: list[tuple[float, float, float]] = []
-    for rows, cols in _border_regions(image, grid, centres, radii_um) if len(radii_um) else ():
+    for rows, cols in _border_regions(image, grid, centres, radii_um):
         pixels_um = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
         x, y = pixels_um.mean(axis=0).tolist()
         radius_um = float(np.hypot(*(pixels_um - (x, y)).T).max())
@@ -89,8 +87,10 @@ def _border_regions(
 ) -> Iterator[tuple[Ints, Ints]]:
     """Yield rows and columns of what touches the border and is nearer to holes than to the sheet.
 
-    It is beyond half way from the sheet to the floor of holes.
+    It is beyond half way from the sheet to the floor of holes; nothing where there are none.
     """
+    if not len(radii_um):
+        return
     inner_mask, outer_mask = (hole_mask(grid, centres, factor * radii_um) for factor in (0.6, 1.5))
     _, (greys, inner_mask, outer_mask) = thinned(image, inner_mask, outer_mask)
     floor, sheet = (

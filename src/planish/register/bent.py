@@ -89,13 +89,14 @@ class Bent(NearSimilarity):
         scaled_points = (points_um.reshape(-1, 2) - self.source) / self.size
         out = np.broadcast_to(self.affine[1:].T, (len(scaled_points), 2, 2)).copy()
         bends = [(slope, bend) for _, slope, bend in self.bends() if np.any(bend)]
-        for part in self._parts(scaled_points) if bends else ():
-            offsets = [scaled_points[part, None, i] - self.nodes[:, i] for i in range(2)]
-            squares = offsets[0] ** 2 + offsets[1] ** 2
-            for slope, bend in bends:
-                slopes = slope(squares)
-                for i in range(2):
-                    out[part, :, i] += (slopes * offsets[i]) @ bend
+        if bends:
+            for part in self._parts(scaled_points):
+                offsets = [scaled_points[part, None, i] - self.nodes[:, i] for i in range(2)]
+                squares = offsets[0] ** 2 + offsets[1] ** 2
+                for slope, bend in bends:
+                    slopes = slope(squares)
+                    for i in range(2):
+                        out[part, :, i] += (slopes * offsets[i]) @ bend
         return (out / self.size).reshape(*points_um.shape[:-1], 2, 2)
 
     @property

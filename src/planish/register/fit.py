@@ -116,13 +116,11 @@ def fit_transform(
     weighted_pairs = replace(pairs, information=pairs.information * robust_weights[:, None, None])
     fitted_pairs = weighted_pairs.take(weighted_pairs.weights > 0)
     if model == "auto":
-        model = (
-            AVERAGED.name
-            if len(fitted_pairs) >= 6
-            else "similarity"
-            if len(fitted_pairs) >= 3
-            else lowest
-        )
+        model = lowest
+        if len(fitted_pairs) >= 6:
+            model = AVERAGED.name
+        elif len(fitted_pairs) >= 3:
+            model = "similarity"
     if field is not None and model == AVERAGED.name:
         transform = AVERAGED.of(field)
     else:
@@ -180,7 +178,9 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
             wrong_count, best_field = len(removed), field
     is_right[:] = True
     is_right[removed[:wrong_count]] = False
-    for mark in reversed(removed[:wrong_count]) if n <= _MANY else ():
+    if n > _MANY:
+        return is_right, best_field
+    for mark in reversed(removed[:wrong_count]):
         is_right[mark] = True
         field = DeviationField(pairs.take(is_right), mirrored)
         if field.left_out()[1][np.count_nonzero(is_right[:mark])] < np.log(

@@ -387,4 +387,6 @@ def _read(value: Any, hint: Any) -> Any:
         return np.array(value, dtype=np.float64)
     if isinstance(value, list):
         return tuple(_read(v, None) for v in value)  # pyright: ignore[reportUnknownVariableType]
-    return value if isinstance(value, bool) else float("nan") if value is None else float(value)
+    if isinstance(value, bool):
+        return value
+    return float("nan") if value is None else float(value)

@@ -141,15 +141,17 @@ def _without_any(designs: Floats, target: Floats, precision: Floats, one_index: 
 
     Of four marks none can be spared.
     """
+    if len(target) <= _LEAST:
+        return 0.0
     covariance = np.linalg.inv(precision)
     mark_rows = np.arange(len(target))
     evidences: list[float] = []
-    for k in mark_rows if len(target) > _LEAST else ():
+    for k in mark_rows:
         equation_rows = np.flatnonzero(np.repeat(mark_rows != k, 2))
         reduced_precision = np.linalg.inv(covariance[np.ix_(equation_rows, equation_rows)])
         misfit = _solved(designs[:, mark_rows != k], target[mark_rows != k], reduced_precision)[1]
         evidences.append(float(misfit[one_index] - misfit.min()))
-    return min(evidences, default=0.0)
+    return min(evidences)
 
 
 def _centred(places: Floats, mirrored: bool) -> Floats:

@@ -420,10 +420,15 @@ class Canvas(Axes):
 
     def _tick(self, x: float, y: float, right: int, down: int, text: str) -> None:
         self.line([(x, y), (x + 3 * right, y + 3 * down)], colour=SOFT, width=0.8)
-        anchor, half_px = "middle" if down else "start" if right > 0 else "end", 3.1 * len(text)
+        half_px = 3.1 * len(text)
         # A long number at the end of an axis stays within the figure, and is smaller where its
         # margin is too narrow.
-        x_px = min(max(x, half_px), self.width - half_px) if down else x + 6 * right
+        if down:
+            anchor = "middle"
+            x_px = min(max(x, half_px), self.width - half_px)
+        else:
+            anchor = "start" if right > 0 else "end"
+            x_px = x + 6 * right
         room_px = x_px if right < 0 else self.width
         self.text(
             x_px,

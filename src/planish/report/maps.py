@@ -70,7 +70,9 @@ class RunMaps:
 
     def _by_layer(self, read_group: Callable[[str], xr.Dataset | None]) -> dict[str, xr.Dataset]:
         maps_by_layer: dict[str, xr.Dataset] = {}
-        for layer in self.results.layers if self.results.is_link else ():
+        if not self.results.is_link:
+            return maps_by_layer
+        for layer in self.results.layers:
             data = read_group(f"layers/{layer.name}")
             if data is None and (linked_maps := read_group("linked")) is not None:
                 data = (
@@ -105,12 +107,13 @@ class RunMaps:
     @cached_property
     def titles(self) -> dict[tuple[str, str], str]:
         """Titles of all maps, by layer and name."""
-        return {
-            (layer.name, str(name)): title_of(data)
-            for layer in self.results.layers
-            for maps in (self.part(layer, "maps"), self.linked.get(layer.name))
-            for name, data in (maps.data_vars.items() if maps is not None else ())
-        }
+        titles: dict[tuple[str, str], str] = {}
+        for layer in self.results.layers:
+            for maps in (self.part(layer, "maps"), self.linked.get(layer.name)):
+                if maps is not None:
+                    for name, data in maps.data_vars.items():
+                        titles[layer.name, str(name)] = title_of(data)
+        return titles
 
 
 def draw_maps(

@@ -93,11 +93,13 @@ def _specimen_line(
     Its cells are texts, each with a word of doubt.
     """
     cells = [(NONE, "")] * len(columns)
-    for k in columns if specimen.cells else ():
-        cell = specimen.cells[k]
+    for k, cell in enumerate(specimen.cells[: len(columns)]):
         # A word below a figure that is not used like the others.
-        has_own_reason = cell.trust == "ok" and cell.why_not.startswith(("too few", "points of"))
-        doubt_text = cell.why_not if has_own_reason else "" if cell.trust == "ok" else cell.trust
+        doubt_text = ""
+        if cell.trust != "ok":
+            doubt_text = cell.trust
+        elif cell.why_not.startswith(("too few", "points of")):
+            doubt_text = cell.why_not
         cells[k] = words.cell_text(cell, results.quantities[k]), doubt_text
     link = "" if specimen.kind is None else f"{quote(specimen.member.run or '')}/report.html"
     return {

@@ -44,17 +44,13 @@ def lead(results: SeriesResults) -> str:
         if len(same_quantity) > _LED:
             sentences.append(f"{len(same_quantity) - _LED} more of this quantity are listed below.")
         verdicts = [d.verdict for d in results.differences]
-        n_differences, n_differ, n_unknown = (
-            len(verdicts),
-            verdicts.count("differ"),
-            verdicts.count("unknown"),
-        )
+        n_differences = len(verdicts)
+        n_differ = verdicts.count("differ")
+        n_unknown = verdicts.count("unknown")
         if n_unknown == n_differences > 1:
             sentences.append(f"None of {n_differences} differences is known.")
         elif n_differences > 1:
-            differ_text = (
-                "none is" if n_differ == 0 else "1 is" if n_differ == 1 else f"{n_differ} are"
-            )
+            differ_text = {0: "none is", 1: "1 is"}.get(n_differ, f"{n_differ} are")
             unknown_text = f"; {n_unknown} not known" if n_unknown else ""
             sentences.append(
                 f"Of {n_differences} differences, {differ_text} distinguishable after"

@@ -49,7 +49,9 @@ def p_text(p: float | None) -> str:
     """Write a p with two digits, and small ones as a bound."""
     if p is None or not is_known(p):
         return NONE
-    return "< 0.0001" if p < 1e-4 else number(p, 2) if p < 0.0995 else fixed(p, 2)
+    if p < 1e-4:
+        return "< 0.0001"
+    return number(p, 2) if p < 0.0995 else fixed(p, 2)
 
 
 def points_text(row: Row | None) -> str:

@@ -27,7 +27,9 @@ HOLES = "holes and rims"  # what the mask of valid pixels leaves out where no re
 def registered_by(results: Results) -> str:
     """Say what registered the maps of a run: marks, or the texture that is compared as well."""
     sources = {layer.registration.source for layer in results.layers if layer.registration}
-    return BY_TEXTURE if "texture" in sources else BY_BOTH if "both" in sources else REGISTERED
+    if "texture" in sources:
+        return BY_TEXTURE
+    return BY_BOTH if "both" in sources else REGISTERED
 
 
 _OPTION = re.compile(r"(?<![\w-])--[a-z]")

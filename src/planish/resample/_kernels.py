@@ -271,7 +271,9 @@ def _under(sums, x0, y0, x1, y1):
     while True:
         last = cols + rows == 0
         across = rows == 0 or (cols > 0 and next_x <= next_y)
-        then = 1.0 if last else next_x if across else next_y
+        then = next_x if across else next_y
+        if last:
+            then = 1.0
         base = sums[r, c]
         total += (then - now) * (
             base + (y0 - r + 0.5 * (now + then) * dy) * (sums[r + 1, c] - base)

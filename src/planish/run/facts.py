@@ -193,6 +193,15 @@ def _registration_facts(
     )
 
 
+def _side_sentence(layer: Layer) -> str:
+    name = with_article(layer.name)
+    if layer.side_given is not None:
+        return f"{capital(name)} shows the {layer.side} side of the sheet, as given."
+    if layer.side_found is not None:
+        return f"Side of {name} not given; its texture is mirrored, so it shows the bottom side."
+    return f"Side of {name} not given; top side assumed (--image-side)."
+
+
 def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> OrientationFacts:
     """How two registered layers lie on each other: side, hand and machine direction, as given.
 
@@ -204,24 +213,7 @@ def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> Ori
         angle_rad = np.deg2rad(moving.md_deg)
         x, y = fit.transform.matrix() @ (np.cos(angle_rad), np.sin(angle_rad))
         md_fixed_deg = float(np.rad2deg(np.arctan2(y, x)) % 180.0)
-    sentences = [
-        (
-            f"{capital(with_article(layer.name))} shows the {layer.side} side of the sheet, as"
-            " given."
-            if layer.side_given is not None
-            else (
-                f"Side of {with_article(layer.name)} not given; its texture is mirrored, so it"
-                " shows the bottom side."
-                if layer.side_found is not None
-                else (
-                    f"Side of {with_article(layer.name)} not given; top side assumed"
-                    " (--image-side)."
-                )
-            )
-        )
-        for layer in (moving, fixed)
-        if layer.kind == "image"
-    ]
+    sentences = [_side_sentence(layer) for layer in (moving, fixed) if layer.kind == "image"]
     if is_reversed:
         sentences.append(
             f"The marks fit mirrored only: the {moving.name} is numbered against the usual sense."

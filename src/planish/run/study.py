@@ -113,7 +113,9 @@ class LayerParams(Params):
     @property
     def kind(self) -> Kind:
         """What the layer is read from."""
-        return "image" if self.image is not None else "run" if self.run is not None else "volume"
+        if self.image is not None:
+            return "image"
+        return "run" if self.run is not None else "volume"
 
     @property
     def path(self) -> str:

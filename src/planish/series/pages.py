@@ -128,11 +128,14 @@ def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
     Without values where none can be.
     """
     small_maps: list[SmallMap] = []
+    if not results.quantities:
+        return small_maps
+    quantity = results.quantities[0]
     # The maps of more than 250 specimens have fewer pixels: the page has to stay below 10 MB.
     # Along the longer side.
     pixels = 150.0 * min(1.0, math.sqrt(250 / max(len(results.specimens), 1)))
-    for specimen in results.specimens if results.quantities else ():
-        folder, quantity = specimen.member.folder(home), results.quantities[0]
+    for specimen in results.specimens:
+        folder = specimen.member.folder(home)
         if specimen.kind is None or folder is None or specimen.cells[0].why_not == "not measured":
             continue
         try:

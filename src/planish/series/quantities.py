@@ -62,8 +62,8 @@ def quantities_of(
     with a margin follow.
     """
     maps, declared_maps = {row.map for row in rows if row.quantity == "mean"}, maps_of(declared)
-    for name in declared_maps if runs else ():
-        if name not in maps:
+    for name in declared_maps:
+        if runs and name not in maps:
             raise InputError(
                 f"No run has a map {name}; there are"
                 f" {', '.join(sorted(maps)) or 'none'}.{likely(name, maps)} Name one of them."
@@ -191,8 +191,9 @@ def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> C
             reason = _why_not(row, with_doubtful=with_doubtful)
             return Cell(value=row.value, trust=row.trust, counts=not reason, why_not=reason)
     # A map that is withheld takes its thin shares along; the row is not there then.
-    for row in rows if q.what == "thin_share" else ():
-        if row.map == q.map and row.quantity == "mean" and row.trust == "withheld":
+    for row in rows:
+        is_mean = row.map == q.map and row.quantity == "mean"
+        if q.what == "thin_share" and is_mean and row.trust == "withheld":
             return Cell(trust="withheld", why_not=_why_not(row, with_doubtful=with_doubtful))
     return Cell(why_not="not measured")
 

@@ -268,30 +268,32 @@ class FibreMat:
             paper.filler * paper.base_g_per_cm3 / _FILLER_G_PER_CM3 / _FILLER_UM3 * cell_um3
         )
         rng = generator(self._seed, "filler")
-        for k in range(n_cells) if grain_probability else ():
-            height = low_um + (k + 0.5) * p.cell_um
-            is_grain = (
-                (rng.random(top.shape, dtype=np.float32) < grain_probability)
-                & (height < top)
-                & (height > bottom)
-            )
-            density[..., k] += (_GRAIN / p.cell_um * is_grain).astype(np.uint8)
-        for sign, outward_face in ((1.0, top), (-1.0, -bottom)) if p.fuzz_per_mm2 else ():
-            rng = generator(self._seed, "fuzz", str(sign))
-            n = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)
-            lengths = rng.uniform(100.0, 350.0, n) / self._pitch
-            _fibre_kernels.raise_fibres(
-                density,
-                low_um,
-                sign,
-                outward_face,
-                rng.uniform(0, 1, (n, 2)) * top.shape[::-1],
-                rng.uniform(0, 2 * np.pi, n),
-                lengths,
-                rng.uniform(12.0, 22.0, n) / self._pitch,
-                rng.normal(0, 2e-3, n) * self._pitch,
-                rng.uniform(3.0, 6.0, n),
-                rng.uniform(*p.fuzz_um, n),
-                p.cell_um,
-            )
+        if grain_probability:
+            for k in range(n_cells):
+                height = low_um + (k + 0.5) * p.cell_um
+                is_grain = (
+                    (rng.random(top.shape, dtype=np.float32) < grain_probability)
+                    & (height < top)
+                    & (height > bottom)
+                )
+                density[..., k] += (_GRAIN / p.cell_um * is_grain).astype(np.uint8)
+        if p.fuzz_per_mm2:
+            for sign, outward_face in ((1.0, top), (-1.0, -bottom)):
+                rng = generator(self._seed, "fuzz", str(sign))
+                n = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)
+                lengths = rng.uniform(100.0, 350.0, n) / self._pitch
+                _fibre_kernels.raise_fibres(
+                    density,
+                    low_um,
+                    sign,
+                    outward_face,
+                    rng.uniform(0, 1, (n, 2)) * top.shape[::-1],
+                    rng.uniform(0, 2 * np.pi, n),
+                    lengths,
+                    rng.uniform(12.0, 22.0, n) / self._pitch,
+                    rng.normal(0, 2e-3, n) * self._pitch,
+                    rng.uniform(3.0, 6.0, n),
+                    rng.uniform(*p.fuzz_um, n),
+                    p.cell_um,
+                )
         return Structure(density=density, low_um=low_um - neutral_um, cell_um=p.cell_um)

@@ -102,7 +102,9 @@ def gaussian_taps(sigma: float) -> NDArray[np.float32]:
 def smooth(slab: Slab, taps: NDArray[np.float32], axes: tuple[int, ...]) -> Slab:
     """Filter along the axes; the result is shorter by the taps' reach at each end of them."""
     reach = taps.size - 1
-    for axis in axes if reach else ():
+    if not reach:
+        return slab
+    for axis in axes:
         shape = list(slab.shape)
         shape[axis] -= 2 * reach
         smoothed = np.empty(shape, dtype=np.float32)

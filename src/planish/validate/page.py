@@ -60,7 +60,9 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
     if not seed_values:
         return ""
     width, height = 150.0, 16.0  # CSS pixels of a row of dots
-    bounds = [] if bound is None else [bound, -bound] if min(seed_values) < 0 and bound else [bound]
+    bounds = [] if bound is None else [bound]
+    if bound and min(seed_values) < 0:
+        bounds.append(-bound)
     low, high = min(0.0, *seed_values, *bounds), max(0.0, *seed_values, *bounds)
     span = (high - low) or 1.0
 
@@ -96,12 +98,13 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
 def render_page(certificate: Certificate, table: Sensitivity | None = None) -> str:
     """Return the page of a certificate as text; the same certificate gives the same bytes."""
     heat_rows: list[list[tuple[str, bool]]] = []
-    for row in table.rows if table is not None else ():
-        # Three times the baseline is the darkest cell of the heat table.
-        shades = {stage: min(1.0, row.growth.get(stage, 0.0) / 3.0) for stage in row.added}
-        heat_rows.append(
-            [(f"{shade:.3f}", row.suffers == stage) for stage, shade in shades.items()]
-        )
+    if table is not None:
+        for row in table.rows:
+            # Three times the baseline is the darkest cell of the heat table.
+            shades = {stage: min(1.0, row.growth.get(stage, 0.0) / 3.0) for stage in row.added}
+            heat_rows.append(
+                [(f"{shade:.3f}", row.suffers == stage) for stage, shade in shades.items()]
+            )
     scenario, entries = certificate.scenario, certificate.entries
     page = template("planish.validate", "certificate.html.j2").render(
         certificate=certificate,

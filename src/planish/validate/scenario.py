@@ -167,7 +167,10 @@ class Scenario(Params):
     @classmethod
     def _check_names(cls, value: Any, info: ValidationInfo) -> Any:
         choices, noun = _KNOWN[str(info.field_name)]
-        for name in () if value in (ALL, NONE) else (value,) if isinstance(value, str) else value:
+        if value in (ALL, NONE):
+            return value
+        names = (value,) if isinstance(value, str) else value
+        for name in names:
             if name not in choices:
                 raise ValueError(
                     f"there is no {noun} {name!r}; known are {', '.join(sorted(choices))}"

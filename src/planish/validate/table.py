@@ -259,13 +259,11 @@ def summary(certificate: Certificate) -> str:
             f"{missed} of {len(limits_met)} limits {'is' if missed == 1 else 'are'} missed."
         )
     else:
-        specimens_text = (
-            f"the {noun}s with a result"
-            if refused
-            else f"the one {noun}"
-            if n == 1
-            else f"all {n} {noun}s"
-        )
+        specimens_text = f"all {n} {noun}s"
+        if refused:
+            specimens_text = f"the {noun}s with a result"
+        elif n == 1:
+            specimens_text = f"the one {noun}"
         sentences.append(f"All {len(limits_met)} limits are met by {specimens_text}.")
     return " ".join(sentences)
 

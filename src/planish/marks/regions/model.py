@@ -51,7 +51,9 @@ class Region:
         cols = slice(*np.searchsorted(grid.x_um, (left, right)))
         y, x = grid.y_um[rows], grid.x_um[cols]
         inside = np.zeros((y.size, x.size), dtype=bool)
-        for rings in self.polygons if inside.size else ():
+        if not inside.size:
+            return (rows, cols), inside
+        for rings in self.polygons:
             odd = np.zeros((y.size, x.size + 1), dtype=bool)
             for ring in rings:
                 flip_crossings(ring, y, x, odd)
