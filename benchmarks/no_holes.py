@@ -25,7 +25,7 @@ import numpy as np
 import xarray as xr
 from scipy import ndimage
 
-from benchmarks.holes import gauss
+from benchmarks.hole_scenes import gauss
 from benchmarks.paper import KINDS
 from benchmarks.shared import rms
 from planish.core.errors import CannotRegister

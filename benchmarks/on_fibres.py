@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import ndimage
 
-from benchmarks.holes import PAPERS, gauss
+from benchmarks.hole_scenes import PAPERS, gauss
 from benchmarks.paper import KINDS
 from planish.core.typing import Floats
 from planish.marks import find_holes

@@ -1,7 +1,7 @@
 """Holes with scorched rims: two edges around a hole, and which of them is taken for the rim.
 
-Beside ``benchmarks.holes``: looks of a burnt rim, drawn with other levels, widths, light and noise
-for each image.
+Beside ``benchmarks.hole_scenes``: looks of a burnt rim, drawn with other levels, widths, light and
+noise for each image.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from benchmarks.holes import Scene, around, fine_window, gauss, make_hole, polar, shrunk
+from benchmarks.hole_scenes import Scene, around, fine_window, gauss, make_hole, polar, shrunk
 from planish.marks import find_holes
 
 ANGLES = np.arange(720) * np.pi / 360

@@ -13,7 +13,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from benchmarks.wrong.specimens import Right
+from benchmarks.wrong.truth import Right
 from planish.run.build import link
 from planish.run.compute import Compute
 from planish.synthetic import InstrumentFiles, write_instruments

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from benchmarks.wrong.case import traced
-from benchmarks.wrong.specimens import NAMES
+from benchmarks.wrong.truth import NAMES
 from planish.analyze import correlate
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES
 from planish.core.facts import is_known

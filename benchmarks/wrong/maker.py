@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
+from benchmarks.wrong.truth import LARGE_UM, SIZE_UM, Right, heights, layer
+
 Floats = NDArray[np.float64]
 _GRID_UM = 4.0  # of the fields of thickness
 _BEYOND_UM = 500.0
@@ -110,8 +112,6 @@ class Fields:
 
     def thickness(self, name, u, v):
         """True thickness by name."""
-        from benchmarks.wrong.specimens import layer
-
         return self.at(layer(self.faces, name), u, v)
 
 
@@ -137,8 +137,6 @@ class Pose:
 
 def make(order):
     """Draw one specimen."""
-    from benchmarks.wrong.specimens import LARGE_UM, SIZE_UM, Right, heights
-
     rng = np.random.default_rng([11, order.seed])
     size = LARGE_UM if order.large else SIZE_UM
     voxel = rng.uniform(4.4, 5.4)

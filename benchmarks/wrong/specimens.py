@@ -3,17 +3,14 @@ shares no code."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.paper import KINDS
 from benchmarks.wrong import maker
-from planish.core.typing import Floats
+from benchmarks.wrong.truth import LARGE_UM, SIZE_UM, Right, heights, layer
 from planish.synthetic import (
     MICRO_CT,
     PRESETS,
@@ -26,51 +23,7 @@ from planish.synthetic import (
 )
 from planish.validate.truth import field_at
 
-OF = {
-    "coating_top": (0, 1),
-    "base_thickness": (1, 2),
-    "coating_bottom": (2, 3),
-    "thickness": (0, 3),
-}
-NAMES = tuple(OF)
-SIZE_UM, LARGE_UM = (1250.0, 1000.0), (1700.0, 1350.0)
 _SECTIONS = SectionsParams(pixel_um=2.5, section_um=4.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Right:
-    """A volume (z, y, x), an image (y, x) and what is true: lengths in um, material (u, v, s),
-    points (x, y, z).
-
-    ``thickness`` gives a true thickness by name at (u, v); ``columns`` (y, x, 3) holds u, v and the
-    height of the centre surface at each column of the volume; ``faces`` (4, y, x) the heights of
-    top, interfaces and bottom there.
-    """
-
-    maker: str
-    seed: int
-    volume: NDArray[Any]
-    voxel_um: float
-    grey: tuple[float, float, float]
-    noise: float
-    image: Floats
-    pixel_um: float
-    holes: Floats
-    radius_um: float
-    material: Callable[[Floats], Floats]
-    points: Callable[[Floats], Floats]
-    thickness: Callable[[str, Floats, Floats], Floats]
-    image_of: Callable[[Floats], Floats]
-    pixels: Callable[[], Floats]
-    columns: Floats
-    faces: Floats
-    note: str
-    made: dict[str, Any] = field(default_factory=dict)
-
-    @cached_property
-    def uv(self):
-        """Material (y, x, 2) that the image's pixels show."""
-        return self.pixels()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,20 +41,6 @@ class Draw:
     slope: float | None = None
     # Seed of the hole pattern, where two specimens share the laser's program.
     program: int | None = None
-
-
-def heights(columns, voxel_um, faces, at):
-    """Heights of the faces over each column, whose distances from the middle ``at`` gives along the
-    normal."""
-    u, v, middle = np.moveaxis(columns, -1, 0)
-    lift = np.sqrt(1 + sum(g**2 for g in np.gradient(middle, voxel_um)))
-    return np.stack([middle + lift * at(face, u, v) for face in faces])
-
-
-def layer(faces, name):
-    """Thickness between two of the four faces, by name."""
-    upper, lower = OF[name]
-    return faces[upper] - faces[lower]
 
 
 @lru_cache(maxsize=24)

@@ -4,7 +4,7 @@ the benchmark's."""
 from dataclasses import dataclass
 
 import numpy as np
-from benchmarks.holes import around
+from benchmarks.hole_scenes import around
 from numpy.typing import NDArray
 from scipy import ndimage
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from benchmarks.holes import make_presence, make_scene
+from benchmarks.hole_scenes import make_presence, make_scene
 
 from folders import refused
 from marks.holes import make_hole, scene

@@ -3,7 +3,8 @@ look-alikes."""
 
 import numpy as np
 import pytest
-from benchmarks.holes import DIAMETER_UM, Score, look, make_presence, make_scene
+from benchmarks.hole_scenes import DIAMETER_UM, make_presence, make_scene
+from benchmarks.holes import Score, look
 from benchmarks.scorched import beyond, make_scorched
 
 from planish.marks import find_holes

@@ -3,7 +3,7 @@ neighbourhood."""
 
 import numpy as np
 import pytest
-from benchmarks.holes import make_scene
+from benchmarks.hole_scenes import make_scene
 
 from marks.holes import make_hole, scene
 from planish.checks import check_holes

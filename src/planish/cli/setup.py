@@ -84,13 +84,12 @@ class PowerShellComplete(ShellComplete):
 
 def script_of(shell: str) -> str:
     """Text that a shell reads to complete commands of planish."""
-    from planish.cli.main import planish
-
     completer = get_completion_class(shell)
     assert completer is not None
+    # The script holds the program's name and no command; the name of the variable is click's rule.
+    program = click.Command("planish")
     # Not the method of the class for bash, which starts bash to look at its version.
-    # The name is click's rule.
-    return ShellComplete.source(completer(planish, {}, "planish", "_PLANISH_COMPLETE"))
+    return ShellComplete.source(completer(program, {}, "planish", "_PLANISH_COMPLETE"))
 
 
 @verb("planish completion bash --install", "planish completion powershell >> $PROFILE")
