@@ -14,7 +14,7 @@ from planish.analyze import (
     correlate,
     correlate_layers,
     correlation_diagnostics,
-    headline_of,
+    leading_map,
     partial,
 )
 from planish.core.area import area_mean
@@ -319,5 +319,5 @@ def test_a_map_that_is_constant_or_that_the_sheet_lacks_can_neither_lead_nor_sta
     with pytest.raises(InputError, match="no map gloss to stand beside"):
         evidence_of(with_base(), point_um=20, declared=True, beside=("gloss",))
     with pytest.raises(InputError, match="no map 'gloss'"):
-        headline_of(drawn()["sheet"], "top", "gloss")
-    assert headline_of(drawn()["image"], "top", "gloss") == "image"
+        leading_map(drawn()["sheet"], "top", "gloss")
+    assert leading_map(drawn()["image"], "top", "gloss") == "image"

@@ -16,7 +16,7 @@ from planish.io import ImageParams
 from planish.marks import HoleParams, cut_holes, find_holes, read_any, write_marks
 from planish.register import fit_transform
 from planish.resample.maps import _with_angles
-from planish.run import Layer, LayerHoles, LayerParams, link, open_run
+from planish.run import GivenLayer, HoleSearch, MappedLayer, link, open_run
 
 
 def test_a_size_may_be_that_of_one_layer_alone(passes, refuses, kinds, tmp_path):
@@ -86,14 +86,14 @@ def test_each_face_of_a_layer_is_searched_for_holes_once(monkeypatch):
         searches.append((layer, side, params.printed))
         return xr.Dataset()
 
-    monkeypatch.setattr("planish.run.layers.find_holes", search)
-    shows_bottom = LayerParams(name="image", image=ImageParams(path="i.tif", side="bottom"))
-    sheet = Layer(
-        params=LayerParams(name="sheet", run="run"), source=None, groups={"maps": xr.Dataset()}
+    monkeypatch.setattr("planish.run.holes.find_holes", search)
+    shows_bottom = GivenLayer(name="image", image=ImageParams(path="i.tif", side="bottom"))
+    sheet = MappedLayer(
+        params=GivenLayer(name="sheet", run="run"), source=None, groups={"maps": xr.Dataset()}
     )
-    image = Layer(params=shows_bottom, source=None, image=xr.DataArray(np.zeros((2, 2))))
+    image = MappedLayer(params=shows_bottom, source=None, image=xr.DataArray(np.zeros((2, 2))))
     for params in (HoleParams(), HoleParams(printed=True)):
-        holes = LayerHoles(params)
+        holes = HoleSearch(params)
         for pair in [(sheet, image), (image, sheet), (sheet, sheet)] * 2:
             holes.of(*pair)
         assert [len(holes.searched(layer)) for layer in (sheet, image)] == [2, 1]

@@ -26,7 +26,7 @@ from planish.io import (
     write_tree,
 )
 from planish.measure import surfaces_of
-from planish.run import LayerParams, Study, open_run, read_study, silent, study_of, write_study
+from planish.run import GivenLayer, Study, open_run, read_study, silent, study_of, write_study
 from planish.series import read_plan
 
 PART = "/entry/a"
@@ -100,7 +100,7 @@ def test_an_export_finds_the_part_that_was_mapped(linked_run, volume, tmp_path):
 
 
 def test_a_study_keeps_the_part_beside_a_relative_path(volume, tmp_path):
-    study = Study(layers=(LayerParams(name="sheet", volume=VolumeParams(path=volume)),))
+    study = Study(layers=(GivenLayer(name="sheet", volume=VolumeParams(path=volume)),))
     home = Path(volume.partition(":/entry")[0]).parents[1] / "run"
     write_study(study, tmp_path, home=home, version="1")
     assert f'path = "../{FOLDER}/scan.h5:/entry/a"' in (tmp_path / "run.toml").read_text(

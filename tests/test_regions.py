@@ -21,7 +21,7 @@ from planish.io import ImageParams, VolumeParams
 from planish.marks import Region, Regions, geojson_text, read_regions
 from planish.marks.regions.model import nested
 from planish.results import Results
-from planish.run import LayerParams, Study, correlate_maps, link, open_run, read_study, write_study
+from planish.run import GivenLayer, Study, correlate_maps, link, open_run, read_study, write_study
 from planish.run.regions import region_facts, regions_on
 from report.runs import a_run, page_of
 
@@ -398,7 +398,7 @@ def test_a_study_names_them_by_a_relative_path(tmp_path):
         VolumeParams(path=str(tmp_path / "v.tif")),
         ImageParams(path=str(tmp_path / "i.tif")),
     )
-    layers = (LayerParams(name="sheet", volume=volume), LayerParams(name="image", image=image))
+    layers = (GivenLayer(name="sheet", volume=volume), GivenLayer(name="image", image=image))
     study = Study(layers=layers, correlate=CorrelateParams(regions=str(tmp_path / "in" / "r.json")))
     write_study(study, tmp_path, home=tmp_path, version="")
     assert 'regions = "in/r.json"' in (tmp_path / "run.toml").read_text()

@@ -7,7 +7,7 @@ import tifffile
 from planish.core.errors import FileError, InputError
 from planish.io import ImageParams, VolumeParams
 from planish.register import RegistrationParams
-from planish.run import LayerParams, Study, as_study, read_study, study_of, with_values, write_study
+from planish.run import GivenLayer, Study, as_study, read_study, study_of, with_values, write_study
 
 
 def test_round_trip_keeps_everything_and_paths_are_relative(tmp_path):
@@ -19,9 +19,9 @@ def test_round_trip_keeps_everything_and_paths_are_relative(tmp_path):
     )
     image = ImageParams(path=str(tmp_path / "i.tif"), channel="red", side="bottom")
     layers = (
-        LayerParams(name="sheet", volume=volume),
-        LayerParams(name="lm", run=str(tmp_path / "lm"), marks=str(tmp_path / "pairs.csv")),
-        LayerParams(name="image", image=image),
+        GivenLayer(name="sheet", volume=volume),
+        GivenLayer(name="lm", run=str(tmp_path / "lm"), marks=str(tmp_path / "pairs.csv")),
+        GivenLayer(name="image", image=image),
     )
     design = RegistrationParams(design=str(tmp_path / "pattern.json"))
     study = Study(layers=layers, chain=True, registration=design)

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from planish.core.checks import Check
 from planish.core.options import options_of
 from planish.results import Results
-from planish.run.study import LayerParams, Study
+from planish.run.study import GivenLayer, Study
 
 _WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false"}
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
@@ -25,9 +25,9 @@ _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 
 def study_page() -> str:
     """Return a table for each section of a study file."""
-    layers = [("[[layers]]", LayerParams)]
+    layers = [("[[layers]]", GivenLayer)]
     sections: list[tuple[str, type[BaseModel]]] = [("the top level", Study), *layers]
-    for name, model in sections_of(LayerParams):
+    for name, model in sections_of(GivenLayer):
         sections.append((f"[layers.{name}]", model))
         sections += [(f"[layers.{name}.{inner}]", found) for inner, found in sections_of(model)]
     sections += [(f"[{name}]", model) for name, model in sections_of(Study)]

@@ -21,7 +21,7 @@ from planish.core import errors
 from planish.core.options import options_of
 from planish.measure import registered
 from planish.results import Results
-from planish.run import LayerParams, Study, open_run
+from planish.run import GivenLayer, Study, open_run
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -57,7 +57,7 @@ def test_every_command_stands_with_its_options_and_examples():
 
 def test_every_key_of_a_study_has_type_and_meaning():
     text = page("reference/study.md")
-    for _title, model in [("", Study), ("", LayerParams), *nested(LayerParams), *nested(Study)]:
+    for _title, model in [("", Study), ("", GivenLayer), *nested(GivenLayer), *nested(Study)]:
         for name, field in model.model_fields.items():
             if not any(True for _ in fields.models_of(field.annotation)):
                 [row] = set(

@@ -11,7 +11,7 @@ from marks.test_files import same
 from planish.core.errors import PlanishError
 from planish.core.grid import Grid
 from planish.marks import LayerPixels, MarkPlaces, make_marks, read_any, write_any
-from planish.run import registration
+from planish.run import marks_registration as registration
 
 
 def test_convert_from_bigwarp_to_everything(passes, tmp_path):

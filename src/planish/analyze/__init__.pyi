@@ -13,7 +13,6 @@ from .between_sheets import two_groups as two_groups
 from .ceiling import Ceiling as Ceiling
 from .ceiling import ceiling as ceiling
 from .compare import correlate_layers as correlate_layers
-from .compare import headline_of as headline_of
 from .correlation import Correlation as Correlation
 from .correlation import PairAtSizes as PairAtSizes
 from .correlation import PairSums as PairSums
@@ -50,6 +49,7 @@ from .lag import Lag as Lag
 from .lag import LagNumbers as LagNumbers
 from .lag import LagTile as LagTile
 from .lag import texture_lag as texture_lag
+from .leading_map import leading_map as leading_map
 from .light_spread import LightSpread as LightSpread
 from .light_spread import spread_light as spread_light
 from .mottle import Mottle as Mottle

@@ -14,9 +14,9 @@ from pydantic import Field
 from planish.analyze.agreement import LIMIT
 from planish.analyze.correlation import Correlation, PairAtSizes
 from planish.analyze.differences import holm, paired_difference
-from planish.core.bands import any_finite, band_of, bands, read_bands
-from planish.core.errors import InputError, MarkError
-from planish.core.facts import Interval, Side, Trust, Value, optional
+from planish.core.bands import band_of, bands, read_bands
+from planish.core.errors import MarkError
+from planish.core.facts import Interval, Trust, Value, optional
 from planish.core.grid import Grid, pitch, values_at
 from planish.core.threads import map_threads, read_ahead
 from planish.core.typing import Array, Bools, Pixel
@@ -101,7 +101,7 @@ def is_property(data: xr.DataArray) -> bool:
     )
 
 
-def _maps_to_correlate(maps: xr.Dataset) -> list[str]:
+def maps_to_correlate(maps: xr.Dataset) -> list[str]:
     """List the maps of a layer that are correlated.
 
     Its image, or all properties but angles and standard errors.
@@ -130,7 +130,7 @@ def correlate_layers(
     with the image.
     """
     layers = maps[a], maps[b]
-    names = [_maps_to_correlate(data) for data in layers]
+    names = [maps_to_correlate(data) for data in layers]
     are_sheets = all("image" not in n for n in names)
     pairs = (
         [(n, n) for n in names[0] if n in names[1]]
@@ -286,26 +286,3 @@ def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator
         uv = np.stack([sheet["flat"][coordinate].values for coordinate in coordinates], axis=-1)
         mesh = Mesh.of(variant_fit.transform(uv), least_um=min(pitch(sheet["surfaces"])))
         yield _Variant(title, variant_fit.rms_um, mesh)
-
-
-def headline_of(maps: xr.Dataset, side: Side = "top", wanted: str | None = None) -> str:
-    """Choose the map that stands for a layer.
-
-    An image itself, what the study names, the coating that is seen, or the thickness.
-
-    Raises
-    ------
-    InputError
-        If the study names a map that the sheet does not have.
-    """
-    if "thickness" not in maps:
-        return "image"
-    if wanted is not None:
-        if wanted not in maps:
-            raise InputError(
-                f"The sheet has no map {wanted!r} to lead. It has"
-                f" {', '.join(_maps_to_correlate(maps))}."
-            )
-        return wanted
-    coating = f"coating_{side}"
-    return coating if any_finite(maps[coating]) else "thickness"

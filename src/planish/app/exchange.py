@@ -18,7 +18,7 @@ from planish.io.map_groups import read_group
 from planish.marks.exchange import FORMATS, LayerPixels, marks_bytes, pair_of_layers, read_any
 from planish.marks.exchange.formats import TARGETS
 from planish.marks.exchange.lists import Part
-from planish.run.registration import volume_to_map
+from planish.run.marks_registration import volume_to_map
 from planish.run.run import MAPS
 
 

@@ -24,7 +24,7 @@ from planish.core.transform import Similarity
 from planish.core.typing import Bools, Complexes, Floats
 from planish.register import FittedTransform, RegistrationParams, fit_transform
 from planish.register.pairs import as_complex
-from planish.run.registration import fit_marks
+from planish.run.marks_registration import fit_marks
 from planish.run.study import changed
 
 LEAST = 5

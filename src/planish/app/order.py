@@ -21,7 +21,7 @@ from planish.marks.regions import Region, Regions, geojson_text
 from planish.marks.regions.model import ring_of
 from planish.run.cached_maps import noted_study
 from planish.run.regions import REGIONS
-from planish.run.study import EDITS, LayerParams, Study, changed, with_layer
+from planish.run.study import EDITS, GivenLayer, Study, changed, with_layer
 
 STAGING = f"{EDITS}/.apply"
 """Hidden folder of a run where files of an order stand until the new run has its own."""
@@ -81,7 +81,7 @@ def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
         }
     sheet, study = session.study.layers[0], noted_study(session.folder) or session.study
     image_name = next((layer.name for layer in study.layers if layer.image is not None), "image")
-    image = LayerParams(name=image_name, image=session.image_params)
+    image = GivenLayer(name=image_name, image=session.image_params)
     holes = session.holes(sheet.name)
     marks = join_holes(holes["moving"], holes["fixed"]).assign_attrs(layers={})
     return study.model_copy(update={"layers": (sheet, image)}), {sheet.name: marks}

@@ -37,7 +37,7 @@ from planish.io.image import across, channel_of
 from planish.io.map_store import CHUNK, overviews_of, stored_group
 from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
-from planish.run.gathering import LINKED
+from planish.run.overlay import LINKED
 from planish.run.run import MAPS, open_results
 from planish.run.study import read_study
 

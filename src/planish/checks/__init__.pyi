@@ -1,7 +1,7 @@
 from .greys import SheetImage as SheetImage
 from .registration import DetectedHoles as DetectedHoles
 from .registration import HolesOnSheet as HolesOnSheet
-from .registration import RegisteredLayer as RegisteredLayer
+from .registration import JudgedRegistration as JudgedRegistration
 from .registration import TextureChecks as TextureChecks
 from .sheets import MeasuredSheet as MeasuredSheet
 from .table import CHECKS as CHECKS

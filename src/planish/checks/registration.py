@@ -17,7 +17,7 @@ from planish.results import LayerFacts, LinkedArea, RegistrationFacts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RegisteredLayer:
+class JudgedRegistration:
     """A layer with its registration.
 
     A mark can hardly be placed better than within the larger pixel of the two layers.
@@ -63,7 +63,7 @@ class TextureChecks:
 # --- of a registration ----------------------------------------------------------------------------
 
 
-def marks(rule: CheckRule, registered: RegisteredLayer) -> Check:
+def marks(rule: CheckRule, registered: JudgedRegistration) -> Check:
     """Judge the leave-one-out error of the marks, and whether omitted marks lie far off."""
     # Marks that were found well agree within that.
     limit_um = max(0.1 * registered.hole_um, registered.pixel_um)
@@ -96,7 +96,7 @@ def marks(rule: CheckRule, registered: RegisteredLayer) -> Check:
     return check
 
 
-def scale(rule: CheckRule, registered: RegisteredLayer) -> Check:
+def scale(rule: CheckRule, registered: JudgedRegistration) -> Check:
     """Judge whether the calibrations of both layers agree."""
     return rule.at_most(
         abs(registered.facts.scale - 1),
@@ -107,7 +107,7 @@ def scale(rule: CheckRule, registered: RegisteredLayer) -> Check:
     )
 
 
-def strain(rule: CheckRule, registered: RegisteredLayer) -> Check:
+def strain(rule: CheckRule, registered: JudgedRegistration) -> Check:
     """Judge the strain of the registration between the marks."""
     largest = registered.fit.strain.largest
     return rule.at_most(
@@ -123,7 +123,7 @@ def strain(rule: CheckRule, registered: RegisteredLayer) -> Check:
     )
 
 
-def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
+def tilt(rule: CheckRule, registered: JudgedRegistration) -> Check | None:
     """Judge whether all holes run along the normal of the sheet.
 
     None where too few were found on both sides.
@@ -156,7 +156,7 @@ def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
     )
 
 
-def machine_direction(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
+def machine_direction(rule: CheckRule, registered: JudgedRegistration) -> Check | None:
     """Judge the machine direction that is given twice.
 
     Once as the marks carry it over, and once for the image itself.

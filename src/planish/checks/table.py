@@ -12,7 +12,12 @@ import xarray as xr
 
 from planish.checks import greys, registration, sheets, through_scale
 from planish.checks.greys import SheetImage
-from planish.checks.registration import DetectedHoles, HolesOnSheet, RegisteredLayer, TextureChecks
+from planish.checks.registration import (
+    DetectedHoles,
+    HolesOnSheet,
+    JudgedRegistration,
+    TextureChecks,
+)
 from planish.checks.scan import GreyScan, ScannedSheet, read_scan
 from planish.checks.sheets import MeasuredSheet
 from planish.checks.slices import slice_order
@@ -73,13 +78,16 @@ CHECKS = (
     ),
     # planish link: from a registration
     CheckRule("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
-    CheckRule("marks", RegisteredLayer, (POSITION,), registration.marks),
-    CheckRule("scale", RegisteredLayer, (PROPERTIES, POSITION), registration.scale),
+    CheckRule("marks", JudgedRegistration, (POSITION,), registration.marks),
+    CheckRule("scale", JudgedRegistration, (PROPERTIES, POSITION), registration.scale),
     CheckRule(
-        "strain of the registration", RegisteredLayer, (POSITION, PROPERTIES), registration.strain
+        "strain of the registration",
+        JudgedRegistration,
+        (POSITION, PROPERTIES),
+        registration.strain,
     ),
-    CheckRule("tilt of the holes", RegisteredLayer, (POSITION, PROPERTIES), registration.tilt),
-    CheckRule("machine direction", RegisteredLayer, (POSITION,), registration.machine_direction),
+    CheckRule("tilt of the holes", JudgedRegistration, (POSITION, PROPERTIES), registration.tilt),
+    CheckRule("machine direction", JudgedRegistration, (POSITION,), registration.machine_direction),
     CheckRule(
         "holes in NAME",
         DetectedHoles,

@@ -105,10 +105,10 @@ def _image(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, ImageParam
 def surface(volume: Path, out: Path, **values: Any) -> None:
     """Find the faces, interfaces and centre surface of the sheet in VOLUME."""
     from planish.run.sheet import search_sheet
-    from planish.run.study import LayerParams
+    from planish.run.study import GivenLayer
 
     data, params, compute = _volume(volume, values)
-    layer = LayerParams(name="sheet", volume=params, surface=build_params(SurfaceParams, values))
+    layer = GivenLayer(name="sheet", volume=params, surface=build_params(SurfaceParams, values))
     surfaces = search_sheet(data, layer, compute=compute)
     share = float((surfaces["status"].values == 0).mean())
     summary = (

@@ -10,7 +10,7 @@ from contextlib import suppress
 
 from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, WRITE_SECONDS, Seconds
 from planish.core.errors import PlanishError
-from planish.run.study import LayerParams, Study
+from planish.run.study import GivenLayer, Study
 
 # Its name, or that of a step of tiles within it, and its expected seconds.
 Stage = tuple[str, float]
@@ -105,7 +105,7 @@ def _timed(seconds: Seconds, millions: float) -> list[Stage]:
     return [(name, fixed + each * millions) for name, (fixed, each) in seconds.items()]
 
 
-def _millions(layer: LayerParams) -> float:
+def _millions(layer: GivenLayer) -> float:
     """Columns through the sheet of a volume, or pixels of an image, in millions.
 
     1 where the file does not say.

@@ -29,7 +29,7 @@ from planish.resample import image_attrs, resample_image
 from planish.results import LayerFacts
 from planish.run.compute import Compute, Progress
 from planish.run.run import MAPS, Run, open_run
-from planish.run.study import RUN_TOML, LayerParams, read_study, to_dict
+from planish.run.study import RUN_TOML, GivenLayer, read_study, to_dict
 from planish.run.volume import read_sheet_volume
 
 IMAGE = "image"
@@ -203,7 +203,7 @@ def sheet_run(run: Run, name: str) -> Run | None:
     return next((other for other in runs if sheet_facts(other) is not None), None)
 
 
-def _mapped_layer(run: Run, name: str) -> LayerParams:
+def _mapped_layer(run: Run, name: str) -> GivenLayer:
     layer = next(layer for layer in run.study.layers if layer.name == name)
     if layer.run is None:
         return layer

@@ -1,12 +1,11 @@
 """One run: from a study to layers that are mapped, linked, compared and saved; where stages meet.
 
-A study goes from top to bottom: ``study`` and ``compute`` are its parameters, ``build`` makes one
-of paths and options, ``array_layers`` of arrays, ``study_template`` one to be filled in. ``save``
-does it: ``preflight`` refuses what cannot work, ``volume`` and ``sheet`` map a volume,
-``cached_maps`` keeps maps of a link that is refused, ``layers`` holds what is linked, ``linking``
-is the way of a link, by ``registration`` and ``overlay`` (with ``regions`` masked and
-``position_error`` mapped); ``gathering`` and ``facts`` put its numbers together, ``compare``
-correlates on request. ``run`` opens what was saved.
+``pipeline`` is the line, one call for each step: ``reading``, ``mapping`` (a volume in ``sheet``),
+``linking`` (by ``marks_registration`` or ``texture_registration``), ``overlay``, ``compare``,
+``judging`` and ``save``. ``layers`` holds what goes through it, ``workspace`` where it is made:
+``preflight`` refuses what cannot work, ``cached_maps`` keeps maps of a link that is refused.
+``study`` and ``compute`` are the parameters; ``build`` makes a study of paths and options,
+``array_layers`` of arrays, ``study_template`` one to be filled in. ``run`` opens what was saved.
 """
 
 import lazy_loader as lazy

@@ -24,11 +24,11 @@ from planish.run.compute import Compute
 from planish.run.run import Run
 from planish.run.study import Kind
 
-LayerInput = str | Path | Run | xr.DataArray
+GivenSource = str | Path | Run | xr.DataArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArrayLayer:
+class ArraySource:
     """A layer in memory, and the path where its file will stand."""
 
     path: Path
@@ -66,8 +66,8 @@ class ArrayLayer:
 
 @contextmanager
 def layer_sources(
-    layers: Sequence[LayerInput], out: str | Path | None, call_text: str
-) -> Generator[list[str | Path | ArrayLayer]]:
+    layers: Sequence[GivenSource], out: str | Path | None, call_text: str
+) -> Generator[list[str | Path | ArraySource]]:
     """Give each layer its path.
 
     Arrays get one in ``OUT-inputs``, or in a folder that is removed at the end.
@@ -76,7 +76,7 @@ def layer_sources(
     where a folder exists.
     """
     sources = [_source(layer, call_text) for layer in layers]
-    kinds = [source.kind for source in sources if isinstance(source, ArrayLayer)]
+    kinds = [source.kind for source in sources if isinstance(source, ArraySource)]
     if not kinds:
         yield sources
         return
@@ -89,7 +89,7 @@ def layer_sources(
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         for k, source in enumerate(sources):
-            if isinstance(source, ArrayLayer):
+            if isinstance(source, ArraySource):
                 default_name, suffix = (
                     ("sheet", ".zarr") if source.kind == "volume" else ("image", ".tif")
                 )
@@ -107,7 +107,7 @@ def layer_sources(
             remove(folder)
 
 
-def _source(layer: LayerInput, call_text: str) -> str | Path | ArrayLayer:
+def _source(layer: GivenSource, call_text: str) -> str | Path | ArraySource:
     if isinstance(layer, Run):
         if layer.folder is None:
             raise FileError(
@@ -117,5 +117,5 @@ def _source(layer: LayerInput, call_text: str) -> str | Path | ArrayLayer:
     if isinstance(layer, str | Path):
         return layer
     if len(getattr(layer, "shape", ())) == 2:
-        return ArrayLayer(Path(), "image", layer, check_image(layer, call_text))
-    return ArrayLayer(Path(), "volume", layer, check_volume(layer, call_text))
+        return ArraySource(Path(), "image", layer, check_image(layer, call_text))
+    return ArraySource(Path(), "volume", layer, check_volume(layer, call_text))

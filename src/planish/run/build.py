@@ -16,10 +16,10 @@ from planish.core.parameter_faults import fault_texts
 from planish.io import find_place
 from planish.io.info import is_image
 from planish.io.sections import is_section_folder
-from planish.run.array_layers import ArrayLayer, LayerInput, layer_sources
+from planish.run.array_layers import ArraySource, GivenSource, layer_sources
 from planish.run.compute import Compute, Progress, silent
+from planish.run.pipeline import run_study
 from planish.run.run import Run, is_run
-from planish.run.save import run_study
 from planish.run.study import LINK_SECTIONS, MAP_SECTIONS, SECTIONS, Kind, Study
 
 _OF_BOTH = ("override_size", "unusual_size")  # said once, of volumes and images
@@ -121,7 +121,7 @@ def link(
 
 
 def _make(
-    layers: Sequence[LayerInput],
+    layers: Sequence[GivenSource],
     out: str | Path | None,
     options: Mapping[str, Any],
     sections: Sequence[str],
@@ -137,14 +137,14 @@ def _make(
     ) as sources:
         study = study_of(sources, section_options, chain=chain)
         for source in sources:
-            if isinstance(source, ArrayLayer):
+            if isinstance(source, ArraySource):
                 progress("write", source.path.name)
                 source.write(compute or Compute())
         return run_study(study, out, compute=compute, progress=progress)
 
 
 def study_of(
-    layers: Sequence[str | Path | ArrayLayer],
+    layers: Sequence[str | Path | ArraySource],
     sections: Mapping[str, Mapping[str, Any]],
     *,
     chain: bool = False,
@@ -192,7 +192,7 @@ def study_of(
         ) from error
 
 
-class PathLayer(NamedTuple):
+class PathSource(NamedTuple):
     """A layer that stands in a file or folder, and its name, if it was given."""
 
     path: Path
@@ -200,12 +200,12 @@ class PathLayer(NamedTuple):
     name: str | None
 
 
-def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> PathLayer | ArrayLayer:
+def _source(layer: str | Path | ArraySource, *, is_link: bool) -> PathSource | ArraySource:
     """Tell a run, an image and a volume; its own reader names its faults.
 
     A text may be ``NAME=PATH``.
     """
-    if isinstance(layer, ArrayLayer):
+    if isinstance(layer, ArraySource):
         return layer
     name, path = None, Path(layer)
     prefix, equals, path_text = str(layer).partition("=")
@@ -222,14 +222,14 @@ def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> PathLayer | Arr
         kind = "run"
     elif is_link and not is_section_folder((place := find_place(path)).path) and is_image(place):
         kind = "image"
-    return PathLayer(path, kind, name)
+    return PathSource(path, kind, name)
 
 
 def _table(
-    name: str, source: PathLayer | ArrayLayer, options: Mapping[str, dict[str, Any]]
+    name: str, source: PathSource | ArraySource, options: Mapping[str, dict[str, Any]]
 ) -> dict[str, Any]:
     table, volume = {"path": str(source.path.absolute())}, options.get("volume", {})
-    array_options = source.options if isinstance(source, ArrayLayer) else {}
+    array_options = source.options if isinstance(source, ArraySource) else {}
     if source.kind == "run":
         return {"name": name, "run": table["path"], "md_deg": volume.get("md_deg")}
     if source.kind == "image":
@@ -242,7 +242,7 @@ def _table(
     return {"name": name, "volume": array_options | volume | table, **map_options}
 
 
-def _all_names(sources: Sequence[PathLayer | ArrayLayer]) -> list[str]:
+def _all_names(sources: Sequence[PathSource | ArraySource]) -> list[str]:
     """Names as given.
 
     Sheet and image where there is one of each; else of the files, with folders where those agree.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from planish.core.errors import CannotRegister, MarkError, PlanishError
 from planish.core.text import quoted
 from planish.run.compute import Compute, run_key
-from planish.run.layers import Layer
+from planish.run.layers import MappedLayer
 from planish.run.run import is_run, open_results, open_sheet
 from planish.run.sheet import asked_corrections, made_corrections
 from planish.run.study import RUN_TOML, Study, changed, read_study, to_dict
@@ -43,7 +43,7 @@ class CachedMaps(NamedTuple):
         free.
         """
         caches = dict[str, CachedMaps]()
-        is_link = len(study.layers) > 1
+        is_link = study.is_link
         volumes = [
             pair
             for pair in zip(study.layers, hashes, strict=True)
@@ -66,7 +66,7 @@ class CachedMaps(NamedTuple):
             caches[layer.name] = cls(path, request_key)
         return caches
 
-    def read(self) -> Layer | None:
+    def read(self) -> MappedLayer | None:
         """The sheet, where it was mapped before and is whole."""
         try:
             return open_sheet(self.path) if is_run(self.path) else None
@@ -82,13 +82,13 @@ class CachedMaps(NamedTuple):
 
 def sheets_of(
     old: Path, study: Study, hashes: Sequence[str]
-) -> tuple[dict[str, Layer], dict[str, Layer]]:
+) -> tuple[dict[str, MappedLayer], dict[str, MappedLayer]]:
     """Give the sheets of a run that a study asks for, of the same files and by this planish code.
 
     The first have the same parameters; the second the same surface, and other properties,
     flattening, or corrections.
     """
-    ready_sheets, similar_sheets = dict[str, Layer](), dict[str, Layer]()
+    ready_sheets, similar_sheets = dict[str, MappedLayer](), dict[str, MappedLayer]()
     try:
         results, old_layers = (
             open_results(old),

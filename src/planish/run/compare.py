@@ -1,17 +1,275 @@
-"""Compare the image of linked maps with every property, without regions declared artefacts."""
+"""Compare layers on the pixels of a reference: r, what stands beside it, and their textures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
 
 import numpy as np
 import xarray as xr
 
 from planish.analyze import CorrelateParams
-from planish.analyze.compare import CorrelationRow, correlate_layers
+from planish.analyze.compare import (
+    ComparisonRow,
+    CorrelationRow,
+    comparison_rows,
+    correlate_layers,
+)
+from planish.analyze.correlation_evidence import EvidenceFacts, correlation_diagnostics
+from planish.analyze.leading_map import leading_pair
+from planish.analyze.mottle import Mottle, mottle_of
+from planish.analyze.refinement import RefinementFacts, held_out_r, refine_link
+from planish.analyze.sheet_columns import SheetColumns
+from planish.analyze.sides import TextureFound, texture_of
 from planish.core.arrays import check_dataset
 from planish.core.bands import read_bands
 from planish.core.errors import InputError
+from planish.core.facts import Side
 from planish.core.grid import Grid
 from planish.core.options import params_of
+from planish.core.transform import Similarity
+from planish.core.typing import Bools
+from planish.io.map_store import map_tiles
 from planish.marks.regions import read_regions
+from planish.resample import SheetOnto, resample_image
+from planish.results import LayerFacts, LinkedArea
+from planish.run.compute import Progress
+from planish.run.facts import layer_facts, linked_area
+from planish.run.layers import LinkedLayer
+from planish.run.overlay import LINKED, Overlay
 from planish.run.regions import regions_on
+from planish.run.study import Study
+
+Textures = dict[tuple[str, str], TextureFound]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Comparison:
+    """What linked layers say of each other, as it goes into the results of a run."""
+
+    layers: tuple[LayerFacts, ...]
+    textures: Textures  # of pairs of layers that show one side of the sheet
+    correlations: tuple[CorrelationRow, ...]
+    evidence: tuple[EvidenceFacts, ...]
+    mottle: tuple[Mottle, ...]
+    area: LinkedArea | None  # of one sheet on one image
+    registrations: tuple[ComparisonRow, ...]  # the same, by the registrations of the paper
+    refinement: RefinementFacts | None
+    refined: xr.Dataset | None  # the moving layer where the refined registration brings it
+
+
+def compare_layers(study: Study, overlay: Overlay, progress: Progress) -> Comparison:
+    """Compare linked layers in pairs, and the maps that lead with all that stands beside r."""
+    pairs = [*combinations(overlay.layers, 2)]
+    progress("correlate", f"{len(pairs)} pairs of layers")
+    correlations: list[CorrelationRow] = []
+    for a, b in pairs:
+        correlations += correlate_layers(a.name, b.name, overlay.maps, study.correlate.point_um)
+    textures = {
+        (a.name, b.name): _texture_of_pair(a, b)
+        for a, b in pairs
+        if a.kind != b.kind or a.layer.side == b.layer.side
+    }
+    facts = _facts_of_layers(study, overlay, textures)
+    area, registrations = None, tuple[ComparisonRow, ...]()
+    if study.is_sheet_on_image:
+        area = linked_area(overlay.store.group(LINKED), overlay.mask)
+        registrations = _compare_registrations(study, overlay, facts[0].headline)
+    refined, refinement = None, None
+    if study.registration.refine is not None:
+        refined, refinement = _refine(study, overlay, facts)
+    return Comparison(
+        layers=facts,
+        textures=textures,
+        correlations=tuple(correlations),
+        evidence=_evidence(study, overlay, facts),
+        mottle=_mottle(overlay, facts) if study.correlate.mottle else (),
+        area=area,
+        registrations=registrations,
+        refinement=refinement,
+        refined=refined,
+    )
+
+
+def _texture_of_pair(a: LinkedLayer, b: LinkedLayer) -> TextureFound:
+    images = [linked.layer for linked in (a, b) if linked.kind == "image"]
+    return texture_of(
+        a.maps,
+        b.maps,
+        (a.name, b.name),
+        side=_side_of(a, b),
+        is_given=all(image.side_given is not None for image in images),
+    )
+
+
+def _side_of(a: LinkedLayer, b: LinkedLayer) -> Side:
+    return "bottom" if "bottom" in (a.layer.side, b.layer.side) else "top"
+
+
+def _facts_of_layers(study: Study, overlay: Overlay, textures: Textures) -> tuple[LayerFacts, ...]:
+    """What each layer is; of those placed by texture, with r that their place was not tuned on."""
+    reference = overlay.reference
+    facts = dict[str, LayerFacts]()
+    for linked in overlay.layers:
+        texture = textures.get((linked.name, reference.name))
+        facts[linked.name] = layer_facts(
+            linked,
+            side=_side_of(linked, reference),
+            lag=None if texture is None else texture.lag,
+            headline=study.correlate.headline,
+        )
+    return tuple(_with_held_out(layer, facts, overlay) for layer in facts.values())
+
+
+def _with_held_out(
+    layer: LayerFacts, facts: Mapping[str, LayerFacts], overlay: Overlay
+) -> LayerFacts:
+    registration = layer.registration
+    if registration is None or registration.source not in ("texture", "both"):
+        return layer
+    fixed_layer = facts[registration.path[-1]]
+    sheet, fixed = overlay.maps[layer.name], overlay.maps[fixed_layer.name]
+    name, fixed_name = leading_pair(layer.headline, fixed_layer.headline, sheet, fixed)
+    seen = _bounds(sheet["valid"])
+    valid = sheet["valid"][seen].values & fixed["valid"][seen].values
+    if not valid.any():
+        return layer
+    face = f"topography_{overlay.reference.layer.side}"
+    heights = None
+    if face in sheet and fixed_name == "image":
+        heights = sheet[face][seen].values.astype(np.float64)
+    held_out = held_out_r(
+        sheet[name][seen].values.astype(np.float64),
+        fixed[fixed_name][seen].values.astype(np.float64),
+        heights,
+        valid,
+        overlay.grid.pixel_um,
+    )
+    judged = registration.model_copy(update={"held_out": held_out})
+    return layer.model_copy(update={"registration": judged})
+
+
+def _bounds(valid: xr.DataArray) -> tuple[slice, slice]:
+    """Rows and columns that hold all valid pixels; none where there are none."""
+    in_rows = np.zeros(valid.shape[0], dtype=bool)
+    in_cols = np.zeros(valid.shape[1], dtype=bool)
+    for rows, (is_valid,) in read_bands(valid):
+        in_rows[rows] = is_valid.any(axis=1)
+        in_cols |= is_valid.any(axis=0)
+    return _bound(in_rows), _bound(in_cols)
+
+
+def _bound(is_in: Bools) -> slice:
+    places = np.flatnonzero(is_in)
+    return slice(int(places[0]), int(places[-1]) + 1) if places.size else slice(0, 0)
+
+
+def _evidence(
+    study: Study, overlay: Overlay, facts: tuple[LayerFacts, ...]
+) -> tuple[EvidenceFacts, ...]:
+    """What stands beside the correlation of each layer with the reference.
+
+    Not where they share too little.
+    """
+    *moving, reference = facts
+    sheets = [linked for linked in overlay.layers if linked.kind == "sheet"]
+    columns = {linked.name: _columns_of(linked) for linked in sheets}
+    md_deg = _machine_direction(overlay, facts)
+    evidence = [
+        correlation_diagnostics(
+            overlay.maps,
+            (layer.name, layer.headline),
+            (reference.name, reference.headline),
+            params=study.correlate,
+            columns=columns,
+            md_deg=md_deg,
+        )
+        for layer in moving
+        if layer.headline in overlay.maps[layer.name]
+    ]
+    return tuple(answers for answers in evidence if answers is not None)
+
+
+def _columns_of(linked: LinkedLayer) -> SheetColumns:
+    groups = linked.layer.groups
+    return SheetColumns(
+        measured=groups["surfaces"],
+        flat=groups["flat"],
+        similarity=Similarity() if linked.link is None else linked.link.chain.similarity,
+        interpolated="sections" in groups and bool(groups["sections"].attrs["missing"]),
+    )
+
+
+def _machine_direction(overlay: Overlay, facts: tuple[LayerFacts, ...]) -> float | None:
+    """Machine direction on the reference: as it was given there, or as marks carry it over."""
+    reference = overlay.reference.layer
+    if reference.md_deg is not None:
+        return reference.md_deg
+    for layer in facts:
+        registration = layer.registration
+        if registration is not None and registration.to == reference.name:
+            angle_deg = registration.orientation.md_deg_fixed_from_moving
+            if angle_deg is not None:
+                return angle_deg
+    return None
+
+
+def _mottle(overlay: Overlay, facts: tuple[LayerFacts, ...]) -> tuple[Mottle, ...]:
+    return tuple(
+        mottle_of(layer.name, overlay.maps[layer.name], quantity=layer.image.quantity)
+        for layer in facts
+        if layer.image is not None
+    )
+
+
+def _compare_registrations(
+    study: Study, overlay: Overlay, headline: str
+) -> tuple[ComparisonRow, ...]:
+    """The leading correlation of a sheet and an image by each registration of the paper."""
+    sheet = overlay.layers[0]
+    assert sheet.link is not None
+    rows = comparison_rows(
+        overlay.store.group(LINKED),
+        sheet.layer.groups,
+        sheet.link.registration.fit,
+        name=headline,
+        point_um=study.correlate.point_um,
+        away=overlay.mask,
+    )
+    return tuple(rows)
+
+
+def _refine(
+    study: Study, overlay: Overlay, facts: tuple[LayerFacts, ...]
+) -> tuple[xr.Dataset, RefinementFacts]:
+    """The first of two layers where the maps of both bring it.
+
+    It stands beside that of the marks: nothing that the page correlates was fitted to what it is
+    correlated with.
+    """
+    moving, reference = overlay.layers
+    model, grid = study.registration.refine, overlay.grid
+    assert moving.link is not None
+    assert model is not None
+    name, fixed_name = leading_pair(
+        facts[0].headline, facts[1].headline, moving.maps, reference.maps
+    )
+    transform, refinement = refine_link(
+        moving.maps[name],
+        reference.maps[fixed_name],
+        moving.maps["valid"].values & reference.maps["valid"].values,
+        grid,
+        moving.link.registration.fit,
+        model,
+    )
+    shown = moving.layer.shown
+    if isinstance(shown, xr.DataArray):
+        on_part = partial(resample_image, shown, transform=transform, must_meet=False)
+    else:
+        on_part = SheetOnto(shown["surfaces"], shown["flat"], transform=transform).on
+    for tile in map_tiles(grid.shape):
+        overlay.store.add("refined", grid, tile, on_part(grid.part(tile.rows, tile.cols)))
+    return overlay.store.group("refined"), refinement
 
 
 def correlate_maps(

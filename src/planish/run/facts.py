@@ -8,8 +8,9 @@ import numpy as np
 import xarray as xr
 
 from planish.analyze import LagNumbers
-from planish.analyze.compare import headline_of, is_property
+from planish.analyze.compare import is_property
 from planish.analyze.image_values import image_facts
+from planish.analyze.leading_map import leading_map
 from planish.core.bands import read_bands, thinned
 from planish.core.checks import concerned
 from planish.core.facts import InputFile, Side, is_known
@@ -30,9 +31,8 @@ from planish.results import (
     SectionFacts,
     SurfaceFacts,
 )
-from planish.run.layers import Layer
+from planish.run.layers import Link, LinkedLayer, MappedLayer
 from planish.run.position_error import error_shares
-from planish.run.registration import Link
 
 
 def input_file(data: xr.DataArray, path: str) -> InputFile:
@@ -127,24 +127,20 @@ def section_facts(sections: xr.Dataset) -> SectionFacts:
 
 
 def layer_facts(
-    layer: Layer,
-    maps: xr.Dataset,
-    link: Link | None,
-    side: Side,
-    lag: LagNumbers | None,
-    headline: str | None,
+    linked: LinkedLayer, *, side: Side, lag: LagNumbers | None, headline: str | None
 ) -> LayerFacts:
     """What a layer is, how much of the reference it covers, and how it was registered.
 
     ``side`` is that which shows, ``headline`` the map of sheets that the study names.
     """
+    layer, link, maps = linked.layer, linked.link, linked.maps
     shown = maps["volume_z" if layer.kind == "sheet" else "image"]
     pixels = sum(int(np.count_nonzero(np.isfinite(values))) for _, (values,) in read_bands(shown))
     return LayerFacts(
         name=layer.name,
         kind=layer.kind,
         source=layer.source,
-        headline=headline_of(maps, side, headline),
+        headline=leading_map(maps, side, headline),
         share_of_reference=pixels / shown.size,
         sheet=layer.facts,
         image=None if layer.params.image is None else image_facts(layer.params.image),
@@ -153,7 +149,7 @@ def layer_facts(
 
 
 def _registration_facts(
-    layer: Layer, link: Link, maps: xr.Dataset, lag: LagNumbers | None
+    layer: MappedLayer, link: Link, maps: xr.Dataset, lag: LagNumbers | None
 ) -> RegistrationFacts:
     registration, fit = link.registration, link.registration.fit
     _, (error,) = thinned(maps["expected_error"])
@@ -193,7 +189,7 @@ def _registration_facts(
     )
 
 
-def _side_sentence(layer: Layer) -> str:
+def _side_sentence(layer: MappedLayer) -> str:
     name = with_article(layer.name)
     if layer.side_given is not None:
         return f"{capital(name)} shows the {layer.side} side of the sheet, as given."
@@ -202,7 +198,9 @@ def _side_sentence(layer: Layer) -> str:
     return f"Side of {name} not given; top side assumed (--image-side)."
 
 
-def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> OrientationFacts:
+def _orientation_facts(
+    moving: MappedLayer, fixed: MappedLayer, fit: FittedTransform
+) -> OrientationFacts:
     """How two registered layers lie on each other: side, hand and machine direction, as given.
 
     Nothing is guessed.

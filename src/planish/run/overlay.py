@@ -3,12 +3,13 @@
 What is near a hole is masked.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
+from planish.analyze.image_values import reach_um
 from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import CannotRegister, InputError, MarkError
 from planish.core.grid import Grid, check_same_grid
@@ -22,9 +23,17 @@ from planish.marks.regions import Regions
 from planish.register import Chain
 from planish.resample import SheetOnto, image_attrs, resample_image
 from planish.resample import resample_maps as flat_maps
-from planish.run.layers import Shown
+from planish.run.compute import Progress
+from planish.run.layers import Link, LinkedLayer, MappedLayer, Shown
 from planish.run.position_error import PositionErrors
+from planish.run.regions import regions_on
 from planish.run.registration import Registration
+from planish.run.study import Study
+
+LINKED = "linked"
+"""Name of the group that holds a sheet and an image on the image's pixels."""
+
+_IMAGE_RIM_UM = 100.0  # around the holes of images that are linked without a sheet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +93,78 @@ def _on_tiles(
         return maps.assign(errors.on(tile_grid, maps["u"].values))
 
     return moved
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlay:
+    """Layers on the pixels of the last one, the reference."""
+
+    layers: tuple[LinkedLayer, ...]
+    mask: ValidMask
+    store: StoredMaps  # that holds the maps
+
+    @property
+    def reference(self) -> LinkedLayer:
+        """The layer that all others were brought to."""
+        return self.layers[-1]
+
+    @property
+    def grid(self) -> Grid:
+        """The pixels of the reference."""
+        return self.reference.layer.grid
+
+    @property
+    def maps(self) -> dict[str, xr.Dataset]:
+        """The maps of each layer."""
+        return {linked.name: linked.maps for linked in self.layers}
+
+
+def overlay_layers(
+    study: Study,
+    layers: Sequence[MappedLayer],
+    links: Mapping[str, Link],
+    regions: Regions | None,
+    store: StoredMaps,
+    progress: Progress,
+) -> Overlay:
+    """Bring registered layers onto the reference's pixels in one step, and mask holes and regions.
+
+    ``regions`` are in um of the reference, or as they were read where this is a volume.
+    """
+    reference = layers[-1]
+    if reference.params.kind == "volume" and regions is not None:
+        regions = regions_on(regions, reference.grid, study.correlate.regions)
+    progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
+    mask = ValidMask(_circles_of_links(layers, links), regions)
+    chains = {name: link.chain for name, link in links.items()}
+    sources = {layer.name: (layer.shown, chains.get(layer.name)) for layer in layers}
+    joint_group = LINKED if study.is_sheet_on_image else None
+    maps = resample_layers(sources, mask, reference.grid, store, joint_group=joint_group)
+    linked = [LinkedLayer(layer, links.get(layer.name), maps[layer.name]) for layer in layers]
+    return Overlay(tuple(linked), mask, store)
+
+
+def _circles_of_links(layers: Sequence[MappedLayer], links: Mapping[str, Link]) -> Floats:
+    """Holes of all layers with their rims, on the reference: (n, 3: x, y, radius in um)."""
+    rims_um = [
+        float(layer.groups["surfaces"].attrs["rim_um"]) for layer in layers if layer.kind == "sheet"
+    ]
+    rim_um = max(rims_um, default=_IMAGE_RIM_UM)
+    rim_um += max(reach_um(layer.params.image) for layer in layers)
+    circles: list[Floats] = []
+    for link in links.values():
+        for plane, layer in zip(("moving", "fixed"), link.path, strict=False):
+            own_link = links.get(layer.name)
+            circles.append(
+                hole_circles(
+                    link.registration.marks,
+                    plane,
+                    rim_um,
+                    chain=None if own_link is None else own_link.chain,
+                    image=layer.image,
+                )
+            )
+    return np.concatenate(circles)
 
 
 def resample_layers(
@@ -269,6 +350,6 @@ def resample_maps(
         "image": (onto, None),
     }
     resample_layers(
-        layer_sources, ValidMask(np.concatenate(circles)), grid, sink, joint_group="linked"
+        layer_sources, ValidMask(np.concatenate(circles)), grid, sink, joint_group=LINKED
     )
-    return sink.group("linked")
+    return sink.group(LINKED)

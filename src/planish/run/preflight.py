@@ -5,6 +5,10 @@ That is names, numbers that an option needs, and images beyond the memory.
 
 from pathlib import Path
 
+import numpy as np
+import xarray as xr
+
+from planish.analyze.leading_map import leading_map
 from planish.core.errors import InputError, ResourceError
 from planish.core.memory import enough_gb
 from planish.design import read_pattern
@@ -91,9 +95,13 @@ def _check_beside(study: Study) -> None:
     is_bottom = any(
         layer.image is not None and layer.image.side == "bottom" for layer in study.layers
     )
-    headline = study.correlate.headline or f"coating_{'bottom' if is_bottom else 'top'}"
     if not names:
         return
+    side = "bottom" if is_bottom else "top"
+    declared = study.correlate.headline
+    expected_names = ("thickness", f"coating_{side}", declared or "thickness")
+    measured = (("y", "x"), np.ones((1, 1)))
+    headline = leading_map(xr.Dataset(dict.fromkeys(expected_names, measured)), side, declared)
     if repeated := sorted({name for name in names if (headline, *names).count(name) > 1}):
         raise InputError(
             f"--beside {', '.join(repeated)}: the map leads already, or stands there twice. Leave"

@@ -17,7 +17,7 @@ from planish.core.lazy import ReadOnDemand
 from planish.io.map_groups import open_tree
 from planish.marks.regions import Regions, read_regions
 from planish.results import Results
-from planish.run.layers import Layer
+from planish.run.layers import MappedLayer
 from planish.run.regions import REGIONS
 from planish.run.registration import Registration
 from planish.run.study import RUN_TOML, Study, read_study
@@ -44,7 +44,7 @@ class Run:
     #: by the moving layer.
     registrations: Mapping[str, Registration] = field(default_factory=dict[str, Registration])
     #: Sheets that were mapped on the way to a link of other layers than one sheet and one image.
-    sheets: dict[str, Layer] = field(default_factory=dict[str, Layer])
+    sheets: dict[str, MappedLayer] = field(default_factory=dict[str, MappedLayer])
     regions: Regions | None = None  #: declared artefacts, in um of the reference of a link
     #: Groups that stand in the store of another run with the same bytes, and that store.
     unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
@@ -86,7 +86,7 @@ class Run:
         """Whether no check failed."""
         return self.results.passed
 
-    def sheet(self) -> Layer:
+    def sheet(self) -> MappedLayer:
         """The sheet that was mapped; what it was linked to stays behind.
 
         Raises
@@ -102,7 +102,7 @@ class Run:
                 " from 'planish map' or 'planish link VOLUME IMAGE'."
             )
         params = next(layer for layer in self.study.layers if layer.name == facts.name)
-        return Layer(
+        return MappedLayer(
             params=params,
             source=facts.source,
             md_deg=params.md_deg if params.volume is None else params.volume.md_deg,
@@ -200,7 +200,7 @@ def open_run(path: str | Path) -> Run:
     )
 
 
-def open_sheet(path: str | Path) -> Layer:
+def open_sheet(path: str | Path) -> MappedLayer:
     """The sheet that was mapped in a run folder; what it was linked to is not read.
 
     FileError if it is no run, holds no sheet of its own, or a file of it is missing or damaged.

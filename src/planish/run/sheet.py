@@ -21,8 +21,8 @@ from planish.resample import resample_maps
 from planish.results import SheetFacts, SheetNumbers
 from planish.run.compute import Compute, Progress, column_step, engine, silent
 from planish.run.facts import input_file, property_facts, section_facts, surface_facts
-from planish.run.layers import Layer
-from planish.run.study import LayerParams, changed
+from planish.run.layers import MappedLayer
+from planish.run.study import GivenLayer, changed
 from planish.run.volume import read_sheet_volume, some_slices
 from planish.surface import Corrections, correct_surfaces, find_surfaces, read_corrections
 
@@ -31,13 +31,13 @@ CORRECTIONS = "edits/surface.json"
 
 
 def map_layer(
-    layer: LayerParams,
+    layer: GivenLayer,
     *,
     compute: Compute,
     progress: Progress,
     tile_dir: Path | None,
-    old_sheet: Layer | None,
-) -> Layer:
+    old_sheet: MappedLayer | None,
+) -> MappedLayer:
     """Go from a volume to flattened maps of its properties.
 
     ``tile_dir`` is for the results of single tiles, where a run that was killed finds them again.
@@ -78,7 +78,7 @@ def map_layer(
     md_deg = v.md_deg if layer.md_deg is None else layer.md_deg
     if volume is None:
         assert old_sheet is not None
-        sheet = Layer(
+        sheet = MappedLayer(
             params=params, source=old_sheet.source, groups=groups, facts=facts, md_deg=md_deg
         )
         return _remapped(old_sheet, sheet)
@@ -88,7 +88,7 @@ def map_layer(
     # repeated.
     column_params = {"column_um": column_um} if step > 1 and v.column_um is None else {}
     size_params = {"voxel_um": tuple(float(s) for s in volume.attrs["voxel_um"])} | column_params
-    return Layer(
+    return MappedLayer(
         params=changed(params, volume=size_params),
         source=input_file(volume, v.path),
         groups=groups,
@@ -99,8 +99,8 @@ def map_layer(
 
 
 def _measure(
-    layer: LayerParams,
-    old: Layer | None,
+    layer: GivenLayer,
+    old: MappedLayer | None,
     local: Engine,
     tile_dir: Path | None,
     compute: Compute,
@@ -147,7 +147,7 @@ def _measure(
 
 
 def _judged(
-    layer: LayerParams,
+    layer: GivenLayer,
     volume: xr.DataArray | None,
     sections: xr.Dataset | None,
     columns: xr.Dataset,
@@ -163,7 +163,7 @@ def _judged(
     return checks, sheet_numbers(columns, volume=volume, params=layer.properties, engine=local)
 
 
-def _remapped(old_sheet: Layer, sheet: Layer) -> Layer:
+def _remapped(old_sheet: MappedLayer, sheet: MappedLayer) -> MappedLayer:
     """A sheet that was only flattened anew, with what a similar one knows of its volume."""
     assert old_sheet.facts is not None
     assert sheet.facts is not None
@@ -187,7 +187,7 @@ def _remapped(old_sheet: Layer, sheet: Layer) -> Layer:
 
 def search_sheet(
     volume: xr.DataArray,
-    layer: LayerParams,
+    layer: GivenLayer,
     *,
     compute: Compute,
     progress: Progress = silent,
@@ -210,7 +210,7 @@ def search_sheet(
         )
 
 
-def asked_corrections(layer: LayerParams) -> str:
+def asked_corrections(layer: GivenLayer) -> str:
     """Text of the corrections that a study asks for, empty where there are none.
 
     FileError where it holds others.

@@ -79,7 +79,7 @@ MAP_SECTIONS, LINK_SECTIONS = (
 """Sections of the mapping of a volume, and of a link."""
 
 
-class LayerParams(Params):
+class GivenLayer(Params):
     """One layer: a volume that is mapped first, a run that is there, or an image."""
 
     name: Annotated[
@@ -131,7 +131,7 @@ class Study(Params):
     are registered to the reference.
     """
 
-    layers: tuple[LayerParams, ...]
+    layers: tuple[GivenLayer, ...]
     chain: bool = Field(
         default=False,
         description="Register each layer to the next one, and carry it on from there.",
@@ -171,6 +171,17 @@ class Study(Params):
         if self.registration.refine is not None and len(names) != 2:
             raise ValueError("refine is for two layers; link these two alone")
         return self
+
+    @property
+    def is_link(self) -> bool:
+        """Whether layers are linked; otherwise one volume is mapped."""
+        return len(self.layers) > 1
+
+    @property
+    def next_layers(self) -> list[int]:
+        """Index of the layer that each one but the last is registered to."""
+        last = len(self.layers) - 1
+        return [k + 1 if self.chain else last for k in range(last)]
 
     @property
     def is_sheet_on_image(self) -> bool:

@@ -21,10 +21,12 @@ from planish.core.transform import Similarity
 from planish.core.typing import Floats, Ints, Pair
 from planish.marks.exchange.model import join_holes, paired, points_of
 from planish.register import RegistrationParams, fit_pairs, need_holes
-from planish.register.by_texture.place import TilePlaces, leading_maps, tile_places, tuned_place
+from planish.register.by_texture.place import TilePlaces, clearest_maps, tile_places, tuned_place
 from planish.register.by_texture.search import FALSE, Names, Near, PlaceSearch, search_place
-from planish.run.layers import Layer, LayerHoles
-from planish.run.registration import Registration, register_layers, with_residuals
+from planish.run.holes import HoleSearch
+from planish.run.layers import MappedLayer
+from planish.run.marks_registration import register_by_marks
+from planish.run.registration import Registration, with_residuals
 from planish.run.study import Study
 from planish.run.texture_layer import TextureLayer
 
@@ -152,7 +154,7 @@ def register_texture(
     )
 
 
-def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> bool:
+def uses_texture(layer: MappedLayer, fixed: MappedLayer, holes: HoleSearch, study: Study) -> bool:
     """Tell whether two layers are registered by their texture.
 
     They are where that is asked for, or holes are too few to match.
@@ -165,8 +167,8 @@ def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) ->
     return any(holes.of(*pair).sizes["mark"] < 3 for pair in ((layer, fixed), (fixed, layer)))
 
 
-def register_layers_by_texture(
-    layer: Layer, fixed: Layer, holes: LayerHoles, study: Study
+def register_by_texture(
+    layer: MappedLayer, fixed: MappedLayer, holes: HoleSearch, study: Study
 ) -> Registration:
     """Register one layer of a link to another one by the texture of both.
 
@@ -178,7 +180,7 @@ def register_layers_by_texture(
     assert isinstance(image, xr.Dataset | xr.DataArray)
     is_mirrored = layer.side != fixed.side
     if params.by == "both":
-        known = register_layers(layer, fixed, holes, study)
+        known = register_by_marks(layer, fixed, holes, study)
         return _with_tiles(known, moving, image, params, pair, "bottom" if is_mirrored else "top")
     knows_side = layer.kind == fixed.kind or any(
         of.side_given for of in (layer, fixed) if of.kind == "image"
@@ -386,7 +388,7 @@ def _tiles_near(
     )
     light = tuple(name for name in a.light if has_light and name in moving.maps)
     place = _moved(place, -moving_first, -fixed_first)
-    names = names or leading_maps(moving, fixed, place)
+    names = names or clearest_maps(moving, fixed, place)
     # Two sheets are compared map by map; an image shows the other maps, too.
     beside = tuple(k for k in a.maps if has_light and k in moving.maps and k != names[0])
     if off_um:

@@ -24,9 +24,10 @@ from planish.io.hashes import files_of
 from planish.io.info import describe
 from planish.io.run_folder import acquire_lock, refuse_existing, sweep
 from planish.run.compute import Compute, run_key
+from planish.run.pipeline import run_study
 from planish.run.run import is_run, open_results
-from planish.run.save import hash_of_input, run_study
 from planish.run.study import RUN_TOML, Study, in_study_words, to_dict, with_paths
+from planish.run.workspace import hash_of_input
 from planish.series.gather import as_judged
 from planish.series.plan import Plan, PlannedSpecimen
 from planish.series_results import Member, MemberState

@@ -80,7 +80,7 @@ def tuned_place(
     return placed(found.x)
 
 
-def leading_maps(moving: Textures, fixed: Textures, place: Similarity) -> Names:
+def clearest_maps(moving: Textures, fixed: Textures, place: Similarity) -> Names:
     """The maps that go together most clearly at a place."""
     rows, cols = np.indices(moving.known.shape)
     points = place(np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=-1))

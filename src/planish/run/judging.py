@@ -1,0 +1,221 @@
+"""Judge a run: its checks, and with them the trust in every number of its results."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish import __version__
+from planish.analyze.leading_map import leading_map
+from planish.analyze.sides import TextureFound, found_by_texture, holes_and_texture
+from planish.checks import (
+    DetectedHoles,
+    HolesOnSheet,
+    JudgedRegistration,
+    RegisteredSheet,
+    SheetImage,
+    TextureChecks,
+    apply_checks,
+    for_layers,
+    run_checks,
+)
+from planish.core.bands import thinned
+from planish.core.checks import Check
+from planish.core.source_hash import hash_sources
+from planish.results import LayerFacts, Results
+from planish.run.compare import Comparison
+from planish.run.holes import HoleSearch
+from planish.run.layers import Link, LinkedLayer, MappedLayer
+from planish.run.overlay import LINKED, Overlay
+from planish.run.regions import region_facts
+from planish.run.run import Run
+from planish.run.study import Study, changed, to_dict, with_paths
+
+_LIBRARIES = ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")  # that numbers depend on
+
+
+def judge_sheet(study: Study, sheet: MappedLayer) -> Run:
+    """The run of one mapped sheet, with its checks applied to its numbers."""
+    assert sheet.facts is not None
+    study = changed(study, layers=(sheet.params,), correlate={"regions": None})
+    facts = LayerFacts(
+        name=sheet.name,
+        kind="sheet",
+        source=sheet.source,
+        headline=leading_map(sheet.groups["surfaces"]),
+        sheet=sheet.facts,
+    )
+    results = _results(study, [facts], for_layers(sheet.checks, sheet.name))
+    return Run(study=study, results=results, groups=sheet.groups, unchanged=sheet.unchanged)
+
+
+def judge_link(study: Study, overlay: Overlay, comparison: Comparison, holes: HoleSearch) -> Run:
+    """The run of linked layers, with its checks applied to its numbers."""
+    layers = [linked.layer for linked in overlay.layers]
+    study = changed(study, layers=tuple(layer.params for layer in layers))
+    regions = overlay.mask.regions
+    results = _results(
+        study,
+        comparison.layers,
+        _checks_of_link(overlay, comparison, holes),
+        by_this_code=all(layer.by_this_code for layer in layers),
+        chain=study.chain,
+        correlations=comparison.correlations,
+        evidence=comparison.evidence,
+        mottle=comparison.mottle,
+        linked=comparison.area,
+        comparison=comparison.registrations,
+        refinement=comparison.refinement,
+        regions=None if regions is None else region_facts(regions, overlay.grid),
+    )
+    links = [linked.link for linked in overlay.layers if linked.link is not None]
+    run = Run(
+        study=study,
+        results=results,
+        groups=_groups_of_link(study, overlay, comparison),
+        regions=regions,
+        registrations={link.path[0].name: link.registration for link in links},
+    )
+    if study.is_sheet_on_image:
+        return replace(run, unchanged=layers[0].unchanged)
+    volumes = {layer.name: layer for layer in layers if layer.params.kind == "volume"}
+    return replace(run, sheets=volumes)
+
+
+def _groups_of_link(
+    study: Study, overlay: Overlay, comparison: Comparison
+) -> dict[str, xr.Dataset]:
+    if study.is_sheet_on_image:
+        groups = overlay.layers[0].layer.groups | {LINKED: overlay.store.group(LINKED)}
+    else:
+        groups = {f"layers/{name}": maps for name, maps in overlay.maps.items()}
+    if comparison.refined is not None:
+        groups["refined"] = comparison.refined
+    return groups | overlay.store.overviews()
+
+
+def _results(
+    study: Study,
+    layers: Iterable[LayerFacts],
+    checks: Iterable[Check],
+    *,
+    by_this_code: bool = True,
+    **fields: Any,
+) -> Results:
+    results = Results(
+        planish=__version__,
+        code=hash_sources() if by_this_code else "",
+        layers=tuple(layers),
+        checks=tuple(checks),
+        versions={name: version(name) for name in _LIBRARIES},
+        # Paths say where files lie and not what was done.
+        parameters=to_dict(with_paths(study, lambda _: None)),
+        **fields,
+    )
+    return apply_checks(results)
+
+
+def _checks_of_link(overlay: Overlay, comparison: Comparison, holes: HoleSearch) -> Iterator[Check]:
+    for linked, facts in zip(overlay.layers, comparison.layers, strict=True):
+        scale_checks = [*_scale_checks(overlay, linked)]
+        scale_check_names = {check.name for check in scale_checks}
+        own_checks = [c for c in linked.layer.checks if c.name not in scale_check_names]
+        yield from for_layers(own_checks, linked.name)
+        yield from scale_checks
+        if linked.link is not None:
+            yield from _registration_checks(linked.link, facts, holes)
+    for linked in overlay.layers[:-1]:
+        yield from _hole_checks(linked, overlay.reference)
+    if any(linked.kind == "sheet" for linked in overlay.layers):
+        yield from _image_checks(overlay)
+    for (a, b), texture in comparison.textures.items():
+        checks = _texture_checks(overlay, a, b, texture)
+        yield from run_checks(TextureChecks(*checks), a, b)
+    if comparison.area is not None:
+        names = [linked.name for linked in overlay.layers]
+        yield from run_checks(comparison.area, *names)
+
+
+def _scale_checks(overlay: Overlay, linked: LinkedLayer) -> Iterator[Check]:
+    """Whether a sheet has the size that the marks say; by the first of its registrations."""
+    if linked.kind != "sheet":
+        return
+    for other in overlay.layers[:-1]:
+        assert other.link is not None
+        moving, fixed = other.link.path[:2]
+        is_fixed = linked.name == fixed.name
+        if other is linked or (is_fixed and linked.link is None):
+            registered_sheet = RegisteredSheet(
+                measured=linked.layer.groups["surfaces"],
+                flat=linked.layer.groups["flat"],
+                fit=other.link.registration.fit,
+                is_fixed=is_fixed,
+                either=moving.kind == fixed.kind == "sheet",
+            )
+            yield from run_checks(registered_sheet, moving.name, fixed.name)
+            return
+
+
+def _registration_checks(link: Link, facts: LayerFacts, holes: HoleSearch) -> Iterator[Check]:
+    assert facts.registration is not None
+    layer, fixed = link.path[:2]
+    registration = link.registration
+    judged = JudgedRegistration(
+        layer=layer.name,
+        facts=facts.registration,
+        fit=registration.fit,
+        agreement=registration.agreement(),
+        hole_um=sum(holes.params.hole_um) / 2,
+        pixel_um=max(*layer.grid.pixel_um, *fixed.grid.pixel_um),
+    )
+    yield from run_checks(judged, layer.name, fixed.name)
+    if registration.source in ("found", "both"):
+        for searched_layer in (layer, fixed):
+            for layer_holes in holes.searched(searched_layer):
+                detected = DetectedHoles(searched_layer.name, layer_holes)
+                yield from run_checks(detected, layer.name, fixed.name)
+    yield from run_checks(facts, layer.name, facts.registration.path[-1])
+
+
+def _hole_checks(linked: LinkedLayer, reference: LinkedLayer) -> Iterator[Check]:
+    """Whether the holes of the reference lie where the sheet has holes, too."""
+    assert linked.link is not None
+    registration = linked.link.registration
+    is_by_holes = registration.source in ("found", "both")
+    if linked.kind == "sheet" and is_by_holes and linked.link.path[1] is reference.layer:
+        holes_on_sheet = HolesOnSheet(
+            sheet=linked.maps,
+            marks=registration.marks,
+            layer=linked.name,
+            reference=reference.name,
+        )
+        yield from run_checks(holes_on_sheet, linked.name, reference.name)
+
+
+def _image_checks(overlay: Overlay) -> Iterator[Check]:
+    """Whether the greys of each image are cut off where all layers are valid."""
+    valid_maps = [maps["valid"] for maps in overlay.maps.values()]
+    for linked in overlay.layers:
+        if linked.kind == "image":
+            _, (grey, *valid) = thinned(linked.maps["image"], *valid_maps)
+            yield from run_checks(SheetImage(grey[np.logical_and.reduce(valid)]), linked.name)
+
+
+def _texture_checks(overlay: Overlay, a: str, b: str, texture: TextureFound) -> tuple[Any, ...]:
+    """What the texture of two layers says of their sides and their place.
+
+    Where two layers lie is judged where one of them is the reference.
+    """
+    checks = texture.checks if b == overlay.reference.name else texture.checks[:1]
+    link = next(linked.link for linked in overlay.layers if linked.name == a)
+    if link is None or link.path[1].name != b:
+        return checks
+    registration = link.registration
+    if registration.source == "texture":
+        return found_by_texture(registration.sentence or "", registration.false_probability)
+    if registration.apart_um is not None:
+        return checks[0], holes_and_texture(*registration.apart_um)
+    return checks

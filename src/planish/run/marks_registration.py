@@ -1,0 +1,152 @@
+"""Register two layers by marks that are given, or by the holes of both."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import MarkError
+from planish.core.frame import Frame
+from planish.core.grid import values_at
+from planish.marks.exchange import (
+    LayerPixels,
+    holes_of,
+    marks_of_holes,
+    pair_of_layers,
+    read_any,
+)
+from planish.marks.exchange.model import paired, points_of, tiles_of, with_holes
+from planish.register import FittedTransform, RegistrationParams, fit_pairs, need_holes
+from planish.run.holes import HoleSearch
+from planish.run.layers import MappedLayer
+from planish.run.registration import Registration, register_marks, with_residuals
+from planish.run.study import Study
+
+
+def register_by_marks(
+    layer: MappedLayer, fixed: MappedLayer, holes: HoleSearch, study: Study
+) -> Registration:
+    """Register one layer to another by the marks that the study names, or by the holes of both."""
+    params = study.registration
+    path = layer.params.marks or params.marks
+    if path is None:
+        hole_um = holes.params.hole_um
+        return register_marks(
+            holes.of(layer, fixed), holes.of(fixed, layer), params=params, hole_um=hole_um
+        )
+    marks = volume_to_map(read_given(path, layer, fixed), layer.name, layer.groups)
+    fit = fit_marks(
+        marks, params=params, mirrored=None if params.mirror else layer.side != fixed.side
+    )
+    for side, own_layer, other_layer in (("moving", layer, fixed), ("fixed", fixed, layer)):
+        is_placed = np.isfinite(marks[f"{side}_x"].values)
+        if (
+            f"{side}_diameter" not in marks
+            or not np.isfinite(marks[f"{side}_diameter"].values[is_placed]).all()
+        ):
+            hole_marks = marks_of_holes(
+                holes.of(own_layer, other_layer)[["x", "y", "diameter"]], layer=side
+            )
+            labels = np.array(
+                [f"{side} {k + 1}" for k in range(hole_marks.sizes["mark"])], dtype=np.str_
+            )
+            hole_marks = hole_marks.assign(label=("mark", labels))
+            marks = with_holes(
+                marks, hole_marks, side, usual_um=float(np.mean(holes.params.hole_um))
+            )
+    source, search = str(marks.attrs.get("read_from", {}).get("format", "file")), dict[str, Any]()
+    is_tile = tiles_of(marks)[paired(marks)]
+    if is_tile.any():  # tiles of a run: what was said of them holds still, where the file has it
+        saved = marks.attrs.get("registration", {})
+        source, search = "texture" if is_tile.all() else "both", saved.get("search", {})
+        fit = replace(fit, shared_um=float(saved.get("shared_um", 0.0)))
+    return Registration(fit=fit, marks=with_residuals(marks, fit), source=source, **search)
+
+
+def fit_marks(
+    marks: xr.Dataset, *, params: RegistrationParams, mirrored: bool | None
+) -> FittedTransform:
+    """Fit the marks in use that lie in both layers, as a run fits marks that it is given."""
+    pairs = marks.isel(mark=np.flatnonzero(paired(marks)))
+    return fit_pairs(
+        holes_of(pairs, "moving"), holes_of(pairs, "fixed"), params=params, mirrored=mirrored
+    )
+
+
+def check_marks(
+    layer: MappedLayer | str,
+    fixed: MappedLayer | str,
+    holes: HoleSearch,
+    path: str | None,
+    *,
+    needed: bool = True,
+) -> None:
+    """Refuse what cannot be registered, before a volume is mapped.
+
+    That is an image with too few holes, or marks of no use.
+
+    ``layer`` and ``to`` are names where they are volumes that were not read yet; ``path`` is the
+    file of their marks. Holes are not needed where the texture can take their place.
+    """
+    if path is not None:
+        read_given(path, layer, fixed)
+        return
+    for image in (layer, fixed):
+        if needed and not isinstance(image, str) and image.kind == "image":
+            need_holes(holes.of(image, image), holes.params.hole_um)
+
+
+def read_given(path: str, moving: MappedLayer | str, fixed: MappedLayer | str) -> xr.Dataset:
+    """Read marks from a file of any known format: three pairs or more."""
+    pixels = [
+        (
+            LayerPixels()
+            if isinstance(layer, str) or layer.image is None
+            else LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
+        )
+        for layer in (moving, fixed)
+    ]
+    marks = read_any(path, moving=pixels[0], fixed=pixels[1])
+    pair_of_layers(marks, name=Path(path).name)  # one layer alone is refused
+    if (n_pairs := int(paired(marks).sum())) < 3:
+        raise MarkError(
+            f"{Path(path).name} holds {n_pairs} pairs of marks in use; a registration needs 3 to"
+            " say how good it is. Add more, far apart."
+        )
+    return marks
+
+
+def volume_to_map(marks: xr.Dataset, name: str, groups: Mapping[str, xr.Dataset]) -> xr.Dataset:
+    """Marks on the flat map of a layer, those too that were set in its volume.
+
+    Without ``groups`` it is an image.
+    """
+    if "volume_x" not in marks:
+        return marks
+    if not groups:
+        raise MarkError(
+            f"The marks have places in a volume, and {name} is an image. Give marks with places in"
+            " both images (moving_x_um, moving_y_um), or the volume."
+        )
+    frame = Frame.of(groups["surfaces"])
+    points = points_of(marks, "volume")[:, ["xyz".index(axis) for axis in (frame.cols, frame.rows)]]
+    uv = values_at(groups["flat"], ("u", "v"), points)
+    is_off_sheet = np.isfinite(points).all(axis=1) & ~np.isfinite(uv).all(axis=1)
+    if is_off_sheet.any():
+        raise MarkError(
+            f"The marks {', '.join(map(str, marks['label'].values[is_off_sheet]))} do not lie on"
+            " the sheet. Check the axes and the unit (um) of the table."
+        )
+    names = {
+        n: str(n).replace("volume_", "moving_")
+        for n in marks
+        if str(n).startswith("volume_") and n != "volume_z"
+    }
+    return (
+        marks.drop_vars("volume_z")
+        .rename(names)
+        .assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))
+    )

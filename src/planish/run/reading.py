@@ -1,0 +1,103 @@
+"""Read what a link holds before its volumes are mapped, and check its marks.
+
+Volumes come last: what is wrong with images, runs, marks and regions should not cost their time.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from planish.analyze.image_values import compared_image
+from planish.io import read_image
+from planish.marks.regions import Regions
+from planish.run.compute import Progress
+from planish.run.facts import input_file
+from planish.run.holes import HoleSearch
+from planish.run.layers import MappedLayer
+from planish.run.marks_registration import check_marks
+from planish.run.regions import regions_on
+from planish.run.run import open_sheet
+from planish.run.study import GivenLayer, Study, changed
+
+
+class Inputs(NamedTuple):
+    """Images and runs by name, declared regions, and the search for holes.
+
+    Regions are in um of the reference where this is one of the layers, otherwise as they were read.
+    """
+
+    layers: dict[str, MappedLayer]
+    regions: Regions | None
+    holes: HoleSearch
+
+
+def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> Inputs:
+    """Read the images and runs of a study and check its marks.
+
+    ``regions`` are laid on a reference that is one of them.
+    """
+    layers = dict[str, MappedLayer]()
+    for given in study.layers:
+        if given.kind == "volume":
+            continue
+        progress("read", Path(given.path).name)
+        if given.kind == "run":
+            layers[given.name] = _read_run(given, study)
+        else:
+            layers[given.name] = _read_image(given)
+    holes = HoleSearch(study.holes)
+    _check_marks(study, layers, holes)
+    reference = layers.get(study.layers[-1].name)
+    if reference is not None and regions is not None:
+        regions = regions_on(regions, reference.grid, study.correlate.regions)
+    for name, layer in layers.items():
+        # Artefacts that are declared on an image do not reach their neighbours.
+        layers[name] = _as_compared(layer, regions if layer is reference else None)
+    return Inputs(layers, regions, holes)
+
+
+def _read_run(given: GivenLayer, study: Study) -> MappedLayer:
+    sheet = open_sheet(given.path)
+    md_deg = sheet.md_deg if given.md_deg is None else given.md_deg
+    if study.is_sheet_on_image and sheet.params.volume is not None:
+        # The study of the run becomes part of this one: the volume linked to the image has the
+        # same bytes.
+        given = changed(sheet.params, name=given.name, marks=given.marks, volume={"md_deg": md_deg})
+    return replace(sheet, params=given, md_deg=md_deg)
+
+
+def _read_image(given: GivenLayer) -> MappedLayer:
+    assert given.image is not None
+    image = read_image(given.path, **given.image.how)
+    pixel_um = tuple(float(v) for v in image.attrs["pixel_um"])
+    return MappedLayer(
+        params=changed(given, image={"pixel_um": pixel_um}),
+        source=input_file(image, given.path),
+        image=image,
+        md_deg=given.image.md_deg,
+    )
+
+
+def _check_marks(study: Study, layers: Mapping[str, MappedLayer], holes: HoleSearch) -> None:
+    """Check the marks of each registration; a volume, which is not mapped yet, is a name."""
+    for k, k_fixed in enumerate(study.next_layers):
+        given, fixed = study.layers[k], study.layers[k_fixed]
+        check_marks(
+            layers.get(given.name, given.name),
+            layers.get(fixed.name, fixed.name),
+            holes,
+            given.marks or study.registration.marks,
+            needed=study.registration.by == "holes",
+        )
+
+
+def _as_compared(layer: MappedLayer, regions: Regions | None) -> MappedLayer:
+    """The layer with its image as it is compared; a sheet as it is."""
+    params = layer.params.image
+    if layer.image is None or params is None:
+        return layer
+    is_compared = None
+    if regions is not None and params.screen_um is not None:
+        is_compared = ~regions.inside(layer.grid)
+    return replace(layer, compared=compared_image(layer.image, params, mask=is_compared))

@@ -1,0 +1,139 @@
+"""Where a run is made: what it may use, what is there already, and what outlives a refusal."""
+
+import secrets
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from planish.core.errors import PlanishError
+from planish.core.memory import KEPT_SHARE
+from planish.core.threads import limit_threads
+from planish.io import fingerprint
+from planish.io.map_store import StoredMaps
+from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, work_folder
+from planish.marks.regions import Regions
+from planish.run.cached_maps import CachedMaps, next_step, sheets_of
+from planish.run.compute import Compute, Progress, return_memory, run_key
+from planish.run.judging import judge_sheet
+from planish.run.layers import MappedLayer
+from planish.run.preflight import check_request
+from planish.run.save import save_run
+from planish.run.study import Study, changed, to_dict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Workspace:
+    """What a run is made with; without ``out`` all stays in memory."""
+
+    study: Study
+    compute: Compute
+    progress: Progress
+    regions: Regions | None  # as they were declared
+    out: Path | None = None
+    folder: Path | None = None  # hidden, beside ``out``, until the run is whole
+    store: StoredMaps = field(default_factory=StoredMaps)  # of linked maps
+    # Sheets that are mapped: before, and of this run as they come.
+    sheets: dict[str, MappedLayer] = field(default_factory=dict[str, MappedLayer])
+    # Of an old run: the same surface with other properties, flattening or corrections.
+    similar_sheets: Mapping[str, MappedLayer] = field(default_factory=dict[str, MappedLayer])
+    caches: Mapping[str, CachedMaps] = field(default_factory=dict[str, CachedMaps])
+
+    def tile_folder(self, layer: str) -> Path | None:
+        """Folder for the tiles of a volume, in which a run that was killed finds them again."""
+        if self.folder is None:
+            return None
+        tile_folder = self.folder / "tiles"
+        return tile_folder / layer if self.study.is_link else tile_folder
+
+    @contextmanager
+    def keeping_maps(self) -> Generator[None]:
+        """Keep the maps of a link that is refused, and say so."""
+        ready_names = {*self.sheets}
+        try:
+            yield
+        except PlanishError as error:
+            if not self.caches or self.folder is None:
+                raise
+            # A disk that is full now does not hide what was wrong before.
+            with suppress(PlanishError, OSError):
+                for name, cache in self.caches.items():
+                    if cache.path.exists():
+                        cache.note(cache.path, self.study)
+                    elif name in self.sheets and name not in ready_names:
+                        self._keep(self.sheets[name], cache, self.folder)
+            if advice_text := next_step(error, self.caches, self.study):
+                raise type(error)(f"{error.text} {advice_text}") from error
+            raise
+
+    def _keep(self, sheet: MappedLayer, cache: CachedMaps, folder: Path) -> None:
+        run = judge_sheet(Study(layers=(sheet.params,)), sheet)
+        with new_folder(cache.path, inside=folder) as cache_folder:
+            save_run(run, cache_folder, home=cache.path)
+            cache.note(cache_folder, self.study)
+
+
+@contextmanager
+def open_workspace(
+    study: Study, out: str | Path | None, compute: Compute, progress: Progress, old: Path | None
+) -> Generator[Workspace]:
+    """Refuse what cannot work, and open the place where a run is made.
+
+    ``old`` is a run of which stages are taken whose volume and parameters are the same.
+    """
+    # What is free changes while a run works, and the width of its columns must not.
+    fixed_compute = changed(compute, memory_bytes=compute.memory)
+    return_memory(fixed_compute)
+    with limit_threads(compute.threads):
+        if out is None:
+            regions = check_request(study, compute, held=True)
+            yield Workspace(study=study, compute=fixed_compute, progress=progress, regions=regions)
+            return
+        out = Path(out)
+        refuse_existing(out)
+        refuse_inside(out, [layer.path for layer in study.layers])
+        regions = check_request(study, compute)
+        hashes = [hash_of_input(layer.path) for layer in study.layers]
+        with work_folder(out, run_key(to_dict(study), hashes)) as folder:
+            caches = CachedMaps.of_link(study, hashes, out, compute)
+            sheets, similar_sheets = _mapped_before(study, hashes, caches, old)
+            for name in sheets:
+                progress("read", f"{name}, mapped before")
+            store_folder = folder / f".{secrets.token_hex(4)}.partial" if study.is_link else None
+            store = StoredMaps(store_folder, keep_bytes=int(fixed_compute.memory * KEPT_SHARE))
+            yield Workspace(
+                study=study,
+                compute=fixed_compute,
+                progress=progress,
+                regions=regions,
+                out=out,
+                folder=folder,
+                store=store,
+                sheets=sheets,
+                similar_sheets=similar_sheets,
+                caches=caches,
+            )
+
+
+def _mapped_before(
+    study: Study, hashes: list[str], caches: Mapping[str, CachedMaps], old: Path | None
+) -> tuple[dict[str, MappedLayer], dict[str, MappedLayer]]:
+    """Sheets that need no mapping, of a refused link or an old run; and similar ones."""
+    cached = {name: cache.read() for name, cache in caches.items()}
+    sheets = {name: sheet for name, sheet in cached.items() if sheet is not None}
+    if old is None:
+        return sheets, {}
+    ready_sheets, similar_sheets = sheets_of(old, study, hashes)
+    return sheets | ready_sheets, similar_sheets
+
+
+def hash_of_input(path: str | Path) -> str:
+    """Hash of a file, a folder or a run, which its results stand for.
+
+    What is wrong with it is said by its reader.
+    """
+    results = Path(path) / "results.json"
+    try:
+        return fingerprint(results if results.is_file() else Path(path))
+    except PlanishError:
+        return ""
