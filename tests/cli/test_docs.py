@@ -64,26 +64,3 @@ def test_pages_link_to_files_that_exist_and_name_commands_and_options_that_exist
         wrong |= set(OPTION.findall(MESSAGES.sub("", text))) - known
         faults += [f"{path.relative_to(ROOT)}: {one}" for one in wrong]
     assert faults == []
-
-
-def test_the_changes_that_contributing_shows_still_fit():
-    blocks = re.findall(
-        r"```diff\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.DOTALL
-    )
-    assert len(blocks) == 9
-    for block in blocks:
-        parts = re.findall(
-            r"^--- (\S+)\n\+\+\+ b/(\S+)\n(.*?)(?=^--- |\Z)", block, re.DOTALL | re.MULTILINE
-        )
-        packages = {name.split("/")[2] for _, name, _ in parts}
-        assert len(parts) <= 2 * len(packages) <= 4, "two files at most, and two for its sentence"
-        for old, name, hunks in parts:
-            if old == "/dev/null":
-                lines = [line[1:] for line in hunks.splitlines() if line.startswith("+")]
-                compile("\n".join(lines), name, "exec")
-                assert not (ROOT / name).exists()
-                continue
-            text = (ROOT / name).read_text(encoding="utf-8")
-            for hunk in re.split(r"^@@.*@@.*\n", hunks, flags=re.MULTILINE)[1:]:
-                before = [line[1:] for line in hunk.splitlines() if not line.startswith("+")]
-                assert "\n".join(before) in text, f"{name}: write this diff anew"
