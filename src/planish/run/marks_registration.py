@@ -22,7 +22,7 @@ from planish.marks.exchange.model import paired, points_of, tiles_of, with_holes
 from planish.register import FittedTransform, RegistrationParams, fit_pairs, need_holes
 from planish.run.holes import HoleSearch
 from planish.run.layers import MappedLayer
-from planish.run.registration import Registration, register_marks, with_residuals
+from planish.run.registration import Registration, register_holes, with_residuals
 from planish.run.study import Study
 
 
@@ -34,9 +34,7 @@ def register_by_marks(
     path = layer.params.marks or params.marks
     if path is None:
         hole_um = holes.params.hole_um
-        return register_marks(
-            holes.of(layer, fixed), holes.of(fixed, layer), params=params, hole_um=hole_um
-        )
+        return register_holes(holes.of(layer, fixed), holes.of(fixed, layer), params, hole_um)
     marks = volume_to_map(read_given(path, layer, fixed), layer.name, layer.groups)
     fit = fit_marks(
         marks, params=params, mirrored=None if params.mirror else layer.side != fixed.side

@@ -184,13 +184,20 @@ def register_marks(
             holes, "x", "y", expected="holes", source="pl.find_holes(...)", call_format=call
         )
     fit_params = params_of(RegistrationParams, params, "pl.register_marks")
+    return register_holes(moving, fixed, fit_params, hole_um)
+
+
+def register_holes(
+    moving: xr.Dataset, fixed: xr.Dataset, params: RegistrationParams, hole_um: tuple[float, float]
+) -> Registration:
+    """Match the holes of two layers, by their pattern where it is known, and fit to the pairs."""
     designed = None
-    if fit_params.design is not None:
-        pattern = read_pattern(fit_params.design)
+    if params.design is not None:
+        pattern = read_pattern(params.design)
         designed = DesignedHoles(
             name=pattern.name, places_um=pattern.imaged_um, labels=tuple(pattern.labels)
         )
-    fit, match = match_and_fit(moving, fixed, params=fit_params, pattern=designed, hole_um=hole_um)
+    fit, match = match_and_fit(moving, fixed, params=params, pattern=designed, hole_um=hole_um)
     marks = with_residuals(join_holes(moving, fixed, match.pairs, match.labels), fit)
     return Registration(
         fit=fit,

@@ -113,25 +113,18 @@ def _measure(
     v = layer.volume
     assert v is not None
 
-    def read() -> tuple[xr.DataArray, xr.Dataset | None]:
-        progress("read", find_place(v.path).path.name)
-        volume, sections = read_sheet_volume(v, compute, progress)
-        if hint_text := other_axis(volume, v.through):  # before the search, which takes minutes
-            progress("look", f"{hint_text} The sheet is searched along {v.through}.")
-        return volume, sections
-
-    corrections = asked_corrections(layer)
     if old is None:
-        volume, sections = read()
+        volume, sections = _read(layer, compute, progress)
         surfaces = search_sheet(
             volume, layer, compute=compute, progress=progress, tile_dir=tile_dir
         )
     else:
+        corrections = asked_corrections(layer)
         columns, sections = old.groups["surfaces"], old.groups.get("sections")
         surfaces, is_same_surface = surfaces_of(columns), made_corrections(columns) == corrections
         if is_same_surface and old.params.properties == layer.properties:
             return None, sections, surfaces, columns
-        volume, _ = read()
+        volume, _ = _read(layer, compute, progress)
         if not is_same_surface:
             progress("surface", "corrections")
             edits = Corrections.model_validate_json(corrections) if corrections else Corrections()
@@ -144,6 +137,19 @@ def _measure(
             raise CannotMeasure(f"{error.text} {hint_text}") from error
         raise
     return volume, sections, surfaces, columns
+
+
+def _read(
+    layer: GivenLayer, compute: Compute, progress: Progress
+) -> tuple[xr.DataArray, xr.Dataset | None]:
+    """Read a volume, with what was done to its sections; and say where its axis looks wrong."""
+    v = layer.volume
+    assert v is not None
+    progress("read", find_place(v.path).path.name)
+    volume, sections = read_sheet_volume(v, compute, progress)
+    if hint_text := other_axis(volume, v.through):  # before the search, which takes minutes
+        progress("look", f"{hint_text} The sheet is searched along {v.through}.")
+    return volume, sections
 
 
 def _judged(

@@ -94,13 +94,14 @@ def open_workspace(
         refuse_inside(out, [layer.path for layer in study.layers])
         regions = check_request(study, compute)
         hashes = [hash_of_input(layer.path) for layer in study.layers]
-        with work_folder(out, run_key(to_dict(study), hashes)) as folder:
+        key = run_key(to_dict(study), hashes)
+        with work_folder(out, key) as folder:
+            store_folder = folder / f".{secrets.token_hex(4)}.partial" if study.is_link else None
+            store = StoredMaps(store_folder, keep_bytes=int(fixed_compute.memory * KEPT_SHARE))
             caches = CachedMaps.of_link(study, hashes, out, compute)
             sheets, similar_sheets = _mapped_before(study, hashes, caches, old)
             for name in sheets:
                 progress("read", f"{name}, mapped before")
-            store_folder = folder / f".{secrets.token_hex(4)}.partial" if study.is_link else None
-            store = StoredMaps(store_folder, keep_bytes=int(fixed_compute.memory * KEPT_SHARE))
             yield Workspace(
                 study=study,
                 compute=fixed_compute,
