@@ -316,8 +316,8 @@ MUTANTS = [
     ),
     Mutant(
         "marks/regions/files.py",
-        "start, kind = (_HEAD + 4 * count",
-        "start, kind = (_HEAD + 2 * count",
+        "ring_of(roi.coordinates() + _NUDGE)",
+        "ring_of(roi.coordinates())",
         "test_regions.py",
     ),
     Mutant(

@@ -328,7 +328,7 @@ WRONG = {
     "roi: composite that is cut": (roi(1, (0, 0, 9, 9), at_38=70), "ends early"),
     "roi: composite with curves": (composite(0, 1, 1, 2, 5, 1, 5, 5, 4), "with curves; split it"),
     "roi: composite of unknown parts": (composite(0, 1, 1, 9, 5, 5), "unknown parts; split it"),
-    "roi: composite without a beginning": (composite(1, 5, 5, 1, 9, 9), "unknown parts"),
+    "roi: composite without a beginning": (composite(1, 5, 5, 1, 9, 9), "0 borders"),
     "roi: composite of points": (composite(0, 1, 1, 4, 0, 5, 5, 1, 9, 9, 4), "0 borders"),
     "roi: nothing": (roi(1, (3, 3, 3, 9)), "6 x 0 pixels"),
     "roi: endless": (roi(2, fine=(0, 0, float("inf"), 1)), "inf x 1 pixels"),

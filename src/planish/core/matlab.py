@@ -33,7 +33,6 @@ _TYPES = {
     12: "i8",
     13: "u8",
 }
-_SIZES_4 = (8, 4, 4, 2, 2, 1)
 _CLASSES = (
     "cell",
     "struct",
@@ -142,7 +141,7 @@ def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
         ]
     except (OSError, zlib.error, ValueError, TypeError, KeyError, OverflowError) as error:
         raise Damaged(f"the values of {variable.name} cannot be read: {error}") from error
-    if array.shape != variable.shape:
+    if array.shape != variable.shape or array.dtype.kind not in "uif":
         raise Damaged(f"the values of {variable.name} are not those of its heading")
     return array.astype(NUMBERS[variable.kind], copy=False)
 
@@ -260,33 +259,10 @@ def _element(header: bytes, offset: int, byte_order: str) -> tuple[int, int, int
 
 
 def _variables_4(file: BinaryIO) -> Iterator[Variable]:
-    file_bytes, offset = file.seek(0, 2), 0
-    if not file_bytes:
+    from scipy.io import whosmat
+
+    if not file.seek(0, 2):
         raise Damaged("it is empty")
-    while offset < file_bytes:
-        file.seek(offset)
-        header = file.read(20)
-        byte_order = "<" if 0 <= struct.unpack_from("<i", header)[0] < 1000 else ">"
-        type_code, rows, columns, imaginary, name_bytes = struct.unpack(f"{byte_order}5i", header)
-        machine, precision, matrix_class = type_code // 1000, type_code // 10 % 10, type_code % 10
-        is_invalid = (
-            machine != (byte_order == ">")
-            or type_code // 100 % 10
-            or precision > 5
-            or matrix_class > 2
-        )
-        if (
-            is_invalid
-            or min(rows, columns) < 0
-            or imaginary not in (0, 1)
-            or not 0 < name_bytes < 1000
-        ):
-            raise Damaged("it does not begin as a MATLAB file")
-        name = file.read(name_bytes).rstrip(b"\0").decode("ascii", "replace")
-        offset += 20 + name_bytes + rows * columns * _SIZES_4[precision] * (1 + imaginary)
-        if offset > file_bytes:
-            raise Damaged("it ends early")
-        class_name = ("double", "char", "sparse")[matrix_class] if not imaginary else "complex"
-        yield Variable(
-            name=name, shape=(rows, columns), kind=class_name, real=class_name == "double"
-        )
+    file.seek(0)
+    for name, shape, kind in whosmat(cast("Any", file)):
+        yield Variable(name=name, shape=shape, kind=kind, real=kind in NUMBERS)

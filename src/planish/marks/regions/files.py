@@ -3,10 +3,7 @@
 Those of ImageJ are read.
 
 Which program wrote a file is recognised by its first bytes. ImageJ saves a selection, ``.roi``, or
-those of the ROI Manager, ``.zip``. Its header is that of ``ij.io.RoiDecoder`` (public domain): 64
-bytes, big-endian, then places in its box as shorts, and behind them those of a finer selection as
-floats. A second header holds the name and the properties. Coordinates are in pixels and 0 at the
-corner of the first one.
+those of the ROI Manager, ``.zip``. Coordinates are in pixels and 0 at the corner of the first one.
 """
 
 import io
@@ -21,6 +18,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
 import numpy as np
+from roifile import ROI_OPTIONS, ROI_SUBTYPE, ROI_TYPE, ImagejRoi
 
 from planish.core.errors import FileError
 from planish.core.tables import decode_text, raise_faults, read_bytes
@@ -36,18 +34,20 @@ from planish.marks.regions.model import (
 )
 
 ROI, ZIP = b"Iout", b"PK"  # first bytes of a selection and of an archive
-_HEAD = 64  # bytes
-_RECTANGLE, _OVAL, _POLYGONS = 1, 2, (0, 7, 8)  # drawn by points, freehand, traced
+_POLYGONS = (ROI_TYPE.POLYGON, ROI_TYPE.FREEHAND, ROI_TYPE.TRACED)
 _NO_AREA = {
-    3: "a line",
-    4: "a freehand line",
-    5: "a segmented line",
-    6: "empty",
-    9: "an angle",
-    10: "points",
+    ROI_TYPE.LINE: "a line",
+    ROI_TYPE.FREELINE: "a freehand line",
+    ROI_TYPE.POLYLINE: "a segmented line",
+    ROI_TYPE.NOROI: "empty",
+    ROI_TYPE.ANGLE: "an angle",
+    ROI_TYPE.POINT: "points",
 }
-_OVERLAYS = {1: "a text", 2: "an arrow", 4: "an image"}
-_MOVE, _LINE, _QUADRATIC, _CUBIC, _CLOSE = range(5)  # codes of composite selections
+_OVERLAYS = {
+    ROI_SUBTYPE.TEXT: "a text",
+    ROI_SUBTYPE.ARROW: "an arrow",
+    ROI_SUBTYPE.IMAGE: "an image",
+}
 # ImageJ takes a pixel whose centre lies on a border where the region lies left of it, planish where
 # it lies right.
 _NUDGE = np.array([2.0**-26, 2.0**-34])
@@ -94,10 +94,8 @@ def read_regions(path: str | Path) -> Regions:
     for title, read_region in readers:
         try:
             regions.append(read_region())
-        except (ValueError, struct.error) as error:
-            faults.append(
-                f"{title}: {'it ends early' if isinstance(error, struct.error) else error}"
-            )
+        except ValueError as error:
+            faults.append(f"{title}: {error}")
     raise_faults(name, faults, remedy, error=FileError)
     point_count = sum(
         len(ring) for region in regions for rings in region.polygons for ring in rings
@@ -157,57 +155,49 @@ def _unpacked(data: bytes, name: str) -> list[tuple[str, bytes]]:
 
 
 def _selection(data: bytes, default_name: str) -> Region:  # noqa: C901
-    """Make a region of a selection.
-
-    ValueError where it is none, struct.error where it ends early.
-    """
+    """Make a region of a selection; ValueError, with the reason, where it is none."""
     if not data.startswith(ROI):
         raise ValueError("it is no selection of ImageJ")
-    version, selection_type = struct.unpack_from(">hB", data, 4)
-    (composite_size,) = struct.unpack_from(">i", data, 36)
-    subtype, option_flags, corner_diameter, header2_offset = struct.unpack_from(
-        ">hh2xh4xi", data, 48
-    )
-    if selection_type in _NO_AREA or subtype in _OVERLAYS:
+    try:
+        roi = ImagejRoi.frombytes(data)
+    except (TypeError, ValueError, struct.error) as error:
+        raise ValueError("it ends early") from error
+    if roi.roitype in _NO_AREA or roi.subtype in _OVERLAYS:
         raise ValueError(
-            f"it is {_OVERLAYS.get(subtype) or _NO_AREA.get(selection_type)}, which covers no area"
+            f"it is {_OVERLAYS.get(roi.subtype) or _NO_AREA.get(roi.roitype)}, which covers no area"
         )
-    subpixel_version = version if option_flags & 128 else 0
-    if composite_size > 0:
-        polygons = nested([ring_of(ring) for ring in _composite_rings(data, composite_size)])
-    elif selection_type in (_RECTANGLE, _OVAL):
-        if selection_type == _RECTANGLE and corner_diameter > 0:
+    if roi.composite:
+        polygons = nested([ring_of(ring) for ring in _composite_rings(roi)])
+    elif roi.roitype in (ROI_TYPE.RECT, ROI_TYPE.OVAL):
+        if roi.roitype == ROI_TYPE.RECT and roi.rounded_rect_arc_size > 0:
             raise ValueError("it is a rectangle with rounded corners")
-        polygons = ((ring_of(_box(data, selection_type, is_subpixel=subpixel_version >= 223)),),)
-    elif selection_type in _POLYGONS:
-        if option_flags & 1:
+        polygons = ((ring_of(_box(roi)),),)
+    elif roi.roitype in _POLYGONS:
+        if roi.options & ROI_OPTIONS.SPLINE_FIT:
             raise ValueError(
                 "it is fitted with a spline; take points along it (Edit, Selection, Interpolate)"
             )
-        polygons = ((ring_of(_polygon(data, is_subpixel=subpixel_version >= 222)),),)
+        if not 3 <= roi.n_coordinates <= MOST_POINTS:
+            raise ValueError(f"it has {roi.n_coordinates} points; 3 to {MOST_POINTS} are possible")
+        polygons = ((ring_of(roi.coordinates() + _NUDGE),),)
     else:
-        raise ValueError(f"it is of the unknown type {selection_type}")
-    texts = {"name": default_name}
-    if _HEAD <= header2_offset <= len(data) - 52:
-        texts["name"] = _text(data, header2_offset + 16) or default_name
-        for line in _text(data, header2_offset + 40).splitlines():
-            key, _, text = line.partition(":")
-            if key.strip().lower() in _TEXTS[1:]:
-                texts[key.strip().lower()] = text
+        raise ValueError(f"it is of the unknown type {data[6]}")
+    texts = {"name": roi.name or default_name}
+    for line in roi.props.splitlines():
+        key, _, text = line.partition(":")
+        if key.strip().lower() in _TEXTS[1:]:
+            texts[key.strip().lower()] = text
     return Region(polygons=polygons, **{key: text_of(text, key) for key, text in texts.items()})
 
 
-def _box(data: bytes, selection_type: int, *, is_subpixel: bool) -> Ring:
+def _box(roi: ImagejRoi) -> Ring:
     """Give the corners of a rectangle; or an oval, as a polygon with its points on it."""
-    top, left, bottom, right = map(_short, struct.unpack_from(">4h", data, 8))
-    x, y, w, h = (
-        struct.unpack_from(">4f", data, 18)
-        if is_subpixel
-        else (left, top, right - left, bottom - top)
-    )
+    x, y, w, h = roi.left, roi.top, roi.right - roi.left, roi.bottom - roi.top
+    if roi.subpixelrect:
+        x, y, w, h = roi.xd, roi.yd, roi.widthd, roi.heightd
     if not (0 < w <= 1e6 and 0 < h <= 1e6):
         raise ValueError(f"it is {w:g} x {h:g} pixels large")
-    if selection_type == _RECTANGLE:
+    if roi.roitype == ROI_TYPE.RECT:
         return np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])
     radius = max(0.5 * max(w, h), 1.0)
     # The polygon of an oval may lie a hundredth of a pixel inside it.
@@ -217,66 +207,25 @@ def _box(data: bytes, selection_type: int, *, is_subpixel: bool) -> Ring:
     return np.stack([x + 0.5 * w * (1 + np.cos(angle)), y + 0.5 * h * (1 + np.sin(angle))], axis=1)
 
 
-def _polygon(data: bytes, *, is_subpixel: bool) -> Ring:
-    """Give the places of the points, in whole pixels within the selection's box, or finer."""
-    y0, x0, count = struct.unpack_from(">2h4xH", data, 8)
-    if count == 0:  # more than two bytes can count
-        (count,) = struct.unpack_from(">i", data, 18)
-    if not 3 <= count <= MOST_POINTS:
-        raise ValueError(f"it has {count} points; 3 to {MOST_POINTS} are possible")
-    start, kind = (_HEAD + 4 * count, "f") if is_subpixel else (_HEAD, "h")
-    coordinates = struct.unpack_from(f">{2 * count}{kind}", data, start)
-    points = np.array(coordinates, dtype=np.float64).reshape(2, count).T
-    if not is_subpixel:
-        points = np.maximum(np.where(points < -5000, points + 65536, points), 0)
-        points = points + np.array([_short(x0), _short(y0)])
-    return points + _NUDGE
-
-
-def _composite_rings(data: bytes, float_count: int) -> Iterator[Ring]:
-    """Yield the borders of a composite selection.
-
-    Moves, lines and ends, each a code and its place.
-    """
-    if float_count > 3 * MOST_POINTS:
-        raise ValueError(f"it has {float_count} numbers; {MOST_POINTS} points are possible")
-    floats = np.array(struct.unpack_from(f">{float_count}f", data, _HEAD))
-    offset, ring_starts = 0, list[list[int]]()
-    while offset < float_count:
-        code = floats[offset]
-        if code in (_QUADRATIC, _CUBIC):
-            raise ValueError(
-                "it is a composite selection with curves; split it (More, Split in the ROI Manager)"
-            )
-        if code not in (_MOVE, _LINE, _CLOSE) or (code == _LINE and not ring_starts):
-            raise ValueError(
-                "it is a composite selection of unknown parts; split it (More, Split in the ROI"
-                " Manager)"
-            )
-        if code == _MOVE:
-            ring_starts.append([])
-        if code != _CLOSE:
-            ring_starts[-1].append(offset + 1)
-        offset += 1 if code == _CLOSE else 3
-    if offset > float_count:
-        raise ValueError("it ends early")
-    for vertex_offsets in map(np.array, ring_starts):
-        ring = np.stack([floats[vertex_offsets], floats[vertex_offsets + 1]], axis=1)
+def _composite_rings(roi: ImagejRoi) -> Iterator[Ring]:
+    """Yield the borders of a composite selection."""
+    if roi.shape_roi_size > 3 * MOST_POINTS:
+        raise ValueError(f"it has {roi.shape_roi_size} numbers; {MOST_POINTS} points are possible")
+    try:
+        rings = roi.coordinates(multi=True)
+    except NotImplementedError as error:
+        raise ValueError(
+            "it is a composite selection with curves; split it (More, Split in the ROI Manager)"
+        ) from error
+    except (RuntimeError, IndexError, OverflowError) as error:
+        raise ValueError(
+            "it is a composite selection of unknown parts; split it (More, Split in the ROI"
+            " Manager)"
+        ) from error
+    for ring in rings:
         # ImageJ leaves places and lines behind, which cover no area.
         if len(np.unique(ring, axis=0)) > 2:
             yield ring + _NUDGE
-
-
-def _short(coordinate: int) -> int:
-    """Undo the overflow of a place beyond 32767, as ImageJ does."""
-    return coordinate + 65536 if coordinate < -5000 else coordinate
-
-
-def _text(data: bytes, offset: int) -> str:
-    start, length = struct.unpack_from(">ii", data, offset)
-    if start <= 0 or length <= 0:
-        return ""
-    return struct.unpack_from(f"{2 * length}s", data, start)[0].decode("utf-16-be", "replace")
 
 
 def _features(data: bytes, name: str, faults: list[str]) -> list[Any]:
