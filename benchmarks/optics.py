@@ -11,17 +11,13 @@ simple way.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from benchmarks.evidence import field
-from planish.analyze import (
-    correlate,
-    fit_kubelka_munk,
-    independent_points,
-    pile,
-    reflectance,
-    straight_or_curved,
-)
+from planish.analyze import correlate, fit_kubelka_munk, independent_points, straight_or_curved
+from planish.core.reflectance import layer_over
 
 _SHAPE, _POINT_UM = (60, 80), 100.0
 _WEIGHT, _SPREAD = 17.0, 4.5  # g/m2
@@ -31,7 +27,7 @@ _COVERS = (0.90, 0.985)
 _LENGTHS_UM = ((150.0, 150.0), (200.0, 200.0), (300.0, 300.0), (150.0, 600.0), (300.0, 100.0))
 
 
-BASE = float(pile(scattering=45.0, absorption=1.2))
+BASE = 1 + 1.2 / 45.0 - math.sqrt((1.2 / 45.0) ** 2 + 2 * 1.2 / 45.0)
 """Reflectance of a pile of uncoated base."""
 
 
@@ -42,7 +38,7 @@ def cover(fields, seed, lengths_um, *, of_rest=True):
     for _ in range(fields):
         x = np.maximum(_WEIGHT + _SPREAD * _field(rng, lengths_um[0]), 0.0)
         noise = _NOISE * _field(rng, lengths_um[1])
-        bent = reflectance(x, scattering=_S, absorption=_S * _RATIO, backing=BASE) + noise
+        bent = layer_over(BASE, _S, _S * _RATIO, x) + noise
         line = 0.82 + _SLOPE * x + noise
         if of_rest:
             points = independent_points(x, line, pixel_um=_POINT_UM)

@@ -28,8 +28,6 @@ from planish.analyze import (
     over_sheets,
     paired_over_sheets,
     pooled_r,
-    power_of_study,
-    sheets_needed,
     two_groups,
     variances_of,
 )
@@ -206,78 +204,6 @@ def with_maps(sheets, between, seed, count):
     return np.array(out)
 
 
-# --- designs --------------------------------------------------------------------------------------
-
-DESIGNS = (
-    {
-        "r2": (0.21, 0.26),
-        "fields": 3,
-        "n_eff": 498.0,
-        "between_sheets": 0.15,
-        "paired": True,
-        "change_between_sheets": 0.05,
-        "shared": 0.5,
-    },
-    {"r2": (0.21, 0.26), "fields": 3, "n_eff": 498.0, "between_sheets": 0.05, "paired": False},
-    {"r2": (0.08, 0.19), "fields": 2, "n_eff": 100.0, "between_sheets": 0.15, "paired": True},
-    {"r2": (0.08, 0.19), "fields": 2, "n_eff": 100.0, "between_sheets": 0.15, "paired": False},
-)
-
-
-def designed(which, seed, count):
-    """How often simulated studies of a design see the difference; and where there is none."""
-    plan = DESIGNS[which]
-    planned = sheets_needed(**plan)
-    rng, out, k, each = np.random.default_rng((seed, which)), [], planned.sheets, planned.fields
-    mean, names = np.arctanh(np.sqrt(planned.r2)), names_of([each] * k)
-    shared, change = (float(plan.get(key, 0.0)) for key in ("shared", "change_between_sheets"))
-    for _ in range(count):
-        sheet = float(plan["between_sheets"]) * rng.normal(size=(2, k))
-        noise = rng.normal(size=(2, k, each)) / math.sqrt(planned.n_eff - 3)
-        if planned.paired:
-            sheet[1] = sheet[0] + change * rng.normal(size=k)
-            noise[1] = shared * noise[0] + math.sqrt(1 - shared**2) * noise[1]
-        row = []
-        for apart in (mean, mean[[0, 0]]):
-            one, two = (
-                Fields(np.tanh(m + s[:, None] + e).ravel().tolist(), names)
-                for m, s, e in zip(apart, sheet, noise, strict=True)
-            )
-            row.append(
-                bool(difference_of_pooled_r(one, two, paired=planned.paired).distinguishable)
-            )
-        out.append(row)
-    return np.array(out, dtype=float)
-
-
-def designed_with_maps(paired, seed, count):
-    """How often studies with random maps see r² .2 against .3, with 5 sheets of 2 fields."""
-    rng, out, names = np.random.default_rng((seed, int(paired), 2)), [], names_of([2] * 5)
-    mean = np.arctanh(np.sqrt(MAPS_R2))
-    for _ in range(count):
-        sheet = MAPS_BETWEEN * rng.normal(size=(2, 5))
-        if paired:
-            sheet[1] = sheet[0]
-        found = [
-            [
-                correlate(*related(rng, math.tanh(m + s), LENGTH, shape=SHAPE), pixel_um=1.0)
-                for s in np.repeat(row, 2)
-            ]
-            for m, row in zip(mean, sheet, strict=True)
-        ]
-        one, two = (Fields([f.r for f in row], names) for row in found)
-        out.append(
-            (
-                bool(difference_of_pooled_r(one, two, paired=paired).distinguishable),
-                float(np.median([f.n_eff for row in found for f in row])),
-            )
-        )
-    return np.array(out, dtype=float)
-
-
-MAPS_R2, MAPS_BETWEEN = (0.2, 0.3), 0.05
-
-
 # --- two instruments ------------------------------------------------------------------------------
 
 FIELD = (90, 120)
@@ -360,7 +286,6 @@ def main(studies=4000, maps=2000):
             *_over_sheets(parts, count),
             *_differences(parts, count),
             *_with_maps(parts, count // 10),
-            *_designs(parts, count),
             *_instruments(parts, int(maps)),
         ):
             words = ", ".join(f"{name} {share:.3f}" for name, share in shares.items())
@@ -416,31 +341,6 @@ def _with_maps(parts, count):
         )
         # 400 studies scatter by .011.
         yield line, _named(names, share), _missed(0.92, 0.98, *share[[0, 3, 4]])
-
-
-def _designs(parts, count):
-    kinds = {True: "before and after", False: "two papers"}
-    for k, plan in enumerate(DESIGNS):
-        planned = sheets_needed(**plan)
-        seen, wrong = parts(designed, k, count=count).mean(axis=0)
-        line = (
-            f"design r² {planned.r2}, {kinds[planned.paired]}, n_eff {planned.n_eff:g}, z varies by"
-            f" {plan['between_sheets']}: {planned.sheets} sheets of {planned.fields}"
-        )
-        shares = {"planned": planned.power, "seen": seen, "without a difference": wrong}
-        yield line, shares, _missed(-0.03, 0.03, seen - planned.power) + _missed(0.03, 0.07, wrong)
-    for paired in (True, False):
-        found = parts(designed_with_maps, paired, count=count // 10)
-        seen, n_eff = float(found[:, 0].mean()), float(np.median(found[:, 1]))
-        planned = power_of_study(
-            MAPS_R2, sheets=5, fields=2, n_eff=n_eff, between_sheets=MAPS_BETWEEN, paired=paired
-        )
-        line = f"design with maps, r² {MAPS_R2}, {kinds[paired]}, 5 sheets of 2, n_eff {n_eff:.0f}"
-        yield (
-            line,
-            {"planned": planned.power, "seen": seen},
-            _missed(-0.07, 0.07, seen - planned.power),
-        )
 
 
 def _instruments(parts, count):

@@ -15,12 +15,12 @@ from planish.analyze import (
     image_facts,
     light_spread,
     mottle_of,
-    reflectance,
     spread_light,
     without_screen,
 )
 from planish.analyze.kubelka_munk import answer_kubelka_munk, density_of, kubelka_munk_of
 from planish.core.errors import InputError, PlanishError
+from planish.core.reflectance import layer_over
 from planish.io import ImageParams
 from planish.report.sentences.table import sentences
 from planish.results import EvidenceFacts, Results
@@ -104,7 +104,7 @@ def coated(seed=0, *, shape=(80, 100), spread_um=None):
     seen = (
         coating if spread_um is None else spread_light(coating, pixel_um=20.0, width_um=spread_um)
     )
-    image = reflectance(seen, scattering=0.24, absorption=0.24 * 0.002, backing=0.79)
+    image = layer_over(0.79, 0.24, 0.24 * 0.002, seen)
     return coating, image + 0.004 * gaussian_maps(rng, shape, 2.0)[0]
 
 

@@ -2,7 +2,7 @@
 
 ``python examples/studies/make.py [STUDY ...] [--size small|full] [--out FOLDER]``
 
-Studies are fig-06, fig-07, fig-09, fig-11, flattening, no-holes and design.
+Studies are fig-06, fig-07, fig-09, fig-11, flattening and no-holes.
 
 Your own data: copy a ``.toml``, change its paths, ``planish study copy.toml --out copy``, and then
 ``python examples/studies/make.py fig-07 --of copy``. ``large`` is a sheet of 20 x 15 mm without
@@ -30,8 +30,7 @@ import statements  # noqa: E402
 
 from planish.cli import main as planish  # noqa: E402
 
-DEFAULT = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "no-holes", "design")
-READS = {"design": "fig-07"}
+DEFAULT = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "no-holes")
 """A study that has no specimens of its own, and the one whose series it reads."""
 
 
@@ -66,7 +65,7 @@ def main(given: list[str] | None = None) -> int:
         if study == "large":
             statement = large.said(options.size, options.out / "large.png")
         else:
-            folder = options.of or series_of(READS.get(study, study), options.size, options.out)
+            folder = options.of or series_of(study, options.size, options.out)
             if not (folder / "results.json").is_file():
                 failed = True
                 continue

@@ -202,7 +202,7 @@ STUDIES: dict[str, Callable[[Size], list[Made]]] = {
     "flattening": flattening,
     "no-holes": no_holes,
 }
-"""Studies that have specimens of their own; the design reads those of Fig. 7."""
+"""Studies that have specimens of their own."""
 
 
 def make(study: str, size: Size, folder: Path) -> None:

@@ -11,10 +11,10 @@ from planish.analyze import (
     correlate,
     fit_kubelka_munk,
     independent_points,
-    reflectance,
     straight_or_curved,
 )
 from planish.core.errors import CannotMeasure, InputError
+from planish.core.reflectance import layer_over
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def x():
 
 
 def bright(x, s=0.15, ratio=0.002, backing=0.794):
-    return reflectance(x, scattering=s, absorption=s * ratio, backing=backing)
+    return layer_over(backing, s, s * ratio, x)
 
 
 def with_noise(x, sd=0.017, seed=1):

@@ -1,4 +1,4 @@
-"""Layers over a backing against the equations they solve, their limits and published figures."""
+"""A layer over a backing against the equations it solves, its limits and published figures."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from folders import refused
-from planish.analyze import ScatteringLayer, pile, reflectance, stack
-from planish.core.errors import InputError
+from planish.core.reflectance import layer_over
+
+
+def reflectance(weight, *, scattering, absorption=0.0, backing):
+    """A layer over a backing, in words."""
+    return layer_over(backing, scattering, absorption, weight)
 
 
 def by_cotangent(weight, s, k, below):
@@ -20,7 +23,8 @@ def by_cotangent(weight, s, k, below):
 
 
 def test_a_coating_over_a_pile_of_its_base_in_any_units():
-    base = pile(scattering=45.0, absorption=1.2)
+    q = 1.2 / 45
+    base = 1 + q - np.sqrt(q * q + 2 * q)
     found = reflectance(
         np.array([0, 5, 10, 20, 30]) * 1e-3, scattering=150.0, absorption=0.3, backing=base
     )
@@ -65,28 +69,6 @@ def test_without_absorption_there_is_no_step():
     assert np.all(np.diff(loss) > -1e-15)
 
 
-def test_layers_are_put_on_from_the_bottom_up_to_a_pile():
-    pre, top = (
-        ScatteringLayer(weight=0.010, scattering=90.0, absorption=0.3),
-        ScatteringLayer(weight=0.008, scattering=150.0),
-    )
-    over = reflectance(0.010, scattering=90.0, absorption=0.3, backing=0.5)
-    assert stack([pre, top], 0.5) == reflectance(0.008, scattering=150.0, backing=over)
-    assert stack([pre, top], 0.5) != pytest.approx(stack([top, pre], 0.5), abs=1e-4)
-    halves = [ScatteringLayer(weight=0.005, scattering=90.0, absorption=0.3)] * 2
-    assert (stack(halves, 0.5), stack([], 0.5)) == (pytest.approx(over, abs=1e-14), 0.5)
-    known = pile(scattering=45.0, absorption=1.2)
-    q = 1.2 / 45
-    assert known == pytest.approx(1 + q - np.sqrt(q * q + 2 * q), abs=1e-14)
-    assert reflectance(0.02, scattering=45.0, absorption=1.2, backing=known) == pytest.approx(
-        known, abs=1e-14
-    )
-    assert stack(
-        [ScatteringLayer(weight=0.1, scattering=45.0, absorption=1.2)] * 40, 0.0
-    ) == pytest.approx(known, abs=1e-12)
-    assert (pile(scattering=45.0, absorption=0.0), pile(scattering=0.0, absorption=1.0)) == (1, 0)
-
-
 SHARE, PART = st.floats(0.0, 1.0), st.floats(0.0, 0.1)
 
 
@@ -106,26 +88,3 @@ def test_maps_broadcast_and_what_is_missing_stays_so():
     assert (found.shape, found[:, 0]) == ((2, 3), pytest.approx([0.7, 0.8]))
     assert np.isnan(found[:, 2]).all()
     assert np.isfinite(found[:, :2]).all()
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: reflectance(-0.01, scattering=150.0, backing=0.8),
-            "weight has 1 of 1 values that are negative",
-        ),
-        (
-            lambda: reflectance([1.0, np.inf], scattering=-1.0, backing=0.8),
-            r"weight has 1 of 2 values; scattering has",
-        ),
-        (
-            lambda: reflectance(0.01, scattering=150.0, backing=[0.2, 131.0]),
-            "backing is 131; .* white reference",
-        ),
-        (lambda: stack([ScatteringLayer(weight=0.01, scattering=1.0)], -0.1), "backing is -0.1"),
-        (lambda: pile(scattering=0.0, absorption=0.0), "Give a scattering above 0"),
-    ],
-)
-def test_what_cannot_be_is_refused(call, message):
-    refused(InputError, message, call)

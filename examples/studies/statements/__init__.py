@@ -11,7 +11,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from . import design, fig_06, fig_07, fig_09, fig_11, flattening, no_holes
+from . import fig_06, fig_07, fig_09, fig_11, flattening, no_holes
 
 STATEMENTS: dict[str, Callable[[Path, Figure], str]] = {
     "fig-06": fig_06.state,
@@ -20,7 +20,6 @@ STATEMENTS: dict[str, Callable[[Path, Figure], str]] = {
     "fig-11": fig_11.state,
     "flattening": flattening.state,
     "no-holes": no_holes.state,
-    "design": design.state,
 }
 """One for each study."""
 

@@ -7,8 +7,8 @@
 distance), ``agreement`` and ``rings`` (one quantity twice), ``kubelka_munk`` and ``light_spread``
 (light over a coating). ``compared_maps`` and ``sheet_columns`` are what these are given. ``sides``
 and ``lag`` check the registration by what the maps share, ``refinement`` improves it.
-``image_values`` and ``mottle`` are about images. ``sheets``, ``between_sheets``, ``pooled``,
-``differences`` and ``study_power`` are about many sheets; ``distributions`` is what they need.
+``image_values`` and ``mottle`` are about images. ``sheets``, ``between_sheets``, ``pooled``
+and ``differences`` are about many sheets; ``distributions`` is what they need.
 """
 
 import lazy_loader as lazy

@@ -40,11 +40,7 @@ from .image_values import compared_image as compared_image
 from .image_values import image_facts as image_facts
 from .image_values import without_screen as without_screen
 from .kubelka_munk import KubelkaMunk as KubelkaMunk
-from .kubelka_munk import ScatteringLayer as ScatteringLayer
 from .kubelka_munk import fit_kubelka_munk as fit_kubelka_munk
-from .kubelka_munk import pile as pile
-from .kubelka_munk import reflectance as reflectance
-from .kubelka_munk import stack as stack
 from .lag import Lag as Lag
 from .lag import LagNumbers as LagNumbers
 from .lag import LagTile as LagTile
@@ -97,10 +93,6 @@ from .sides import two_images as two_images
 from .sides import two_sheets as two_sheets
 from .split_half import Reliability as Reliability
 from .split_half import split_reliability as split_reliability
-from .study_power import StudyDesign as StudyDesign
-from .study_power import expected_n_eff as expected_n_eff
-from .study_power import power_of_study as power_of_study
-from .study_power import sheets_needed as sheets_needed
 from .thin_regions import RegionDifference as RegionDifference
 from .thin_regions import region_difference as region_difference
 from .variograms import Variogram as Variogram

@@ -17,6 +17,8 @@ from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
 
+_POWER = 0.8  # how often a study sees the smallest difference that it is said to see
+
 
 class Equivalence(ResultModel):
     """Whether a difference is smaller than a margin that was declared.
@@ -66,14 +68,14 @@ class SheetDifference(SetDifference):
         low, high = self.interval
         return None if math.isnan(low) else not low <= 0 <= high
 
-    def smallest_seen(self, power: float = 0.8) -> float:
-        """How large a difference has to be for such a study to see it with this power, at 5 %.
+    def smallest_seen(self) -> float:
+        """How large a difference has to be for such a study to see it in 80 %, at a level of 5 %.
 
         NaN without interval.
         """
         if math.isnan(self.free):
             return math.nan
-        return shift_seen(power, self.free) * self.standard_error
+        return _shift_seen(self.free) * self.standard_error
 
 
 def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
@@ -166,11 +168,11 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
     return (
         difference
         if difference.reason
-        else _with_interval(difference, welch_free(mean_variances, k))
+        else _with_interval(difference, _welch_free(mean_variances, k))
     )
 
 
-def welch_free(variances: Sequence[float], sizes: Sequence[int]) -> float:
+def _welch_free(variances: Sequence[float], sizes: Sequence[int]) -> float:
     """Degrees of freedom of a sum of variances of means, each over so many values (Welch 1947)."""
     return sum(variances) ** 2 / sum(v * v / (n - 1) for v, n in zip(variances, sizes, strict=True))
 
@@ -244,23 +246,16 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
     )
 
 
-def check_power(power: float) -> None:
-    """Raise InputError where a power is none."""
-    if not 0.05 < power < 1:
-        raise InputError(f"The power is {power}. Give a share between 0.05 and 1, such as 0.8.")
-
-
-def shift_seen(power: float, free: float) -> float:
-    """How many standard errors a difference must have to be seen with a power, two-sided at 5 %."""
-    check_power(power)
+def _shift_seen(free: float) -> float:
+    """How many standard errors a difference must have to be seen in 80 %, two-sided at 5 %."""
     high = 4.0  # not at once a large one: far out, the distribution's numbers are not defined
-    while power_of_shift(high, free) < power:
+    while _power_of_shift(high, free) < _POWER:
         high *= 2
     return float(
-        optimize.brentq(lambda shift: power_of_shift(shift, free) - power, 0.0, high, xtol=1e-10)
+        optimize.brentq(lambda shift: _power_of_shift(shift, free) - _POWER, 0.0, high, xtol=1e-10)
     )
 
 
-def power_of_shift(shift: float, free: float) -> float:
+def _power_of_shift(shift: float, free: float) -> float:
     """How often a difference of so many standard errors is seen, two-sided at 5 %."""
     return sum(float(1.0 - special.nctdtr(free, s, t_95(free))) for s in (shift, -shift))
