@@ -161,7 +161,7 @@ CASES = [
     ),
     (
         lambda: pl.link(VOLUME, IMAGE, through="w"),
-        "through=\"w\" is not possible; needed is 'z', 'y' or 'x'",
+        "through: 'w' is not possible; needed is 'z', 'y' or 'x'",
     ),
     (
         lambda: pl.link(VOLUME, IMAGE, memory="lots"),
@@ -185,7 +185,7 @@ CASES = [
     ),
     (
         lambda: pl.export("nowhere", "maps", to="tif"),
-        "to=\"tif\" is not possible; needed is 'tiff'",
+        "to: 'tif' is not possible; needed is 'tiff'",
     ),
     (lambda: pl.export("nowhere", "maps"), "to: missing."),
     (

@@ -8,7 +8,7 @@ import pytest
 import tifffile
 
 from planish.core.options import Params
-from planish.run import as_study, draft_study, in_study_words, read_study, study_of
+from planish.run import as_study, draft_study, read_study, study_of
 
 KEY = re.compile(r"^#(\w+) = ([^#]*)", re.MULTILINE)
 
@@ -94,9 +94,7 @@ def test_every_option_stands_in_it_with_its_default(draft):
         assert {name[-1] for name in fields(model)} <= names | {"labels"}, model
 
 
-def test_options_in_messages_become_keys_and_labels_a_table_at_the_end_of_theirs(draft):
-    text = "Give --voxel-um SIZE or --image-side, and --out."
-    assert in_study_words(text) == "Give volume.voxel_um SIZE or image.side, and --out."
+def test_labels_become_a_table_at_the_end_of_theirs(draft):
     text = (
         draft[0]
         .text.replace("#[surface.labels]", "[surface.labels]")

@@ -117,7 +117,7 @@ def test_marks_find_a_wrong_spacing(stated, top):
     assert found.error < 0.02
     assert (check.state, check.value) == ("fail", found.scale)
     assert check.figures == ("properties", "position", "correlation")
-    assert "--voxel-um" in check.advice
+    assert "`voxel_um`" in check.remedy
 
 
 def test_a_right_spacing_passes():

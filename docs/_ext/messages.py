@@ -1,6 +1,6 @@
 """Collect every message that planish ends with from its source.
 
-The text has ``…`` where a value stands.
+The text has ``…`` where a value stands, and names options as the terminal does.
 
 A message is what an error is raised with: an error of ``core/errors.py``, a ``click.UsageError``,
 the ``ValueError`` of a validator that a study file meets, or the reason given to a function that
@@ -18,12 +18,15 @@ from pathlib import Path
 
 from public_names import PACKAGE
 
+from planish.core.parameter_words import in_terminal_words
+
 GAP = "…"
 _ERRORS = PACKAGE / "core" / "errors.py"
 # What makes an error of a reason: the position of the reason among the arguments.
 _MAKERS = {"damaged": 1, "Damaged": 0, "_damaged": 1, "error": 0, "error_type": 0}
 # Modules whose ValueErrors a user meets.
 _STUDY = ("study.py", "params.py", "options.py", "presets.py", "draws.py")
+_NAMELESS = re.compile(rf"`{GAP}(?:=[^`]*)?`")
 _FAULTS = re.compile(r"fault|problem|wrong")  # reasons that are put into a message
 
 
@@ -104,7 +107,9 @@ def _texts(arguments: list[ast.expr], constants: dict[str, str]) -> list[str]:
     [node] = arguments
     if isinstance(node, ast.IfExp):
         return _texts([node.body], constants) + _texts([node.orelse], constants)
-    return [re.sub(rf"{GAP}(\s*{GAP})+", GAP, _text(node, constants)).strip()]
+    text = re.sub(rf"{GAP}(\s*{GAP})+", GAP, _text(node, constants)).strip()
+    # A parameter whose name is a value has none to word.
+    return [in_terminal_words(_NAMELESS.sub(GAP, text))]
 
 
 def _text(node: ast.expr, constants: dict[str, str]) -> str:

@@ -185,6 +185,14 @@ class OrientationFacts(ResultModel):
     )
     sentence: str = Field(description="The same in words.")
 
+    @property
+    def remedy(self) -> str:
+        """What the next run can be given; names parameters."""
+        words = [] if self.side_given else ["`image_side`"]
+        if self.md_deg_moving is None and self.md_deg_fixed is None:
+            words += ["`md_deg`", "`image_md_deg`"]
+        return f"Options: {', '.join(words)}." if words else ""
+
 
 class RegistrationFacts(ResultModel):
     """How a layer was registered to another one."""

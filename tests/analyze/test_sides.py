@@ -58,7 +58,8 @@ def test_the_side_that_the_image_shows_is_told_whatever_the_sign(shown, state, s
             "topography_bottom",
             "correlation",
         )
-        assert "give --image-side bottom" in check.advice
+        assert check.advice == "Top and bottom are exchanged."
+        assert "give `image_side=bottom`" in check.remedy
 
 
 def test_what_cannot_be_told_is_said():
@@ -76,7 +77,7 @@ def test_what_cannot_be_told_is_said():
     both = judged(maps | {"image": maps["coating_top"] + maps["coating_bottom"]}).check
     assert both.state == "unknown"
     assert "correlates with both coatings" in both.sentence
-    assert "was assumed (--image-side not given)" in judged(maps, given=False).check.sentence
+    assert "The top side was assumed." in judged(maps, given=False).check.sentence
     assert (
         judged(maps | {"image": maps["coating_bottom"]}, coated=("bottom",)).check.state == "look"
     )
@@ -95,7 +96,8 @@ def test_light_from_one_side_tells_the_side_where_the_coating_does_not():
     assert "slopes of the top face" in found.sentence
     turned = judged(maps | lit, coated=(), side="bottom").check
     assert turned.state == "look"
-    assert turned.advice.startswith("Top and bottom are exchanged")
+    assert turned.advice == "Top and bottom are exchanged."
+    assert "`image_side=top`" in turned.remedy
 
 
 def test_two_images_and_two_sheets():

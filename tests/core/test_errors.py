@@ -1,5 +1,4 @@
-"""Messages speak of the options of the command line there, and of the keywords of a call in
-Python."""
+"""A message is put together of texts that name parameters by key; Python shows its own words."""
 
 import ast
 import pickle
@@ -9,84 +8,18 @@ import pytest
 
 import planish.app.changes
 import planish.core.files  # noqa: F401  their errors, too, are in the tree
-from planish.analyze import CorrelateParams
 from planish.core import errors
-from planish.core.annotations import kinds_of
-from planish.core.errors import SWITCHES, PlanishError, SizeError, in_python_words
-from planish.core.options import options_of
-from planish.exports import ExportParams
-from planish.io import ImageParams, VolumeParams
-from planish.marks import HoleParams
-from planish.measure import MeasureParams
-from planish.register import RegistrationParams
-from planish.surface import SurfaceParams
+from planish.core.errors import PlanishError, SizeError
 
 SOURCE = Path(errors.__file__).parents[1]
 
 
-@pytest.mark.parametrize(
-    ("flags", "keywords"),
-    [
-        (
-            "Give it with --voxel-um SIZE (or Z,Y,X), in um.",
-            "Give it with voxel_um=SIZE (or Z,Y,X), in um.",
-        ),
-        ("Choose it by --seed-um Z,Y,X, or crop.", "Choose it by seed_um=(Z, Y, X), or crop."),
-        (
-            "Correct one, or add --override-size to take it.",
-            "Correct one, or add override_size=True to take it.",
-        ),
-        ("Give --memory 4.5GB.", 'Give memory="4.5GB".'),
-        ("Check --through and --sheet-grey, or crop.", "Check through= and sheet_grey=, or crop."),
-        (
-            "The grey changes most along y: try --through y.",
-            'The grey changes most along y: try through="y".',
-        ),
-        ("--beside coat, base: no such map.", 'beside=("coat", "base"): no such map.'),
-        ("Leave --corrections out.", "Leave corrections= out."),
-        (
-            "Ask for it with --property porosity as well.",
-            'Ask for it with property="porosity" as well.',
-        ),
-        # A command stays a command, up to the end of its sentence or its quote.
-        (
-            "planish import a.tif --through y --out a.zarr. Try --top low.",
-            'planish import a.tif --through y --out a.zarr. Try top="low".',
-        ),
-        (
-            "Give --regions to 'planish link --chain' instead.",
-            "Give regions= to 'planish link --chain' instead.",
-        ),
-        ("Missing values (--, n/a) are no numbers.", "Missing values (--, n/a) are no numbers."),
-    ],
-)
-def test_python_is_told_the_keywords_of_a_call(flags, keywords):
-    error = SizeError(flags)
-    # What contains it may be turned once more.
-    assert str(error) == keywords == in_python_words(keywords)
+def test_an_error_keeps_its_text_and_shows_the_words_of_a_call():
+    error = SizeError("Give `voxel_um=SIZE`, a power of 1e+02.")
+    assert str(error) == "Give voxel_um=SIZE, a power of 100."
     # As from a process of a cluster.
-    assert error.text == flags == pickle.loads(pickle.dumps(error)).text
-
-
-def test_switches_are_the_options_without_a_value():
-    models = (
-        VolumeParams,
-        ImageParams,
-        SurfaceParams,
-        MeasureParams,
-        HoleParams,
-        RegistrationParams,
-        CorrelateParams,
-        ExportParams,
-    )
-    switches = {
-        flag.removeprefix("--")
-        for model in models
-        for _, field, shown in options_of(model)
-        for flag in shown.flags
-        if kinds_of(field.annotation) == [bool]
-    }
-    assert {*SWITCHES} == {*switches, "chain"}  # chain is an argument of link
+    text = pickle.loads(pickle.dumps(error)).text
+    assert text == error.text == "Give `voxel_um=SIZE`, a power of 100."
 
 
 def errors_by_name(kind=PlanishError):

@@ -79,7 +79,7 @@ def test_a_link_takes_marks_of_other_programs_and_refuses_what_it_cannot_use(tmp
     (path,) = write_any(
         some_pairs(POINTS), tmp_path / "marks.mat", moving=LayerPixels(1.0), fixed=LayerPixels(5.0)
     )
-    assert "--moving-pixel-um" in read_by_link(path)
+    assert "convert with moving_pixel_um=" in read_by_link(path)
     files = write_any(some_pairs(POINTS), tmp_path / "points.txt")
     assert "planish marks convert MOVING FIXED OUT" in read_by_link(files[0])
     off = some_pairs(POINTS).assign(used=("mark", [True, True, False, False]))

@@ -86,7 +86,7 @@ def markup(change):
         ("point\n2\n1 2\n3 inf\n", MarkError, "point 2: 'inf' is no finite"),
         ("point\nmany\n1 2\n", MarkError, "states no number of points"),
         ("point\n0\n", MarkError, "holds no point"),
-        ("index\n1\n3 4\n", SizeError, "pixels.*--moving-pixel-um"),
+        ("index\n1\n3 4\n", SizeError, "pixels.*moving_pixel_um="),
         # 3D Slicer
         (markup(lambda m: m.update(coordinateSystem="IJK")), MarkError, "F is in .IJK."),
         (markup(lambda m: m.update(coordinateUnits="inch")), MarkError, "F is in 'inch'; mm or um"),
@@ -353,7 +353,11 @@ def test_the_remedy_for_pixels_is_one_that_the_file_allows(put):
     ]
     path = put("\n".join(rows), "bigwarp.csv")
     refused(
-        MarkError, "Convert them by planish marks convert --unit pixel", read_any, path, **LAYER
+        MarkError,
+        'Convert them by planish marks convert, given unit="pixel", moving',
+        read_any,
+        path,
+        **LAYER,
     )
     own = put(pairs_text(pixels))
     refused(
@@ -387,7 +391,7 @@ def test_nothing_is_overwritten_and_every_need_is_told(put, tmp_path):
             to=to,
             **layers,
         )
-    need = "pixels, and the pixel size of the fixed layer.*--fixed-pixel-um"
+    need = "pixels, and the pixel size of the fixed layer.*fixed_pixel_um="
     refused(SizeError, need, write_any, marks, tmp_path / "x.mat", moving=LayerPixels(1.0))
     refused(SizeError, "own unit", write_any, marks, tmp_path / "x.json", unit="mm")
     refused(FileError, "does not tell its format", write_any, marks, tmp_path / "marks.dat")

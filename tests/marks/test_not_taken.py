@@ -82,7 +82,7 @@ def test_places_beyond_the_limit_of_an_area_are_counted_and_are_a_look(monkeypat
     check = check_holes(found)
     assert check.state == "look"
     assert "2 holes found; seen and not taken:" in check.sentence
-    assert "--hole-um" in check.advice
+    assert "`hole_um`" in check.remedy
 
 
 @pytest.mark.parametrize("shape", [(300, 400), (8, 9)])

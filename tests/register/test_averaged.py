@@ -169,7 +169,7 @@ def test_a_forced_model_states_what_it_leaves():
     assert 0.7 < true / stated < 1.4
     (said,) = (w for w in fit.warnings if "leaves structure" in w)
     assert "The affine model leaves structure" in said
-    assert said.endswith("Use --model auto.")
+    assert said.endswith("Have the model chosen by itself.")
     assert not any("structure" in w for w in fit_transform(points, seen, model="auto").warnings)
 
 

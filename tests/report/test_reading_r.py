@@ -99,17 +99,19 @@ def test_options_stand_in_the_operators_part_alone():
             "limit": 20.0,
             "state": "look",
             "figures": [],
-            "sentence": "Dust was found (--image-side not given).",
-            "advice": "Clean it. Give a closer --hole-um.",
+            "sentence": "Dust was found.",
+            "advice": "Clean it.",
+            "remedy": "Give a closer `hole_um`.",
         }
     )
     text, operator = text_of(run).split("For the operator")
     option = re.compile(r"(?<![\w-])--[a-z]+")
     assert option.findall(text) == []
+    assert "`" not in f"{text}{operator}"
     assert "Dust was found." in text
     assert "Clean it." in text
     assert "--title, --author, --date, --note" in operator
-    assert "Give a closer --hole-um." in operator
+    assert "Dust: Clean it. Give a closer --hole-um." in operator
 
 
 def test_the_page_says_who_made_it_when_and_of_what():

@@ -231,7 +231,7 @@ def test_factors_that_do_not_fit_are_an_error_or_a_caution(tmp_path):
     rows += [({"paper": "a"}, results_of(mean=30.0)), ({}, results_of(mean=31.0))]
     results = said(tmp_path, *rows)
     assert any("differ in capitals only" in c for c in results.cautions)
-    assert any("--by load" in c for c in results.cautions)
+    assert any("Groups by load" in c for c in results.cautions)
     assert any("No paper is given for run-5" in c for c in results.cautions)
     found = gather(series(tmp_path / "b", *rows), tmp_path / "b")
     for wrong, words in (

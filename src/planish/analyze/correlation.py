@@ -246,7 +246,7 @@ def correlate(
         if len(pitch_um) != 2:
             raise SizeError(
                 "The maps have no pixel size: they are no maps with coordinates in um. Give it with"
-                " --pixel-um."
+                " `pixel_um`."
             )
         pixel_um = pitch_um[0], pitch_um[1]
     pixel = on_one_grid(a, b, mask, pixel_um)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from planish.analyze.agreement import Twice, answer_twice
 from planish.analyze.ceiling import answer_ceiling
@@ -75,7 +75,6 @@ class EvidenceFacts(ResultModel):
     short_waves: SizeRow | None = optional("Without waves above short_waves_um.")
     short_waves_um: Number = optional("Longest wave that was left in for short_waves.")
     ceiling: Number = optional("The r that a perfect relation would show, by misplacement alone.")
-    ceiling_sentence: str | None = optional("The ceiling in words.")
     reliability: tuple[Reliability, ...] = Field(
         default=(), description="Of the maps of sheets among the two, at the larger points."
     )
@@ -96,6 +95,14 @@ class EvidenceFacts(ResultModel):
         " '), at the larger points; their sum is r2 of all of them. Below 0 where a map hides what"
         " another one does."
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_words(cls, data: Any) -> Any:
+        """Leave out a sentence that files of planish 0.2.0 hold beside the ceiling."""
+        if isinstance(data, dict):
+            return {name: answer for name, answer in data.items() if name != "ceiling_sentence"}  # type: ignore[reportUnknownVariableType]
+        return data
 
 
 class Question(NamedTuple):
@@ -120,7 +127,7 @@ QUESTIONS = (
     Question(("short_waves", "short_waves_um"), answer_short_waves),
     Question(("partial", "commonality"), answer_partial, option="beside"),
     Question(
-        ("ceiling", "ceiling_sentence", "reliability", "ceiling_noise", "ceiling_both"),
+        ("ceiling", "reliability", "ceiling_noise", "ceiling_both"),
         answer_ceiling,
     ),
     Question(("variograms",), answer_variograms),

@@ -37,8 +37,8 @@ class CorrelateParams(Params):
         metavar="K/S",
         help=(
             "Fit the curve of Kubelka and Munk to the reflectance over the coating that leads, with"
-            " this ratio of absorption to scattering (0.002 for a white coating); needs --dark-grey"
-            " and --white-grey."
+            " this ratio of absorption to scattering (0.002 for a white coating); needs `dark_grey`"
+            " and `white_grey`."
         ),
     )
     light_spread_um: float | None = option(

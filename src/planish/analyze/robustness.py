@@ -263,13 +263,11 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     if missing_names := [name for name in covariates if name not in sheet_maps]:
         raise InputError(
             f"The sheet has no map {', '.join(missing_names)} to stand beside. Leave it out of"
-            " --beside, or measure it."
+            " `beside`, or measure it."
         )
     factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
     if min(factor) < 1 - 1e-9:
-        reason = (
-            f"Points of {point_um:g} um are smaller than a pixel. Give larger ones with --point-um."
-        )
+        reason = f"Points of {point_um:g} um are smaller than a pixel."
         return {"partial": partial_of(silence=reason)}
     names = (pair.a[1], *covariates)
     maps = [*(sheet_maps[name] for name in names), image_maps[pair.b[1]]]

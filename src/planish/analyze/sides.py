@@ -29,9 +29,10 @@ _OF_A_SPECIMEN = (POSITION, CORRELATION)
 _OF_SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom", CORRELATION)
 _NO_WORD = "nothing beside the marks says that both show one specimen"
 _ONE = "so both show one specimen"
+_EXCHANGED = "Top and bottom are exchanged."
 _TURN = (
-    "Top and bottom are exchanged: turn the stack (--top; a volume numbered against the usual sense"
-    " needs --mirror), or give --image-side {side} if the image shows that side."
+    "Turn the stack (`top`; a volume numbered against the usual sense needs `mirror=True`), or give"
+    " `image_side={side}` if the image shows that side."
 )
 
 _TILE_UM = 1000.0
@@ -83,7 +84,7 @@ def image_of_sheet(
     coatings = _faces(
         texture, {k: [f"coating_{k}"] for k in coated if f"coating_{k}" in texture.maps}
     )
-    side_text = f"The {side} side was {'given' if is_given else 'assumed (--image-side not given)'}"
+    side_text = f"The {side} side was {'given' if is_given else 'assumed'}"
     other: Side = "bottom" if side == "top" else "top"
     side_coating, other_coating = coatings.get(side), coatings.get(other)
     if side_coating is not None and _stands_out(side_coating, other_coating):
@@ -97,19 +98,23 @@ def image_of_sheet(
         return SideFound(_check("pass", text, side_coating), side)
     if other_coating is not None and _stands_out(other_coating, side_coating):
         text = f"{capital(image)} correlates with the coating of the {other} side ({other_coating})"
-        advice = _TURN.format(side=other)
+        advice, remedy = _EXCHANGED, _TURN.format(side=other)
         if side_coating is not None:
             text += (
                 f"{_preposition(side_coating)} that of the {side} side ({side_coating})."
                 f" {side_text}."
             )
             return SideFound(
-                _check("fail", text, other_coating, advice=advice, figures=_OF_SIDES), other
+                _check(
+                    "fail", text, other_coating, advice=advice, remedy=remedy, figures=_OF_SIDES
+                ),
+                other,
             )
         text += f", and none is seen on the {side} side. {side_text}."
         advice += " Light that goes through the sheet may show it as well."
         return SideFound(
-            _check("look", text, other_coating, advice=advice, figures=_OF_SIDES), other
+            _check("look", text, other_coating, advice=advice, remedy=remedy, figures=_OF_SIDES),
+            other,
         )
     strongest_coating = max(coatings.values(), key=lambda k: abs(k.z), default=None)
     if strongest_coating is not None and abs(strongest_coating.z) > Z_RELATED:
@@ -147,9 +152,10 @@ def _by_slopes_and_thickness(
             text += f"({slopes[face]}){not_coatings_text}. {side_text}."
             if face == side:
                 return SideFound(_check("pass", text, slopes[face]), face)
-            advice = _TURN.format(side=face)
+            advice, remedy = _EXCHANGED, _TURN.format(side=face)
             return SideFound(
-                _check("look", text, slopes[face], advice=advice, figures=_OF_SIDES), face
+                _check("look", text, slopes[face], advice=advice, remedy=remedy, figures=_OF_SIDES),
+                face,
             )
     relations = {
         k: relate(m, texture.maps["image"], texture.known, texture.pixel_um)
@@ -233,12 +239,14 @@ def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Si
             f"The coatings of {a} and {b} go together crosswise ({cross}), not side by side"
             f" ({same})."
         )
-        advice = (
-            "Top and bottom of one of the two are exchanged. Check --top, and whether its slices"
-            " are numbered "
+        return _check(
+            "fail",
+            text,
+            cross,
+            advice="Top and bottom of one of the two are exchanged.",
+            remedy="Check `top`, and whether its slices are numbered against the usual sense.",
+            figures=_OF_SIDES,
         )
-        advice += "against the usual sense."
-        return _check("fail", text, cross, advice=advice, figures=_OF_SIDES)
     if whole is not None and whole.z > Z_RELATED:
         why = "the coatings do not tell the sides apart" if same else "no coating is seen in both"
         text = (
@@ -269,6 +277,7 @@ def _check(
     relation: Relation | None = None,
     *,
     advice: str = "",
+    remedy: str = "",
     figures: tuple[str, ...] = (),
 ) -> Check:
     return Check(
@@ -279,6 +288,7 @@ def _check(
         limit=Z_RELATED,
         units="z",
         advice=advice,
+        remedy=remedy,
         figures=figures,
     )
 
@@ -474,11 +484,11 @@ def holes_and_texture(apart_um: float, expected_um: float) -> Check:
     if apart_um <= limit_um:
         return judged
     text += f", more than both errors allow ({limit_um:.1f} um)."
-    advice = (
-        "Light from one side, tilted holes, or marks of another place: compare both by --by holes"
-        " and texture."
+    advice = "Light from one side, tilted holes, or marks of another place."
+    remedy = "Compare `by=holes` and `by=texture`."
+    return judged.model_copy(
+        update={"state": "look", "sentence": text, "advice": advice, "remedy": remedy}
     )
-    return judged.model_copy(update={"state": "look", "sentence": text, "advice": advice})
 
 
 def _coated(sheet: xr.Dataset) -> list[Side]:

@@ -47,7 +47,7 @@ class Journal:
                 except Timeout as error:
                     raise InUse(
                         f"{path.parent.parent} is open in another planish view, which may change"
-                        " it. Close that one, or open this one with --read-only."
+                        " it. Close that one, or open this one with `read_only`."
                     ) from error
             self._lock = lock
         try:

@@ -12,8 +12,9 @@ import anyio
 import numpy as np
 from anyio.to_thread import run_sync
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
+from planish.app.answers import Answer
 from planish.app.apply import Applying, Busy, Progress
 from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Import, Layer
 from planish.app.exchange import MarkFile, exported, imported
@@ -92,7 +93,7 @@ def get_session(request: Request) -> Response:
                 },
             }
         )
-    return JSONResponse(
+    return Answer(
         {
             "run": session.folder.name,
             "read_only": session.read_only,
@@ -158,9 +159,9 @@ def _changing(
             try:
                 message = action(request, body)
             except Stale as error:
-                return JSONResponse({"error": error.text} | _state_of(request), 409)
+                return Answer({"error": error.text} | _state_of(request), 409)
             message_field = {"said": message} if isinstance(message, str) and message else {}
-            return JSONResponse(_state_of(request) | message_field)
+            return Answer(_state_of(request) | message_field)
 
         return await run_sync(act)
 
@@ -218,9 +219,9 @@ def get_predict(request: Request) -> Response:
         raise ChangeError(f"({x:g}, {y:g}) is not a place in um.")
     prediction = live.fit(_layer_name(request)).predicted(side, (x, y))
     if prediction is None:
-        return JSONResponse(None)
+        return Answer(None)
     (target_x, target_y), error_um, error_text = prediction
-    return JSONResponse({"x": target_x, "y": target_y, "error_um": error_um, "text": error_text})
+    return Answer({"x": target_x, "y": target_y, "error_um": error_um, "text": error_text})
 
 
 def get_export(request: Request) -> Response:
@@ -237,7 +238,7 @@ def _applying(request: Request) -> Applying:
 
 
 def _progress_response(progress: Progress, status: int = 200, **fields: str) -> Response:
-    return JSONResponse(fields | progress.model_dump(exclude_none=True), status)
+    return Answer(fields | progress.model_dump(exclude_none=True), status)
 
 
 def post_apply(request: Request) -> Response:
@@ -266,7 +267,7 @@ def get_report(request: Request) -> Response:
 
 ROUTES = [
     route("/api/session", get_session),
-    route("/api/state", lambda r: JSONResponse(_state_of(r))),
+    route("/api/state", lambda r: Answer(_state_of(r))),
     route("/api/events", get_events),
     route(
         "/api/change",

@@ -18,11 +18,12 @@ from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from planish.app import marks_routes, snap, view_routes
+from planish.app.answers import Answer
 from planish.app.apply import Applying
 from planish.app.live import Live
 from planish.app.pictures import Tiles
@@ -102,7 +103,7 @@ class Guard:
                 text = f"{fault} The terminal in which it was started says more."
             if is_started:
                 raise
-            await JSONResponse({"error": text}, status)(scope, receive, answer)
+            await Answer({"error": text}, status)(scope, receive, answer)
 
     def _check(self, scope: Scope) -> None:
         headers = Headers(raw=[(name.lower(), text) for name, text in scope["headers"]])
@@ -188,9 +189,7 @@ async def _error_response(_request: Request, error: Exception) -> Response:
     described = [
         {"place": asdict(p.place), "middle_um": p.middle_um, "text": p.sentence} for p in places
     ]
-    return JSONResponse(
-        {"error": error.text} | ({"places": described} if described else {}), status
-    )
+    return Answer({"error": error.text} | ({"places": described} if described else {}), status)
 
 
 def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], None]) -> None:
@@ -208,7 +207,7 @@ def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], No
         except OSError as error:
             reason = error.strerror or error
             raise FileError(
-                f"Nothing can listen on {host}:{port} ({reason}). Give another --port; 0 takes a"
+                f"Nothing can listen on {host}:{port} ({reason}). Give another `port`; 0 takes a"
                 " free one."
             ) from error
         with listener:

@@ -14,9 +14,10 @@ import anyio
 import numpy as np
 from anyio.to_thread import run_sync
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
+from planish.app.answers import Answer
 from planish.app.changes import stretches_of
 from planish.app.picture import PlanePicture
 from planish.app.pictures import Tiles
@@ -53,7 +54,7 @@ def get_tile(request: Request) -> Response:
 def get_cursor(request: Request) -> Response:
     """All values at a point."""
     (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
-    return JSONResponse(cursor(_tiles(request), _picture(request, "id"), x, y))
+    return Answer(cursor(_tiles(request), _picture(request, "id"), x, y))
 
 
 def get_pixel(request: Request) -> Response:
@@ -66,14 +67,14 @@ def get_pixel(request: Request) -> Response:
     point = nearest(
         _tiles(request), _picture(request, "id"), request.query_params.get("layer", ""), place_um
     )
-    return JSONResponse(point and dict(zip("xy", point, strict=True)))
+    return Answer(point and dict(zip("xy", point, strict=True)))
 
 
 def get_profile(request: Request) -> Response:
     """Values along a line."""
     x0, y0, x1, y1 = required_numbers(request, "line", 4)
     pictures = [_picture(request, key) for key in ("a", "b") if key in request.query_params]
-    return JSONResponse(profile(_tiles(request), pictures, (x0, y0, x1, y1)))
+    return Answer(profile(_tiles(request), pictures, (x0, y0, x1, y1)))
 
 
 def get_histogram(request: Request) -> Response:
@@ -81,7 +82,7 @@ def get_histogram(request: Request) -> Response:
     session, picture = session_of(request), _picture(request, "id")
     layer = picture.layer if picture.layer in session.layers else session.layers[0]
     holes = session.holes(layer)[picture.plane]
-    return JSONResponse(histogram(_tiles(request), picture, holes=holes))
+    return Answer(histogram(_tiles(request), picture, holes=holes))
 
 
 async def get_selection(request: Request) -> Response:
@@ -111,7 +112,7 @@ async def get_selection(request: Request) -> Response:
         answer = await run_sync(selected, limiter=_ONE_PASS)
         group.cancel_scope.cancel()
     if isinstance(answer, dict):
-        return JSONResponse(answer)
+        return Answer(answer)
     if isinstance(answer, Stopped):
         return Response("", 204, media_type="application/json")
     raise answer
@@ -200,7 +201,7 @@ def get_sheets(request: Request) -> Response:
             }
         )
     status_texts = {int(status): status.sentence for status in Status}
-    return JSONResponse({"sheets": sheets, "status": status_texts})
+    return Answer({"sheets": sheets, "status": status_texts})
 
 
 def get_slice(request: Request) -> Response:
@@ -296,7 +297,7 @@ def flattening(request: Request) -> Response:
     """
     session, layer = session_of(request), request.query_params.get("layer", "")
     if sheet_run(session.folder, layer) is None:
-        return JSONResponse(None)
+        return Answer(None)
     ids = {p.variable: p.id for p in session.pictures.on("moving", layer)}
     excluded = {*SPACE, *STRAINS, "valid"}
     colour_names = [
@@ -309,7 +310,7 @@ def flattening(request: Request) -> Response:
         for name in (session.results.layer(layer).headline, "thickness", "warp")
         if name in colour_names
     ]
-    return JSONResponse(
+    return Answer(
         {
             "strain": [ids[name] for name in STRAINS if name in ids],
             "space": [ids[name] for name in SPACE],
@@ -322,7 +323,7 @@ def mesh(request: Request) -> Response:
     """Lines of the mesh, each a list of (u, v) in um, and that they are every n-th."""
     run = sheet_run(session_of(request).folder, request.query_params.get("layer", ""))
     lines, line_step = ([], 1) if run is None else mesh_lines(run)
-    return JSONResponse({"lines": lines, "every": line_step})
+    return Answer({"lines": lines, "every": line_step})
 
 
 def route(path: str, endpoint: Callable[[Request], Any], method: str = "GET") -> Route:
@@ -335,9 +336,7 @@ ROUTES = [
     route("/api/cursor", get_cursor),
     route("/api/pixel", get_pixel),
     route("/api/profile", get_profile),
-    route(
-        "/api/density", lambda r: JSONResponse(density(_tiles(r), *_picture_pair(r), _region(r)))
-    ),
+    route("/api/density", lambda r: Answer(density(_tiles(r), *_picture_pair(r), _region(r)))),
     route("/api/histogram", get_histogram),
     route("/api/selection", get_selection),
     route("/api/sheets", get_sheets),

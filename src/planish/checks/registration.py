@@ -211,11 +211,9 @@ def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
             "Look at the maps there: a stretched or torn hole says that slices or voxel sizes are"
             " wrong."
             if n_doubtful
-            else (
-                "More places look like holes than fit into the area. Give a closer range of"
-                " diameters (--hole-um)."
-            )
+            else "More places look like holes than fit into the area."
         ),
+        remedy="" if n_doubtful else "Give a closer range of diameters (`hole_um`).",
     )
     return check.model_copy(update={"name": rule.name.replace("NAME", detected.layer)})
 

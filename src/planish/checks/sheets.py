@@ -166,8 +166,8 @@ def cutoff(rule: CheckRule, sheet: MeasuredSheet) -> Check:
             f" {100 * (1 - bridged_share):.1f} % of the columns away from holes and rims"
         )
         + (", and twice or four times as much in the alternatives." if bridged_share > 0 else "."),
-        advice=(
-            "Choose a longer --cutoff-um, or a smaller --rim-um if the rims take the sheet away."
+        remedy=(
+            "Choose a longer `cutoff_um`, or a smaller `rim_um` if the rims take the sheet away."
         ),
     )
 
@@ -191,8 +191,8 @@ def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
             f" drawn to {n_points} points of {len(stretches)} corrections by hand; {n_interpolated}"
             " of them show no edge there and are interpolated."
         ),
-        advice=(
-            "Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand."
+        remedy=(
+            "Search the surfaces with other options (`sheet_grey`, `seed_um`) rather than by hand."
         ),
     )
 
@@ -269,7 +269,7 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
                 f"In {100 * bright_share:.0f} % of the sheet something as dense as a coating lies"
                 " in the middle of the base: a second sheet lies on the first."
             ),
-            advice="Crop the volume to one sheet, or choose it with --seed-um.",
+            remedy="Crop the volume to one sheet, or choose it with `seed_um`.",
         )
     split_text = ": it is split, or two sheets lie on each other."
     end_text = split_text if n_dark >= _SPLIT_TILES else ". No second sheet was found."

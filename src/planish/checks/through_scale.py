@@ -22,9 +22,10 @@ _BEYOND = 3.0  # errors
 _CLEARLY = 9.2  # variances: one explanation is a hundred times as likely as the other
 _BLOCKS = 6
 _ADVICE = (
-    "Check the voxel size along {axis} (--voxel-um with --override-size), and that of the image in"
-    " both directions. Thicknesses and places are wrong where it is."
+    "Check the voxel size along {axis}, and that of the image in both directions. Thicknesses and"
+    " places are wrong where it is."
 )
+_REMEDY = "Give the right one with `voxel_um` and `override_size=True`."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,6 +134,7 @@ def scale_by_thickness(rule: CheckRule, sheet: MeasuredSheet | RegisteredSheet) 
             f" times the stated one of {stated_um:.4g} um."
         ),
         advice=_ADVICE.format(axis=axis) if slope.excludes_one else "",
+        remedy=_REMEDY if slope.excludes_one else "",
     )
 
 
@@ -182,6 +184,7 @@ def judge_marks(
         value=marks.scale,
         limit=_limit(marks.scale, scale_error),
         advice=_ADVICE.format(axis=axis) if is_off else "",
+        remedy=_REMEDY if is_off else "",
     )
 
 

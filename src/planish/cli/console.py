@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from planish.core.parameter_words import in_terminal_words
 from planish.core.text import plain_numbers, printable
 
 if TYPE_CHECKING:
@@ -99,9 +100,14 @@ def width(*, err: bool = False) -> int | None:
     return max(console(err=err).width, _LEAST_WIDTH) if stream.isatty() else None
 
 
+def shown(text: str) -> str:
+    """Text as a terminal shows it: parameters as options, control characters escaped."""
+    return in_terminal_words(printable(text))
+
+
 def sentence(text: str, *, err: bool = False) -> None:
     """Print a sentence; on a terminal no line ends between a number and its unit."""
-    columns, text = width(err=err), printable(plain_numbers(text))
+    columns, text = width(err=err), shown(plain_numbers(text))
     click.echo(text if columns is None else wrapped(text, columns), err=err)
 
 
@@ -144,7 +150,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
     One of the headings, ``columns``, may be ``unit``, that of all numbers of the row but counts;
     others may end in one.
     """
-    rows = [[printable(cell) for cell in row] for row in rows]
+    rows = [[shown(cell) for cell in row] for row in rows]
     widths = [max(len(cell) for cell in cells) for cells in zip(columns, *rows, strict=True)]
     full_width = max(sum(widths) + _GAP * (len(widths) - 1), len(title))
     terminal_width = width()

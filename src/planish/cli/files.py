@@ -7,10 +7,9 @@ from typing import Any, Literal
 
 import click
 
-from planish.cli.console import print_json
+from planish.cli.console import print_json, shown
 from planish.cli.options import PATH, build_params, existing, json_option, options, out_option, verb
 from planish.core.errors import FileError
-from planish.core.text import printable
 from planish.correct.params import CorrectParams
 from planish.io.params import VolumeParams
 from planish.run.compute import Compute, engine
@@ -71,7 +70,7 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
     if as_json:
         print_json(facts)
     else:
-        click.echo(printable("\n".join(lines)))
+        click.echo(shown("\n".join(lines)))
 
 
 @verb(

@@ -19,9 +19,9 @@ from typing import cast
 import click
 
 from planish import __version__
-from planish.cli.console import prepare_streams
+from planish.cli.console import prepare_streams, shown
 from planish.core.errors import FileError, PlanishError
-from planish.core.text import printable
+from planish.core.parameter_words import in_terminal_words
 
 _MODULES = {
     "link": "runs",
@@ -151,9 +151,9 @@ def main(args: list[str] | None = None) -> None:
     except Exception as error:  # noqa: BLE001  a user gets a sentence and a log
         fault = _as_planish_error(error)
         code = fault.exit_code
-        click.echo(f"planish: {printable(fault.text)}", err=True)
+        click.echo(f"planish: {shown(fault.text)}", err=True)
         if "--json" in arguments:
-            click.echo(json.dumps({"error": fault.text, "exit_code": code}))
+            click.echo(json.dumps({"error": in_terminal_words(fault.text), "exit_code": code}))
     sys.exit(code if isinstance(code, int) else 0)
 
 

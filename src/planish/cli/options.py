@@ -20,13 +20,13 @@ from planish.core.errors import StudyError
 from planish.core.options import (
     Params,
     Shown,
-    flag_of,
     options_of,
     params_of,
     put_options,
     unit_of,
     words_in,
 )
+from planish.core.parameter_words import flag_of, in_terminal_words
 
 Command = Callable[..., Any]
 P = TypeVar("P", bound=Params)
@@ -171,7 +171,7 @@ def _none_if_empty(_context: Any, _option: Any, values: tuple[str, ...]) -> tupl
 def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> Command:
     types = kinds_of(field.annotation)
     settings: dict[str, Any] = {
-        "help": field.description,
+        "help": in_terminal_words(field.description or ""),
         "group": group,
         "required": field.is_required(),
     }
@@ -240,7 +240,7 @@ def wrong_usage(prefix: str = "") -> Generator[None]:
     try:
         yield
     except StudyError as error:
-        raise click.UsageError(f"{prefix}{error.text}") from error
+        raise click.UsageError(f"{prefix}{in_terminal_words(error.text)}") from error
 
 
 def stack(*decorators: Command) -> Command:

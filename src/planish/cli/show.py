@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich import progress as rich
 
-from planish.cli.console import animated, console, letters, sentence, table, warn
+from planish.cli.console import animated, console, letters, sentence, shown, table, warn
 from planish.core.facts import is_known
 from planish.core.memory import enough_gb
-from planish.core.text import printable, quoted
+from planish.core.text import quoted
 from planish.core.tiles import tiles_told
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
     no stage: it stays.
     """
     if not animated():
-        yield lambda stage, detail: click.echo(f"{stage}: {printable(detail)}", err=True)
+        yield lambda stage, detail: click.echo(f"{stage}: {shown(detail)}", err=True)
         return
     spinner, amount = (
         "dots" if letters() else "line",
@@ -65,11 +65,11 @@ def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
 
         def tell(stage: str, detail: str) -> None:
             if stage == "look":
-                bar.console.print(f"look: {printable(detail)}")
+                bar.console.print(f"look: {shown(detail)}")
                 return
             if left is not None:
                 left.enter(stage)
-            bar.update(task, advance=1, description=f"{stage}: {printable(detail)}")
+            bar.update(task, advance=1, description=f"{stage}: {shown(detail)}")
 
         with nullcontext() if left is None else tiles_told(left.enter):
             yield tell
@@ -123,7 +123,7 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int: 
                 if has_several_layers and check.layers
                 else check.name
             )
-            warn(f"{state}: {name}: {check.sentence} {check.advice}".rstrip())
+            warn(f"{state}: {name}: {check.text}")
     return exit_code(results, strict=strict)
 
 
@@ -169,7 +169,7 @@ def _registration(layer: LayerFacts) -> None:
         notes = (r.match_sentence, *notes)
     if r.held_out is not None:
         notes = (*notes, r.held_out.sentence)
-    for note in (*notes, r.orientation.sentence):
+    for note in (*notes, f"{r.orientation.sentence} {r.orientation.remedy}".rstrip()):
         sentence(f"  {note}")
 
 

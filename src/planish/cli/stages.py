@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planish.analyze.params import CorrelateParams
+from planish.cli.console import shown
 from planish.cli.options import (
     PATH,
     Option,
@@ -306,7 +307,7 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
         *fit.warnings,
     ):
         if sentence:
-            click.echo(sentence)
+            click.echo(shown(sentence))
     click.echo(
         f"{out}: {len(fit.moving)} pairs, residual {fit.rms_um:.2f} um rms, scale"
         f" {fit.transform.scale:.4f}"

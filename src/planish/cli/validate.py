@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planish.cli.console import print_json, table, warn
+from planish.cli.console import print_json, shown, table, warn
 from planish.cli.options import PATH, build_params, json_option, options, out_option, verb
 from planish.core.files import write_whole
 from planish.core.numbers import in_ascii
@@ -163,7 +163,7 @@ def validate(  # noqa: C901, PLR0912
         selected, notes = [template.scenario(scenario) for scenario in selected], template.notes
 
     def report(stage: str, detail: str) -> None:
-        click.echo(f"{stage}: {detail}", err=True)
+        click.echo(f"{stage}: {shown(detail)}", err=True)
 
     settings: dict[str, Any] = {"progress": report, "compute": build_params(Compute, values)}
     results: list[tuple[Certificate, Sensitivity | None]] = []

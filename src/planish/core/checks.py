@@ -37,11 +37,19 @@ class Check(ResultModel):
     limit: Number = optional("The limit that the state was judged by.")
     units: str = Field(default="", description="Of value and limit; 'share' for a part of 1.")
     advice: str = Field(default="", description="What to do; empty where nothing has to be done.")
+    remedy: str = Field(
+        default="", description="What to set in the next run; names parameters, as `voxel_um`."
+    )
     figures: tuple[str, ...] = Field(
         default=(),
         description="What it concerns: names of maps, or properties, position, correlation.",
     )
     layers: tuple[str, ...] = Field(default=(), description="Layers that it is about.")
+
+    @property
+    def text(self) -> str:
+        """What was found, what to do and what to set."""
+        return " ".join(filter(None, (self.sentence, self.advice, self.remedy)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +89,10 @@ class CheckRule:
         fail: float | None = None,
         sentence: str,
         advice: str = "",
+        remedy: str = "",
         **fields: Any,
     ) -> Check:
-        """Judge a value that should be small; advice is dropped where it passes.
+        """Judge a value that should be small; advice and remedy are dropped where it passes.
 
         NaN passes nothing and is a look.
         """
@@ -94,8 +103,9 @@ class CheckRule:
         elif look_limit is not None and not value <= look_limit:
             state = "look"
         limit = fail if state == "fail" else look_limit
-        advice = "" if state == "pass" else advice
-        return self.check(state, sentence, value=float(value), limit=limit, advice=advice, **fields)
+        if state != "pass":
+            fields |= {"advice": advice, "remedy": remedy}
+        return self.check(state, sentence, value=float(value), limit=limit, **fields)
 
     def at_least(
         self, value: float, *, look: float, sentence: str, advice: str, units: str

@@ -15,60 +15,14 @@
     ├── CannotRegister               exit code 3: the marks do not fix one transformation
     └── ResourceError                exit code 5: memory or disk is used up
 
-A message says what was found, what is needed, and what to do next. It is written with the options
-of the command line: ``error.text``, which the terminal, the app, series and results show. Python
-shows ``str(error)``, the same with the words of a call: ``voxel_um=`` for ``--voxel-um``. So
-nothing has to be set for either, in any thread or process; a message that contains another one
-takes its ``text``. The class alone decides the exit code of the command line.
+A message says what was found, what is needed, and what to do next. ``error.text`` names
+parameters as :mod:`planish.core.parameter_words` has it; the terminal, the app and a series word it
+for those who read them. Python shows ``str(error)``, with the words of a call. A message that
+contains another one takes its ``text``. The class alone decides the exit code of the command line.
 """
 
-import re
-
+from planish.core.parameter_words import in_python_words
 from planish.core.text import plain_numbers
-
-# Options without a value, of those that a call in Python may be told to give.
-SWITCHES = frozenset(
-    {"as-seen", "chain", "mirror", "mottle", "override-size", "printed", "unusual-size"}
-)
-# Up to the end of its sentence, or its quote.
-_COMMAND = r"\b(?:planish|pip|dask) [a-z](?:[^.;'\n]|\.(?=[^\s']))*"
-# What follows a word that is a value and no part of the sentence.
-_ENDS = r"(?=[.,;:)]|$| as well| is not possible)"
-_WORD = (
-    rf"[zyx]|top|bottom|high|low|[a-z]+(?:_[a-z]+)+|(?!out\b|instead\b|first\b)[a-z][a-z-]*{_ENDS}"
-)
-_VALUE = rf"\d[\d.,]*(?<=\d)[A-Z]*|[A-Z]+(?:,[A-Z]+)*|(?:{_WORD})(?:, (?:{_WORD}))*(?=:)|{_WORD}"
-_BARE = re.compile(r"[A-Z]+|[\d.]+")  # a placeholder, a number: without quotes
-_FLAG = re.compile(rf"{_COMMAND}|(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]({_VALUE})(?![\w-]))?(:?)")
-_CHOICE = re.compile(r"\b(\w+): '(\w+)' is not possible")
-
-
-def in_python_words(text: str) -> str:
-    """Name the keywords of a Python call in a message that names options.
-
-    Commands for a terminal stay as they are.
-
-    >>> in_python_words("Give --voxel-um SIZE, or try --through y. For help: planish link --help.")
-    'Give voxel_um=SIZE, or try through="y". For help: planish link --help.'
-    """
-    return _CHOICE.sub(r'\1="\2" is not possible', _FLAG.sub(_keyword, text))
-
-
-def _keyword(match: re.Match[str]) -> str:
-    if match[1] is None:
-        return match[0]
-    name, value = match[1].replace("-", "_"), match[2]
-    if value is None:  # of a faulty value the name alone is said
-        return f"{name}:" if match[3] else f"{name}={'True' if match[1] in SWITCHES else ''}"
-    values = [value_text.strip() for value_text in value.split(",")]
-    literals = [
-        value_text if _BARE.fullmatch(value_text) else f'"{value_text}"' for value_text in values
-    ]
-    return (
-        f"{name}=({', '.join(literals)}){match[3]}"
-        if len(literals) > 1
-        else f"{name}={literals[0]}{match[3]}"
-    )
 
 
 class PlanishError(Exception):
@@ -78,7 +32,7 @@ class PlanishError(Exception):
 
     @property
     def text(self) -> str:
-        """The message with the options of the command line."""
+        """The message, with parameters by key in backticks."""
         return plain_numbers(super().__str__())
 
     def __str__(self) -> str:

@@ -237,5 +237,5 @@ def disk_full(path: Path, needed: int | None = None) -> DiskFull:
     needed_text = "" if needed is None else f"; it takes about {max(needed / 1e6, 1):.0f} MB"
     return DiskFull(
         f"The disk is full while writing {path}: {free_text}{needed_text}. Nothing was kept of it."
-        " Free some space, or give --out on another disk."
+        " Free some space, or give `out` on another disk."
     )

@@ -155,5 +155,5 @@ def other_axis(volume: xr.DataArray, through: str) -> str:
     return (
         ""
         if axis in (None, through)
-        else f"The grey changes most along {axis}: try --through {axis}."
+        else f"The grey changes most along {axis}: try `through={axis}`."
     )

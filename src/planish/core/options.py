@@ -22,6 +22,7 @@ from pydantic.fields import FieldInfo
 
 from planish.core.annotations import models_in
 from planish.core.errors import StudyError
+from planish.core.parameter_words import flag_of
 
 
 class Params(BaseModel):
@@ -55,7 +56,7 @@ def params_of(model: type[P], options: P | Mapping[str, Any] | None, call_name: 
     try:
         return model.model_validate(tables)
     except ValidationError as error:
-        faults_text = "; ".join(fault_texts(error, model, as_flags(paths_by_word)))
+        faults_text = "; ".join(fault_texts(error, model, as_words(paths_by_word)))
         prefix, suffix = (
             f"{call_name}: " if call_name else "",
             "" if faults_text.endswith("?") else ".",
@@ -125,25 +126,20 @@ def words_in(model: type[Params], *outer_names: str) -> dict[str, tuple[str, ...
     return paths_by_word
 
 
-def flag_of(word: str) -> str:
-    """Option of the command line for a word of a call."""
-    return f"--{word.replace('_', '-')}"
-
-
-def as_flags(
+def as_words(
     paths_by_word: Mapping[str, tuple[str, ...]],
 ) -> Callable[[tuple[str | int, ...]], tuple[Any, None]]:
-    """Name the places of mistakes by flags; as they are where the command line has none."""
-    flags = {path: flag_of(word) for word, path in paths_by_word.items()}
+    """Name the places of mistakes by the words of a call; as they are where none has them."""
+    words = {path: f"`{word}`" for word, path in paths_by_word.items()}
 
-    def flag_at(loc: tuple[str | int, ...]) -> tuple[Any, None]:
+    def word_at(loc: tuple[str | int, ...]) -> tuple[Any, None]:
         names = tuple(name for name in loc if isinstance(name, str) and name != "layers")
-        if names in flags:
-            return (flags[names],), None
+        if names in words:
+            return (words[names],), None
         # A message about a whole table is one of options that do not fit together, which it names.
-        return (() if any(path[: len(names)] == names for path in flags) else names), None
+        return (() if any(path[: len(names)] == names for path in words) else names), None
 
-    return flag_at
+    return word_at
 
 
 def put_options(
@@ -173,10 +169,10 @@ def put_options(
 def option_names(model: type[Params], *names: str) -> str:
     """Name fields for a message.
 
-    By their flag, or as keys of a study file where the command line has none.
+    By the word of a call, or as keys of a study file where a call has none.
     """
-    flags = {name: appearance.flags[0] for name, _, appearance in options_of(model)}
-    return " or ".join(flags.get(name, f"{name} in a study file") for name in names)
+    words = {path[0]: f"`{word}`" for word, path in words_in(model).items()}
+    return " or ".join(words.get(name, f"{name} in a study file") for name in names)
 
 
 _UNITS = {"_um": "um", "_deg": "deg", "_g_cm3": "g/cm3", "_g_m2": "g/m2", "_s": "s"}

@@ -97,7 +97,7 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
         image.save(path, format="PNG", optimize=True)
     except OSError as error:
         raise FileError(
-            f"{path} cannot be written: {error.strerror or error}. Give another place with --out."
+            f"{path} cannot be written: {error.strerror or error}. Give another place with `out`."
         ) from error
 
 

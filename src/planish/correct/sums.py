@@ -207,13 +207,13 @@ def make_turning(
         raise VolumeError(
             f"The volume has {shape[0]} voxel(s) along {axis}, the axis of rotation; at least"
             f" {_LEAST_LENGTH} are needed to separate a ring from the sheet. Give the whole stack,"
-            " or another axis with --rotation-axis."
+            " or another axis with `rotation_axis`."
         )
     if min(shape[1:]) < _LEAST_PLANE:
         raise VolumeError(
             f"The volume has {shape[1]} x {shape[2]} voxels along {a} and {b}, across the axis of"
             f" rotation; at least {_LEAST_PLANE} are needed. Give the whole stack, or another"
-            " --rotation-axis."
+            " `rotation_axis`."
         )
     extent_um = ((shape[1] - 1) * pitch[0], (shape[2] - 1) * pitch[1])
     centre = (0.5 * extent_um[0], 0.5 * extent_um[1]) if centre_um is None else centre_um
@@ -222,7 +222,7 @@ def make_turning(
         if not -0.5 * end_um <= position_um <= 1.5 * end_um:
             raise InputError(
                 f"The axis of rotation would stand at {name} = {position_um:g} um; the field runs"
-                f" from 0 to {end_um:g} um. Give --rotation-centre-um as {a},{b} in um from the"
+                f" from 0 to {end_um:g} um. Give `rotation_centre_um` as {a},{b} in um from the"
                 " first voxel."
             )
     return Turning(axis=axis, centre_um=centre, pitch_um=pitch, shape=shape)

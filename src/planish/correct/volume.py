@@ -155,13 +155,13 @@ def correct_volume(
     """
     if not params.asked:
         raise InputError(
-            "Neither rings nor cupping is asked for. Give --correct-rings, --correct-cupping or"
+            "Neither rings nor cupping is asked for. Give `correct_rings`, `correct_cupping` or"
             " both."
         )
     if volume.attrs.get("sections") is not None:
         raise InputError(
             "The volume was made from photographs of sections, which have neither rings nor"
-            " cupping. Leave out --correct-rings and --correct-cupping."
+            " cupping. Leave out `correct_rings` and `correct_cupping`."
         )
     turning = make_turning(volume, params.axis, params.centre_um)
     length, (rows, cols) = turning.shape[0], (np.arange(n) for n in turning.shape[1:])

@@ -244,7 +244,7 @@ def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design
     if not fewest_broken:
         return (
             f"rule 'spacing': {hole_count} holes do not fit with {blank.spacing_um:g} um between"
-            " any two: take fewer or smaller holes, a larger field, or a smaller --spacing-um."
+            " any two: take fewer or smaller holes, a larger field, or a smaller `spacing_um`."
         )
     return (
         f"With {hole_count} holes, "

@@ -12,7 +12,7 @@ from planish.analyze.compare import is_property
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.files import new_file
 from planish.core.grid import Grid
-from planish.core.options import flag_of, params_of
+from planish.core.options import params_of
 from planish.core.threads import limit_threads
 from planish.exports import run_contents
 from planish.exports.content import Maps
@@ -93,7 +93,7 @@ def _output_files(request: ExportRequest) -> list[OutputFile]:
     if "surface" in file_format.holds:
         if group not in (None, "surfaces"):
             raise InputError(
-                f"{file_format.title} holds surfaces, and --group says {group}. Leave --group out."
+                f"{file_format.title} holds surfaces, and `group` says {group}. Leave `group` out."
             )
         return _surfaces(request)
     if ("marks" in file_format.holds or "registration" in file_format.holds) and not (
@@ -114,7 +114,7 @@ def _check_size(request: ExportRequest, count: int, size_text: str, remedy_text:
     if count * file_format.byte_cost > allowed_bytes:
         raise ResourceError(
             f"{file_format.title} of {size_text} takes {count * file_format.byte_cost / 1e9:.1f} GB"
-            f" of memory, {allowed_bytes / 1e9:.1f} GB are allowed. Allow more with --memory."
+            f" of memory, {allowed_bytes / 1e9:.1f} GB are allowed. Allow more with `memory`."
         )
 
 
@@ -128,8 +128,8 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
         if image_bytes > memory_bytes:
             raise ResourceError(
                 f"The image on the flat sheet takes {image_bytes / 1e9:.1f} GB of memory,"
-                f" {memory_bytes / 1e9:.1f} GB are allowed. Allow more with --memory, or choose"
-                " other maps with --map."
+                f" {memory_bytes / 1e9:.1f} GB are allowed. Allow more with `memory`, or choose"
+                " other maps with `map`."
             )
     levels = (
         {}
@@ -151,7 +151,7 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
         ]
     if not file_format.stack and len(names) > 1:
         raise StudyError(
-            f"{out.name} holds one map, and {len(names)} are asked for. Choose one with --map, or"
+            f"{out.name} holds one map, and {len(names)} are asked for. Choose one with `map`, or"
             f" give a folder. The group {group} holds {', '.join(names)}."
         )
     maps_text = ", ".join(names) if len(names) < 5 else f"{len(names)} maps"
@@ -169,7 +169,7 @@ def _straightened(request: ExportRequest) -> list[OutputFile]:
         )
     if params.maps:
         raise StudyError(
-            "The straightened volume holds grey values, and --map chooses maps. Leave --map out."
+            "The straightened volume holds grey values, and `map` chooses maps. Leave `map` out."
         )
     volume = run_contents.straightened_volume(
         request.run, params.depth_um, request.compute, request.progress
@@ -214,7 +214,7 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
     if request.is_single_file and len(surface_names) > 1:
         raise StudyError(
             f"{request.out.name} holds one surface, and there are {len(surface_names)}. Choose one"
-            f" of {', '.join(surface_names)} with --map, or give a folder."
+            f" of {', '.join(surface_names)} with `map`, or give a folder."
         )
     columns = surfaces[[*surface_names, *maps]]
     (rows, cols), (row_step, col_step) = (
@@ -226,7 +226,7 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
         request,
         n_nodes,
         f"{n_nodes / 1e6:.1f} million",
-        "Give a larger --mesh-um, such as four columns.",
+        "Give a larger `mesh_um`, such as four columns.",
     )
     scales = {name: run_contents.scale_of(columns, name) for name in maps[:1]}
 
@@ -241,7 +241,7 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
 def _registrations(request: ExportRequest) -> list[OutputFile]:
     if request.params.maps:
         raise StudyError(
-            f"{request.file_format.title} holds a registration, and --map chooses maps. Leave --map"
+            f"{request.file_format.title} holds a registration, and `map` chooses maps. Leave `map`"
             " out."
         )
     layers = run_contents.registered_layers(request.run, request.params.group)
@@ -249,7 +249,7 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
         names = ", ".join(layer.name for layer in layers)
         raise StudyError(
             f"{request.out.name} holds one registration, and there are {len(layers)}. Choose one of"
-            f" {names} with --group, or give a folder."
+            f" {names} with `group`, or give a folder."
         )
     file_format, files = request.file_format, list[OutputFile]()
     for layer in layers:
@@ -324,11 +324,9 @@ def export(  # noqa: C901, PLR0912
         name for file_format in FORMATS.values() for name in file_format.options
     ):
         if name in params.model_fields_set and name not in FORMATS[params.to].options:
-            raise StudyError(
-                f"{flag_of(name)} is for {formats_with(name)}, and --to says {params.to}."
-            )
+            raise StudyError(f"`{name}` is for {formats_with(name)}, and `to` says {params.to}.")
     if params.depth_um is not None and params.group != STRAIGHTENED:
-        raise StudyError(f"--depth-um is for --group {STRAIGHTENED}.")
+        raise StudyError(f"`depth_um` is for `group={STRAIGHTENED}`.")
     file_format, compute, out = FORMATS[params.to], compute or Compute(), Path(out)
     is_single_file = is_file(params.to, out)
     refuse_existing(out)
@@ -343,7 +341,7 @@ def export(  # noqa: C901, PLR0912
         request = ExportRequest(run, store, params, compute, progress, out, is_single_file)
         if "run" in file_format.holds:
             if params.maps or params.group is not None:
-                raise StudyError("An RO-Crate holds the whole run. Leave --map and --group out.")
+                raise StudyError("An RO-Crate holds the whole run. Leave `map` and `group` out.")
             if run.folder is None:
                 raise FileError(
                     "The run stands in no folder. Save it first: give out to link or map_sheet."

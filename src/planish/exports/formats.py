@@ -348,12 +348,12 @@ def is_file(name: str, out: Path) -> bool:
         return False
     ends = f"a name that ends in {' or '.join(form.suffixes)}, or " if form.suffixes else ""
     whose = (
-        f"ends as {FORMATS[meant[0]].title} does (--to {meant[0]})"
+        f"ends as {FORMATS[meant[0]].title} does (`to={meant[0]}`)"
         if meant
         else f"has the ending {out.suffix}"
     )
     raise FileError(
-        f"{out.name} {whose}, and --to says {name}. Give {ends}a folder without an ending."
+        f"{out.name} {whose}, and `to` says {name}. Give {ends}a folder without an ending."
     )
 
 

@@ -88,7 +88,7 @@ def chosen_version(maps: Maps, params: ExportParams) -> str:
     if params.mat_version == "5" and maps_bytes > MOST_5:
         raise ResourceError(
             f"The maps take {maps_bytes / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB."
-            " Leave out --mat-version, choose fewer maps with --map, or give a folder for a file"
+            " Leave out `mat_version`, choose fewer maps with `map`, or give a folder for a file"
             " each."
         )
     return params.mat_version or ("5" if maps_bytes <= WHOLE_BYTES else "7.3")

@@ -198,7 +198,7 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     if not is_cell.any():
         raise StudyError(
             f"The surface {surface.name} has no cell at these nodes: {int(is_node.sum())} nodes are"
-            " known. Give a smaller --mesh-um, or another surface."
+            " known. Give a smaller `mesh_um`, or another surface."
         )
     quads = np.stack([node_index[corner][is_cell] for corner in corners], axis=1).astype(np.int32)
     coords_um = {
@@ -259,7 +259,7 @@ def steps_of(columns: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:
     pitches = pitch(columns)
     if mesh_um < 0.999 * max(pitches):
         raise StudyError(
-            f"--mesh-um {mesh_um:g} is less than a column of {max(pitches):g} um. Give a multiple"
+            f"`mesh_um={mesh_um:g}` is less than a column of {max(pitches):g} um. Give a multiple"
             " of it."
         )
     return max(1, round(mesh_um / pitches[0])), max(1, round(mesh_um / pitches[1]))

@@ -68,7 +68,7 @@ def map_group(run: Run, name: str | None) -> str:
     group = name or next((group for group in ("linked", "maps") if group in map_groups), None)
     if group is None:
         raise InputError(
-            "The run holds the maps of several layers. Choose one with --group:"
+            "The run holds the maps of several layers. Choose one with `group`:"
             f" {', '.join(map_groups)}."
         )
     if group not in map_groups:

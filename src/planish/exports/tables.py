@@ -54,7 +54,7 @@ def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportP
     if point_um and point_um < max(maps.pixel_um) * (1 - 1e-9):
         raise StudyError(
             f"A point of {point_um:g} um is smaller than a pixel of {max(maps.pixel_um):g} um. Give"
-            " a larger --point-um, or 0 for every pixel."
+            " a larger `point_um`, or 0 for every pixel."
         )
     y, x = maps.dims
     names = [name for name in maps.names if name != "valid" or not point_um]

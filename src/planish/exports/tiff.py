@@ -41,10 +41,10 @@ def write_imagej(
     stack = _Stack.of(content)
     stack_bytes = 4 * math.prod(stack.shape)
     if stack_bytes > MOST:
-        remedy_text = "or a folder for a file each" if len(stack.labels) > 1 else "or --to ome-zarr"
+        remedy_text = "or a folder for a file each" if len(stack.labels) > 1 else "or `to=ome-zarr`"
         raise ResourceError(
             f"These values take {stack_bytes / 1e9:.1f} GB, and a TIFF for ImageJ holds 4 GB. Give "
-            f"--to ome-tiff, {remedy_text}."
+            f"`to=ome-tiff`, {remedy_text}."
         )
     metadata: dict[str, Any] = {
         "axes": stack.axes,

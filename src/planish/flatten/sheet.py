@@ -111,8 +111,8 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     has_base = "base_middle" in surfaces
     if params.neutral == "base" and not has_base:
         raise CannotFlatten(
-            "The middle of the base is asked for (--neutral base), and its interfaces with the"
-            " coatings were not found on both sides. Leave --neutral out."
+            "The middle of the base is asked for (`neutral=base`), and its interfaces with the"
+            " coatings were not found on both sides. Leave `neutral` out."
         )
     neutral = params.neutral or ("base" if has_base and "method" not in surfaces.attrs else "faces")
     mesh = sheet_mesh(surfaces, params.mesh_um)

@@ -247,7 +247,7 @@ def check_channel(channel: str | None) -> str | None:
     if word not in (None, *CHANNELS):
         raise InputError(
             f"{channel!r} is no channel of a volume. Choose {', '.join(CHANNELS)} with"
-            " --volume-channel."
+            " `volume_channel`."
         )
     return word
 
@@ -273,7 +273,7 @@ def colour_attrs(channel: str | None, path: Path, *, in_colour: bool) -> dict[st
     if not in_colour:
         if channel not in (None, "luminance"):
             raise InputError(
-                f"{path.name} is grey, so it has no {channel}. Leave --volume-channel out."
+                f"{path.name} is grey, so it has no {channel}. Leave `volume_channel` out."
             )
         return {}
     choice_text = (

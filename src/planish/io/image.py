@@ -143,13 +143,13 @@ def channel_of(
             )
             raise InputError(
                 f"{file_name} has {count_text}, number {channel_name} is not among them. Choose"
-                f" {range_text} with --channel."
+                f" {range_text} with `channel`."
             )
         return _as_float32(samples[..., int(channel_name)]), f"{GREY}, channel {int(channel_name)}"
     if channel_name != "luminance" and channel_name not in COLOURS:
         raise InputError(
             f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with"
-            " --channel."
+            " `channel`."
         )
     if colour == "rgb" and channel_name in COLOURS:
         return _as_float32(samples[..., COLOURS[channel_name]]), f"{GREY}, {channel_name}"
@@ -166,7 +166,7 @@ def channel_of(
         choice_text = f"a number from 0 to {n_channels - 1}"
     raise InputError(
         f"{file_name} {content_text}, so it has no {channel_name}. Choose {choice_text} with"
-        " --channel."
+        " `channel`."
     )
 
 

@@ -122,7 +122,7 @@ class ImageParams(Params):
         cli="--image-md-deg",
         metavar="ANGLE",
         help=(
-            "Machine direction in the image, likewise; compared with --md-deg, which the"
+            "Machine direction in the image, likewise; compared with `md_deg`, which the"
             " registration carries over."
         ),
     )
@@ -130,7 +130,7 @@ class ImageParams(Params):
         None,
         metavar="GREY",
         help=(
-            "Grey of the image without light, in its own values; with --white-grey the image"
+            "Grey of the image without light, in its own values; with `white_grey` the image"
             " becomes reflectance. Without both it is relative grey."
         ),
     )

@@ -28,7 +28,7 @@ _WORK_TEXT = (
 )
 _IN_THE_WAY = (
     "planish needs that name for a folder of its own while it writes {}. Nothing was changed. Move"
-    " it away, or give another name with --out."
+    " it away, or give another name with `out`."
 )
 
 
@@ -205,7 +205,7 @@ def refuse_inside(path: Path, inputs: Iterable[str | Path]) -> None:
         if source.is_dir() and source.resolve() in (place, *place.parents):
             raise FileError(
                 f"{path} lies in {source}, which is read; nothing is written there. Give another"
-                " name with --out."
+                " name with `out`."
             )
 
 
@@ -216,7 +216,7 @@ def refuse_existing(*paths: Path) -> None:
         if path.exists() or path.is_symlink():
             raise FileError(
                 f"{path} exists already. Results are never written over: give another name with"
-                " --out, or remove it first."
+                " `out`, or remove it first."
             )
 
 

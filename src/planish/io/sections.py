@@ -65,7 +65,7 @@ class SectionStack(NamedTuple):
             is_single = isinstance(voxel_um, (int, float)) or len(voxel_um) == 1
             if not is_single and not agree(axis_sizes[0], pitch_um):
                 raise SizeError(
-                    f"{name}: {VOXEL.option} gives z {axis_sizes[0]:g} um, but the median step of"
+                    f"{name}: `{VOXEL.word}` gives z {axis_sizes[0]:g} um, but the median step of"
                     f" {COUNTER} is {pitch_um:g} um. Correct the counter, or give the pixel size"
                     " alone."
                 )

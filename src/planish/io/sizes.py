@@ -53,7 +53,7 @@ UNITS_UM = {
     )
 }
 
-OVERRIDE = "--override-size"
+OVERRIDE = "`override_size=True`"
 POSSIBLE_UM = (1e-4, 1000.0)  # of any pixel; outside of it there is no instrument
 
 
@@ -67,14 +67,14 @@ class Stated(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """Kind of size that is needed: names, option, and the usual range.
+    """Kind of size that is needed: names, word of a call, and the usual range.
 
     Outside of it the unit is probably wrong.
     """
 
     name: str
     axes: tuple[str, ...]
-    option: str
+    word: str
     usual_um: Pair
 
     def in_words(self, size: Sequence[float | None]) -> str:
@@ -89,9 +89,9 @@ class Asked(NamedTuple):
         return and_join(f"{s.source} states {self.in_words(s.um)}" for s in stated)
 
 
-VOXEL = Asked("voxel", ("z", "y", "x"), "--voxel-um", (0.01, 100.0))
-PIXEL = Asked("pixel", ("y", "x"), "--pixel-um", (0.01, 500.0))
-"""What is asked of the size of a pixel: axes, option, and what is usual."""
+VOXEL = Asked("voxel", ("z", "y", "x"), "voxel_um", (0.01, 100.0))
+PIXEL = Asked("pixel", ("y", "x"), "pixel_um", (0.01, 500.0))
+"""What is asked of the size of a pixel: axes, word of a call, and what is usual."""
 
 
 def unit_um(unit: str) -> float | None:
@@ -179,7 +179,7 @@ def agreed_size(
             raise SizeError(
                 f"{file_name} states no {asked.name}"
                 f" size{only_text}{f' ({notes_text})' if notes_text else ''}. Give it with"
-                f" {asked.option} SIZE (or {','.join(asked.axes).upper()}), in um."
+                f" `{asked.word}=SIZE` (or {','.join(asked.axes).upper()}), in um."
             )
         _check_range(
             size,
@@ -197,7 +197,7 @@ def agreed_size(
     ]
     if contradictions and not override:
         raise SizeError(
-            f"{file_name}: {asked.option} gives {asked.in_words(size)}, but"
+            f"{file_name}: `{asked.word}` gives {asked.in_words(size)}, but"
             f" {asked.statements(contradictions)}. Correct one of them, or add {OVERRIDE} to take"
             " the given size."
         )
@@ -219,10 +219,10 @@ def size_per_axis(size_um: float | Sequence[float], asked: Asked) -> tuple[float
         tuple(axis_sizes) if isinstance(axis_sizes, (list, tuple)) else (axis_sizes,)
     )
     if not all(not isinstance(v, bool) and isinstance(v, Real) and _number(v) for v in sizes):
-        raise SizeError(f"{asked.option}: {size_um!r} is not a size. Give numbers above 0, in um.")
+        raise SizeError(f"`{asked.word}`: {size_um!r} is not a size. Give numbers above 0, in um.")
     if len(sizes) not in (1, len(asked.axes)):
         raise SizeError(
-            f"{asked.option} has {len(sizes)} values, it needs 1 or {len(asked.axes)}"
+            f"`{asked.word}` has {len(sizes)} values, it needs 1 or {len(asked.axes)}"
             f" ({','.join(asked.axes)}), in um."
         )
     return tuple(float(v) for v in (sizes if len(sizes) > 1 else sizes * len(asked.axes)))
@@ -241,7 +241,7 @@ def _merge_stated(
             elif stated_um is not None and not agree(size, stated_um):
                 raise SizeError(
                     f"{file_name} contradicts itself: {asked.statements(statements)}. Give the"
-                    f" right {asked.name} size with {asked.option} and add {OVERRIDE}."
+                    f" right {asked.name} size with `{asked.word}` and add {OVERRIDE}."
                 )
     return tuple(sizes)
 
@@ -265,11 +265,11 @@ def _check_range(
         if is_possible:
             limits_text, meant_text = (
                 f"usual are {low:g} to {high:g} um",
-                " If it is meant, add --unusual-size.",
+                " If it is meant, add `unusual_size=True`.",
             )
         raise SizeError(
             f"{file_name}: the {asked.name} size along {axis} is {um:g} um, {limits_text}."
-            f" {guess_text}. Give the right one with {asked.option}, in um{more_text}.{meant_text}"
+            f" {guess_text}. Give the right one with `{asked.word}`, in um{more_text}.{meant_text}"
         )
 
 

@@ -37,7 +37,7 @@ from planish.io.tiff import open_series, size_words
 # Files with other extensions (logs, licences, thumbnails of the system) are no slices.
 EXTENSIONS = frozenset({".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg"})
 MOST_NAMES = 8  # names or numbers written out in a message
-ELSEWHERE = "or move the log elsewhere and give --voxel-um."
+ELSEWHERE = "or move the log elsewhere and give `voxel_um`."
 DETAIL_KEYS = {  # Keys of a log that describe how the volume was made.
     "system": ("Scanner", "Software version", "Software", "Source Type", "Camera"),
     "acquisition": (
@@ -187,7 +187,7 @@ def read_scan(folder: Path) -> Scan | None:
         raise SizeError(
             f"{log.name} has no number for"
             f" '{'Section to Section Step' if size else 'Pixel Size (um)'}' under [Reconstruction]."
-            " Give the size with --voxel-um SIZE, in um, and move the log elsewhere."
+            " Give the size with `voxel_um=SIZE`, in um, and move the log elsewhere."
         )
     count, first, last = (
         _count(keys.get(k)) for k in ("sections count", "first section", "last section")
@@ -200,7 +200,7 @@ def read_scan(folder: Path) -> Scan | None:
     ):
         raise VolumeError(
             f"{log.name} contradicts itself: {count} sections, but from {first} to {last} in steps"
-            f" of {step}. Correct the log, or move it elsewhere and give --voxel-um."
+            f" of {step}. Correct the log, or move it elsewhere and give `voxel_um`."
         )
     rows, columns = (
         _count(keys.get(f"result image {side} (pixels)")) for side in ("height", "width")
@@ -315,7 +315,7 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
             raise VolumeError(
                 f"{files[0].name} is {size_words(values.shape[1:])} pixels, {scan.log.name} states"
                 f" {scan.extent[0]} x {scan.extent[1]}. If the slices were cropped, move the log"
-                " elsewhere and give --voxel-um."
+                " elsewhere and give `voxel_um`."
             )
         attrs |= {"nrecon": scan.details} | (
             {} if scan.window is None else {"attenuation_window": list(scan.window)}

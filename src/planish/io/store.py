@@ -102,12 +102,12 @@ def write_store(
         ):
             raise InputError(
                 f"{partial} is in the way and no import that stopped. Move that folder away, or"
-                " give another name with --out."
+                " give another name with `out`."
             )
         if noted_source != json.loads(json.dumps(source)):
             raise InputError(
                 f"An import of another volume stopped half-way at {partial}. Remove that folder, or"
-                " give another name with --out."
+                " give another name with `out`."
             )
         lock = acquire_lock(partial / _LOCK, path)
         try:
@@ -200,7 +200,7 @@ def _plan_blocks(
         needed_gb = enough_gb(bytes_to_hold(block_bytes) + PROGRAM_BYTES)
         raise ResourceError(
             f"The import needs {block_bytes / 1e6:.0f} MB for a block of shards,"
-            f" {memory_bytes / 1e6:.0f} MB are allowed for it. Allow more: --memory {needed_gb}GB"
+            f" {memory_bytes / 1e6:.0f} MB are allowed for it. Allow more: `memory={needed_gb}GB`"
             " will do."
         )
     n_across = min(int(block_ratio), -(-shape[2] // unit_shape[2]))

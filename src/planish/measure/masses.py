@@ -342,7 +342,7 @@ def grammage(sheet: Sheet) -> Measured:
         if not base_g_m2 > coats_g_m2:
             raise CannotMeasure(
                 f"The coatings weigh {coats_g_m2:.4g} g/m2 and the whole sheet {base_g_m2:g} g/m2:"
-                " nothing is left for the base. Check --grammage and the coat weights."
+                " nothing is left for the base. Check `grammage` and the coat weights."
             )
         base_g_m2 -= coats_g_m2
     layers.append(_in_grams(maps["absorption_base"], sheet, "Grammage", base_g_m2, "base_g_cm3"))

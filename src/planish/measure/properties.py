@@ -98,14 +98,14 @@ def measure_properties(
         check_volume(volume, "pl.measure_properties(surfaces, volume={})")
     elif params.maps:
         raise InputError(
-            f"--property {', '.join(params.maps)}: measured in the volume, which is not given. Give"
-            " it with --volume, or leave them out."
+            f"`property={', '.join(params.maps)}`: measured in the volume, which is not given. Give"
+            " it with `volume`, or leave them out."
         )
     is_labels = "from_labels" in surfaces.attrs
     if is_labels and params.maps:
         raise InputError(
             "Further maps are measured in grey values; a volume of labels has none. Leave"
-            " --property out."
+            " `property` out."
         )
     faces = _measure_faces(surfaces)
     measured = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")

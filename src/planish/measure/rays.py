@@ -184,7 +184,7 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict
     }
     if inverted_count := int(np.count_nonzero(heights["top"] < heights["bottom"])):
         raise SurfaceError(
-            f"The top lies below the bottom at {inverted_count} points. Check --top."
+            f"The top lies below the bottom at {inverted_count} points. Check `top`."
         )
     pitch_um = pitch(surfaces)
     normals = directions(slopes_of(heights["centre"], pitch_um), rays)

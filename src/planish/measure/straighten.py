@@ -74,7 +74,7 @@ def straightened(
     max_depth_um = 20.0 * float(surfaces.attrs["thickness_um"])
     if not low < high or max(abs(low), abs(high)) > max_depth_um:
         raise StudyError(
-            f"--depth-um {low:g},{high:g}: give two heights in um from the centre surface, the"
+            f"`depth_um={low:g},{high:g}`: give two heights in um from the centre surface, the"
             f" lower one first, within {max_depth_um:.0f} um."
         )
     voxel_um = frame.voxel_um

@@ -240,7 +240,7 @@ def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
         yield (
             f"The {fit.model} model leaves structure: the marks show a map that differs from it by"
             f" {difference_um:.3g} um rms between them, up to {distances.max():.3g} um, and is"
-            f" itself known to {error_um:.2g} um. Use --model auto."
+            f" itself known to {error_um:.2g} um. Have the model chosen by itself."
         )
 
 

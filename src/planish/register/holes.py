@@ -145,9 +145,9 @@ def fit_pairs(
     if abs(scale - 1) > tolerance:
         raise CannotRegister(
             f"The marks fit at a scale of {scale:.4f}, which is {100 * abs(scale - 1):.1f} % off"
-            f" the calibration; {100 * tolerance:.2g} % are allowed. Check --voxel-um, --pixel-um"
+            f" the calibration; {100 * tolerance:.2g} % are allowed. Check `voxel_um`, `pixel_um`"
             " and the marks; if a calibration is that uncertain, allow more with"
-            " --scale-tolerance."
+            " `scale_tolerance`."
         )
     return fit
 
@@ -174,6 +174,6 @@ def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> 
             f"{count_text} found in the"
             f" {name or holes.attrs['layer']}{' at' * bool(count)}{places_text}; at least 3 are"
             f" needed, and 4 to notice a wrong match. Searched for round holes of {hole_um[0]:g} to"
-            f" {hole_um[1]:g} um (--hole-um). Check the voxel and pixel sizes; if the image is a"
-            " print, give --printed; or give pairs of points with --marks."
+            f" {hole_um[1]:g} um (`hole_um`). Check the voxel and pixel sizes; if the image is a"
+            " print, give `printed=True`; or give pairs of points with `marks`."
         )

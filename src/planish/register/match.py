@@ -26,12 +26,12 @@ from planish.register.similarity import SimilarityModel
 
 # A different arrangement has to be this much likelier to be chance, as log10.
 _MARGIN = 3.0
-_HINT = "give the pattern that was burnt (--design) or pairs (--marks)"
-_PAIRS_HINT = "give the pairs with --marks"
+_HINT = "give the pattern that was burnt (`design`) or pairs (`marks`)"
+_PAIRS_HINT = "give the pairs with `marks`"
 _FROM_BEHIND = ", viewed from behind or drawn with its y axis upwards"
 _WRONG_SIDE = (
-    "one is probably viewed from the wrong side. Check --image-side, --top and --through; if the"
-    " slices are numbered against the usual sense, pass --mirror."
+    "one is probably viewed from the wrong side. Check `image_side`, `top` and `through`; if the"
+    " slices are numbered against the usual sense, pass `mirror=True`."
 )
 
 
@@ -137,7 +137,7 @@ def match_marks(
                     f" Add a fourth mark, or {_HINT}."
                 )
     rival_chance = min(choice.second_log_chance, mirror_choice.log_chance)
-    hint_text = _HINT + ". Without --mirror, only one handedness competes" * mirror
+    hint_text = _HINT + ". Without `mirror=True`, only one handedness competes" * mirror
     transform, rms = _fit_choice(
         choice, source, target, sides_text, scale_tolerance, rival_chance, hint_text=hint_text
     )
@@ -182,14 +182,14 @@ def _no_match(choice: BestMatch, smaller_count: int, mirror: bool) -> str:
         else f"more than the {smaller_count} of the smaller side"
     )
     mirror_text = (
-        "" if mirror else "; if the slices are numbered against the usual sense, pass --mirror"
+        "" if mirror else "; if the slices are numbered against the usual sense, pass `mirror=True`"
     )
     return (
         f"no match found: {max(2, len(choice.pairs))} agree at best, and {needed_text} have to,"
         " closer than chance brings them. Printed dots as large as holes count as marks: give"
-        " --printed, and raise the lower end of --hole-um above them. Check the pixel and voxel"
-        " sizes (if uncertain, allow more with --scale-tolerance), --top and"
-        f" --image-side{mirror_text}; find more of the marks, or {_HINT}."
+        " `printed=True`, and raise the lower end of `hole_um` above them. Check the pixel and"
+        " voxel sizes (if uncertain, allow more with `scale_tolerance`), `top` and"
+        f" `image_side`{mirror_text}; find more of the marks, or {_HINT}."
     )
 
 
@@ -402,7 +402,7 @@ def _fit_choice(
             f"{sides_text}: {count} match, but at a scale of {transform.scale:.4f}, which is"
             f" {100 * deviation:.1f} % off the calibration; {100 * scale_tolerance:.3g} % are"
             " allowed. Check the pixel and voxel sizes; if they are that uncertain, allow more"
-            " with --scale-tolerance."
+            " with `scale_tolerance`."
         )
     return transform, rms
 

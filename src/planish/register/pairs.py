@@ -244,9 +244,10 @@ def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
     is_exchanged = not mirrored and max(abs(rotation.real), abs(rotation.imag + 1.0)) < 0.2
     exchange_text = "x and y are exchanged on one side: exchange the two columns of that table"
     declare_text = (
-        "the maps are not mirrored after all: leave out mirrored=True, or --mirror"
+        "the maps are not mirrored after all: leave out mirrored=True, or `mirror=True`"
         if mirrored
-        else "one map shows the other side: declare it as mirrored (mirrored=True, or --mirror)"
+        else "one map shows the other side: declare it as mirrored (mirrored=True, or"
+        " `mirror=True`)"
     )
     first_text, second_text = (
         (exchange_text, declare_text) if is_exchanged else (declare_text, exchange_text)

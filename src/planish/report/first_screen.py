@@ -13,6 +13,7 @@ import xarray as xr
 
 from planish.core.facts import is_known
 from planish.core.numbers import capital, fixed, interval_text, typeset, with_article
+from planish.core.parameter_words import in_terminal_words
 from planish.report.colours import Array, colours_of
 from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pixel_of, reduced
 from planish.report.maps import RunMaps
@@ -20,9 +21,7 @@ from planish.report.relation import MapPair, draw_points, largest
 from planish.report.summary import PairKey, key_of, lead_pair, titles_of
 from planish.report.text import (
     BY_TEXTURE,
-    for_readers,
     label_of,
-    names_option,
     registered_by,
     title_of,
 )
@@ -102,9 +101,9 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
     Each comes with the check whose advice it is.
     """
     advice: list[tuple[str, Check | None]] = [
-        (f"{capital(check.name)}: {capital(advice_text)}", check)
+        (f"{capital(check.name)}: {capital(typeset(check.advice))}", check)
         for check in (*results.checks_in("fail"), *results.checks_in("look"))
-        if (advice_text := for_readers(check.advice))
+        if check.advice
     ]
     study_text = ""
     if (
@@ -131,20 +130,16 @@ def operator_notes(results: Results) -> list[str]:
 
     These stand nowhere else on the page.
     """
-    notes = [
-        f"{capital(check.name)}:"
-        f" {typeset(check.advice if names_option(check.advice) else check.sentence)}"
-        for state in ("fail", "look", "unknown", "pass")
-        for check in results.checks_in(state)
-        if names_option(check.advice) or names_option(check.sentence)
+    texts = [
+        f"{capital(check.name)}: {check.advice} {check.remedy}"
+        for check in results.checks_in("fail", "look", "unknown")
+        if check.remedy
     ]
     for layer in results.moving:
-        if (r := layer.registration) is not None:
-            notes += [
-                typeset(text)
-                for text in (r.orientation.sentence, *r.warnings)
-                if names_option(text)
-            ]
+        r = layer.registration
+        if r is not None and r.orientation.remedy:
+            texts.append(f"{r.orientation.sentence} {r.orientation.remedy}")
+    notes = [typeset(in_terminal_words(text)) for text in texts]
     if results.evidence and not results.evidence[0].declared:
         notes.append("The map that leads is declared with --headline.")
     images = [layer.image for layer in results.layers if layer.image is not None]

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from planish.core.numbers import number, typeset
+from planish.core.parameter_words import in_python_words
 from planish.report.colours import colours_of, image_uri
 from planish.report.draw import pitch
 from planish.report.maps import RunMaps
@@ -36,7 +37,7 @@ def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None 
     )
     check_items = "".join(
         f"<li><b>{check.state}</b> {escape(check.name)}:"
-        f" {escape(typeset(f'{check.sentence} {check.advice}'))}</li>"
+        f" {escape(typeset(in_python_words(check.text)))}</li>"
         for check in results.checks_in("fail", "look", "unknown")
     )
     list_of_checks = f"<ul>{check_items}</ul>" if check_items else ""

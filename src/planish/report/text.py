@@ -5,7 +5,6 @@ That is templates with their filters, titles and units of maps.
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Any
 
 from planish.core import numbers
@@ -32,28 +31,6 @@ def registered_by(results: Results) -> str:
     return BY_BOTH if "both" in sources else REGISTERED
 
 
-_OPTION = re.compile(r"(?<![\w-])--[a-z]")
-_IN_BRACKETS = re.compile(r" \([^()]*(?<![\w-])--[a-z][^()]*\)")
-_SENTENCE_END = re.compile(r"(?<=[.?!]) (?=[A-Z])")
-
-
-def names_option(text: str) -> bool:
-    """Whether a sentence names an option of the command line."""
-    return _OPTION.search(text) is not None
-
-
-def for_readers(text: str) -> str:
-    """Typeset sentences for those that a page is handed on to.
-
-    Brackets and sentences that name an option are left out.
-
-    >>> for_readers("Top side assumed (--image-side). Crop it. Give a closer --hole-um.")
-    'Top side assumed. Crop it.'
-    """
-    sentences = _SENTENCE_END.split(_IN_BRACKETS.sub("", numbers.typeset(text)))
-    return " ".join(sentence for sentence in sentences if not names_option(sentence))
-
-
 def template(package: str, name: str) -> Template:
     """Return a template of a package, which may use those of the report and its filters."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
@@ -66,10 +43,9 @@ def template(package: str, name: str) -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filter_names = ("capital", "count", "fixed", "in_words", "number", "percent", "unit")
+    filter_names = ("capital", "count", "fixed", "in_words", "number", "percent", "typeset", "unit")
     filters: dict[str, Any] = {name: getattr(numbers, name) for name in filter_names}
     filters |= {"length_um": numbers.length, "limit": numbers.with_unit}
-    filters |= {"typeset": for_readers, "names_option": names_option}
     filters |= {"is_known": is_known, "with_article": numbers.with_article}
     environment.filters.update(filters)
     return environment.get_template(name)

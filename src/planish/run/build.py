@@ -11,7 +11,7 @@ import xarray as xr
 from pydantic import ValidationError
 
 from planish.core.errors import StudyError
-from planish.core.options import Params, as_flags, flag_of, params_of, put_options, words_in
+from planish.core.options import Params, as_words, params_of, put_options, words_in
 from planish.core.parameter_faults import fault_texts
 from planish.io import find_place
 from planish.io.info import is_image
@@ -168,15 +168,15 @@ def study_of(
     unused = [name for group in MAP_SECTIONS for name in options.get(group, {})]
     unused += [name for name in options.get("volume", {}) if name not in (*_OF_BOTH, "md_deg")]
     if unused and all(source.kind != "volume" for source in sources):
-        flags = ", ".join(map(flag_of, unused))
+        names_text = ", ".join(f"`{word}`" for word in unused)
+        files_text = ", ".join(source.path.name for source in sources)
         raise StudyError(
-            f"{flags}: for volumes only, and {', '.join(source.path.name for source in sources)} is"
-            " none. A run keeps the options that it was made with; map the volume again to change"
-            " them."
+            f"{names_text}: for volumes only, and {files_text} is none. A run keeps the options"
+            " that it was made with; map the volume again to change them."
         )
     if len(sources) > 2 and options.get("registration", {}).get("marks"):
         raise StudyError(
-            "--marks holds pairs of two layers, but more are given. Write them into a study file"
+            "`marks` holds pairs of two layers, but more are given. Write them into a study file"
             " (docs/linking.md)."
         )
     tables = [
@@ -188,7 +188,7 @@ def study_of(
         return Study.model_validate({"layers": tables, "chain": chain, **link_options})
     except ValidationError as error:
         raise StudyError(
-            "; ".join(dict.fromkeys(fault_texts(error, Study, as_flags(words_of()))))
+            "; ".join(dict.fromkeys(fault_texts(error, Study, as_words(words_of()))))
         ) from error
 
 

@@ -312,7 +312,7 @@ def correlate_maps(
         if "reach_um" in linked["image"].attrs:
             raise InputError(
                 "A screen was taken off the image before the regions were known, and what they hold"
-                " has reached their neighbours. Give --regions to 'planish link' instead."
+                " has reached their neighbours. Give `regions` to 'planish link' instead."
             )
         valid_bands = [
             valid & ~regions.inside(grid.part(rows))

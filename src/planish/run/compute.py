@@ -128,7 +128,7 @@ def column_step(
     if column_um is not None:
         if column_um < 0.999 * pitch:
             raise InputError(
-                f"--column-um {column_um:g} is less than a voxel of {pitch:g} um. Give a multiple"
+                f"`column_um={column_um:g}` is less than a voxel of {pitch:g} um. Give a multiple"
                 " of it."
             )
         return max(1, round(column_um / pitch))
@@ -139,7 +139,7 @@ def column_step(
         raise ResourceError(
             f"The maps of {columns / 1e6:.0f} million columns need {enough_gb(needed)} GB of memory"
             f" even with columns of {_WIDEST_UM:g} um; {compute.memory / 1e9:.1f} GB are allowed."
-            " Give more with --memory, or crop the volume."
+            " Give more with `memory`, or crop the volume."
         )
     return step
 
@@ -170,7 +170,7 @@ def engine(compute: Compute, *, tiles: Path | None = None) -> Generator[Engine]:
         from distributed.comm.core import CommClosedError
     except ImportError as error:
         raise InputError(
-            "--scheduler needs the library distributed, which is not installed. Run: pip install"
+            "`scheduler` needs the library distributed, which is not installed. Run: pip install"
             ' "planish[cluster]"'
         ) from error
     try:

@@ -195,7 +195,7 @@ def _side_sentence(layer: MappedLayer) -> str:
         return f"{capital(name)} shows the {layer.side} side of the sheet, as given."
     if layer.side_found is not None:
         return f"Side of {name} not given; its texture is mirrored, so it shows the bottom side."
-    return f"Side of {name} not given; top side assumed (--image-side)."
+    return f"Side of {name} not given; top side assumed."
 
 
 def _orientation_facts(
@@ -227,7 +227,7 @@ def _orientation_facts(
             f"{md_text} {_angle(fixed.md_deg)} in the {fixed.name}, as given; {missing_text}"
         )
     else:
-        sentences.append("Machine direction not given (--md-deg, --image-md-deg).")
+        sentences.append("Machine direction not given.")
     return OrientationFacts(
         image_side=fixed.side,
         side_given=fixed.side_given is not None or fixed.kind == "sheet",

@@ -41,11 +41,11 @@ _SHARES = {  # their words, and what would lower them
     "marks": ("marks and model", "more marks, spread over the field"),
     "neutral": (
         "the surface that is taken to stay unstrained",
-        "a flatter specimen, or the surface that stays unstrained known from elsewhere (--neutral)",
+        "a flatter specimen, or the surface that stays unstrained known from elsewhere",
     ),
     "smoothing": (
         "smoothing of the centre surface",
-        "a shorter --cutoff-um, or fewer holes with narrower rims",
+        "a shorter cut-off of that surface, or fewer holes with narrower rims",
     ),
     "sections": (
         "poses of the sections",

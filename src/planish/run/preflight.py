@@ -49,7 +49,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
         if layer.surface.labels is not None and layer.properties.maps:
             raise InputError(
                 "Further maps are measured in grey values; a volume of labels has none. Leave"
-                " --property out."
+                " `property` out."
             )
         check_maps(layer.properties)
         asked_corrections(layer)
@@ -57,16 +57,16 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
             PROPERTIES if layer.surface.labels is not None else possible_maps(layer.properties)
         )
         correlate = study.correlate
-        for flag, requested in (
-            ("--headline", (correlate.headline,)),
-            ("--beside", correlate.beside),
+        for word, requested in (
+            ("headline", (correlate.headline,)),
+            ("beside", correlate.beside),
         ):
             if absent_names := sorted(
                 {name for name in requested if name is not None} - {*map_names}
             ):
                 raise InputError(
-                    f"{flag} {', '.join(absent_names)}: there will be no such map. Give some of "
-                    f"{', '.join(map_names)}, or ask for it with --property as well."
+                    f"`{word}={', '.join(absent_names)}`: there will be no such map. Give some of "
+                    f"{', '.join(map_names)}, or ask for it with `property` as well."
                 )
     _check_beside(study)
     _check_light(study)
@@ -83,7 +83,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
                 raise ResourceError(
                     f"The {layer.name} of {rows * cols / 1e6:.0f} million pixels takes"
                     f" {needed_bytes / 1e9:.1f} GB of memory, {compute.memory / 1e9:.1f} GB are"
-                    f" allowed. Give more with --memory {enough_gb(needed_bytes)}GB, or crop or"
+                    f" allowed. Give more with `memory={enough_gb(needed_bytes)}GB`, or crop or"
                     " bin it."
                 )
     return regions
@@ -104,13 +104,13 @@ def _check_beside(study: Study) -> None:
     headline = leading_map(xr.Dataset(dict.fromkeys(expected_names, measured)), side, declared)
     if repeated := sorted({name for name in names if (headline, *names).count(name) > 1}):
         raise InputError(
-            f"--beside {', '.join(repeated)}: the map leads already, or stands there twice. Leave"
-            " it out of --beside."
+            f"`beside={', '.join(repeated)}`: the map leads already, or stands there twice. Leave"
+            " it out of `beside`."
         )
     for total, *summands in _SUMS:
         if {total, *summands} <= {headline, *names}:
             raise InputError(
-                f"--beside {', '.join(names)}: {total} follows from {', '.join(summands)}. With"
+                f"`beside={', '.join(names)}`: {total} follows from {', '.join(summands)}. With"
                 f" {headline}, which leads, all of them are given, and nothing is left to"
                 " correlate. Leave one of them out."
             )
@@ -121,37 +121,37 @@ def _check_light(study: Study) -> None:
     correlate, reference = study.correlate, study.layers[-1].image
     sheets = [layer for layer in study.layers if layer.kind != "image"]
     options = {
-        "--kubelka-munk": correlate.kubelka_munk,
-        "--light-spread-um": correlate.light_spread_um,
+        "`kubelka_munk`": correlate.kubelka_munk,
+        "`light_spread_um`": correlate.light_spread_um,
     }
-    flags_text = " and ".join(flag for flag, option in options.items() if option is not None)
-    if flags_text and (reference is None or not sheets):
+    names_text = " and ".join(name for name, option in options.items() if option is not None)
+    if names_text and (reference is None or not sheets):
         raise InputError(
-            f"{flags_text}: no image stands last, to which the coating of a sheet is compared. Link"
+            f"{names_text}: no image stands last, to which the coating of a sheet is compared. Link"
             " a volume or a run to an image, or leave it out."
         )
-    if flags_text and correlate.headline is not None and not correlate.headline.startswith("coat"):
+    if names_text and correlate.headline is not None and not correlate.headline.startswith("coat"):
         raise InputError(
-            f"{flags_text}: {correlate.headline} leads, which is no coating. Leave --headline out,"
+            f"{names_text}: {correlate.headline} leads, which is no coating. Leave `headline` out,"
             " or name a coating."
         )
     if correlate.kubelka_munk is not None and reference is not None and reference.dark_grey is None:
         raise InputError(
-            "--kubelka-munk needs reflectance, and the image is relative grey. Give --dark-grey and"
-            " --white-grey, the grey of a dark and of a white reference, or leave it out."
+            "`kubelka_munk` needs reflectance, and the image is relative grey. Give `dark_grey` and"
+            " `white_grey`, the grey of a dark and of a white reference, or leave it out."
         )
     images = [layer.image for layer in study.layers if layer.image is not None]
     if study.registration.refine is not None and any(
         image.screen_um is not None for image in images
     ):
         raise InputError(
-            "--refine aligns the fine texture of both layers, which --screen-um takes off the"
+            "`refine` aligns the fine texture of both layers, which `screen_um` takes off the"
             " image. Leave one of them out."
         )
     if correlate.mottle and not any(layer.kind == "image" for layer in study.layers):
-        raise InputError("--mottle: no layer is an image. Link one, or leave it out.")
+        raise InputError("`mottle`: no layer is an image. Link one, or leave it out.")
     if correlate.error_ratio is not None and (reference is not None or len(sheets) < 2):
         raise InputError(
-            "--error-ratio is for two measurements of one quantity: the last layer and another one"
+            "`error_ratio` is for two measurements of one quantity: the last layer and another one"
             " have to be volumes or runs. Leave it out."
         )

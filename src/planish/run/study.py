@@ -5,7 +5,6 @@ What the command line fills in and ``run.toml`` repeats.
 
 import datetime
 import os
-import re
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,8 +16,9 @@ from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_
 from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
-from planish.core.options import Params, option, options_of
+from planish.core.options import Params, option, words_in
 from planish.core.parameter_faults import Key, fault_texts, key_lines, toml_fault
+from planish.core.parameter_words import flag_of, with_names
 from planish.core.tables import read_text
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
@@ -334,16 +334,17 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
 
 
 def in_study_words(text: str) -> str:
-    """Name the keys of a study in a message that names options of the command line.
+    """Name the keys of a study in a text that names parameters.
 
-    It then says surface.rim_um for --rim-um.
+    It then says surface.rim_um for `rim_um`; what a study has no key for is an option of the
+    command line.
     """
     keys = {
-        shown.flags[0]: f"{section}.{name}"
-        for section, model in reversed(SECTIONS.items())  # of the same flag in two the first one
-        for name, _, shown in options_of(model)
+        word: ".".join(path)
+        for section, model in reversed(SECTIONS.items())  # of the same word in two the first one
+        for word, path in words_in(model, section).items()
     }
-    return re.sub(r"(?<![\w-])--[a-z][a-z0-9-]*", lambda flag: keys.get(flag[0], flag[0]), text)
+    return with_names(text, lambda word: keys.get(word) or flag_of(word))
 
 
 def _value(text: str) -> Any:

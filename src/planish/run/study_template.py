@@ -215,7 +215,9 @@ def _description(facts: dict[str, Any], section: str) -> list[str]:
             f"Grey {facts['min']:.5g} to {facts['max']:.5g}; percentiles {percentiles_text}."
         )
     return sentences + [
-        f"Look: {warning}" for warning in facts["warnings"] if warning != facts["size_problem"]
+        in_study_words(f"Look: {warning}")
+        for warning in facts["warnings"]
+        if warning != facts["size_problem"]
     ]
 
 

@@ -56,7 +56,7 @@ class TextureLayer:
         if not maps:
             raise InputError(
                 "The maps hold no thickness whose texture could be searched. Measure one"
-                " (--property)."
+                " (`property`)."
             )
         face = {name: layer[name].values for name in (f"topography_{side}",) if name in layer}
         return cls(

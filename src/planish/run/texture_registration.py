@@ -141,7 +141,7 @@ def register_texture(
         raise CannotRegister(
             f"{len(tiles.moving_um)} parts of the sheet show by themselves where they lie about its"
             f" place, and {_LEAST_TILES} are needed to say how well that is known. Image or scan a"
-            " larger field, or give pairs of points (--marks)."
+            " larger field, or give pairs of points (`marks`)."
         )
     registration = _fitted(layers, tiles, holes, np.empty((0, 2), dtype=np.intp), fit_params)
     if search is None:
@@ -267,7 +267,7 @@ def _nears(
         radius_um = radius[0] if radius else _NEAR_UM
         if radius_um <= 0:
             raise InputError(
-                f"The radius of --near is {radius_um:g} um. Give one above 0, such as {_NEAR_UM:g}."
+                f"The radius of `near` is {radius_um:g} um. Give one above 0, such as {_NEAR_UM:g}."
             )
         if layers.swapped:  # the middle of the second layer lies there in the first one
             mx, my = layers.b.middle_um.tolist()
@@ -456,7 +456,7 @@ def _with_tiles(
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
             f"{len(tiles.moving_um)} parts of the texture show where they lie, and {_LEAST_TILES}"
-            " are needed beside the holes. Link by the holes alone (--by holes)."
+            " are needed beside the holes. Link by the holes alone (`by=holes`)."
         )
     is_paired = paired(known.marks)
     pairs = np.stack(
@@ -551,14 +551,14 @@ def _undecided(found: _Found, layers: _Layers) -> Undecided:
         return Undecided(
             f"Two places of the sheet in the image are nearly alike. {text} A pattern that repeats,"
             " such as a screen or wire marks, looks like that: take it off the image"
-            " (--screen-um), say about where the sheet lies (--near), or give marks (--marks).",
+            " (`screen_um`), say about where the sheet lies (`near`), or give marks (`marks`).",
             places,
         )
     return Undecided(
         "No place of the sheet in the image stands out by its texture: an unrelated image reaches"
         f" the best one with a probability of {search.false_probability:.2g}, and {FALSE:g} is"
-        f" allowed. {text} Is it this piece of paper, this side (--image-side, --mirror), and are"
-        " the pixel sizes right (--scale-tolerance)? A larger field helps, and so do marks"
-        " (--marks) or a rough place that you know from elsewhere (--near).",
+        f" allowed. {text} Is it this piece of paper, this side (`image_side`, `mirror=True`), and"
+        " are the pixel sizes right (`scale_tolerance`)? A larger field helps, and so do marks"
+        " (`marks`) or a rough place that you know from elsewhere (`near`).",
         places,
     )

@@ -33,7 +33,7 @@ def read_sheet_volume(
         return volume, sections
     if params.fixed_rows is not None or params.fixed_cols is not None:
         raise InputError(
-            f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume."
+            f"`fixed_rows` and `fixed_cols` are for serial sections; {path.name} is a volume."
         )
     volume = _read(params, compute)
     _in_parts(volume, path, compute)
@@ -84,7 +84,7 @@ def _in_parts(
         needed = enough_gb(bytes_to_hold(copies * size) + PROGRAM_BYTES)
         raise ResourceError(
             f"{path.name} has {size / 1e9:.1f} GB, and its slices can only be decoded whole. To"
-            f" hold it, give --memory {needed}GB ({compute.memory / 1e9:.1f} GB are allowed), or"
+            f" hold it, give `memory={needed}GB` ({compute.memory / 1e9:.1f} GB are allowed), or"
             f" bring it into a store first: planish import {path.name}{options} --out"
             f" {path.stem}.zarr"
         )
@@ -100,12 +100,12 @@ def _join_sections(
     path = Path(params.path)
     if compute.scheduler is not None:
         raise InputError(
-            f"{path.name} holds sections, which one computer joins. Leave out --scheduler."
+            f"{path.name} holds sections, which one computer joins. Leave out `scheduler`."
         )
     if params.through == "z":
         raise VolumeError(
             f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from"
-            " section to section. Give --through y where it runs along the rows of the"
+            " section to section. Give `through=y` where it runs along the rows of the"
             " photographs, x where along their columns."
         )
     stack = read_section_stack(

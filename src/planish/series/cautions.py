@@ -83,7 +83,7 @@ def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity])
     if names := named(lambda cell: cell.why_not.startswith("points of")):
         yield (
             f"r of {listed(names)} is over points of another size and takes part in nothing. Link"
-            " these with the --point-um of the others."
+            " these with points of the size of the others."
         )
 
 
@@ -148,7 +148,7 @@ def _factors(  # noqa: C901
         if name not in (*NEST, *grouped_by) and len(spellings) > 1:
             yield (
                 f"{name.capitalize()} varies within the groups and is not held apart: means are"
-                f" over all its levels. --by {name} compares them."
+                f" over all its levels. Groups by {name} compare them."
             )
     for name in grouped_by:
         if without := _without(name, counted):

@@ -16,6 +16,7 @@ from planish.core.facts import SIDES, Trust, is_known
 from planish.report.summary import key_of
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 from planish.run.run import open_results
+from planish.run.study import in_study_words
 from planish.series_results import InstrumentFacts, Member, SeriesSpecimen
 
 _STATES: tuple[State, ...] = ("fail", "look", "unknown")
@@ -124,7 +125,7 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
             try:
                 results = open_results(folder)
             except FileError as error:
-                words = error.text.replace(str(folder), str(member.run))
+                words = in_study_words(error.text).replace(str(folder), str(member.run))
                 member = member.model_copy(update={"state": "damaged", "message": words})
             else:
                 member = as_judged(member, results)
@@ -142,8 +143,7 @@ def as_judged(member: Member, results: Results) -> Member:
     if results.passed:
         return member.model_copy(update={"state": "whole"})
     failures = [
-        f"{check.name}: {check.sentence} {check.advice}".rstrip()
-        for check in results.checks_in("fail")
+        in_study_words(f"{check.name}: {check.text}") for check in results.checks_in("fail")
     ]
     return member.model_copy(
         update={"state": "withheld", "message": member.message or " ".join(failures)}

@@ -84,7 +84,7 @@ def series_folder(out: Path) -> Generator[None]:
     """
     if out.exists() and not (out / NOTES).is_dir():
         if (out / RUN_TOML).is_file():
-            raise FileError(f"{out} is a run. Give the series a folder of its own with --out.")
+            raise FileError(f"{out} is a run. Give the series a folder of its own with `out`.")
         refuse_existing(out)
     with writing(out):
         (out / NOTES).mkdir(parents=True, exist_ok=True)
@@ -142,7 +142,8 @@ class SeriesState:
     def close(self, specimen: PlannedSpecimen, job: Job, note: Note) -> Member:
         """Remember what became of a job."""
         # The same words wherever the series stands.
-        note = note.model_copy(update={"message": note.message.replace(f"{self.home}{os.sep}", "")})
+        message = in_study_words(note.message.replace(f"{self.home}{os.sep}", ""))
+        note = note.model_copy(update={"message": message})
         self._write(job.folder, note)
         return (
             self.member(specimen, job.folder)
@@ -157,7 +158,7 @@ class SeriesState:
         try:
             results = open_results(folder)
         except PlanishError as error:
-            message = f"{error.text} Remove {run} to have it done again."
+            message = f"{in_study_words(error.text)} Remove {run} to have it done again."
             return specimen.member.model_copy(update={"state": "damaged", "message": message})
         return as_judged(specimen.member.model_copy(update={"run": run}), results)
 
@@ -240,7 +241,7 @@ def do(job: Job) -> Note:
     except PlanishError as error:
         outcome = _reason_of(error)
     except MemoryError:
-        outcome["message"] = "The memory is used up. Give fewer --jobs, or more --memory."
+        outcome["message"] = "The memory is used up. Give fewer jobs, or more memory."
     except Exception as error:  # noqa: BLE001  one specimen stops no other
         outcome["message"] = (
             f"A fault of planish: {type(error).__name__}: {error}. Please report it."
@@ -253,7 +254,7 @@ KILLED = {
     "state": "damaged",
     "message": (
         "Its process ended without a word, most likely because the memory was used up. Give fewer"
-        " --jobs or a limit (--memory), and give the same command again."
+        " jobs or a limit of the memory, and give the same command again."
     ),
 }
 

@@ -37,7 +37,7 @@ def watch_params(plan: Plan) -> WatchParams:
     example = "[watch] with volume = '{sheet}_ct.tif' and image = '{sheet}_img.tif'"
     if not plan.watch:
         raise InputError(
-            f"--watch needs to know how files pair. Write a table {example} into the study."
+            f"`watch` needs to know how files pair. Write a table {example} into the study."
         )
     with naming_faults("The study", f"Needed: {example}.", error=InputError, key_prefix=("watch",)):
         params = WatchParams.model_validate(plan.watch)

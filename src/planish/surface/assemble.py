@@ -95,8 +95,8 @@ def assemble(
     states = ColumnStates.of(faces, columns.frame.sign, *doubt)
     if not states.has_faces.any():
         raise VolumeError(
-            "There is no sheet in the volume: no column shows two faces. Check --through and"
-            " --sheet-grey."
+            "There is no sheet in the volume: no column shows two faces. Check `through` and"
+            " `sheet_grey`."
         )
     heights = {name: np.where(states.has_faces, faces.heights[name], np.nan) for name in _TITLES}
     thickness = float(np.median(np.abs(heights["top"] - heights["bottom"])[states.has_faces]))
@@ -105,8 +105,8 @@ def assemble(
     if not np.isfinite(face_mean).any():
         raise VolumeError(
             f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of"
-            f" {params.rim_um:g} um only. Is the voxel size in um? Check --voxel-um, --rim-um and"
-            " --sheet-grey."
+            f" {params.rim_um:g} um only. Is the voxel size in um? Check `voxel_um`, `rim_um` and"
+            " `sheet_grey`."
         )
     centre, cutoff_used = centre_surface(face_mean, in_outline, pitch, params)
     variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()}

@@ -159,7 +159,7 @@ class LabelColumns(Columns):
         if (out == _UNKNOWN).any():
             raise VolumeError(
                 f"The volume holds the label {raw[out == _UNKNOWN].flat[0]}, and its meaning is not"
-                " given. Give it with --label-air, --label-base, --label-coating or --label-void."
+                " given. Give it with `label_air`, `label_base`, `label_coating` or `label_void`."
             )
         return (out > 0).astype(np.uint8) if self.sheet else out
 

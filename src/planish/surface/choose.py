@@ -49,7 +49,7 @@ def make_choice(
             raise VolumeError(
                 f"The seed point lies outside the volume: its {axis} is {seed_um:g} um, the volume"
                 f" goes from {float(coords_um[0]):g} to {float(coords_um[-1]):g} um. Check"
-                " --seed-um and --voxel-um."
+                " `seed_um` and `voxel_um`."
             )
         seed.append(min(int((index + 0.5) / block_px), most - 1))
     return replace(choice, seed=(seed[0], seed[1], seed[2]))
@@ -156,7 +156,7 @@ def material(
         raise VolumeError(
             f"There is no sheet in the volume: all of it lies within {_SIGMAS:g} standard"
             f" deviations of the air's grey ({air:.4g}). Check that this is the reconstructed"
-            " volume, and --through."
+            " volume, and `through`."
         )
     polarity = 1.0 if contrast[is_bright].sum() >= contrast[is_dark].sum() else -1.0
     typical_contrast = float(np.median(contrast[is_bright if polarity > 0 else is_dark]))
@@ -184,7 +184,7 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
     if rows.size == 0:
         raise VolumeError(
             "No column of the volume shows both faces of the sheet: it leaves the volume on one"
-            " side, or --through names another axis."
+            " side, or `through` names another axis."
         )
     low, high = sheet.low[rows, cols], sheet.high[rows, cols]
     depth = np.rint(low[:, None] + (high - low)[:, None] * np.linspace(*CORE, 7)).astype(int)
@@ -233,7 +233,7 @@ def _seeded(
     raise VolumeError(
         f"The object at the seed point {choice.describe(choice.seed)} um (z, y, x) touches others"
         " at every grey. Crop the volume to a part where it stands alone, or choose another point"
-        " with --seed-um."
+        " with `seed_um`."
     ) from last_error
 
 

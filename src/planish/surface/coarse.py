@@ -24,8 +24,8 @@ CORE = (0.35, 0.65)  # share of the way through the sheet that counts as its cor
 _LEAVES = 0.5  # share of columns that may run out of the volume
 _LEAST_COVER = 0.02
 _CHOOSE = (
-    "Choose one by its grey values with --sheet-grey LOW,HIGH, by a point in it with --seed-um"
-    " Z,Y,X, or crop the volume."
+    "Choose one by its grey values with `sheet_grey=LOW,HIGH`, by a point in it with "
+    "`seed_um=Z,Y,X`, or crop the volume."
 )
 MERGED = 1.6
 """Times the usual thickness: two sheets that touch, or one that folds back."""
@@ -86,7 +86,7 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     if n_objects == 0:
         raise VolumeError(
             "There is no sheet in the volume: nothing has the grey that was asked for. Check"
-            " --sheet-grey."
+            " `sheet_grey`."
         )
     # Columns in which each object appears.
     n_covered, n_blocks = np.zeros((2, n_objects + 1), dtype=np.int64)
@@ -102,8 +102,8 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     if covered_share < _LEAST_COVER:
         raise VolumeError(
             "There is no sheet in the volume: the largest connected object covers"
-            f" {100 * covered_share:.2g} % of the columns. Check --through (the axis that runs"
-            " through the sheet) and --sheet-grey."
+            f" {100 * covered_share:.2g} % of the columns. Check `through` (the axis that runs"
+            " through the sheet) and `sheet_grey`."
         )
     sheet_labels = [int(k) for k in by_cover[:6] if n_covered[k] > 0.25 * n_covered[largest_label]]
     leading_label = _leading(labels, sheet_labels, blocks) if choice.may_lead else None
@@ -171,7 +171,7 @@ def _points_text(
         return f"Points to start from: {'; '.join(points)}."
     return (
         "No point leads to a whole sheet: each of them leaves the volume, so crop it or check"
-        " --through."
+        " `through`."
     )
 
 
@@ -238,7 +238,7 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     if material_indices.size == 0:
         raise VolumeError(
             f"There is only air at the seed point {choice.describe(choice.seed)} um (z, y, x). Give"
-            " a point inside the sheet with --seed-um."
+            " a point inside the sheet with `seed_um`."
         )
     # The nearest block of material to the seed point.
     material_indices += window_start
@@ -267,15 +267,15 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     if has_sheet.mean() < _LEAST_COVER:
         raise VolumeError(
             f"The object at the seed point {place_text} um (z, y, x) covers"
-            f" {100 * has_sheet.mean():.2g} % of the columns only. Check --through (the axis that"
-            " runs through the sheet) and --seed-um."
+            f" {100 * has_sheet.mean():.2g} % of the columns only. Check `through` (the axis that"
+            " runs through the sheet) and `seed_um`."
         )
     is_leaving = has_sheet & ((low == 0) | (high == inside.shape[2] - 1))
     if np.mean(is_leaving[has_sheet]) > _LEAVES:
         raise VolumeError(
             f"The object at the seed point {place_text} um (z, y, x) reaches an end of the axis"
             f" through the sheet in {100 * np.mean(is_leaving[has_sheet]):.0f} % of its columns."
-            " Check --through and --seed-um."
+            " Check `through` and `seed_um`."
         )
     extent = dict(zip(("low", "high"), _extent(blocks, low, high, threshold), strict=True))
     return CoarseSheet(

@@ -73,8 +73,8 @@ def correct_surfaces(
         or params.method != "profile"
     ):
         raise InputError(
-            "Faces are corrected in grey values, with --surface-method profile. Correct labels in"
-            " the program that made them, or leave --corrections out."
+            "Faces are corrected in grey values, with `surface_method=profile`. Correct labels in"
+            " the program that made them, or leave `corrections` out."
         )
     drawn = Drawing(original, volume, corrections, engine)
     corrected = _with_drawn(original, drawn, params)

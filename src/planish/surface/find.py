@@ -131,7 +131,7 @@ def _search(
             )
         if step > 1:
             raise InputError(
-                f"The labels of {step} x {step} voxels have no mean. Give more memory (--memory),"
+                f"The labels of {step} x {step} voxels have no mean. Give more memory (`memory`),"
                 " or crop the volume."
             )
         return surfaces_from_labels(volume, frame, params.labels, params, engine)
@@ -194,16 +194,16 @@ def check_sheet(surfaces: xr.Dataset, *, unusual_size: bool) -> None:
         raise VolumeError(
             f"The sheet would be {thickness_um:.3g} um thick; sheets of {min_um:g} to {max_um:g} um"
             f" are mapped. The voxel size of {voxel_text} um (z, y, x) is probably in another unit."
-            " Give the right one with --voxel-um and --override-size, or add --unusual-size if it"
-            " is no paper."
+            " Give the right one with `voxel_um` and `override_size=True`, or add"
+            " `unusual_size=True` if it is no paper."
         )
     measured_share = float((surfaces["status"].values == 0).mean())
     measured_share /= max(1.0 - float(surfaces.attrs.get("empty_share", 0.0)), measured_share)
     if measured_share < _LEAST_SHARE:
         raise VolumeError(
             f"Both faces of the sheet were found in {100 * measured_share:.1f} % of the columns"
-            f" that are not all air; {100 * _LEAST_SHARE:.0f} % are needed. Check --through and"
-            " --sheet-grey, and that the sheet stays in the volume."
+            f" that are not all air; {100 * _LEAST_SHARE:.0f} % are needed. Check `through` and"
+            " `sheet_grey`, and that the sheet stays in the volume."
         )
 
 

@@ -148,7 +148,7 @@ class _Learner(Sampler):
         level = float(np.median(core_grey))
         if level <= 0:
             raise VolumeError(
-                "The core of the sheet is not brighter than the air around it. Check --sheet-grey."
+                "The core of the sheet is not brighter than the air around it. Check `sheet_grey`."
             )
         return level, float(
             np.sqrt(max(mad_sd(core_grey) ** 2 - self.noise**2, (0.05 * level) ** 2))
@@ -210,7 +210,7 @@ class _Learner(Sampler):
             raise VolumeError(
                 f"The coating's grey {coating_grey:g} does not stand out from the base"
                 f" ({polarity * base_level + air_grey:.4g}) on the side away from the air"
-                f" ({air_grey:.4g}). Check --coating-grey."
+                f" ({air_grey:.4g}). Check `coating_grey`."
             )
         spread = np.array([0.0, 0.0, 0.02 * coating_level, max(base_sd, 0.25 * base_level)])
         return Side(

@@ -59,7 +59,7 @@ class SurfaceParams(Params):
         None,
         metavar="Z,Y,X",
         help=(
-            "A point inside the sheet, where there are several sheets or layers; with --sheet-grey,"
+            "A point inside the sheet, where there are several sheets or layers; with `sheet_grey`,"
             " the part of that grey range that holds the point."
         ),
     )

@@ -115,7 +115,7 @@ class Sampler:
                 )
         if not row_samples:
             raise VolumeError(
-                "No column of the volume shows both faces of the sheet. Check --through."
+                "No column of the volume shows both faces of the sheet. Check `through`."
             )
         return Sample(*(np.concatenate(arrays)[None] for arrays in zip(*row_samples, strict=True)))
 

@@ -247,7 +247,7 @@ INSTRUMENTS = ("ct", "sections", "stack", "image", "print")
 class SpecimenOptions(Params):
     """The user's order: a paper, a size, the instruments, and their errors."""
 
-    preset: str = option("wfc135", help="Paper; --list names them.", metavar="NAME")
+    preset: str = option("wfc135", help="Paper; `list` names them.", metavar="NAME")
     size: Literal["T0", "T1", "T2", "T3"] = option(
         "T1", help="0.8 x 0.6, 3 x 2, 8 x 6 or 20 x 15 mm; the last has no voxels."
     )

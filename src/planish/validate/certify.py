@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from planish.core.errors import InputError, PlanishError, ResourceError
+from planish.core.parameter_words import in_terminal_words
 from planish.report.draw import Picture
 from planish.run import run_study
 from planish.run.compute import Compute, Progress, silent
@@ -231,7 +232,8 @@ def run_specimen(
             raise  # a matter of this machine, not of the specimen
         except PlanishError as error:
             # The folder's name is made up anew each time and means nothing to a reader.
-            return Entry(seed=seed, values={}, refusal=error.text.replace(f"{folder}{os.sep}", ""))
+            refusal = in_terminal_words(error.text).replace(f"{folder}{os.sep}", "")
+            return Entry(seed=seed, values={}, refusal=refusal)
         progress("compare", "with the truth")
         failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("fail"))
         looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("look"))

@@ -75,12 +75,12 @@ def read_any(
     if second is None and isinstance(marks := readings[0], xr.Dataset):
         if unit not in (None, "um"):
             raise SizeError(
-                f"{name} states its unit, um, and --unit says {unit}. Leave --unit out, or correct"
+                f"{name} states its unit, um, and `unit` says {unit}. Leave `unit` out, or correct"
                 " the file."
             )
         if swap:
             raise MarkError(
-                "A planish file says itself which layer is the moving one. Leave --swap out."
+                "A planish file says itself which layer is the moving one. Leave `swap` out."
             )
         # What is known of the layers beside what the file states.
         layers = {layer: dict(about) for layer, about in marks.attrs["layers"].items()}
@@ -194,7 +194,7 @@ def marks_bytes(
         titles = " and ".join(other.title for other in FORMATS.values() if other.free_unit)
         raise SizeError(
             f"A file for {mark_format.title} has its own unit; only those for {titles} are written"
-            " in --out-unit."
+            " in `out_unit`."
         )
     if mark_format.unit is None:
         return module_of(to).write(marks, {})

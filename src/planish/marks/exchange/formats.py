@@ -184,7 +184,7 @@ def target_of(path: str | Path) -> str:
     ]
     if not asked:
         raise FileError(
-            f"{Path(path).name} does not tell its format. Give --to {', '.join(TARGETS)}."
+            f"{Path(path).name} does not tell its format. Give `to={', '.join(TARGETS)}`."
         )
     return max(asked, key=lambda pair: len(pair[0]))[1]
 

@@ -172,8 +172,8 @@ class LayerPixels:
             if not (1 <= len(sizes) <= 3 and all(np.isfinite(v) and v > 0 for v in sizes)):
                 raise SizeError(
                     f"The pixel size of a layer is {self.pixel_um!r} um; one positive number, two"
-                    " (y, x), or three for a volume (z, y, x) are needed in --moving-pixel-um and"
-                    " --fixed-pixel-um."
+                    " (y, x), or three for a volume (z, y, x) are needed in `moving_pixel_um` and"
+                    " `fixed_pixel_um`."
                 )
             object.__setattr__(self, "pixel_um", sizes)
         if self.origin_um is not None and not (
@@ -204,12 +204,12 @@ class LayerPixels:
         if self.pixel_um is None:
             raise SizeError(
                 f"{name} gives positions in pixels, and the pixel size of the {side} layer is not"
-                f" known. Give it in um to planish marks convert with --{option}-pixel-um."
+                f" known. Give it in um to planish marks convert with `{option}_pixel_um`."
             )
         if axes == 3 and len(self.pixel_um) == 2:
             raise SizeError(
                 f"{name} holds points of a volume in voxels; the sizes z, y, x (or one for all) are"
-                f" needed in --{option}-pixel-um."
+                f" needed in `{option}_pixel_um`."
             )
         return (
             origin,
@@ -237,7 +237,7 @@ def join_lists(  # noqa: C901
         check_count(name, len(point_list.points))
         if unit is not None and point_list.stated and unit != point_list.unit:
             raise SizeError(
-                f"{name} states its unit, {point_list.unit}, and --unit says {unit}. Leave --unit"
+                f"{name} states its unit, {point_list.unit}, and `unit` says {unit}. Leave `unit`"
                 " out, or correct the file."
             )
     if len(lists) > 2:
@@ -276,7 +276,7 @@ def join_lists(  # noqa: C901
         if side == "fixed" and has_z:
             raise MarkError(
                 f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to"
-                " be a flat image; where the volume was the fixed or target one, give --swap."
+                " be a flat image; where the volume was the fixed or target one, give `swap`."
             )
         layer = "volume" if side == "moving" and has_z else side
         places[layer], about[layer] = mark_places, dict(point_list.about) | facts.about()

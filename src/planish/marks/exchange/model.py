@@ -490,8 +490,8 @@ def _remedy(unit: str, stated: bool) -> str:
         return (
             f"The file says um: multiply them by {'the pixel size' if unit == 'pixel' else '1000'}."
         )
-    sizes = " with --moving-pixel-um and --fixed-pixel-um" if unit == "pixel" else ""
-    return f"Convert them by planish marks convert --unit {unit}{sizes}."
+    sizes = ", `moving_pixel_um` and `fixed_pixel_um`" if unit == "pixel" else ""
+    return f"Convert them by planish marks convert, given `unit={unit}`{sizes}."
 
 
 def _inside(points: Floats, size: Floats) -> Bools:

@@ -101,7 +101,7 @@ def read_regions(path: str | Path) -> Regions:
         len(ring) for region in regions for rings in region.polygons for ring in rings
     )
     if not regions:
-        raise FileError(f"{name} holds no region. Draw one, or leave --regions out.")
+        raise FileError(f"{name} holds no region. Draw one, or leave `regions` out.")
     if len(regions) > MOST_REGIONS or point_count > MOST_POINTS:
         raise FileError(
             f"{name} holds {len(regions)} regions with {point_count} points; {MOST_REGIONS} regions"

@@ -113,7 +113,7 @@ def compared(moving: Textures, fixed: Textures) -> tuple[Names, ...]:
     if not names:
         raise CannotRegister(
             "The two sheets have no map in common to compare. Measure the same maps in both"
-            " (--property)."
+            " (`property`)."
         )
     return names
 

@@ -11,10 +11,12 @@ from planish.core.numbers import count, fixed, percent, plain
 
 def say_ceiling(_: object, evidence: EvidenceFacts, *__: object) -> Iterator[str]:
     """What a perfect relation would show."""
-    if evidence.ceiling_sentence:
+    if evidence.ceiling is not None:
+        r = f"{evidence.ceiling:.2f}"
         yield (
-            f"{evidence.ceiling_sentence} It rests on the expected error of the registration and"
-            " the texture of the map; noise lowers it further."
+            f"A perfect relation would show r = {r} here (misplacement leaves {r}). It rests on the"
+            " expected error of the registration and the texture of the map; noise lowers it"
+            " further."
         )
     yield from say_reliability(evidence)
 

@@ -19,12 +19,9 @@ def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
     unit_text = "m²/kg" if curve.weight else "per µm"
     interval_text = _limits_text(curve.scattering_interval) or "its 95 % interval has no upper end"
     backing_text = _limits_text(curve.backing_interval)
-    density_hint = (
-        "" if curve.weight else " (in m²/kg with the density of the coating: --coating-density)"
-    )
     yield (
         f"{title}: the coating scatters with S = {number(curve.scattering)} {unit_text}"
-        f" ({interval_text}){density_hint}, over a backing of {number(curve.backing)}"
+        f" ({interval_text}), over a backing of {number(curve.backing)}"
         f" ({backing_text}). S counts all that varies with the thickness as scattering in the"
         " coating; errors of the thickness lower it, as they lower a slope."
     )

@@ -40,9 +40,7 @@ SENTENCES = (
     QuestionText(("thin",), say_thin),
     QuestionText(("short_waves", "short_waves_um"), say_short_waves),
     QuestionText(("partial", "commonality"), say_partial),
-    QuestionText(
-        ("ceiling", "ceiling_sentence", "reliability", "ceiling_noise", "ceiling_both"), say_ceiling
-    ),
+    QuestionText(("ceiling", "reliability", "ceiling_noise", "ceiling_both"), say_ceiling),
     QuestionText(("variograms",), say_variograms, section="distance"),
     QuestionText(("correlogram",), say_correlogram, section="distance"),
     QuestionText(("twice",), say_twice, section="repeated"),

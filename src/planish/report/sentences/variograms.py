@@ -28,9 +28,7 @@ def say_variograms(
         )
         farthest_text = plain(round(curve.distances_um[-1]))
         if not is_known(curve.md_deg):
-            direction_text = (
-                "no direction, as the machine direction is not given (--md-deg, --image-md-deg)"
-            )
+            direction_text = "no direction, as the machine direction is not given"
         else:
             ratio_text = (
                 f" ({number(curve.ratio, 2)} times as far)" if is_known(curve.ratio) else ""
