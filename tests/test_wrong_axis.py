@@ -34,7 +34,7 @@ def test_a_search_along_a_wrong_axis_names_the_right_one(slope, rim_um, error, t
             progress=lambda stage, text: told.append(f"{stage}: {text}"),
         )
     # The axis is named before the search, which takes minutes.
-    assert told[1].startswith("look: The grey changes most along y: try --through y.")
+    assert told[1].startswith("look: The grey changes most along y: try `through=y`.")
     assert told[2].startswith("surface: ")
 
 

@@ -256,11 +256,12 @@ def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
             [f"Grey of the coating: {levels_text}; of the base: {greys.base:.4g}.", *faults]
         ),
         advice=(
-            "Film, tape or fringes may have been taken for a coating. Look at the slices."
+            "Film, tape or fringes may have been taken for a coating. Look at the slices; crop the"
+            " volume to the sheet."
             if faults
             else ""
         ),
-        remedy="Crop the volume to the sheet, or give `coating_grey`." if faults else "",
+        remedy="Or give `coating_grey`." if faults else "",
     )
 
 

@@ -269,7 +269,8 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
                 f"In {100 * bright_share:.0f} % of the sheet something as dense as a coating lies"
                 " in the middle of the base: a second sheet lies on the first."
             ),
-            remedy="Crop the volume to one sheet, or choose it with `seed_um`.",
+            advice="Crop the volume to one sheet.",
+            remedy="Or choose it with `seed_um`.",
         )
     split_text = ": it is split, or two sheets lie on each other."
     end_text = split_text if n_dark >= _SPLIT_TILES else ". No second sheet was found."

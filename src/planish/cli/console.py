@@ -117,8 +117,8 @@ def warn(text: str) -> None:
 
 
 def print_json(data: Any) -> None:
-    """Print what a command gives as JSON."""
-    click.echo(json.dumps(data, indent=2, allow_nan=False))
+    """Print what a command gives as JSON, with parameters as options."""
+    click.echo(in_terminal_words(json.dumps(data, indent=2, allow_nan=False)))
 
 
 def wrapped(text: str, width: int) -> str:

@@ -1,9 +1,11 @@
 """Parameters named in texts: by key, in backticks, and in the words of those who read them.
 
-A message, a check and a help text name a parameter by the word of a call: ```voxel_um```, with a
-value ```through=y``` or ```voxel_um=SIZE```, a switch ```mirror=True```. So stages say nothing of
-command lines, and files of results and series can be read as they stand. Where a text is shown, it
-is worded for the terminal or for Python; ``planish.run.study`` words it for study files.
+A message, a check and a help text name a parameter in backticks, by the word of a call::
+
+    Give `voxel_um=SIZE`, or check `through`. If the image is a print, give `printed=True`.
+
+So stages say nothing of command lines, and ``results.json`` can be read as it stands. Where a text
+is shown, it is worded for the terminal or for Python; ``planish.run.study`` words it for studies.
 """
 
 import re
