@@ -5,7 +5,6 @@ import pytest
 import tifffile
 from scipy import ndimage
 
-from planish.core.errors import CannotFlatten
 from planish.core.status import Outcome
 from planish.flatten import edge_strain, geodesic_error, relax_grid
 
@@ -56,10 +55,7 @@ def test_topographies(shared_data, name):
         *(np.arange(n) * p for n, p in zip(height.shape, pitch, strict=True)), indexing="ij"
     )
     points = np.stack([x, y, height], axis=-1)
-    labels, count = ndimage.label(np.isfinite(height), structure=np.ones((3, 3)))
-    if count > 1:
-        with pytest.raises(CannotFlatten, match=f"{count} unconnected pieces"):
-            relax_grid(points, least_share=0.0)
+    labels, _ = ndimage.label(np.isfinite(height), structure=np.ones((3, 3)))
     sheet = labels == np.argmax(np.bincount(labels.ravel())[1:]) + 1
     found = relax_grid(points)  # specks are dropped
     np.testing.assert_array_equal(found.dropped, (labels > 0) & ~sheet)

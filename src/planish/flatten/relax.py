@@ -32,6 +32,7 @@ from planish.flatten.relaxation import RelaxationParams, relax_dynamically
 
 Method = Literal["multigrid", "relaxation"]
 Rest = Literal["arc", "chord"]
+_LEAST_SHARE = 0.02  # of the nodes: smaller pieces are specks beside the sheet
 Run = tuple[int, Outcome, tuple[Step, ...]]  # steps on the finest mesh, how it ended, all steps
 
 
@@ -89,10 +90,8 @@ def relax_grid(  # noqa: C901
     *,
     method: Method | RelaxationParams = "multigrid",
     rest: Rest = "arc",
-    start: Floats | None = None,
     weights: Floats | None = None,
     tolerance: float = 1e-6,
-    least_share: float = 0.02,
 ) -> Relaxed:
     """Flatten a grid of points in space.
 
@@ -102,18 +101,14 @@ def relax_grid(  # noqa: C901
         (x, y, z) in any unit of length; not finite where there is no sheet. Neighbours in the grid
         are neighbours in the sheet; the grid need be neither regular nor a height field.
     method : {"multigrid", "relaxation"} or RelaxationParams
-        How the least energy is found: directly, or by the damped motion of Hirn et al. (2009), with
-        any constants.
+        How the least energy is found: directly, from the lengths along the grid, so that a sheet
+        may overhang or be rolled up; or by the damped motion of Hirn et al. (2009), from the
+        projection, with any constants.
     rest : {"arc", "chord"}
         Rest lengths of the springs: along the surface, or straight through space as in the paper. A
         chord is too short by the square of the surface's normal curvature k, k^2 L^3 / 24; the
         correction is left out where the curvatures at the two ends of a spring disagree, that is
         where the surface is rough at the scale of the mesh.
-    start : (rows, cols, 2), optional
-        Places in the plane; the projection (x, y) where not given. ``relaxation`` starts from them.
-        The result of either method lies on them, turned and shifted, and has their handedness;
-        ``multigrid`` starts from the lengths along the grid, so that a sheet may overhang or be
-        rolled up.
     weights : (rows, cols), optional
         Confidence in each node; a spring has the lower weight of its ends as stiffness. Nodes below
         a tenth of the median weight are moved to where a smooth surface through the others has
@@ -122,14 +117,12 @@ def relax_grid(  # noqa: C901
         ``multigrid`` is at rest when its energy is expected to exceed the minimum by less than this
         share, or places to be wrong by less than 3e-6 pitches in the mean (root of the mean
         square).
-    least_share : float
-        Pieces with a smaller share of the nodes are dropped as specks; ``dropped`` says which.
 
     Returns
     -------
     Relaxed
-        ``uv`` is a view in which u and v are stored apart. The number of threads changes no byte of
-        it.
+        ``uv`` is a view in which u and v are stored apart. It lies on the projection (x, y), turned
+        and shifted, and has its handedness. The number of threads changes no byte of it.
 
     Raises
     ------
@@ -138,7 +131,7 @@ def relax_grid(  # noqa: C901
         that are no specks.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
-    _check(points, start, weights, tolerance, least_share, method=method, rest=rest)
+    _check(points, weights, tolerance, method=method, rest=rest)
     is_brace = None
     imputed = dropped = np.zeros(points.shape[:2], dtype=bool)
     if weights is not None:
@@ -148,7 +141,7 @@ def relax_grid(  # noqa: C901
         level, springs, straight_share = make_springs(points, pitch, rest, team)
         has_gaps = springs < 4 * level.rows * level.cols - 3 * (level.rows + level.cols) + 2
         if has_gaps:
-            points, dropped = _drop_specks(points, least_share)
+            points, dropped = _drop_specks(points)
             if dropped.any():
                 pitch = mean_pitch(points)
                 level, springs, straight_share = make_springs(points, pitch, rest, team)
@@ -157,12 +150,11 @@ def relax_grid(  # noqa: C901
                 level = make_springs(points, pitch, rest, team)[0]
         if weights is not None:
             stiffen(level, weights)
-        target = points if start is None else np.ascontiguousarray(start, dtype=np.float64)
-        side = _handedness(target)
+        side = _handedness(points)
         if method == "multigrid":
             steps, outcome, history = _multigrid(level, side, team, tolerance, gaps=has_gaps)
         else:
-            steps, outcome, history = _relaxation(level, points, target[..., :2] / pitch, method)
+            steps, outcome, history = _relaxation(level, points, points[..., :2] / pitch, method)
         if is_brace is not None:
             stiffen(
                 level,
@@ -170,7 +162,7 @@ def relax_grid(  # noqa: C901
             )
         energy, n_folded = count_folds(level, team, side)
         level.drop_springs()
-        uv = _lay_on_target(level, target, pitch, team)
+        uv = _lay_on_projection(level, points, pitch, team)
     if is_brace is not None:
         uv[is_brace] = np.nan
     # Cells that the step rule held open are as good as folded.
@@ -195,12 +187,10 @@ def relax_grid(  # noqa: C901
     )
 
 
-def _check(  # noqa: C901
+def _check(
     points: Floats,
-    start: Floats | None,
     weights: Floats | None,
     tolerance: float,
-    least_share: float,
     *,
     method: object,
     rest: object,
@@ -222,34 +212,23 @@ def _check(  # noqa: C901
             f"the mesh has {rows} rows and {cols} columns, at least 2 of both are needed: use a"
             " finer mesh"
         )
-    if start is not None and np.shape(start) != (*shape, 2):
-        faults.append(f"the start has the shape {np.shape(start)}, needed is {(*shape, 2)}")
-    elif (
-        start is not None
-        and not np.isfinite(np.asarray(start)[np.isfinite(points).all(axis=-1)]).all()
-    ):
-        faults.append(
-            "the start is not finite at nodes of the sheet: give a place for each of them"
-        )
     if weights is not None and np.shape(weights) != shape:
         faults.append(f"the weights have the shape {np.shape(weights)}, needed is {shape}")
     if not 0 < tolerance < 1:
         faults.append(f"the tolerance is {tolerance}, needed is a share between 0 and 1")
-    if not 0 <= least_share < 1:
-        faults.append(f"the least share is {least_share}, needed is a share from 0 to 1")
     if faults:
         raise CannotFlatten("; ".join(faults).capitalize() + ".")
 
 
-def _drop_specks(points: Floats, least_share: float) -> tuple[Floats, Bools]:
-    """Leave out pieces with less than ``least_share`` of all nodes.
+def _drop_specks(points: Floats) -> tuple[Floats, Bools]:
+    """Leave out pieces with less than `_LEAST_SHARE` of all nodes.
 
     Give the points, and which nodes were dropped.
     """
     is_node = np.isfinite(points).all(axis=-1)
     labels, n_pieces = ndimage.label(is_node, structure=np.ones((3, 3)))
     sizes = np.bincount(labels.ravel(), minlength=n_pieces + 1)
-    is_small = sizes < least_share * sizes[1:].sum()
+    is_small = sizes < _LEAST_SHARE * sizes[1:].sum()
     is_small[0] = False
     is_dropped = is_small[labels]
     return np.where((is_node & ~is_dropped)[..., None], points, np.nan), is_dropped
@@ -278,8 +257,7 @@ def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | Non
         ]
         raise CannotFlatten(
             f"The sheet falls into {n_pieces} unconnected pieces: {_first_six(piece_texts)}. Their"
-            " distance in the plane is not known: flatten each of them by itself, or drop the"
-            " smaller ones with least_share."
+            " distance in the plane is not known: flatten each of them by itself."
         )
     is_loose, sizes = loose_nodes(is_node)
     sizes = sizes[sizes > 0.02 * sizes.sum()]
@@ -329,13 +307,13 @@ def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | 
     return points, None if is_uniform else np.where(is_node, weights, 0.0), is_doubtful
 
 
-def _handedness(target: Floats) -> float:
+def _handedness(points: Floats) -> float:
     """Tell by 1 or -1 whether columns and rows of the grid run like u and v.
 
     1 where they do, -1 where they run in the opposite sense, as a whole.
     """
-    rows, cols = (max(1, (n - 1) // 20) for n in target.shape[:2])
-    flat = target[::rows, ::cols, :2]
+    rows, cols = (max(1, (n - 1) // 20) for n in points.shape[:2])
+    flat = points[::rows, ::cols, :2]
     across, down = np.diff(flat, axis=1)[:-1], np.diff(flat, axis=0)[:, :-1]
     area = np.nansum(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])
     return -1.0 if area < 0 else 1.0
@@ -379,9 +357,9 @@ def _relaxation(
     )
 
 
-def _lay_on_target(level: Level, target: Floats, pitch: float, team: Team) -> Floats:
+def _lay_on_projection(level: Level, points: Floats, pitch: float, team: Team) -> Floats:
     row_sums = np.zeros((level.rows + 2, 7))
-    team.run(moments, level.parts, target, 1 / pitch, level.xy, row_sums)
+    team.run(moments, level.parts, points, 1 / pitch, level.xy, row_sums)
     n_nodes, u, v, p, q, sum_dot, sum_cross = row_sums.sum(axis=0)
     angle = (
         np.arctan2(sum_cross - (u * q - v * p) / n_nodes, sum_dot - (u * p + v * q) / n_nodes)
