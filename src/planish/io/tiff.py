@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tifffile import PHOTOMETRIC, TiffFile, TiffFrame, TiffPage, TiffPageSeries
+from tifffile import PHOTOMETRIC, TIFF, TiffFile, TiffFrame, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError, InputError
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
@@ -41,24 +41,8 @@ LAYOUT_NUMBERS = (  # Attributes of a page on which the position and meaning of 
 )
 
 MOST_PAGES = 100_000  # no scan has more slices; a chain this long is damage
-TYPE_BYTES = {  # Bytes of one value, by TIFF type.
-    1: 1,
-    2: 1,
-    3: 2,
-    4: 4,
-    5: 8,
-    6: 1,
-    7: 1,
-    8: 2,
-    9: 4,
-    10: 8,
-    11: 4,
-    12: 8,
-    13: 4,
-    16: 8,
-    17: 8,
-    18: 8,
-}
+# Bytes of one value, by TIFF type.
+TYPE_BYTES = {code: struct.calcsize(f"={form}") for code, form in TIFF.DATA_FORMATS.items()}
 
 # Size, type, layout and position of the image data, and the description: what is read must be
 # inside the file.
