@@ -293,7 +293,7 @@ MUTANTS = [
         "marks/test_sheet_holes.py",
     ),
     Mutant(
-        "marks/mask.py",
+        "core/grid.py",
         "np.searchsorted(grid.y_um, y - radius)",
         "np.searchsorted(grid.y_um, y - 0.5 * radius)",
         "marks/test_mask.py",

@@ -135,3 +135,33 @@ def values_at(maps: xr.Dataset, names: Sequence[str], points: Floats) -> Floats:
     (x, y), (down, across) = grid.origin_um, grid.pixel_um
     row, col = (points[:, 1] - y) / down, (points[:, 0] - x) / across
     return np.stack([bilinear(maps[name].values, row, col) for name in names], axis=1)
+
+
+def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
+    """Mark the pixels of a grid that lie in a hole.
+
+    Parameters
+    ----------
+    grid : Grid
+    centres_um : ndarray, shape (n, 2)
+        ``x, y`` of the holes.
+    radii_um : ndarray, shape (n,)
+        Their radii; with the burnt rim where that has to be masked, too.
+
+    Returns
+    -------
+    ndarray of bool, shape of the grid
+        True within a radius of a centre.
+    """
+    inside = np.zeros(grid.shape, dtype=bool)
+    for (x, y), radius in zip(centres_um, radii_um, strict=True):
+        rows = slice(
+            np.searchsorted(grid.y_um, y - radius), np.searchsorted(grid.y_um, y + radius, "right")
+        )
+        cols = slice(
+            np.searchsorted(grid.x_um, x - radius), np.searchsorted(grid.x_um, x + radius, "right")
+        )
+        inside[rows, cols] |= (
+            np.hypot(grid.x_um[None, cols] - x, grid.y_um[rows, None] - y) <= radius
+        )
+    return inside

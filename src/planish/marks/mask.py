@@ -11,39 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.bands import read_bands, thinned
-from planish.core.grid import Grid
-from planish.core.typing import Bools, Floats, Ints, Pair
+from planish.core.grid import Grid, hole_mask
+from planish.core.typing import Floats, Ints, Pair
 from planish.marks.candidates import Raster, reduce_to
-
-
-def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
-    """Mark the pixels of a grid that lie in a hole.
-
-    Parameters
-    ----------
-    grid : Grid
-    centres_um : ndarray, shape (n, 2)
-        ``x, y`` of the holes.
-    radii_um : ndarray, shape (n,)
-        Their radii; with the burnt rim where that has to be masked, too.
-
-    Returns
-    -------
-    ndarray of bool, shape of the grid
-        True within a radius of a centre.
-    """
-    inside = np.zeros(grid.shape, dtype=bool)
-    for (x, y), radius in zip(centres_um, radii_um, strict=True):
-        rows = slice(
-            np.searchsorted(grid.y_um, y - radius), np.searchsorted(grid.y_um, y + radius, "right")
-        )
-        cols = slice(
-            np.searchsorted(grid.x_um, x - radius), np.searchsorted(grid.x_um, x + radius, "right")
-        )
-        inside[rows, cols] |= (
-            np.hypot(grid.x_um[None, cols] - x, grid.y_um[rows, None] - y) <= radius
-        )
-    return inside
 
 
 def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:

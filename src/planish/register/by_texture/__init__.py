@@ -1,4 +1,6 @@
 """Registration by the texture of both layers, where no holes show the place.
 
-``search`` finds the place of the whole, ``place`` those of its tiles, which a model is fitted to.
+``planes`` holds what of two layers may look alike, ``find`` finds one in the other by ``search``,
+the place of the whole among all rotations and shifts, and ``place``, which tunes it and finds those
+of tiles; a model is fitted to these.
 """

@@ -1,11 +1,9 @@
-"""What a layer shows of its texture.
-
-That is the maps of a sheet, or an image, and parts of them on larger pixels.
-"""
+"""What a layer shows of its texture: maps of a sheet, or an image, and parts of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -13,9 +11,8 @@ import xarray as xr
 from planish.core.area import common_means
 from planish.core.errors import InputError
 from planish.core.facts import Side
-from planish.core.grid import Grid
+from planish.core.grid import Grid, hole_mask
 from planish.core.typing import Array, Bools, Floats, Pair
-from planish.marks import hole_mask
 from planish.register.by_texture.search import BAND_UM
 from planish.texture.textures import Textures, textures
 from planish.texture.white_noise import without_white_noise
@@ -24,7 +21,7 @@ _RIM_UM = 60.0  # of a hole in an image, whose burnt rim is no texture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TextureLayer:
+class TexturedPlane:
     """Maps of a layer that may show in an image, or the image, each (rows, cols)."""
 
     maps: dict[str, Array]
@@ -36,7 +33,7 @@ class TextureLayer:
     @classmethod
     def of(
         cls, layer: xr.Dataset | xr.DataArray, side: Side = "top", holes: xr.Dataset | None = None
-    ) -> TextureLayer:
+    ) -> TexturedPlane:
         """Take the maps that may show in an image of a side, or an image without its holes.
 
         InputError for none.
@@ -87,12 +84,12 @@ class TextureLayer:
         x, y = (a[[0, -1]] for a in (self.grid.x_um, self.grid.y_um))
         return np.stack(np.meshgrid(x, y), axis=-1).reshape(4, 2)
 
-    def scaled(self, factor: float) -> TextureLayer:
+    def scaled(self, factor: float) -> TexturedPlane:
         """The layer with lengths that are larger by a factor."""
         grid = self.grid
         return replace(self, grid=Grid(y_um=factor * grid.y_um, x_um=factor * grid.x_um))
 
-    def part(self, low_um: Floats, high_um: Floats) -> TextureLayer:
+    def part(self, low_um: Floats, high_um: Floats) -> TexturedPlane:
         """What lies between two places ``(x, y)``."""
         rows, cols = (
             slice(*np.searchsorted(axis, [low, high]).tolist())
@@ -104,7 +101,7 @@ class TextureLayer:
         def cut(values: Array) -> Array:
             return values[rows, cols]
 
-        return TextureLayer(
+        return TexturedPlane(
             maps={k: cut(m) for k, m in self.maps.items()},
             face={k: cut(m) for k, m in self.face.items()},
             valid=None if self.valid is None else cut(self.valid),
@@ -119,7 +116,8 @@ class TextureLayer:
         factors = [max(int(pixel_um / p + 1e-6), 1) for p in self.grid.pixel_um]
         masks = [] if self.valid is None else [self.valid]
         shown_maps = dict(self.maps)
-        for name, heights in self.face.items() if slopes else ():
+        faces = self.face if slopes else {}
+        for name, heights in faces.items():
             # With noise on them, slopes would take up less of the light than there is.
             is_valid = (
                 np.isfinite(heights) if self.valid is None else np.isfinite(heights) & self.valid
@@ -133,6 +131,31 @@ class TextureLayer:
         is_known = np.any([np.isfinite(m) for m in shown.values()], axis=0)
         first = [0.5 * (c - p) for c, p in zip(coarse_um, self.grid.pixel_um, strict=True)]
         found = textures(shown, is_known, coarse_um, band_um=BAND_UM, most_pixels=np.inf)
-        for name in self.face.keys() & found.maps.keys() if slopes else ():
+        for name in faces.keys() & found.maps.keys():
             found = found.with_slopes(name)
         return found, np.array(self.grid.origin_um) + first[::-1]
+
+
+class PlanePair(NamedTuple):
+    """Two layers, a sheet before an image; ``swapped`` where the first one is the fixed one."""
+
+    a: TexturedPlane
+    b: TexturedPlane
+    swapped: bool
+
+    @classmethod
+    def of(
+        cls,
+        moving: xr.Dataset | xr.DataArray,
+        fixed: xr.Dataset | xr.DataArray,
+        side: Side,
+        holes: tuple[xr.Dataset, xr.Dataset] | None,
+    ) -> PlanePair:
+        """Take two layers by what an image of a side may show; ``holes`` of both are masked."""
+        moving_holes, fixed_holes = holes or (None, None)
+        first, second = (
+            TexturedPlane.of(moving, side, moving_holes),
+            TexturedPlane.of(fixed, side, fixed_holes),
+        )
+        is_swapped = second.is_sheet and not first.is_sheet
+        return cls(second, first, is_swapped) if is_swapped else cls(first, second, is_swapped)

@@ -1,0 +1,275 @@
+"""Find one layer in another one by the texture that both show, and the places of its tiles.
+
+Both sides of a sheet are tried where its side is not given; rough places first, then all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import CannotRegister, InputError
+from planish.core.transform import Similarity
+from planish.core.typing import Floats, Pair
+from planish.register.by_texture.place import TilePlaces, clearest_maps, tile_places, tuned_place
+from planish.register.by_texture.planes import PlanePair, TexturedPlane
+from planish.register.by_texture.search import FALSE, Names, Near, PlaceSearch, search_place
+from planish.register.params import RegistrationParams
+
+_SEARCH_UM, _FINE_UM = 20.0, 8.0  # pixels: at 36 um a weak texture is at chance
+_SEARCHED_UM = 5000.0  # of the middle of a sheet: it says enough
+TUNED_UM = 25.0  # by which the search may be off at the corners of the map
+_AROUND_UM = 200.0  # of the image around the sheet
+# By which a hole of the sheet may lie off that of the image, at a rotation between two of the
+# search.
+_HOLE_UM = 60.0
+_NEAR_UM = 500.0  # of a place that was given without a radius
+# Of an image whose pixel size is hardly known: between two sizes that are tried.
+_SCALE_GUESS = 1.15
+_GUESS_TOLERANCE = 0.08
+_FEW_HOLES = 2  # that fix no place, and narrow the search
+
+
+class FoundPlace(NamedTuple):
+    """A place of the moving layer in the fixed one that chance may reach as well."""
+
+    place: Similarity
+    middle_um: Pair  # of the moving layer, in the fixed one
+    z: float  # standard deviations of chance
+
+    @property
+    def sentence(self) -> str:
+        """Turn, middle and height."""
+        turn_deg, (x, y) = math.degrees(self.place.rotation_rad) % 360, self.middle_um
+        return f"turned by {turn_deg:.0f} degrees about ({x:.0f}, {y:.0f}) um: {self.z:.1f}"
+
+
+class Undecided(CannotRegister):
+    """No place of a sheet stands out by its texture; ``places`` are the best."""
+
+    def __init__(self, text: str, places: Sequence[FoundPlace] = ()) -> None:
+        super().__init__(text)
+        self.places = places
+
+
+class Found(NamedTuple):
+    """A search, and the place from the first to the second layer.
+
+    It also says by what the second layer is larger than stated.
+    """
+
+    search: PlaceSearch
+    place: Similarity
+    scaled: float
+    places: tuple[Similarity, ...]  # of all candidates, from the moving to the fixed layer
+
+
+def find_places(
+    moving: xr.Dataset | xr.DataArray,
+    fixed: xr.Dataset | xr.DataArray,
+    params: RegistrationParams,
+    mirrored: bool | None,
+    holes: tuple[xr.Dataset, xr.Dataset] | None,
+) -> tuple[PlanePair, Found]:
+    """Search by the maps of one side or of either, where holes say so first.
+
+    Stop where the place is sure; Undecided where none is.
+    """
+    tried: list[tuple[PlanePair, Found]] = []
+    sides = (False, True) if mirrored is None else (mirrored,)
+    for is_bottom in sides:
+        layers = PlanePair.of(moving, fixed, "bottom" if is_bottom else "top", holes)
+        for near in _nears(layers, params, holes):
+            hand = None if params.mirror else is_bottom
+            tried.append((layers, _searched(layers, params, mirrored=hand, near=near)))
+            if tried[-1][1].search.is_sure:
+                return tried[-1]
+    layers, found = min(tried, key=lambda t: t[1].search.false_probability)
+    raise _undecided(found, layers)
+
+
+def _nears(
+    layers: PlanePair, params: RegistrationParams, holes: tuple[xr.Dataset, xr.Dataset] | None
+) -> Iterator[Sequence[Near]]:
+    """Say where to look, one after the other.
+
+    The order is about a given place, where a hole lies on a hole, everywhere.
+    """
+    if params.near is not None:
+        x, y, *radius = params.near
+        radius_um = radius[0] if radius else _NEAR_UM
+        if radius_um <= 0:
+            raise InputError(
+                f"The radius of `near` is {radius_um:g} um. Give one above 0, such as {_NEAR_UM:g}."
+            )
+        if layers.swapped:  # the middle of the second layer lies there in the first one
+            mx, my = layers.b.middle_um.tolist()
+            yield [Near(fixed_um=(mx, my), radius_um=radius_um, moving_um=(x, y))]
+        else:
+            yield [Near(fixed_um=(x, y), radius_um=radius_um)]
+        return
+    if holes is not None and all(1 <= h.sizes["mark"] <= _FEW_HOLES for h in holes):
+        places = [np.stack([h["x"].values, h["y"].values], axis=1).tolist() for h in holes]
+        first, second = reversed(places) if layers.swapped else places
+        yield [
+            Near(fixed_um=(b[0], b[1]), radius_um=_HOLE_UM, moving_um=(a[0], a[1]))
+            for a, b in product(first, second)
+        ]
+    yield ()
+
+
+def _searched(
+    layers: PlanePair, params: RegistrationParams, *, mirrored: bool | None, near: Sequence[Near]
+) -> Found:
+    """Search the smaller layer in the larger one.
+
+    The second layer is tried at all sizes that the tolerance allows.
+    """
+    half = 0.5 * _SEARCHED_UM
+    a = layers.a.part(layers.a.middle_um - half, layers.a.middle_um + half)
+    (a_texture, a_first), best = a.texture(_SEARCH_UM), None
+    tolerance = min(params.scale_tolerance, _GUESS_TOLERANCE)
+    beyond = math.log((1.0 + params.scale_tolerance) / (1.0 + _GUESS_TOLERANCE))
+    count = max(math.ceil(beyond / math.log(_SCALE_GUESS)), 0)
+    guesses = sorted(
+        (_SCALE_GUESS**k for k in range(-count, count + 1)), key=lambda g: abs(math.log(g))
+    )
+    for guess in guesses:
+        b = layers.b.scaled(guess)
+        b_texture, b_first = b.texture(_SEARCH_UM)
+        if not (a_texture.known.any() and b_texture.known.any()):
+            raise CannotRegister(
+                "A layer shows no texture: it is empty, or none of it is valid. Check both files."
+            )
+        places = [_of_textures(n, a, a_first, b_first, guess) for n in near]
+        if b_texture.area_um2 < a_texture.area_um2:
+            inverse = [
+                Near(fixed_um=n.moving_um or (0, 0), radius_um=n.radius_um, moving_um=n.fixed_um)
+                for n in places
+            ]
+            found = search_place(
+                b_texture, a_texture, mirrored=mirrored, scale_tolerance=tolerance, near=inverse
+            )
+            search = found.inverse
+        else:
+            search = search_place(
+                a_texture, b_texture, mirrored=mirrored, scale_tolerance=tolerance, near=places
+            )
+        search = replace(
+            search, false_probability=min(len(guesses) * search.false_probability, 1.0)
+        )
+        places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
+        if best is None or search.false_probability < best.search.false_probability:
+            fixed_places = tuple(
+                _between_layers(p, guess, swapped=layers.swapped) for p in places_um
+            )
+            best = Found(search, places_um[0], guess, fixed_places)
+        if best.search.is_sure:
+            break
+    assert best is not None
+    return best
+
+
+def _between_layers(place: Similarity, scaled: float, *, swapped: bool) -> Similarity:
+    """Give a place of the first layer in the second one from the moving to the fixed layer.
+
+    The second layer is ``scaled``; the moving and the fixed layer are taken as they are.
+    """
+    if swapped:
+        return replace(place.inverse, scale=place.inverse.scale * scaled)
+    x, y = place.shift_um
+    return replace(place, scale=place.scale / scaled, shift_um=(x / scaled, y / scaled))
+
+
+def _of_textures(
+    near: Near, a: TexturedPlane, a_first: Floats, b_first: Floats, guess: float
+) -> Near:
+    """A rough place between layers, between their textures, whose first pixels lie elsewhere."""
+    middle = a.middle_um if near.moving_um is None else np.array(near.moving_um)
+    (ax, ay), (bx, by) = (
+        (middle - a_first).tolist(),
+        (guess * np.array(near.fixed_um) - b_first).tolist(),
+    )
+    return Near(fixed_um=(bx, by), radius_um=guess * near.radius_um, moving_um=(ax, ay))
+
+
+def _moved(place: Similarity, moving_first: Floats, fixed_first: Floats) -> Similarity:
+    """A place between textures, between layers in which their first pixels lie elsewhere."""
+    x, y = (place(-moving_first) + fixed_first).tolist()
+    return replace(place, shift_um=(x, y))
+
+
+def tiles_near(
+    layers: PlanePair,
+    place: Similarity,
+    *,
+    scaled: float = 1.0,
+    names: Names | None = None,
+    off_um: float = 0.0,
+) -> TilePlaces:
+    """Tune a place of the first layer in the second one, ``scaled``, by as much as it may be off.
+
+    Tiles are then found there.
+
+    Their places and covariances are those in the second layer as it is.
+    """
+    a, b = layers.a, layers.b.scaled(scaled)
+    seen = place(a.corners_um)
+    b = b.part(seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
+    if not all(b.grid.shape):
+        raise CannotRegister(
+            "The other layer shows no texture at this place: it lies beside it. Give another place."
+        )
+    has_light = not b.is_sheet
+    (moving, moving_first), (fixed, fixed_first) = (
+        a.texture(_FINE_UM, slopes=has_light),
+        b.texture(_FINE_UM),
+    )
+    light = tuple(name for name in a.light if has_light and name in moving.maps)
+    place = _moved(place, -moving_first, -fixed_first)
+    names = names or clearest_maps(moving, fixed, place)
+    # Two sheets are compared map by map; an image shows the other maps, too.
+    beside = tuple(k for k in a.maps if has_light and k in moving.maps and k != names[0])
+    if off_um:
+        place = tuned_place(moving, fixed, names, place, reach_um=off_um, beside=(*beside, *light))
+    tiles = tile_places(moving, fixed, names, place, beside=beside, light=light)
+    return tiles._replace(
+        moving_um=tiles.moving_um + moving_first,
+        fixed_um=(tiles.fixed_um + fixed_first) / scaled,
+        covariance_um2=tiles.covariance_um2 / scaled**2,
+        shared_um2=tiles.shared_um2 / scaled**2,
+    )
+
+
+def _undecided(found: Found, layers: PlanePair) -> Undecided:
+    search, middle_um = found.search, (layers.b if layers.swapped else layers.a).middle_um
+    places = tuple(
+        FoundPlace(place, (float(x), float(y)), candidate.z)
+        for candidate, place in zip(search.candidates, found.places, strict=True)
+        for x, y in (place(middle_um),)
+    )
+    text = (
+        "Best places, in standard deviations of chance:"
+        f" {'; '.join(place.sentence for place in places[:3])}."
+    )
+    if search.has_rival and search.false_probability <= FALSE:
+        return Undecided(
+            f"Two places of the sheet in the image are nearly alike. {text} A pattern that repeats,"
+            " such as a screen or wire marks, looks like that: take it off the image"
+            " (`screen_um`), say about where the sheet lies (`near`), or give marks (`marks`).",
+            places,
+        )
+    return Undecided(
+        "No place of the sheet in the image stands out by its texture: an unrelated image reaches"
+        f" the best one with a probability of {search.false_probability:.2g}, and {FALSE:g} is"
+        f" allowed. {text} Is it this piece of paper, this side (`image_side`, `mirror=True`), and"
+        " are the pixel sizes right (`scale_tolerance`)? A larger field helps, and so do marks"
+        " (`marks`) or a rough place that you know from elsewhere (`near`).",
+        places,
+    )
