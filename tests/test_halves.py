@@ -11,7 +11,7 @@ import xarray as xr
 
 from analyze.fields import compared, gaussian_maps, lags_of
 from planish.analyze import CorrelateParams, SheetColumns, split_half
-from planish.analyze.ceiling import answer_ceiling
+from planish.analyze.attenuation import answer_ceiling
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
 

@@ -4,14 +4,14 @@ from .agreement import Instruments as Instruments
 from .agreement import bland_altman as bland_altman
 from .agreement import compare_instruments as compare_instruments
 from .agreement import deming as deming
+from .attenuation import Ceiling as Ceiling
+from .attenuation import ceiling as ceiling
 from .between_sheets import Equivalence as Equivalence
 from .between_sheets import SheetDifference as SheetDifference
 from .between_sheets import equivalence as equivalence
 from .between_sheets import p_of_tables as p_of_tables
 from .between_sheets import paired_over_sheets as paired_over_sheets
 from .between_sheets import two_groups as two_groups
-from .ceiling import Ceiling as Ceiling
-from .ceiling import ceiling as ceiling
 from .compare import correlate_layers as correlate_layers
 from .correlation import Correlation as Correlation
 from .correlation import PairAtSizes as PairAtSizes

@@ -15,7 +15,7 @@ import xarray as xr
 from pydantic import Field, model_validator
 
 from planish.analyze.agreement import Twice, answer_twice
-from planish.analyze.ceiling import answer_ceiling
+from planish.analyze.attenuation import answer_ceiling
 from planish.analyze.compare import CELLS
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import PairAtSizes

@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple
 
 from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.report.sentences.agreement import say_twice
-from planish.report.sentences.ceiling import say_ceiling
+from planish.report.sentences.attenuation import say_ceiling
 from planish.report.sentences.correlogram import say_correlogram
 from planish.report.sentences.curve import say_curve
 from planish.report.sentences.kubelka_munk import say_kubelka_munk

@@ -1,4 +1,4 @@
-"""What r a perfect relation would show: misplacement, the size of points and noise lower it."""
+"""The attenuation limit: r of a perfect relation, as misplacement, points and noise lower it."""
 
 from __future__ import annotations
 

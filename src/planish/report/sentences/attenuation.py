@@ -1,4 +1,4 @@
-"""What a perfect relation would show, by misplacement and by noise."""
+"""The attenuation limit: what a perfect relation would show, by misplacement and by noise."""
 
 from __future__ import annotations
 
