@@ -126,7 +126,7 @@ def peers(name="M"):
         rests = {
             "planish multigrid": partial(_relaxed, points),
             "planish relaxation": partial(
-                _relaxed, points, method=RelaxationParams(mean_speed=1e-5)
+                _relaxed, points, method=RelaxationParams(stop="residual")
             ),
             "scipy least_squares": partial(_least_squares, points),
             "libigl ARAP": partial(_igl, points, "ARAP"),

@@ -45,7 +45,7 @@ def mesh_values(seed: int, *, once: bool) -> Values:
             )
     first_stop = relax_dynamically(start, rest, params=RelaxationParams(stop="first"))
     values["mesh_first"] = 100.0 * float(np.abs(size_errors(first_stop.uv, flat)).max())
-    feedback = RelaxationParams(control="feedback", most_steps=_FEW_STEPS)
+    feedback = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=_FEW_STEPS)
     euler = RelaxationParams(integrator="euler", most_steps=_FEW_STEPS)
     for name, params in (("feedback", feedback), ("euler", euler)):
         outcome = relax_dynamically(start, rest, params=params).outcome
