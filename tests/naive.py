@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy import optimize, special
-from scipy.interpolate import RegularGridInterpolator
+from scipy.interpolate import LinearNDInterpolator, RegularGridInterpolator
 
 
 def area_mean(values, factor, least=0.5):
@@ -84,6 +84,15 @@ def distance_along_normal(surface, centre, normals, pitch, i, j):
         return at((i + s * nr / pitch[0], j + s * nc / pitch[1])).item() - (centre[i, j] + s * nh)
 
     return optimize.brentq(gap, -200.0, 200.0, xtol=1e-9)
+
+
+def resample_delaunay(uv, field, points):
+    """The mode of Hirn et al.
+
+    (2009): triangulate the moved points anew, then linear within the triangles.
+    """
+    known = np.isfinite(uv).all(axis=-1) & np.isfinite(field)
+    return LinearNDInterpolator(uv[known], field[known])(points)
 
 
 def springs(points):

@@ -1,4 +1,5 @@
-"""The compiled search and sums against loops over triangles and formulas."""
+"""The compiled search and sums against loops over triangles, Delaunay's triangulation, and
+formulas."""
 
 import numpy as np
 import pytest
@@ -7,11 +8,11 @@ from hypothesis import strategies as st
 
 from flatten.meshes import grid, middles
 from folders import refused
-from naive import resample_quads
+from naive import resample_delaunay, resample_quads
 from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
 from planish.core.threads import limit_threads
-from planish.resample import covering_grid, find_places, resample
+from planish.resample import covering_grid, find_places, resample, support
 
 PIXELS = Grid.regular((4, 5), 1.0)
 
@@ -97,21 +98,39 @@ def test_a_regular_mesh_gives_its_own_values_and_the_border_of_the_mesh_is_on_th
     assert places.overlaps == 0
 
 
-@pytest.mark.parametrize("least_um", [None, 1.0])
-def test_what_is_affine_in_the_plane_stays_so(least_um):
+@pytest.mark.parametrize(
+    ("method", "least_um"), [("quads", 1.0), ("delaunay", None), ("delaunay", 1.0)]
+)
+def test_what_is_affine_in_the_plane_stays_so(method, least_um):
     """Exact on any mesh: sub-pixels of a pixel lie about its centre."""
     uv = turned(bent(40, 40), 30)
     at, points = covered(uv, 1.7)
     affine = (3.0, -0.7, 120.0)
-    places = find_places(uv, at, least_um=least_um)
+    places = find_places(uv, at, least_um=least_um, method=method)
     out = resample(uv @ affine[:2] + affine[2], places)
-    whole = (
-        (places.triangle >= 0).reshape(at.shape[0], places.fine, at.shape[1], -1).all(axis=(1, 3))
-    )
+    whole = support(np.ones((40, 40), dtype=bool), places) == 1
     truth = points @ affine[:2] + affine[2]
     assert whole.mean() > 0.4
     # 1e-9 of the values is what is asked for; rounding leaves some 1e-15.
     np.testing.assert_allclose(out[whole], truth[whole], rtol=1e-9, atol=1e-9 * np.abs(truth).max())
+
+
+def test_delaunay_equals_scipy_and_agrees_where_the_field_is_smooth():
+    uv = bent(30, 30)
+    uv[8:11, 9:14] = np.nan
+    at, points = covered(uv, 1.3)
+    field = np.random.default_rng(2).normal(size=(30, 30))
+    places = find_places(uv, at, method="delaunay")
+    np.testing.assert_allclose(
+        resample(field, places), resample_delaunay(uv, field, points), atol=1e-10
+    )
+    quads = find_places(uv, at)
+    assert (places.triangle >= 0).sum() > (quads.triangle >= 0).sum()  # it bridges the hole
+    # On a smooth field both are right to second order of the mesh.
+    field = np.sin(uv[..., 0] / 30) + np.cos(uv[..., 1] / 25)
+    both = support(np.isfinite(field), quads) == 1
+    off = resample(field, places) - resample(field, quads)
+    assert np.abs(off)[both].max() < 3.0**2 / 2 / 25**2 * 2
 
 
 def test_the_mean_is_that_of_the_twin_over_the_known_sub_pixels():
@@ -128,6 +147,7 @@ def test_the_mean_is_that_of_the_twin_over_the_known_sub_pixels():
     out = resample(field, places)
     np.testing.assert_allclose(out, np.where(share >= 0.5, mean, np.nan), atol=1e-10)
     assert 0.1 < np.isfinite(out).mean() < 1
+    np.testing.assert_allclose(support(np.isfinite(field), places), share)
 
 
 def test_same_bytes_on_any_number_of_threads():
@@ -154,6 +174,7 @@ def test_impossible_grids_and_meshes_are_refused():
     uv = np.full((3, 3, 2), np.nan)
     refused(SurfaceError, "No node", covering_grid, uv, 1.0)
     uv[0, :2] = [[0, 0], [1, 1]]
+    refused(SurfaceError, "at least 3", find_places, uv, PIXELS, method="delaunay")
     refused(SurfaceError, "pixel size", find_places, bent(), Grid.regular((0, 5), 1.0))
     refused(SurfaceError, r"\(rows, cols, 2\)", find_places, np.zeros((4, 5)), PIXELS)
     refused(SurfaceError, "mesh", resample, np.zeros((5, 5)), find_places(bent(), PIXELS))

@@ -9,4 +9,5 @@ from .places import covering_grid as covering_grid
 from .places import find_places as find_places
 from .places import resample as resample
 from .places import resample_dataset as resample_dataset
+from .places import support as support
 from .warp import warp_image as warp_image

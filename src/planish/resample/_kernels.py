@@ -135,7 +135,13 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
 
 
 @njit(cache=True, nogil=True)
-def _corners(number, cols):
+def _corners(number, corners, cols):
+    if corners.shape[0] > 0:
+        return (
+            np.int64(corners[number, 0]),
+            np.int64(corners[number, 1]),
+            np.int64(corners[number, 2]),
+        )
     node, half = np.int64(number) >> 1, np.int64(number) & 1
     return node, node + 1 + half * cols, node + 1 + cols - half
 
@@ -160,14 +166,17 @@ def _value(field, a, b, c, wb, wc):
 
 
 @njit(cache=True, nogil=True)
-def sample(field, cols, triangle, weight, fine, out, begin, end):
-    """Set ``out`` to a field's mean over each pixel's known sub-pixels.
+def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end):
+    """Set ``out`` to a field's mean over each pixel's known sub-pixels, ``share`` to their share.
 
     field      : (rows * cols), values at the nodes of a mesh with ``cols`` columns; NaN is missing
     triangle   : (rows_out * fine, cols_out * fine), as :func:`locate` sets it
     weight     : (2, rows_out * fine, cols_out * fine), as :func:`locate` sets it
+    corners    : (triangles, 3) int32, nodes of each triangle; without rows for the triangles of the
+    quads
     fine       : sub-pixels per pixel and axis
-    out        : (rows_out, cols_out), NaN where less than half the sub-pixels are known
+    out, share : (rows_out, cols_out); ``out`` NaN where less than half the sub-pixels are known;
+    ``share`` may be empty
     begin, end : rows of ``out`` to do
     """
     for y in range(begin, end):
@@ -179,12 +188,14 @@ def sample(field, cols, triangle, weight, fine, out, begin, end):
                     number = triangle[m, n]
                     if number < 0:
                         continue
-                    a, b, c = _corners(number, cols)
+                    a, b, c = _corners(number, corners, cols)
                     value = _value(field, a, b, c, weight[0, m, n], weight[1, m, n])
                     if value == value:
                         total += value
                         known += 1
             out[y, x] = total / known if known > 0 and 2 * known >= fine * fine else np.nan
+            if share.size:
+                share[y, x] = known / (fine * fine)
 
 
 @njit(cache=True, nogil=True)

@@ -1,14 +1,15 @@
 """The places of the pixels of a regular grid in a flattened quad mesh, and values brought to them.
 
 Hirn et al. (2009), section 2.3.4, triangulate the moved points anew (Delaunay). Here the
-connectivity of the mesh is used: no triangle can bridge a gap, and overlaps are noticed.
+connectivity of the mesh is used: no triangle can bridge a gap, and overlaps are noticed. The
+paper's mode can be had for comparison.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -19,10 +20,11 @@ from planish.core.errors import SurfaceError
 from planish.core.facts import ResultModel
 from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
-from planish.core.typing import Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.resample._kernels import locate, sample
 
 Indices = NDArray[np.int32]
+Method = Literal["quads", "delaunay"]
 Result = TypeVar("Result")
 # Quads whose extent is known together, passed over where they touch no band of pixels.
 _SEGMENT = 32
@@ -36,7 +38,7 @@ class Places(ResultModel):
         description=(
             "(rows * fine, cols * fine) int32: number of the triangle a sub-pixel lies in; -1"
             " outside. Triangle 2 n + t is the first (t = 0) or second half of the quad whose first"
-            " corner is node n."
+            " corner is node n, unless `corners` numbers them."
         )
     )
     weight: Floats = Field(
@@ -45,10 +47,19 @@ class Places(ResultModel):
             " first one has the rest of 1; anything outside."
         )
     )
+    corners: Indices = Field(
+        description=(
+            "(triangles, 3) int32: nodes of each triangle, for Delaunay's; without rows for the"
+            " quads."
+        )
+    )
     mesh: tuple[int, int] = Field(description="Rows and columns of the mesh.")
     fine: int = Field(description="Sub-pixels per pixel and axis; values are means over them.")
     overlaps: int = Field(
-        description="Sub-pixels covered by more than one quad: 0 unless the mesh is folded."
+        description=(
+            "Sub-pixels covered by more than one quad: 0 unless the mesh is folded, and always 0"
+            " for Delaunay."
+        )
     )
 
     @property
@@ -57,8 +68,10 @@ class Places(ResultModel):
         return self.triangle.shape[0] // self.fine, self.triangle.shape[1] // self.fine
 
 
-def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None) -> Places:
-    """Locate the pixels of a regular grid in the known quads of a mesh.
+def find_places(
+    uv: Floats, grid: Grid, *, least_um: float | None = None, method: Method = "quads"
+) -> Places:
+    """Locate the pixels of a regular grid in a mesh with flat coordinates ``uv``.
 
     Parameters
     ----------
@@ -68,6 +81,9 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None) -> Pla
     least_um : float, optional
         Pitch of the mesh. A pixel wider than that is cut into sub-pixels, so that it takes the mean
         over its area and not the value at its centre.
+    method : {"quads", "delaunay"}
+        Through the two triangles of each known quad; or through a new triangulation of the known
+        nodes (scipy, some hundred times slower), which bridges gaps and does not notice folds.
 
     Returns
     -------
@@ -76,7 +92,8 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None) -> Pla
     Raises
     ------
     SurfaceError
-        The grid is empty or too large, the mesh is not (rows, cols, 2), or has over 2^30 nodes.
+        The grid is empty or too large, the mesh is not (rows, cols, 2), has over 2^30 nodes or no
+        triangle.
 
     Notes
     -----
@@ -100,28 +117,37 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None) -> Pla
     # The first sub-pixel's centre lies half a pixel less half a sub-pixel before the pixel's.
     first = origin[0] - 0.5 * (pixel[1] - step[0]), origin[1] - 0.5 * (pixel[0] - step[1])
     size, mesh = (shape[0] * fine, shape[1] * fine), (uv.shape[0], uv.shape[1])
-    uv = np.ascontiguousarray(uv, dtype=np.float64)
+    uv, corners, overlaps = (
+        np.ascontiguousarray(uv, dtype=np.float64),
+        np.empty((0, 3), dtype=np.int32),
+        0,
+    )
     triangle, weight = np.empty(size, np.int32), np.empty((2, *size))
-    segment_low, segment_high = _extents(uv[..., 1], first[1], step[1])
-    is_double = np.zeros(size, np.uint8)
+    if method == "delaunay":
+        corners = _locate_in_delaunay(uv, first, step, triangle, weight)
+    else:
+        segment_low, segment_high = _extents(uv[..., 1], first[1], step[1])
+        is_double = np.zeros(size, np.uint8)
 
-    def band(begin: int, end: int) -> int:
-        return locate(
-            uv,
-            first,
-            step,
-            _SEGMENT,
-            segment_low,
-            segment_high,
-            triangle,
-            weight,
-            is_double,
-            begin,
-            end,
-        )
+        def band(begin: int, end: int) -> int:
+            return locate(
+                uv,
+                first,
+                step,
+                _SEGMENT,
+                segment_low,
+                segment_high,
+                triangle,
+                weight,
+                is_double,
+                begin,
+                end,
+            )
 
-    overlaps = sum(each_band(band, size[0]))
-    return Places(triangle=triangle, weight=weight, mesh=mesh, fine=fine, overlaps=overlaps)
+        overlaps = sum(each_band(band, size[0]))
+    return Places(
+        triangle=triangle, weight=weight, corners=corners, mesh=mesh, fine=fine, overlaps=overlaps
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,6 +244,42 @@ def _extents(v: Floats, first: float, step: float) -> tuple[Floats, Floats]:
     return bounds[0], bounds[1]
 
 
+def _locate_in_delaunay(
+    uv: Floats, first_um: Pair, step_um: Pair, triangle: Indices, weight: Floats
+) -> Indices:
+    """Locate pixels in triangles made anew as in the paper.
+
+    These triangles bridge gaps and bays, and notice no fold.
+    """
+    from scipy.spatial import Delaunay, QhullError
+
+    nodes = uv.reshape(-1, 2)
+    finite_nodes = np.flatnonzero(np.isfinite(nodes).all(axis=1))
+    try:
+        triangulation = Delaunay(nodes[finite_nodes])
+    except (QhullError, ValueError) as error:
+        raise SurfaceError(
+            f"The {finite_nodes.size} known nodes cannot be triangulated; at least 3 are needed"
+            " that do not lie in one line. Check the flat coordinates."
+        ) from error
+    u, v = (
+        a + b * np.arange(n)
+        for a, b, n in zip(first_um, step_um, triangle.shape[::-1], strict=True)
+    )
+    for begin in range(0, v.size, _LEAST_ROWS):
+        rows = slice(begin, begin + _LEAST_ROWS)
+        points = np.stack(np.meshgrid(u, v[rows]), axis=-1)
+        triangle[rows] = triangulation.find_simplex(points)
+        # Weights of the first two corners; without a triangle they are not used.
+        barycentric = triangulation.transform[triangle[rows]]
+        corner_weights = np.einsum(
+            "yxij,yxj->yxi", barycentric[..., :2, :], points - barycentric[..., 2, :]
+        )
+        weight[0, rows] = corner_weights[..., 1]
+        weight[1, rows] = 1.0 - corner_weights.sum(axis=-1)
+    return np.ascontiguousarray(finite_nodes[triangulation.simplices], dtype=np.int32)
+
+
 def resample(field: NDArray[Any], places: Places) -> Floats:
     """Give the values of a mesh field on the grid.
 
@@ -241,19 +303,25 @@ def resample(field: NDArray[Any], places: Places) -> Floats:
     SurfaceError
         The field does not have the mesh's shape.
     """
-    if field.shape != places.mesh:
-        raise SurfaceError(
-            f"The field has the shape {field.shape}, the mesh {places.mesh}. Give a field on the"
-            " nodes of that mesh."
-        )
-    nodes, p = np.ascontiguousarray(field, dtype=np.float64).reshape(-1), places
-    out = np.empty(p.shape)
+    return _sampled(field, places, np.empty((0, 0)))
 
-    def band(begin: int, end: int) -> None:
-        sample(nodes, p.mesh[1], p.triangle, p.weight, p.fine, out, begin, end)
 
-    each_band(band, out.shape[0])
-    return out
+def support(known: Bools, places: Places) -> Floats:
+    """Share of each pixel's area that is known on the mesh, from 0 to 1.
+
+    ``support(np.isfinite(field), places) >= 0.5`` is where :func:`resample` of the same field has a
+    value.
+
+    Parameters
+    ----------
+    known : (rows, cols)
+        Nodes with a value.
+    places : Places
+        As for :func:`resample`.
+    """
+    share = np.empty(places.shape)
+    _sampled(np.where(known, 0.0, np.nan), places, share)
+    return share
 
 
 def resample_dataset(
@@ -284,3 +352,20 @@ def resample_dataset(
         if np.issubdtype(variable.dtype, np.floating):
             variables[str(name)] = xr.Variable(dims, resample(variable.values, places), attrs)
     return xr.Dataset(variables, coords={k: (k, v, {"units": "um"}) for k, v in coords.items()})
+
+
+def _sampled(field: NDArray[Any], places: Places, share: Floats) -> Floats:
+    """Values; ``share`` is set to the share of each pixel that is known where it is not empty."""
+    if field.shape != places.mesh:
+        raise SurfaceError(
+            f"The field has the shape {field.shape}, the mesh {places.mesh}. Give a field on the"
+            " nodes of that mesh."
+        )
+    nodes, p = np.ascontiguousarray(field, dtype=np.float64).reshape(-1), places
+    out = np.empty(p.shape)
+
+    def band(begin: int, end: int) -> None:
+        sample(nodes, p.mesh[1], p.triangle, p.weight, p.corners, p.fine, out, share, begin, end)
+
+    each_band(band, out.shape[0])
+    return out
