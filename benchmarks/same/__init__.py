@@ -50,6 +50,8 @@ EXPECTED = (
         "design/specimen/truth/parameters.json:parameters.*",
         "a base of fibres, a film and section gains are parameters",
     ),
+    ("*.json:*.remedy", "what a check asks to be set is a field of its own"),
+    ("*.json:*.ceiling_sentence", "the page words the limit that attenuation sets"),
     ("*.zarr:*._FillValue", "what is NaN is missing without being told"),
     ("*-info.json:run_bytes", "info counts the memory that a run reckons with"),
     ("former/*-info.json:warning", "runs of 0.2.0 are named by their format"),
