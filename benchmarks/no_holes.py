@@ -29,7 +29,7 @@ from benchmarks.hole_scenes import gauss
 from benchmarks.paper import KINDS
 from benchmarks.shared import rms
 from planish.core.errors import CannotRegister
-from planish.register.by_texture.search import BAND_UM
+from planish.register.by_texture.rotations import BAND_UM
 from planish.run import find_holes, register_texture
 from planish.synthetic import BurnParams, CameraParams, make_specimen
 from planish.synthetic.pose import CameraPose, draw_pose

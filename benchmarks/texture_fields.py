@@ -20,7 +20,7 @@ from scipy import ndimage
 
 from planish.analyze.refinement import CrossFitted, held_out_r
 from planish.core.transform import Similarity, nearest_similarity
-from planish.register.by_texture.search import BAND_UM, FALSE, search_place
+from planish.register.by_texture.rotations import BAND_UM, FALSE, search_place
 from planish.texture.textures import textures
 
 _SEARCH_UM, _MAP_UM, _RS = 20.0, 8.0, (0.3, 0.5, 0.7)

@@ -15,7 +15,7 @@ from folders import refused
 from planish.core.errors import CannotRegister, InputError
 from planish.core.transform import Similarity, nearest_similarity
 from planish.register import RegistrationParams
-from planish.register.by_texture.search import _exceeded
+from planish.register.by_texture.rotations import _exceeded
 
 PIXEL_UM = 6.0
 SHAPE, IMAGE_SHAPE = (200, 250), (330, 360)

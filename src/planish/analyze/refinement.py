@@ -24,7 +24,7 @@ from planish.core.transform import Similarity
 from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.register import Chain, FittedTransform, Refined, RefineOptions, refine
 from planish.register.by_texture.place import tuned_place
-from planish.register.by_texture.search import BAND_UM
+from planish.register.by_texture.rotations import BAND_UM
 from planish.register.refinement import Refinement
 from planish.texture.detrend import PhaseSurrogate, Plane, correlation_length_um, in_band
 from planish.texture.textures import textures

@@ -15,7 +15,7 @@ from planish.core.errors import SizeError
 from planish.core.facts import Side
 from planish.core.grid import Grid
 from planish.core.numbers import capital, with_article
-from planish.register.by_texture.search import FALSE
+from planish.register.by_texture.rotations import FALSE
 from planish.texture.textures import Relation, Textures, relate, textures, unexplained
 
 NAME = "side and specimen"

@@ -29,7 +29,7 @@ from planish.app.live import Live
 from planish.app.pictures import Tiles
 from planish.app.session import Session, Stale
 from planish.core.errors import FileError, PlanishError, ResourceError
-from planish.register.by_texture.find import Undecided
+from planish.register.by_texture.search import Undecided
 
 MOST_BYTES = 2_000_000
 """Of one request: what a person changes is small."""

@@ -1,7 +1,7 @@
 """Checks of a run: all of a scan, a sheet, a registration and a link, in one table.
 
-``table`` holds CHECKS, a row a check, and what they leave of the figures. ``scan`` and ``windows``
-read parts of a volume once; ``greys``, ``slices``, ``sheets``, ``through_scale`` and
+``registry`` holds CHECKS, a row a check, and what they leave of the figures. ``scan`` and
+``windows`` read parts of a volume once; ``greys``, ``slices``, ``sheets``, ``through_scale`` and
 ``registration`` hold the functions.
 """
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from planish.run.compare import compare_layers
 from planish.run.compute import Compute, Progress, silent
 from planish.run.judging import judge_link, judge_sheet
-from planish.run.linking import register_layers
 from planish.run.mapping import map_layers
 from planish.run.overlay import overlay_layers
 from planish.run.reading import read_inputs
+from planish.run.registering import register_layers
 from planish.run.run import Run
 from planish.run.save import write_run
 from planish.run.study import Study

@@ -18,10 +18,10 @@ from planish.core.transform import Similarity
 from planish.core.typing import Floats, Ints
 from planish.marks.exchange.model import join_holes, paired, points_of
 from planish.register import RegistrationParams, fit_pairs, need_holes
-from planish.register.by_texture.find import TUNED_UM, find_places, tiles_near
 from planish.register.by_texture.place import TilePlaces
 from planish.register.by_texture.planes import PlanePair, TexturedPlane
-from planish.register.by_texture.search import Names, PlaceSearch
+from planish.register.by_texture.rotations import Names, PlaceSearch
+from planish.register.by_texture.search import TUNED_UM, find_places, tiles_near
 from planish.run.holes import HoleSearch
 from planish.run.layers import MappedLayer
 from planish.run.marks_registration import register_by_marks

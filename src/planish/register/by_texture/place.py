@@ -12,7 +12,7 @@ from scipy import ndimage, optimize
 
 from planish.core.transform import Similarity, nearest_similarity
 from planish.core.typing import Bools, Floats, Pair
-from planish.register.by_texture.search import Names, compared
+from planish.register.by_texture.rotations import Names, compared
 from planish.texture.detrend import PhaseSurrogate
 from planish.texture.lag_field import lag_field
 from planish.texture.lag_search import LagSearch

@@ -13,7 +13,7 @@ from planish.core.errors import InputError
 from planish.core.facts import Side
 from planish.core.grid import Grid, hole_mask
 from planish.core.typing import Array, Bools, Floats, Pair
-from planish.register.by_texture.search import BAND_UM
+from planish.register.by_texture.rotations import BAND_UM
 from planish.texture.textures import Textures, textures
 from planish.texture.white_noise import without_white_noise
 

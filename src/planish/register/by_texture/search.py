@@ -1,487 +1,275 @@
-"""Where a sheet lies in an image, by the texture that both show.
+"""Find one layer in another one by the texture that both show, and the places of its tiles.
 
-Rotation, hand, scale and shift, and how sure that is.
-
-Every map that may show in the image is correlated with it at every rotation, hand, scale and shift.
-A correlation counts in standard deviations of its own map's null: what the same map reaches at the
-places that are wrong. How high the best of so many wrong places gets is read off the best of every
-rotation but those beside the one that is judged.
+Both sides of a sheet are tried where its side is not given; rough places first, then all.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import fft, ndimage, special
+import xarray as xr
 
-from planish.core.errors import CannotRegister
-from planish.core.threads import map_threads
-from planish.core.transform import Similarity, nearest_similarity
+from planish.core.errors import CannotRegister, InputError
+from planish.core.transform import Similarity
 from planish.core.typing import Floats, Pair
-from planish.texture.textures import Textures
+from planish.register.by_texture.place import TilePlaces, clearest_maps, tile_places, tuned_place
+from planish.register.by_texture.planes import PlanePair, TexturedPlane
+from planish.register.by_texture.rotations import FALSE, Names, Near, PlaceSearch, search_place
+from planish.register.params import RegistrationParams
 
-BAND_UM = (18.0, 150.0)
-"""Waves that a scan and an image share: shorter ones are noise, longer ones light and print."""
-FALSE = 4e-4
-"""Largest probability, of an image that shows nothing of the sheet, to be linked all the same."""
-RIVAL = 0.85
-"""Share of the best place's height from which on another place is nearly as good, as in a pattern
-that repeats."""
-_OVERLAP = 0.4  # least share of the map that lies in the image
-_NEAR_DEG, _NEAR_UM = 8.0, 150.0  # of a place, within which another one is the same
-_STEP = 3600.0  # um degrees: rotations are tried in steps of this over the size of the map
-_SCALE_STEP = 45.0  # um: scales in steps of this over the size of the map
-_CANDIDATES = 5
-_LEAST_WINDOW = 384  # pixels of a part of the image that is transformed as a whole
-_LEAST_ROTATIONS = 20  # that show how high chance gets
-# Of the rotations, measured on unrelated fields; those beside each other are alike.
-_INDEPENDENT = 0.25
-Slab = NDArray[np.float32]
-Names = tuple[str, str]
-"""A map of the moving layer, and that of the fixed one which it is compared with."""
+_SEARCH_UM, _FINE_UM = 20.0, 8.0  # pixels: at 36 um a weak texture is at chance
+_SEARCHED_UM = 5000.0  # of the middle of a sheet: it says enough
+TUNED_UM = 25.0  # by which the search may be off at the corners of the map
+_AROUND_UM = 200.0  # of the image around the sheet
+# By which a hole of the sheet may lie off that of the image, at a rotation between two of the
+# search.
+_HOLE_UM = 60.0
+_NEAR_UM = 500.0  # of a place that was given without a radius
+# Of an image whose pixel size is hardly known: between two sizes that are tried.
+_SCALE_GUESS = 1.15
+_GUESS_TOLERANCE = 0.08
+_FEW_HOLES = 2  # that fix no place, and narrow the search
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Near:
-    """About where a point of the moving layer, as a hole, lies in the fixed one, (x, y) in um.
+class FoundPlace(NamedTuple):
+    """A place of the moving layer in the fixed one that chance may reach as well."""
 
-    Else its middle.
+    place: Similarity
+    middle_um: Pair  # of the moving layer, in the fixed one
+    z: float  # standard deviations of chance
+
+    @property
+    def sentence(self) -> str:
+        """Turn, middle and height."""
+        turn_deg, (x, y) = math.degrees(self.place.rotation_rad) % 360, self.middle_um
+        return f"turned by {turn_deg:.0f} degrees about ({x:.0f}, {y:.0f}) um: {self.z:.1f}"
+
+
+class Undecided(CannotRegister):
+    """No place of a sheet stands out by its texture; ``places`` are the best."""
+
+    def __init__(self, text: str, places: Sequence[FoundPlace] = ()) -> None:
+        super().__init__(text)
+        self.places = places
+
+
+class Found(NamedTuple):
+    """A search, and the place from the first to the second layer.
+
+    It also says by what the second layer is larger than stated.
     """
 
-    fixed_um: Pair
-    radius_um: float
-    moving_um: Pair | None = None
+    search: PlaceSearch
+    place: Similarity
+    scaled: float
+    places: tuple[Similarity, ...]  # of all candidates, from the moving to the fixed layer
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
-    """A place of the sheet in the image."""
-
-    names: Names  # of the maps that lead
-    z: float  # standard deviations of the map's null
-    r: float  # correlation over the pixels that both show
-    place: Similarity  # from the moving layer to the fixed one, in um
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlaceSearch:
-    """Places of the sheet in the image, the best first, and how sure that one is."""
-
-    candidates: tuple[Candidate, ...]
-    # That textures which have nothing in common reach as much at any place.
-    false_probability: float
-
-    @property
-    def best(self) -> Candidate:
-        """The best place."""
-        return self.candidates[0]
-
-    @property
-    def inverse(self) -> PlaceSearch:
-        """The same places, from the fixed layer to the moving one."""
-        turned = (
-            replace(c, names=(c.names[1], c.names[0]), place=c.place.inverse)
-            for c in self.candidates
-        )
-        return replace(self, candidates=tuple(turned))
-
-    @property
-    def has_rival(self) -> bool:
-        """Whether another place is nearly as good."""
-        return len(self.candidates) > 1 and self.candidates[1].z > RIVAL * self.best.z
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether the layers can be linked there."""
-        return self.false_probability <= FALSE and not self.has_rival
-
-
-def compared(moving: Textures, fixed: Textures) -> tuple[Names, ...]:
-    """Which maps of two layers are compared: all with an image, those of one name of two sheets."""
-    if "image" in moving.maps:
-        return tuple(("image", name) for name in fixed.maps)
-    if "image" in fixed.maps:
-        return tuple((name, "image") for name in moving.maps)
-    names = tuple((name, name) for name in moving.maps if name in fixed.maps)
-    if not names:
-        raise CannotRegister(
-            "The two sheets have no map in common to compare. Measure the same maps in both"
-            " (`property`)."
-        )
-    return names
-
-
-def search_place(
-    moving: Textures,
-    fixed: Textures,
-    *,
+def find_places(
+    moving: xr.Dataset | xr.DataArray,
+    fixed: xr.Dataset | xr.DataArray,
+    params: RegistrationParams,
     mirrored: bool | None,
-    scale_tolerance: float = 0.02,
-    near: Sequence[Near] = (),
-) -> PlaceSearch:
-    """Search all places of a sheet in an image.
+    holes: tuple[xr.Dataset, xr.Dataset] | None,
+) -> tuple[PlanePair, Found]:
+    """Search by the maps of one side or of either, where holes say so first.
 
-    ``moving``: maps of the sheet that may show in it; ``fixed``: ``image``, with pixels that are
-    not larger than those of the sheet by much, or the maps of another sheet. ``mirrored``: whether
-    the layers see each other mirrored; both are tried where None. ``scale_tolerance``: largest
-    deviation of the scale from 1. ``near``: search about these places alone, each by itself.
-
-    A search in steps twice as wide finds most places in a quarter of the time; it comes first, and
-    the probability counts both. Of textures that are unrelated, the correlation at all shifts is a
-    smooth Gaussian field, whose maximum exceeds z with a probability near ``A z exp(-z**2 / 2)``
-    (Adler and Taylor 2007, chapter 14). The best of the other rotations tell A, and a factor to z
-    for fields that are not quite Gaussian.
+    Stop where the place is sure; Undecided where none is.
     """
-    scanner = _Scanner(moving, fixed, scale_tolerance)
-    hands = (False, True) if mirrored is None else (mirrored,)
-    windows = near or (None,)
-    for wider in (2.0, 1.0):
-        steps = _Steps.of(scanner.size_um, scale_tolerance, wider)
-        cells = map_threads(partial(scanner.cell, steps=steps, windows=windows), steps.turns(hands))
-        found = _judged(scanner, steps, cells)
-        if found.is_sure:
-            break
-    return found
+    tried: list[tuple[PlanePair, Found]] = []
+    sides = (False, True) if mirrored is None else (mirrored,)
+    for is_bottom in sides:
+        layers = PlanePair.of(moving, fixed, "bottom" if is_bottom else "top", holes)
+        for near in _nears(layers, params, holes):
+            hand = None if params.mirror else is_bottom
+            tried.append((layers, _searched(layers, params, mirrored=hand, near=near)))
+            if tried[-1][1].search.is_sure:
+                return tried[-1]
+    layers, found = min(tried, key=lambda t: t[1].search.false_probability)
+    raise _undecided(found, layers)
 
 
-class _Peak(NamedTuple):
-    """The highest correlation of a map at one rotation, hand and scale."""
+def _nears(
+    layers: PlanePair, params: RegistrationParams, holes: tuple[xr.Dataset, xr.Dataset] | None
+) -> Iterator[Sequence[Near]]:
+    """Say where to look, one after the other.
 
-    turn: Similarity  # without its shift
-    names: Names
-    height: float  # sum of products over the root of the number of pairs
-    r: float
-    at: tuple[int, int]  # pixel of the image at which the middle of the map lies
-    near: Near | None
-    squares: float  # sum over all shifts, and how many there are
-    shifts: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Steps:
-    """Steps of a search in rotation and scale."""
-
-    deg: float
-    scale: float
-    scales: tuple[float, ...]
-
-    @classmethod
-    def of(cls, size_um: float, scale_tolerance: float, wider: float) -> _Steps:
-        step = wider * _SCALE_STEP / size_um
-        count = 2 * max(math.ceil(scale_tolerance / step - 0.5), 0) + 1
-        most = scale_tolerance * (count - 1) / count
-        scales = np.linspace(1.0 - most, 1.0 + most, count).tolist()
-        return cls(
-            deg=360.0 / math.ceil(360.0 * size_um / (wider * _STEP)),
-            scale=step,
-            scales=tuple(scales),
-        )
-
-    def turns(self, hands: tuple[bool, ...]) -> Iterator[Similarity]:
-        """All rotations of all hands."""
-        for hand, k in product(hands, range(round(360.0 / self.deg))):
-            yield Similarity(rotation_rad=math.radians(k * self.deg), mirrored=hand)
-
-    def about(self, turn: Similarity) -> Iterator[tuple[Similarity, tuple[float, ...]]]:
-        """Rotations between those of the search, with scales between its own."""
-        scales = tuple(turn.scale + self.scale * k / 4.0 for k in (-2, -1, 0, 1, 2))
-        for k in (-2, -1, 0, 1, 2):
-            rotation_rad = turn.rotation_rad + math.radians(self.deg) * k / 4.0
-            yield replace(turn, scale=1.0, rotation_rad=rotation_rad), scales
-
-
-def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]]) -> PlaceSearch:
-    null_sd: dict[Names, float] = {}
-    for names in {peak.names for peak in cells[0]}:
-        peaks = [peak for cell in cells for peak in cell if peak.names == names]
-        count = sum(peak.shifts for peak in peaks)
-        null_sd[names] = math.sqrt(sum(peak.squares for peak in peaks) / max(count, 1)) or 1.0
-
-    def z(peak: _Peak) -> float:
-        return abs(peak.height) / null_sd[peak.names]
-
-    def candidate(peak: _Peak) -> Candidate:
-        return Candidate(
-            names=peak.names, z=z(peak), r=peak.r, place=scanner.place(peak.turn, peak.at)
-        )
-
-    best_of_cells = sorted((max(cell, key=z) for cell in cells), key=z, reverse=True)
-    best = best_of_cells[0]
-    is_best = [
-        p.turn.mirrored == best.turn.mirrored and _same_turn(p.turn, best.turn)
-        for p in best_of_cells
-    ]
-    others = np.array([z(p) for p, same in zip(best_of_cells, is_best, strict=True) if not same])
-    probability = _exceeded(z(best), others) if others.size >= _LEAST_ROTATIONS else 1.0
-    finer = (
-        p for turn, scales in steps.about(best.turn) for p in scanner.peaks(turn, scales, best.near)
-    )
-    finest = max((best, *finer), key=lambda p: z(p) if p.names == best.names else 0.0)
-    candidates = [replace(candidate(finest), z=z(best))]
-    for peak in sorted((*best_of_cells[1:], *scanner.rivals(best, _NEAR_UM)), key=z, reverse=True):
-        other = candidate(peak)
-        if all(_apart(other.place, c.place, scanner.middle_um) for c in candidates):
-            candidates.append(other)
-        if len(candidates) == _CANDIDATES:
-            break
-    return PlaceSearch(candidates=tuple(candidates), false_probability=min(2.0 * probability, 1.0))
-
-
-def _same_turn(a: Similarity, b: Similarity) -> bool:
-    difference = math.degrees(a.rotation_rad - b.rotation_rad)
-    return abs((difference + 180.0) % 360.0 - 180.0) < _NEAR_DEG
-
-
-def _apart(a: Similarity, b: Similarity, middle_um: Floats) -> bool:
-    is_shifted = float(np.linalg.norm(a(middle_um) - b(middle_um))) > _NEAR_UM
-    return a.mirrored != b.mirrored or not _same_turn(a, b) or is_shifted
-
-
-def _exceeded(z: float, others: Floats) -> float:
-    """Probability that any of so many rotations, and one more, of unrelated textures reaches z.
-
-    The best of a rotation is distributed as ``exp(-A x exp(-x**2 / 2))`` with x = z / s. Few
-    rotations leave A and s uncertain, and the tail more so: both are integrated over.
+    The order is about a given place, where a hole lies on a hole, everywhere.
     """
-    if not np.quantile(others, 0.5) > 0.0:  # a constant image, or none of it known, is like nothing
-        return 1.0
-
-    def log_rates(x: Floats) -> Floats:
-        return np.log(np.maximum(x, 1e-9)) - 0.5 * x**2
-
-    s = np.geomspace(0.8, 3.0, 67)[:, None]  # below 0.8 it is chance among few rotations
-    x = np.maximum(others / s, 1.2)
-    log_sums, independent = (
-        special.logsumexp(log_rates(others / s), axis=1),
-        _INDEPENDENT * others.size,
-    )
-    log_likelihood = -_INDEPENDENT * np.sum(np.log(s) + 0.5 * x**2 - np.log(x**2 - 1.0), axis=1)
-    weights = special.softmax(log_likelihood - independent * log_sums)
-    expected = (
-        (others.size + 1)
-        / _INDEPENDENT
-        * np.exp(np.minimum(log_rates(z / s[:, 0]) - log_sums, 700.0))
-    )
-    return float(np.sum(weights * -np.expm1(-independent * np.log1p(expected))))
-
-
-class _Window(NamedTuple):
-    """Part of an image, and where the map's middle may lie in it.
-
-    Spectra of its maps and of what is known of it.
-    """
-
-    first: tuple[int, int]  # row and column of the first middle
-    size: tuple[int, int]
-    maps: dict[str, NDArray[np.complex64]]
-    known: NDArray[np.complex64]
-    shape: tuple[int, int]
-
-
-class _Scanner:
-    """Correlates maps, turned about their middle, with an image at all shifts or near a place."""
-
-    def __init__(self, moving: Textures, fixed: Textures, scale_tolerance: float) -> None:
-        self._fixed, self._names = fixed, compared(moving, fixed)
-        # X, y.
-        self._moving_px, self._fixed_px = (np.array(t.pixel_um[::-1]) for t in (moving, fixed))
-        shape = np.array(moving.known.shape[::-1])
-        self._extent_um, self.middle_um = (
-            shape * self._moving_px,
-            0.5 * (shape - 1) * self._moving_px,
-        )
-        self.size_um = math.sqrt(max(moving.area_um2, 1.0))
-        self._splines = {
-            k: np.asarray(ndimage.spline_filter(moving.maps[k]), dtype=np.float32)
-            for k, _ in self._names
-        }
-        self._mask = moving.known.astype(np.float32)
-        self._most = moving.n * float(np.prod(self._moving_px / self._fixed_px))
-        most_um = 1.05 * (1.0 + scale_tolerance) * float(np.hypot(*self._extent_um))
-        self._margin = math.ceil(0.5 * most_um / float(self._fixed_px.min())) + 2
-        spans = [_spans(n, max(4 * self._margin, _LEAST_WINDOW)) for n in fixed.known.shape]
-        size = spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]
-        self._whole = [
-            self._spectra(first, size) for first in product(spans[0][:-1], spans[1][:-1])
+    if params.near is not None:
+        x, y, *radius = params.near
+        radius_um = radius[0] if radius else _NEAR_UM
+        if radius_um <= 0:
+            raise InputError(
+                f"The radius of `near` is {radius_um:g} um. Give one above 0, such as {_NEAR_UM:g}."
+            )
+        if layers.swapped:  # the middle of the second layer lies there in the first one
+            mx, my = layers.b.middle_um.tolist()
+            yield [Near(fixed_um=(mx, my), radius_um=radius_um, moving_um=(x, y))]
+        else:
+            yield [Near(fixed_um=(x, y), radius_um=radius_um)]
+        return
+    if holes is not None and all(1 <= h.sizes["mark"] <= _FEW_HOLES for h in holes):
+        places = [np.stack([h["x"].values, h["y"].values], axis=1).tolist() for h in holes]
+        first, second = reversed(places) if layers.swapped else places
+        yield [
+            Near(fixed_um=(b[0], b[1]), radius_um=_HOLE_UM, moving_um=(a[0], a[1]))
+            for a, b in product(first, second)
         ]
+    yield ()
 
-    def cell(self, turn: Similarity, steps: _Steps, windows: Sequence[Near | None]) -> list[_Peak]:
-        """Peaks of all maps at one rotation and hand, and all scales."""
-        return [peak for near in windows for peak in self.peaks(turn, steps.scales, near)]
 
-    def peaks(
-        self, turn: Similarity, scales: tuple[float, ...], near: Near | None
-    ) -> Iterator[_Peak]:
-        """The highest correlation of each map at each scale."""
-        for scaled, names, values, weight, window in self._heights(turn, scales, near):
-            yield self._peak(scaled, names, values * weight, weight, window, near)
+def _searched(
+    layers: PlanePair, params: RegistrationParams, *, mirrored: bool | None, near: Sequence[Near]
+) -> Found:
+    """Search the smaller layer in the larger one.
 
-    def rivals(self, best: _Peak, apart_um: float) -> Iterator[_Peak]:
-        """The highest correlation at the turn of the best one, away from it."""
-        turn, scale = replace(best.turn, scale=1.0), best.turn.scale
-        for scaled, names, values, weight, window in self._heights(turn, (scale,), best.near):
-            if names != best.names:
-                continue
-            rows, cols = (
-                (np.arange(n) + first - at) * um
-                for n, first, at, um in zip(
-                    values.shape, window.first, best.at, self._fixed_px[::-1], strict=True
-                )
+    The second layer is tried at all sizes that the tolerance allows.
+    """
+    half = 0.5 * _SEARCHED_UM
+    a = layers.a.part(layers.a.middle_um - half, layers.a.middle_um + half)
+    (a_texture, a_first), best = a.texture(_SEARCH_UM), None
+    tolerance = min(params.scale_tolerance, _GUESS_TOLERANCE)
+    beyond = math.log((1.0 + params.scale_tolerance) / (1.0 + _GUESS_TOLERANCE))
+    count = max(math.ceil(beyond / math.log(_SCALE_GUESS)), 0)
+    guesses = sorted(
+        (_SCALE_GUESS**k for k in range(-count, count + 1)), key=lambda g: abs(math.log(g))
+    )
+    for guess in guesses:
+        b = layers.b.scaled(guess)
+        b_texture, b_first = b.texture(_SEARCH_UM)
+        if not (a_texture.known.any() and b_texture.known.any()):
+            raise CannotRegister(
+                "A layer shows no texture: it is empty, or none of it is valid. Check both files."
             )
-            far = np.hypot(rows[:, None], cols) > apart_um
-            yield self._peak(scaled, names, values * weight * far, weight, window, best.near)
-
-    def place(self, turn: Similarity, at: tuple[int, int]) -> Similarity:
-        """Transformation that puts the middle of the map on a pixel of the image."""
-        return nearest_similarity(
-            turn.matrix(), self.middle_um, np.array(at[::-1]) * self._fixed_px
-        )
-
-    def _peak(
-        self,
-        turn: Similarity,
-        names: Names,
-        height: Slab,
-        weight: Slab,
-        window: _Window,
-        near: Near | None,
-    ) -> _Peak:
-        row, col = divmod(int(np.argmax(np.abs(height))), height.shape[1])
-        value = float(height[row, col])
-        at = (row + window.first[0], col + window.first[1])
-        # The weight is one over the root of the number of pairs.
-        r, squares = value * float(weight[row, col]), float(np.vdot(height, height))
-        return _Peak(turn, names, value, r, at, near, squares, int(np.count_nonzero(weight)))
-
-    def _heights(
-        self, turn: Similarity, scales: tuple[float, ...], near: Near | None
-    ) -> Iterator[tuple[Similarity, Names, Slab, Slab, _Window]]:
-        """Sums of products by the pixel of the map's middle, and weights that make them heights."""
-        windows, middle_scale = self._windows(turn, near), 0.5 * (scales[0] + scales[-1])
-        half, sampled = self._on_image(replace(turn, scale=middle_scale))
-        mask = self._spectrum(self._turned_mask(sampled), windows[0].shape)
-        least_pairs, weights = max(_OVERLAP * self._most * middle_scale**2, 1.0), list[Slab]()
-        for window in windows:
-            pairs = self._lags(window, window.known, mask, half)
-            weights.append(
-                np.where(pairs >= least_pairs, 1.0 / np.sqrt(np.maximum(pairs, 1.0)), 0.0).astype(
-                    np.float32
-                )
-            )
-        for scale in scales:
-            scaled = replace(turn, scale=scale)
-            half, sampled = self._on_image(scaled)
-            is_known = self._turned_mask(sampled)
-            for names in self._names:
-                part = self._spectrum(
-                    sampled(self._splines[names[0]], 3) * is_known, windows[0].shape
-                )
-                for window, weight in zip(windows, weights, strict=True):
-                    yield (
-                        scaled,
-                        names,
-                        self._lags(window, window.maps[names[1]], part, half),
-                        weight,
-                        window,
-                    )
-
-    def _windows(self, turn: Similarity, near: Near | None) -> list[_Window]:
-        """Parts of the image in which the middle of the map may lie: all, or one near a place."""
-        if near is None:
-            return self._whole
-        arm_um = (
-            np.zeros(2) if near.moving_um is None else self.middle_um - np.array(near.moving_um)
-        )
-        middle = (np.array(near.fixed_um) + turn.matrix() @ arm_um) / self._fixed_px
-        first = np.floor(middle - near.radius_um / self._fixed_px).astype(int)
-        count = np.ceil(2.0 * near.radius_um / self._fixed_px).astype(int) + 1
-        return [self._spectra((int(first[1]), int(first[0])), (int(count[1]), int(count[0])))]
-
-    def _spectra(self, first: tuple[int, int], count: tuple[int, ...]) -> _Window:
-        (rows, cols), margin = count, self._margin
-        shape = (
-            fft.next_fast_len(rows + 2 * margin, real=True),
-            fft.next_fast_len(cols + 2 * margin, real=True),
-        )
-
-        def spectrum(values: NDArray[np.generic]) -> NDArray[np.complex64]:
-            part = np.zeros(shape, np.float32)
-            spans = [
-                (max(b - margin, 0), min(b + n + margin, size))
-                for b, n, size in zip(first, count, values.shape, strict=True)
+        places = [_of_textures(n, a, a_first, b_first, guess) for n in near]
+        if b_texture.area_um2 < a_texture.area_um2:
+            inverse = [
+                Near(fixed_um=n.moving_um or (0, 0), radius_um=n.radius_um, moving_um=n.fixed_um)
+                for n in places
             ]
-            if all(low < high for low, high in spans):
-                inside = tuple(slice(low, high) for low, high in spans)
-                to = tuple(
-                    slice(low - b + margin, high - b + margin)
-                    for (low, high), b in zip(spans, first, strict=True)
-                )
-                part[to] = values[inside]
-            return np.asarray(fft.rfft2(part), dtype=np.complex64)
-
-        maps = {k: spectrum(self._fixed.maps[k]) for k in {fixed for _, fixed in self._names}}
-        return _Window(first, (rows, cols), maps, spectrum(self._fixed.known), shape)
-
-    def _on_image(
-        self, turn: Similarity
-    ) -> tuple[tuple[int, int], Callable[[Slab, Literal[1, 3]], Slab]]:
-        """Half the size and the sampling of a map on pixels of the image, no larger than needed."""
-        matrix = turn.matrix()
-        corners = np.array([*product((-0.5, 0.5), repeat=2)]) * self._extent_um @ matrix.T
-        half = np.ceil(np.abs(corners).max(axis=0) / self._fixed_px).astype(int)
-        # Of pixels x, y.
-        to_moving = (np.linalg.inv(matrix) * self._fixed_px) / self._moving_px[:, None]
-        offset = self.middle_um / self._moving_px - to_moving @ half
-        shape = (2 * int(half[1]) + 1, 2 * int(half[0]) + 1)
-
-        def sampled(values: Slab, order: Literal[1, 3]) -> Slab:
-            return ndimage.affine_transform(
-                values,
-                to_moving[::-1, ::-1],
-                offset[::-1],
-                output_shape=shape,
-                order=order,
-                prefilter=False,
-                output=np.float32,
+            found = search_place(
+                b_texture, a_texture, mirrored=mirrored, scale_tolerance=tolerance, near=inverse
             )
-
-        return (shape[0] // 2, shape[1] // 2), sampled
-
-    def _turned_mask(self, sampled: Callable[[Slab, Literal[1, 3]], Slab]) -> Slab:
-        return (sampled(self._mask, 1) >= 0.5).astype(np.float32)
-
-    def _spectrum(self, part: Slab, shape: tuple[int, int]) -> NDArray[np.complex64]:
-        """Conjugate spectrum.
-
-        The rows that the part does not fill need no transformation along them.
-        """
-        return np.conj(fft.fft(fft.rfft(part, shape[1], axis=1), shape[0], axis=0))
-
-    def _lags(
-        self,
-        window: _Window,
-        image: NDArray[np.complex64],
-        part: NDArray[np.complex64],
-        half: tuple[int, int],
-    ) -> Slab:
-        """Sums of products by the pixel at which the middle of the part lies.
-
-        Only the rows that are needed.
-        """
-        along = fft.ifft(image * part, axis=0, overwrite_x=True)
-        row, col = (self._margin - h for h in half)
-        lags = fft.irfft(along[row : row + window.size[0]], window.shape[1], axis=1)
-        return np.ascontiguousarray(lags[:, col : col + window.size[1]], dtype=np.float32)
+            search = found.inverse
+        else:
+            search = search_place(
+                a_texture, b_texture, mirrored=mirrored, scale_tolerance=tolerance, near=places
+            )
+        search = replace(
+            search, false_probability=min(len(guesses) * search.false_probability, 1.0)
+        )
+        places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
+        if best is None or search.false_probability < best.search.false_probability:
+            fixed_places = tuple(
+                _between_layers(p, guess, swapped=layers.swapped) for p in places_um
+            )
+            best = Found(search, places_um[0], guess, fixed_places)
+        if best.search.is_sure:
+            break
+    assert best is not None
+    return best
 
 
-def _spans(count: int, most: int) -> list[int]:
-    """Borders of equal parts, the last of which may reach beyond the end."""
-    parts = math.ceil(count / most)
-    return [k * math.ceil(count / parts) for k in range(parts + 1)]
+def _between_layers(place: Similarity, scaled: float, *, swapped: bool) -> Similarity:
+    """Give a place of the first layer in the second one from the moving to the fixed layer.
+
+    The second layer is ``scaled``; the moving and the fixed layer are taken as they are.
+    """
+    if swapped:
+        return replace(place.inverse, scale=place.inverse.scale * scaled)
+    x, y = place.shift_um
+    return replace(place, scale=place.scale / scaled, shift_um=(x / scaled, y / scaled))
+
+
+def _of_textures(
+    near: Near, a: TexturedPlane, a_first: Floats, b_first: Floats, guess: float
+) -> Near:
+    """A rough place between layers, between their textures, whose first pixels lie elsewhere."""
+    middle = a.middle_um if near.moving_um is None else np.array(near.moving_um)
+    (ax, ay), (bx, by) = (
+        (middle - a_first).tolist(),
+        (guess * np.array(near.fixed_um) - b_first).tolist(),
+    )
+    return Near(fixed_um=(bx, by), radius_um=guess * near.radius_um, moving_um=(ax, ay))
+
+
+def _moved(place: Similarity, moving_first: Floats, fixed_first: Floats) -> Similarity:
+    """A place between textures, between layers in which their first pixels lie elsewhere."""
+    x, y = (place(-moving_first) + fixed_first).tolist()
+    return replace(place, shift_um=(x, y))
+
+
+def tiles_near(
+    layers: PlanePair,
+    place: Similarity,
+    *,
+    scaled: float = 1.0,
+    names: Names | None = None,
+    off_um: float = 0.0,
+) -> TilePlaces:
+    """Tune a place of the first layer in the second one, ``scaled``, by as much as it may be off.
+
+    Tiles are then found there.
+
+    Their places and covariances are those in the second layer as it is.
+    """
+    a, b = layers.a, layers.b.scaled(scaled)
+    seen = place(a.corners_um)
+    b = b.part(seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
+    if not all(b.grid.shape):
+        raise CannotRegister(
+            "The other layer shows no texture at this place: it lies beside it. Give another place."
+        )
+    has_light = not b.is_sheet
+    (moving, moving_first), (fixed, fixed_first) = (
+        a.texture(_FINE_UM, slopes=has_light),
+        b.texture(_FINE_UM),
+    )
+    light = tuple(name for name in a.light if has_light and name in moving.maps)
+    place = _moved(place, -moving_first, -fixed_first)
+    names = names or clearest_maps(moving, fixed, place)
+    # Two sheets are compared map by map; an image shows the other maps, too.
+    beside = tuple(k for k in a.maps if has_light and k in moving.maps and k != names[0])
+    if off_um:
+        place = tuned_place(moving, fixed, names, place, reach_um=off_um, beside=(*beside, *light))
+    tiles = tile_places(moving, fixed, names, place, beside=beside, light=light)
+    return tiles._replace(
+        moving_um=tiles.moving_um + moving_first,
+        fixed_um=(tiles.fixed_um + fixed_first) / scaled,
+        covariance_um2=tiles.covariance_um2 / scaled**2,
+        shared_um2=tiles.shared_um2 / scaled**2,
+    )
+
+
+def _undecided(found: Found, layers: PlanePair) -> Undecided:
+    search, middle_um = found.search, (layers.b if layers.swapped else layers.a).middle_um
+    places = tuple(
+        FoundPlace(place, (float(x), float(y)), candidate.z)
+        for candidate, place in zip(search.candidates, found.places, strict=True)
+        for x, y in (place(middle_um),)
+    )
+    text = (
+        "Best places, in standard deviations of chance:"
+        f" {'; '.join(place.sentence for place in places[:3])}."
+    )
+    if search.has_rival and search.false_probability <= FALSE:
+        return Undecided(
+            f"Two places of the sheet in the image are nearly alike. {text} A pattern that repeats,"
+            " such as a screen or wire marks, looks like that: take it off the image"
+            " (`screen_um`), say about where the sheet lies (`near`), or give marks (`marks`).",
+            places,
+        )
+    return Undecided(
+        "No place of the sheet in the image stands out by its texture: an unrelated image reaches"
+        f" the best one with a probability of {search.false_probability:.2g}, and {FALSE:g} is"
+        f" allowed. {text} Is it this piece of paper, this side (`image_side`, `mirror=True`), and"
+        " are the pixel sizes right (`scale_tolerance`)? A larger field helps, and so do marks"
+        " (`marks`) or a rough place that you know from elsewhere (`near`).",
+        places,
+    )
