@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
 
 from planish.core.errors import MarkError
-from planish.core.facts import ResultModel
 from planish.core.typing import Floats, Ints, Pair
 from planish.design.params import StageParams
 from planish.design.pattern import Pattern
@@ -217,24 +215,17 @@ _KNOWN = f"{', '.join(_COMMANDS)} with X, Y, F, P, S"
 _OFF = {"M3": "M5", "M64": "M65"}
 
 
-class DryRun(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DryRun:
     """Shots, path and times of a program."""
 
-    fired_um: Floats = Field(
-        description="(n, 2): positions of the shots in the order in which they are fired."
-    )
-    pulse_s: Floats = Field(description="(n,): how long the laser is on at each.")
-    path_um: Floats = Field(
-        description="(m, 2): corners of the path, from the first position the program names."
-    )
-    least_pause_s: float = Field(
-        description="Shortest time that the laser is off between two shots; NaN for a single shot."
-    )
-    time_s: float = Field(
-        description=(
-            "Moves at the speed of the program and all waits; the stage's acceleration adds to it."
-        )
-    )
+    fired_um: Floats  #: (n, 2): positions of the shots in the order in which they are fired.
+    pulse_s: Floats  #: (n,): how long the laser is on at each.
+    path_um: Floats  #: (m, 2): corners of the path, from the first position the program names.
+    #: Shortest time that the laser is off between two shots; NaN for a single shot.
+    least_pause_s: float
+    #: Moves at the speed of the program and all waits; the stage's acceleration adds to it.
+    time_s: float
 
     @property
     def length_um(self) -> float:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -20,7 +21,6 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat
 
 from planish.core.errors import MarkError
-from planish.core.facts import ResultModel
 from planish.core.tables import naming_faults, parse_table, read_text, table_text
 from planish.core.typing import Floats, Pair
 from planish.design.params import DesignParams, ImagingParams
@@ -276,7 +276,8 @@ def read_pattern(
 P95 = float(np.sqrt(-np.log(0.05)))
 
 
-class Predicted(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Predicted:
     """Error that a pattern allows.
 
     At a distance r from the centroid of N holes with the rms radius f, for a similarity: ``TRE**2 =
@@ -285,11 +286,9 @@ class Predicted(ResultModel):
     second term of two dimensions doubles).
     """
 
-    fle_um: float = Field(
-        description="Error of one hole's position in one map against the other, rms in the plane."
-    )
-    holes_um: Floats = Field(description="(n, 2), stage coordinates.")
-    field_um: Floats = Field(description="Middle and corners of the field, (5, 2).")
+    fle_um: float  #: Error of one hole's position in one map against the other, rms in the plane.
+    holes_um: Floats  #: (n, 2), stage coordinates.
+    field_um: Floats  #: Middle and corners of the field, (5, 2).
 
     @property
     def radius_um(self) -> float:

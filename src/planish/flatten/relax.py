@@ -3,14 +3,13 @@
 2009, section 2.3).
 """
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
-from planish.core.facts import ResultModel
 from planish.core.status import Outcome
 from planish.core.threads import count_threads
 from planish.core.typing import Bools, Floats
@@ -36,53 +35,32 @@ _LEAST_SHARE = 0.02  # of the nodes: smaller pieces are specks beside the sheet
 Run = tuple[int, Outcome, tuple[Step, ...]]  # steps on the finest mesh, how it ended, all steps
 
 
-class Relaxed(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Relaxed:
     """A relaxed mesh and how it got there."""
 
-    uv: Floats = Field(
-        description=(
-            "(rows, cols, 2): flat coordinates (u, v) in the unit of the points; NaN where there is"
-            " no sheet."
-        )
-    )
-    energy: float = Field(
-        description=(
-            "Sum over the springs of k (l - L)^2 in that unit squared, k being 1 or the lower"
-            " weight of the two ends."
-        )
-    )
-    springs: int = Field(description="Number of the springs.")
-    outcome: Outcome = Field(description="How it ended.")
-    steps: int = Field(
-        description="Of ``relaxation``: steps in time; of ``multigrid``: steps on the finest mesh."
-    )
-    history: tuple[Step, ...] = Field(
-        description=(
-            "All steps, those on the coarser meshes of ``multigrid`` included, in mean pitches."
-        )
-    )
-    folded: Bools = Field(
-        description=(
-            "(rows - 1, cols - 1): cells with a triangle whose signed area is not above zero, and"
-            " those that are held open at next to none."
-        )
-    )
-    imputed: Bools = Field(
-        description=(
-            "(rows, cols): nodes of little weight, which were laid where the others suggest: their"
-            " places are no measurement."
-        )
-    )
-    straight_share: float = Field(
-        description=(
-            "Share of the springs that kept their chord because the curvature of the surface is not"
-            ' certain there; NaN for ``rest="chord"``.'
-        )
-    )
-    pitch: float = Field(description="Mean distance of neighbours along rows and columns.")
-    dropped: Bools = Field(
-        description="(rows, cols): nodes of specks beside the sheet, which were left out."
-    )
+    #: (rows, cols, 2): flat coordinates (u, v) in the unit of the points; NaN where there is no
+    #: sheet.
+    uv: Floats
+    #: Sum over the springs of k (l - L)^2 in that unit squared, k being 1 or the lower weight of
+    #: the two ends.
+    energy: float
+    springs: int  #: Number of the springs.
+    outcome: Outcome  #: How it ended.
+    steps: int  #: Of ``relaxation``: steps in time; of ``multigrid``: steps on the finest mesh.
+    #: All steps, those on the coarser meshes of ``multigrid`` included, in mean pitches.
+    history: tuple[Step, ...]
+    #: (rows - 1, cols - 1): cells with a triangle whose signed area is not above zero, and those
+    #: that are held open at next to none.
+    folded: Bools
+    #: (rows, cols): nodes of little weight, which were laid where the others suggest: their places
+    #: are no measurement.
+    imputed: Bools
+    #: Share of the springs that kept their chord because the curvature of the surface is not
+    #: certain there; NaN for ``rest="chord"``.
+    straight_share: float
+    pitch: float  #: Mean distance of neighbours along rows and columns.
+    dropped: Bools  #: (rows, cols): nodes of specks beside the sheet, which were left out.
 
 
 def relax_grid(  # noqa: C901

@@ -7,12 +7,12 @@ sections, in which the bend of the sheet cannot be told from a drift of the stag
 something fixed to the stage shows that drift.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
-from pydantic import Field
 from scipy.ndimage import gaussian_filter1d
 
 from planish.core.errors import VolumeError
-from planish.core.facts import ResultModel
 from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.sections.band import SectionSeries, Stack
@@ -32,7 +32,8 @@ _CUTOFF_PITCHES = 50.0  # corrections with longer wavelengths are not applied
 _SURER = 0.5
 
 
-class Alignment(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alignment:
     """Places of the sections against their neighbours.
 
     What belongs at (row, col) of section i is found at (row, col) + ``shift_um[i]`` / pixel, turned
@@ -41,41 +42,22 @@ class Alignment(ResultModel):
     ``rotation y``.
     """
 
-    shift_um: Floats = Field(
-        description=(
-            "(sections, 2): along (row, col), in um; 0 where a section could not be aligned."
-        )
-    )
-    rotation_rad: Floats = Field(
-        description="(sections,), shortened by the share that is its own error."
-    )
-    aligned: Bools = Field(
-        description=(
-            "(sections,), False for one with less than two good pairs: torn, blurred, or not of"
-            " this sheet."
-        )
-    )
-    jitter_left_um: Floats = Field(
-        description=(
-            "Standard deviation of what is left of the quick errors along (row, col), from"
-            " solutions that leave out one sixth of the columns each (jackknife). What all columns"
-            " share is not in it."
-        )
-    )
-    pairs_used: int = Field(description="Pairs of sections that were used.")
-    pairs_refused: int = Field(description="Pairs that were refused.")
-    cutoff_um: float = Field(
-        description=(
-            "Waves longer than this along the cut were left alone, except where something fixed"
-            " shows them."
-        )
-    )
-    fixed: tuple[bool, ...] = Field(
-        default=(False, False, False),
-        description=(
-            "Whether (row, col, rotation) were held by something fixed, slow waves included."
-        ),
-    )
+    #: (sections, 2): along (row, col), in um; 0 where a section could not be aligned.
+    shift_um: Floats
+    rotation_rad: Floats  #: (sections,), shortened by the share that is its own error.
+    #: (sections,), False for one with less than two good pairs: torn, blurred, or not of this
+    #: sheet.
+    aligned: Bools
+    #: Standard deviation of what is left of the quick errors along (row, col), from solutions that
+    #: leave out one sixth of the columns each (jackknife). What all columns share is not in it.
+    jitter_left_um: Floats
+    pairs_used: int  #: Pairs of sections that were used.
+    pairs_refused: int  #: Pairs that were refused.
+    #: Waves longer than this along the cut were left alone, except where something fixed shows
+    #: them.
+    cutoff_um: float
+    #: Whether (row, col, rotation) were held by something fixed, slow waves included.
+    fixed: tuple[bool, ...] = (False, False, False)
 
 
 def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Alignment:

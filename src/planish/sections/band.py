@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy.ndimage import (
     distance_transform_edt,
     gaussian_filter,
@@ -22,7 +21,6 @@ from scipy.ndimage import (
 )
 
 from planish.core.errors import VolumeError
-from planish.core.facts import ResultModel
 from planish.core.lazy import LazyArray
 from planish.core.robust import mad_sd, otsu_borders
 from planish.core.threads import map_threads
@@ -34,27 +32,19 @@ Stack = NDArray[Any] | LazyArray
 for."""
 
 
-class SheetBand(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SheetBand:
     """Course of the sheet."""
 
-    row: Floats = Field(
-        description=(
-            "(sections, blocks): middle of the sheet, in pixels along the rows; smooth along both"
-            " axes."
-        )
-    )
-    at_col: Floats = Field(description="(blocks,): middle column of each block, in pixels.")
-    jump: Floats = Field(
-        description=(
-            "(sections,): by how many rows the sheet lies off the smooth surface in this section: a"
-            " first guess of its shift."
-        )
-    )
-    half_um: float = Field(description="Half the sheet's thickness across the rows, in um.")
-    background: Floats = Field(description="(sections,): rough grey level off the sheet.")
-    contrast: Floats = Field(
-        description="(sections,): that of the sheet less that of the background."
-    )
+    #: (sections, blocks): middle of the sheet, in pixels along the rows; smooth along both axes.
+    row: Floats
+    at_col: Floats  #: (blocks,): middle column of each block, in pixels.
+    #: (sections,): by how many rows the sheet lies off the smooth surface in this section: a first
+    #: guess of its shift.
+    jump: Floats
+    half_um: float  #: Half the sheet's thickness across the rows, in um.
+    background: Floats  #: (sections,): rough grey level off the sheet.
+    contrast: Floats  #: (sections,): that of the sheet less that of the background.
 
     def heights(self, section: int, cols: int) -> NDArray[np.float32]:
         """Row of the sheet in each of ``cols`` columns of a section, in pixels."""
@@ -227,12 +217,13 @@ def _smooth_surface(middle_row: Floats, away_um: Floats) -> Floats:
 _MOST = 50_000  # pixels for a level: the noise of a pixel is divided by 200
 
 
-class Gains(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gains:
     """Corrections that make the grey levels of all sections equal: gain x grey + offset."""
 
-    gain: Floats = Field(description="(sections,); 1 where the levels could not be measured.")
-    offset: Floats = Field(description="(sections,); 0 where the levels could not be measured.")
-    measured: Bools = Field(description="(sections,).")
+    gain: Floats  #: (sections,); 1 where the levels could not be measured.
+    offset: Floats  #: (sections,); 0 where the levels could not be measured.
+    measured: Bools  #: (sections,).
 
 
 def normalise_sections(series: SectionSeries) -> Gains:

@@ -6,15 +6,14 @@ That is a table of specimens with their files and factors, and the options that 
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
-from planish.core.options import Params
 from planish.core.parameter_faults import fault_texts, key_lines
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.io import find_place
@@ -37,23 +36,17 @@ _LONGEST_NAME = 80
 _EXAMPLES = {"set": '["volume.top=low"]', "layers": '["ct=scan", "image.tif"]'}
 
 
-class PlannedSpecimen(Params):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannedSpecimen:
     """One specimen as the table has it."""
 
-    name: str = Field(description="Name of the specimen and of the folder of its run.")
-    files: tuple[str, ...] = Field(
-        description=(
-            "Volume and image, or layers with the reference last; absolute, `NAME=PATH` where a"
-            " layer has a name."
-        )
-    )
-    factors: dict[str, str] = Field(
-        default={},
-        description="Text by factor, in the order of the table; empty cells are left out.",
-    )
-    changes: tuple[str, ...] = Field(
-        default=(), description="Options of this specimen alone, `SECTION.NAME=VALUE`."
-    )
+    name: str  #: Name of the specimen and of the folder of its run.
+    #: Volume and image, or layers with the reference last; absolute, `NAME=PATH` where a layer has
+    #: a name.
+    files: tuple[str, ...]
+    #: Text by factor, in the order of the table; empty cells are left out.
+    factors: dict[str, str] = field(default_factory=dict[str, str])
+    changes: tuple[str, ...] = ()  #: Options of this specimen alone, `SECTION.NAME=VALUE`.
 
     @property
     def member(self) -> Member:
@@ -61,23 +54,19 @@ class PlannedSpecimen(Params):
         return Member(name=self.name, factors=self.factors)
 
 
-class Plan(Params):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
     """A series as its file describes it."""
 
     specimens: tuple[PlannedSpecimen, ...]
-    home: Path = Field(description="Folder of the file, to which paths in it are relative.")
-    sections: dict[str, dict[str, Any]] = Field(
-        default={}, description="Options of all specimens, by section, as in a study file."
-    )
-    declared: Declared = Field(
-        default=Declared(), description="What is compared, of the table `compare`."
-    )
-    watch: dict[str, Any] = Field(
-        default={}, description="The table `watch`, empty where there is none."
-    )
-    changes: tuple[str, ...] = Field(
-        default=(), description="Options of all specimens, `SECTION.NAME=VALUE`."
-    )
+    home: Path  #: Folder of the file, to which paths in it are relative.
+    #: Options of all specimens, by section, as in a study file.
+    sections: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
+    #: What is compared, of the table `compare`.
+    declared: Declared = field(default_factory=Declared)
+    #: The table `watch`, empty where there is none.
+    watch: dict[str, Any] = field(default_factory=dict[str, Any])
+    changes: tuple[str, ...] = ()  #: Options of all specimens, `SECTION.NAME=VALUE`.
 
     def study(self, specimen: PlannedSpecimen) -> Study:
         """The study of one specimen.
@@ -213,7 +202,7 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:  # noqa: C901, PLR0912
     return _checked(
         path,
         rows,
-        plan.model_copy(update={"sections": sections, "declared": declared, "watch": watch}),
+        replace(plan, sections=sections, declared=declared, watch=watch),
     )
 
 
@@ -274,7 +263,7 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
             f"{path}: compare names {compared}, and no specimen has that factor; there are "
             f"{', '.join(factors) or 'none'}. Add a column {compared}, or name another one."
         )
-    return plan.model_copy(update={"specimens": tuple(specimens)})
+    return replace(plan, specimens=tuple(specimens))
 
 
 def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
