@@ -10,7 +10,6 @@ from planish.core.errors import MarkError
 from planish.design import check_pattern, own_pattern
 from planish.design.rules import (
     CROP,
-    _HoleIndex,
     code_misfit_um,
     crops,
     perimeter_order,
@@ -164,17 +163,7 @@ def test_the_search_does_not_depend_on_where_the_pattern_lies(pattern, turn, shi
         assert abs(here.best_count(kind) - there.best_count(kind)) <= 1
 
 
-def test_table_and_tree_give_the_same_holes_in_the_order_of_the_design(pattern):
-    index = _HoleIndex(pattern.points_um)
-    assert index.table is not None
-    rng = np.random.default_rng(2)
-    near = pattern.points_um[rng.integers(len(pattern.points_um), size=3000)] + rng.normal(
-        0, 30, (3000, 2)
-    )
-    z = np.concatenate([near, rng.uniform(-40_000, 60_000, (500, 2))]) @ [1, 1j]
-    fast = index.holes_at(z[:, None])
-    index.table = None
-    np.testing.assert_array_equal(fast, index.holes_at(z[:, None]))
+def test_a_design_names_its_holes_along_the_frame(pattern):
     np.testing.assert_array_equal(perimeter_order(pattern.points_um), np.arange(len(pattern.holes)))
 
 

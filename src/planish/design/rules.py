@@ -53,69 +53,18 @@ def self_motions(points_um: Floats) -> Motions:
     goal_pairs = base_pairs[order][first[repeated_numbers] + offset]
     bases = np.tile(base_pairs[repeated_numbers], (2, 1))
     goals = np.concatenate([goal_pairs, goal_pairs[:, ::-1]])
-    index = _HoleIndex(points_um)
+    tree = cKDTree(points_um)
     hits, kinds = zip(
-        *(_motion_hits(z, bases, goals, index, mirrored) for mirrored in (False, True)), strict=True
+        *(_motion_hits(z, bases, goals, tree, mirrored) for mirrored in (False, True)), strict=True
     )
     return Motions(np.concatenate(hits), np.concatenate(kinds))
-
-
-class _HoleIndex:
-    """The hole within the tolerance of a point.
-
-    It is found by a table of cells, or by a tree where the table would be large.
-    """
-
-    def __init__(self, points_um: Floats) -> None:
-        # Two holes fix the motion, and each may be off.
-        self.n, self.reach = len(points_um), 1.5 * TOLERANCE_UM
-        self.z = np.append(points_um[:, 0] + 1j * points_um[:, 1], np.inf)
-        self.tree = cKDTree(points_um)
-        nearest = float(np.min(np.asarray(self.tree.query(points_um, k=2)[0])[:, 1]))
-        # Cells so small that none belongs to two holes, and no smaller than needed.
-        self.cell = min(2 * self.reach, 0.69 * (nearest / 2 - self.reach))
-        self.table = None
-        if self.cell < self.reach / 4:
-            return
-        self.low = points_um.min(axis=0) - self.reach - 2 * self.cell
-        shape = (
-            np.ceil((points_um.max(axis=0) + self.reach - self.low) / self.cell).astype(np.intp) + 2
-        )
-        if shape.prod() > 4_000_000:
-            return
-        self.table = np.full(shape, self.n, dtype=np.int16)
-        for k, point in enumerate(points_um):
-            first, last = (
-                ((point + d - self.low) / self.cell).astype(np.intp)
-                for d in (-self.reach, self.reach)
-            )
-            self.table[first[0] : last[0] + 1, first[1] : last[1] + 1] = k
-
-    def holes_at(self, points: NDArray[np.complex128]) -> Ints:
-        """Return the number of the hole at each point, or n where there is none."""
-        if self.table is None:
-            points_xy = np.stack([points.real.ravel(), points.imag.ravel()], axis=1)
-            hole_numbers = self.tree.query(points_xy, distance_upper_bound=self.reach)[1]
-            return np.asarray(hole_numbers, dtype=np.intp).reshape(points.shape)
-        x, y = (  # Far outside is cut off to the table's border, which is empty.
-            np.clip((coordinate - table_low) / self.cell, 0, n - 1).astype(np.intp)
-            for coordinate, table_low, n in zip(
-                (points.real, points.imag), self.low, self.table.shape, strict=True
-            )
-        )
-        holes = self.table[x, y].astype(np.intp).ravel()
-        candidates = np.flatnonzero(holes < self.n)
-        holes[
-            candidates[np.abs(points.ravel()[candidates] - self.z[holes[candidates]]) > self.reach]
-        ] = self.n
-        return holes.reshape(points.shape)
 
 
 def _motion_hits(
     z: NDArray[np.complex128],
     base_pairs: Ints,
     goal_pairs: Ints,
-    hole_index: _HoleIndex,
+    tree: cKDTree,
     mirrored: bool,
 ) -> tuple[Bools, NDArray[np.str_]]:
     source = np.conj(z) if mirrored else z
@@ -125,7 +74,9 @@ def _motion_hits(
     (start, end), (goal_start, goal_end) = base_pairs[is_motion].T, goal_pairs[is_motion].T
     alpha = (z[goal_end] - z[goal_start]) / (source[end] - source[start])
     moved_points = alpha[:, None] * source + (z[goal_start] - alpha * source[start])[:, None]
-    holes = hole_index.holes_at(moved_points)
+    moved_xy = np.stack([moved_points.real, moved_points.imag], axis=-1)
+    # Two holes fix the motion, and each may be off. Where no hole is so near, the number is len(z).
+    holes = np.asarray(tree.query(moved_xy, distance_upper_bound=1.5 * TOLERANCE_UM)[1])
     is_hit = holes < len(z)
     if mirrored:
         return is_hit, np.full(len(is_hit), "mirror")
