@@ -100,7 +100,6 @@ def make_specimen(
             seed=params.seed,
             stiffness=params.stiffness,
             film=params.film,
-            crack_um=params.crack_um,
         )
     elif not sheet.covers(field_uv[:2], field_uv[2:]):
         raise ValueError(
@@ -129,7 +128,7 @@ def make_specimen(
 
 
 def write_specimen(
-    options: SpecimenOptions, folder: Path, *, progress: Callable[[str], None] | None = None
+    options: SpecimenOptions, folder: Path, *, progress: Callable[[str], None]
 ) -> None:
     """Make the specimen that ``options`` order, and write it.
 
@@ -138,8 +137,7 @@ def write_specimen(
     specimen = make_specimen(options.params())
     large = options.size == "T3"  # without voxels: nodes of the centre surface instead
     for name in (*options.instrument, "truth"):
-        if progress is not None:
-            progress(name)
+        progress(name)
         if name == "truth":
             write_truth(specimen, folder / "truth")
         elif name not in _VOLUMES:

@@ -6,7 +6,7 @@ Also every nuisance by its name, the specimen of the demo, and what a user order
 specimen``.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
@@ -149,64 +149,70 @@ coating does."""
 
 
 class Nuisance(NamedTuple):
-    """A disturbance that can be switched off.
-
-    ``off`` holds values of the ``section`` of :class:`SpecimenParams`.
-    """
+    """A disturbance that can be switched off, by fields of a section of :class:`SpecimenParams`."""
 
     title: str
     section: str
-    off: Mapping[str, Any]
+    fields: tuple[str, ...]
+
+
+# What is off has the size 0, but for these fields.
+_OFF: dict[str, Any] = {"fibres": None, "axis_ratio": 1.0, "rings": 0, "bits": 16}
 
 
 NUISANCES: dict[str, Nuisance] = {
-    name: Nuisance(title, section, off)
-    for name, title, section, off in (
+    name: Nuisance(title, section, tuple(fields))
+    for name, title, section, *fields in (
         (
             "base_texture",
             "grey of fibres and voids",
             "paper",
-            {"base_density_sd": 0.0, "filler": 0.0, "fibres": None},
+            "base_density_sd",
+            "filler",
+            "fibres",
         ),
-        ("coating_density", "density of the coating", "paper", {"coating_density_sd": 0.0}),
-        ("stage", "stage of the laser", "holes", {"stage_um": 0.0}),
+        ("coating_density", "density of the coating", "paper", "coating_density_sd"),
+        ("stage", "stage of the laser", "holes", "stage_um"),
         (
             "hole_shape",
             "shape of the holes",
             "holes",
-            {"axis_ratio": 1.0, "rim_um": 0.0, "diameter_sd_um": 0.0},
+            "axis_ratio",
+            "rim_um",
+            "diameter_sd_um",
         ),
-        ("hole_axis", "taper and tilt of the holes", "holes", {"taper": 0.0, "tilt_deg": 0.0}),
-        ("char", "burnt rims", "holes", {"char_um": 0.0, "char_sd_um": 0.0}),
-        ("half_closed", "half-closed holes", "holes", {"half_closed": 0.0}),
-        ("bump", "bump that cannot be unrolled", "warp", {"bump_um": 0.0}),
-        ("scan_blur", "blur of the scan", "scanner", {"fwhm_um": 0.0}),
-        ("scan_noise", "noise of the scan", "scanner", {"noise": 0.0}),
-        ("fringe", "phase fringe", "scanner", {"fringe": 0.0}),
-        ("cupping", "cupping", "scanner", {"cupping": 0.0}),
-        ("rings", "rings", "scanner", {"rings": 0}),
-        ("streaks", "streaks", "scanner", {"streak": 0.0}),
-        ("jitter", "jitter of the sections", "sections", {"jitter_um": 0.0}),
-        ("walk", "random walk of the sections", "sections", {"walk_um": 0.0}),
-        ("section_turn", "rotation of the sections", "sections", {"rotation_deg": 0.0}),
-        ("section_place", "thickness of the sections", "sections", {"thickness": 0.0}),
-        ("missing", "missing sections", "sections", {"missing": 0.0}),
-        ("drift", "colour drift", "sections", {"drift": 0.0}),
-        ("defocus", "defocus", "sections", {"defocus_um": 0.0}),
-        ("knife", "knife marks", "sections", {"knife": 0.0}),
+        ("hole_axis", "taper and tilt of the holes", "holes", "taper", "tilt_deg"),
+        ("char", "burnt rims", "holes", "char_um", "char_sd_um"),
+        ("half_closed", "half-closed holes", "holes", "half_closed"),
+        ("bump", "bump that cannot be unrolled", "warp", "bump_um"),
+        ("scan_blur", "blur of the scan", "scanner", "fwhm_um"),
+        ("scan_noise", "noise of the scan", "scanner", "noise"),
+        ("fringe", "phase fringe", "scanner", "fringe"),
+        ("cupping", "cupping", "scanner", "cupping"),
+        ("rings", "rings", "scanner", "rings"),
+        ("streaks", "streaks", "scanner", "streak"),
+        ("jitter", "jitter of the sections", "sections", "jitter_um"),
+        ("walk", "random walk of the sections", "sections", "walk_um"),
+        ("section_turn", "rotation of the sections", "sections", "rotation_deg"),
+        ("section_place", "thickness of the sections", "sections", "thickness"),
+        ("missing", "missing sections", "sections", "missing"),
+        ("drift", "colour drift", "sections", "drift"),
+        ("defocus", "defocus", "sections", "defocus_um"),
+        ("knife", "knife marks", "sections", "knife"),
         (
             "section_noise",
             "noise and resin of the sections",
             "sections",
-            {"noise": 0.0, "texture": 0.0},
+            "noise",
+            "texture",
         ),
-        ("calibration", "pixel size of the image", "camera", {"scale_range": 0.0}),
-        ("distortion", "distortion of the lens", "camera", {"radial": 0.0}),
-        ("stretch", "stretch of the sheet", "camera", {"stretch": 0.0}),
-        ("shading", "shading by the topography", "camera", {"shading": 0.0}),
-        ("vignetting", "vignetting", "camera", {"vignetting": 0.0}),
-        ("lens", "blur of the lens", "camera", {"lens_um": 0.0}),
-        ("camera_noise", "noise of the camera", "camera", {"noise": 0.0, "bits": 16}),
+        ("calibration", "pixel size of the image", "camera", "scale_range"),
+        ("distortion", "distortion of the lens", "camera", "radial"),
+        ("stretch", "stretch of the sheet", "camera", "stretch"),
+        ("shading", "shading by the topography", "camera", "shading"),
+        ("vignetting", "vignetting", "camera", "vignetting"),
+        ("lens", "blur of the lens", "camera", "lens_um"),
+        ("camera_noise", "noise of the camera", "camera", "noise", "bits"),
     )
 }
 """Every disturbance that can be switched off, by name."""
@@ -227,7 +233,8 @@ def nuisances_of(params: SpecimenParams, instrument: str) -> list[str]:
 
 def without(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
     """Switch the named nuisances off."""
-    for _, section, off in (NUISANCES[name] for name in names):
+    for _, section, fields in (NUISANCES[name] for name in names):
+        off = {field: _OFF.get(field, 0.0) for field in fields}
         params = replace(params, **{section: replace(getattr(params, section), **off)})
     return params
 
