@@ -20,6 +20,7 @@ from correct.made import (
     volume,
 )
 from planish.core.errors import InputError, PlanishError, SizeError, VolumeError
+from planish.core.threads import limit_threads
 from planish.correct import write_picture
 from planish.io import read_volume, store, write_store
 
@@ -182,8 +183,10 @@ def test_the_centre_can_be_told_and_may_lie_outside():
 @pytest.mark.ci
 def test_neither_memory_nor_threads_nor_blocks_change_a_byte():
     given = volume(sheet() * cup(0.05), rings=both_rings(), dtype=np.uint16)
-    a = correct(given, axis="y", threads=1)
-    b = correct(given, axis="y", threads=3, memory_bytes=2**19)
+    with limit_threads(1):
+        a = correct(given, axis="y")
+    with limit_threads(3):
+        b = correct(given, axis="y", memory_bytes=2**19)
     assert a.record == b.record
     whole = a.volume.values
     assert whole.dtype == given.dtype

@@ -55,16 +55,8 @@ class RingFit(NamedTuple):
 
         Between the middles of blocks it varies linearly.
         """
-        factors = (
-            np.stack([np.interp(slice_numbers, blocks, f) for f in self.factors])
-            if len(self.factors)
-            else None
-        )
-        return (
-            np.zeros((slice_numbers.size, self.profile.size))
-            if factors is None
-            else factors.T @ self.shapes
-        )
+        factors = np.stack([np.interp(slice_numbers, blocks, f) for f in self.factors])
+        return factors.T @ self.shapes
 
 
 def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:

@@ -280,9 +280,7 @@ def slices_of(
             yield number, np.ascontiguousarray(plane)
 
 
-def take_sums(
-    slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Levels, *, threads: int
-) -> Sums:
+def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Levels) -> Sums:
     """Add up all slices."""
     length = turning.shape[0]
     blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
@@ -304,7 +302,7 @@ def take_sums(
         slices=0,
     )
     n_slices = 0
-    with thread_pool(threads) as pool:
+    with thread_pool() as pool:
         while batch := list(islice(slices, 16)):  # slices that are worked on together
             for number, grey, label, depth in pool.map(partial(_classify, levels=levels), batch):
                 k = min(int(number * blocks / length), blocks - 1)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from planish.core.errors import InputError
 from planish.core.labelled import computed
 from planish.core.lazy import Where
-from planish.core.threads import count_threads
 from planish.core.typing import Floats
 from planish.correct.cupping import factor, find_cupping, middle_factor
 from planish.correct.params import CorrectionRecord, CorrectParams, Cupping
@@ -118,7 +117,6 @@ def correct_volume(
     *,
     params: CorrectParams,
     memory_bytes: int = 2**30,
-    threads: int | None = None,
     progress: Progress | None = None,
 ) -> Corrected:
     """Find rings and cupping of a micro-CT volume and correct them.
@@ -129,7 +127,6 @@ def correct_volume(
         Read in slabs across the axis of rotation; it need not fit into memory.
     params : CorrectParams; what is corrected, and where the axis of rotation stands
     memory_bytes : int; what the slabs may take
-    threads : int, optional; no result depends on it
     progress : callable, optional; called with what is done and how far it is
 
     Returns
@@ -182,7 +179,7 @@ def correct_volume(
     def sums(slices: Iterator[tuple[int, Slice]], task_text: str) -> Sums:
         if progress is not None:
             progress(task_text, f"{length} slices across {params.axis}")
-        return take_sums(slices, turning, levels, threads=count_threads(threads))
+        return take_sums(slices, turning, levels)
 
     before = sums(slices(), "rings and cupping")
     change, record = _find_change(before, turning, levels, record)

@@ -443,8 +443,8 @@ def write_design(
     rules: tuple[Rule, ...],
     folder: str | Path,
     *,
-    stage: StageParams | None = None,
-    imaging: ImagingParams | None = None,
+    stage: StageParams,
+    imaging: ImagingParams,
 ) -> tuple[tuple[str, ...], DryRun, Predicted]:
     """Write a pattern into a folder that exists: JSON, two tables, DXF, stage program, drawings.
 
@@ -453,7 +453,7 @@ def write_design(
     pattern : Pattern
     rules : tuple of Rule, as checked, for the drawing
     folder : str or Path
-    stage, imaging : optional
+    stage, imaging : StageParams, ImagingParams
         What the program asks of the stage and its range, and where the predicted error comes from.
 
     Returns
@@ -469,7 +469,6 @@ def write_design(
     OSError
         If a file cannot be written.
     """
-    stage, imaging = stage or StageParams(), imaging or ImagingParams()
     program = stage_program(pattern, stage)
     # The pulse that is asked for here is meant; a program from elsewhere is held to the usual
     # length.

@@ -23,6 +23,8 @@ _BEHIND = np.array(
     [[[-1, 0, 1], [0, 1, 1], [0, 0, 1]], [[0, 0, 0], [1, 0, 0], [0, -1, 0]]], dtype=np.intp
 )
 
+_LINES = 1000
+
 
 class MeshPoints(NamedTuple):
     """Places (n,) on a mesh.
@@ -54,19 +56,16 @@ class GeodesicError(ResultModel):
     dropped: int = Field(description="Lines that leave it through a hole or the outline.")
 
 
-def geodesic_error(
-    points: Floats, uv: Floats, *, rng: np.random.Generator, pairs: int = 1000
-) -> GeodesicError:
-    """Compare the lengths of straight lines in the plane with their lengths on the surface.
+def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator) -> GeodesicError:
+    """Compare the lengths of 1000 straight lines in the plane with their lengths on the surface.
+
+    Their ends are random places in random triangles; between nodes, many would run along the mesh.
 
     Parameters
     ----------
     points : (rows, cols, 3); nodes in space, um; NaN where there is no sheet
     uv : (rows, cols, 2); the same nodes in the plane, um
     rng : Generator
-    pairs : int
-        Number of lines. Their ends are random places in random triangles; between nodes, many would
-        run along the mesh.
 
     Returns
     -------
@@ -83,11 +82,12 @@ def geodesic_error(
     whole = whole_cells(points, uv)
     error = np.empty(0)
     if whole.any():
-        flat, space = trace_lines(points, uv, *(random_places(whole, pairs, rng) for _ in range(2)))
+        start, end = (random_places(whole, _LINES, rng) for _ in range(2))
+        flat, space = trace_lines(points, uv, start, end)
         error = np.abs(flat[space > 0] / space[space > 0] - 1)
     p50, p95, largest = percentiles(error, 50, 95, 100)
     return GeodesicError(
-        p50=p50, p95=p95, largest=largest, used=error.size, dropped=pairs - error.size
+        p50=p50, p95=p95, largest=largest, used=error.size, dropped=_LINES - error.size
     )
 
 
@@ -257,7 +257,7 @@ class Distortion(ResultModel):
 
 
 def measure_distortion(
-    points: Floats, uv: Floats, *, rng: np.random.Generator, strain: xr.Dataset | None = None
+    points: Floats, uv: Floats, strain: xr.Dataset, *, rng: np.random.Generator
 ) -> Distortion:
     """Sum up a flattening in a few numbers.
 
@@ -265,8 +265,8 @@ def measure_distortion(
     ----------
     points : (rows, cols, 3); nodes in space, um; NaN where there is no sheet
     uv : (rows, cols, 2); the same nodes in the plane, um
+    strain : Dataset; ``cell_strain(points, uv)``
     rng : Generator; draws the lines whose lengths are compared
-    strain : Dataset, optional; ``cell_strain(points, uv)``, where it is there already
 
     Returns
     -------
@@ -278,7 +278,6 @@ def measure_distortion(
     sheet grow by some 2/3 (s / p)^2. Growth that the warp does not explain, anisotropy above all,
     points to noise or jitter of slices.
     """
-    strain = cell_strain(points, uv) if strain is None else strain
     area = strain["signed_area"].values
     scale, scale_ratio, direction, displacements = _against_projection(points, uv)
     median, p95, largest = percentiles(displacements, 50, 95, 100)

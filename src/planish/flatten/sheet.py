@@ -126,7 +126,7 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
         x=("col", 0.5 * (mesh.x_um[1:] + mesh.x_um[:-1]), {"units": "um"}),
     )
     # The same lines in the same sheet every time.
-    distortion = measure_distortion(points, relaxed.uv, rng=np.random.default_rng(0), strain=strain)
+    distortion = measure_distortion(points, relaxed.uv, strain, rng=np.random.default_rng(0))
     curvature = curvature_check(points)
     strain["gaussian_curvature"] = (
         ("row", "col"),

@@ -22,6 +22,7 @@ from planish.sections._kernels import interpolate
 from planish.sections.align import Alignment
 from planish.sections.band import Gains, SectionSeries, Stack
 
+_MOST_MISSING = 3  # sections in a row that are interpolated
 _ON_SECTION = 1e-3  # of a pitch: a plane so near to a section is that section
 
 
@@ -30,7 +31,6 @@ def regular_volume(
     *,
     alignment: Alignment | None = None,
     gains: Gains | None = None,
-    most_missing: int = 3,
     attrs: Mapping[str, Any] | None = None,
 ) -> xr.DataArray:
     """Put aligned sections on a regular grid.
@@ -45,8 +45,6 @@ def regular_volume(
         missing.
     gains : Gains, optional
         Corrections of the grey levels.
-    most_missing : int
-        Runs of so many missing sections are interpolated.
     attrs : mapping, optional
         What the reader knows: ``voxel_um_source``, ``full_scale``, ``file_name``, ``file_bytes``
         and others.
@@ -64,7 +62,7 @@ def regular_volume(
     Raises
     ------
     VolumeError
-        If more than `most_missing` sections in a row are missing from integers; of real numbers
+        If more than 3 sections in a row are missing from integers; of real numbers
         these planes are NaN.
     """
     stack, real = series.stack, series.stack.dtype.kind == "f"
@@ -76,7 +74,7 @@ def regular_volume(
             " they show one sheet, in order."
         )
     missing = np.rint(np.diff(series.away_um[used_sections]) / series.pitch_um).astype(int) - 1
-    gaps = np.flatnonzero(missing > most_missing)
+    gaps = np.flatnonzero(missing > _MOST_MISSING)
     if gaps.size and not real:
         used_um = series.positions_um[used_sections]
         named = ", ".join(
@@ -84,7 +82,7 @@ def regular_volume(
         )
         more = f" and {gaps.size - 5} more" if gaps.size > 5 else ""
         raise VolumeError(
-            f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing}"
+            f"Sections are missing or could not be aligned: {named}{more}. At most {_MOST_MISSING}"
             " in a row can be interpolated: add the sections, or split the series there and treat"
             " each part as a volume of its own."
         )

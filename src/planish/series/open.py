@@ -10,28 +10,9 @@ import xarray as xr
 
 from planish.core.errors import FileError
 from planish.core.tables import parse_table, read_bytes
-from planish.series.pages import RESULTS, VALUES, factor_columns
+from planish.series.pages import OF_A_ROW, RESULTS, VALUES, factor_columns
 from planish.series_results import SeriesResults
 
-_OF_PAIRS = (
-    "r",
-    "r2",
-    "slope",
-    "points",
-    "n_eff",
-    "n_eff_interval",
-    "bias",
-    "limit_low",
-    "limit_high",
-    "shared_um",
-)
-_OF_REGISTRATIONS = (
-    "marks_used",
-    "residual",
-    "leave_one_out",
-    "expected_error",
-    "largest_expected_error",
-)
 _SIZES = {"thin_share": "limit_um", "coefficient_of_variation": "wave_um"}
 # Quantities whose trust stands for all of their dims
 _JUDGED = {"mean": "trust", "r": "pair_trust", "expected_error": "registration_trust"}
@@ -82,21 +63,7 @@ def open_study(path: str | Path) -> xr.Dataset:
     text = read_bytes(folder / VALUES, what="table of a series", most_bytes=2 * 10**9).decode(
         "utf-8", errors="replace"
     )
-    needed = (
-        "specimen",
-        "layer",
-        "map",
-        "other_layer",
-        "other_map",
-        "at_um",
-        "quantity",
-        "value",
-        "unit",
-        "low",
-        "high",
-        "trust",
-    )
-    table = parse_table(text, VALUES, needed=needed, error=FileError)
+    table = parse_table(text, VALUES, needed=("specimen", *OF_A_ROW[:-1]), error=FileError)
     figure_rows = [
         dict(zip(table.header, table_row.cells, strict=True)) for table_row in table.rows
     ]
@@ -135,10 +102,10 @@ def _labels(row: Mapping[str, str], has_several_sheets: bool) -> dict[str, Any]:
         return {}
     if quantity == "measured_share":
         return {"layer": layer}
-    if quantity in _OF_REGISTRATIONS:
+    if not row["map"]:
         return {"registration": f"{layer}/{other_layer}"}
     first_map = f"{layer}.{row['map']}" if has_several_sheets and layer else row["map"]
-    if quantity in _OF_PAIRS:
+    if row["other_map"]:
         second_map = (
             f"{other_layer}.{row['other_map']}"
             if has_several_sheets and other_layer

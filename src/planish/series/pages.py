@@ -35,7 +35,8 @@ REPORT, RESULTS, SPECIMENS, VALUES, PARQUET = (
     "values.parquet",
 )
 
-_OF_A_ROW = (
+# Columns of a row of values.csv behind the specimen and its factors
+OF_A_ROW = (
     "layer",
     "map",
     "other_layer",
@@ -173,7 +174,7 @@ def _read_map(store: Path, kind: RunKind, quantity: Quantity) -> xr.DataArray | 
 
 
 def factor_columns(
-    factors: Sequence[str], columns: Sequence[str] = ("specimen", *_OF_A_ROW)
+    factors: Sequence[str], columns: Sequence[str] = ("specimen", *OF_A_ROW)
 ) -> list[str]:
     """Columns of factors, none with the name of another column."""
     return [f"factor_{name}" if name in columns else name for name in factors]
@@ -183,12 +184,12 @@ def figures_table(
     rows: Sequence[FigureRow], factors: Sequence[str]
 ) -> tuple[list[str], list[list[Any]]]:
     """Header and cells of values.csv: one row a figure."""
-    header = ["specimen", *factor_columns(factors), *_OF_A_ROW]
+    header = ["specimen", *factor_columns(factors), *OF_A_ROW]
     return header, [
         [
             row.specimen,
             *(row.factors.get(name, "") for name in factors),
-            *(getattr(row, name) for name in _OF_A_ROW),
+            *(getattr(row, name) for name in OF_A_ROW),
         ]
         for row in rows
     ]

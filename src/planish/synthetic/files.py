@@ -42,9 +42,7 @@ def _write_stack(specimen: Specimen, folder: Path) -> InstrumentFiles:
     def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
         return points
 
-    return InstrumentFiles(
-        volume=path, voxel_um=(voxel, voxel, voxel), through="z", to_physical=to_physical
-    )
+    return InstrumentFiles(volume=path, through="z", to_physical=to_physical)
 
 
 def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
@@ -64,9 +62,7 @@ def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
     def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
         return np.stack([points[:, 0], last_um - points[:, 2], points[:, 1]], axis=1)
 
-    return InstrumentFiles(
-        volume=scan_folder, voxel_um=(voxel, voxel, voxel), through="y", to_physical=to_physical
-    )
+    return InstrumentFiles(volume=scan_folder, through="y", to_physical=to_physical)
 
 
 def _rec_log(specimen: Specimen) -> str:
@@ -142,10 +138,7 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
         )
         return np.stack([true_x, np.interp(position, poses.counter_um, poses.y_um), true_z], axis=1)
 
-    voxel = (p.section_um, p.pixel_um, p.pixel_um)
-    return InstrumentFiles(
-        volume=photo_folder, voxel_um=voxel, through="y", to_physical=to_physical
-    )
+    return InstrumentFiles(volume=photo_folder, through="y", to_physical=to_physical)
 
 
 def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Path:

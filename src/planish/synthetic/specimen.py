@@ -26,7 +26,6 @@ class InstrumentFiles:
     """Paths of the files, and the pose of their axes in space."""
 
     volume: Path
-    voxel_um: tuple[float, float, float]  #: along slices, rows and columns
     through: Literal["z", "y"]  #: axis of the file that runs through the sheet
     #: From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A
     #: second argument holds what a run found out about the sections: ``position``, ``shift_row``,
