@@ -31,6 +31,7 @@ _READINGS = {
     "sustained": RelaxationParams(),
     "sustained, speed 1e-4": RelaxationParams(mean_speed=1e-4),
     "residual 1e-5": RelaxationParams(stop="residual"),
+    "sustained, Runge-Kutta": RelaxationParams(integrator="rk4"),
     "critical damping, fixed": RelaxationParams(
         control="fixed", fixed_dt=0.3, fixed_c=2 * np.pi / 32
     ),

@@ -95,9 +95,23 @@ def slow_relaxation(start, rest, stiff, p, steps):
         dt = min(dt, p.a / predicted(dt)[1])
         fastest = predicted(dt)[2]
         dt = min(dt, dt * p.most_move / (fastest * dt))
-        new = predicted(dt)[0]
-        x = x + dt * (v if p.integrator == "euler" else new)
-        v = new
+        if p.integrator == "rk4":
+
+            def rate(x, v, c=c):
+                return v, slow_force(x, springs)[0] - c * v
+
+            k1 = rate(x, v)
+            k2 = rate(x + dt / 2 * k1[0], v + dt / 2 * k1[1])
+            k3 = rate(x + dt / 2 * k2[0], v + dt / 2 * k2[1])
+            k4 = rate(x + dt * k3[0], v + dt * k3[1])
+            x, v = (
+                y + dt / 6 * (a + 2 * b + 2 * d + e)
+                for y, a, b, d, e in zip((x, v), k1, k2, k3, k4, strict=True)
+            )
+        else:
+            new = predicted(dt)[0]
+            x = x + dt * (v if p.integrator == "euler" else new)
+            v = new
         f, energy = slow_force(x, springs)
         history.append(
             (dt, c, steepest(v, known), np.linalg.norm(v[known], axis=-1).mean(), energy)
@@ -107,8 +121,8 @@ def slow_relaxation(start, rest, stiff, p, steps):
 
 @pytest.mark.parametrize(
     "choices",
-    [{}, {"integrator": "euler"}, {"a": 10.0, "b": 10.0, "dt_max": 0.6}],
-    ids=["symplectic", "euler", "limited by the move"],
+    [{}, {"integrator": "rk4"}, {"integrator": "euler"}, {"a": 10.0, "b": 10.0, "dt_max": 0.6}],
+    ids=["symplectic", "rk4", "euler", "limited by the move"],
 )
 def test_steps_equal_the_slow_twin(choices):
     rng = np.random.default_rng(4)

@@ -52,7 +52,11 @@ def sheet_of(coating_um, *, holes=HOLES, rough_um=1.0, closed=False):
         "char": 1 - 0.5 * np.exp(-np.maximum(rim, 0) / 20.0),
         "holes": holes,
     }
-    maps |= {"coating_density": np.ones(shape), "base_mass": np.ones(shape)}
+    maps |= {
+        "coating_density": np.ones(shape),
+        "base_mass": np.ones(shape),
+        "crack_um": np.zeros(shape),
+    }
     maps = {name: values.astype(np.float32) for name, values in maps.items()}
     return DrawnSheet(params=PaperParams(), seed=0, origin=(-150.0, -150.0), **maps)
 

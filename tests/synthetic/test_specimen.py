@@ -140,6 +140,19 @@ def test_faces_are_read_back_from_a_clean_render(clean, level, face):
 
 
 @pytest.mark.ci
+def test_a_crack_in_resin_lies_on_the_face_and_is_darker_than_resin():
+    sound, cracked = clean_sheet(0.0), clean_sheet(0.0, crack_um=12.0)
+    assert np.array_equal(cracked.sheet.faces, sound.sheet.faces)
+    u, v = sound.columns["u"].values, sound.columns["v"].values
+    width = cracked.sheet.at(cracked.sheet.crack_um, u, v)
+    missing = (cracked.volume - sound.volume).values.sum(axis=0, dtype=np.float64)
+    # Half of a contrast of 3 as deep as the crack is wide; none where the resin holds.
+    error = (missing * sound.params.scanner.voxel_um + 1.5 * np.abs(width))[_away(sound, u, v)]
+    assert 0.1 < np.mean(width != 0.0) < 0.6
+    assert np.sqrt(np.mean(error**2)) < 0.3
+
+
+@pytest.mark.ci
 @pytest.mark.parametrize("fibres", [None, FibreParams()])
 def test_same_seed_same_bytes_on_any_number_of_threads_and_any_tile(fibres):
     params = replace(

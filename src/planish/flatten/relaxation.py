@@ -28,9 +28,10 @@ class RelaxationParams:
     """
 
     #: The paper names none. ``symplectic``: Euler's method with the new velocity in the position
-    #: and the damping taken implicitly, stable up to a time step of 2 / sqrt(8) = 0.71. ``euler``:
-    #: the old velocity in the position; the paper calls it unstable, and it is.
-    integrator: Literal["symplectic", "euler"] = "symplectic"
+    #: and the damping taken implicitly, stable up to a time step of 2 / sqrt(8) = 0.71. ``rk4``:
+    #: Runge-Kutta of fourth order, the same motion for four times the work. ``euler``: the old
+    #: velocity in the position; the paper calls it unstable, and it is.
+    integrator: Literal["symplectic", "rk4", "euler"] = "symplectic"
     #: How Eq. (4), ``max |grad v| < a``, is read. ``scale``: the strain of one step is limited,
     #: ``dt max |grad v| <= a``, for the velocity before and after the step. ``feedback``: dt is cut
     #: as long as ``max |grad v| >= a``. The gradient does not depend on dt, so that this comes to a
@@ -226,7 +227,11 @@ def _motion(  # noqa: C901
         if p.control != "fixed" and fastest * dt > p.most_move:
             dt *= p.most_move / (fastest * dt)
             gradient, fastest, speed_sum = accelerate()
-        x += dt * (v if p.integrator == "euler" else next_v)
+        if p.integrator == "rk4":
+            x[:], next_v[:] = _runge_kutta(x, v, f, springs, dt, c)
+            gradient, _, speed_sum = mix(next_v, 1.0, f, 0.0, weights, next_v)
+        else:
+            x += dt * (v if p.integrator == "euler" else next_v)
         energy, largest_force = set_force(x, *springs, f)
         v, next_v = next_v, v
         mean_speed = speed_sum / nodes
@@ -245,6 +250,25 @@ def _motion(  # noqa: C901
         elif has_come_to_rest:
             outcome = Outcome.RESTED
     return outcome, energy, np.array(step_log).reshape(-1, 5)
+
+
+def _runge_kutta(
+    x: Floats, v: Floats, f: Floats, springs: Springs, dt: float, c: float
+) -> tuple[Floats, Floats]:
+    """Places and velocities after ``dt`` by the classical method of fourth order.
+
+    ``f``, the force, is overwritten.
+    """
+    stage_x, stage_v, new_x, new_v = x, v, x, v
+    for stage, (weight, stage_dt) in enumerate(
+        ((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))
+    ):
+        if stage > 0:
+            set_force(stage_x, *springs, f)
+        acceleration = f - c * stage_v
+        new_x, new_v = new_x + weight * stage_v, new_v + weight * acceleration
+        stage_x, stage_v = x + stage_dt * stage_v, v + stage_dt * acceleration
+    return new_x, new_v
 
 
 def _framed(values: Floats) -> Floats:

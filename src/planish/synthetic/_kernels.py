@@ -14,7 +14,7 @@ import numpy as np
 from planish.core.jit import njit
 
 _MAX_STEPS = 25
-_SINGLE = 8  # fields of a node that are not layers of the base
+_SINGLE = 9  # fields of a node that are not layers of the base
 _CLOSE_UM = 1e-3  # the step after it is smaller by the curvature times the distance, a twentieth
 
 
@@ -171,10 +171,11 @@ def paint(
     ``(xs[j] + shift_x[i] - turn[i] * z', ys[i], z + shift_z[i] + turn[i] * x')``.
     ``fields`` (fr, fc, n): s_T, s_TI, s_BI, s_B, the distances to the rim at both faces, the
     coating's burn and
-    density, then the density of a slab
+    density, the width of a crack over the top face (below the bottom one where negative), then the
+    density of a slab
     through its depth; ``origin`` (u, v) of their first node; ``under`` (rows, cols, 3): material
     below each column, a
-    first guess; ``grey`` of base and coating, less that of air.
+    first guess; ``grey`` of base, coating and crack, less that of air.
     Each boundary is averaged over ``step`` along the normal, the width of a voxel. ``structure``
     (fr, fc, cells), where
     it has cells, is the density of the base instead, in hundredths, from ``structure_low`` um on in
@@ -210,8 +211,12 @@ def paint(
                 fx -= c
                 fy -= r
                 top, low = _bilinear(fields, r, c, fy, fx, 0), _bilinear(fields, r, c, fy, fx, 3)
-                high = max(top, structure_high)
-                if s > high + step or s < (min(low, structure_low) if has_cells else low) - step:
+                crack = _bilinear(fields, r, c, fy, fx, 8)
+                high = max(top + max(crack, 0.0), structure_high)
+                if (
+                    s > high + step
+                    or s < (min(low, structure_low) if has_cells else low) + min(crack, 0.0) - step
+                ):
                     continue
                 for n in range(_SINGLE):
                     at[n] = _bilinear(fields, r, c, fy, fx, n)
@@ -221,6 +226,12 @@ def paint(
                 solid = _ramp(rim / step)
                 in_sheet = _ramp((top - s) / step) * _ramp((s - low) / step)
                 in_base = _ramp((inner_top - s) / step) * _ramp((s - inner_low) / step)
+                outside = s - top if crack > 0.0 else low - s
+                in_crack = (
+                    _ramp(outside / step) * _ramp((abs(crack) - outside) / step)
+                    if crack != 0.0
+                    else 0.0
+                )
                 if has_cells:
                     coat_share = max(in_sheet - in_base, 0.0)
                     fibre = 0.0
@@ -230,7 +241,11 @@ def paint(
                             structure, r, c, fy, fx, height - half, height + half
                         )
                         fibre = (1.0 - coat_share) * density
-                    value = fibre * grey[0] + coat_share * grey[1] * (at[6] * at[7])
+                    value = (
+                        fibre * grey[0]
+                        + coat_share * grey[1] * (at[6] * at[7])
+                        + in_crack * grey[2]
+                    )
                     slab[i, j, k] = value * (1.0 if s < film else solid)
                     continue
                 depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (
@@ -244,7 +259,7 @@ def paint(
                 value = in_base * grey[0] * density + max(in_sheet - in_base, 0.0) * grey[1] * (
                     at[6] * at[7]
                 )
-                slab[i, j, k] = value * solid
+                slab[i, j, k] = (value + in_crack * grey[2]) * solid
 
 
 @njit(cache=True, nogil=True)

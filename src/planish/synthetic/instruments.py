@@ -14,6 +14,7 @@ from planish.synthetic.params import ScannerParams, SectionsParams, Warp, genera
 from planish.synthetic.sheet import PITCH_UM, DrawnSheet
 
 Slab = NDArray[np.float32]
+_CRACK = -0.5  # grey of a crack less that of resin, over the contrast of the coating
 _BLOCK = 192  # columns painted together: the sheet then fills much of the box around it
 
 
@@ -43,7 +44,7 @@ def painted(
     w, curve = warp.packed()
     reach_um = sheet.reach_um + 2 * step_um
     half_depth = 1.05 * reach_um * float(np.hypot(1.0, warp.steepest))
-    greys = np.array([grey[1] - grey[0], grey[2] - grey[0]])
+    greys = np.array([grey[1] - grey[0], grey[2] - grey[0], _CRACK * (grey[2] - grey[0])])
     structure = sheet.structure
     structure_args = (np.zeros((1, 1, 0), np.uint8), 0.0, 1.0, -np.inf)
     if structure is not None:

@@ -100,6 +100,7 @@ def make_specimen(
             seed=params.seed,
             stiffness=params.stiffness,
             film=params.film,
+            crack_um=params.crack_um,
         )
     elif not sheet.covers(field_uv[:2], field_uv[2:]):
         raise ValueError(

@@ -388,6 +388,8 @@ class SpecimenParams(Strict):
     paper: PaperParams = field(default_factory=PaperParams)
     holes: BurnParams = field(default_factory=BurnParams)
     film: FilmParams | None = None
+    # Sd of the width of cracks between faces and resin, on some third of the faces.
+    crack_um: float = 0.0
     warp: Warp = field(default_factory=Warp)
     scanner: ScannerParams = field(default_factory=ScannerParams)
     sections: SectionsParams = field(default_factory=SectionsParams)

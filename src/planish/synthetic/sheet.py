@@ -245,7 +245,7 @@ _MIDDLE_UM = 3.0  # sd of the height of the middle of a base of fibres
 Field = NDArray[np.float32]
 # Of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick.
 LAYERS = 10
-_FLOC_UM, _STREAK_UM, _DEPOSIT_UM = 1500.0, 2000.0, 100.0  # correlation lengths
+_FLOC_UM, _STREAK_UM, _DEPOSIT_UM, _CRACK_UM = 1500.0, 2000.0, 100.0, 300.0  # correlation lengths
 _LOOSE_PER_MM2 = 6.0
 _FILLER_CONTRAST = 2.2  # grey of the filler over that of fibres, less 1
 
@@ -266,6 +266,8 @@ class DrawnSheet:
     char: Field  #: factor on the coating's grey: 1 = untouched, 0.5 at the rim of a hole
     coating_density: Field  #: relative, with a mean of 1
     base_mass: Field  #: relative, with a mean of 1
+    #: width of a crack in the resin over the top face; below the bottom one where negative.
+    crack_um: Field
     holes: Floats  #: (n, 2), true centres (u, v) at the top face, in um
     #: density of a base of single fibres, and a film below it; None for a slab.
     structure: Structure | None = None
@@ -293,7 +295,7 @@ class DrawnSheet:
     @cached_property
     def reach_um(self) -> float:
         """Largest distance of a face from the centre surface."""
-        reach = float(max(self.faces.max(), -self.faces.min()))
+        reach = float(max(self.faces.max(), -self.faces.min())) + float(np.abs(self.crack_um).max())
         return (
             reach
             if self.structure is None
@@ -319,7 +321,7 @@ class DrawnSheet:
     def packed(self) -> Field:
         """All that a renderer needs of a node, side by side.
 
-        The shape is (rows, cols, 8), with LAYERS more for a slab.
+        The shape is (rows, cols, 9), with LAYERS more for a slab.
         """
         texture = self.texture if self.structure is None else ()
         fields = [
@@ -327,6 +329,7 @@ class DrawnSheet:
             *self.rim_um,
             self.char,
             self.coating_density,
+            self.crack_um,
             *texture,
         ]
         return np.stack(fields, axis=-1)
@@ -342,11 +345,13 @@ def make_sheet(
     seed: int,
     stiffness: float = 0.0,
     film: FilmParams | None = None,
+    crack_um: float = 0.0,
 ) -> DrawnSheet:
     """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um.
 
     ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its
-    lengths. ``film`` lies below a base of single fibres.
+    lengths. ``film`` lies below a base of single fibres; ``crack_um``: spread of the width of
+    cracks between the faces and resin.
     """
     shape = (
         int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2,
@@ -387,6 +392,7 @@ def make_sheet(
         faces += [outer, outer - coating]
     depth_um = float(np.mean(faces[0] + faces[2]))
     rim, char = burn(holes, centres, shape, (float(low[0]), float(low[1])), depth_um, seed)
+    crack = noise(shape, _CRACK_UM, generator(seed, "cracks")) if crack_um else np.zeros(shape)
     density = noise(shape, 300.0, generator(seed, "grain"))
     density = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * density
     top, bottom = (float(np.mean(faces[k] - faces[k + 1])) for k in (0, 2))
@@ -406,6 +412,9 @@ def make_sheet(
         char=char,
         coating_density=(1 + paper.coating_density_sd * density).astype(np.float32),
         base_mass=mass.astype(np.float32),
+        crack_um=(crack_um * np.sign(crack) * np.maximum(np.abs(crack) - 1.0, 0.0)).astype(
+            np.float32
+        ),
         holes=centres,
         structure=structure,
     )
