@@ -1,5 +1,7 @@
 """The scale through the sheet: from the marks, and from thickness against slope."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -236,7 +238,7 @@ def test_thickness_tells_a_spacing_from_a_stretch():
     seen = sheet(0.5, slope=0.8, grain=0.05)
     found, _ = checked(seen, slope=0.8)
     slope = through_scale.scale_from_thickness(seen)
-    doubtful = found.model_copy(update={"over_stretch": 0.0})
+    doubtful = replace(found, over_stretch=0.0)
     check = through_scale.judge_marks(
         BY_MARKS, RegisteredSheet(measured=seen, flat=None, fit=None), doubtful, slope
     )

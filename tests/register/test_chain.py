@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from folders import refused
-from planish.core.errors import CannotRegister
 from planish.core.transform import Similarity
 from planish.register import Chain, fit_transform
 
@@ -84,4 +82,3 @@ def test_a_single_link_is_the_fit_itself_and_no_link_is_refused():
         shift_um=fit.transform.shift_um,
         mirrored=fit.transform.mirrored,
     )
-    refused(CannotRegister, "at least one", Chain, fits=())

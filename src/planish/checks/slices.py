@@ -163,7 +163,7 @@ def _sentence(f: Fault, axis: Axis) -> str:  # noqa: PLR0911
             )
 
 
-def find_faults(window: Window, *, assembled: bool = False, levelled: bool = True) -> list[Fault]:
+def find_faults(window: Window, *, assembled: bool, levelled: bool) -> list[Fault]:
     """Find the faults of the slices of a window, in their order, by their numbers in the volume.
 
     ``assembled``: slices were put together from others, or are labels; only their order is looked
@@ -173,11 +173,9 @@ def find_faults(window: Window, *, assembled: bool = False, levelled: bool = Tru
     """
     # Slice by slice: in double precision, all of them would be twice as large as what is looked at.
     slice_sd = np.array([row.std(dtype=np.float64) for row in window.blocks])
-    is_visible = (
-        slice_sd > _EMPTY * float(np.median(slice_sd[slice_sd > 0]))
-        if slice_sd.any()
-        else slice_sd > 0
-    )
+    if not slice_sd.any():
+        return []
+    is_visible = slice_sd > _EMPTY * float(np.median(slice_sd[slice_sd > 0]))
     visible_slices = np.flatnonzero(is_visible)
     if visible_slices.size < 8:
         return []
@@ -246,11 +244,9 @@ class _Stack:
             np.maximum(fourth / np.maximum(self.d1[k] ** 2, 1e-300) - 1, 0) / self.s.shape[1]
         )
 
-    def all_good(self, k: Ints, first_offset: int, last_offset: int) -> Bools:
-        """Tell for each ``k`` if slices ``k + low`` to ``k + high`` are all good."""
-        return np.logical_and.reduce(
-            [self.is_good[k + i] for i in range(first_offset, last_offset + 1)]
-        )
+    def all_good(self, k: Ints, last: int) -> Bools:
+        """Tell for each ``k`` if slices ``k - 1`` to ``k + last`` are all good."""
+        return np.logical_and.reduce([self.is_good[k + i] for i in range(-1, last + 1)])
 
 
 def _levelled(stored: Array, slice_sd: Floats) -> NDArray[np.float32]:
@@ -304,7 +300,7 @@ def _foreign(t: _Stack) -> Iterator[Fault]:
     indices = np.arange(1, t.d1.size)
     ratio = np.minimum(t.d1[indices - 1], t.d1[indices]) / np.maximum(t.d2[indices - 1], 1e-300)
     copied: set[int] = set()
-    for k in indices[(ratio > FOREIGN) & t.all_good(indices, -1, 1)].tolist():
+    for k in indices[(ratio > FOREIGN) & t.all_good(indices, 1)].tolist():
         differences = t.differences_from(k)
         differences[max(k - 2, 0) : k + 3] = np.inf
         nearest = int(differences.argmin())
@@ -357,7 +353,7 @@ def _exchanged(t: _Stack) -> Iterator[Fault]:
     pairs = pairs[np.isin(pairs, np.concatenate([pairs - 2, pairs + 2]))]
     is_exchanged |= np.isin(k, pairs) | np.isin(k, pairs + 2)
     last = -1
-    for first in k[is_exchanged & t.all_good(k, -1, 2)].tolist():
+    for first in k[is_exchanged & t.all_good(k, 2)].tolist():
         if first > last:
             last = first + 1
             yield Fault(kind="exchanged", first=first, last=last)
@@ -395,9 +391,7 @@ def _filled(t: _Stack) -> Iterator[Fault]:
     """Slices that are the mean of their neighbours, or lie on a straight line between two."""
     for a, b in _dips(_log(t.bend), t.is_good, 3, FILLED):
         # Otherwise all of them are copies.
-        if float(
-            (np.subtract(t.s[b + 2], t.s[a], dtype=np.float64) ** 2).mean()
-        ) > _COPY * t.usual_difference(a):
+        if _square(t.s[b + 2], t.s[a]) > _COPY * t.usual_difference(a):
             yield Fault(kind="filled", first=a + 1, last=b + 1)
 
 
@@ -432,7 +426,7 @@ def _jumps(t: _Stack) -> Iterable[Fault]:
     limit = np.maximum(JUMP, _SIGMA * t.scatter(k))
     rise = log[k] - np.maximum(log[k - 1], log[k + 1])
     faults: list[Fault] = []
-    for index in k[(rise > limit) & t.all_good(k, -1, 2)].tolist():
+    for index in k[(rise > limit) & t.all_good(k, 2)].tolist():
         # Of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet,
         # no fault.
         largest_ratio = 0.5 if rise[index - 1] > 1.2 else 0.3

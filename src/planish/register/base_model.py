@@ -27,10 +27,8 @@ class Model(ABC):
 
     name: ClassVar[str]  # in options and files
     words: ClassVar[str]  # in tables and on the page
-    purpose: ClassVar[str]  # when to take it
     # Dataclass of the transformation: its fields are what is written to JSON.
     transform: ClassVar[type[Any]]
-    parameters: ClassVar[int]  # free ones
     least: ClassVar[int]  # pairs that fix it
 
     @abstractmethod

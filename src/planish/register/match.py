@@ -10,13 +10,12 @@ be matched, and a symmetry that one side alone seems to have is judged by the de
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
 
 from planish.core.errors import CannotRegister, MarkError
-from planish.core.facts import ResultModel, optional
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Ints
 from planish.register.match_choose import BestMatch, choose, self_likeness
@@ -35,27 +34,21 @@ _WRONG_SIDE = (
 )
 
 
-class Matched(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Matched:
     """Marks that belong together."""
 
-    pairs: Ints = Field(description="(k, 2): row in `moving`, row in `fixed`; sorted by the first.")
-    transform: Similarity = Field(
-        description=(
-            "Least-squares fit through the pairs, moving to fixed; through the design where it"
-            " identified fewer than four holes on both sides."
-        )
-    )
-    mirrored: bool = Field(description="Whether the moving side had to be turned over.")
-    second_best: int = Field(description="Marks of the second-best match.")
-    sentence: str = Field(description="Counts, rotation, scale and residual.")
-    labels: tuple[str, ...] = Field(
-        description=(
-            "Of the rows of `pairs`: names of the holes in the design, or `hole 1`, `hole 2` ..."
-        )
-    )
-    design: str | None = optional(
-        "The design in a sentence, and whether it had to be turned over to match the fixed side."
-    )
+    pairs: Ints  # (k, 2): row in `moving`, row in `fixed`; sorted by the first
+    # Least-squares fit through the pairs, moving to fixed; through the design where it identified
+    # fewer than four holes on both sides.
+    transform: Similarity
+    mirrored: bool  # whether the moving side had to be turned over
+    second_best: int  # marks of the second-best match
+    sentence: str  # counts, rotation, scale and residual
+    # Of the rows of `pairs`: names of the holes in the design, or `hole 1`, `hole 2` ...
+    labels: tuple[str, ...]
+    # The design in a sentence, and whether it had to be turned over to match the fixed side.
+    design: str | None = None
 
 
 def match_marks(

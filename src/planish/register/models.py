@@ -48,9 +48,8 @@ class AveragedModel(Model):
     """A similarity with smooth deviations, averaged over their sizes and lengths."""
 
     name, words = "averaged", "similarity with smooth deviations"
-    purpose = "any sheet: as much affine and local distortion as the marks show (default)"
     transform = Averaged
-    parameters, least = 4, 3
+    least = 3
 
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Averaged:
         """The mean of the field of the pairs."""

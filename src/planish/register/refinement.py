@@ -11,12 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
 from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.errors import CannotRegister, SizeError
-from planish.core.facts import ResultModel
 from planish.core.transform import Affine
 from planish.core.typing import Bools, Floats, Pair
 from planish.register.bent import NOTABLE
@@ -82,7 +80,8 @@ class FreeForm:
         return np.asarray(spline(points[..., ::-1], nu=nu), dtype=np.float64)
 
 
-class Refined(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Refined:
     """Displacement of points that the marks have placed, found by the maps.
 
     Call it with points ``(..., 2)``, ``(x, y)`` in um of the fixed map as the marks' fit gives
@@ -90,24 +89,17 @@ class Refined(ResultModel):
     there.
     """
 
-    transform: Affine | FreeForm = Field(description="Close to the identity.")
-    model: Refinement = Field(description="affine or bspline.")
-    metric: Metric = Field(
-        description=(
-            "What was made as large as possible. Its value is no result: a correlation over refined"
-            " maps is cross-fitted or stands beside a searched null."
-        )
-    )
-    moved_um: Pair = Field(description="Rms and largest displacement over the known pixels.")
-    share: float = Field(
-        description="Largest ratio of displacement to expected error of the marks."
-    )
-    area: Pair = Field(
-        description="Least and largest local change of area (determinant of the derivatives)."
-    )
-    strain: float = Field(description="Largest local principal strain without its sign.")
-    warnings: tuple[str, ...] = Field(description="What to be careful about.")
-    sentence: str = Field(description="Model, displacement and strain.")
+    transform: Affine | FreeForm  # close to the identity
+    model: Refinement  # affine or bspline
+    # What was made as large as possible. Its value is no result: a correlation over refined maps is
+    # cross-fitted or stands beside a searched null.
+    metric: Metric
+    moved_um: Pair  # rms and largest displacement over the known pixels
+    share: float  # largest ratio of displacement to expected error of the marks
+    area: Pair  # least and largest local change of area (determinant of the derivatives)
+    strain: float  # largest local principal strain without its sign
+    warnings: tuple[str, ...]  # what to be careful about
+    sentence: str  # model, displacement and strain
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points ``(..., 2)``, in um; NaN stays NaN."""

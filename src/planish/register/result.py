@@ -8,7 +8,7 @@ from typing import Any, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planish.core.errors import CannotRegister, MarkError
+from planish.core.errors import MarkError
 from planish.core.text import and_join_few
 from planish.core.transform import Similarity, Transform, nearest_similarity
 from planish.core.typing import Floats
@@ -240,21 +240,9 @@ class Chain:
 
     Call it with points ``(..., 2)``, ``(x, y)`` in um of the first map to get points of the last
     one.
-
-    Raises
-    ------
-    CannotRegister
-        Without a link.
     """
 
     fits: tuple[FittedTransform, ...]  #: the first is applied first; at least one
-
-    def __post_init__(self) -> None:
-        """Refuse an empty chain."""
-        if not self.fits:
-            raise CannotRegister(
-                "A chain without a link leads nowhere. Give at least one fitted transformation."
-            )
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` of the first map to the last one, in um; NaN stays NaN."""
@@ -325,18 +313,19 @@ def registration_to_json(fit: FittedTransform) -> dict[str, Any]:
     t = fit.transform
     return {
         "format": FORMAT,
-        **{name: _plain(getattr(fit, name)) for name in ("model", "sentence", "warnings")},
-        **{
-            name: _plain(getattr(t, name))
-            for name in ("scale", "rotation_rad", "shift_um", "mirrored")
-        },
-        **{name: _plain(getattr(fit, name)) for name in _ERRORS},
+        **_plain_fields(fit, ("model", "sentence", "warnings")),
+        **_plain_fields(t, ("scale", "rotation_rad", "shift_um", "mirrored")),
+        **_plain_fields(fit, _ERRORS),
         **({"shared_um": fit.shared_um} if fit.shared_um else {}),
-        "transform": {
-            f.name: _plain(getattr(t, f.name)) for f in fields(model_named(fit.model).transform)
-        },
-        **{name: _plain(getattr(fit, name)) for name in _ARRAYS},
+        "transform": _plain_fields(
+            t, [field.name for field in fields(model_named(fit.model).transform)]
+        ),
+        **_plain_fields(fit, _ARRAYS),
     }
+
+
+def _plain_fields(holder: object, names: Sequence[str]) -> dict[str, Any]:
+    return {name: _plain(getattr(holder, name)) for name in names}
 
 
 def registration_from_json(data: Any) -> FittedTransform:

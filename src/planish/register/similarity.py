@@ -21,9 +21,8 @@ class RigidModel(ParametricModel):
     """Rotation and shift."""
 
     name, words = "rigid", "rigid"
-    purpose = "both sides calibrated"
     transform = Similarity
-    parameters, least = 3, 2
+    least = 2
 
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Similarity:
         """Closed form for equal weights of both axes.
@@ -65,9 +64,8 @@ class SimilarityModel(ParametricModel):
     """Rotation, shift and one scale."""
 
     name, words = "similarity", "similarity"
-    purpose = "one calibration in doubt; the transformation of Hirn et al. (2009)"
     transform = Similarity
-    parameters, least, linear = 4, 2, True
+    least, linear = 2, True
 
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Similarity:
         """Linear least squares; closed form in complex numbers for equal weights of both axes."""
@@ -111,11 +109,8 @@ class AffineModel(ParametricModel):
     """
 
     name, words = "affine", "affine"
-    purpose = (
-        "other strain in machine and cross direction (humidity, embedding: 0.1-0.5 %), pixel aspect"
-    )
     transform = Affine
-    parameters, least, linear = 6, 3, True
+    least, linear = 3, True
 
     def fit(self, pairs: Pairs, _mirrored: bool, /) -> Affine:
         """Linear least squares."""
@@ -184,9 +179,8 @@ class ProjectiveModel(ParametricModel):
     """The oblique view of a flat sheet."""
 
     name, words = "projective", "projective"
-    purpose = "camera oblique to the sheet"
     transform = Projective
-    parameters, least = 8, 4
+    least = 4
 
     def fit(self, pairs: Pairs, _mirrored: bool, /) -> Projective:
         """Fit by a normalised direct linear transformation, then by Gauss-Newton.

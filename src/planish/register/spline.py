@@ -64,9 +64,8 @@ class SplineModel(Model):
     """An affine map and smooth local changes, as smooth as marks left out require."""
 
     name, words = "tps", "spline"
-    purpose = "local distortion"
     transform = ThinPlate
-    parameters, least = 6, _LEAST
+    least = _LEAST
 
     def fit(self, pairs: Pairs, _mirrored: bool, /) -> ThinPlate:
         """The spline with the smoothing under which marks left out are missed least."""

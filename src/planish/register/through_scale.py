@@ -3,16 +3,15 @@
 Flattened anew at several scales, the sheet has to fit the marks.
 """
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy import special
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import block_diag
 
-from planish.core.facts import ResultModel
 from planish.core.typing import Floats
 from planish.register.pairs import Pairs, as_complex, inverse_of
 from planish.register.similarity import affine_columns, similarity_columns
@@ -23,39 +22,27 @@ _MOST = 80  # marks: evenly spaced ones of more; the scale is certain long befor
 _STEPS = 181
 
 
-class ThroughScale(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThroughScale:
     """A scale of heights that marks ask for."""
 
-    scale: float = Field(
-        description="The factor on the heights; infinite where the marks exclude no scale."
-    )
-    error: float = Field(
-        description=(
-            "Standard error of the factor; infinite where the marks exclude no scale. With few"
-            " marks it is larger as their own error is not known well: three errors have the same"
-            " meaning with any number of them."
-        )
-    )
-    evidence: float = Field(description="By how many variances scale 1 fits worse.")
-    limit: float = Field(description="What right marks exceed three times in a thousand.")
-    without_any: float = Field(
-        description="`evidence` with the mark that speaks most for the scale left out."
-    )
-    stretch: float = Field(
-        description=(
-            "By how much the linear map that fits best at scale 1 stretches one direction against"
-            " the other."
-        )
-    )
-    stretch_deg: float = Field(description="That direction in the moving plane, from u towards v.")
-    over_stretch: float = Field(
-        description=(
-            "By how many variances the stretch fits worse than the scale, with a logarithm of their"
-            " number for the parameter that it has more (Schwarz 1978, doi:10.1214/aos/1176344136);"
-            " below zero where it fits better."
-        )
-    )
-    marks: int = Field(description="Those that were used.")
+    scale: float  # the factor on the heights; infinite where the marks exclude no scale
+    # Standard error of the factor; infinite where the marks exclude no scale. With few marks it is
+    # larger as their own error is not known well: three errors have the same meaning with any
+    # number of them.
+    error: float
+    evidence: float  # by how many variances scale 1 fits worse
+    limit: float  # what right marks exceed three times in a thousand
+    without_any: float  # `evidence` with the mark that speaks most for the scale left out
+    # By how much the linear map that fits best at scale 1 stretches one direction against the
+    # other.
+    stretch: float
+    stretch_deg: float  # that direction in the moving plane, from u towards v
+    # By how many variances the stretch fits worse than the scale, with a logarithm of their number
+    # for the parameter that it has more (Schwarz 1978, doi:10.1214/aos/1176344136); below zero
+    # where it fits better.
+    over_stretch: float
+    marks: int  # those that were used
 
     @property
     def excludes_one(self) -> bool:

@@ -89,19 +89,17 @@ class PhaseSurrogate:
         self._shape = values.shape
         self._plane = Plane(valid)
 
-    def draw(self, rng: np.random.Generator) -> Floats:
-        """Return the next (rows, cols), 0 where unknown.
-
-        Its variance is smaller: gaps and borders count as 0.
-        """
-        # The spectrum of white noise has the symmetry of a real map's.
-        phase = np.asarray(fft.rfft2(rng.standard_normal(self._shape)))
-        phase *= self.amplitude / np.maximum(np.abs(phase), 1e-300)
-        return self._plane.taken_off(np.asarray(fft.irfft2(phase, self._shape), dtype=np.float64))
-
     def draws(self, n_draws: int, rng: np.random.Generator) -> Iterator[Floats]:
-        """Give the next so many of them."""
-        yield from (self.draw(rng) for _ in range(n_draws))
+        """Give the next so many of them, (rows, cols), 0 where unknown.
+
+        Their variance is smaller: gaps and borders count as 0.
+        """
+        for _ in range(n_draws):
+            # The spectrum of white noise has the symmetry of a real map's.
+            phase = np.asarray(fft.rfft2(rng.standard_normal(self._shape)))
+            phase *= self.amplitude / np.maximum(np.abs(phase), 1e-300)
+            surrogate = np.asarray(fft.irfft2(phase, self._shape), dtype=np.float64)
+            yield self._plane.taken_off(surrogate)
 
 
 class Plane:

@@ -3,30 +3,26 @@
 They also show whether one map is stretched against the other.
 """
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from pydantic import Field
 
 from planish.core.errors import SizeError
-from planish.core.facts import ResultModel
 from planish.core.typing import Bools, Floats, Pair
 from planish.texture.ncc import MARGIN, MaskedNcc, covariance_of, find_peak, within
 
 
-class LagField(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LagField:
     """Lags of tiles, one row each; tiles of which less than half is known are left out."""
 
-    at_um: Floats = Field(
-        description="Middle of the tiles, (n, 2): `(x, y)` from the middle of the first pixel."
-    )
-    lag_um: Floats = Field(description="(n, 2): `(x, y)`; NaN where the peak is not distinct.")
-    covariance_um2: Floats = Field(description="Of the lags, (n, 2, 2).")
-    r: Floats = Field(description="Correlation at the peak of each tile, a searched one.")
-    distinct: Bools = Field(
-        description="Whether the peak is a summit above what 99 % of tiles of unrelated maps reach."
-    )
-    tile_um: float = Field(description="Side of a tile.")
+    at_um: Floats  # middle of the tiles, (n, 2): `(x, y)` from the middle of the first pixel
+    lag_um: Floats  # (n, 2): `(x, y)`; NaN where the peak is not distinct
+    covariance_um2: Floats  # of the lags, (n, 2, 2)
+    r: Floats  # correlation at the peak of each tile, a searched one
+    distinct: Bools  # whether the peak is a summit above what 99 % of tiles of unrelated maps reach
+    tile_um: float  # side of a tile
 
     def linear(self) -> tuple[Floats, Floats, Floats] | None:
         """Lag at the middle of the map, its change with place, and standard errors of the change.

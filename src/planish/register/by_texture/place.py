@@ -32,7 +32,7 @@ def tuned_place(
     start: Similarity,
     *,
     reach_um: float,
-    beside: tuple[str, ...] = (),
+    beside: tuple[str, ...],
 ) -> Similarity:
     """Climb from a place to where a map, with those ``beside`` it, explains most of the image.
 
@@ -118,8 +118,8 @@ def tile_places(
     names: Names,
     place: Similarity,
     *,
-    beside: tuple[str, ...] = (),
-    light: tuple[str, ...] = (),
+    beside: tuple[str, ...],
+    light: tuple[str, ...],
 ) -> TilePlaces:
     """Find where tiles of a map lie in the image, near the place of the whole.
 

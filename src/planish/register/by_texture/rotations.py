@@ -123,7 +123,7 @@ def search_place(
     fixed: Textures,
     *,
     mirrored: bool | None,
-    scale_tolerance: float = 0.02,
+    scale_tolerance: float,
     near: Sequence[Near] = (),
 ) -> PlaceSearch:
     """Search all places of a sheet in an image.
@@ -225,7 +225,7 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]]) -> Place
     )
     finest = max((best, *finer), key=lambda p: z(p) if p.names == best.names else 0.0)
     candidates = [replace(candidate(finest), z=z(best))]
-    for peak in sorted((*best_of_cells[1:], *scanner.rivals(best, _NEAR_UM)), key=z, reverse=True):
+    for peak in sorted((*best_of_cells[1:], *scanner.rivals(best)), key=z, reverse=True):
         other = candidate(peak)
         if all(_apart(other.place, c.place, scanner.middle_um) for c in candidates):
             candidates.append(other)
@@ -323,7 +323,7 @@ class _Scanner:
         for scaled, names, values, weight, window in self._heights(turn, scales, near):
             yield self._peak(scaled, names, values * weight, weight, window, near)
 
-    def rivals(self, best: _Peak, apart_um: float) -> Iterator[_Peak]:
+    def rivals(self, best: _Peak) -> Iterator[_Peak]:
         """The highest correlation at the turn of the best one, away from it."""
         turn, scale = replace(best.turn, scale=1.0), best.turn.scale
         for scaled, names, values, weight, window in self._heights(turn, (scale,), best.near):
@@ -335,7 +335,7 @@ class _Scanner:
                     values.shape, window.first, best.at, self._fixed_px[::-1], strict=True
                 )
             )
-            far = np.hypot(rows[:, None], cols) > apart_um
+            far = np.hypot(rows[:, None], cols) > _NEAR_UM
             yield self._peak(scaled, names, values * weight * far, weight, window, best.near)
 
     def place(self, turn: Similarity, at: tuple[int, int]) -> Similarity:
