@@ -84,8 +84,6 @@ def depth_profiles(
         If a name is unknown, a grey level is missing, or the layers are thinner than a step
         everywhere.
     """
-    import xarray as xr
-
     unknown_names = [name for name in names if name not in _SHARES]
     if unknown_names or bins < 1:
         raise CannotMeasure(

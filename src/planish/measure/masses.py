@@ -8,6 +8,7 @@ standard error.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -32,13 +33,13 @@ def _blur_margin_um(rays: Rays) -> Floats:
     return 3.0 * rays.greys.blur_um * rays.oblique
 
 
+_known = partial(option, None, gt=0, lt=1e4)  # a density or mass, where it is known
+
+
 class Densities(Params):
     """Densities and masses that are known from elsewhere; all of them may be missing."""
 
-    coating_g_cm3: float | None = option(
-        None,
-        gt=0,
-        lt=1e4,
+    coating_g_cm3: float | None = _known(
         cli="--coating-density",
         metavar="G/CM3",
         help=(
@@ -46,36 +47,24 @@ class Densities(Params):
             " calcium carbonate."
         ),
     )
-    base_g_cm3: float | None = option(
-        None,
-        gt=0,
-        lt=1e4,
+    base_g_cm3: float | None = _known(
         cli="--base-density",
         metavar="G/CM3",
         help="Density of the base as it lies in the sheet, for grammage.",
     )
-    filler_g_cm3: float | None = option(
-        None,
-        gt=0,
-        lt=1e4,
+    filler_g_cm3: float | None = _known(
         cli=None,
         help="Density of the filler's grains without voids; calcium carbonate 2.7.",
     )
-    grammage_g_m2: float | None = option(
-        None, gt=0, lt=1e4, cli="--grammage", metavar="G/M2", help="Weighed mass of the sheet."
+    grammage_g_m2: float | None = _known(
+        cli="--grammage", metavar="G/M2", help="Weighed mass of the sheet."
     )
-    coat_weight_top_g_m2: float | None = option(
-        None,
-        gt=0,
-        lt=1e4,
+    coat_weight_top_g_m2: float | None = _known(
         cli="--coat-weight-top",
         metavar="G/M2",
         help="Weighed mass of the top coating.",
     )
-    coat_weight_bottom_g_m2: float | None = option(
-        None,
-        gt=0,
-        lt=1e4,
+    coat_weight_bottom_g_m2: float | None = _known(
         cli="--coat-weight-bottom",
         metavar="G/M2",
         help="Weighed mass of the bottom coating.",

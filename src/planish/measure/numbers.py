@@ -201,8 +201,8 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
 def sheet_numbers(
     measured: xr.Dataset,
     *,
-    volume: xr.DataArray | None = None,
-    params: MeasureParams | None = None,
+    volume: xr.DataArray | None,
+    params: MeasureParams,
     engine: Engine | None = None,
 ) -> SheetNumbers:
     """Describe a sheet in numbers.
@@ -218,7 +218,6 @@ def sheet_numbers(
         measured.
     params, engine
     """
-    params = params or MeasureParams()
     profile_names = [name for name in ("porosity", "filler") if name in measured]
     profiles = None
     if profile_names and volume is not None:

@@ -49,18 +49,19 @@ PROPERTIES = {
 }
 """The six properties that the faces alone give."""
 
-_LENGTHS = {
+LENGTHS = {
     "coating_top": ("top", "interface_top"),
     "coating_bottom": ("interface_bottom", "bottom"),
     "base_thickness": ("interface_top", "interface_bottom"),
     "thickness": ("top", "bottom"),
 }
+"""Upper and lower end of each thickness."""
 
 
 def face_length(faces: Mapping[str, Floats], name: str) -> Floats:
     """One of the six, um, from the signed distances of the faces and interfaces along the rays."""
-    if name in _LENGTHS:
-        upper_face, lower_face = _LENGTHS[name]
+    if name in LENGTHS:
+        upper_face, lower_face = LENGTHS[name]
         return faces[upper_face] - faces[lower_face]
     return faces["top"] if name == "topography_top" else -faces["bottom"]
 

@@ -31,8 +31,8 @@ def straightened(
     surfaces: xr.Dataset,
     maps: xr.Dataset,
     *,
-    params: MeasureParams | None = None,
-    depth_um: Pair | None = None,
+    params: MeasureParams,
+    depth_um: Pair | None,
 ) -> xr.DataArray:
     """Straighten a volume along the normals of the centre surface.
 
@@ -44,10 +44,10 @@ def straightened(
         As :func:`planish.surface.find_surfaces` returns them for this volume.
     maps : Dataset, dims (v, u)
         Flat maps of these surfaces, with ``volume_x``, ``volume_y`` and ``volume_z``.
-    params : MeasureParams, optional
-    depth_um : (float, float), optional
+    params : MeasureParams
+    depth_um : (float, float) or None
         From where to where along the normals, from the centre surface, up to the top; from below
-        the lowest to above the highest face where not given.
+        the lowest to above the highest face where None.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def straightened(
             f"The maps lack {', '.join(lacking)}. Give the maps of the sheet, not those of an"
             " image."
         )
-    frame = RayFrame.of(volume, surfaces, params or MeasureParams())
+    frame = RayFrame.of(volume, surfaces, params)
     low, high = depth_um or (frame.low * frame.step_um, frame.high * frame.step_um)
     # Beyond that the normals have long left the sheet, and cross each other.
     max_depth_um = 20.0 * float(surfaces.attrs["thickness_um"])

@@ -67,6 +67,9 @@ def _width(params: Options) -> float:
     return FWHM * params.orientation_rho_um
 
 
+_fibre_property = partial(ray_property, halo_um=_halo, support_um=_width)
+
+
 @cached
 def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
     """Give the gradient of the samples (slice) that some base reaches.
@@ -162,36 +165,30 @@ def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[
         )
 
 
-@ray_property(
+@_fibre_property(
     "fibre_cos2",
     units="1",
     long_name="Fibre direction, cosine part",
-    halo_um=_halo,
-    support_um=_width,
 )
 def fibre_cos2(rays: Rays) -> Floats:
     """Anisotropy times cos(2 angle): may be averaged and interpolated, which an angle may not."""
     return _components(rays)[0]
 
 
-@ray_property(
+@_fibre_property(
     "fibre_sin2",
     units="1",
     long_name="Fibre direction, sine part",
-    halo_um=_halo,
-    support_um=_width,
 )
 def fibre_sin2(rays: Rays) -> Floats:
     """Anisotropy times sin(2 angle)."""
     return _components(rays)[1]
 
 
-@ray_property(
+@_fibre_property(
     "fibre_angle",
     units="deg",
     long_name="Fibre angle",
-    halo_um=_halo,
-    support_um=_width,
     together=_PARTS,
 )
 def fibre_angle(rays: Rays, **depth: float) -> Floats:
@@ -204,9 +201,7 @@ def fibre_angle(rays: Rays, **depth: float) -> Floats:
     return axial_angle(*_components(rays, **depth))
 
 
-@ray_property(
-    "fibre_anisotropy", units="1", long_name="Fibre anisotropy", halo_um=_halo, support_um=_width
-)
+@_fibre_property("fibre_anisotropy", units="1", long_name="Fibre anisotropy")
 def fibre_anisotropy(rays: Rays, **depth: float) -> Floats:
     """P-13: (l1 - l2) / (l1 + l2) of the tensor's eigenvalues.
 

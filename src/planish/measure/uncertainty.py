@@ -126,7 +126,7 @@ def thickness_errors(
     greys: Greys,
     shared_noise: SharedNoise,
     *,
-    cosine: Floats | float = 1.0,
+    cosine: Floats,
 ) -> dict[str, Floats]:
     """Standard errors of coatings, base, sheet and topography along the normals, um (rows, cols).
 

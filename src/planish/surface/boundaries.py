@@ -30,7 +30,7 @@ _BINS = 128
 
 
 def find_faces_by_slice(
-    columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0
+    columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int
 ) -> Faces:
     """Find the faces and interfaces of every column with its slice's own thresholds.
 

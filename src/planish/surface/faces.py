@@ -42,7 +42,7 @@ class Faces:
 
 
 def find_faces(
-    columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0
+    columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int
 ) -> Faces:
     """Fit every column from both ends; ``particles`` float in the air beside the sheet."""
     shape, depth = columns.shape[:2], columns.shape[2]
@@ -101,7 +101,7 @@ def faces_from_depths(
     coated: tuple[bool, bool],
     *,
     cleaned: tuple[bool, bool] = (False, False),
-    particles: int = 0,
+    particles: int,
 ) -> Faces:
     """Turn depths into heights.
 

@@ -121,8 +121,7 @@ class Sampler:
 
     def calm(self, base_level: float) -> None:
         """Choose how far to average columns with neighbours; say what noise and scatter remain."""
-        if self.scale.blend_sd:
-            self._blend(0.0)
+        self._blend(0.0)
         self.scatter = self.single_noise = self.noise = self.voxel_noise
         air_noise = self._air_noise()
         if air_noise > 1.15 * self.noise:
