@@ -272,9 +272,9 @@ def cost_of(folder, whole, what):
     if what == "correlate":
         n_eff = correlate(a, b, mask=mask, pixel_um=2.0).n_eff
     else:
-        x, y, known = a.values, b.values, mask.values
-        size_curve(x, y, mask=known, pixel_um=2.0, sizes_um=[2.0 * 2**k for k in range(9)])
-        coherence(x, y, mask=known, pixel_um=2.0)
+        x, y = np.where(mask.values, a.values, np.nan), b.values
+        size_curve(x, y, pixel_um=2.0, sizes_um=[2.0 * 2**k for k in range(9)])
+        coherence(x, y, pixel_um=2.0)
         n_eff = math.nan
     spent, peak = time.process_time() - start, memory(peak=True)
     grown = f"{(peak - before) / 2**30:.2f} GiB more, peak {peak / 2**30:.2f} GiB"

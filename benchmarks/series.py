@@ -252,7 +252,7 @@ def instruments(name, seed, count):
         a = make(rng)
         off = 2 + 0.5 * make(rng)
         b = a + off
-        found = bland_altman(a, b, mask=mask, pixel_um=1.0)
+        found = bland_altman(a, b if mask is None else np.where(mask, b, np.nan), pixel_um=1.0)
         known = (b - a) if mask is None else (b - a)[mask]
         direct = known.mean() + 1.96 * known.std(ddof=1) * np.array([-1, 1])
         out.append(

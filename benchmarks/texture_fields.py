@@ -18,7 +18,7 @@ import time
 import numpy as np
 from scipy import ndimage
 
-from planish.analyze.refinement import CrossFitted, held_out_r
+from planish.analyze.refinement import RegistrationBasis, held_out_r
 from planish.core.transform import Similarity, nearest_similarity
 from planish.register.by_texture.rotations import BAND_UM, FALSE, search_place
 from planish.texture.textures import textures
@@ -67,7 +67,7 @@ def held_out(number, r):
     a, noise = (_field(rng, shape, length_um, _MAP_UM) for _ in range(2))
     b = r * a + np.sqrt(1.0 - r * r) * noise
     found = held_out_r(a, b, None, np.ones(shape, bool), (_MAP_UM, _MAP_UM))
-    if isinstance(found, CrossFitted):
+    if found.registration == RegistrationBasis.CROSS_FITTED:
         low, high = found.interval
         return found.r, (low, high), not low <= 0.0 <= high
     return found.r, None, found.p <= 0.05

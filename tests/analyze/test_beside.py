@@ -28,24 +28,21 @@ def test_the_ceiling_is_the_r_of_a_displaced_map(kind, length, error, point):
     for _ in range(4):
         a = gaussian_maps(rng, (150, 200), length, kind=kind)[0]
         seen.append(correlate(a, displaced(rng, a, error), pixel_um=1.0, point_um=point).r)
-        said.append(ceiling(a, error_um=error, pixel_um=1.0, point_um=point).r)
+        said.append(ceiling(a, error_um=error, pixel_um=1.0, point_um=point))
     assert np.mean(said) == pytest.approx(np.mean(seen), abs=0.03)
 
 
 def test_a_ceiling_needs_a_map_and_an_error_and_lies_between_those_of_its_errors():
     a = gaussian_maps(1, (60, 80), 4.0)[0]
-    assert ceiling(a, error_um=0.0, pixel_um=1.0).r == pytest.approx(1)
-    found = ceiling(a, error_um=0.0, pixel_um=1.0, reliability=0.64)
-    assert found.r == pytest.approx(0.8)
+    assert ceiling(a, error_um=0.0, pixel_um=1.0) == pytest.approx(1)
     a = gaussian_maps(2, (60, 80), 6.0)[0]
     errors = np.broadcast_to(np.linspace(1.0, 5.0, 80), a.shape)
-    low, high = (ceiling(a, error_um=e, pixel_um=1.0).r for e in (5.0, 1.0))
-    assert low < ceiling(a, error_um=errors, pixel_um=1.0).r < high
+    low, high = (ceiling(a, error_um=e, pixel_um=1.0) for e in (5.0, 1.0))
+    assert low < ceiling(a, error_um=errors, pixel_um=1.0) < high
     a = gaussian_maps(2, (20, 30), 6.0)[0]
     for given in (
         {"error_um": -1.0},
         {"error_um": np.full(a.shape, np.nan)},
-        {"error_um": 1.0, "reliability": 0.0},
     ):
         with pytest.raises(InputError):
             ceiling(a, pixel_um=1.0, **given)
@@ -92,7 +89,6 @@ def test_maps_without_common_pixels_are_refused():
     ):
         with pytest.raises(CannotMeasure):
             call()
-    refused(SizeError, "longest wave", of_short_waves, a, b, pixel_um=1.0, longest_um=-5.0)
 
 
 def test_commonality_adds_up_and_knows_two_predictors():

@@ -106,17 +106,6 @@ def test_limits_are_those_of_r_wider_far_away_and_missing_for_long_waves():
     assert found.beyond_chance is None
 
 
-def test_a_mask_counts_in_both():
-    a, b = gaussian_maps(7, (40, 50), 3.0)
-    mask = np.ones(a.shape, bool)
-    mask[10:20, 15:30] = False
-    one = cross_correlogram(a, np.where(mask, b, 1e6), mask=mask, pixel_um=1.0, reach_um=5.0)
-    two = cross_correlogram(
-        np.where(mask, a, np.nan), np.where(mask, b, np.nan), pixel_um=1.0, reach_um=5.0
-    )
-    assert (one.r, one.peak_r) == (pytest.approx(two.r, abs=1e-9), pytest.approx(two.peak_r))
-
-
 def test_a_reach_of_less_than_a_pixel_is_refused():
     a = gaussian_maps(8, (30, 40), 3.0)[0]
     refused(SizeError, "reach of a pixel", cross_correlogram, a, a, pixel_um=2.0, reach_um=1.0)

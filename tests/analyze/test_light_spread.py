@@ -45,6 +45,6 @@ def test_refusals():
             SizeError, "Light would spread", spread_light, values, pixel_um=10.0, width_um=width_um
         )
     with pytest.raises(CannotMeasure, match="No pixel"):
-        spread_light(values, pixel_um=10.0, width_um=30.0, mask=np.zeros(values.shape, bool))
+        spread_light(np.full(values.shape, np.nan), pixel_um=10.0, width_um=30.0)
     with pytest.raises(InputError):
-        spread_light(values, pixel_um=10.0, width_um=30.0, mask=np.ones((2, 2), bool))
+        spread_light(values[0], pixel_um=10.0, width_um=30.0)

@@ -56,7 +56,7 @@ def test_points_masks_and_what_is_withheld():
     a, b = related_maps(3, (80, 100), 3.0, 0.6)
     mask = np.ones(a.shape, bool)
     mask[20:40, 30:60] = False
-    at_points = second_opinion(a, np.where(mask, b, 1e9), mask=mask, pixel_um=5.0, point_um=20.0)
+    at_points = second_opinion(a, np.where(mask, b, np.nan), pixel_um=5.0, point_um=20.0)
     assert at_points.r == pytest.approx(correlate(a, b, mask=mask, pixel_um=5.0, point_um=20.0).r)
     assert at_points.interval[0] < at_points.r < at_points.interval[1]
     y, x = np.mgrid[:40, :50]

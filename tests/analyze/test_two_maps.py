@@ -23,7 +23,7 @@ def test_missing_pixels_do_not_count(measure):
     known = np.ones(a.shape, bool)
     known[30:50, 40:70] = False
     one = measure(np.where(known, a, np.nan), b, pixel_um=1.0)
-    assert one == measure(a, np.where(known, b, 1e9), mask=known, pixel_um=1.0)
+    assert one == measure(a, np.where(known, b, np.nan), pixel_um=1.0)
     assert one != measure(a, b, pixel_um=1.0)
 
 
@@ -34,7 +34,7 @@ def test_missing_pixels_do_not_count(measure):
 def test_maps_that_cannot_be_compared_are_refused(measure):
     a, b = related_maps(6, (30, 40), 3.0, 0.7)
     refused(InputError, "one grid", measure, a, b[1:], pixel_um=1.0)
-    refused(CannotMeasure, "0 pixels", measure, a, b, mask=np.zeros(a.shape, bool), pixel_um=1.0)
+    refused(CannotMeasure, "0 pixels", measure, a, np.full(a.shape, np.nan), pixel_um=1.0)
     if measure in (cross_correlogram, ring_correlation):
         refused(CannotMeasure, "map b is constant", measure, a, np.ones(a.shape), pixel_um=1.0)
     if measure is independent_points:

@@ -55,7 +55,6 @@ def test_rings_are_sums_over_pairs_of_points():
             far[ring] = far.get(ring, 0) + h
             products[ring] = products.get(ring, 0) + values[i] * values[j]
     rings = sorted(pairs)
-    assert list(found.pairs) == [pairs[k] for k in rings]
     assert found.distances_um == pytest.approx([far[k] / pairs[k] for k in rings])
     put_back = found.sill - float(np.mean(values**2))
     assert put_back > 0
@@ -111,7 +110,7 @@ def test_missing_pixels_do_not_count_and_scale_and_offset_carry_over():
     known = np.ones(a.shape, bool)
     known[10:30, 20:50] = False
     one = variogram(np.where(known, a, np.nan), pixel_um=1.0)
-    two = variogram(np.where(known, a, 1e9), mask=known, pixel_um=1.0)
+    two = variogram(np.where(known, a, np.nan), pixel_um=1.0)
     assert (one.values, one.nugget) == (
         pytest.approx(two.values),
         pytest.approx(two.nugget, abs=1e-6),
@@ -127,7 +126,7 @@ def test_missing_pixels_do_not_count_and_scale_and_offset_carry_over():
 def test_wrong_input_is_refused():
     a = gaussian_maps(10, (30, 40), 3.0)[0]
     refused(CannotMeasure, "constant", variogram, np.ones((30, 40)), pixel_um=1.0)
-    refused(CannotMeasure, "0 pixels", variogram, a, mask=np.zeros(a.shape, bool), pixel_um=1.0)
+    refused(CannotMeasure, "0 pixels", variogram, np.full(a.shape, np.nan), pixel_um=1.0)
     refused(CannotMeasure, "larger map", variogram, a[:5, :5], pixel_um=1.0)
     refused(InputError, "two dimensions", variogram, a.ravel(), pixel_um=1.0)
 

@@ -4,7 +4,6 @@ from .agreement import Instruments as Instruments
 from .agreement import bland_altman as bland_altman
 from .agreement import compare_instruments as compare_instruments
 from .agreement import deming as deming
-from .attenuation import Ceiling as Ceiling
 from .attenuation import ceiling as ceiling
 from .between_sheets import Equivalence as Equivalence
 from .between_sheets import SheetDifference as SheetDifference
@@ -59,10 +58,8 @@ from .params import CorrelateParams as CorrelateParams
 from .pooled import difference_of_pooled_r as difference_of_pooled_r
 from .pooled import pooled_r as pooled_r
 from .pooled import random_effects as random_effects
-from .refinement import CrossFitted as CrossFitted
 from .refinement import RefinementR as RefinementR
 from .refinement import RegistrationBasis as RegistrationBasis
-from .refinement import SearchedNull as SearchedNull
 from .refinement import Tune as Tune
 from .refinement import cross_fitted as cross_fitted
 from .refinement import searched_null as searched_null
@@ -85,7 +82,6 @@ from .sheets import SheetMean as SheetMean
 from .sheets import SheetVariances as SheetVariances
 from .sheets import over_sheets as over_sheets
 from .sheets import variances_of as variances_of
-from .sides import SIDES as SIDES
 from .sides import SideFound as SideFound
 from .sides import image_of_sheet as image_of_sheet
 from .sides import texture_of as texture_of

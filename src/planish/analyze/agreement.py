@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from planish.analyze.rings import RingCorrelation, ring_correlation
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
-from planish.core.typing import Array, Bools, Floats, Pair, Pixel
+from planish.core.typing import Array, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
@@ -65,13 +66,13 @@ class Agreement(ResultModel):
     slope_x_on_y: Unsaved = optional("Least squares of a on b: a per b.")
 
 
-def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel) -> Agreement:
+def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
     """Compare two measurements of one quantity.
 
     Parameters
     ----------
     a, b : ndarray, shape (rows, cols), in one unit, on one grid; NaN is missing
-    mask, pixel_um
+    pixel_um
         As of :func:`planish.correlate`.
 
     Returns
@@ -100,7 +101,7 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
     ----------
     Bland and Altman (1986), Lancet 327, 307, doi:10.1016/S0140-6736(86)90837-8.
     """
-    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    is_valid, pixel = valid_pixels(a, b, pixel_um)
     check_varying(is_valid)
     x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
     sums, differences = sums_of(x[is_valid], y[is_valid]), y - x
@@ -157,17 +158,15 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
     )
 
 
-class Deming(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Deming:
     """Line through two measured quantities that both have errors: ``y = slope x + intercept``."""
 
-    slope: float = Field(description="Of the line.")
-    intercept: float = Field(description="Of the line.")
-    interval: Pair = Field(
-        description=(
-            "95 % interval of the slope; (NaN, NaN) where n_eff is below 10 or any direction fits."
-        )
-    )
-    error_ratio: float = Field(description="Variance of the errors of y over that of x, as given.")
+    slope: float  # of the line
+    intercept: float  # of the line
+    # 95 % interval of the slope; (NaN, NaN) where n_eff is below 10 or any direction fits.
+    interval: Pair
+    error_ratio: float  # variance of the errors of y over that of x, as given
 
 
 def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None) -> Deming:
@@ -276,7 +275,7 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
         pair.units[0],
     )
     try:
-        rings = ring_correlation(pair.x, pair.y, mask=pair.lags.is_valid, pixel_um=pair.cell_um)
+        rings = ring_correlation(pair.x, pair.y, pixel_um=pair.cell_um)
     except PlanishError as error:
         rings = RingCorrelation(sentence=error.text)
     try:
@@ -296,42 +295,28 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
     return {"twice": Twice.holding(rings, agreement, point_um=point_um, units=units, **line_fields)}
 
 
-class Instruments(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Instruments:
     """Measurements a and b of one quantity on one field."""
 
-    point_um: float = Field(description="Edge of the points that bias, limits and lines are of.")
-    agreement: Agreement = Field(
-        description=(
-            "Bias, limits of agreement and both lines of least squares, with intervals; b less a."
-        )
-    )
-    correlation: Correlation = Field(description="Of both, over the same points.")
-    rings: RingCorrelation | None = Field(
-        description="Of waves, at the pixel; None where `notes` says why."
-    )
-    shared_um: float | None = Field(
-        description=(
-            "Both show the same in waves of this length and longer; None where the rings do not"
-            " tell."
-        )
-    )
-    line: Deming | None = Field(
-        description=(
-            "Between two measurements that both have errors; None without `error_ratio`, or where"
-            " `notes` says why."
-        )
-    )
-    difference: Floats = Field(
-        description="b less a at every pixel, (rows, cols); NaN where one is missing."
-    )
-    notes: tuple[str, ...] = Field(default=(), description="What could not be told, and why.")
+    point_um: float  # edge of the points that bias, limits and lines are of
+    # Bias, limits of agreement and both lines of least squares, with intervals; b less a.
+    agreement: Agreement
+    correlation: Correlation  # of both, over the same points
+    rings: RingCorrelation | None  # of waves, at the pixel; None where `notes` says why
+    # Both show the same in waves of this length and longer; None where the rings do not tell.
+    shared_um: float | None
+    # Between two measurements that both have errors; None without `error_ratio`, or where `notes`
+    # says why.
+    line: Deming | None
+    difference: Floats  # b less a at every pixel, (rows, cols); NaN where one is missing
+    notes: tuple[str, ...] = ()  # what could not be told, and why
 
 
 def compare_instruments(
     a: Array,
     b: Array,
     *,
-    mask: Bools | None = None,
     pixel_um: Pixel,
     point_um: float | None = None,
     error_ratio: float | None = None,
@@ -341,7 +326,7 @@ def compare_instruments(
     Parameters
     ----------
     a, b : ndarray, shape (rows, cols), in one unit, on one grid; NaN is missing
-    mask, pixel_um
+    pixel_um
         As of :func:`planish.correlate`.
     point_um : float, optional
         Bias, limits and lines are of means over squares of this edge; of single pixels where not
@@ -365,7 +350,7 @@ def compare_instruments(
     --------
     planish.analyze.bland_altman, planish.analyze.ring_correlation, planish.analyze.deming
     """
-    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    is_valid, pixel = valid_pixels(a, b, pixel_um)
     x, y = (np.where(is_valid, m, np.nan).astype(np.float64) for m in (a, b))
     correlation = correlate(x, y, pixel_um=pixel, point_um=point_um)
     points, size = (x, y), pixel

@@ -6,7 +6,6 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field
 from scipy import fft
 
 from planish.analyze.correlation import check_varying, valid_pixels
@@ -14,8 +13,7 @@ from planish.analyze.covariance import Lags, covariance_of
 from planish.analyze.split_half import reliability_of
 from planish.core.bands import thinned
 from planish.core.errors import InputError
-from planish.core.facts import ResultModel
-from planish.core.typing import Array, Bools, Floats, Pixel
+from planish.core.typing import Array, Floats, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
@@ -24,25 +22,13 @@ if TYPE_CHECKING:
 _QUANTILES = 16  # of the errors of a map
 
 
-class Ceiling(ResultModel):
-    """Largest r that could be seen."""
-
-    r: float = Field(description="Product of what follows.")
-    position: float = Field(description="What misplacement leaves.")
-    noise: float = Field(
-        default=1.0, description="What the noise of the map leaves; 1 where it is not known."
-    )
-
-
 def ceiling(
     a: Array,
     *,
     error_um: float | Array,
-    mask: Bools | None = None,
     pixel_um: Pixel,
     point_um: float | None = None,
-    reliability: float = 1.0,
-) -> Ceiling:
+) -> float:
     """State the r that a map would have with itself, displaced by the error of its place.
 
     Parameters
@@ -51,19 +37,19 @@ def ceiling(
     error_um : float or ndarray
         Error of a place, root mean square of its length, as ``expected_error`` gives it: one, a map
         of it (rows, cols), or any number of values that stand for such a map.
-    mask, pixel_um
+    pixel_um
         As of :func:`planish.correlate`.
     point_um : float, optional; size of the points that r is of; single pixels where not given
-    reliability : float; share of the map's variance, at this size of points, that is no noise
 
     Returns
     -------
-    Ceiling
+    float
+        What misplacement leaves of r = 1.
 
     Raises
     ------
     InputError
-        If the error or the reliability is no number from 0 on, or above 1.
+        If the error is no number from 0 on.
     CannotMeasure
         If the map is constant or has no valid pixel.
 
@@ -73,7 +59,7 @@ def ceiling(
     this error; for larger points the autocovariance is averaged over a point twice first. An error
     that varies over the map is averaged over its quantiles.
     """
-    is_valid, pixel = valid_pixels(a, a, mask, pixel_um)
+    is_valid, pixel = valid_pixels(a, a, pixel_um)
     errors = np.asarray(error_um, dtype=np.float64)
     errors = (
         errors[is_valid & np.isfinite(errors)] if errors.shape == is_valid.shape else errors.ravel()
@@ -82,8 +68,6 @@ def ceiling(
         raise InputError(
             "The error of the places is not known. Give a number of um from 0 on, or a map of it."
         )
-    if not 0 < reliability <= 1:
-        raise InputError(f"The reliability is {reliability:g}. Give a share above 0, at most 1.")
     check_varying(is_valid, a=a)
     covariance = covariance_of(a, Lags(is_valid, pixel))
     spectrum = np.asarray(fft.rfft2(covariance)).real
@@ -108,10 +92,7 @@ def ceiling(
     attenuations = [
         at_zero(spectrum * np.exp(-(e * e / 2) * square / 2)) / variance for e in quantiles
     ]
-    position = float(np.clip(np.mean(attenuations), 0.0, 1.0))
-    return Ceiling(
-        r=position * math.sqrt(reliability), position=position, noise=math.sqrt(reliability)
-    )
+    return float(np.clip(np.mean(attenuations), 0.0, 1.0))
 
 
 def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
@@ -131,14 +112,12 @@ def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
             pair.point_um if pair.has_points else None,
             np.quantile(errors_um, np.linspace(0, 1, 65)),
         )
-        by_shift = ceiling(
+        answers["ceiling"] = ceiling(
             pair.x,
             error_um=errors_um,
-            mask=pair.lags.is_valid,
             pixel_um=pair.cell_um,
             point_um=size_um,
         )
-        answers["ceiling"] = by_shift.r
     if pair.columns and pair.has_points:
         halves = tuple(
             reliability_of(pair, layer, name)

@@ -249,7 +249,7 @@ def correlate(
                 " `pixel_um`."
             )
         pixel_um = pitch_um[0], pitch_um[1]
-    pixel = on_one_grid(a, b, mask, pixel_um)
+    pixel = on_one_grid(a, b, pixel_um, mask)
     if point_um is not None and not max(pixel) * (1 - 1e-9) <= point_um < math.inf:
         raise SizeError(
             f"A point of {point_um:g} um is smaller than a pixel of {max(pixel):g} um. Give a"
@@ -263,7 +263,7 @@ def correlate(
     return pair.at_pixel() if point_um is None else pair.at_points()
 
 
-def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: Pixel) -> Pair:
+def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel, mask: Rows | None = None) -> Pair:
     """Return the pixel along y and x of two maps on one grid.
 
     Raises InputError or SizeError where they are not on one grid.
@@ -303,12 +303,14 @@ def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: Pixel) -> Pair:
     return pixel[0], pixel[1]
 
 
-def valid_pixels(a: Array, b: Array, mask: Bools | None, pixel_um: Pixel) -> tuple[Bools, Pair]:
+def valid_pixels(
+    a: Array, b: Array, pixel_um: Pixel, mask: Bools | None = None
+) -> tuple[Bools, Pair]:
     """Pixels that count and have a value in both maps, and their size along y and x.
 
     Errors as of ``on_one_grid``.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
+    pixel = on_one_grid(a, b, pixel_um, mask)
     is_valid = np.isfinite(a) & np.isfinite(b)
     return is_valid if mask is None else is_valid & mask, pixel
 

@@ -152,7 +152,7 @@ def correlation_diagnostics(
     a: tuple[str, str],
     b: tuple[str, str],
     *,
-    params: CorrelateParams | None = None,
+    params: CorrelateParams,
     columns: Mapping[str, SheetColumns] | None = None,
     md_deg: float | None = None,
 ) -> EvidenceFacts | None:
@@ -164,7 +164,7 @@ def correlation_diagnostics(
     ----------
     maps : mapping of str to Dataset (y, x); layers on the pixels of the reference, by their names
     a, b : (str, str); layer and map
-    params : CorrelateParams, optional
+    params : CorrelateParams
     columns : mapping of str to SheetColumns, optional; those of each sheet, for its reliability
     md_deg : float, optional; machine direction on the reference
 
@@ -177,7 +177,6 @@ def correlation_diagnostics(
     InputError
         If a sheet lacks a map that is to stand beside.
     """
-    params = params or CorrelateParams()
     a_maps, b_maps = maps[a[0]], maps[b[0]]
     grid, is_same_quantity = Grid.of(a_maps), a[1] == b[1] and "image" not in (a[1], b[1])
     accumulator = PairAtSizes(

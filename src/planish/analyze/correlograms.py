@@ -92,13 +92,13 @@ def _profile(lags_um: Floats, *along: Floats) -> LagProfile:
 
 
 def cross_correlogram(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, reach_um: float = 500.0
+    a: Array, b: Array, *, pixel_um: Pixel, reach_um: float = 500.0
 ) -> Correlogram:
     """Correlate two maps at every lag up to a reach along either axis.
 
     Parameters
     ----------
-    a, b, mask, pixel_um
+    a, b, pixel_um
         As of :func:`planish.correlate`.
     reach_um : float; largest lag along either axis; at most half of the field is looked at
 
@@ -127,21 +127,18 @@ def cross_correlogram(
     al. (1996), Human Brain Mapping 4, 58,
     doi:10.1002/(SICI)1097-0193(1996)4:1<58::AID-HBM4>3.0.CO;2-O.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
+    pixel = on_one_grid(a, b, pixel_um)
     if not max(pixel) <= reach_um < math.inf:
         raise SizeError(
             f"The reach is {reach_um:g} um, a pixel {max(pixel):g} um. Give a reach of a pixel or"
             " more."
         )
-    use = np.ones(a.shape, bool) if mask is None else mask
-    valid = [np.isfinite(m) & use for m in (a, b)]
-    return correlogram_of(
-        (a, b), (valid[0], valid[1]), Lags(valid[0] & valid[1], pixel), reach_um=reach_um
-    )
+    valid = np.isfinite(a), np.isfinite(b)
+    return correlogram_of((a, b), valid, Lags(valid[0] & valid[1], pixel), reach_um=reach_um)
 
 
 def correlogram_of(
-    maps: tuple[Array, Array], valid: tuple[Bools, Bools], lags: Lags, *, reach_um: float = 500.0
+    maps: tuple[Array, Array], valid: tuple[Bools, Bools], lags: Lags, *, reach_um: float
 ) -> Correlogram:
     """The same for maps, given the pixels that count in each, and the lags of those in both."""
     (a, b), pixel = maps, lags.pixel_um

@@ -9,6 +9,7 @@ saturating curve.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,38 +21,30 @@ from planish.analyze.covariance import Lags, scatter_of
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
-from planish.core.typing import Array, Bools, Floats, Pixel
+from planish.core.typing import Array, Floats, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
 
 
-class IndependentPoints(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IndependentPoints:
     """Independent points of y over x; NaN where the maps do not tell."""
 
-    n_eff: float = Field(
-        description="Of the slope: Dutilleul's number for x and what the straight line leaves of y."
-    )
-    n_eff_square: float = Field(
-        description="Of the bend: the same for `(x - mean)^2`, which varies faster than x."
-    )
-    n_eff_level: float = Field(
-        description=(
-            "Of the mean of y at the mean of x: only what the line leaves counts, so there are"
-            " fewer than of the slope."
-        )
-    )
+    n_eff: float  # of the slope: Dutilleul's number for x and what the straight line leaves of y
+    n_eff_square: float  # of the bend: the same for `(x - mean)^2`, which varies faster than x
+    # Of the mean of y at the mean of x: only what the line leaves counts, so there are fewer than
+    # of the slope.
+    n_eff_level: float
 
 
-def independent_points(
-    x: Array, y: Array, *, pixel_um: Pixel, mask: Bools | None = None
-) -> IndependentPoints:
+def independent_points(x: Array, y: Array, *, pixel_um: Pixel) -> IndependentPoints:
     """Count the independent points of a curve of map y over map x.
 
     Parameters
     ----------
     x, y : ndarray, shape (rows, cols), on one grid; NaN is missing
-    mask, pixel_um
+    pixel_um
         As of :func:`planish.correlate`.
 
     Returns
@@ -65,7 +58,7 @@ def independent_points(
     CannotMeasure
         If fewer than 3 pixels are known in both, or x is constant.
     """
-    is_valid, pixel = valid_pixels(x, y, mask, pixel_um)
+    is_valid, pixel = valid_pixels(x, y, pixel_um)
     check_varying(is_valid, x=x)
     dx, dy = (np.where(is_valid, m - m[is_valid].mean(), 0.0) for m in (x, y))
     residuals = dy - dx * (float(np.sum(dx * dy)) / float(np.sum(dx * dx)))

@@ -13,7 +13,7 @@ from planish.analyze.correlation import Correlation, PointsCorrelation, correlat
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
 from planish.core.facts import Interval, optional
-from planish.core.typing import Array, Bools, Floats, Pixel
+from planish.core.typing import Array, Floats, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
@@ -29,7 +29,6 @@ def size_curve(
     a: Array,
     b: Array,
     *,
-    mask: Bools | None = None,
     pixel_um: Pixel,
     sizes_um: Sequence[float] | None = None,
 ) -> tuple[SizeRow, ...]:
@@ -37,7 +36,7 @@ def size_curve(
 
     Parameters
     ----------
-    a, b, mask, pixel_um
+    a, b, pixel_um
         As of :func:`planish.correlate`.
     sizes_um : sequence of float, optional
         Edges of the points; from the pixel to an eighth of the shorter side where not given.
@@ -58,7 +57,7 @@ def size_curve(
     field add to each of them; the limits are those of the largest of so many correlated normal
     deviates. The best of 8 sizes taken by itself would be "significant" in 9 % of unrelated maps.
     """
-    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    is_valid, pixel = valid_pixels(a, b, pixel_um)
     if sizes_um is None:  # up by factors of the square root of 2
         largest_um = min(n * p for n, p in zip(a.shape, pixel, strict=True)) / 8
         n_sizes = math.floor(2 * math.log2(max(largest_um / max(pixel), 1.0)) + 1e-9) + 1

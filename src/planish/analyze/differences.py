@@ -2,29 +2,25 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field
 
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
 from planish.analyze.covariance import Lags, variance_of_products
 from planish.analyze.distributions import t_95
 from planish.core.errors import InputError
-from planish.core.facts import ResultModel
-from planish.core.typing import Array, Bools, Pair, Pixel
+from planish.core.typing import Array, Pair, Pixel
 
 
-class Difference(ResultModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Difference:
     """Difference of two correlations, the second minus the first."""
 
-    r: Pair = Field(description="The two that are compared.")
-    difference: float = Field(description="Of r.")
-    interval: Pair = Field(
-        default=(math.nan, math.nan),
-        description=(
-            "Its 95 % interval; (NaN, NaN) where fewer than 10 independent points say nothing."
-        ),
-    )
+    r: Pair  # the two that are compared
+    difference: float  # of r
+    # Its 95 % interval; (NaN, NaN) where fewer than 10 independent points say nothing.
+    interval: Pair = (math.nan, math.nan)
 
     @property
     def distinguishable(self) -> bool | None:
@@ -32,20 +28,11 @@ class Difference(ResultModel):
         low, high = self.interval
         return None if math.isnan(low) else not low <= 0 <= high
 
-    @property
-    def words(self) -> str:
-        """What may be said."""
-        verdict = self.distinguishable
-        if verdict is None:
-            return "unknown"
-        return "distinguishable" if verdict else "not distinguishable"
-
 
 def paired_difference(
     first: tuple[Array, Array],
     second: tuple[Array, Array],
     *,
-    mask: Bools | None = None,
     pixel_um: Pixel,
 ) -> Difference:
     """Compare the correlations of two pairs of maps on one grid, over the pixels valid in all.
@@ -54,7 +41,7 @@ def paired_difference(
     ----------
     first, second : (ndarray, ndarray), shape (rows, cols)
         The pairs (a, b); NaN is missing. Pairs may share a map.
-    mask, pixel_um
+    pixel_um
         As of :func:`planish.correlate`.
 
     Returns
@@ -69,12 +56,10 @@ def paired_difference(
     these covariances would have is taken where it is larger.
     """
     maps = (*first, *second)
-    pixel = on_one_grid(maps[0], maps[1], mask, pixel_um)
+    pixel = on_one_grid(maps[0], maps[1], pixel_um)
     for m in maps[2:]:
-        on_one_grid(maps[0], m, mask, pixel_um)
+        on_one_grid(maps[0], m, pixel_um)
     is_valid = np.logical_and.reduce([np.isfinite(m) for m in maps])
-    if mask is not None:
-        is_valid &= mask
     r = pearson(*(m[is_valid] for m in first)), pearson(*(m[is_valid] for m in second))
     without_interval = Difference(r=r, difference=r[1] - r[0])
     if any(math.isnan(v) or 1 - v * v < 1e-14 for v in r):
@@ -88,7 +73,7 @@ def paired_difference(
     lags = Lags(is_valid, pixel)
     products = lags.own_products(scores[1] - scores[0])
     if not products[0, 0] > 0:  # the same pair twice
-        return without_interval.model_copy(update={"interval": (r[1] - r[0], r[1] - r[0])})
+        return replace(without_interval, interval=(r[1] - r[0], r[1] - r[0]))
     covariance = lags.covariance(products, lags.until_zero(products))
     product_terms: list[tuple[int, int, float]] = []
     for sign, pair_r, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):

@@ -200,7 +200,7 @@ def known_pixels(
 ) -> tuple[Array, Bools, Pair]:
     """The values of an image, where they are known and count, and the pixel along y and x."""
     values = np.asarray(image)
-    is_valid, pitch_um = valid_pixels(values, values, mask, pixel_um)
+    is_valid, pitch_um = valid_pixels(values, values, pixel_um, mask)
     if not is_valid.any():
         raise CannotMeasure("No pixel of the image is known and counts. Check the mask.")
     return values, is_valid, pitch_um

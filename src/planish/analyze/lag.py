@@ -77,6 +77,13 @@ class LagNumbers(ResultModel):
     tiles: tuple[LagTile, ...] = Field(description="Lags of parts of the map.")
 
 
+# Of a lag, in this order in the results.
+_SAVED = (
+    *("lag_um", "se_um", "length_um", "length_se_um", "r", "r_at_zero", "limit_r", "silence"),
+    *("pixel_um", "n", "reach_um", "light"),
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lag:
     """Where the last map's texture lies, relative to that of the first ones.
@@ -222,22 +229,11 @@ class Lag:
             )
         )
         return LagNumbers(
+            **{name: getattr(self, name) for name in _SAVED},
             property=property_name,
-            lag_um=self.lag_um,
-            se_um=self.se_um,
-            length_um=self.length_um,
-            length_se_um=self.length_se_um,
-            r=self.r,
-            r_at_zero=self.r_at_zero,
-            limit_r=self.limit_r,
-            silence=self.silence,
             agrees=self.agrees(expected_um),
             expected_um=expected_um,
             sentence=self.sentence(expected_um),
-            pixel_um=self.pixel_um,
-            n=self.n,
-            reach_um=self.reach_um,
-            light=self.light,
             tile_um=math.nan if self.field is None else self.field.tile_um,
             tiles=tuple(
                 LagTile(x=x, y=y, lag_um=lag, distinct=distinct)

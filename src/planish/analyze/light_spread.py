@@ -15,7 +15,7 @@ from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
-from planish.core.typing import Array, Bools, Floats, Pixel
+from planish.core.typing import Array, Floats, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
@@ -35,9 +35,7 @@ class LightSpread(PointsCorrelation, _Spread):
     silence: str | None = optional("Why there is no such r.")
 
 
-def spread_light(
-    values: Array, *, pixel_um: Pixel, width_um: float, mask: Bools | None = None
-) -> Floats:
+def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
     """Blur a map as light is that spreads in the paper, over the pixels that are known.
 
     Parameters
@@ -48,7 +46,6 @@ def spread_light(
         Length over which the point spread function falls to 1/e. It has to be known from elsewhere:
         widths of 150 to 350 um are stated for papers, and a single number does not describe a paper
         well.
-    mask : ndarray of bool, shape (rows, cols), optional; pixels that count
 
     Returns
     -------
@@ -58,7 +55,7 @@ def spread_light(
     Raises
     ------
     InputError
-        If the map is none of numbers, or the mask is none of its.
+        If the map is none of numbers.
     SizeError
         If the width is not above 0, or as large as the field.
     CannotMeasure
@@ -67,11 +64,11 @@ def spread_light(
     Notes
     -----
     The point spread function ``exp(-r / w) / (2 pi w^2)`` has the transfer function ``(1 + (2 pi w
-    f)^2)^(-3/2)``, by which the spectrum is multiplied. Map and mask are treated alike and divided
-    by each other, so that a map that is constant stays so; along borders and holes the mean leans
-    to one side.
+    f)^2)^(-3/2)``, by which the spectrum is multiplied. The map and what is known of it are treated
+    alike and divided by each other, so that a map that is constant stays so; along borders and
+    holes the mean leans to one side.
     """
-    is_valid, pixel = valid_pixels(values, values, mask, pixel_um)
+    is_valid, pixel = valid_pixels(values, values, pixel_um)
     side_um = min(n * p for n, p in zip(values.shape, pixel, strict=True))
     if not 0 < width_um < side_um:
         raise SizeError(
@@ -107,7 +104,7 @@ def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
     if pair.why_no_points:
         return {"light_spread": build_result(silence=pair.why_no_points)}
     try:
-        blurred = spread_light(pair.x, pixel_um=cell_um, width_um=width_um, mask=pair.lags.is_valid)
+        blurred = spread_light(pair.x, pixel_um=cell_um, width_um=width_um)
         blurred_points = area_mean(blurred, (point_um / cell_um[0], point_um / cell_um[1]))
         coating, image = pair.points
         correlation = correlate(blurred_points, image, pixel_um=point_um)

@@ -19,7 +19,7 @@ from planish.core.area import common_means
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import ResultModel, Value, optional
 from planish.core.grid import Grid
-from planish.core.typing import Bools, Pixel
+from planish.core.typing import Pixel
 
 # Sigma of the Gaussian that halves a wave, over its length.
 _HALF = math.sqrt(math.log(2.0) / 2) / math.pi
@@ -59,7 +59,6 @@ def print_mottle(
     pixel_um: Pixel,
     shortest_um: float = 250.0,
     longest_um: float | None = None,
-    mask: Bools | None = None,
     quantity: str = "reflectance",
 ) -> Mottle:
     """Coefficient of variation of the reflectance in octaves of wavelength.
@@ -73,7 +72,6 @@ def print_mottle(
         Where the first octave begins; not below 4 pixels. A halftone screen lies below 250 um.
     longest_um : float, optional
         No octave goes beyond it. By default, and at most, a fifth of the shorter side of the image.
-    mask : ndarray of bool, shape (rows, cols), optional; pixels that count
     quantity : str; what the values are, for the sentence of what was measured
 
     Returns
@@ -104,7 +102,7 @@ def print_mottle(
     >>> [(b.shortest_um, b.longest_um) for b in print_mottle(image, pixel_um=40.0).bands]
     [(250.0, 500.0), (500.0, 1000.0)]
     """
-    image, is_valid, pixel = known_pixels(reflectance, mask, pixel_um)
+    image, is_valid, pixel = known_pixels(reflectance, None, pixel_um)
     least_um = 4.0 * max(pixel)  # shorter ones are no waves on a grid
     # Of longer waves a field has too few.
     most_um = 0.2 * min(n * p for n, p in zip(image.shape, pixel, strict=True))

@@ -53,15 +53,13 @@ class Coherence:
     resolution_per_um: float
 
 
-def coherence(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, bands: int = 5
-) -> Coherence:
+def coherence(a: Array, b: Array, *, pixel_um: Pixel, bands: int = 5) -> Coherence:
     """Squared coherence of two maps by octaves of wavelength.
 
     Parameters
     ----------
     a, b : ndarray, shape (rows, cols), on one grid; NaN is missing and counts as the mean
-    mask, pixel_um
+    pixel_um
         As of :func:`planish.correlate`.
     bands : int; most bands: octaves from a quarter of the shorter side down, as far as pixels reach
 
@@ -82,7 +80,7 @@ def coherence(
     decide alone while all are counted (14-27 % of unrelated maps passed a test at 5 %). The number
     of independent waves is that of the modes, less what the window joins.
     """
-    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    is_valid, pixel = valid_pixels(a, b, pixel_um)
     shortest_side = min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
     limit_um = 0.25 * shortest_side  # of longer waves a field holds too few
     count = (

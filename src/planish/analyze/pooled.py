@@ -131,7 +131,6 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
     return SheetMean(
         sheets=mean.sheets,
         fields=mean.fields,
-        missing=mean.missing,
         mean=math.tanh(mean.mean),
         reason=mean.reason,
         interval=(math.tanh(mean.interval[0]), math.tanh(mean.interval[1])),

@@ -37,6 +37,7 @@ It must look at a at these pixels only; NaN is missing in what it returns.
 """
 
 _TUNED_UM = 10.0  # by which a place found by texture may be off at the corners of the map
+_SURROGATES = 19  # unrelated maps that are searched; fewer have no 95 % band
 _INVERSE_STEPS = 8  # each is off by the strain of the refinement times the one before
 # Slower variations are taken off both maps: they make tiles and guards as large as they are.
 _COARSEST_UM = 1000.0
@@ -75,33 +76,6 @@ class RefinementR(ResultModel):
     surrogates: int | None = optional("Unrelated maps that were searched.")
 
 
-class CrossFitted(RefinementR):
-    """Correlation of tiles that the registration was not tuned on.
-
-    Both halves together, each about its own means.
-    """
-
-    registration: RegistrationBasis = RegistrationBasis.CROSS_FITTED  # type: ignore[reportIncompatibleVariableOverride]
-    r_of_halves: Pair = Field(
-        description="Of either colour of the checkerboard, registered on the other."
-    )
-    share: float = Field(description="Pixels that are reported on over all that are known in both.")
-    length_um: float = Field(description="Correlation length of the coarser map.")
-
-
-class SearchedNull(RefinementR):
-    """A correlation after a search, beside what the same search finds in unrelated maps.
-
-    Such a correlation is too large.
-
-    p is the chance that it reaches ``|r|`` on an unrelated map: counted, r itself included, of 199
-    maps and more; of fewer, from a Gumbel distribution fitted to what it reaches on them, and never
-    below half of one over their number squared.
-    """
-
-    registration: RegistrationBasis = RegistrationBasis.SEARCHED_NULL  # type: ignore[reportIncompatibleVariableOverride]
-
-
 def cross_fitted(
     a: Floats,
     b: Floats,
@@ -109,10 +83,11 @@ def cross_fitted(
     *,
     valid: Bools | None = None,
     pixel_um: Pair,
-    tile_um: float | None = None,
-    guard_um: float | None = None,
-) -> CrossFitted:
+) -> RefinementR:
     """Tune the registration on every other tile, correlate on the rest, and vice versa.
+
+    What is reported keeps a guard of 2 correlation lengths of the coarser map (1/e) from what was
+    tuned on. Tiles are 6 guards wide, or 4 where that gives too few.
 
     Parameters
     ----------
@@ -121,41 +96,36 @@ def cross_fitted(
     tune : callable; ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``
     valid : ndarray of bool, shape (rows, cols), or None; pixels that may be looked at
     pixel_um : (float, float), along y and x
-    tile_um : float or None; side of the tiles; None takes 6 guards, or 4 where that gives too few
-    tiles
-    guard_um : float or None
-        What is reported keeps this distance from what was tuned on; None takes 2 correlation
-        lengths.
 
     Returns
     -------
-    CrossFitted
+    RefinementR
+        r of the tiles that the registration was not tuned on: both halves together, each about its
+        own means.
 
     Raises
     ------
     CannotMeasure
-        If the guard is shorter than the correlation length of the coarser map (1/e), or fewer than
-        4 tiles of either colour are left to report on.
+        If a map is correlated over all of the field, or fewer than 4 tiles of either colour are
+        left to report on.
     """
     is_valid = np.isfinite(a) & np.isfinite(b) & (True if valid is None else valid)
     plane = Plane(is_valid)
     length = max(correlation_length_um(plane.taken_off(m), is_valid, pixel_um) for m in (a, b))
-    guard = 2 * length if guard_um is None else guard_um
-    if not guard >= length or not math.isfinite(guard):
+    guard = 2 * length
+    if not math.isfinite(guard):
         raise CannotMeasure(
             f"The guard between tiles is {guard:.0f} um, but the maps are correlated over"
             f" {length:.0f} um: tiles would not be independent. Take a guard of at least that"
             " length, or take the slow variations off the maps first."
         )
-    side, tuned_masks, report_masks = _checkerboard(is_valid, pixel_um, guard, tile_um)
+    side, tuned_masks, report_masks = _checkerboard(is_valid, pixel_um, guard)
     a_centred, refined_centred, marks_centred = (np.full(a.shape, np.nan) for _ in range(3))
-    halves: list[float] = []
     for is_tuned, is_reported in zip(tuned_masks, report_masks, strict=True):
         placed = tune(np.where(is_tuned, a, np.nan), is_tuned)
         is_used = is_reported & np.isfinite(placed)
         for values, out in ((a, a_centred), (placed, refined_centred), (b, marks_centred)):
             out[is_used] = values[is_used] - values[is_used].mean()
-        halves.append(pearson(a[is_used], placed[is_used]))
     row = correlate(a_centred, refined_centred, pixel_um=pixel_um)
     gain = paired_difference(
         (a_centred, marks_centred), (a_centred, refined_centred), pixel_um=pixel_um
@@ -169,18 +139,16 @@ def cross_fitted(
     change = "" if math.isnan(low) else f", from which it differs by {low:.3f} to {high:.3f}"
     if low <= 0 <= high:
         change = ", which is not distinguishable from it"
-    return CrossFitted(
+    return RefinementR(
+        registration=RegistrationBasis.CROSS_FITTED,
         r=row.r,
         interval=row.interval,
         n_eff=row.n_eff,
-        r_of_halves=(halves[0], halves[1]),
         r_of_marks=gain.r[0],
         gain_interval=gain.interval,
         n=row.n,
-        share=row.n / max(int(is_valid.sum()), 1),
         tile_um=side,
         guard_um=guard,
-        length_um=length,
         sentence=(
             f"r = {row.r:.2f}{limits}; the marks alone give {gain.r[0]:.2f} there{change}; "
             f"{RegistrationBasis.CROSS_FITTED.sentence}"
@@ -189,9 +157,9 @@ def cross_fitted(
 
 
 def _checkerboard(
-    is_valid: Bools, pixel_um: Pair, guard_um: float, tile_um: float | None
+    is_valid: Bools, pixel_um: Pair, guard_um: float
 ) -> tuple[float, list[Bools], list[Bools]]:
-    shape, sides_um = is_valid.shape, [6 * guard_um, 4 * guard_um] if tile_um is None else [tile_um]
+    shape, sides_um = is_valid.shape, (6 * guard_um, 4 * guard_um)
     for side in sides_um:
         # Of every row and column; a rest at the border goes half to either side.
         tile_numbers: list[Ints] = []
@@ -216,31 +184,22 @@ def _checkerboard(
     )
 
 
-def searched_null(
-    a: Floats, tune: Tune, *, valid: Bools | None = None, surrogates: int = 99
-) -> SearchedNull:
-    """Tune the registration on all of the map, and on unrelated maps with its texture.
+def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None) -> RefinementR:
+    """Tune the registration on all of the map, and on 19 unrelated maps with its texture.
 
     Parameters
     ----------
     a : ndarray, shape (rows, cols); NaN is missing
     tune : callable; ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``
     valid : ndarray of bool, shape (rows, cols), or None
-    surrogates : int; unrelated maps; 19 or more
 
     Returns
     -------
-    SearchedNull
-
-    Raises
-    ------
-    CannotMeasure
-        If fewer than 19 surrogates are asked for.
+    RefinementR
+        r is too large. p is the chance that the search reaches ``|r|`` on an unrelated map, from a
+        Gumbel distribution fitted to what it reaches on them, and never below half of one over
+        their number squared.
     """
-    if surrogates < 19:
-        raise CannotMeasure(
-            f"{surrogates} unrelated maps give no 95 % band; 19 are needed, 99 are better."
-        )
     is_valid = np.isfinite(a) & (True if valid is None else valid)
     flat = Plane(is_valid).taken_off(a)
     rng = np.random.default_rng(20090502)
@@ -252,20 +211,20 @@ def searched_null(
     r = searched(flat)
     null = [
         abs(searched(surrogate))
-        for surrogate in PhaseSurrogate(flat, is_valid).draws(surrogates, rng)
+        for surrogate in PhaseSurrogate(flat, is_valid).draws(_SURROGATES, rng)
     ]
-    p = (1 + sum(v >= abs(r) for v in null)) / (1 + surrogates)
-    if surrogates < 199:  # a tail is not known further than half of one over their number squared
-        tail_share = largest_tail(
-            np.arctanh(np.minimum(null, 1 - 1e-12)), math.atanh(min(abs(r), 1 - 1e-12))
-        )
-        p = max(tail_share, 0.5 / len(null) ** 2)
+    tail_share = largest_tail(
+        np.arctanh(np.minimum(null, 1 - 1e-12)), math.atanh(min(abs(r), 1 - 1e-12))
+    )
+    # A tail is not known further than half of one over their number squared.
+    p = max(tail_share, 0.5 / _SURROGATES**2)
     null_95 = float(np.quantile(null, 0.95, method="higher"))
-    return SearchedNull(
+    return RefinementR(
+        registration=RegistrationBasis.SEARCHED_NULL,
         r=r,
         null_95=null_95,
         p=p,
-        surrogates=surrogates,
+        surrogates=_SURROGATES,
         sentence=(
             f"r = {r:.2f} after the search, which reaches {null_95:.2f} on unrelated maps (95 %; p"
             f" = {p:.2g}); {RegistrationBasis.SEARCHED_NULL.sentence}"
@@ -345,7 +304,7 @@ def refine_link(
     try:
         of_r = cross_fitted(moving, fixed, tune, valid=valid, pixel_um=pixel)
     except CannotMeasure:
-        of_r = searched_null(moving, tune, valid=valid, surrogates=19)
+        of_r = searched_null(moving, tune, valid=valid)
     facts = RefinementFacts(
         model=fine.model,
         metric=fine.metric,
@@ -405,7 +364,7 @@ def held_out_r(
             f" w{waves_text}{found.sentence.split(';')[0]}."
         )
     except CannotMeasure:
-        found = searched_null(a, tune, valid=valid, surrogates=19)
+        found = searched_null(a, tune, valid=valid)
         text = f"W{waves_text}{found.sentence.rsplit(';', 1)[0]}."
     return found.model_copy(update={"sentence": text})
 

@@ -12,7 +12,7 @@ from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.octaves import Waves, half_plane
 from planish.core.errors import CannotMeasure
 from planish.core.facts import ResultModel, optional
-from planish.core.typing import Array, Bools, Floats, Pixel
+from planish.core.typing import Array, Floats, Pixel
 
 
 class Ring(ResultModel):
@@ -40,9 +40,7 @@ class RingCorrelation(ResultModel):
     sentence: str | None = optional("The same in words.")
 
 
-def ring_correlation(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel
-) -> RingCorrelation:
+def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
     """Correlate two measurements of one quantity ring by ring of frequency.
 
     Parameters
@@ -50,7 +48,7 @@ def ring_correlation(
     a, b : ndarray, shape (rows, cols)
         On one grid, with errors of their own: errors that both share count as what they show. NaN
         is missing.
-    mask, pixel_um
+    pixel_um
         As of :func:`planish.correlate`.
 
     Returns
@@ -75,7 +73,7 @@ def ring_correlation(
     ----------
     van Heel and Schatz (2005), J. Struct. Biol. 151, 250, doi:10.1016/j.jsb.2005.05.009.
     """
-    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    is_valid, pixel = valid_pixels(a, b, pixel_um)
     check_varying(is_valid, a=a, b=b)
     waves = Waves(is_valid, pixel, a, b)
     # Rings that lie whole within the shorter Nyquist frequency.

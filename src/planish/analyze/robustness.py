@@ -27,7 +27,7 @@ from planish.analyze.curve_of_sizes import SizeRow
 from planish.core.area import common_means
 from planish.core.errors import InputError, PlanishError, SizeError
 from planish.core.facts import ResultModel, optional
-from planish.core.typing import Array, Bools, Floats, Pixel
+from planish.core.typing import Array, Floats, Pixel
 from planish.texture.textures import low_pass
 
 if TYPE_CHECKING:
@@ -57,9 +57,7 @@ class Origins:
     count: int
 
 
-def origins(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, point_um: float
-) -> Origins:
+def origins(a: Array, b: Array, *, pixel_um: Pixel, point_um: float) -> Origins:
     """Correlate two maps over points whose grid begins at 16 places within a point.
 
     Where a grid begins is chosen by no one, and moves r² of one field by some hundredths.
@@ -69,7 +67,7 @@ def origins(
     InputError, SizeError
         As :func:`planish.correlate`.
     """
-    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    is_valid, pixel = valid_pixels(a, b, pixel_um)
     x = np.where(is_valid, a, np.nan)
     steps = [sorted({round(k * point_um / p / 4) for k in range(4)}) for p in pixel]
     r_of_origins = [
@@ -90,9 +88,7 @@ def of_short_waves(
     a: Array,
     b: Array,
     *,
-    mask: Bools | None = None,
     pixel_um: Pixel,
-    longest_um: float | None = None,
     point_um: float | None = None,
 ) -> tuple[Correlation, float]:
     """Correlate what waves below a fifth of the field leave of two maps.
@@ -109,13 +105,9 @@ def of_short_waves(
     CannotMeasure
         If fewer than 3 pixels are valid.
     """
-    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    is_valid, pixel = valid_pixels(a, b, pixel_um)
     check_varying(is_valid)
-    longest = longest_um
-    if longest is None:
-        longest = 0.2 * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
-    if not 0 < longest < math.inf:
-        raise SizeError(f"The longest wave is {longest:g} um. Give a length above 0.")
+    longest = 0.2 * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
     weight = np.maximum(low_pass(is_valid.astype(np.float64), longest, pixel), 1e-9)
     short = [
         np.where(
@@ -126,9 +118,7 @@ def of_short_waves(
     return correlate(*short, pixel_um=pixel, point_um=point_um), longest
 
 
-def partial(
-    a: Array, b: Array, covariates: Sequence[Array], *, mask: Bools | None = None, pixel_um: Pixel
-) -> Correlation:
+def partial(a: Array, b: Array, covariates: Sequence[Array], *, pixel_um: Pixel) -> Correlation:
     """Correlate what other maps do not explain of two maps, by least squares.
 
     Parameters
@@ -136,7 +126,7 @@ def partial(
     a, b : ndarray, shape (rows, cols)
     covariates : sequence of ndarray, shape (rows, cols)
         Maps whose linear part is taken off both. Never parts together with their sum.
-    mask, pixel_um
+    pixel_um
         As of :func:`planish.correlate`.
 
     Raises
@@ -147,9 +137,9 @@ def partial(
     CannotMeasure
         If fewer than 3 pixels are valid in all maps.
     """
-    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    is_valid, pixel = valid_pixels(a, b, pixel_um)
     for m in covariates:
-        is_valid &= valid_pixels(a, m, None, pixel)[0]
+        is_valid &= valid_pixels(a, m, pixel)[0]
     check_varying(is_valid)
     covariate_columns = np.stack([m[is_valid] - m[is_valid].mean() for m in covariates], axis=1)
     residual_maps: list[Floats] = []
@@ -166,9 +156,7 @@ def partial(
     return correlate(*residual_maps, pixel_um=pixel)
 
 
-def commonality(
-    b: Array, parts: Mapping[str, Array], *, mask: Bools | None = None
-) -> dict[str, float]:
+def commonality(b: Array, parts: Mapping[str, Array]) -> dict[str, float]:
     """Share of map b's variance that each map explains alone, and that maps explain only together.
 
     Parameters
@@ -176,7 +164,6 @@ def commonality(
     b : ndarray, shape (rows, cols)
     parts : mapping of name to ndarray, shape (rows, cols); two to four maps; never parts together
     with their sum
-    mask : ndarray of bool, shape (rows, cols), optional
 
     Returns
     -------
@@ -195,8 +182,6 @@ def commonality(
     if not 2 <= len(names) <= 4:
         raise InputError(f"{len(names)} maps were given. Commonality needs 2 to 4.")
     is_valid = np.logical_and.reduce([np.isfinite(m) for m in (b, *parts.values())])
-    if mask is not None:
-        is_valid &= mask
     check_varying(is_valid, b=b)
     y = b[is_valid] - b[is_valid].mean()
     columns = {

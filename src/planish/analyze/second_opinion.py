@@ -46,13 +46,13 @@ class SecondOpinion(ResultModel):
 
 
 def second_opinion(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, point_um: float | None = None
+    a: Array, b: Array, *, pixel_um: Pixel, point_um: float | None = None
 ) -> SecondOpinion:
     """State the interval of r that a spatial standard error with critical values of its own gives.
 
     Parameters
     ----------
-    a, b, mask, pixel_um, point_um
+    a, b, pixel_um, point_um
         As of :func:`planish.correlate`.
 
     Returns
@@ -80,8 +80,8 @@ def second_opinion(
     doi:10.1017/S0266466614000814.
     Satterthwaite (1946), Biometrics Bulletin 2, 110, doi:10.2307/3002019.
     """
-    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
-    correlation = correlate(a, b, mask=mask, pixel_um=pixel, point_um=point_um)
+    is_valid, pixel = valid_pixels(a, b, pixel_um)
+    correlation = correlate(a, b, pixel_um=pixel, point_um=point_um)
     if point_um is not None:
         factor = point_um / pixel[0], point_um / pixel[1]
         a, b = (area_mean(np.where(is_valid, m, np.nan), factor) for m in (a, b))

@@ -11,12 +11,9 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.transform import Similarity
 from planish.core.typing import Floats
+from planish.measure.registry import LENGTHS
 
-_ENDS = {
-    "thickness": ("top", "bottom"),
-    "base_thickness": ("interface_top", "interface_bottom"),
-    "coating_top": ("top", "interface_top"),
-    "coating_bottom": ("interface_bottom", "bottom"),
+_ENDS = LENGTHS | {
     "topography_top": ("top", "centre"),
     "topography_bottom": ("centre", "bottom"),
 }

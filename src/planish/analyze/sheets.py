@@ -7,11 +7,9 @@ means of sheets.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pydantic import Field
-from pydantic.json_schema import SkipJsonSchema
 from scipy import special
 
 from planish.analyze.distributions import t_95
@@ -132,9 +130,6 @@ class SheetMean(ResultModel):
     between_fields: RandomEffects | None = optional(
         "Of r, over all fields as if each were of a sheet of its own."
     )
-    missing: SkipJsonSchema[int] = Field(
-        default=0, exclude=True, description="Fields without a value."
-    )
     standard_error: Unsaved = optional("Of the mean of a property.")
 
 
@@ -151,20 +146,17 @@ def over_sheets(fields: Fields) -> SheetMean:
     where sheets have different numbers of fields, their means scatter differently, which the
     interval withstands (docs/series.md).
     """
-    means, n_missing = fields.means, sum(map(math.isnan, fields.values))
+    means = fields.means
     k = means.size
-    counts: dict[str, Any] = {
-        "sheets": k,
-        "fields": len(fields.values) - n_missing,
-        "missing": n_missing,
-    }
+    n_fields = sum(not math.isnan(value) for value in fields.values)
     if k == 0:
-        return SheetMean(**counts, reason=too_few(k))
+        return SheetMean(sheets=k, fields=n_fields, reason=too_few(k))
     mean, spread = float(means.mean()), spread_of(means)
     error, reason = spread / math.sqrt(k) if k > 1 else math.nan, too_few(k) or all_alike(spread)
     width = math.nan if reason else t_95(k - 1) * error
     return SheetMean(
-        **counts,
+        sheets=k,
+        fields=n_fields,
         mean=mean,
         sd=spread,
         standard_error=error,

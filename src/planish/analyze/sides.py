@@ -12,7 +12,7 @@ from planish.analyze.lag import LagNumbers
 from planish.core.bands import any_finite, rms_of, thinned
 from planish.core.checks import CORRELATION, POSITION, Check, State
 from planish.core.errors import SizeError
-from planish.core.facts import Side
+from planish.core.facts import SIDES, Side
 from planish.core.grid import Grid
 from planish.core.numbers import capital, with_article
 from planish.register.by_texture.rotations import FALSE
@@ -22,8 +22,6 @@ NAME = "side and specimen"
 Z_RELATED, Z_CLEAR = 4.5, 3.0
 """|z| above which two textures go together, and below which they do not."""
 
-SIDES: tuple[Side, Side] = ("top", "bottom")
-"""The two sides of a sheet."""
 _OF_A_SPECIMEN = (POSITION, CORRELATION)
 """Where nothing says that both show one specimen, a pixel may have no place in it."""
 _OF_SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom", CORRELATION)
@@ -81,9 +79,7 @@ def image_of_sheet(
                 "unknown", f"Specimen: inconclusive, because the sheet and {image} share no field."
             )
         )
-    coatings = _faces(
-        texture, {k: [f"coating_{k}"] for k in coated if f"coating_{k}" in texture.maps}
-    )
+    coatings = _faces(texture, {k: [f"coating_{k}"] for k in coated})
     side_text = f"The {side} side was {'given' if is_given else 'assumed'}"
     other: Side = "bottom" if side == "top" else "top"
     side_coating, other_coating = coatings.get(side), coatings.get(other)

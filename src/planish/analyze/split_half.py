@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field
-from pydantic.json_schema import SkipJsonSchema
 
 from planish.analyze.correlation import correlate
 from planish.core.area import area_mean
@@ -45,43 +44,26 @@ class Reliability(ResultModel):
     n_eff: Value = optional("Independent points.")
     shared: str | None = optional("What both halves share, which makes it an upper bound.")
     silence: str | None = optional("Why there is none.")
-    shared_errors: SkipJsonSchema[bool] = Field(
-        default=True, exclude=True, description="Whether both measurements may share errors."
-    )
-
-    @property
-    def sentence(self) -> str:
-        """What may be said."""
-        low, high = self.interval
-        interval_text = "no interval" if math.isnan(low) else f"95 %: {low:.2f} to {high:.2f}"
-        bound = "; an upper bound, as both measurements share errors" if self.shared_errors else ""
-        return (
-            f"The reliability is {self.value:.2f} at points of {self.point_um:g} um"
-            f" ({interval_text}){bound}."
-        )
 
 
 def split_reliability(
     first: Array,
     second: Array,
     *,
-    mask: Bools | None = None,
     pixel_um: Pixel,
     point_um: float | None = None,
-    shared_errors: bool = True,
 ) -> Reliability:
     """Tell the reliability of a map from two halves of its measurement.
+
+    It is an upper bound where both share errors, as neighbouring slices of one scan do.
 
     Parameters
     ----------
     first, second : ndarray, shape (rows, cols)
         The map of the odd and of the even slices, or of two half scans, on one grid; NaN is
         missing.
-    mask, pixel_um, point_um
+    pixel_um, point_um
         As of :func:`planish.correlate`.
-    shared_errors : bool
-        Whether both may share errors, as neighbouring slices of one scan do: the reliability is an
-        upper bound then. False for two scans between which the sheet was taken out and put back.
 
     Returns
     -------
@@ -99,7 +81,7 @@ def split_reliability(
     Spearman (1910), Brit. J. Psychol. 3, 271, doi:10.1111/j.2044-8295.1910.tb00206.x.
     Brown (1910), Brit. J. Psychol. 3, 296, doi:10.1111/j.2044-8295.1910.tb00207.x.
     """
-    row = correlate(first, second, mask=mask, pixel_um=pixel_um, point_um=point_um)
+    row = correlate(first, second, pixel_um=pixel_um, point_um=point_um)
     if math.isnan(row.r):
         raise CannotMeasure(
             f"The halves have no correlation. {' '.join(row.warnings)} Give two maps that vary."
@@ -112,7 +94,6 @@ def split_reliability(
         value=_of_both(row.r),
         interval=(low, high),
         n_eff=row.n_eff,
-        shared_errors=shared_errors,
     )
 
 

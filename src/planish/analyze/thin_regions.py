@@ -31,16 +31,14 @@ class RegionDifference(ResultModel):
     n_eff: Value = Field(description="Independent points of the thin regions.")
 
 
-def region_difference(
-    values: Array, inside: Bools, *, mask: Bools | None = None, pixel_um: Pixel
-) -> RegionDifference:
+def region_difference(values: Array, inside: Bools, *, pixel_um: Pixel) -> RegionDifference:
     """Compare a map inside and outside of regions.
 
     Parameters
     ----------
     values : ndarray, shape (rows, cols); NaN is missing
     inside : ndarray of bool, shape (rows, cols)
-    mask, pixel_um
+    pixel_um
         As of :func:`planish.correlate`.
 
     Returns
@@ -59,8 +57,8 @@ def region_difference(
     What each pixel adds to the difference is a map of its own, whose mean has the variance that its
     covariances by lag give: a region is one event, however many pixels it has.
     """
-    is_valid, pixel = valid_pixels(values, values, mask, pixel_um)
-    on_one_grid(values, inside, inside, pixel)
+    is_valid, pixel = valid_pixels(values, values, pixel_um)
+    on_one_grid(values, inside, pixel, inside)
     is_inside, is_outside = is_valid & inside, is_valid & ~inside
     count = int(np.count_nonzero(is_inside)), int(np.count_nonzero(is_outside))
     if min(count) < LEAST:
@@ -101,7 +99,6 @@ def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
             difference = region_difference(
                 pair.y,
                 np.where(is_valid, pair.x, np.inf) < limit_um,
-                mask=is_valid,
                 pixel_um=pair.cell_um,
             )
         except PlanishError:

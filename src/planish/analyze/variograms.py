@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import Field
-from pydantic.json_schema import SkipJsonSchema
 from scipy import optimize
 
 from planish.analyze.correlation import check_varying, valid_pixels
@@ -52,20 +51,15 @@ class Variogram(ResultModel):
     ratio: Value = optional("Range along over range across.")
     distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
     values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
-    pairs: SkipJsonSchema[tuple[float, ...]] = Field(
-        default=(), exclude=True, description="Pairs of points of each."
-    )
 
 
-def variogram(
-    a: Array, *, mask: Bools | None = None, pixel_um: Pixel, md_deg: float | None = None
-) -> Variogram:
+def variogram(a: Array, *, pixel_um: Pixel, md_deg: float | None = None) -> Variogram:
     """Variogram of a map with nugget, sill and ranges.
 
     Parameters
     ----------
     a : ndarray, shape (rows, cols); NaN is missing
-    mask, pixel_um
+    pixel_um
         As of :func:`planish.correlate`.
     md_deg : float, optional; machine direction, deg clockwise on the screen from the x axis
 
@@ -88,17 +82,17 @@ def variogram(
     as nugget in part. The range is read off the covariances themselves. Waves longer than a fifth
     of the field make sill and range smaller than they are.
     """
-    return variogram_of(a, Lags(*valid_pixels(a, a, mask, pixel_um)), md_deg)
+    return variogram_of(a, Lags(*valid_pixels(a, a, pixel_um)), md_deg)
 
 
-def variogram_of(a: Array, lags: Lags, md_deg: float | None = None) -> Variogram:
+def variogram_of(a: Array, lags: Lags, md_deg: float | None) -> Variogram:
     """The same from the lags of a mask of known pixels, which several maps may share."""
     check_varying(lags.is_valid, a=a)
     products = lags.own_products(a)
     # What the mean took is known from the lags that are used, and put back at all lags.
     sill = float(lags.covariance(products, lags.until_zero(products))[0, 0])
     products = products + (sill - float(products[0, 0]) / lags.n) * lags.pairs
-    distance, covariance, pairs = _by_ring(lags, products, lags.inside)
+    distance, covariance = _by_ring(lags, products, lags.inside)
     if distance.size < _LEAST_RINGS:
         raise CannotMeasure(
             f"Half of the field holds {distance.size} rings of distance, {_LEAST_RINGS} are needed."
@@ -112,7 +106,7 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None = None) -> Variogram
             np.abs((turned - direction + 90) % 180 - 90) for direction in (md_deg, md_deg + 90)
         )
         range_along_um, range_across_um = (
-            _range(*_by_ring(lags, products, away <= 22.5 + 1e-9)[:2], shared) for away in sectors
+            _range(*_by_ring(lags, products, away <= 22.5 + 1e-9), shared) for away in sectors
         )
     return Variogram(
         cell_um=lags.pixel_um,
@@ -129,12 +123,11 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None = None) -> Variogram
         ),
         distances_um=tuple(distance.tolist()),
         values=tuple((sill - covariance).tolist()),
-        pairs=tuple(pairs.tolist()),
     )
 
 
-def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floats, Floats]:
-    """Mean distance and covariance, and number of pairs, of rings one pixel wide.
+def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floats]:
+    """Mean distance and covariance of rings one pixel wide.
 
     Lag 0 is left out.
     """
@@ -150,12 +143,7 @@ def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floa
     )
     distance_sums = np.bincount(ring_numbers, weights=(lags.pairs * lags.distance_um)[is_in_reach])
     has_pairs = pairs > 0
-    # Each pair of points stands at two lags, one the negative of the other.
-    return (
-        distance_sums[has_pairs] / pairs[has_pairs],
-        total[has_pairs] / pairs[has_pairs],
-        pairs[has_pairs] / 2,
-    )
+    return distance_sums[has_pairs] / pairs[has_pairs], total[has_pairs] / pairs[has_pairs]
 
 
 def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
