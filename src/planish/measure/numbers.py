@@ -124,7 +124,7 @@ def roughness_numbers(
     is_finite = np.isfinite(limited)
     if np.count_nonzero(is_finite) < 2:
         raise CannotMeasure(
-            "No limited is known between the filters. Look at 'status', and at l_filter_um."
+            "No height is known between the filters. Look at 'status', and at l_filter_um."
         )
     h = limited[is_finite] - limited[is_finite].mean()
     sq = float(np.sqrt(np.mean(h**2)))

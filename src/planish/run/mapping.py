@@ -12,14 +12,14 @@ def map_layers(
     study: Study, layers: Mapping[str, MappedLayer], work: Workspace
 ) -> list[MappedLayer]:
     """Give all layers of a study in its order: those read, and the sheets of its volumes."""
-    for given in study.layers:
-        if given.kind == "volume" and given.name not in work.sheets:
-            work.sheets[given.name] = map_layer(
-                given,
+    for params in study.layers:
+        if params.kind == "volume" and params.name not in work.sheets:
+            work.sheets[params.name] = map_layer(
+                params,
                 compute=work.compute,
                 progress=work.progress,
-                tile_dir=work.tile_folder(given.name),
-                old_sheet=work.similar_sheets.get(given.name),
+                tile_dir=work.tile_folder(params.name),
+                old_sheet=work.similar_sheets.get(params.name),
             )
     mapped = {**work.sheets, **layers}
-    return [mapped[given.name] for given in study.layers]
+    return [mapped[params.name] for params in study.layers]

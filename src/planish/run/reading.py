@@ -38,14 +38,14 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> In
     ``regions`` are laid on a reference that is one of them.
     """
     layers = dict[str, MappedLayer]()
-    for given in study.layers:
-        if given.kind == "volume":
+    for params in study.layers:
+        if params.kind == "volume":
             continue
-        progress("read", Path(given.path).name)
-        if given.kind == "run":
-            layers[given.name] = _read_run(given, study)
+        progress("read", Path(params.path).name)
+        if params.kind == "run":
+            layers[params.name] = _read_run(params, study)
         else:
-            layers[given.name] = _read_image(given)
+            layers[params.name] = _read_image(params)
     holes = HoleSearch(study.holes)
     _check_marks(study, layers, holes)
     reference = layers.get(study.layers[-1].name)
@@ -57,37 +57,39 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> In
     return Inputs(layers, regions, holes)
 
 
-def _read_run(given: GivenLayer, study: Study) -> MappedLayer:
-    sheet = open_sheet(given.path)
-    md_deg = sheet.md_deg if given.md_deg is None else given.md_deg
+def _read_run(params: GivenLayer, study: Study) -> MappedLayer:
+    sheet = open_sheet(params.path)
+    md_deg = sheet.md_deg if params.md_deg is None else params.md_deg
     if study.is_sheet_on_image and sheet.params.volume is not None:
         # The study of the run becomes part of this one: the volume linked to the image has the
         # same bytes.
-        given = changed(sheet.params, name=given.name, marks=given.marks, volume={"md_deg": md_deg})
-    return replace(sheet, params=given, md_deg=md_deg)
+        params = changed(
+            sheet.params, name=params.name, marks=params.marks, volume={"md_deg": md_deg}
+        )
+    return replace(sheet, params=params, md_deg=md_deg)
 
 
-def _read_image(given: GivenLayer) -> MappedLayer:
-    assert given.image is not None
-    image = read_image(given.path, **given.image.how)
+def _read_image(params: GivenLayer) -> MappedLayer:
+    assert params.image is not None
+    image = read_image(params.path, **params.image.how)
     pixel_um = tuple(float(v) for v in image.attrs["pixel_um"])
     return MappedLayer(
-        params=changed(given, image={"pixel_um": pixel_um}),
-        source=input_file(image, given.path),
+        params=changed(params, image={"pixel_um": pixel_um}),
+        source=input_file(image, params.path),
         image=image,
-        md_deg=given.image.md_deg,
+        md_deg=params.image.md_deg,
     )
 
 
 def _check_marks(study: Study, layers: Mapping[str, MappedLayer], holes: HoleSearch) -> None:
     """Check the marks of each registration; a volume, which is not mapped yet, is a name."""
     for k, k_fixed in enumerate(study.next_layers):
-        given, fixed = study.layers[k], study.layers[k_fixed]
+        params, fixed = study.layers[k], study.layers[k_fixed]
         check_marks(
-            layers.get(given.name, given.name),
+            layers.get(params.name, params.name),
             layers.get(fixed.name, fixed.name),
             holes,
-            given.marks or study.registration.marks,
+            params.marks or study.registration.marks,
             needed=study.registration.by == "holes",
         )
 

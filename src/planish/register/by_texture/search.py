@@ -90,8 +90,8 @@ def find_places(
             tried.append((layers, _searched(layers, params, mirrored=hand, near=near)))
             if tried[-1][1].search.is_sure:
                 return tried[-1]
-    layers, found = min(tried, key=lambda t: t[1].search.false_probability)
-    raise _undecided(found, layers)
+    layers, best = min(tried, key=lambda t: t[1].search.false_probability)
+    raise _undecided(best, layers)
 
 
 def _nears(
