@@ -8,7 +8,7 @@ from flatten.meshes import middles
 from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
 from planish.core.transform import Similarity, axial_angle
-from planish.resample import SheetOnto, resample_image, resample_maps
+from planish.resample import resample_image, resample_maps
 from planish.run import position_error
 
 
@@ -89,7 +89,7 @@ def test_maps_on_a_reference_lie_where_the_transformation_says(mirrored):
         scale=1.1, rotation_rad=0.2, shift_um=(150.0 if mirrored else 20.0, 5.0), mirrored=mirrored
     )
     grid = Grid.regular((50, 60), (1.9, 2.1))
-    linked = SheetOnto(surfaces, flat, transform=way).on(grid)
+    linked = resample_maps(surfaces, flat, onto=grid, transform=way)
     points = way.inverse(middles(grid))
     known = np.isfinite(linked["thickness"].values)
     assert known.mean() > 0.3

@@ -3,7 +3,7 @@ import pytest
 
 from flatten.meshes import middles
 from folders import refused
-from planish.core.errors import ResourceError
+from planish.core.errors import CannotRegister, InputError, ResourceError, SizeError
 from planish.core.grid import Grid
 from planish.core.threads import limit_threads
 from planish.core.tiles import Tile
@@ -271,21 +271,34 @@ def test_same_bytes_on_any_number_of_threads_and_any_tiles(scale, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "to_source",
+    ("to_source", "words"),
     [
-        Similarity(shift_um=(5000.0, 0.0)),
-        Similarity(shift_um=(51.0, 0.0)),  # one pixel beside it
-        lambda p: np.full(p.shape, np.nan),
-        Affine(linear=((1.0, 2.0), (0.5, 1.0))),
-        lambda p: 0 * p + 30.0,
-        lambda p: p[..., :1] * [0.5, 0.5],
+        (
+            Similarity(shift_um=(5000.0, 0.0)),
+            r"x 5000 to 5030, y 0 to 30 um.*50 um wide and 40 um high.*inverse",
+        ),
+        (Similarity(shift_um=(51.0, 0.0)), "overlaps"),  # one pixel beside it
+        (lambda p: np.full(p.shape, np.nan), "nowhere"),
+        (Affine(linear=((1.0, 2.0), (0.5, 1.0))), "nothing overlaps"),
+        (lambda p: 0 * p + 30.0, "nothing overlaps"),
+        (lambda p: p[..., :1] * [0.5, 0.5], "nothing overlaps"),
     ],
 )
-def test_nothing_in_common_and_singular_maps_give_nothing(to_source):
-    assert not np.isfinite(warped(ramp(40, 50), 1.0, to_source, (30, 30), 1.0)).any()
+def test_nothing_in_common_and_singular_maps_are_refused_with_what_to_check(to_source, words):
+    refused(CannotRegister, words, warped, ramp(40, 50), 1.0, to_source, (30, 30), 1.0)
 
 
-def test_a_pixel_over_too_many_of_the_image_is_refused():
+def test_images_that_cannot_be_warped_or_do_not_fit_are_refused_before_the_work():
+    for image in (ramp(4, 5) * 1j, noise(4, 5, np.uint8), ramp(4, 5)[..., None], ramp(0, 5)):
+        refused(InputError, r"\(rows, cols\) of floats", warped, image, 1.0, IDENTITY, (4, 5), 1.0)
+    for pixel in (0.0, float("nan"), (1.0, np.inf)):
+        refused(SizeError, "positive", warped, ramp(4, 5), pixel, IDENTITY, (4, 5), 1.0)
+    refused(SizeError, "grid", warped, ramp(4, 5), 1.0, IDENTITY, (0, 5), 1.0)
+    allowed = {"memory_bytes": 2 * 10**8 + 10**7}
+    words = r"0\.2. GB are allowed.*coarser"
+    refused(
+        ResourceError, words, warped, noise(10, 10), 1.0, IDENTITY, (10**5, 10**5), 1.0, **allowed
+    )
     big = np.broadcast_to(np.float32(1), (20000, 20000))
     middle = {"origin_um": (5000.0, 5000.0)}
     refused(ResourceError, "under one pixel", warped, big, 1.0, IDENTITY, (1, 2), 10000.0, **middle)

@@ -16,9 +16,14 @@ from planish.resample.warp import warp_image
 
 
 def resample_maps(
-    surfaces: xr.Dataset, flat: xr.Dataset, *, map_um: float | None = None
+    surfaces: xr.Dataset,
+    flat: xr.Dataset,
+    *,
+    onto: Grid | None = None,
+    transform: Any = None,
+    map_um: float | None = None,
 ) -> xr.Dataset:
-    """Bring the properties of a sheet onto its flat maps.
+    """Bring the properties of a sheet onto its flat maps, or in one step onto a reference's pixels.
 
     Parameters
     ----------
@@ -27,15 +32,19 @@ def resample_maps(
         ``property`` or that have a ``support_um``, and their standard errors.
     flat : Dataset, dims (y, x), in um
         Of :func:`planish.flatten.flatten_sheet`.
+    onto : Grid, optional
+        Pixels of a reference; a grid (v, u) that covers the flat sheet where not given.
+    transform : callable with a ``similarity``, optional
+        From the flat sheet to the reference; only with ``onto``.
     map_um : float, optional
-        Pixel of the flat maps; the volume's columns where not given.
+        Pixel of the flat maps; the volume's columns where not given. Only without ``onto``.
 
     Returns
     -------
-    Dataset, dims (v, u)
-        The properties, of each pixel the place in the volume (``volume_x``, ``volume_y``,
-        ``volume_z``) and in the projection, the layers in which holes are looked for, and
-        ``valid``.
+    Dataset, dims (v, u), or (y, x) on a reference
+        The properties, and of each pixel the place in the volume (``volume_x``, ``volume_y``,
+        ``volume_z``). Flat maps also hold the place in the projection, the layers in which holes
+        are looked for, and ``valid``; maps on a reference the place ``u``, ``v`` in the flat sheet.
 
     Raises
     ------
@@ -44,11 +53,14 @@ def resample_maps(
 
     Notes
     -----
-    Values are interpolated once, from the volume's columns to the pixels. The standard error of a
-    pixel that is the mean of many columns is smaller than theirs by the share of the variance that
-    the mean keeps; what is common to all columns stays. Axial angles are averaged by their
-    components, ``NAME_cos2`` and ``NAME_sin2`` for ``NAME_angle``.
+    The transformation is applied to the nodes of the sheet: values are interpolated once, from the
+    volume's columns to the pixels. The standard error of a pixel that is the mean of many columns
+    is smaller than theirs by the share of the variance that the mean keeps; what is common to all
+    columns stays. Axial angles are averaged by their components, ``NAME_cos2`` and ``NAME_sin2``
+    for ``NAME_angle``.
     """
+    if onto is not None:
+        return SheetOnto(surfaces, flat, transform=transform).on(onto)
     uv, step, names = _flat_coordinates(flat), pitch(surfaces), _variable_names(surfaces)
     pixel, layers = map_um or float(np.sqrt(step[0] * step[1])), names[2]
     grid = covering_grid(uv, pixel)
@@ -79,16 +91,15 @@ in."""
 class SheetOnto:
     """The maps of a sheet on a reference's pixels, part by part.
 
-    They hold the place ``u``, ``v`` in the flat sheet beside that in the volume. ``transform``,
-    with a ``similarity``, leads from the flat sheet to the reference; it is applied to the nodes of
-    the sheet, so that values are interpolated once.
+    ``transform``, with a ``similarity``, leads there.
     """
 
-    def __init__(self, surfaces: xr.Dataset, flat: xr.Dataset, *, transform: Any) -> None:
-        self._surfaces, self._similarity = surfaces, transform.similarity
+    def __init__(self, surfaces: xr.Dataset, flat: xr.Dataset, *, transform: Any = None) -> None:
+        uv, self._surfaces, self._similarity = _flat_coordinates(flat), surfaces, Similarity()
         self._names = *_variable_names(surfaces)[:2], list[str]()
         self._columns = _on_columns(surfaces, flat, self._names, ("u", "v"))
-        uv = transform(_flat_coordinates(flat))
+        if transform is not None:
+            uv, self._similarity = transform(uv), transform.similarity
         self._mesh = Mesh.of(uv, least_um=min(pitch(surfaces)) * self._similarity.scale)
 
     def on(self, part: Grid) -> xr.Dataset:
@@ -127,6 +138,9 @@ def resample_image(
     image: xr.DataArray,
     onto: Grid,
     transform: Any,
+    *,
+    memory_bytes: int = 2**31,
+    must_meet: bool = True,
 ) -> xr.Dataset:
     """Bring an image (y, x) onto the pixels of a reference.
 
@@ -137,6 +151,10 @@ def resample_image(
     onto : Grid
     transform : callable with an ``inverse``
         From the image to the reference.
+    memory_bytes : int
+        What may be taken beside the image.
+    must_meet : bool
+        Whether it is an error that the grid shows nothing of the image.
 
     Returns
     -------
@@ -150,6 +168,8 @@ def resample_image(
         onto,
         transform.inverse,
         pixel_um=pixel_um,
+        memory_bytes=memory_bytes,
+        must_meet=must_meet,
     )
     return xr.Dataset({"image": (("y", "x"), values, image_attrs(image))}, coords=onto.coords)
 

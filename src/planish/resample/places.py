@@ -14,8 +14,10 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planish.core.errors import SurfaceError
+from planish.core.facts import ResultModel
 from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
 from planish.core.typing import Bools, Floats, Pair
@@ -29,24 +31,36 @@ _SEGMENT = 32
 _LEAST_ROWS = 32  # of a band: below that, starting a thread takes longer than the work
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Places:
+class Places(ResultModel):
     """The place of each pixel of a regular grid in the mesh; good for any number of fields."""
 
-    # (rows * fine, cols * fine) int32: number of the triangle a sub-pixel lies in; -1 outside.
-    # Triangle 2 n + t is the first (t = 0) or second half of the quad whose first corner is node n,
-    # unless `corners` numbers them.
-    triangle: Indices
-    # (2, rows * fine, cols * fine): weights of the triangle's second and third corner, the first
-    # one has the rest of 1; anything outside.
-    weight: Floats
-    # (triangles, 3) int32: nodes of each triangle, for Delaunay's; without rows for the quads.
-    corners: Indices
-    mesh: tuple[int, int]  # rows and columns of the mesh
-    fine: int  # sub-pixels per pixel and axis; values are means over them
-    # Sub-pixels covered by more than one quad: 0 unless the mesh is folded, and always 0 for
-    # Delaunay.
-    overlaps: int
+    triangle: Indices = Field(
+        description=(
+            "(rows * fine, cols * fine) int32: number of the triangle a sub-pixel lies in; -1"
+            " outside. Triangle 2 n + t is the first (t = 0) or second half of the quad whose first"
+            " corner is node n, unless `corners` numbers them."
+        )
+    )
+    weight: Floats = Field(
+        description=(
+            "(2, rows * fine, cols * fine): weights of the triangle's second and third corner, the"
+            " first one has the rest of 1; anything outside."
+        )
+    )
+    corners: Indices = Field(
+        description=(
+            "(triangles, 3) int32: nodes of each triangle, for Delaunay's; without rows for the"
+            " quads."
+        )
+    )
+    mesh: tuple[int, int] = Field(description="Rows and columns of the mesh.")
+    fine: int = Field(description="Sub-pixels per pixel and axis; values are means over them.")
+    overlaps: int = Field(
+        description=(
+            "Sub-pixels covered by more than one quad: 0 unless the mesh is folded, and always 0"
+            " for Delaunay."
+        )
+    )
 
     @property
     def shape(self) -> tuple[int, int]:

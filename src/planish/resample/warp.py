@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.errors import ResourceError
+from planish.core.errors import CannotRegister, InputError, ResourceError, SizeError
 from planish.core.grid import Grid
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
@@ -44,7 +44,9 @@ def warp_image(
     grid: Grid,
     to_source: Mapping,
     *,
-    pixel_um: Pair,
+    pixel_um: Pair = (1.0, 1.0),
+    memory_bytes: int = 2**31,
+    must_meet: bool = True,
 ) -> NDArray[np.floating[Any]]:
     """Warp an image by a transformation.
 
@@ -60,17 +62,27 @@ def warp_image(
         few points, from several threads.
     pixel_um : (float, float)
         Pitch of the image's rows and columns.
+    memory_bytes : int
+        What may be taken beside the image.
+    must_meet : bool
+        Whether it is an error that the target shows nothing of the image; otherwise all of it is
+        NaN then.
 
     Returns
     -------
     (rows, cols) of the grid, type of the image
-        NaN is missing, and all of it where the target shows nothing of the image. The same bytes on
-        any number of threads.
+        NaN is missing. The same bytes on any number of threads.
 
     Raises
     ------
+    CannotRegister
+        The target does not meet the image, or the transformation makes a line of it.
+    SizeError
+        A pixel size or the grid is impossible.
+    InputError
+        The image has another shape or type than is needed.
     ResourceError
-        A pixel of the target covers too many of the image.
+        It does not fit into the memory.
 
     Notes
     -----
@@ -86,14 +98,51 @@ def warp_image(
     Rounding leaves 1e-13 of the largest value nearby in a mean: mark values that stand for missing
     ones as NaN.
     """
+    shape, size = grid.shape, image.shape
+    if image.ndim != 2 or min(size) < 1 or image.dtype.kind != "f":
+        raise InputError(
+            f"The image has the shape {size} and {image.dtype} values; (rows, cols) of floats is"
+            " needed."
+        )
+    if min(shape) < 1 or not np.isfinite(grid.origin_um).all():
+        raise SizeError(
+            f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size and the"
+            " origin."
+        )
+    for image_name, (rows, cols) in (("image", pixel_um), ("target", grid.pixel_um)):
+        if not (0 < rows < np.inf and 0 < cols < np.inf):
+            raise SizeError(
+                f"The pixel size of the {image_name} is {rows:g} x {cols:g} um. Give positive"
+                " numbers."
+            )
+    needed = shape[0] * shape[1] * image.dtype.itemsize
+    if needed > memory_bytes:
+        raise ResourceError(
+            f"The warped image needs {needed / 1e9:.2f} GB of memory, {memory_bytes / 1e9:.2f} GB"
+            " are allowed. Allow more, or warp to a smaller or coarser grid."
+        )
 
     def mapping(points: Floats) -> Floats:
         points_um = points * grid.pixel_um[::-1] + grid.origin_um
         return np.asarray(to_source(points_um), dtype=np.float64) / pixel_um[::-1]
 
-    out = np.full(grid.shape, np.nan, dtype=image.dtype)
-    map_threads(partial(_warp_tile, image, mapping, out), tiles_of(grid.shape, _TILE))
-    return out
+    out = np.full(shape, np.nan, dtype=image.dtype)
+    map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
+    if np.isfinite(out).any() or not must_meet:
+        return out
+    x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
+    points_um = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
+    points_um = points_um[np.isfinite(points_um).all(axis=-1)]
+    where_text = "nowhere"
+    if len(points_um):
+        (a, b), (c, d) = points_um.min(axis=0), points_um.max(axis=0)
+        where_text = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
+    height_um, width_um = size[0] * pixel_um[0], size[1] * pixel_um[1]
+    raise CannotRegister(
+        f"The transformation takes the target {where_text}, which is {width_um:.0f} um wide and"
+        f" {height_um:.0f} um high: nothing overlaps. Check the pixel sizes and the origin, and"
+        " that the transformation goes from target to image (else use its inverse)."
+    )
 
 
 def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: Tile) -> None:

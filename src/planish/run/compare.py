@@ -264,7 +264,7 @@ def _refine(
     )
     shown = moving.layer.shown
     if isinstance(shown, xr.DataArray):
-        on_part = partial(resample_image, shown, transform=transform)
+        on_part = partial(resample_image, shown, transform=transform, must_meet=False)
     else:
         on_part = SheetOnto(shown["surfaces"], shown["flat"], transform=transform).on
     for tile in map_tiles(grid.shape):

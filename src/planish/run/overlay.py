@@ -86,7 +86,7 @@ def _on_tiles(
 
     def moved(_: Tile, tile_grid: Grid) -> xr.Dataset:
         if isinstance(layer_data, xr.DataArray):
-            maps = resample_image(layer_data, tile_grid, chain)
+            maps = resample_image(layer_data, tile_grid, chain, must_meet=False)
             return maps.assign(errors.on(tile_grid, maps["image"].values))
         assert sheet is not None
         maps = sheet.on(tile_grid)
