@@ -1,11 +1,22 @@
 """Tables: what is read, and that all faults of a file are named at once."""
 
+import zipfile
+
 import numpy as np
+import pandas as pd
 import pytest
 
 from folders import refused
 from planish.core.errors import FileError, MarkError
-from planish.core.tables import LARGEST_FILE, finite, parse_table, read_text, split_rows, table_text
+from planish.core.tables import (
+    LARGEST_FILE,
+    finite,
+    heading_of,
+    parse_table,
+    read_text,
+    split_rows,
+    table_text,
+)
 
 
 def read(folder, text, *, encoding="utf-8", needed=("x_um", "y_um")):
@@ -27,10 +38,94 @@ def test_any_spreadsheet_gives_the_same(tmp_path, encoding, end, delimiter):
     )
 
 
-@pytest.mark.parametrize("delimiter", [";", "\t"])
-def test_decimal_commas(tmp_path, delimiter):
-    text = delimiter.join(("x_um", "y_um")) + "\n" + delimiter.join(("1,5", "-2,25"))
-    np.testing.assert_array_equal(read(tmp_path, text), [[1.5, -2.25]])
+TABLE = pd.DataFrame(
+    {"note": ["a, b", "c; d", "e"], "x_um": [288.625, 2895.5, 0.125], "y_um": [-2.25, 1e-7, 1234.5]}
+)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("decimal", [".", ","])
+@pytest.mark.parametrize("delimiter", list(",;\t"))
+@pytest.mark.parametrize("with_index", [True, False])
+def test_what_pandas_writes_is_read(tmp_path, delimiter, decimal, encoding, with_index):
+    path = tmp_path / "t.csv"
+    TABLE.to_csv(path, sep=delimiter, decimal=decimal, encoding=encoding, index=with_index)
+    table = parse_table(read_text(path), "t.csv", needed=("x_um", "y_um"), error=MarkError)
+    np.testing.assert_array_equal(table.numbers(["x_um", "y_um"]), TABLE[["x_um", "y_um"]])
+    assert [table.text(row, "note") for row in table.rows] == list(TABLE["note"])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sep=;\nx_um;y_um\n1,5;-2\n",  # a line of Excel's own
+        "x_um;y_um;;\n1,5;-2;;\n;;;\n;;;\n",  # columns and lines that were emptied
+        "x_um;y_um\n1,5;-2;\n",
+        " ,x_um,y_um\n1,1.5,-2\n",
+        "\tx_um\ty_um\n1\t1.5\t-2\n",
+        '"x_um","y_um"\n"1,5","-2"\n',
+    ],
+)
+def test_habits_of_spreadsheets(tmp_path, text):
+    np.testing.assert_array_equal(read(tmp_path, text), [[1.5, -2]])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x_um;y_um\n1,234;2\n", r"x_um '1,234' may be 1\.234 or 1234"),
+        ('x_um,y_um\n"1,234",2.5\n', r"x_um '1,234' may be 1\.234 or 1234"),
+        ("x_um;y_um\n1.234;2,5\n", r"x_um '1\.234' has a point, other numbers a decimal comma"),
+        ("x_um;y_um\n1.234,5;2\n", r"'1\.234,5' is not a finite number; .* without a sign"),
+        ("x_um;y_um\n1 234;2\n", "'1 234' is not a finite number"),
+        ("x_um;y_um\n1'234;2\n", "is not a finite number"),
+        ("x_um;y_um\n1_234;2\n", "'1_234' is not a finite number"),
+        ("x_um,y_um\n1,5,2,5\n", "row 2 has 4 columns.*decimal commas need semicolons"),
+    ],
+)
+def test_a_number_that_may_be_another_is_refused(tmp_path, text, words):
+    refused(MarkError, words, read, tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("headings", "factor"),
+    [
+        ("X (mm);Y (mm)", 1e3),
+        ("x_nm;y_nm", 1e-3),
+        ("X [\u00b5m];Y [\u03bcm]", 1.0),
+        ("x / mm;y in mm", 1e3),
+        ("X inch;Y inch", 25400.0),
+    ],
+)
+def test_a_column_in_another_unit_is_converted(tmp_path, headings, factor):
+    found = read(tmp_path, f"{headings}\n1,5;2\n")
+    np.testing.assert_allclose(found, [[1.5 * factor, 2 * factor]], rtol=1e-15)
+
+
+@pytest.mark.parametrize("headings", ["X (px);Y (px)", "x;y", "x (furlong);y (furlong)"])
+def test_a_column_without_a_length_is_not_taken(tmp_path, headings):
+    refused(MarkError, "columns missing: x_um, y_um", read, tmp_path, f"{headings}\n1;2\n")
+
+
+@pytest.mark.parametrize(
+    ("cell", "name", "unit"),
+    [
+        ("Centroid X \u00b5m", "centroid_x", "um"),
+        ("Centroid Y px", "centroid_y", "pixel"),
+        ("POSITION_X", "position_x", ""),
+        ("axis-0", "axis_0", ""),
+        ("X (furlong)", "x", "furlong"),
+    ],
+)
+def test_headings(cell, name, unit):
+    assert heading_of(cell) == (name, unit)
+
+
+def test_a_workbook_is_named(tmp_path):
+    path = tmp_path / "t.csv"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("xl/workbook.xml", "<workbook/>")
+    refused(FileError, r"workbook of a spreadsheet.*CSV UTF-8", read_text, path)
 
 
 def test_all_faults_are_named_up_to_a_number(tmp_path):

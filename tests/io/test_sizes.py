@@ -5,8 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planish.core.errors import SizeError
+from planish.core.units import unit_um
 from planish.io import PIXEL, agreed_size
-from planish.io.sizes import VOXEL, Stated, from_density, unit_um
+from planish.io.sizes import VOXEL, Stated, from_density
 
 sizes = st.floats(0.02, 90)
 

@@ -65,7 +65,7 @@ def markup(change):
         (
             lines_with(bigwarp_2d(), 2, '"Pt-2","true","1","two","3","4"'),
             MarkError,
-            "row 3: 'two' is no number",
+            "row 3: 'two' is not a finite number",
         ),
         (lines_with(bigwarp_2d(), 2, '"Pt-2,"true"x,"1'), MarkError, "row 3"),
         (

@@ -1,17 +1,20 @@
 """CSV tables: one reader that names all faults at once, and one writer.
 
 A table is text in UTF-8 (with or without byte order mark, or UTF-16 with one); its columns are
-separated by comma, semicolon or tab. Where they are not separated by commas, numbers may have a
-decimal comma. Empty lines and lines that start with ``#`` are no rows. Column names are compared in
-small letters, in any order; other columns are ignored.
+separated by comma, semicolon or tab. Numbers may have a decimal comma; those that may have a
+thousands separator are refused. Lines without text and lines that start with ``#`` are no rows.
+Column names are compared in small letters, in any order; other columns are ignored. A column
+``x_um`` may as well be called ``X (mm)`` or ``x_nm``, and is converted.
 """
 
 import csv
 import io
 import math
+import re
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,8 +24,10 @@ from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.files import check_exists
+from planish.core.units import unit_um
 
 LARGEST_FILE = 10_000_000  # bytes; no table of marks, holes or sections is larger
+DECIMAL_COMMAS = "decimal commas need semicolons between the columns"
 MOST_FAULTS = 8  # faults that one message names; of the others it gives the number
 
 
@@ -33,7 +38,23 @@ class CsvRow(NamedTuple):
     cells: list[str]
 
 
-class Rows(NamedTuple):
+class Heading(NamedTuple):
+    """Name of a column in small letters, words joined by ``_``, and its unit.
+
+    No unit: it states none. ``pixel`` is one; of a length ``um`` says how long it is.
+    """
+
+    name: str
+    unit: str = ""
+
+    @property
+    def um(self) -> float | None:
+        """Length of the unit in um; None where it is none."""
+        return unit_um(self.unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
     """Content of a text.
 
     Rows, comments without their sign, separator, and faults of single lines.
@@ -41,8 +62,64 @@ class Rows(NamedTuple):
 
     rows: list[CsvRow]
     comments: list[str]
-    delimiter: str
-    faults: list[str]
+    delimiter: str = ","
+    faults: list[str] = field(default_factory=list[str])
+
+    @cached_property
+    def has_decimal_commas(self) -> bool:
+        """Whether a comma stands where it cannot separate thousands: ``0,5``, ``1234,5``."""
+        cells = [cell for row in self.rows for cell in row.cells]
+        return any(_COMMA.fullmatch(cell) and not _GROUPED.fullmatch(cell) for cell in cells)
+
+    def number(self, text: str) -> float | None:
+        """Return the finite number in a cell; None where it is none, or may be another."""
+        if "_" in text or ("." in text and self.has_decimal_commas):
+            return None
+        return finite(text, decimal_comma=self.has_decimal_commas)
+
+    def number_fault(self, text: str) -> str:
+        """Say why a cell holds no number."""
+        if "." in text and self.has_decimal_commas:
+            return "has a point, other numbers a decimal comma; write all in one way"
+        if _GROUPED.fullmatch(text):
+            whole, part = text.split(",")
+            return f"may be {whole}.{part} or {whole}{part}; write it with a decimal point or none"
+        if "," in text:
+            return "is not a finite number; write it with a decimal point, thousands without a sign"
+        return "is not a finite number"
+
+
+# Numbers with a comma; those of them in which it may separate thousands.
+_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+_IN_BRACKETS = re.compile(r"(.*?)[\s_]*[(\[]\s*([^()\[\]]+?)\s*[)\]]")
+_AT_THE_END = re.compile(r"(.+?)(?:\s+in)?[\s_/]+([^\s_/]+)")
+_PIXELS = ("px", "pix", "pixel", "pixels", "voxel", "voxels")
+# First bytes and names within files of spreadsheets.
+_WORKBOOKS = (b"xl/workbook", b"opendocument.spreadsheet")
+
+
+def heading_of(cell: str) -> Heading:
+    """Take the unit off a heading.
+
+    >>> heading_of("Centroid X \N{MICRO SIGN}m").name, heading_of("x_mm").um, heading_of("Y [px]")
+    ('centroid_x', 1000.0, Heading(name='y', unit='pixel'))
+    """
+    in_brackets, at_the_end = _IN_BRACKETS.fullmatch(cell), _AT_THE_END.fullmatch(cell)
+    name, unit = cell, ""
+    if in_brackets:
+        name, unit = in_brackets.groups()
+    elif at_the_end and _unit_of(at_the_end[2]):
+        name, unit = at_the_end.groups()
+    name = re.sub(r"[\W_]+", "_", name.casefold()).strip("_")
+    return Heading(name, _unit_of(unit) or unit)
+
+
+def _unit_of(word: str) -> str:
+    """Name a unit of positions; empty where it is none."""
+    if word.casefold() in _PIXELS:
+        return "pixel"
+    return {None: "", 1.0: "um", 1000.0: "mm"}.get(unit_um(word), word)
 
 
 def read_text(path: str | Path, *, what: str = "table") -> str:
@@ -72,11 +149,14 @@ def read_bytes(path: str | Path, *, what: str = "table", most_bytes: int = LARGE
 
 def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
     """Text of the bytes of a file, without byte order mark; FileError if they are no text."""
+    refuse_workbook(data, name, what=what)
     utf_16 = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     try:
         text = data.decode("utf-16" if utf_16 else "utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FileError(f"{name} is no text in UTF-8. Save the {what} as text in UTF-8.") from error
+        raise FileError(
+            f"{name} is no text in UTF-8. Save the {what} as text in UTF-8 (Excel: CSV UTF-8)."
+        ) from error
     if "\0" in text:
         raise FileError(
             f"{name} holds binary data and is no {what}. Check that it is the right file."
@@ -84,29 +164,73 @@ def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
     return text
 
 
+def refuse_workbook(data: bytes, name: str, *, what: str) -> None:
+    """Refuse the file of a spreadsheet, which is no table of text."""
+    is_old_workbook = data.startswith(b"\xd0\xcf\x11\xe0")
+    is_packed = data.startswith(b"PK") and any(mark in data for mark in _WORKBOOKS)
+    if is_old_workbook or is_packed:
+        raise FileError(
+            f"{name} is the workbook of a spreadsheet. Save the {what} as text (Excel: CSV UTF-8)."
+        )
+
+
 def split_rows(text: str) -> Rows:
     """Rows of a text, whether the first of them is a header or not.
 
-    Cells without blanks at their ends.
+    Cells without blanks at their ends; without rows and last columns that are empty throughout.
     """
-    lines = [
-        (line_number, line.strip())
-        for line_number, line in enumerate(text.splitlines(), 1)
-        if line.strip()
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    delimiter = ""
+    # Excel's own line in front of a table.
+    if lines and (match := re.fullmatch(r'"?sep=(.)"?[,;\s]*', lines[0][1], re.IGNORECASE)):
+        delimiter = match[1]
+        lines = lines[1:]
+    is_comment = [line.lstrip().startswith("#") for _, line in lines]
+    comments = [
+        line.strip().lstrip("#").strip()
+        for (_, line), comment in zip(lines, is_comment, strict=True)
+        if comment
     ]
-    comments = [line.lstrip("#").strip() for _, line in lines if line.startswith("#")]
-    table_lines = [(line_number, line) for line_number, line in lines if not line.startswith("#")]
-    delimiter = max(",;\t", key=table_lines[0][1].count) if table_lines else ","
+    table_lines = [line for line, comment in zip(lines, is_comment, strict=True) if not comment]
+    delimiter = delimiter or _delimiter_of([line for _, line in table_lines[:20]])
     rows: list[CsvRow] = []
     faults: list[str] = []
     for line_number, line in table_lines:
         try:
-            cells = next(csv.reader([line], delimiter=delimiter, strict=True))
+            cells = _cells(line, delimiter)
         except csv.Error as error:
             faults.append(f"row {line_number}: {error}")
             continue
-        rows.append(CsvRow(line_number, [cell.strip() for cell in cells]))
-    return Rows(rows, comments, delimiter, faults)
+        if any(cells):
+            rows.append(CsvRow(line_number, cells))
+    width = max((_width(row.cells) for row in rows), default=0)
+    rows = [CsvRow(row.line, row.cells[:width]) for row in rows]
+    return Rows(rows=rows, comments=comments, delimiter=delimiter, faults=faults)
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True))
+    return [cell.strip() for cell in cells]
+
+
+def _width(cells: Sequence[str]) -> int:
+    """Number of cells without the empty ones at the end."""
+    return max((k for k, cell in enumerate(cells, 1) if cell), default=0)
+
+
+def _delimiter_of(lines: Sequence[str]) -> str:
+    """Find what gives all of the first lines equally many cells, two or more.
+
+    A comma may stand within numbers, a semicolon within names, so that the comma comes last.
+    """
+    for delimiter in "\t;,":
+        try:
+            counts = {len(_cells(line, delimiter)) for line in lines}
+        except csv.Error:
+            continue
+        if len(counts) == 1 and counts != {1}:
+            return delimiter
+    return max(",;\t", key=lines[0].count) if lines else ","
 
 
 def finite(value: object, *, decimal_comma: bool = False) -> float | None:
@@ -128,10 +252,15 @@ class CsvTable:
     name: str  # name of the file
     header: list[str]  # column names in small letters
     rows: list[CsvRow]  # rows with as many cells as the header
-    comments: list[str] = field(default_factory=list[str])
+    content: Rows
     error: type[PlanishError] = InputError  # class of the error that names the faults
-    decimal_comma: bool = False
+    um: dict[str, float] = field(default_factory=dict[str, float])  # by column in another unit
     faults: list[str] = field(default_factory=list[str])
+
+    @property
+    def comments(self) -> list[str]:
+        """Comments without their sign."""
+        return self.content.comments
 
     def text(self, row: CsvRow, column: str, default: str = "") -> str:
         """Cell of a row; the default where there is no such column, or nothing in the cell."""
@@ -140,12 +269,12 @@ class CsvTable:
     def number(self, row: CsvRow, column: str) -> float:
         """Give the finite number in a cell; anything else is a fault and NaN."""
         text = self.text(row, column)
-        value = finite(text, decimal_comma=self.decimal_comma)
+        value = self.content.number(text)
         if value is None:
             if column in self.header:  # that a column is missing is a fault already
-                self.fault(row, f"{column} {text!r} is not a finite number")
+                self.fault(row, f"{column} {text!r} {self.content.number_fault(text)}")
             return math.nan
-        return value
+        return value * self.um.get(column, 1.0)
 
     def numbers(self, columns: Sequence[str]) -> NDArray[np.float64]:
         """Give the finite numbers of several columns, shape (rows, columns)."""
@@ -162,12 +291,19 @@ class CsvTable:
 
 
 def parse_table(
-    text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
+    text: str,
+    name: str,
+    *,
+    needed: Sequence[str],
+    optional: Sequence[str] = (),
+    error: type[PlanishError],
+    advice: str = "",
 ) -> CsvTable:
     """Make a table of a text with a header; ``name`` is that of its file.
 
-    Columns that are ``needed`` have to be there; others may be. ``advice`` is one sentence that
-    says what the table has to look like. Faults of header and rows are raised by
+    Columns that are ``needed`` have to be there; others may be. Those of them and of ``optional``
+    that end in ``_um`` may be in another unit of length, which their heading states. ``advice`` is
+    one sentence that says what the table has to look like. Faults of header and rows are raised by
     :meth:`CsvTable.check`, together with those found later; an empty table is an ``error`` at once.
     """
     advice = advice or f"The first row has to name the columns {', '.join(needed)}."
@@ -176,6 +312,12 @@ def parse_table(
         raise error(f"{name} is empty. {advice}")
     header_row, *body_rows = content.rows
     header = [cell.lower() for cell in header_row.cells]
+    um: dict[str, float] = {}
+    for k, heading in enumerate(map(heading_of, header_row.cells)):
+        column = f"{heading.name}_um"
+        if column in (*needed, *optional) and column not in header and heading.um:
+            header[k] = column
+            um[column] = heading.um
     faults: list[str] = []
     if missing := [column for column in needed if column not in header]:
         faults.append(
@@ -185,21 +327,24 @@ def parse_table(
     if duplicates := sorted({column for column in header if column and header.count(column) > 1}):
         faults.append(f"columns given twice: {', '.join(duplicates)}")
     faults += content.faults
+    body_rows = [
+        CsvRow(row.line, row.cells[: max(len(header), _width(row.cells))]) for row in body_rows
+    ]
     ragged_rows = [row for row in body_rows if len(row.cells) != len(header)]
     faults += [
         f"row {row.line} has {len(row.cells)} columns, the header {len(header)}"
         for row in ragged_rows
     ]
     if content.delimiter == "," and any(len(row.cells) > len(header) for row in ragged_rows):
-        faults[-1] += " (decimal commas need semicolons between the columns)"
+        faults[-1] += f" ({DECIMAL_COMMAS})"
     rows = [row for row in body_rows if len(row.cells) == len(header)]
     return CsvTable(
         name=name,
         header=header,
         rows=rows,
-        comments=content.comments,
+        content=content,
         error=error,
-        decimal_comma=content.delimiter != ",",
+        um=um,
         faults=faults,
     )
 

@@ -257,7 +257,9 @@ def read_pattern(
                 " CSV table only."
             )
         return Pattern.from_json(text)
-    table = parse_table(text, file_path.name, needed=_COLUMNS[1:3], error=MarkError)
+    table = parse_table(
+        text, file_path.name, needed=_COLUMNS[1:3], optional=_COLUMNS[3:], error=MarkError
+    )
     has_diameter = _COLUMNS[3] in table.header
     columns = table.numbers(_COLUMNS[1 : 3 + has_diameter])
     table.check()

@@ -18,40 +18,11 @@ from planish.core.errors import FileError, SizeError
 from planish.core.numbers import agree
 from planish.core.text import and_join
 from planish.core.typing import Pair
+from planish.core.units import unit_um
 from planish.io.guard import reading
 
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPage
-
-PREFIXES = (
-    ("p", "pico", 1e-6),
-    ("n", "nano", 1e-3),
-    ("u", "micro", 1.0),
-    ("m", "milli", 1e3),
-    ("c", "centi", 1e4),
-)
-# Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu.
-UNITS_UM = {
-    "å": 1e-4,
-    "angstrom": 1e-4,
-    "ångström": 1e-4,
-    "μm": 1.0,
-    "micron": 1.0,
-    "microns": 1.0,
-    "in": 25400.0,
-    "inch": 25400.0,
-    "inches": 25400.0,
-} | {
-    f"{prefix}{metre}": um
-    for symbol, name, um in (*PREFIXES, ("", "", 1e6))
-    for prefix, metre in (
-        (symbol, "m"),
-        (name, "meter"),
-        (name, "metre"),
-        (name, "meters"),
-        (name, "metres"),
-    )
-}
 
 OVERRIDE = "`override_size=True`"
 POSSIBLE_UM = (1e-4, 1000.0)  # of any pixel; outside of it there is no instrument
@@ -92,16 +63,6 @@ class Asked(NamedTuple):
 VOXEL = Asked("voxel", ("z", "y", "x"), "voxel_um", (0.01, 100.0))
 PIXEL = Asked("pixel", ("y", "x"), "pixel_um", (0.01, 500.0))
 """What is asked of the size of a pixel: axes, word of a call, and what is usual."""
-
-
-def unit_um(unit: str) -> float | None:
-    r"""Length of a unit in um, or None if the word is no unit of length.
-
-    >>> unit_um("mm"), unit_um("µm"), unit_um("pixel")
-    (1000.0, 1.0, None)
-    """
-    word = unit.strip().strip('"').casefold().replace("\\u00b5", "μ").replace("\\u03bc", "μ")
-    return UNITS_UM.get(word)
 
 
 def stated_in(

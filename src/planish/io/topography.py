@@ -11,9 +11,10 @@ import xarray as xr
 from planish.core.errors import FileError, SizeError
 from planish.core.labelled import labelled
 from planish.core.typing import Pair
+from planish.core.units import unit_um
 from planish.io.formats import extra
 from planish.io.guard import check_memory, quiet, reading, size_of_file
-from planish.io.sizes import PIXEL, Stated, agreed_size, unit_um
+from planish.io.sizes import PIXEL, Stated, agreed_size
 from planish.io.tiff import size_words
 
 

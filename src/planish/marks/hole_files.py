@@ -187,7 +187,11 @@ def read_holes(path: str | Path) -> xr.Dataset:
     if _checked_suffix(file) == ".json":
         return holes_from_json(read_object(read_text(file, what="file of holes"), name), name)
     table = parse_table(
-        read_text(file, what="table of holes"), name, needed=("x_um", "y_um"), error=MarkError
+        read_text(file, what="table of holes"),
+        name,
+        needed=("x_um", "y_um"),
+        optional=("diameter_um",),
+        error=MarkError,
     )
     columns = [column for column in ("x_um", "y_um", "diameter_um") if column in table.header]
     numbers = table.numbers(columns)

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
-from planish.core.tables import finite, raise_faults, table_text
+from planish.core.tables import DECIMAL_COMMAS, finite, raise_faults, table_text
 from planish.core.typing import Floats
 from planish.marks.exchange.lists import Content, PointList
 from planish.marks.exchange.model import labels_of, used_of
@@ -58,9 +58,11 @@ def read(content: Content) -> list[PointList]:  # noqa: C901
         ]
     first, width = rows[0][0], len(rows[0][1])
     if width not in (6, 8):
+        hint = f" ({DECIMAL_COMMAS})" if width > 8 and content.rows.delimiter == "," else ""
         raise MarkError(
-            f"{name}, row {first} has {width} columns. BigWarp writes {_NEEDED}. {_AGAIN}"
+            f"{name}, row {first} has {width} columns{hint}. BigWarp writes {_NEEDED}. {_AGAIN}"
         )
+    number_of = finite if content.json else content.rows.number
     points: list[list[float | None]] = []
     faults = list(content.rows.faults)
     for number, row in rows:
@@ -71,12 +73,13 @@ def read(content: Content) -> list[PointList]:  # noqa: C901
             faults.append(f"row {number}: active is {row[1]!r}, not true or false")
         points.append(
             [
-                np.inf if str(v).lstrip("+-").lower() in ("infinity", "inf") else finite(v)
+                np.inf if str(v).lstrip("+-").lower() in ("infinity", "inf") else number_of(v)
                 for v in row[2:]
             ]
         )
         if None in points[-1]:
-            faults.append(f"row {number}: {row[2 + points[-1].index(None)]!r} is no number")
+            cell = str(row[2 + points[-1].index(None)])
+            faults.append(f"row {number}: {cell!r} {content.rows.number_fault(cell)}")
     raise_faults(name, faults, f"BigWarp writes {_NEEDED}.", error=MarkError)
     labels = [str(row[0]) or f"row {number}" for number, row in rows]
     used = [str(row[1]).lower() == "true" for _, row in rows]

@@ -138,7 +138,14 @@ def read_points(
 ) -> PointList:
     """Read the points of a table with a header; lengths in um where it states so."""
     advice = f"Give a table with the columns {' and '.join(columns)} and one row for each mark."
-    table = parse_table(content.text, content.name, needed=columns, error=MarkError, advice=advice)
+    table = parse_table(
+        content.text,
+        content.name,
+        needed=columns,
+        optional=("diameter_um",),
+        error=MarkError,
+        advice=advice,
+    )
     points = table.numbers(columns)
     diameters = [
         table.text(row, "diameter_um") and table.number(row, "diameter_um") for row in table.rows

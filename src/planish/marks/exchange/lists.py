@@ -42,7 +42,7 @@ class Content:
     name: str
     data: bytes
     text: str = ""
-    rows: Rows = field(default_factory=lambda: Rows([], [], ",", []))
+    rows: Rows = field(default_factory=lambda: Rows(rows=[], comments=[]))
     json: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     @property
