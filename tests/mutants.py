@@ -120,7 +120,7 @@ MUTANTS = [
         "io/test_sizes.py",
     ),
     Mutant(
-        "io/slice_volume.py",
+        "io/scan_log.py",
         "count != (last - first) / step + 1",
         "count != (last - first) / step",
         "io/test_formats.py",

@@ -263,8 +263,8 @@ def test_the_one_log_is_read_by_section_also_with_decimal_commas_and_kept(tmp_pa
         "cp1252",
     )
     assert read_volume(tmp_path / NAME).attrs["voxel_um"] == [1.5] * 3
-    (tmp_path / NAME / "other_rec.log").write_text("[Reconstruction]\n")
-    refused(VolumeError, "2 NRecon logs", read_volume, tmp_path / NAME)
+    (tmp_path / NAME / "other_rec.log").write_text("[Reconstruction]\n")  # of other slices
+    assert read_volume(tmp_path / NAME).attrs["voxel_um"] == [1.5] * 3
 
 
 @pytest.mark.parametrize(
@@ -290,6 +290,8 @@ def test_the_one_log_is_read_by_section_also_with_decimal_commas_and_kept(tmp_pa
 def test_a_log_that_does_not_fit_is_an_error(tmp_path, old, new, words):
     folder = write_nrecon(tmp_path, VALUES, CUBE)
     edit(folder / "Núria_rec.log", old, new, "cp1252")
+    if "Juan" in new:
+        (folder / "Núria_rec.log").rename(folder / "Juan_rec.log")
     refused((VolumeError, SizeError), words, read_volume, folder)
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from folders import refused
 from planish.core.errors import FileError, InputError, SizeError, VolumeError
-from planish.io import read_volume, slice_volume
+from planish.io import describe, read_volume, slice_names
 
 
 def stack(dtype="uint8", shape=(12, 7, 9)):
@@ -72,7 +72,7 @@ def test_any_numbering_with_a_constant_step_is_ordered(tmp_path_factory, first, 
     numbers = [first + i * step for i in range(count)]
     for number in random.Random(1).sample(numbers, count):
         (folder / f"scan_2um_{number:0{width}d}.tif").touch()
-    assert [int(p.stem.split("_")[-1]) for p in slice_volume.list_slices(folder)] == numbers
+    assert [int(p.stem.split("_")[-1]) for p in slice_names.list_slices(folder).files] == numbers
 
 
 def test_other_files_are_ignored(tmp_path):
@@ -184,14 +184,87 @@ def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path):
     [
         ([], FileError, "holds no slices"),
         (["a1.tif"], VolumeError, "holds one slice only, a1.tif"),
-        (["a1b2.tif", "a2b3.tif"], VolumeError, "2 numbers change"),
+        (["a1b3.tif", "a2b2.tif"], VolumeError, "2 numbers change .* ask for different orders"),
+        (["i1j1.tif", "i1j2.tif", "i2j1.tif", "i2j2.tif"], VolumeError, "none counts the slices"),
+        (["0901_1.tif", "0902_2.tif", "0908_4.tif"], VolumeError, "none counts .* without a gap"),
         (["a.tif", "b.tif"], VolumeError, "named otherwise"),
     ],
 )
 def test_names_that_are_no_series_are_refused(tmp_path, names, error, words):
     for name in names:
         (tmp_path / name).touch()
-    refused(error, words, slice_volume.list_slices, tmp_path)
+    refused(error, words, slice_names.list_slices, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        (lambda i: f"img_20240301_{120000 + i}_{i:03d}", "number 3"),
+        (lambda i: f"2024-03-01T{11 + i // 5}-{7 * i % 35:02d}_{i}", "number 6"),
+        (lambda i: f"slice_{i}_at_{30 * i:04d}um", "number 1"),
+        (lambda i: f"z{0.75 * i:.2f}", "the decimal number"),
+    ],
+)
+def test_of_several_numbers_the_one_that_counts_is_said(tmp_path, name, place):
+    folder = tmp_path / "v"
+    folder.mkdir()
+    for i in random.Random(2).sample(range(12), 12):
+        tifffile.imwrite(folder / f"{name(i)}.tif", stack()[i], photometric="minisblack")
+    np.testing.assert_array_equal(read_volume(folder, voxel_um=1).values, stack())
+    told = describe(folder, voxel_um=1)
+    assert any(f"{place} counts the slices" in n for n in told["warnings"] + told.get("notes", []))
+
+
+def test_a_sign_is_read_where_not_all_names_have_it(tmp_path):
+    names = ["z-010", "z-005", "z+000", "z+005"]
+    for name in names:
+        (tmp_path / f"{name}.tif").touch()
+    assert [p.stem for p in slice_names.list_slices(tmp_path).files] == names
+
+
+IMAGEJ = "ImageJ=1.53t\nimages=12\nslices=12\nunit=um\nspacing=3.0\nloop=false\n"
+
+
+@pytest.mark.parametrize("compression", [None, "deflate"])
+def test_slices_that_describe_the_stack_they_were_cut_out_of_are_read(tmp_path, compression):
+    tags = {"resolution": (0.5, 0.5), "photometric": "minisblack", "compression": compression}
+    for i, page in enumerate(stack()):
+        path = tmp_path / f"{i}.tif"
+        tifffile.imwrite(path, page, description=IMAGEJ, metadata=None, **tags)
+    volume = read_volume(tmp_path)
+    np.testing.assert_array_equal(volume.values, stack())
+    assert volume.attrs["voxel_um"] == [3, 2, 2]
+    told = describe(tmp_path)
+    note = "0.tif describes the stack that it was cut out of; it holds one image."
+    assert note in told["warnings"] + told.get("notes", [])
+
+
+def test_a_stack_without_chained_pages_that_was_cut_off_is_no_slice(tmp_path):
+    path = tmp_path / "v.tif"
+    big = np.zeros((12, 100, 100), np.uint8)  # as ImageJ writes stacks above 4 GB: one page alone
+    tifffile.imwrite(path, big[0], description=IMAGEJ, metadata=None)
+    with path.open("ab") as file:
+        file.write(big[1:].tobytes())
+    assert read_volume(path, voxel_um=3, override_size=True).shape == (12, 100, 100)
+    path.write_bytes(path.read_bytes()[:-100_000])
+    refused(FileError, "12 images are declared, the file has 1 pages", read_volume, path)
+
+
+def test_slices_of_a_set_that_describe_all_of_it_in_ome_are_read(tmp_path):
+    tifffile.imwrite(
+        tmp_path / "all.ome.tif",
+        stack(),
+        metadata={"axes": "ZYX"} | {f"PhysicalSize{a}": 2.5 for a in "XYZ"},
+    )
+    with tifffile.TiffFile(tmp_path / "all.ome.tif") as tif:
+        ome = (tif.ome_metadata or "").encode()
+    (tmp_path / "all.ome.tif").unlink()
+    for i, page in enumerate(stack()):
+        path = tmp_path / f"{i}.ome.tif"
+        tifffile.imwrite(path, page, description=ome, metadata=None, photometric="minisblack")
+    volume = read_volume(tmp_path)
+    np.testing.assert_array_equal(volume.values, stack())
+    assert volume.attrs["voxel_um"] == [2.5] * 3
 
 
 def test_sizes_of_slices_are_read_and_must_agree(tmp_path):

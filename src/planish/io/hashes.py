@@ -16,7 +16,8 @@ from planish.core.files import delete, write_whole
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, loader
 from planish.io.guard import reading, size_of_file
 from planish.io.sections import COUNTER, is_section_folder
-from planish.io.slice_volume import is_slice_name, read_scan, slice_files
+from planish.io.slice_names import is_slice_name
+from planish.io.slice_volume import slice_files
 
 if TYPE_CHECKING:
     import zarr
@@ -161,7 +162,7 @@ def files_of(place: Place) -> list[Path]:
     if is_section_folder(path):
         return [file for file in path.iterdir() if is_slice_name(file.name) or file.name == COUNTER]
     if file_format is SLICES:
-        return slice_files(path, read_scan(path))
+        return slice_files(path)
     if path.is_dir():
         return [file for file in path.rglob("*") if file.is_file()]
     return (

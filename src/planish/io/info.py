@@ -23,7 +23,6 @@ from planish.core.memory import (
 )
 from planish.core.typing import Pair
 from planish.io.formats import (
-    SLICES,
     TIFF,
     Place,
     check_channel,
@@ -39,7 +38,6 @@ from planish.io.lazy import FileArray, Values, unmapped
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import SectionStack, is_section_folder, open_sections
 from planish.io.sizes import PIXEL, VOXEL, agreed_size
-from planish.io.slice_volume import list_slices, slice_numbers, slice_step
 from planish.io.tiff import open_series
 from planish.io.volume import load_volume
 
@@ -168,13 +166,6 @@ def _describe_volume(
     loaded = loaded or loader(format_of(place))(place, check_channel(channel), None)
     grey_values, file_format = unmapped(loaded.values), format_of(place)
     warnings += loaded.notes
-    if file_format is SLICES and "nrecon" not in loaded.attrs:
-        number_step = slice_step(slice_numbers(list_slices(place.path), place.path))
-        if number_step > 1:
-            warnings.append(
-                f"The slices are numbered in steps of {number_step}: the z size must be that of"
-                f" {number_step} slices."
-            )
     facts = value_facts(
         grey_values, full_scale(grey_values.dtype, loaded.bits), VOXEL.axes, is_read
     )

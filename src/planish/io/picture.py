@@ -26,6 +26,7 @@ from planish.io.tiff import (
     mapped_from,
     open_series,
     shape_words,
+    slice_notes,
 )
 
 PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
@@ -49,6 +50,7 @@ class DecodedPicture(NamedTuple):
     # Size along z (which a slice of a stack may know), y, x in the metadata.
     stated: tuple[Stated, ...]
     orientation: int  # the tag, 1 to 8; values stay as stored, whatever it says
+    notes: tuple[str, ...] = ()  # what was assumed, in sentences
 
     @property
     def in_colour(self) -> bool:
@@ -118,9 +120,15 @@ def load_picture(
                 )
             orientation = page.tags.valueof(274, default=1)
         stated = stated_by_tiff(tif, page, path)
+        notes = slice_notes(tif, path)
     orientation = orientation if isinstance(orientation, int) else 1
     return DecodedPicture(
-        values=values, colour=colour, bits=bits, stated=stated, orientation=orientation
+        values=values,
+        colour=colour,
+        bits=bits,
+        stated=stated,
+        orientation=orientation,
+        notes=notes,
     )
 
 

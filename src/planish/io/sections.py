@@ -23,7 +23,8 @@ from planish.io.guard import size_of_file
 from planish.io.lazy import Values
 from planish.io.picture import DecodedPicture
 from planish.io.sizes import VOXEL, Stated, agreed_size, size_per_axis
-from planish.io.slice_volume import first_few, is_slice_name, load_pictures
+from planish.io.slice_names import first_few, is_slice_name
+from planish.io.slice_volume import load_pictures
 
 COUNTER = "sections.csv"
 COLUMNS = ("file", "position_um")

@@ -65,7 +65,7 @@ def open_series(
             if len(tif.pages) != n_pages:
                 raise damaged(path, f"{n_pages} pages are chained, {len(tif.pages)} can be read")
             _check_declared_images(tif, path)
-            all_series = list(tif.series)
+            all_series = _declared_series(tif)
             full_series = [s for s in all_series if not s.keyframe.is_reduced] or all_series
             if not full_series:
                 raise damaged(path, "it holds no image")
@@ -179,9 +179,8 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
             raise damaged(
                 path, f"{declared}, the file has {n_pages} pages of {size_words(first.shape)}"
             )
-    meta: Any = tif.imagej_metadata
-    n_images = meta.get("images", 1) if meta else 1
-    if not isinstance(n_images, int) or n_images <= max(1, n_pages) or not first.dataoffsets:
+    n_images = _imagej_images(tif)
+    if n_images <= max(1, n_pages) or not first.dataoffsets or _is_single_slice(tif):
         return
     if (
         first.dataoffsets[0] + n_images * first.nbytes > tif.filehandle.size
@@ -192,6 +191,43 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
             path,
             f"{n_images} images are declared, the file has {n_pages} pages and {file_bytes} bytes",
         )
+
+
+def _imagej_images(tif: TiffFile) -> int:
+    meta: Any = tif.imagej_metadata
+    n_images = meta.get("images", 1) if meta else 1
+    return n_images if isinstance(n_images, int) else 1
+
+
+def _is_single_slice(tif: TiffFile) -> bool:
+    """True if a file has one image, and the description of the stack that it was cut out of.
+
+    ImageJ chains no pages in stacks above 4 GB, but then a part of the next image follows.
+    """
+    first: Any = tif.pages.first
+    if len(tif.pages) > 1 or not first.dataoffsets:
+        return False
+    ome = tif.ome_metadata or ""
+    n_planes = math.prod(int(n) for n in re.findall(r"\bSize[ZT]\s*=\s*[\"'](\d{1,9})[\"']", ome))
+    n_images = max(n_planes, _imagej_images(tif))
+    stored_bytes = sum(first.databytecounts) + sum(tag.valuebytecount for tag in first.tags)
+    # The table of tags, and pixels that begin at a full page of memory.
+    return n_images > 1 and tif.filehandle.size <= stored_bytes + 2 * 4096
+
+
+def slice_notes(tif: TiffFile, path: Path) -> tuple[str, ...]:
+    """Say that a file has one image of the stack that it describes."""
+    if not _is_single_slice(tif):
+        return ()
+    return (f"{path.name} describes the stack that it was cut out of; it holds one image.",)
+
+
+def _declared_series(tif: TiffFile) -> list[TiffPageSeries]:
+    """Series of a file; of a single slice its page, whatever its description says of the stack."""
+    if not _is_single_slice(tif):
+        return list(tif.series)
+    page: Any = tif.pages.first
+    return [TiffPageSeries([page], page.shape, page.dtype, page.axes, kind="uniform")]
 
 
 def _check_data(series: TiffPageSeries, path: Path) -> None:  # noqa: C901, PLR0912

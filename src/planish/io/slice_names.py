@@ -1,0 +1,174 @@
+"""Put the slices of a folder in their order, by the numbers in their names.
+
+Names may hold several numbers, such as a date, a time and an index. One of them counts the slices,
+and all have to ask for the same order.
+"""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from planish.core.errors import FileError, VolumeError
+
+# Files with other extensions (logs, licences, thumbnails of the system) are no slices.
+EXTENSIONS = frozenset({".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg"})
+MOST_NAMES = 8  # names or numbers written out in a message
+# A sign is part of a number where not all names have it, and a hyphen otherwise.
+NUMBER = re.compile(r"[+-]?\d+")
+
+
+class SliceOrder(NamedTuple):
+    """Slices in their order, and what is to be said about it."""
+
+    files: list[Path]
+    notes: tuple[str, ...] = ()
+
+
+def list_slices(folder: Path) -> SliceOrder:
+    """List the slices of a folder in the order of their numbers."""
+    if not folder.is_dir():
+        raise FileError(f"{folder.name} is not a folder. Check the name.")
+    files = sorted(p for p in folder.iterdir() if is_slice_name(p.name) and p.is_file())
+    # NRecon's preview of a scan has no number.
+    previews = [p for p in files if p.stem.casefold().endswith("_spr")]
+    files = [p for p in files if p not in previews] or files
+    if not files:
+        raise FileError(
+            f"{folder.name} holds no slices: TIFF, PNG, BMP or JPEG files with numbers in their"
+            " names."
+        )
+    # A preview, a second scan: names that differ in more than numbers.
+    patterns = [NUMBER.sub("#", p.stem) + p.suffix.lower() for p in files]
+    (main_pattern, n_main), *_ = Counter(patterns).most_common(1)
+    if odd_files := [
+        p for p, pattern in zip(files, patterns, strict=True) if pattern != main_pattern
+    ]:
+        raise VolumeError(
+            f"{folder.name} holds {n_main} images named like"
+            f" {files[patterns.index(main_pattern)].name}, and {len(odd_files)} named otherwise,"
+            f" first {odd_files[0].name}. Leave only the slices of one volume there."
+        )
+    check_several(files)
+    numbers, notes = slice_numbers(files, folder)
+    check_no_gap(numbers, folder)
+    ordered_files = [file for _, file in sorted(zip(numbers, files, strict=True))]
+    return SliceOrder(ordered_files, notes)
+
+
+def check_several(files: list[Path]) -> None:
+    """Refuse a single slice."""
+    if len(files) < 2:
+        raise VolumeError(
+            f"{files[0].parent.name} holds one slice only, {files[0].name}. Give all of the volume."
+        )
+
+
+def is_slice_name(name: str) -> bool:
+    """True if a file name is that of a visible image file."""
+    return not name.startswith(".") and Path(name).suffix.lower() in EXTENSIONS
+
+
+def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str, ...]]:
+    """Find the number in the names that counts the slices, and what is to be said about it.
+
+    Of several numbers that change, one has to count without a gap, and no other may ask for another
+    order: the digits of a date and a time rise with it, read one after the other.
+    """
+    columns = _number_columns([p.stem for p in files])
+    changing_columns = [column for column in columns if len({*column}) > 1]
+    if len(changing_columns) == 1:
+        (numbers,) = changing_columns
+        step = slice_step(numbers)
+        if step < 2:
+            return numbers, ()
+        step_text = f"The slices are numbered in steps of {step}: the z size must be that of {step}"
+        return numbers, (f"{step_text} slices.",)
+    counters = [column for column in changing_columns if _counts(column)]
+    # Decimal numbers, such as the height of a slice.
+    counters = counters or [column for column in [_decimals(files)] if _counts(column)]
+    name_texts = f"from {files[0].name} to {files[-1].name}"
+    if not counters:
+        raise VolumeError(
+            f"{folder.name}: {len(changing_columns)} numbers change {name_texts}, and none counts"
+            " the slices without a gap. Add missing slices, or rename them with one running number."
+        )
+    numbers = min(reversed(counters), key=slice_step)
+    order = sorted(range(len(files)), key=numbers.__getitem__)
+    other_columns = [column for column in changing_columns if column is not numbers]
+    other_numbers = [*zip(*other_columns, strict=True)]
+    are_counters_rising = all(sorted(c) == [c[i] for i in order] for c in counters)
+    if not are_counters_rising or sorted(other_numbers) != [other_numbers[i] for i in order]:
+        raise VolumeError(
+            f"{folder.name}: {len(changing_columns)} numbers change {name_texts}, and they ask for"
+            " different orders. Rename the slices with one running number."
+        )
+    place_text = "the decimal number"
+    if numbers in columns:
+        place_text = f"number {columns.index(numbers) + 1}"
+    note = f"Of the numbers in {files[order[0]].name} and the other names, {place_text} counts the"
+    return numbers, (f"{note} slices; the others that change rise with it.",)
+
+
+def _number_columns(stems: list[str]) -> list[list[int]]:
+    """Numbers of all names, one list for each place in a name."""
+    columns: list[list[int]] = []
+    for words in zip(*map(NUMBER.findall, stems), strict=True):
+        signs = {word[0] if word[0] in "+-" else "" for word in words}
+        columns.append([int(word if len(signs) > 1 else word.lstrip("+-")) for word in words])
+    return columns
+
+
+def _decimals(files: list[Path]) -> list[int]:
+    """Numbers with a point in all names, without the point; empty where they are no such."""
+    words = [re.findall(r"(?<![\d.])(\d+)\.(\d+)(?![\d.])", p.stem) for p in files]
+    if {len(word) for word in words} != {1} or len({len(word[0][1]) for word in words}) > 1:
+        return []
+    return [int("".join(word[0])) for word in words]
+
+
+def _counts(numbers: list[int]) -> bool:
+    """True if numbers rise by one step, whatever their order in the list."""
+    return len({*np.diff(sorted(numbers)).tolist()} | {0}) == 2 and len({*numbers}) == len(numbers)
+
+
+def check_no_gap(numbers: list[int], folder: Path) -> None:
+    """Refuse a series with missing or repeated numbers."""
+    sorted_numbers = sorted(numbers)
+    if repeated_numbers := sorted(n for n, times in Counter(sorted_numbers).items() if times > 1):
+        raise VolumeError(
+            f"{folder.name} has more than one slice with the number {first_few(repeated_numbers)}."
+            " Remove copies."
+        )
+    expected_numbers = range(sorted_numbers[0], sorted_numbers[-1] + 1, slice_step(sorted_numbers))
+    if n_missing := len(expected_numbers) - len(sorted_numbers):
+        missing_text = first_missing(expected_numbers, sorted_numbers)
+        raise VolumeError(
+            f"{folder.name} has {len(numbers)} slices from {sorted_numbers[0]} to"
+            f" {sorted_numbers[-1]}, {n_missing} missing: {missing_text}. Add them, or move the"
+            " slices before or after the gap elsewhere."
+        )
+
+
+def first_missing(expected_numbers: range, numbers: list[int]) -> str:
+    """Write the first of the numbers that are not there."""
+    present_numbers = set(numbers)
+    return first_few(
+        list(islice((n for n in expected_numbers if n not in present_numbers), MOST_NAMES + 1))
+    )
+
+
+def slice_step(numbers: list[int]) -> int:
+    """Largest step that meets every number."""
+    return math.gcd(*np.diff(sorted(numbers)).tolist())
+
+
+def first_few(items: Sequence[object]) -> str:
+    """Write the first few names or numbers."""
+    more_text = ", ..." if len(items) > MOST_NAMES else ""
+    return ", ".join(map(str, items[:MOST_NAMES])) + more_text
