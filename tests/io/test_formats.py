@@ -182,6 +182,14 @@ def test_links_inside_the_folder_are_followed(tmp_path):
         f"{path}:gone",
         voxel_um=1,
     )
+    whole_before, first_before = fingerprint(path), fingerprint(f"{path}:first")
+    with h5py.File(tmp_path / "parts" / "1.h5", "r+") as file:
+        file["v"][0, 0, 0] += 1
+    assert fingerprint(path) != whole_before
+    assert fingerprint(f"{path}:first") == first_before  # it lies in the other file
+    assert describe(path, voxel_um=1)["bytes"] == sum(
+        p.stat().st_size for p in (path, *(tmp_path / "parts").iterdir())
+    )
     (tmp_path / "parts" / "1.h5").unlink()  # HDF5 would read zeros
     refused(
         FileError,
@@ -247,6 +255,38 @@ def test_plain_arrays_and_empty_chunks(tmp_path):
         "1 of its 27 chunks are not stored" in w
         for w in describe(tmp_path / "v.zarr", voxel_um=2)["warnings"]
     )
+
+
+def write_images(path, names, version, attributes):
+    """Images below a root with these attributes, as bioformats2raw writes them."""
+    root = zarr.open_group(str(path), mode="w", zarr_format=version)
+    ome = {"ome": attributes} if version == 3 else attributes
+    root.attrs.update(ome)
+    root.create_group("OME").attrs.update({"series": names})
+    for name in names:
+        image = root.create_group(name)
+        image.create_array("0", data=VALUES[None, None], chunks=(1, 1, 4, 8, 8))
+        keys = {"multiscales": multiscales(VOXEL, lead=2)}
+        image.attrs.update({"ome": keys} if version == 3 else keys)
+    return path
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_one_image_of_bioformats2raw_is_read_and_several_are_named(tmp_path, version):
+    layout = {"bioformats2raw.layout": 3}
+    volume = read_volume(write_images(tmp_path / "v.zarr", ["0"], version, layout))
+    np.testing.assert_array_equal(volume.values, VALUES)
+    assert volume.attrs["voxel_um"] == list(VOXEL)
+    path = write_images(tmp_path / "w.zarr", ["0", "1"], version, layout)
+    refused(VolumeError, r"it holds 0, 1\. Choose one as w\.zarr:0", read_volume, path)
+    np.testing.assert_array_equal(read_volume(f"{path}:1").values, VALUES)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_plate_is_named(tmp_path, version):
+    plate = {"plate": {"wells": [{"path": "A/1"}]}}
+    path = write_images(tmp_path / "v.zarr", ["A"], version, plate)
+    refused(VolumeError, r"is a plate .*v\.zarr:A/1/0", read_volume, path)
 
 
 # NRecon

@@ -139,6 +139,17 @@ def _storage_fault(dataset: h5py.Dataset, path: Path, depth: int) -> str:
     return ""
 
 
+def source_files(dataset: Any, path: Path) -> list[Path]:
+    """Files from which a checked virtual data set takes its values; empty for others."""
+    files: list[Path] = []
+    sources = dataset.virtual_sources() if dataset.is_virtual else []
+    for source, name in sorted({(s.file_name, s.dset_name) for s in sources}):
+        source_path = path if source == "." else referenced_file(path.parent, source, path)
+        with opened(source_path) as file:
+            files += [source_path, *source_files(file[name], source_path)]
+    return files
+
+
 def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
     """Names, shapes and types of all data sets with three axes longer than 1, links left aside."""
     volumes: list[tuple[str, tuple[int, ...], str]] = []
@@ -175,6 +186,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
             extent = size_words(dataset.shape or ()) or "one value"
             raise VolumeError(f"{path.name}: {name} is no volume but {extent}. {ADVICE}")
         array, notes = lazy_dataset(dataset, file_path)
+        files = [path, file_path, *source_files(dataset, file_path)]
         axes: list[str] = []  # names that the group or data set gives; none where they do not fit
         for owner in (dataset.parent, dataset):
             names = [_word(v) for v in np.ravel(owner.attrs.get("axes", ()))]
@@ -193,7 +205,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     return LoadedVolume(
         values=transposed(array, order),
         stated=stated,
-        files=[path, file_path],
+        files=files,
         attrs={"dataset": name},
         notes=notes,
     )

@@ -156,6 +156,13 @@ def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
         members = sorted(
             c.name for c in (path / name).iterdir() if any((c / m).is_file() for m in METADATA)
         )
+    keys = _ome_keys(node, path)
+    if "plate" in keys:
+        raise VolumeError(
+            f"{path.name} is a plate with images in many wells. Choose one as {path.name}:A/1/0."
+        )
+    if "bioformats2raw.layout" in keys:
+        members = [member for member in members if member != "OME"]  # which holds no image
     if len(members) == 1:
         return _find_level(path, f"{name}/{members[0]}".strip("/"))
     example = (
@@ -167,11 +174,15 @@ def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
     )
 
 
-def _multiscale_of(group: Any, path: Path) -> Keys | None:
-    """The one multiscale image of a group; None where the group has none."""
+def _ome_keys(group: Any, path: Path) -> Keys:
     with reading(path):
         attrs: Any = dict(group.attrs)
-    ome = attrs.get("ome") if isinstance(attrs.get("ome"), dict) else attrs
+    return attrs["ome"] if isinstance(attrs.get("ome"), dict) else attrs
+
+
+def _multiscale_of(group: Any, path: Path) -> Keys | None:
+    """The one multiscale image of a group; None where the group has none."""
+    ome = _ome_keys(group, path)
     images: Any = ome.get("multiscales")
     if images is None:
         return None
