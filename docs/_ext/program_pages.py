@@ -15,7 +15,9 @@ import click
 from pydantic import BaseModel
 
 from planish.cli.main import planish
+from planish.core.parameter_words import in_terminal_words
 from planish.exports import formats_table
+from planish.io.other_files import OTHER_KINDS
 from planish.measure.params import MeasureParams
 from planish.results import Results
 from planish.series_results import SeriesResults
@@ -60,6 +62,16 @@ def with_options(text: str) -> str:
     return _with_section(text, "Options", "\n".join(rows) + "\n")
 
 
+def with_other_kinds(text: str) -> str:
+    """Return the text of docs/formats.md with the table of what planish does not read."""
+    rows = ["| It is | By the name | Take |", "|---|---|---|"]
+    for kind in OTHER_KINDS:
+        name = kind.name.partition(" ")[2].replace("|", "\\|")
+        suffixes = " ".join(f"`{suffix}`" for suffix in kind.suffixes)
+        rows.append(f"| {name} | {suffixes} | {in_terminal_words(kind.way)} |")
+    return _with_section(text, "What planish does not read", "\n".join(rows) + "\n")
+
+
 def _with_section(text: str, title: str, content: str) -> str:
     """Put a section of a page in the place of the old one."""
     before, after = text.split(f"## {title}\n", 1)
@@ -75,13 +87,15 @@ def main() -> None:
     """Write them all."""
     docs = Path(__file__).resolve().parents[1]
     package = docs.parent / "src" / "planish"
-    properties, formats = (
-        (docs / name).read_text(encoding="utf-8") for name in ("properties.md", "export.md")
+    properties, exports, formats = (
+        (docs / name).read_text(encoding="utf-8")
+        for name in ("properties.md", "export.md", "formats.md")
     )
     for path, text in (
         (docs / "cli.md", page()),
         (docs / "properties.md", with_options(properties)),
-        (docs / "export.md", _with_section(formats, "All formats", formats_table())),
+        (docs / "export.md", _with_section(exports, "All formats", formats_table())),
+        (docs / "formats.md", with_other_kinds(formats)),
         (docs / "results.schema.json", schema(Results)),
         (docs / "series.schema.json", schema(SeriesResults)),
         (package / "core" / "results.schema.json", schema(Results)),

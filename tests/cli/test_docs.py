@@ -38,6 +38,8 @@ def test_the_pages_have_the_help_options_schema_and_terms_of_the_program():
     assert (DOCS / "cli.md").read_text(encoding="utf-8") == docs.page(), "run: python3 run.py docs"
     text = (DOCS / "properties.md").read_text(encoding="utf-8")
     assert text == docs.with_options(text), "run: python3 run.py docs"
+    text = (DOCS / "formats.md").read_text(encoding="utf-8")
+    assert text == docs.with_other_kinds(text), "run: python3 run.py docs"
     for place in (DOCS, files("planish.core")):
         text = place.joinpath("results.schema.json").read_text(encoding="utf-8")
         assert text == docs.schema(Results), "run: python3 run.py docs"

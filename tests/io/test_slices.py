@@ -192,7 +192,7 @@ def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path):
 )
 def test_names_that_are_no_series_are_refused(tmp_path, names, error, words):
     for name in names:
-        (tmp_path / name).touch()
+        Image.new("L", (9, 7)).save(tmp_path / name)
     refused(error, words, slice_names.list_slices, tmp_path)
 
 

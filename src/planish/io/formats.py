@@ -67,6 +67,15 @@ FORMATS = (  # The first line that fits is taken, so longer suffixes stand befor
 )
 TIFF = VolumeFormat("TIFF", "tiff_volume", (".tif", ".tiff", ".btf", ".tf8"))
 SLICES = VolumeFormat("folder of slices", "slice_volume")
+# Files with other extensions (logs, licences, thumbnails of the system) are no slices.
+PICTURE_SUFFIXES = {
+    ".tif": "TIFF",
+    ".tiff": "TIFF",
+    ".png": "PNG",
+    ".bmp": "BMP",
+    ".jpg": "JPEG",
+    ".jpeg": "JPEG",
+}
 
 
 class Place(NamedTuple):
@@ -145,6 +154,11 @@ def format_of(place: Place) -> VolumeFormat:
             f" ':{place.part}'."
         )
     return file_format
+
+
+def is_slice_name(name: str) -> bool:
+    """True if a file name is that of a visible image file."""
+    return not name.startswith(".") and Path(name).suffix.lower() in PICTURE_SUFFIXES
 
 
 def loader(file_format: VolumeFormat) -> Callable[..., LoadedVolume]:

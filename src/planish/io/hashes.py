@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planish.core.files import delete, write_whole
-from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, loader
+from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, is_slice_name, loader
 from planish.io.guard import reading, size_of_file
 from planish.io.sections import COUNTER, is_section_folder
-from planish.io.slice_names import is_slice_name
 from planish.io.slice_volume import slice_files
 
 if TYPE_CHECKING:

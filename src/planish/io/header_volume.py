@@ -5,6 +5,7 @@ Raw values are mapped, compressed ones unpacked at once.
 Compressed values of a MetaImage that do not fit into the memory are read in parts by SimpleITK.
 """
 
+import re
 import tomllib
 from collections.abc import Mapping
 from functools import partial
@@ -21,6 +22,7 @@ from planish.io.formats import LoadedVolume, Place, extra, referenced_file
 from planish.io.guard import head_of, memory_limit, reading, size_of_file
 from planish.io.headed import Header, axes_of, unpacked_parts, values_behind
 from planish.io.lazy import FileArray, Values
+from planish.io.other_files import RAW_DESCRIPTIONS, partner
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
 
@@ -94,7 +96,9 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
         # pynrrd would drop what is not ASCII, as in file names.
         header_lines.append(line.decode("utf-8", errors="replace"))
         header_bytes += len(line)
-        if not line.strip():
+        is_list = re.fullmatch(rb"data ?file:=? *LIST\b.*", line.strip(), re.IGNORECASE)
+        # Names of files follow a list of them to the end.
+        if is_list or not line.strip():
             break
     with reading(path):
         fields: Mapping[str, Any] = nrrd.read_header(header_lines)
@@ -278,9 +282,11 @@ def _raw_header(path: Path) -> Header:
     header_file = path if path.suffix.lower() == ".toml" else path.with_name(path.name + ".toml")
     if not header_file.is_file() and header_file != path:
         size_of_file(path)
+        description = partner(path, RAW_DESCRIPTIONS)
+        source_text = f" Its numbers stand in {description.name}." if description else ""
         raise FileError(
             f"{path.name} has raw values and no header. Write {header_file.name} beside it,"
-            f" {EXAMPLE}."
+            f" {EXAMPLE}.{source_text}"
         )
     if size_of_file(header_file) > 100_000:
         raise FileError(

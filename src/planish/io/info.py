@@ -35,6 +35,7 @@ from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
 from planish.io.inspection import declared_facts, inspect_values
 from planish.io.lazy import FileArray, Values, unmapped
+from planish.io.other_files import check_contents
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import SectionStack, is_section_folder, open_sections
 from planish.io.sizes import PIXEL, VOXEL, agreed_size
@@ -154,6 +155,7 @@ def _describe_volume(
     warnings: list[str],
 ) -> dict[str, Any]:
     """Report what a volume holds; of its values, if they can be read within ``most_bytes``."""
+    check_contents(place)
     loaded = None
     with suppress(ResourceError):
         loaded = (

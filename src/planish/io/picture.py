@@ -17,6 +17,7 @@ from tifffile import PHOTOMETRIC, TiffPageSeries
 
 from planish.core.errors import FileError
 from planish.io.guard import check_blown_up, check_memory, head_of, reading
+from planish.io.other_files import PICTURE_STARTS, folder_contents, refusal
 from planish.io.sizes import Stated, stated_by_tiff, stated_density
 from planish.io.tiff import (
     has_rgb,
@@ -60,15 +61,18 @@ class DecodedPicture(NamedTuple):
 
 def kind_of(path: Path) -> str:
     """``tiff``, ``png``, ``jpeg`` or ``bmp``, by the first bytes, whatever the name says."""
+    if path.is_dir():
+        raise FileError(
+            f"{path.name} is not a file but a folder: {folder_contents(path)[0]}. Give one image"
+            " file."
+        )
     head = head_of(path, 8)
     if is_tiff(head):
         return "tiff"
-    for start, kind in ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"BM", "bmp")):
-        if head.startswith(start):
-            return kind
-    raise FileError(
-        f"{path.name} is no TIFF, PNG, JPEG or BMP file. Export the image in one of these formats."
-    )
+    kind = next((kind for start, kind in PICTURE_STARTS.items() if head.startswith(start)), None)
+    if kind is None:
+        raise refusal(path)
+    return kind
 
 
 def load_picture(

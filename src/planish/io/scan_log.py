@@ -18,7 +18,9 @@ from pathlib import Path
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.tables import finite
 from planish.core.typing import Pair
+from planish.io.formats import is_slice_name
 from planish.io.guard import reading
+from planish.io.other_files import folder_contents
 from planish.io.sizes import Stated
 from planish.io.slice_names import (
     SliceOrder,
@@ -26,7 +28,6 @@ from planish.io.slice_names import (
     check_several,
     first_few,
     first_missing,
-    is_slice_name,
     list_slices,
 )
 from planish.io.tiff import size_words
@@ -296,7 +297,7 @@ def slices_of_scan(scan: Scan, folder: Path) -> SliceOrder:
     if not scan.named_slices and scan.prefix is not None:
         raise VolumeError(
             f"{folder.name} holds no slice named {scan.prefix} and a number, as {scan.log.name}"
-            f" states. Rename the slices, {ELSEWHERE}"
+            f" states: {folder_contents(folder)[0]}. Rename the slices, {ELSEWHERE}"
         )
     if not scan.named_slices:
         files, notes = list_slices(folder)

@@ -18,12 +18,12 @@ from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.numbers import agree
 from planish.core.tables import CsvTable, parse_table, read_text
 from planish.core.typing import Floats, Pair
-from planish.io.formats import check_channel, colour_attrs, full_scale
+from planish.io.formats import check_channel, colour_attrs, full_scale, is_slice_name
 from planish.io.guard import size_of_file
 from planish.io.lazy import Values
 from planish.io.picture import DecodedPicture
 from planish.io.sizes import VOXEL, Stated, agreed_size, size_per_axis
-from planish.io.slice_names import first_few, is_slice_name
+from planish.io.slice_names import first_few
 from planish.io.slice_volume import load_pictures
 
 COUNTER = "sections.csv"

@@ -15,9 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from planish.core.errors import FileError, VolumeError
+from planish.io.formats import is_slice_name
+from planish.io.other_files import folder_contents, folder_refusal
+from planish.io.picture import ADVICE, is_picture, kind_of
+from planish.io.tiff import open_series, shape_words
 
-# Files with other extensions (logs, licences, thumbnails of the system) are no slices.
-EXTENSIONS = frozenset({".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg"})
 MOST_NAMES = 8  # names or numbers written out in a message
 # A sign is part of a number where not all names have it, and a hyphen otherwise.
 NUMBER = re.compile(r"[+-]?\d+")
@@ -39,10 +41,7 @@ def list_slices(folder: Path) -> SliceOrder:
     previews = [p for p in files if p.stem.casefold().endswith("_spr")]
     files = [p for p in files if p not in previews] or files
     if not files:
-        raise FileError(
-            f"{folder.name} holds no slices: TIFF, PNG, BMP or JPEG files with numbers in their"
-            " names."
-        )
+        raise folder_refusal(folder)
     # A preview, a second scan: names that differ in more than numbers.
     patterns = [NUMBER.sub("#", p.stem) + p.suffix.lower() for p in files]
     (main_pattern, n_main), *_ = Counter(patterns).most_common(1)
@@ -62,16 +61,21 @@ def list_slices(folder: Path) -> SliceOrder:
 
 
 def check_several(files: list[Path]) -> None:
-    """Refuse a single slice."""
-    if len(files) < 2:
-        raise VolumeError(
-            f"{files[0].parent.name} holds one slice only, {files[0].name}. Give all of the volume."
-        )
-
-
-def is_slice_name(name: str) -> bool:
-    """True if a file name is that of a visible image file."""
-    return not name.startswith(".") and Path(name).suffix.lower() in EXTENSIONS
+    """Refuse a single slice, and a stack in place of slices."""
+    if len(files) > 1:
+        return
+    file, folder = files[0], files[0].parent
+    if kind_of(file) == "tiff":
+        with open_series(file, error=FileError, advice=ADVICE) as (_, series):
+            if not is_picture(series):
+                raise VolumeError(
+                    f"{folder.name} holds one stack, {file.name}, of {shape_words(series)}. Give"
+                    f" {folder.name}/{file.name} in place of the folder."
+                )
+    raise VolumeError(
+        f"{folder.name} holds one slice only, {file.name}: {folder_contents(folder)[0]}. Give all"
+        " of the volume."
+    )
 
 
 def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str, ...]]:

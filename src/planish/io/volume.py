@@ -20,6 +20,7 @@ from planish.io.formats import (
     loader,
 )
 from planish.io.lazy import read_if_small
+from planish.io.other_files import check_contents
 from planish.io.sizes import VOXEL, agreed_size
 from planish.io.tiff import damaged, size_words
 
@@ -128,6 +129,7 @@ def load_volume(
 
     Errors as those of :func:`read_volume`.
     """
+    check_contents(place)
     path, loaded = place.path, loader(format_of(place))(place, check_channel(channel), memory_bytes)
     shape = loaded.values.shape
     if 0 in shape or math.prod(shape) > 2**50:  # No scan has more; a larger number is damage.
