@@ -76,7 +76,7 @@ def main(*arguments):
         "--reuse", action="store_true", help="take results of OLD that --folder holds"
     )
     parser.add_argument("--list", action="store_true", dest="listed", help="name the parts and end")
-    asked = parser.parse_args([str(a) for a in arguments])
+    asked = parser.parse_intermixed_args([str(a) for a in arguments])
     if asked.listed or asked.old is None:
         print("\n".join(f"{name:14} {part.title}" for name, part in PARTS.items()))
         return 0

@@ -301,6 +301,35 @@ def test_of_uncompressed_slices_only_the_rows_asked_for_are_read(tmp_path):
     assert peak < 20_000 < values[0].nbytes
 
 
+@pytest.mark.parametrize("layout", [{"rowsperstrip": 64}, {"tile": (64, 64)}])
+@pytest.mark.parametrize("dtype", ["uint16", "float16"])
+def test_of_compressed_slices_only_the_strips_asked_for_are_decoded(tmp_path, layout, dtype):
+    folder = tmp_path / "v"
+    folder.mkdir()
+    values = np.random.default_rng(0).integers(0, 2000, (4, 500, 300)).astype(dtype)
+    for i, page in enumerate(values):
+        other_rows = {"rowsperstrip": 100} if i == 2 and "rowsperstrip" in layout else layout
+        path = folder / f"{i}.tif"
+        tifffile.imwrite(path, page, byteorder=">", compression="deflate", **other_rows)
+    volume = read_volume(folder, voxel_um=1, memory_bytes=700_000)
+    assert not volume.encoding["whole_slices"]  # so that it is mapped in less memory than it has
+    tracemalloc.start()
+    try:
+        part = volume.isel(y=slice(100, 110)).values
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_array_equal(part, values[:, 100:110])
+    print(f"peak {peak} bytes, {values.nbytes} in all")
+    # Of 500 rows, those of a strip of 100 that is filled from two of 64; float16 becomes float32.
+    assert peak < 0.6 * values.nbytes * (2 if dtype == "float16" else 1)
+    np.testing.assert_array_equal(volume.values, values)
+    volume = read_volume(folder, voxel_um=1, memory_bytes=700_000)
+    tifffile.imwrite(folder / "3.tif", values[3, :, :200], byteorder=">", compression="deflate")
+    with pytest.raises(VolumeError, match=r"^3\.tif is 500 x 200 pixels, 500 x 300 when"):
+        _ = volume.isel(z=3, y=slice(400, 410)).values
+
+
 def test_a_slice_that_changes_after_it_was_checked_is_noticed(tmp_path):
     folder = write_folder(tmp_path / "v", stack(), ".png")
     volume = read_volume(folder, voxel_um=1, memory_bytes=500)

@@ -1,9 +1,10 @@
 """Read volumes as folders of slices: TIFF, PNG, BMP or JPEG, with or without a scanner's log."""
 
 import math
+import sys
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from planish.io.picture import ADVICE, PLUGINS, DecodedPicture, kind_of, load_pi
 from planish.io.scan_log import check_extent, read_scan, slices_of_scan
 from planish.io.slice_names import list_slices
 from planish.io.tiff import open_series, size_words
+from planish.io.tiff_volume import TiffPages
 
 
 def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
@@ -59,8 +61,9 @@ def load_pictures(
     colour_attrs(channel, folder, in_colour=first.in_colour)
     grey = _grey_values(first, files[0], channel)
     dtype, shape = supported_type(grey.dtype), (len(files), *grey.shape)
-    first_key, stored_dtype, offset = _slice_header(files[0])
-    eager_bytes = limit if photographs or offset is None else min(limit, EAGER_BYTES)
+    header = _slice_header(files[0])
+    is_in_parts = header.offset is not None or header.strip_rows < grey.shape[0]
+    eager_bytes = min(limit, EAGER_BYTES) if is_in_parts and not photographs else limit
     if math.prod(shape) * dtype.itemsize <= eager_bytes:
         values = np.empty(shape, dtype)
         values[0] = grey
@@ -79,22 +82,22 @@ def load_pictures(
         limit_bytes=limit,
     )
     planes: list[tuple[Path, int]] = []
+    strip_rows = header.strip_rows
     for file in files:
-        file_key, file_dtype, offset = _slice_header(file)
-        if file_key != first_key:
+        file_header = _slice_header(file)
+        strip_rows = max(strip_rows, file_header.strip_rows)
+        if file_header.key != header.key:
             _check_same(
                 load_picture(file, memory_bytes=limit), first, file=file, first_file=files[0]
             )
-        if offset is not None and file_dtype == stored_dtype and first.values.ndim == 2:
-            planes.append((file, offset))
+        has_same_type = file_header.dtype == header.dtype and first.values.ndim == 2
+        if file_header.offset is not None and has_same_type:
+            planes.append((file, file_header.offset))
     if len(planes) == len(files):
-        return widened(StoredArray(planes, shape, stored_dtype)), first
-    return (
-        PagedArray(
-            folder, shape, dtype, shape[1], partial(_slice_rows, files, channel, grey.shape)
-        ),
-        first,
-    )
+        return widened(StoredArray(planes, shape, header.dtype)), first
+    is_in_strips = strip_rows < shape[1]
+    rows = partial(_strip_rows if is_in_strips else _slice_rows, files, channel, grey.shape)
+    return PagedArray(folder, shape, dtype, strip_rows if is_in_strips else shape[1], rows), first
 
 
 def _slice_rows(
@@ -102,35 +105,61 @@ def _slice_rows(
 ) -> NDArray[Any]:
     file = files[page]
     grey = _grey_values(load_picture(file), file, channel)
-    if grey.shape != shape:
-        raise VolumeError(
-            f"{file.name} is {size_words(grey.shape)} pixels, {size_words(shape)} when the folder"
-            " was opened. Leave the slices alone while planish reads them."
-        )
+    _check_unchanged(file, grey.shape, shape)
     return grey[start:stop]
 
 
-def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | None]:
-    """Format, size and type of a slice, which is not decoded.
+def _strip_rows(
+    files: list[Path],
+    _channel: str | None,
+    shape: tuple[int, ...],
+    page: int,
+    start: int,
+    stop: int,
+) -> NDArray[Any]:
+    """Decode the strips of a grey TIFF slice in which some rows lie."""
+    with open_series(files[page], error=FileError, advice=ADVICE) as (_, series):
+        _check_unchanged(files[page], series.keyframe.shape, shape)
+        values = TiffPages(files[page], series)[0:1, start:stop]
+    return values[0].astype(supported_type(values.dtype), copy=False)
 
-    Its type in the file, and from where it lies as it is.
-    """
+
+def _check_unchanged(file: Path, shape: tuple[int, ...], opened_shape: tuple[int, ...]) -> None:
+    if shape != opened_shape:
+        raise VolumeError(
+            f"{file.name} is {size_words(shape)} pixels, {size_words(opened_shape)} when the folder"
+            " was opened. Leave the slices alone while planish reads them."
+        )
+
+
+class SliceHeader(NamedTuple):
+    """What is known of a slice that is not decoded."""
+
+    key: tuple[Any, ...]  # format, size and type: the same for slices that are alike
+    dtype: np.dtype[Any]  # in the file
+    offset: int | None = None  # from where the values lie as they are
+    strip_rows: int = sys.maxsize  # what is decoded at once, if it is not all
+
+
+def _slice_header(file: Path) -> SliceHeader:
     format_name = kind_of(file)
     if format_name != "tiff":
         with reading(file), file.open("rb") as stream:
             image = PLUGINS[format_name](stream)
-            return (
-                (format_name, image.size, image.mode, image.info.get("dpi")),
-                np.dtype(np.uint8),
-                None,
-            )
+            key = (format_name, image.size, image.mode, image.info.get("dpi"))
+            return SliceHeader(key, np.dtype(np.uint8))
     with open_series(file, error=FileError, advice=ADVICE) as (tif, series), reading(file):
         page = series.keyframe
         resolution = tuple(page.tags.valueof(code) for code in (282, 283, 296))
         page_facts = (page.photometric, page.bitspersample, page.compression, resolution)
-        offset = series.dataoffset if page.photometric == PHOTOMETRIC.MINISBLACK else None
-        header_key = (format_name, series.shape, series.axes, str(series.dtype), *page_facts)
-        return header_key, series.dtype.newbyteorder(tif.byteorder), offset
+        key = (format_name, series.shape, series.axes, str(series.dtype), *page_facts)
+        dtype = series.dtype.newbyteorder(tif.byteorder)
+        if page.photometric != PHOTOMETRIC.MINISBLACK:
+            return SliceHeader(key, dtype)
+        if series.dataoffset is not None or page.ndim != 2:
+            return SliceHeader(key, dtype, series.dataoffset)
+        strip_rows = page.tilelength if page.is_tiled else page.rowsperstrip
+        return SliceHeader(key, dtype, strip_rows=strip_rows)
 
 
 def _grey_values(picture: DecodedPicture, file: Path, channel: str | None) -> NDArray[Any]:
