@@ -150,7 +150,7 @@ def markup(change):
             MarkError,
             "Pt-0 and Pt-1 have the same position in fixed",
         ),
-        (imagej(MOVING).replace(",250.0,", ",,"), MarkError, "row 2: x '' is not a finite"),
+        (imagej(MOVING).replace(",250.0,", ",,"), MarkError, "row 2: X '' is not a finite"),
         # planish's own
         (
             native().replace('"version": 1', '"version": 2'),

@@ -259,7 +259,7 @@ def _rule_facts(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
 @click.option(
     "--unit",
     type=_UNITS,
-    help="Unit of IN where it states none: BigWarp and ImageJ um, elastix mm if not given.",
+    help="Unit of IN where it states none: BigWarp, ImageJ results um, elastix mm if not given.",
 )
 @click.option(
     "--out-unit", type=_UNITS, help="Unit of OUT for BigWarp (um if not given) and elastix (mm)."
@@ -279,9 +279,10 @@ def convert(
 ) -> None:
     """Convert marks from one program's file into another's.
 
-    IN is a file of planish, BigWarp, elastix, 3D Slicer, MATLAB or ImageJ, recognised by its
-    content. Where it holds one layer only, IN is the moving and IN2 the fixed one, and marks belong
-    together in their order. For elastix, OUT becomes two files, for -mp and -fp.
+    IN is a file of planish, BigWarp, elastix, 3D Slicer, MATLAB or ImageJ, or a table of another
+    program, recognised by its content. Where it holds one layer only, IN is the moving and IN2 the
+    fixed one, and marks belong together in their order. For elastix, OUT becomes two files, for -mp
+    and -fp.
     """
     from planish.marks.exchange import LayerPixels, about_layer, layer_names, read_any, write_any
 

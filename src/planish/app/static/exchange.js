@@ -3,7 +3,7 @@
 import { button, choice, download, labelled, make } from "./dom.js";
 
 /** Files of these suffixes are no text. */
-const BINARY = /\.mat$/i;
+const BINARY = /\.(mat|roi|zip)$/i;
 /** Of two files, that of the Image side. */
 const FIXED = /fixed|target|image/i;
 const MOST_BYTES = 1_400_000;

@@ -43,8 +43,8 @@ def read_any(
         the first pixel, from which other programs count, and size. Where both sizes are known,
         marks that cannot lie in a layer are refused.
     unit : {"um", "mm", "pixel"}, optional
-        Unit of a file that does not state its own; um for BigWarp and ImageJ, mm for elastix where
-        not given.
+        Unit of a file that does not state its own; um for BigWarp and results of ImageJ, mm for
+        elastix where not given.
     swap : bool
         Whether the moving layer of the file is the fixed one here: the image was moved onto the map
         or the volume.
@@ -105,7 +105,8 @@ def read_any(
                 )
             lists += file_lists
         marks = join_lists(lists, name=name, moving=moving, fixed=fixed, unit=unit, swap=swap)
-        stated = unit or lists[0].unit, all(point_list.stated for point_list in lists)
+        silent = next((points for points in lists if not points.stated), lists[0])
+        stated = unit or silent.unit, silent.stated
     marks.attrs["read_from"] = {"format": formats[0], "unit": stated[0], "stated": stated[1]}
     check_marks(marks, name)
     if unit != "um":
@@ -133,7 +134,7 @@ def write_any(
         File to make; nothing is overwritten. For elastix, which takes one side from each file,
         ``-moving`` and ``-fixed`` are put before the suffix.
     to : str, optional
-        One of `FORMATS` but ImageJ; as the name asks where not given.
+        One of `TARGETS`; as the name asks where not given.
     moving, fixed : LayerPixels
         Pixel sizes, in place of those that the marks hold.
     unit : {"um", "mm", "pixel"}, optional

@@ -45,7 +45,7 @@ def read(content: Content) -> xr.Dataset | list[PointList]:
     names = {name.lower() for name in content.header}
     sides = [side for side, columns in _SIDES.items() if names.intersection(columns)]
     if not sides:
-        return [read_points(content, ("x_um", "y_um"), stated=True, source="imported")]
+        return [_read_holes(content)]
     first = "volume" if "volume" in sides and "moving" not in sides else "moving"
     moving_text, volume_text, fixed_text = map(", ".join, _SIDES.values())
     advice = f"Needed: label, then {moving_text} or {volume_text}, then {fixed_text}, all in um."
@@ -53,18 +53,14 @@ def read(content: Content) -> xr.Dataset | list[PointList]:
     table = parse_table(content.text, content.name, needed=needed, error=MarkError, advice=advice)
     if "moving" in sides and "volume" in sides:
         table.faults.append("both moving and volume columns are there; keep one kind")
-    table.rows[:] = [
-        row
-        for row in table.rows
-        if table.text(row, "used").lower() not in ("0", "0.0", "false", "no")
-    ]
+    rows_in_use(table)
     places = {side: MarkPlaces(um=table.numbers(_SIDES[side])) for side in (first, "fixed")}
     table.check()
     if not table.rows:
         raise MarkError(
             f"{content.name} has a header and no pair of marks. At least 3 rows are needed."
         )
-    return make_marks(_labels(table), places)
+    return make_marks(labels_in(table), places)
 
 
 def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
@@ -133,10 +129,9 @@ def pairs_text(dataset: xr.Dataset) -> str:
     return table_text(list(columns), zip(*columns.values(), strict=True))
 
 
-def read_points(
-    content: Content, columns: tuple[str, str], *, stated: bool, source: str
-) -> PointList:
-    """Read the points of a table with a header; lengths in um where it states so."""
+def _read_holes(content: Content) -> PointList:
+    """Read the holes of one layer."""
+    columns = ("x_um", "y_um")
     advice = f"Give a table with the columns {' and '.join(columns)} and one row for each mark."
     table = parse_table(
         content.text,
@@ -157,13 +152,26 @@ def read_points(
         title=content.name,
         points=points,
         unit="um",
-        stated=stated,
-        placed=stated,
-        source=source,
-        labels=_labels(table) if stated else (),
+        stated=True,
+        placed=True,
+        labels=labels_in(table),
         extras={"diameter": np.array([v or np.nan for v in diameters], dtype=np.float64)},
     )
 
 
-def _labels(table: CsvTable) -> list[str]:
-    return [table.text(row, "label", str(k)) for k, row in enumerate(table.rows, 1)]
+def rows_in_use(table: CsvTable) -> None:
+    """Leave out the rows of a table whose ``used`` says no."""
+    no = ("0", "0.0", "false", "no")
+    table.rows[:] = [row for row in table.rows if table.text(row, "used").lower() not in no]
+
+
+def labels_in(table: CsvTable, *, unique: bool = False) -> list[str]:
+    """Return the labels of the rows, or their numbers.
+
+    With ``unique`` labels that are there twice are none: they name the picture.
+    """
+    column = "Label" if "Label" in table.header else "label"
+    labels = [table.text(row, column, str(k)) for k, row in enumerate(table.rows, 1)]
+    if unique and len(set(labels)) < len(labels):
+        return [str(k) for k, _ in enumerate(table.rows, 1)]
+    return labels

@@ -24,9 +24,11 @@ _NEEDED = (
 
 def looks_like(content: Content) -> bool:
     """Return whether it begins with ``point``, ``index``, or a whole number alone in its line."""
-    first, *_ = [*content.text.split(maxsplit=1), ""]
     line, *_ = [*content.text.lstrip().splitlines(), ""]
-    return first in ("point", "index") or _is_count(line.strip())
+    words = line.split()
+    if words and words[0] in ("point", "index"):
+        words = words[1:] or ["0"]
+    return len(words) == 1 and _is_count(words[0])
 
 
 def read(content: Content) -> list[PointList]:

@@ -140,15 +140,33 @@ FORMATS: dict[str, MarkFormat] = {
             "pairs in use, labels; of holes labels and diameter",
         ),
     ),
-    "imagej": MarkFormat(
-        title="ImageJ results",
-        known_by="ImageJ results with X and Y",
+    "columns": MarkFormat(
+        title="A table with X and Y",
+        known_by=(
+            "tables with a row of headings (moving_x_um, moving_y_um, fixed_x_um, fixed_y_um; X"
+            " and Y of ImageJ; those of napari, QuPath, CellProfiler, TrackMate)"
+        ),
         unit="um",
         writable=False,
         row=(
-            "ImageJ results (`.csv`, read only)",
+            "[tables of other programs](#columns-of-other-programs) (read only)",
+            "one layer, or pairs",
+            "that of the headings or of the program",
+            "0; QuPath 0.5; MATLAB 1",
+            "by name",
+            "",
+        ),
+    ),
+    "roi": MarkFormat(
+        title="ImageJ selections",
+        known_by="points of ImageJ (.roi, .zip)",
+        suffixes=(".roi", ".zip"),
+        unit="pixel",
+        writable=False,
+        row=(
+            "ImageJ points (`.roi`, `.zip` of the ROI Manager; read only)",
             "one layer",
-            "that of the image; um unless `--unit` says otherwise",
+            "pixels",
             "0",
             "",
             "",

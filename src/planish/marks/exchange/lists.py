@@ -15,12 +15,14 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict
 
 from planish.core.errors import FileError, MarkError, SizeError
-from planish.core.tables import Rows, decode_text, read_bytes, split_rows
+from planish.core.tables import Rows, decode_text, read_bytes, refuse_workbook, split_rows
 from planish.core.typing import Floats
 from planish.marks.exchange.formats import Unit, known_formats
 from planish.marks.exchange.model import EXTRAS, MarkPlaces, make_marks
+from planish.marks.imagej_selections import ROI, ZIP
 
 MOST_MARKS = 100_000
+SELECTIONS = (ROI, ZIP)  # first bytes of a selection of ImageJ, or of an archive of them
 
 
 class Part(BaseModel):
@@ -55,6 +57,9 @@ def read_content(path: str | Path) -> Content:
     """Read a file, whatever its format."""
     place = Path(path)
     name, data = place.name, read_bytes(place, what="file of marks")
+    refuse_workbook(data, name, what="marks")
+    if data.startswith(SELECTIONS):
+        return Content(name=name, data=data)
     # Version 4 of MATLAB has no heading that says what it is.
     if data.startswith((b"MATLAB", b"\x89HDF\r\n\x1a\n")) or place.suffix.lower() == ".mat":
         return Content(name=name, data=data)
@@ -124,7 +129,9 @@ class PointList:
     """Points of one layer in the numbers of a file.
 
     ``points`` (n, 2) or (n, 3) are in ``unit``, which the file states (``stated``) or which is
-    usual for it; pixels count from 0, and NaN is a point that is not set. No labels: they have
+    usual for it; without one it is asked for, and ``columns`` are those that do not state it. The
+    first pixel's centre is at ``first_centre`` pixels; NaN is a point that is not set. No labels:
+    they have
     numbers only; no ``used``: all are used. ``placed`` positions are those of the layer already;
     others count from the centre of its first pixel. ``extras`` and ``source`` are those of
     `MarkPlaces`, ``about`` is that of `make_marks`.
@@ -132,8 +139,10 @@ class PointList:
 
     title: str
     points: Floats
-    unit: Unit
+    unit: Unit | None
     stated: bool
+    columns: Sequence[str] = ()
+    first_centre: float = 0.0
     labels: Sequence[str] = ()
     used: Sequence[bool] = ()
     placed: bool = False
@@ -235,11 +244,7 @@ def join_lists(  # noqa: C901
     """
     for point_list in lists:
         check_count(name, len(point_list.points))
-        if unit is not None and point_list.stated and unit != point_list.unit:
-            raise SizeError(
-                f"{name} states its unit, {point_list.unit}, and `unit` says {unit}. Leave `unit`"
-                " out, or correct the file."
-            )
+    _check_unit(lists, name, unit)
     if len(lists) > 2:
         titles = ", ".join(f"{p.title} ({len(p.points)})" for p in lists[:8])
         raise MarkError(
@@ -287,6 +292,25 @@ def join_lists(  # noqa: C901
     return make_marks(first.names, places, used=used.tolist(), about=about)
 
 
+def _check_unit(lists: Sequence[PointList], name: str, unit: Unit | None) -> None:
+    """Refuse a unit that contradicts the file, and positions without any."""
+    columns: list[str] = []
+    for point_list in lists:
+        if point_list.unit is None:
+            columns += point_list.columns
+        elif point_list.stated and unit not in (None, point_list.unit):
+            raise SizeError(
+                f"{name} states its unit, {point_list.unit}, and `unit` says {unit}. Leave `unit`"
+                " out, or correct the file."
+            )
+    if columns and unit is None:
+        raise SizeError(
+            f"{name}: {', '.join(columns)} state no unit. Call them"
+            f" {', '.join(f'{column}_um' for column in columns)} (or _mm, _px), or convert the"
+            " file by planish marks convert, given `unit`."
+        )
+
+
 def _places(
     point_list: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str
 ) -> MarkPlaces:
@@ -301,9 +325,16 @@ def _places(
         # picture.
         if not z.any() or (side == "fixed" and np.ptp(z) == 0):
             coordinates = coordinates[:, :2]
-    origin, factor = facts.frame(unit or point_list.unit, coordinates.shape[1], name, side)
+    unit = unit or point_list.unit
+    assert unit is not None
+    origin, factor = facts.frame(unit, coordinates.shape[1], name, side)
+    first_centre = np.zeros(coordinates.shape[1])
+    if unit == "pixel" or facts.pixel_um:
+        pixel_um = facts.frame("pixel", coordinates.shape[1], name, side)[1]
+        first_centre[:2] = point_list.first_centre * pixel_um[:2]
     powers = {"um": 1, "um2": 2, "1": 0}
     extras = {k: v * factor[0] ** powers[EXTRAS[k][0]] for k, v in point_list.extras.items()}
     with np.errstate(over="ignore", invalid="ignore"):  # check_marks refuses what is too far away
-        um = (0.0 if point_list.placed else origin) + coordinates * factor
+        start = 0.0 if point_list.placed and unit != "pixel" else origin
+        um = start + coordinates * factor - first_centre
         return MarkPlaces(um=um, source=point_list.source, extras=extras)

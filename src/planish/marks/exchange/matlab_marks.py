@@ -13,7 +13,7 @@ import xarray as xr
 from planish.core import matlab
 from planish.core.errors import FileError, MarkError
 from planish.core.typing import Floats
-from planish.marks.exchange.lists import Content, PointList
+from planish.marks.exchange.lists import SELECTIONS, Content, PointList
 
 # Variables that hold pairs; the second two are those of MATLAB before 2013.
 NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))
@@ -28,7 +28,7 @@ def looks_like(content: Content) -> bool:
 
     Version 4 has no heading.
     """
-    return not content.text
+    return not content.text and not content.data.startswith(SELECTIONS)
 
 
 def read(content: Content) -> list[PointList]:

@@ -6,12 +6,8 @@ Which program wrote a file is recognised by its first bytes. ImageJ saves a sele
 those of the ROI Manager, ``.zip``. Coordinates are in pixels and 0 at the corner of the first one.
 """
 
-import io
 import json
 import math
-import struct
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -22,6 +18,7 @@ from roifile import ROI_OPTIONS, ROI_SUBTYPE, ROI_TYPE, ImagejRoi
 
 from planish.core.errors import FileError
 from planish.core.tables import decode_text, raise_faults, read_bytes
+from planish.marks.imagej_selections import LARGEST_FILE, ROI, ZIP, selection_of, selections_in
 from planish.marks.regions.model import (
     MOST_POINTS,
     MOST_REGIONS,
@@ -33,7 +30,6 @@ from planish.marks.regions.model import (
     text_of,
 )
 
-ROI, ZIP = b"Iout", b"PK"  # first bytes of a selection and of an archive
 _POLYGONS = (ROI_TYPE.POLYGON, ROI_TYPE.FREEHAND, ROI_TYPE.TRACED)
 _NO_AREA = {
     ROI_TYPE.LINE: "a line",
@@ -52,7 +48,6 @@ _OVERLAYS = {
 # it lies right.
 _NUDGE = np.array([2.0**-26, 2.0**-34])
 _DRAW = "Draw each region as a polygon, rectangle, oval or freehand selection, and save it again."
-_LARGEST_FILE = 64_000_000
 _TEXTS = ("name", "reason", "author")
 
 
@@ -75,14 +70,12 @@ def read_regions(path: str | Path) -> Regions:
         all faults are named.
     """
     name = Path(path).name
-    content = read_bytes(path, what="file of regions", most_bytes=_LARGEST_FILE)
+    content = read_bytes(path, what="file of regions", most_bytes=LARGEST_FILE)
     faults: list[str] = []
     readers: list[tuple[str, Callable[[], Region]]] = []
     if is_imagej := content.startswith((ZIP, ROI)):
         remedy = _DRAW
-        for part_name, data in (
-            _unpacked(content, name) if content.startswith(ZIP) else [(name, content)]
-        ):
+        for part_name, data in selections_in(content, name, most=MOST_REGIONS, remedy=_DRAW):
             readers.append(
                 (repr(part_name[:80]), partial(_selection, data, PurePosixPath(part_name).stem))
             )
@@ -111,57 +104,9 @@ def read_regions(path: str | Path) -> Regions:
     return Regions(declared=tuple(regions), in_pixels=is_imagej)
 
 
-def _unpacked(data: bytes, name: str) -> list[tuple[str, bytes]]:
-    # Entries of its table of contents, before that is read.
-    if data.count(b"PK\1\2") > 2 * MOST_REGIONS:
-        raise FileError(
-            f"{name} holds more than {MOST_REGIONS} entries. Give an archive of the ROI Manager of"
-            " ImageJ."
-        )
-    files: list[tuple[str, bytes]] = []
-    bytes_left = _LARGEST_FILE
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            for entry in archive.infolist():
-                if entry.is_dir() or entry.filename.startswith("__MACOSX/"):
-                    continue
-                if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                    raise ValueError("packed in an unusual way")
-                # What the archive says of its sizes need not be true.
-                with archive.open(entry) as stream:
-                    files.append((entry.filename, stream.read(bytes_left + 1)))
-                bytes_left -= len(files[-1][1])
-                if bytes_left < 0:
-                    raise FileError(
-                        f"{name} is too large when unpacked. Give an archive of the ROI Manager of"
-                        " ImageJ."
-                    )
-    # One with a password is a RuntimeError.
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        EOFError,
-        OSError,
-        RuntimeError,
-        ValueError,
-        struct.error,
-    ) as error:
-        raise FileError(
-            f"{name} is a damaged archive ({error}). Save the selections again."
-        ) from error
-    if not files:
-        raise FileError(f"{name} is an empty archive. {_DRAW}")
-    return files
-
-
-def _selection(data: bytes, default_name: str) -> Region:  # noqa: C901
+def _selection(data: bytes, default_name: str) -> Region:
     """Make a region of a selection; ValueError, with the reason, where it is none."""
-    if not data.startswith(ROI):
-        raise ValueError("it is no selection of ImageJ")
-    try:
-        roi = ImagejRoi.frombytes(data)
-    except (TypeError, ValueError, struct.error) as error:
-        raise ValueError("it ends early") from error
+    roi = selection_of(data)
     if roi.roitype in _NO_AREA or roi.subtype in _OVERLAYS:
         raise ValueError(
             f"it is {_OVERLAYS.get(roi.subtype) or _NO_AREA.get(roi.roitype)}, which covers no area"

@@ -1,0 +1,170 @@
+"""Tables of positions of other programs, and those typed by hand: the headings say whose they are.
+
+The unit is that of the headings (``Centroid X µm``), or that in which the program writes. Read
+only.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from planish.core.errors import MarkError
+from planish.core.tables import CsvTable, Heading, heading_of, parse_table
+from planish.marks.exchange.csv_marks import labels_in, rows_in_use
+from planish.marks.exchange.formats import Unit
+from planish.marks.exchange.lists import Content, PointList
+
+
+class Layout(NamedTuple):
+    """A table that is known by the names of its columns, without their units."""
+
+    title: str
+    lists: Mapping[str, tuple[str, ...]]  #: Columns x, y (and z) by the title of each list.
+    unit: Unit | None = None  #: Where the headings state none; None: it is asked for.
+    stated: bool = True  #: Whether this unit is certain.
+    first_centre: float = 0.0  #: Pixel coordinate of the first pixel's centre.
+    also: frozenset[str] = frozenset()  #: Headings that have to be there, letter by letter.
+    placed: bool = False  #: Lengths are those of the layer, and do not count from its first pixel.
+    source: str = "imported"
+    heading_rows: int = 0  #: Further rows of names and units below the first.
+
+
+def _pair(first: str) -> dict[str, tuple[str, ...]]:
+    axes = "xyz" if first == "volume" else "xy"
+    return {first: tuple(f"{first}_{axis}" for axis in axes), "fixed": ("fixed_x", "fixed_y")}
+
+
+_MATLAB = {side: (f"{side}points_1", f"{side}points_2") for side in ("moving", "fixed")}
+_MANAGER = frozenset(("X", "Y", "Type", "Width", "Height"))
+LAYOUTS = (
+    Layout("table of pairs", _pair("moving"), placed=True),
+    Layout("table of pairs", _pair("volume"), placed=True),
+    Layout("table of MATLAB", _MATLAB, "pixel", first_centre=1.0),
+    # The first axis of an array runs down.
+    Layout("points of napari", {"": ("axis_2", "axis_1", "axis_0")}, "pixel"),
+    Layout("points of napari", {"": ("axis_1", "axis_0")}, "pixel"),
+    Layout("table of scikit-image", {"": ("centroid_1", "centroid_0")}, "pixel"),
+    Layout("table of QuPath", {"": ("centroid_x", "centroid_y")}, first_centre=0.5),
+    Layout("table of CellProfiler", {"": ("location_center_x", "location_center_y")}, "pixel"),
+    Layout("spots of TrackMate", {"": ("position_x", "position_y", "position_z")}, heading_rows=3),
+    Layout("list of the ROI Manager", {"": ("x", "y")}, "pixel", also=_MANAGER, source="clicked"),
+    Layout(
+        "results of ImageJ",
+        {"": ("x", "y")},
+        "um",
+        stated=False,
+        also=frozenset("XY"),
+        source="clicked",
+    ),
+    Layout("table of points", {"": ("x", "y")}),
+)
+"""Tables by their columns; the first that fits is taken."""
+
+
+def looks_like(content: Content) -> bool:
+    """Return whether the headings are those of a layout."""
+    return _layout_of(content) is not None
+
+
+def read(content: Content) -> list[PointList]:
+    """Read the points of one layer, or of two."""
+    layout = _layout_of(content)
+    assert layout is not None
+    table = parse_table(content.text, content.name, needed=(), error=MarkError)
+    table.header[:] = content.header  # as they are, for messages
+    unit_row = _taken_heading_rows(table, layout)
+    _refuse_other_places(table, layout)
+    rows_in_use(table)
+    point_lists = [
+        _point_list(table, layout, title or content.name, columns, unit_row)
+        for title, columns in layout.lists.items()
+    ]
+    table.check()
+    if not table.rows:
+        raise MarkError(f"{content.name} has a header and no mark. One row for each is needed.")
+    return point_lists
+
+
+def _layout_of(content: Content) -> Layout | None:
+    names = {heading_of(cell).name for cell in content.header}
+    for layout in LAYOUTS:
+        columns = {column for columns in layout.lists.values() for column in columns}
+        if columns <= names and layout.also <= set(content.header):
+            return layout
+    return None
+
+
+def _taken_heading_rows(table: CsvTable, layout: Layout) -> list[str]:
+    """Take the further rows of headings out of a table, and return the last of them."""
+    names = [heading_of(cell).name for cell in table.header]
+    column = names.index(next(iter(layout.lists.values()))[0])
+    cells: list[str] = []
+    for row in table.rows[: layout.heading_rows]:
+        if table.content.number(row.cells[column]) is None:
+            cells = row.cells
+            table.rows.remove(row)
+    return cells
+
+
+def _refuse_other_places(table: CsvTable, layout: Layout) -> None:
+    """Refuse points whose x and y are no places in one flat picture."""
+    if "vertex-index" in table.header:
+        raise MarkError(f"{table.name} holds shapes of napari. Save a layer of points.")
+    is_flat = all(len(columns) == 2 for columns in layout.lists.values())
+    slices = {table.text(row, "Slice") for row in table.rows} - {""}
+    if is_flat and len(slices) > 1:
+        raise MarkError(
+            f"{table.name} holds points on {len(slices)} slices of a stack, without z in um. Click"
+            " them in one flat picture, or give volume_x_um, volume_y_um and volume_z_um."
+        )
+    if layout.also == _MANAGER:
+        for row in table.rows:
+            if (kind := table.text(row, "Type")).lower() != "point":
+                table.fault(row, f"{kind} is no point: X and Y are the corner of its box")
+
+
+def _point_list(
+    table: CsvTable, layout: Layout, title: str, names: Sequence[str], unit_row: Sequence[str]
+) -> PointList:
+    """Take points from the columns of these names, all of which state one unit, or none."""
+    headings = [heading_of(cell) for cell in table.header]
+    for k, cell in enumerate(unit_row):
+        if unit := heading_of(cell).unit:
+            headings[k] = Heading(headings[k].name, unit)
+    first_units = dict.fromkeys(h.unit for h in headings if h.name == names[0])
+    choices = [[Heading(name, unit) for name in names] for unit in first_units]
+    choice = next((c for c in choices if all(heading in headings for heading in c)), None)
+    if choice is None:
+        raise MarkError(
+            f"{table.name}: {', '.join(names)} do not state the same unit (found"
+            f" {', '.join(table.header)[:120]}). Give one unit to all of them."
+        )
+    columns = [table.header[headings.index(heading)] for heading in choice]
+    points, unit_um = table.numbers(columns), choice[0].um
+    unit, is_stated = layout.unit, layout.stated
+    if choice[0].unit:
+        unit, is_stated = _unit_of(choice[0], table, columns), True
+    if unit_um and unit == "um":
+        points = points * unit_um
+    return PointList(
+        title=title,
+        points=points,
+        unit=unit,
+        stated=is_stated and unit is not None,
+        columns=columns,
+        labels=labels_in(table, unique=not layout.placed),
+        placed=layout.placed,
+        first_centre=layout.first_centre,
+        source=layout.source,
+    )
+
+
+def _unit_of(heading: Heading, table: CsvTable, columns: Sequence[str]) -> Unit:
+    """Give the unit of a heading; other lengths become um."""
+    if heading.unit == "pixel" or heading.unit == "mm":
+        return heading.unit
+    if heading.um is None:
+        raise MarkError(
+            f"{table.name}: {', '.join(columns)} are in {heading.unit!r}, which is no length. Give"
+            " um, mm or px."
+        )
+    return "um"
