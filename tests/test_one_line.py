@@ -11,7 +11,7 @@ import xarray as xr
 import planish as pl
 from folders import bytes_of
 from planish.cli import runs
-from planish.core.errors import FileError, StudyError
+from planish.core.errors import CannotRegister, FileError, StudyError
 from planish.run import SECTIONS, Compute, build, cached_maps, open_results, read_study, study_of
 from planish.run.run import open_sheet
 
@@ -175,6 +175,34 @@ def test_a_link_of_arrays_has_the_bytes_of_the_link_of_the_files(
     assert len(text.splitlines()) <= 10
     for word in ("sheet: sheet.zarr", "image: image.tif", "r = ", "linked ", "pass"):
         assert word in text
+
+
+@pytest.mark.ci  # which maps a small sheet
+def test_a_refused_link_of_arrays_leaves_no_inputs(tmp_path):
+    rng = np.random.default_rng(1)
+    greys = rng.integers(0, 20, (40, 60, 60)).astype(np.uint8)
+    greys[15:25] += 200
+    arrays = (
+        pl.volume(greys, voxel_um=4.0),
+        pl.image(rng.integers(0, 200, (60, 60)).astype(np.uint8), pixel_um=4.0),
+    )
+    (tmp_path / "run-other").mkdir()
+    (tmp_path / "run-other" / "run.toml").touch()
+    for is_mapped in (True, False):  # the second call goes on with the maps of the first
+        seen = []
+        with pytest.raises(CannotRegister) as caught:
+            pl.link(
+                *arrays,
+                out=tmp_path / "run",
+                progress=lambda stage, _, seen=seen: seen.append(stage),
+            )
+        assert "write the arrays to files" in str(caught.value)
+        assert "run-inputs" not in str(caught.value)
+        assert ("surface" in seen) is is_mapped
+        assert {path.name for path in tmp_path.iterdir()} == {"run-map", "run-other"}
+    with pytest.raises(FileError, match="does not exist"):
+        pl.link(arrays[0], tmp_path / "no.tif", out=tmp_path / "further" / "run")
+    assert not (tmp_path / "further").exists()
 
 
 def test_the_marks_of_a_run_given_back_give_its_bytes(passes, linked_run, specimen_files, tmp_path):

@@ -12,7 +12,9 @@ import planish as pl
 GREYS, SHOWN = np.zeros((20, 30, 40), np.uint8), np.zeros((30, 40))
 VOLUME, IMAGE = pl.volume(GREYS, voxel_um=3), pl.image(SHOWN, pixel_um=5)
 PLAIN = xr.DataArray(GREYS, dims=("z", "y", "x"))
-MAPS = xr.Dataset({"presence": (("v", "u"), SHOWN)})
+MAPS = xr.Dataset(
+    {"presence": (("v", "u"), SHOWN)}, coords={"v": np.arange(30) * 5.0, "u": np.arange(40) * 5.0}
+)
 
 CASES = [
     # --- a volume or an image is something else

@@ -207,7 +207,7 @@ RISE = np.linspace(1.0, 20.0, 50)
     ("x", "y", "n_eff", "error", "message"),
     [
         (RISE, RISE[:-1] / 30, 20, InputError, r"x has \(50,\) points, y has \(49,\)"),
-        (RISE, RISE.astype(str), 20, InputError, "y holds <U"),
+        (RISE, RISE.astype(str), 20, InputError, "y has <U"),
         (RISE, RISE / 30, 51, InputError, "n_eff is 51 of 50 points"),
         (
             RISE,

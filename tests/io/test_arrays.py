@@ -167,7 +167,7 @@ def test_sizes_that_are_refused(array, size, words):
             xr.Dataset({"grey": (("z", "y", "x"), GREYS)}),
             r'a Dataset with grey was given. .*dataset\["NAME"\]',
         ),
-        (np.ma.masked_less(GREYS, 5), "with NaN for what is masked"),
+        (np.ma.masked_less(GREYS, 5), "whose mask would be lost"),
         ("v.tif", r"a path \('v.tif'\) was given. Write pl.read_volume\('v.tif'\)"),
         (GREYS.tolist(), "a list was given"),
         (None, "None was given"),

@@ -27,6 +27,7 @@ from planish.analyze.curve import independent_points
 from planish.analyze.distributions import t_95
 from planish.analyze.rings import RingCorrelation, ring_correlation
 from planish.core.area import area_mean
+from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Floats, Pair, Pixel
@@ -215,14 +216,15 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
         raise InputError(
             f"x has the shape {np.shape(x)}, y {np.shape(y)}. Bring both onto one grid first."
         )
+    x, y = values_of(x, "x"), values_of(y, "y")
     is_valid = np.isfinite(x) & np.isfinite(y)
     n = int(np.count_nonzero(is_valid))
     if n < LEAST:
         raise CannotMeasure(f"{n} points are known in x and y. Give {LEAST} or more.")
     scale = math.sqrt(error_ratio)
     a, b = (
-        np.asarray(x)[is_valid].astype(np.float64),
-        np.asarray(y)[is_valid].astype(np.float64) / scale,
+        x[is_valid].astype(np.float64),
+        y[is_valid].astype(np.float64) / scale,
     )
     xx, xy, yy = float(np.var(a)), float(np.mean((a - a.mean()) * (b - b.mean()))), float(np.var(b))
     eigenvalue_gap = math.hypot(yy - xx, 2 * xy)

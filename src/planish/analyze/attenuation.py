@@ -11,6 +11,7 @@ from scipy import fft
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.covariance import Lags, covariance_of
 from planish.analyze.split_half import reliability_of
+from planish.core.arrays import values_of
 from planish.core.bands import thinned
 from planish.core.errors import InputError
 from planish.core.typing import Array, Floats, Pixel
@@ -60,7 +61,7 @@ def ceiling(
     that varies over the map is averaged over its quantiles.
     """
     is_valid, pixel = valid_pixels(a, a, pixel_um)
-    errors = np.asarray(error_um, dtype=np.float64)
+    errors = values_of(error_um, "error_um").astype(np.float64)
     errors = (
         errors[is_valid & np.isfinite(errors)] if errors.shape == is_valid.shape else errors.ravel()
     )

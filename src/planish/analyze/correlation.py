@@ -15,7 +15,7 @@ from scipy import special
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import ranks, student_tail, t_95
 from planish.core.area import AreaMeans
-from planish.core.arrays import step_um
+from planish.core.arrays import check_numbers, described, map_pixel_um, values_of
 from planish.core.bands import Rows, read_bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
@@ -182,7 +182,7 @@ def pearson(x: Array, y: Array) -> float:
 
     NaN with fewer than 3 points or a constant.
     """
-    return sums_of(x, y).r
+    return sums_of(values_of(x, "x"), values_of(y, "y")).r
 
 
 def correlate(
@@ -240,15 +240,6 @@ def correlate(
     Roy (1989), Biometrika 76, 824, doi:10.1093/biomet/76.4.824.
     Conley (1999), J. Econometrics 92, 1, doi:10.1016/S0304-4076(98)00084-0.
     """
-    if pixel_um is None:
-        steps_um = [step_um(a, str(axis)) for axis in a.dims] if isinstance(a, xr.DataArray) else []
-        pitch_um = [step for step in steps_um if step is not None]
-        if len(pitch_um) != 2:
-            raise SizeError(
-                "The maps have no pixel size: they are no maps with coordinates in um. Give it with"
-                " `pixel_um`."
-            )
-        pixel_um = pitch_um[0], pitch_um[1]
     pixel = on_one_grid(a, b, pixel_um, mask)
     if point_um is not None and not max(pixel) * (1 - 1e-9) <= point_um < math.inf:
         raise SizeError(
@@ -263,32 +254,35 @@ def correlate(
     return pair.at_pixel() if point_um is None else pair.at_points()
 
 
-def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel, mask: Rows | None = None) -> Pair:
+def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel | None, mask: Rows | None = None) -> Pair:
     """Return the pixel along y and x of two maps on one grid.
 
-    Raises InputError or SizeError where they are not on one grid.
+    Raises InputError or SizeError where they are not on one grid, hold no numbers, or state another
+    pixel than ``pixel_um``.
     """
-    pitch_um = (pixel_um, pixel_um) if isinstance(pixel_um, (int, float, np.number)) else pixel_um
-    try:
-        pixel = tuple(float(v) for v in pitch_um)
-    except (TypeError, ValueError):
-        pixel = ()
-    if len(pixel) != 2 or not all(0 < v < math.inf for v in pixel):
-        raise SizeError(
-            f"The pixel is {pixel_um!r} um. Give one number above 0, or two: along y and x."
-        )
+    given_um = None if pixel_um is None else _pair_um(pixel_um)
     maps: dict[str, Any] = {"a": a, "b": b} | ({} if mask is None else {"mask": mask})
     for name, values in maps.items():
+        if isinstance(getattr(values, "dtype", None), np.dtype):
+            check_numbers(values, name, kinds="b" if name == "mask" else "fiub")
         if not isinstance(values, (np.ndarray, xr.DataArray)) or len(values.shape) != 2:
-            raise InputError(f"{name} is no array of two dimensions. Give maps (rows, cols).")
-        if values.dtype.kind not in ("b" if name == "mask" else "fiub"):
-            wanted = "true or false" if name == "mask" else "numbers"
-            raise InputError(f"{name} holds {values.dtype} values. Give an array of {wanted}.")
+            is_flat = len(getattr(values, "shape", ())) == 2
+            fix = f"Write np.asarray({name})" if is_flat else "Give maps (rows, cols)"
+            raise InputError(
+                f"{name} is no array of two dimensions in memory, but {described(values)}. {fix}."
+            )
         if values.shape != a.shape:
             raise InputError(
                 f"{name} has {values.shape} pixels, a has {a.shape}. Bring both onto one grid"
                 " first."
             )
+        stated_um = map_pixel_um(name, values, given_um)
+        given_um = stated_um if given_um is None else given_um
+    if given_um is None:
+        raise SizeError(
+            "The maps have no pixel size: they are no maps with coordinates in um. Give it with"
+            " `pixel_um`."
+        )
     placed = [m for m in maps.values() if isinstance(m, xr.DataArray)]
     for other in placed[1:]:
         if other.dims != placed[0].dims or any(
@@ -300,6 +294,19 @@ def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel, mask: Rows | None = None) -> 
                 "The maps have other places. Bring both onto one grid first"
                 " (planish.resample_maps)."
             )
+    return given_um
+
+
+def _pair_um(pixel_um: Pixel) -> Pair:
+    pitch_um = (pixel_um, pixel_um) if isinstance(pixel_um, (int, float, np.number)) else pixel_um
+    try:
+        pixel = tuple(float(v) for v in pitch_um)
+    except (TypeError, ValueError):
+        pixel = ()
+    if len(pixel) != 2 or not all(0 < v < math.inf for v in pixel):
+        raise SizeError(
+            f"The pixel is {pixel_um!r} um. Give one number above 0, or two: along y and x."
+        )
     return pixel[0], pixel[1]
 
 
@@ -311,8 +318,8 @@ def valid_pixels(
     Errors as of ``on_one_grid``.
     """
     pixel = on_one_grid(a, b, pixel_um, mask)
-    is_valid = np.isfinite(a) & np.isfinite(b)
-    return is_valid if mask is None else is_valid & mask, pixel
+    is_valid = np.isfinite(np.asarray(a)) & np.isfinite(np.asarray(b))
+    return is_valid if mask is None else is_valid & np.asarray(mask), pixel
 
 
 def check_varying(is_valid: Bools, **maps: Array) -> None:

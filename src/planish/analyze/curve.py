@@ -19,6 +19,7 @@ from pydantic import Field
 from planish.analyze.correlation import LEAST_CLAIMED, check_varying, correlate, valid_pixels
 from planish.analyze.covariance import Lags, scatter_of
 from planish.analyze.distributions import t_95
+from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Floats, Pixel
@@ -160,10 +161,7 @@ def straight_or_curved(
 
 def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floats, float]:
     """Values that are known in both, and how many are independent."""
-    arrays: dict[str, Array] = {"x": np.asarray(x), "y": np.asarray(y)}
-    for name, v in arrays.items():
-        if v.dtype.kind not in "fiub":
-            raise InputError(f"{name} holds {v.dtype} values. Give an array of numbers.")
+    arrays: dict[str, Array] = {"x": values_of(x, "x"), "y": values_of(y, "y")}
     if np.shape(x) != np.shape(y):
         raise InputError(f"x has {np.shape(x)} points, y has {np.shape(y)}. Give one y for each x.")
     is_valid = np.logical_and(*map(np.isfinite, arrays.values()))

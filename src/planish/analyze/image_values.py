@@ -13,6 +13,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from planish.analyze.correlation import valid_pixels
+from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Number, ResultModel, optional
 from planish.core.typing import Array, Bools, Pair, Pixel
@@ -199,8 +200,8 @@ def known_pixels(
     image: ArrayLike, mask: Bools | None, pixel_um: Pixel
 ) -> tuple[Array, Bools, Pair]:
     """The values of an image, where they are known and count, and the pixel along y and x."""
-    values = np.asarray(image)
+    values: Any = image if isinstance(image, xr.DataArray) else values_of(image, "image")
     is_valid, pitch_um = valid_pixels(values, values, pixel_um, mask)
     if not is_valid.any():
         raise CannotMeasure("No pixel of the image is known and counts. Check the mask.")
-    return values, is_valid, pitch_um
+    return np.asarray(values), is_valid, pitch_um

@@ -10,6 +10,7 @@ from scipy import special
 from planish.analyze.between_sheets import SheetDifference, paired_over_sheets, two_groups
 from planish.analyze.distributions import t_95
 from planish.analyze.sheets import Fields, RandomEffects, SheetMean, over_sheets
+from planish.core.arrays import values_of
 from planish.core.errors import InputError
 from planish.core.typing import Floats, Pair
 
@@ -42,7 +43,8 @@ def random_effects(
     Hartung and Knapp (2001), Statist. Med. 20, 3875, doi:10.1002/sim.1009.
     Higgins and Thompson (2002), Statist. Med. 21, 1539, doi:10.1002/sim.1186.
     """
-    y, v = (np.asarray(m, dtype=np.float64) for m in (effects, variances))
+    y = values_of(effects, "effects").astype(np.float64)
+    v = values_of(variances, "variances").astype(np.float64)
     if (
         y.ndim != 1
         or y.shape != v.shape

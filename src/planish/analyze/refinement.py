@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy import ndimage
 
-from planish.analyze.correlation import correlate, pearson
+from planish.analyze.correlation import correlate, pearson, valid_pixels
 from planish.analyze.differences import paired_difference
 from planish.analyze.distributions import largest_tail
+from planish.core.arrays import check_numbers
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.grid import Grid
@@ -109,7 +110,7 @@ def cross_fitted(
         If a map is correlated over all of the field, or fewer than 4 tiles of either colour are
         left to report on.
     """
-    is_valid = np.isfinite(a) & np.isfinite(b) & (True if valid is None else valid)
+    is_valid = valid_pixels(a, b, pixel_um, valid)[0]
     plane = Plane(is_valid)
     length = max(correlation_length_um(plane.taken_off(m), is_valid, pixel_um) for m in (a, b))
     guard = 2 * length
@@ -200,6 +201,9 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None) -> Refin
         Gumbel distribution fitted to what it reaches on them, and never below half of one over
         their number squared.
     """
+    check_numbers(a, "a")
+    if valid is not None:
+        check_numbers(valid, "valid", kinds="b")
     is_valid = np.isfinite(a) & (True if valid is None else valid)
     flat = Plane(is_valid).taken_off(a)
     rng = np.random.default_rng(20090502)

@@ -25,6 +25,7 @@ from planish.analyze.correlation import (
 )
 from planish.analyze.curve_of_sizes import SizeRow
 from planish.core.area import common_means
+from planish.core.arrays import values_of
 from planish.core.errors import InputError, PlanishError, SizeError
 from planish.core.facts import ResultModel, optional
 from planish.core.typing import Array, Floats, Pixel
@@ -181,6 +182,8 @@ def commonality(b: Array, parts: Mapping[str, Array]) -> dict[str, float]:
     names = list(parts)
     if not 2 <= len(names) <= 4:
         raise InputError(f"{len(names)} maps were given. Commonality needs 2 to 4.")
+    b = values_of(b, "b")
+    parts = {name: values_of(values, name) for name, values in parts.items()}
     is_valid = np.logical_and.reduce([np.isfinite(m) for m in (b, *parts.values())])
     check_varying(is_valid, b=b)
     y = b[is_valid] - b[is_valid].mean()

@@ -15,12 +15,19 @@ import xarray as xr
 
 from planish.core.errors import InputError, SizeError, VolumeError
 from planish.core.numbers import TOLERANCE, agree
+from planish.core.typing import Array, Pair
 
-_UM = ("um", "µm", "μm", "micrometer", "micrometre", "micron")
+_UM = (
+    *("um", "µm", "μm", "micrometer", "micrometre", "micron"),
+    *("micrometers", "micrometres", "microns"),
+)
 _CURES = {
     "b": "Give the grey values that it was made from.",
     "c": "Give their magnitude: abs(array).",
 }
+_GRID_AXES = ("y", "x", "v", "u")  # along which columns and pixels stand in um
+_POSITIONS = ("x", "y", "u", "v", "centre")  # variables that are lengths
+_PICTURE_MODES = ("L", "I", "I;16", "F", "RGB", "RGBA")  # of Pillow, whose numbers are the values
 
 
 class ArrayKind(NamedTuple):
@@ -58,12 +65,29 @@ def check_image(image: object, call_format: str) -> tuple[float, ...]:
 def check_dataset(
     data: object, *variables: str, expected: str, source: str, call_format: str
 ) -> None:
-    """Refuse what is no Dataset with the variables that are needed.
+    """Refuse what is no Dataset with the variables that are needed, as numbers on a grid in um.
 
     ``source`` is the call that gives one.
     """
     if not isinstance(data, xr.Dataset) or any(name not in data for name in variables):
         raise not_taken(data, expected, call_format.format(source), call_format)
+    for name in variables or map(str, data.data_vars):
+        check_numbers(data[name], f"{name} of the {expected}", kinds="uifb")
+        unit = _unit_of(data[name])
+        if name in _POSITIONS and unit not in (None, *_UM):
+            raise SizeError(
+                f"{name} of the {expected} is in {unit}; needed is um. Give it in um, with"
+                ' attrs["units"] = "um".'
+            )
+    for axis in _GRID_AXES:
+        if axis not in data.dims:
+            continue
+        if axis not in data.coords:
+            raise SizeError(
+                f"The {expected} have no coordinates along {axis}, so their size is unknown. Take"
+                f" them as {source} gives them, or write data.assign_coords({axis}=...), in um."
+            )
+        step_um(data, axis)
 
 
 def check_path(path: object, expected: str, call_format: str, fix: str) -> Path:
@@ -87,21 +111,86 @@ def check_values(array: Any, kind: ArrayKind, dims: Sequence[str]) -> None:
             f" of {' x '.join(map(str, array.shape))} with ({', '.join(dims)}) was given. Write"
             f" {fix}."
         )
-    if array.dtype.kind not in "uif" or array.dtype.itemsize > 8:
-        fix = _CURES.get(array.dtype.kind, 'Convert them: astype("float32").')
+    check_numbers(array, f"The {kind.name}")
+
+
+def check_numbers(array: Any, name: str, *, kinds: str = "uif") -> None:
+    """Refuse values that are masked, or of another kind than numbers (or what ``kinds`` says).
+
+    Every array that a function takes comes through here: a mask would be lost in silence.
+    """
+    if is_masked(array):
+        fix = 'array.astype("float32").filled(np.nan)'
+        if not isinstance(array, np.ma.MaskedArray):
+            fix = 'dask.array.ma.filled(array.astype("float32"), np.nan)'
         raise VolumeError(
-            f"The {kind.name} has {array.dtype} values; needed are integers or real numbers. {fix}"
+            f"{name} has masked values, whose mask would be lost. Write {fix}: what is NaN is"
+            " missing."
         )
+    if array.dtype.kind not in kinds or array.dtype.itemsize > 8:
+        fix = _CURES.get(array.dtype.kind, 'Convert them: astype("float32").')
+        wanted = "integers or real numbers"
+        if kinds == "b":
+            wanted, fix = "true or false", "Compare them with a limit: array > 0."
+        raise VolumeError(f"{name} has {array.dtype} values; needed are {wanted}. {fix}")
 
 
-def step_um(array: xr.DataArray, axis: str) -> float | None:
+def values_of(values: Any, name: str) -> Array:
+    """Give the numbers of an array or of lists, as :func:`check_numbers` takes them."""
+    array = values if hasattr(values, "dtype") else np.asarray(values)
+    check_numbers(array, name, kinds="uifb")
+    return np.asarray(array)
+
+
+def is_masked(array: Any) -> bool:
+    """Return True for a masked array of NumPy, or of dask; xarray makes NaN of what is masked."""
+    return isinstance(getattr(array, "_meta", array), np.ma.MaskedArray)
+
+
+def map_pixel_um(name: str, values: Any, pixel_um: Sequence[float] | None) -> Pair | None:
+    """Give the pixel of a map by its coordinates, or by its attribute ``pixel_um`` without any.
+
+    None where it states none in um. SizeError where ``pixel_um``, as a call gives it, is another.
+    """
+    if not isinstance(values, xr.DataArray):
+        return None
+    axes = [str(axis) for axis in values.dims]
+    steps = [step_um(values, axis) for axis in axes]
+    source = "coordinates"
+    if steps == [None, None] and IMAGE.size_attribute in values.attrs:
+        steps = [float(size) for size in values.attrs[IMAGE.size_attribute]]
+        source = f"attribute {IMAGE.size_attribute}"
+    sizes = zip(steps, pixel_um or (None, None), strict=True)
+    if any(step and given and not agree(step, given) for step, given in sizes):
+        stated_text, given_text = (
+            " x ".join(f"{size:.6g}" for size in pair if size is not None)
+            for pair in (steps, pixel_um or ())
+        )
+        drop_text = f"{name}.drop_vars({axes})" if source == "coordinates" else f"{name}.values"
+        raise SizeError(
+            f"`pixel_um` gives {given_text} um, but the {source} of {name} say {stated_text} um"
+            f" ({', '.join(axes)}). Leave `pixel_um` out, or write {drop_text} if they are wrong."
+        )
+    has_units = source != "coordinates" or all(_unit_of(values[axis]) for axis in axes)
+    if steps[0] is None or steps[1] is None or not has_units:
+        return None
+    return steps[0], steps[1]
+
+
+def _unit_of(values: xr.DataArray) -> object:
+    """The unit that the attributes state, as CF or as other programs name it; None for none."""
+    return values.attrs.get("units") or values.attrs.get("unit")
+
+
+def step_um(array: xr.DataArray | xr.Dataset, axis: str) -> float | None:
     """Distance of voxels or pixels by their coordinates.
 
     None without any, SizeError where they are of no use.
     """
     if axis not in array.coords or array.sizes[axis] < 2:
         return None
-    unit, values = array[axis].attrs.get("units", "um"), array[axis].values
+    unit, values = _unit_of(array[axis]), array[axis].values
+    unit = "um" if unit is None else unit
     fault_text, fix = "", f"array.assign_coords({axis}=...)"
     if unit not in _UM or values.dtype.kind not in "uif":
         fault_text = (
@@ -121,10 +210,11 @@ def step_um(array: xr.DataArray, axis: str) -> float | None:
                 " needed is one size"
             )
     if fault_text:
-        raise SizeError(
-            f"The coordinates along {axis} {fault_text}. Write {fix}, or drop them:"
-            f" array.drop_vars({axis!r})."
-        )
+        # Without them a dataset says nothing of its size, and no call gives it one.
+        drop_text = f", or drop them: array.drop_vars({axis!r})"
+        if isinstance(array, xr.Dataset):
+            drop_text = ""
+        raise SizeError(f"The coordinates along {axis} {fault_text}. Write {fix}{drop_text}.")
     return float(np.diff(values.astype(np.float64)).mean())
 
 
@@ -133,6 +223,13 @@ def conversion_call(value: object, kind: ArrayKind) -> str:
     if isinstance(value, str | Path):
         return f"pl.read_{kind.name}({str(value)!r})"
     array_code = 'dataset["NAME"]' if isinstance(value, xr.Dataset) else "array"
+    if not isinstance(getattr(value, "dtype", None), np.dtype) and not isinstance(
+        value, xr.Dataset
+    ):
+        array_code = "np.asarray(array)"
+        # Of a picture of Pillow in a palette, the numbers are places in it.
+        if hasattr(value, "getbands") and getattr(value, "mode", None) not in _PICTURE_MODES:
+            array_code = 'np.asarray(array.convert("RGB"))'
     return f"pl.{kind.name}({array_code}, {kind.size_attribute}=...)"
 
 

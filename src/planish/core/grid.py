@@ -35,8 +35,11 @@ class Grid:
 
     @classmethod
     def of(cls, data: xr.Dataset | xr.DataArray) -> Grid:
-        """Return the grid of maps (y, x), or (v, u)."""
+        """Return the grid of maps (y, x), or (v, u), or of an image that knows its size alone."""
         rows, cols = ("y", "x") if "y" in data.dims else ("v", "u")
+        if rows not in data.coords and "pixel_um" in data.attrs:
+            dy_um, dx_um = (float(size) for size in data.attrs["pixel_um"])
+            return cls.regular((data.sizes[rows], data.sizes[cols]), (dy_um, dx_um))
         return cls(y_um=data[rows].values, x_um=data[cols].values)
 
     def part(self, rows: slice, cols: slice = slice(None)) -> Grid:

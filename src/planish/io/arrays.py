@@ -15,6 +15,7 @@ from planish.core.arrays import (
     IMAGE,
     VOLUME,
     ArrayKind,
+    check_numbers,
     check_values,
     conversion_call,
     described,
@@ -166,15 +167,9 @@ def _read_part(source: Any, dtype: np.dtype[Any], where: Where) -> NDArray[Any]:
 
 def _array(array: Any, kind: ArrayKind) -> xr.DataArray:
     """An array with names for its axes, not read; an image may have one more, its colours."""
-    if not isinstance(getattr(array, "dtype", None), np.dtype) or isinstance(
-        array, np.ma.MaskedArray
-    ):
-        instead_text = conversion_call(array, kind)
-        if not isinstance(array, str | Path | xr.Dataset):
-            instead_text = (
-                instead_text.replace("array", "np.asarray(array)") + ", with NaN for what is masked"
-            )
-        raise not_taken(array, "an array", instead_text, f"pl.{kind.name}(")
+    if not isinstance(getattr(array, "dtype", None), np.dtype):
+        raise not_taken(array, "an array", conversion_call(array, kind), f"pl.{kind.name}(")
+    check_numbers(array, f"The {kind.name}")
     raster: Any = array
     if not isinstance(array, xr.DataArray):
         stored_data = (
@@ -229,17 +224,16 @@ def _labelled(
     stated_um = tuple(
         None if size_um is None and axis in unitless else step for axis, step in steps.items()
     )
-    stated = Stated(
-        "its coordinate grid", stated_um, "coordinates without a unit" if unitless else ""
-    )
-    if size_um is None and not any(stated_um) and kind.size_attribute in raster.attrs:
-        stated = Stated(
-            f"its attribute {kind.size_attribute}", tuple(raster.attrs[kind.size_attribute])
-        )
+    note = "coordinates without a unit" if unitless else ""
+    stated = [Stated("its coordinate grid", stated_um, note)]
+    # A size that is given stands in place of that of the array this one was cut out of.
+    if size_um is None and kind.size_attribute in raster.attrs:
+        attribute_um = tuple(raster.attrs[kind.size_attribute])
+        stated.append(Stated(f"its attribute {kind.size_attribute}", attribute_um))
     size_kind = VOXEL if kind is VOLUME else PIXEL
     name = f"The {kind.name}"
     size, source = agreed_size(
-        [stated], size_um, file_name=name, asked=size_kind, override=override, unusual=unusual
+        stated, size_um, file_name=name, asked=size_kind, override=override, unusual=unusual
     )
     path = getattr(raster.variable._data, "filename", None)  # pyright: ignore  of a memory map
     file_name = Path(path).name if path else str(raster.name or "array")

@@ -47,6 +47,8 @@ class ArraySource:
 
     def write(self, compute: Compute) -> None:
         """Write it as a working store, or as TIFF in the type that it was made from."""
+        with writing(self.path.parent):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.kind == "volume":
             volume = self.array.assign_attrs(voxel_um=list(self.size_um))
             write_store(
@@ -62,6 +64,11 @@ class ArraySource:
             values = values.astype(stored_dtype)
         with writing(self.path, needed=values.nbytes):
             tifffile.imwrite(self.path, values, photometric="minisblack", metadata=None)
+
+
+def inputs_folder(out: Path) -> Path:
+    """Folder of the arrays of a run."""
+    return out.with_name(f"{out.name}-inputs")
 
 
 @contextmanager
@@ -83,11 +90,9 @@ def layer_sources(
     if out is None:
         folder = Path(tempfile.mkdtemp(prefix="planish-"))
     else:
-        folder = Path(out).with_name(f"{Path(out).name}-inputs")
+        folder = inputs_folder(Path(out))
         refuse_existing(Path(out), folder)
     try:
-        with writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
         for k, source in enumerate(sources):
             if isinstance(source, ArraySource):
                 default_name, suffix = (
@@ -97,9 +102,8 @@ def layer_sources(
                 sources[k] = replace(source, path=folder / f"{stem}{suffix}")
         yield sources
     except BaseException:
-        # The maps of a link that was refused at the marks are kept, and setting them by hand needs
-        # the files.
-        if out is not None and not any(folder.parent.glob(f"{Path(out).name}-*/run.toml")):
+        # The arrays are in memory still, and the same call is not refused because of them.
+        if out is not None:
             remove(folder)
         raise
     finally:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from planish.core.errors import CannotRegister, MarkError, PlanishError
 from planish.core.text import quoted
+from planish.run.array_layers import inputs_folder
 from planish.run.compute import Compute, run_key
 from planish.run.layers import MappedLayer
 from planish.run.run import is_run, open_results, open_sheet
@@ -120,7 +121,9 @@ def sheets_of(
     return ready_sheets, similar_sheets
 
 
-def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Study) -> str:
+def next_step(
+    error: PlanishError, caches: Mapping[str, CachedMaps], study: Study, out: Path
+) -> str:
     """Say where maps are kept of a link that was refused.
 
     Where none are, how to get them without the image.
@@ -129,15 +132,22 @@ def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Stud
     def view(map_folder: str) -> str:
         return f"planish view {quoted(map_folder)} {quoted(study.layers[-1].path)}"
 
+    inputs = inputs_folder(out.absolute())
+    # The files of arrays are removed when this is read.
+    has_arrays = any(Path(layer.path).parent == inputs for layer in study.layers)
     if map_folders := [str(cache.path) for cache in caches.values() if cache.path.exists()]:
         text = (
             f"The maps of the volume are kept in {' and '.join(map_folders)}; the same command goes"
             " on from there."
         )
         marks_refused = isinstance(error, CannotRegister | MarkError) and study.is_sheet_on_image
-        return f"{text} To set the marks by hand: {view(map_folders[0])}" if marks_refused else text
+        if not marks_refused:
+            return text
+        if has_arrays:
+            return f"{text} To set the marks by hand, write the arrays to files and link those."
+        return f"{text} To set the marks by hand: {view(map_folders[0])}"
     volume = next((layer for layer in study.layers if layer.kind == "volume"), None)
-    if volume is None or not isinstance(error, CannotRegister):
+    if volume is None or has_arrays or not isinstance(error, CannotRegister):
         return ""
     map_folder = str(caches[volume.name].path)
     command = f"planish map {quoted(volume.path)} --out {quoted(map_folder)}"

@@ -2,7 +2,7 @@
 
 import xarray as xr
 
-from planish.core.arrays import check_image
+from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import check_choice
 from planish.core.facts import SIDES, Side
 from planish.core.options import params_of
@@ -75,6 +75,12 @@ def find_holes(
     if side is not None:
         check_choice("side", side, SIDES)
     if isinstance(shown, xr.Dataset):
+        check_dataset(
+            shown,
+            expected="maps",
+            source="pl.resample_maps(measured, flat)",
+            call_format="pl.find_holes({})",
+        )
         holes = find_sheet_holes(shown, params=params, side=side or "top")
         return holes.assign_attrs(layer=layer or "sheet", seen_from="top")
     dy_um, dx_um = check_image(shown, "pl.find_holes({})")

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
+from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import CannotRegister
 from planish.core.facts import Side
 from planish.core.options import params_of
@@ -88,6 +89,15 @@ def register_texture(
     rotations and shifts, either sign, in pixels of 20 um; the best place is tuned and tiles are
     placed in pixels of 8 um. Of two sheets the same map is compared.
     """
+    for layer, call in (
+        (moving, "pl.register_texture({}, fixed)"),
+        (fixed, "pl.register_texture(moving, {})"),
+    ):
+        if isinstance(layer, xr.Dataset):
+            source = "pl.resample_maps(measured, flat)"
+            check_dataset(layer, expected="maps", source=source, call_format=call)
+        else:
+            check_image(layer, call)
     fit_params = params_of(RegistrationParams, params, "pl.register_texture")
     if place is not None:
         is_bottom = place.mirrored if mirrored is None else mirrored

@@ -53,7 +53,7 @@ class Workspace:
         try:
             yield
         except PlanishError as error:
-            if not self.caches or self.folder is None:
+            if not self.caches or self.folder is None or self.out is None:
                 raise
             # A disk that is full now does not hide what was wrong before.
             with suppress(PlanishError, OSError):
@@ -62,7 +62,7 @@ class Workspace:
                         cache.note(cache.path, self.study)
                     elif name in self.sheets and name not in ready_names:
                         self._keep(self.sheets[name], cache, self.folder)
-            if advice_text := next_step(error, self.caches, self.study):
+            if advice_text := next_step(error, self.caches, self.study, self.out):
                 raise type(error)(f"{error.text} {advice_text}") from error
             raise
 
