@@ -92,6 +92,21 @@ def test_expected_stages_are_those_of_the_run(linked_run, specimen_files):
     ]
 
 
+def test_wide_columns_take_less_time(tmp_path):
+    header = 'shape = [1000, 40, 2000]\ndtype = "uint8"\nvoxel_um = [2, 3, 8]\n'
+    (tmp_path / "v.raw.toml").write_text(header)
+    with (tmp_path / "v.raw").open("wb") as file:
+        file.truncate(80_000_000)
+    seconds = {}
+    for column_um in (None, 4.0, 16.0):
+        values = {"through": "y", "column_um": column_um}
+        stages = dict(expected_stages(study_from((tmp_path / "v.raw",), values)))
+        seconds[column_um] = stages["faces"] - stages["surface"]
+    # A voxel is sqrt(2 * 8) = 4 um wide: single voxels, and columns of 4 by 4. 2 million columns
+    # of single voxels, 9.8 s a million, of which both stages have 0.1 s in any case.
+    assert seconds == pytest.approx({None: 19.6, 4.0: 19.6, 16.0: 19.6 / 16})
+
+
 def test_the_bar_of_a_terminal_says_what_is_left(monkeypatch, capsys):
     monkeypatch.setattr(show, "animated", lambda: True)
     monkeypatch.setattr(show, "console", lambda **_: console(err=True, width=120))

@@ -106,15 +106,21 @@ def _timed(seconds: Seconds, millions: float) -> list[Stage]:
 
 
 def _millions(layer: GivenLayer) -> float:
-    """Columns through the sheet of a volume, or pixels of an image, in millions.
+    """Columns measured through the sheet of a volume, or pixels of an image, in millions.
 
     1 where the file does not say.
     """
     from planish.io import describe  # here, so that help does not wait for it
 
     with suppress(PlanishError, OSError):
-        shape = describe(layer.path, values=False)["shape"]
         if layer.volume is None:
-            return math.prod(shape) / 1e6
-        return math.prod(shape) / shape["zyx".index(layer.volume.through)] / 1e6
+            return math.prod(describe(layer.path, values=False)["shape"]) / 1e6
+        given_um, column_um = layer.volume.voxel_um, layer.volume.column_um
+        facts = describe(layer.path, voxel_um=given_um, override_size=True, values=False)
+        across = [axis for axis in range(3) if "zyx"[axis] != layer.volume.through]
+        columns = math.prod(facts["shape"][axis] for axis in across)
+        if column_um is not None and facts["size_um"] is not None:
+            pitch_um = math.sqrt(math.prod(facts["size_um"][axis] for axis in across))
+            columns /= max(1, round(column_um / pitch_um)) ** 2
+        return columns / 1e6
     return 1.0
