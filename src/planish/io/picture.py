@@ -25,9 +25,9 @@ from planish.io.tiff import (
     long_axes,
     map_or_decode,
     mapped_from,
+    notes_on_reading,
     open_series,
     shape_words,
-    slice_notes,
 )
 
 PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
@@ -76,11 +76,12 @@ def kind_of(path: Path) -> str:
 
 
 def load_picture(
-    path: Path, *, memory_bytes: int | None = None, decode: bool = True
+    path: Path, *, memory_bytes: int | None = None, decode: bool = True, is_slice: bool = False
 ) -> DecodedPicture:
     """Decode a picture, or give its shape and type alone.
 
-    With shape and type alone, all values are one 0 that takes no memory.
+    With shape and type alone, all values are one 0 that takes no memory. The colours in which
+    ImageJ shows a slice of a volume are no values.
     """
     if kind_of(path) != "tiff":
         return _load_raster(path, memory_bytes=memory_bytes, decode=decode)
@@ -109,7 +110,8 @@ def load_picture(
             colour = "grey" if is_grey else "other"
         bits = int(page.bitspersample)
         with reading(path):
-            if page.photometric == PHOTOMETRIC.PALETTE and len(axes) == 2:
+            is_looked_up = page.photometric == PHOTOMETRIC.PALETTE and len(axes) == 2
+            if is_looked_up and not (is_slice and tif.is_imagej):
                 # Palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey
                 # stays grey.
                 colormap, bits = np.asarray(page.colormap), 16
@@ -124,7 +126,7 @@ def load_picture(
                 )
             orientation = page.tags.valueof(274, default=1)
         stated = stated_by_tiff(tif, page, path)
-        notes = slice_notes(tif, path)
+        notes = notes_on_reading(tif, page, path) if is_slice else ()
     orientation = orientation if isinstance(orientation, int) else 1
     return DecodedPicture(
         values=values,

@@ -274,8 +274,9 @@ def _log_sections(path: Path) -> dict[str, dict[str, str]]:
                 f"{path.name} is larger than 10 MB and no log of NRecon. Move it elsewhere."
             )
         raw_bytes = path.read_bytes()
+    is_utf_16 = raw_bytes[:2] in (b"\xff\xfe", b"\xfe\xff")
     try:
-        text = raw_bytes.decode("utf-8-sig")
+        text = raw_bytes.decode("utf-16" if is_utf_16 else "utf-8-sig")
     except UnicodeDecodeError:
         # Names of people and folders, never numbers.
         text = raw_bytes.decode("cp1252", errors="replace")

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,7 +58,8 @@ def load_pictures(
     do not fit.
     """
     folder, limit = files[0].parent, memory_limit(memory_bytes)
-    first = load_picture(files[0], memory_bytes=limit)
+    load_one = partial(load_picture, is_slice=not photographs)
+    first = load_one(files[0], memory_bytes=limit)
     colour_attrs(channel, folder, in_colour=first.in_colour)
     grey = _grey_values(first, files[0], channel)
     dtype, shape = supported_type(grey.dtype), (len(files), *grey.shape)
@@ -69,7 +71,7 @@ def load_pictures(
         values[0] = grey
 
         def read(i: int) -> None:
-            picture = load_picture(files[i], memory_bytes=limit)
+            picture = load_one(files[i], memory_bytes=limit)
             _check_same(picture, first, file=files[i], first_file=files[0])
             values[i] = _grey_values(picture, files[i], channel)
 
@@ -87,31 +89,36 @@ def load_pictures(
         file_header = _slice_header(file)
         strip_rows = max(strip_rows, file_header.strip_rows)
         if file_header.key != header.key:
-            _check_same(
-                load_picture(file, memory_bytes=limit), first, file=file, first_file=files[0]
-            )
+            _check_same(load_one(file, memory_bytes=limit), first, file=file, first_file=files[0])
         has_same_type = file_header.dtype == header.dtype and first.values.ndim == 2
         if file_header.offset is not None and has_same_type:
             planes.append((file, file_header.offset))
     if len(planes) == len(files):
         return widened(StoredArray(planes, shape, header.dtype)), first
     is_in_strips = strip_rows < shape[1]
-    rows = partial(_strip_rows if is_in_strips else _slice_rows, files, channel, grey.shape)
+    rows = partial(_slice_rows, load_one, files, channel, grey.shape)
+    if is_in_strips:
+        rows = partial(_strip_rows, files, grey.shape)
     return PagedArray(folder, shape, dtype, strip_rows if is_in_strips else shape[1], rows), first
 
 
 def _slice_rows(
-    files: list[Path], channel: str | None, shape: tuple[int, ...], page: int, start: int, stop: int
+    load_one: Callable[[Path], DecodedPicture],
+    files: list[Path],
+    channel: str | None,
+    shape: tuple[int, ...],
+    page: int,
+    start: int,
+    stop: int,
 ) -> NDArray[Any]:
     file = files[page]
-    grey = _grey_values(load_picture(file), file, channel)
+    grey = _grey_values(load_one(file), file, channel)
     _check_unchanged(file, grey.shape, shape)
     return grey[start:stop]
 
 
 def _strip_rows(
     files: list[Path],
-    _channel: str | None,
     shape: tuple[int, ...],
     page: int,
     start: int,

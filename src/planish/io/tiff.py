@@ -179,18 +179,15 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
             raise damaged(
                 path, f"{declared}, the file has {n_pages} pages of {size_words(first.shape)}"
             )
-    n_images = _imagej_images(tif)
-    if n_images <= max(1, n_pages) or not first.dataoffsets or _is_single_slice(tif):
-        return
-    if (
-        first.dataoffsets[0] + n_images * first.nbytes > tif.filehandle.size
-        or not first.is_contiguous
-    ):
-        file_bytes = tif.filehandle.size
-        raise damaged(
-            path,
-            f"{n_images} images are declared, the file has {n_pages} pages and {file_bytes} bytes",
-        )
+    if _imagej_images(tif) > n_pages and first.dataoffsets and not describes_other_images(tif):
+        held_bytes = first.dataoffsets[0] + _imagej_images(tif) * first.nbytes
+        if held_bytes > tif.filehandle.size or not first.is_contiguous:
+            file_bytes = tif.filehandle.size
+            raise damaged(
+                path,
+                f"{_imagej_images(tif)} images are declared, the file has {n_pages} pages and"
+                f" {file_bytes} bytes",
+            )
 
 
 def _imagej_images(tif: TiffFile) -> int:
@@ -199,35 +196,48 @@ def _imagej_images(tif: TiffFile) -> int:
     return n_images if isinstance(n_images, int) else 1
 
 
-def _is_single_slice(tif: TiffFile) -> bool:
-    """True if a file has one image, and the description of the stack that it was cut out of.
+def describes_other_images(tif: TiffFile) -> bool:
+    """True if the description counts other grey images than the whole pages of a file.
 
-    ImageJ chains no pages in stacks above 4 GB, but then a part of the next image follows.
+    A slice that was cut out of a stack keeps its description, and so does a stack that grew. Of a
+    stack with fewer pages than images, some are lost.
     """
     first: Any = tif.pages.first
-    if len(tif.pages) > 1 or not first.dataoffsets:
+    n_pages, n_images = len(tif.pages), _imagej_images(tif)
+    if not first.dataoffsets or first.samplesperpixel > 1:
         return False
+    if n_pages > 1:
+        return 1 < n_images < n_pages
     ome = tif.ome_metadata or ""
     n_planes = math.prod(int(n) for n in re.findall(r"\bSize[ZT]\s*=\s*[\"'](\d{1,9})[\"']", ome))
-    n_images = max(n_planes, _imagej_images(tif))
+    # ImageJ chains no pages in stacks above 4 GB, but then a part of the next image follows. What
+    # follows a slice is a table of tags; pixels may begin at a full page of memory.
     stored_bytes = sum(first.databytecounts) + sum(tag.valuebytecount for tag in first.tags)
-    # The table of tags, and pixels that begin at a full page of memory.
-    return n_images > 1 and tif.filehandle.size <= stored_bytes + 2 * 4096
+    return max(n_planes, n_images) > 1 and tif.filehandle.size <= stored_bytes + 2 * 4096
 
 
-def slice_notes(tif: TiffFile, path: Path) -> tuple[str, ...]:
-    """Say that a file has one image of the stack that it describes."""
-    if not _is_single_slice(tif):
-        return ()
-    return (f"{path.name} describes the stack that it was cut out of; it holds one image.",)
+def notes_on_reading(tif: TiffFile, page: TiffPage, path: Path) -> tuple[str, ...]:
+    """Say what was assumed of a file: which images are read, and how their values are."""
+    notes: list[str] = []
+    n_pages = len(tif.pages)
+    if describes_other_images(tif) and n_pages == 1:
+        notes.append(f"{path.name} describes the stack that it was cut out of; it holds one image.")
+    elif describes_other_images(tif):
+        n_images = _imagej_images(tif)
+        notes.append(f"{path.name} describes {n_images} images; its {n_pages} pages are read.")
+    if page.photometric == PHOTOMETRIC.MINISWHITE:
+        notes.append(f"{path.name} stores white as 0; the values are turned, so that black is 0.")
+    if page.photometric == PHOTOMETRIC.PALETTE and tif.is_imagej:
+        notes.append(f"ImageJ shows {path.name} in false colours; the grey values below are read.")
+    return tuple(notes)
 
 
 def _declared_series(tif: TiffFile) -> list[TiffPageSeries]:
-    """Series of a file; of a single slice its page, whatever its description says of the stack."""
-    if not _is_single_slice(tif):
+    """Series of a file; each page where the description counts other images."""
+    if not describes_other_images(tif):
         return list(tif.series)
-    page: Any = tif.pages.first
-    return [TiffPageSeries([page], page.shape, page.dtype, page.axes, kind="uniform")]
+    pages: list[Any] = list(tif.pages)
+    return [TiffPageSeries([p], p.shape, p.dtype, p.axes, kind="uniform") for p in pages]
 
 
 def _check_data(series: TiffPageSeries, path: Path) -> None:  # noqa: C901, PLR0912

@@ -34,6 +34,7 @@ from planish.io.tiff import (
     has_rgb,
     long_axes,
     map_or_decode,
+    notes_on_reading,
     open_series,
     shape_words,
     turn_white,
@@ -74,6 +75,7 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
             stated=stated_by_tiff(tif, page, path),
             files=[path],
             bits=int(page.bitspersample),
+            notes=notes_on_reading(tif, page, path),
         )
 
 
