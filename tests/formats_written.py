@@ -406,7 +406,7 @@ CASES = {
     "MetaImage packed": meta_case(".mha", packed=True),
     "MetaImage detached": meta_case(".mhd", lazy=False, data=named("*.raw")),
     "HDF5": Case(write=write_hdf5, source="attribute voxel_size", resize=reshape_hdf5),
-    "NeXus": Case(write=write_nexus, source="NeXus axes", resize=reshape_hdf5),
+    "NeXus": Case(write=write_nexus, source="spacing of its coordinates", resize=reshape_hdf5),
     "MATLAB 5": Case(write=partial(write_mat, packed=False), source="voxel_um", lazy=False),
     "MATLAB 7": Case(write=partial(write_mat, packed=True), source="voxel_um", lazy=False),
     "MATLAB 7.3": Case(write=write_mat73, source="voxel_um", resize=reshape_hdf5),

@@ -1,3 +1,4 @@
+from .files import ImageFile as ImageFile
 from .greys import SheetImage as SheetImage
 from .registration import DetectedHoles as DetectedHoles
 from .registration import HolesOnSheet as HolesOnSheet

@@ -10,7 +10,8 @@ from typing import Any, TypeVar
 
 import xarray as xr
 
-from planish.checks import greys, registration, sheets, through_scale
+from planish.checks import files, greys, registration, sheets, through_scale
+from planish.checks.files import ImageFile
 from planish.checks.greys import SheetImage
 from planish.checks.registration import (
     DetectedHoles,
@@ -50,7 +51,8 @@ CHECKS = (
     CheckRule("scale through the sheet", MeasuredSheet, _ALL, through_scale.scale_by_thickness),
     CheckRule("corrections", MeasuredSheet, (PROPERTIES,), sheets.corrections),
     # planish map: from the volume
-    CheckRule("hand of the volume", ScannedSheet, (POSITION, CORRELATION), sheets.hand),
+    CheckRule("hand of the volume", ScannedSheet, (POSITION, CORRELATION), files.hand_of_volume),
+    CheckRule("reading of the volume", ScannedSheet, _ALL, files.reading),
     CheckRule("slices along z", ScannedSheet, _ALL, partial(slice_order, axis="z")),
     CheckRule("slices along y", ScannedSheet, _ALL, partial(slice_order, axis="y")),
     CheckRule("slices along x", ScannedSheet, _ALL, partial(slice_order, axis="x")),
@@ -76,6 +78,8 @@ CHECKS = (
         ("coating_bottom", *_BASE),
         partial(sheets.dust, side="bottom"),
     ),
+    # planish link: from an image
+    CheckRule("hand of the image", ImageFile, (POSITION, CORRELATION), files.hand_of_image),
     # planish link: from a registration
     CheckRule("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
     CheckRule("marks", JudgedRegistration, (POSITION,), registration.marks),

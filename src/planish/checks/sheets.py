@@ -200,18 +200,6 @@ def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
 # --- of a scan ------------------------------------------------------------------------------------
 
 
-def hand(rule: CheckRule, scan: ScannedSheet) -> Check | None:
-    """Say that the file makes its slices a mirror image of the specimen."""
-    if not (axes := scan.volume.attrs.get("hand")):
-        return None
-    return rule.check(
-        "look",
-        f"The axes of the volume make a left-handed system ({axes}): its slices and maps are a"
-        " mirror image of the specimen.",
-        advice="Flip one axis where you export the volume, and map it again.",
-    )
-
-
 def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether a coating, or air, lies inside the base."""
     greys, core, profiles = scan.greys, scan.core, scan.core_grey

@@ -309,6 +309,7 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:  # noqa: C901
     for name, value in (facts.get("metadata") or {}).items():
         text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value  # type: ignore[reportUnknownVariableType]
         lines.append(f"{name}: {text}")
+    lines += [f"note: {note}" for note in facts.get("notes", ())]
     return lines + [f"look: {warning}" for warning in facts["warnings"]]
 
 

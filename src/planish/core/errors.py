@@ -13,6 +13,7 @@
     ├── CannotMeasure                exit code 3: no property can be measured on this surface
     ├── CannotFlatten                exit code 3: the mesh has no sensible flat state
     ├── CannotRegister               exit code 3: the marks do not fix one transformation
+    │   └── WrongHand                they would if one side were mirrored
     └── ResourceError                exit code 5: memory or disk is used up
 
 A message says what was found, what is needed, and what to do next. ``error.text`` names
@@ -89,6 +90,10 @@ class CannotRegister(PlanishError):
     """The marks do not fix one transformation."""
 
     exit_code = 3
+
+
+class WrongHand(CannotRegister):
+    """The marks fix a transformation only if one side is mirrored."""
 
 
 class ResourceError(PlanishError):

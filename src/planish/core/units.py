@@ -38,4 +38,5 @@ def unit_um(unit: str) -> float | None:
     (1000.0, 1.0, None)
     """
     word = unit.strip().strip('"').casefold().replace("\\u00b5", "μ").replace("\\u03bc", "μ")
-    return UNITS_UM.get(word)
+    # Files of electron microscopes write [n_m] for nanometres.
+    return UNITS_UM.get(word.strip("[]").replace("_", ""))

@@ -11,19 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
+from planish.io.axes import AxisNames
 from planish.io.formats import LoadedVolume, Place
 from planish.io.guard import quiet, reading
-from planish.io.headed import Header, axes_of, packing_of, unpacked_head, values_behind
+from planish.io.headed import (
+    Header,
+    StoredAxes,
+    axes_of,
+    packing_of,
+    unpacked_head,
+    values_behind,
+)
 from planish.io.lazy import FileArray, ViewArray, stored_planes
+from planish.io.orientation import Orientation
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
 
 LONGEST_NIFTI = 540  # bytes of the header of version 2
-MIRRORED = (
-    "By its affine the axes of {} make a left-handed system: as a stack of slices it is a mirror"
-    " image of the specimen. Flip one axis where you export it, or the sheet will lie on its image"
-    " like its own reflection."
-)
+NIFTI_AXES = ("x", "y", "z", "t", "u", "v", "w")  # as the standard calls them, fastest first
 
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
@@ -33,17 +38,12 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 
 
 def _header_of(
-    path: Path,
-    extents: tuple[int, ...],
-    axes: tuple[int, ...],
-    dtype: np.dtype[Any],
-    offset: int,
-    stated: Stated,
+    path: Path, axes: StoredAxes, dtype: np.dtype[Any], offset: int, stated: list[Stated]
 ) -> Header:
     """Header of values that begin at a byte of a file, which may be packed as a whole."""
-    packing, shape = packing_of(path), tuple(extents[axis] for axis in axes)
+    packing = packing_of(path)
     offset, skip_bytes = (0, offset) if packing else (offset, 0)
-    return Header(path, path, shape, dtype, offset, [stated], packing, skip_bytes)
+    return Header(path, path, axes, dtype, offset, stated, packing, skip_bytes)
 
 
 def _load_nifti(path: Path) -> LoadedVolume:
@@ -56,24 +56,36 @@ def _load_nifti(path: Path) -> LoadedVolume:
         unit_name = str(fields.get_xyzt_units()[0])
         unit = {"meter": "m", "micron": "um", "unknown": ""}.get(unit_name, unit_name)
         voxel_lengths = [float(v) for v in fields.get_zooms()]
-        # Without a code no affine was written, and nibabel would make one up.
-        has_affine = any(int(fields[name]) > 0 for name in ("sform_code", "qform_code"))
-        is_mirrored = has_affine and bool(np.linalg.det(fields.get_best_affine()[:3, :3]) < 0)
+        affines = _affines(fields)
     if min(extents, default=0) < 0 or offset < header_bytes:
         raise damaged(path, f"its sizes are {extents}, its values begin at byte {offset}")
-    axes = axes_of(extents, "", path)
-    stated = stated_in("the NIfTI pixdim", voxel_lengths, [unit] * len(extents), axes)
-    header = _header_of(path, extents, axes, dtype, offset, stated)
+    naming = AxisNames("the NIfTI standard", NIFTI_AXES[: len(extents)])
+    axes = axes_of(extents, path, [naming])
+    units = [unit] * len(extents)
+    stated = [stated_in("the NIfTI pixdim", voxel_lengths, units, axes.header_axes)]
+    orientations: list[Orientation] = []
+    for name, affine in affines.items() if axes.header_axes == (2, 1, 0) else ():
+        orientation = Orientation(f"the {name}", affine[:, ::-1].T)
+        orientations.append(orientation)
+        if not orientation.is_flat:
+            lengths = np.linalg.norm(affine, axis=0)
+            stated.append(stated_in(f"the NIfTI {name}", lengths.tolist(), units, (2, 1, 0)))
+    header = _header_of(path, axes, dtype, offset, stated)._replace(orientations=orientations)
     values = values_behind(header)
     if slope is not None and intercept is not None and (slope, intercept) != (1.0, 0.0):
         if not isinstance(values, FileArray):
             values = stored_planes(path, header.shape, dtype, offset=offset)
         scale = partial(_scaled, slope=slope, intercept=intercept)
         values = ViewArray(values, range(3), scale, np.dtype(np.float32))
-    hand_attrs = {"hand": "left, by the affine"} if is_mirrored else {}
-    return header.volume(
-        values, attrs=hand_attrs, notes=[MIRRORED.format(path.name)] if is_mirrored else []
-    )
+    return header.volume(values)
+
+
+def _affines(fields: Any) -> dict[str, NDArray[np.float64]]:
+    """Columns x, y, z of the affines that were written, by their name."""
+    # Without a code none was written, and nibabel would make one up.
+    getters = {"sform": fields.get_sform, "qform": fields.get_qform}
+    written = [name for name in getters if int(fields[f"{name}_code"]) > 0]
+    return {name: np.asarray(getters[name](), np.float64)[:3, :3] for name in written}
 
 
 def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:
@@ -102,6 +114,7 @@ def _scaled(values: NDArray[Any], *, slope: float, intercept: float) -> NDArray[
 
 
 HEADER_BYTES = 1024
+MRC_AXES = {1: "x", 2: "y", 3: "z"}
 # Where it stands in extra2, the next number says whether bytes are signed.
 IMOD_STAMP, IMOD_AT = 1146047817, 40
 
@@ -114,9 +127,12 @@ def _load_mrc(path: Path) -> LoadedVolume:
         raise damaged(
             path, f"its sizes are {extents}, its extended header has {extended_bytes} bytes"
         )
-    axes = axes_of(extents, "", path)
+    letters = tuple(MRC_AXES.get(int(fields[name]), "") for name in ("mapc", "mapr", "maps"))
+    naming = AxisNames("mapc, mapr and maps", letters)
+    axes = axes_of(extents, path, [naming] if any(letters) else [])
     offset, dtype = HEADER_BYTES + extended_bytes, _type_of(fields, path)
-    header = _header_of(path, extents, axes, dtype, offset, _stated(fields, axes))
+    stated = _stated(fields, letters, axes.header_axes)
+    header = _header_of(path, axes, dtype, offset, [stated])
     return header.volume(values_behind(header))
 
 
@@ -157,14 +173,13 @@ def _type_of(fields: Any, path: Path) -> np.dtype[Any]:
     return dtype.newbyteorder(byte_order)
 
 
-def _stated(fields: Any, axes: tuple[int, ...]) -> Stated:
+def _stated(fields: Any, letters: tuple[str, ...], axes: tuple[int, ...]) -> Stated:
     """Size of a voxel: the cell by its intervals.
 
     Its axes may stand in another order than those of the array.
     """
     cell_lengths: list[float | None] = []
-    for name in ("mapc", "mapr", "maps"):
-        axis = {1: "x", 2: "y", 3: "z"}.get(int(fields[name]), "")
+    for axis in letters:
         n_intervals = int(fields[f"m{axis}"]) if axis else 0
         cell_lengths.append(float(fields["cella"][axis]) / n_intervals if n_intervals > 0 else None)
     if all(length in (0.0, 1.0) for length in cell_lengths):

@@ -26,6 +26,7 @@ from planish.core.errors import FileError, InputError, VolumeError
 from planish.core.text import printable
 from planish.io.guard import quiet
 from planish.io.lazy import Values
+from planish.io.orientation import Orientation
 from planish.io.sizes import Stated
 from planish.io.tiff import size_words
 
@@ -187,7 +188,9 @@ class LoadedVolume(NamedTuple):
     files: Sequence[Path]  # all that it is made of
     bits: int = 64  # of a whole number, where the file uses fewer than its type has
     attrs: Mapping[str, Any] = MappingProxyType({})  # further ones of the volume, plain values
-    notes: Sequence[str] = ()  # sentences about what looks wrong in the files
+    doubts: Sequence[str] = ()  # sentences about what looks wrong in the files
+    notes: Sequence[str] = ()  # sentences about what was assumed to read them
+    orientations: Sequence[Orientation] = ()  # as each kind of metadata states it
 
     @property
     def file_bytes(self) -> int:

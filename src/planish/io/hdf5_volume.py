@@ -7,9 +7,8 @@ outside the folder is refused.
 
 import math
 import os
-import re
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -21,8 +20,15 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
+from planish.io.attributes import (
+    names_by_attributes,
+    names_by_indices,
+    sizes_by_attributes,
+    spacing_of,
+    word_of,
+)
+from planish.io.axes import AxisNames, place_axes
 from planish.io.formats import (
-    ADVICE,
     LoadedVolume,
     Place,
     check_chunks,
@@ -32,9 +38,11 @@ from planish.io.formats import (
 )
 from planish.io.guard import reading, size_of_file
 from planish.io.lazy import FileArray, transposed
+from planish.io.orientation import Orientation, orientation_by_steps
 from planish.io.sizes import Stated, stated_in
-from planish.io.tiff import damaged, size_words
+from planish.io.tiff import damaged
 
+MOST_COORDINATES = 10_000_000  # along one axis
 MOST_LINKS = 32  # links that one path may pass; more is a circle
 
 
@@ -181,33 +189,25 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         if not isinstance(dataset, h5py.Dataset):
             volumes = describe_volumes(volumes_in(path), path.name)
             raise VolumeError(f"{path.name}: {place.part!r} is a group. {volumes}")
-        long_axes = [axis for axis, n in enumerate(dataset.shape or ()) if n > 1]
-        if len(long_axes) != 3:
-            extent = size_words(dataset.shape or ()) or "one value"
-            raise VolumeError(f"{path.name}: {name} is no volume but {extent}. {ADVICE}")
-        array, notes = lazy_dataset(dataset, file_path)
+        shape = tuple(int(n) for n in dataset.shape or ())
+        placed = place_axes(shape, _axis_names(dataset), f"{path.name}: {name}")
+        array, doubts = lazy_dataset(dataset, file_path)
         files = [path, file_path, *source_files(dataset, file_path)]
-        axes: list[str] = []  # names that the group or data set gives; none where they do not fit
-        for owner in (dataset.parent, dataset):
-            names = [_word(v) for v in np.ravel(owner.attrs.get("axes", ()))]
-            if len(names) == 1:
-                names = names[0].strip("[]").replace(",", ":").split(":")
-            if not axes and len(names) == len(dataset.shape):
-                axes = [axis_name.strip() for axis_name in names]
-        # As NeXus names them, otherwise as they stand.
-        letters = [axes[axis][:1].casefold() if axes else "" for axis in long_axes]
-        order = (
-            [long_axes[letters.index(a)] for a in "zyx"]
-            if sorted(letters) == ["x", "y", "z"]
-            else long_axes
-        )
-        stated = [*_stated_by_nexus(dataset, axes, order), *_stated_by_attributes(dataset)]
+        stated = [
+            *sizes_by_attributes(dataset.attrs, shape, placed.order),
+            *sizes_by_attributes(dataset.parent.attrs, shape, placed.order),
+        ]
+        by_coordinates, orientation = _along_coordinates(dataset, placed.order)
+        if by_coordinates is not None:
+            stated.insert(0, by_coordinates)
     return LoadedVolume(
-        values=transposed(array, order),
+        values=transposed(array, placed.order),
         stated=stated,
         files=files,
         attrs={"dataset": name},
-        notes=notes,
+        doubts=doubts,
+        notes=placed.notes,
+        orientations=[] if orientation is None else [orientation],
     )
 
 
@@ -255,7 +255,7 @@ def _default_dataset(file: h5py.File, path: Path) -> str | None:
     """Follow ``default`` and ``signal`` from the root; None where the file is no NeXus file."""
     entry = _default_group(file, "NXentry")
     definition = _child(entry, "definition")
-    if isinstance(definition, h5py.Dataset) and _word(definition[()]) == "NXtomo":
+    if isinstance(definition, h5py.Dataset) and word_of(definition[()]) == "NXtomo":
         raise VolumeError(
             f"{path.name} holds raw projections (NXtomo). Give the reconstructed volume"
             " (NXtomoproc)."
@@ -292,76 +292,85 @@ def _child(group: Any, name: str) -> Any:
     return group[name] if isinstance(link_of(group, name), h5py.HardLink) else None
 
 
-def _stated_by_nexus(dataset: Any, axis_names: Sequence[str], order: Sequence[int]) -> list[Stated]:
-    """Voxel size from the values along the axes, which have to be evenly spaced."""
-    if not axis_names:
-        return []
-    steps: list[float | None] = [None] * len(dataset.shape)
-    units = [""] * len(dataset.shape)
+def _axis_names(dataset: Any) -> list[AxisNames]:
+    """Names of the axes of a data set by every convention of HDF5."""
+    shape = dataset.shape
+    labels = tuple(str(dimension.label) for dimension in dataset.dims)
+    scales = tuple(_last_word(scale) for scale in _scales(dataset))
+    coordinates = tuple(_attribute(scale, "name") for scale in _emd_scales(dataset))
+    return [
+        AxisNames("the labels of its dimensions", labels),
+        AxisNames("the scales of its dimensions", scales),
+        AxisNames("the EMD dimensions", coordinates),
+        *names_by_attributes(dataset.attrs, shape, is_own=True),
+        *names_by_attributes(dataset.parent.attrs, shape, is_own=False),
+        *names_by_indices(dataset.parent.attrs, shape),
+    ]
+
+
+def _scales(dataset: Any) -> list[Any]:
+    """The first scale attached to each dimension, of the same file; None where there is none."""
+    with suppress(RuntimeError, KeyError, OSError):
+        return [dimension[0] if len(dimension) else None for dimension in dataset.dims]
+    return [None] * len(dataset.shape)
+
+
+def _emd_scales(dataset: Any) -> list[Any]:
+    """The data sets ``dim1``, ``dim2`` … beside the values of an EMD file, as its axes."""
+    members = [_child(dataset.parent, f"dim{axis + 1}") for axis in range(len(dataset.shape))]
+    is_emd = "emd_group_type" in dataset.parent.attrs
+    return members if is_emd else [None] * len(dataset.shape)
+
+
+def _last_word(member: Any) -> str:
+    return "" if member is None else str(member.name).rpartition("/")[2]
+
+
+def _along_coordinates(
+    dataset: Any, order: Sequence[int]
+) -> tuple[Stated | None, Orientation | None]:
+    """Voxel size and hand by the coordinates along the axes, which have to be evenly spaced."""
+    shape = dataset.shape
+    steps: list[float | None] = [None] * len(shape)
+    units = [""] * len(shape)
     notes: list[str] = []
     for axis in order:
-        coordinates: Any = _child(dataset.parent, axis_names[axis])
-        n = dataset.shape[axis]
-        if not isinstance(coordinates, h5py.Dataset) or coordinates.shape != (n,) or n > 10_000_000:
+        coordinates = _coordinates_along(dataset, axis)
+        if coordinates is None:
             continue
-        if coordinates.dtype.kind not in "uif" or coordinates.is_virtual or coordinates.external:
-            continue
-        differences = np.abs(np.diff(np.asarray(coordinates[()], np.float64)))
-        step = float(np.median(differences))
-        # The steps of an axis may differ by 1 %.
-        if (
-            step > 0
-            and np.isfinite(differences).all()
-            and np.all(np.abs(differences - step) <= 0.01 * step)
-        ):
-            steps[axis], units[axis] = step, _attribute(coordinates, "units")
-        else:
-            notes.append(f"{axis_names[axis]} is not evenly spaced")
-    if not notes and steps == [None] * len(steps):
-        return []
-    stated = stated_in("the NeXus axes", steps, units, order)
-    return [stated._replace(note=", ".join(filter(None, [*notes, stated.note])))]
+        steps[axis] = spacing_of(coordinates[()])
+        units[axis] = _attribute(coordinates, "units")
+        if steps[axis] is None:
+            notes.append(f"{_last_word(coordinates)} is not evenly spaced")
+    if not notes and not any(steps):
+        return None, None
+    source = "the spacing of its coordinates"
+    lengths = [None if step is None else abs(step) for step in steps]
+    stated = stated_in(source, lengths, units, order)
+    note = ", ".join(filter(None, [*notes, stated.note]))
+    orientation = orientation_by_steps(source, [steps[axis] for axis in order])
+    return stated._replace(note=note), orientation
 
 
-def _stated_by_attributes(dataset: Any) -> list[Stated]:
-    """Find the voxel size in the attributes of a data set or its group, where a unit is given.
+def _coordinates_along(dataset: Any, axis: int) -> Any:
+    """The coordinates of an axis: a scale of it, or a data set beside it with the axis's name.
 
-    It is one number or z, y, x.
+    None where there are none.
     """
-    stated: list[Stated] = []
-    for owner in (dataset, dataset.parent):
-        keys = {str(key).casefold(): str(key) for key in owner.attrs}
-        for folded_key, key in keys.items():
-            # Names that programs use, with ``_um`` or another unit at the end, or the unit beside.
-            size_name = re.fullmatch(
-                r"(voxel_size|element_size|pixel_size|spacing|resolution|voxel)(_.*)?", folded_key
-            )
-            sizes = np.ravel(owner.attrs[key])
-            if (
-                size_name is None
-                or "unit" in folded_key
-                or sizes.dtype.kind not in "uif"
-                or sizes.size not in (1, 3)
-            ):
-                continue
-            quantity, unit = size_name[1], (size_name[2] or "")[1:]
-            if quantity == "voxel" and unit != "um":
-                continue
-            if not unit:
-                unit_keys = (f"{quantity}_units", f"{quantity}_unit", "units", "unit")
-                unit = _attribute(owner, next((keys[key] for key in unit_keys if key in keys), ""))
-            stated.append(
-                stated_in(f"the attribute {key}", np.broadcast_to(sizes, 3).tolist(), [unit] * 3)
-            )
-    return stated
+    names = [naming.names[axis] for naming in _axis_names(dataset) if naming.names[axis]]
+    members = [_child(dataset.parent, name) for name in names]
+    for member in (_scales(dataset)[axis], _emd_scales(dataset)[axis], *members):
+        # netCDF writes a scale without coordinates for a dimension that has none.
+        if not isinstance(member, h5py.Dataset) or _attribute(member, "NAME").startswith(
+            "This is a netCDF dimension but not"
+        ):
+            continue
+        is_plain = not member.is_virtual and not member.external
+        is_one_row = member.shape == (dataset.shape[axis],) and member.shape[0] < MOST_COORDINATES
+        if is_plain and is_one_row and member.dtype.kind in "uif":
+            return member
+    return None
 
 
 def _attribute(owner: Any, name: str) -> str:
-    return _word(owner.attrs[name]) if name in owner.attrs else ""
-
-
-def _word(raw_value: Any) -> str:
-    """Read a word that may be stored as bytes, or as an array of one."""
-    entries = np.asarray(raw_value).ravel()[:1]
-    word: Any = entries[0] if entries.size else ""
-    return word.decode("utf-8", errors="replace") if isinstance(word, bytes) else str(word)
+    return word_of(owner.attrs[name]) if owner is not None and name in owner.attrs else ""

@@ -6,7 +6,7 @@ They are mapped where they lie as they are, or unpacked at once.
 import bz2
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,11 +16,22 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.memory import PACKED_BYTES, UNPACKED_BYTES
+from planish.io.axes import AxisNames, place_axes
 from planish.io.formats import ADVICE, LoadedVolume
 from planish.io.guard import check_blown_up, head_of, reading, size_of_file
-from planish.io.lazy import Values, WholeArray, mapped
+from planish.io.lazy import Values, WholeArray, mapped, reordered
+from planish.io.orientation import Orientation
 from planish.io.sizes import Stated
 from planish.io.tiff import damaged, size_words
+
+
+class StoredAxes(NamedTuple):
+    """Axes of values behind a header, slowest first, of which those of length 1 are left out."""
+
+    shape: tuple[int, ...]  # of the values as they are stored
+    header_axes: tuple[int, ...]  # numbers in the header of the axes z, y, x
+    order: tuple[int, ...]  # which stored axes are z, y, x
+    notes: tuple[str, ...]
 
 
 class Header(NamedTuple):
@@ -28,21 +39,33 @@ class Header(NamedTuple):
 
     path: Path  # its file
     data: Path  # file with the values
-    shape: tuple[int, ...]  # z, y, x
+    axes: StoredAxes
     stored_dtype: np.dtype[Any]
     offset: int  # byte at which they begin; -1 where they end with the file
     stated: list[Stated]
     packing: str = ""  # or "deflate" or "bzip2"
     skip_bytes: int = 0  # unpacked bytes before the values
+    orientations: Sequence[Orientation] = ()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of the axes as they are stored, slowest first."""
+        return self.axes.shape
 
     @property
     def needed_bytes(self) -> int:
         """Size of the values without compression."""
         return math.prod(self.shape) * self.stored_dtype.itemsize
 
-    def volume(self, values: Values, **more: Any) -> LoadedVolume:
-        """The volume of these values, with further fields."""
-        return LoadedVolume(values=values, stated=self.stated, files=[self.path, self.data], **more)
+    def volume(self, stored_values: Values) -> LoadedVolume:
+        """The volume of these values."""
+        return LoadedVolume(
+            values=reordered(stored_values, self.axes.order),
+            stated=self.stated,
+            files=[self.path, self.data],
+            notes=self.axes.notes,
+            orientations=self.orientations,
+        )
 
 
 def unpacked_head(path: Path, most: int) -> bytes:
@@ -126,15 +149,38 @@ def unpacked_parts(header: Header) -> Iterator[bytes]:
         raise damaged(header.path, f"the packed values in {header.data.name} {amount_text}")
 
 
-def axes_of(extents: tuple[int, ...], contents_text: str, path: Path) -> tuple[int, ...]:
-    """Find the axes z, y, x: the three that are longer than 1, the slowest first."""
+def axes_of(
+    extents: tuple[int, ...],
+    path: Path,
+    namings: Sequence[AxisNames] = (),
+    *,
+    contents_text: str = "",
+) -> StoredAxes:
+    """Find the axes z, y, x of a header, whose extents and names have the fastest axis first.
+
+    Raises
+    ------
+    VolumeError
+        As :func:`planish.io.axes.place_axes`, and where a voxel holds more than a grey value
+        (``contents_text``).
+    """
     long_axes = tuple(axis for axis, n in enumerate(extents) if n > 1)
-    if contents_text or len(long_axes) != 3:
+    is_named = any(naming.names for naming in namings)
+    if contents_text or (len(long_axes) != 3 and not is_named):
         fault_text = f"has {contents_text}" if contents_text else "is no volume"
         raise VolumeError(
             f"{path.name} {fault_text}: {size_words(extents)} (fastest axis first). {ADVICE}"
         )
-    return long_axes[::-1]
+    slowest_first = extents[::-1]
+    stored_namings = [naming._replace(names=naming.names[::-1]) for naming in namings]
+    placed = place_axes(slowest_first, stored_namings, path.name)
+    stored_axes = [axis for axis, n in enumerate(slowest_first) if n > 1]
+    return StoredAxes(
+        shape=tuple(slowest_first[axis] for axis in stored_axes),
+        header_axes=tuple(len(extents) - 1 - axis for axis in placed.order),
+        order=tuple(stored_axes.index(axis) for axis in placed.order),
+        notes=placed.notes,
+    )
 
 
 def _unpacker(packing: str) -> Any:

@@ -7,7 +7,7 @@ Compressed values of a MetaImage that do not fit into the memory are read in par
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
+from planish.io.axes import AxisNames
 from planish.io.formats import LoadedVolume, Place, extra, referenced_file
 from planish.io.guard import head_of, memory_limit, reading, size_of_file
-from planish.io.headed import Header, axes_of, unpacked_parts, values_behind
+from planish.io.headed import Header, StoredAxes, axes_of, unpacked_parts, values_behind
 from planish.io.lazy import FileArray, Values
+from planish.io.orientation import ANATOMICAL, Orientation, orientation_by_words
 from planish.io.other_files import RAW_DESCRIPTIONS, partner
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
@@ -42,6 +44,22 @@ TYPES = {
     ),
     "float32": "float, MET_FLOAT",
     "float64": "double, MET_DOUBLE",
+}
+SPATIAL_KINDS = ("domain", "space", "???", "none", "")
+# Short names of spaces in NRRD files.
+SPACES = {
+    "ras": "right-anterior-superior",
+    "las": "left-anterior-superior",
+    "lps": "left-posterior-superior",
+}
+# Letters of AnatomicalOrientation, which say where an axis comes from, and where it leads.
+META_LETTERS = {
+    "R": "left",
+    "L": "right",
+    "A": "posterior",
+    "P": "anterior",
+    "I": "superior",
+    "S": "inferior",
 }
 PACKINGS = {"raw": "", "gzip": "deflate", "gz": "deflate", "bzip2": "bzip2", "bz2": "bzip2"}
 
@@ -111,15 +129,13 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
         raise damaged(
             path, f"its sizes are {fields.get('sizes')}, its dimension is {fields.get('dimension')}"
         )
-    spatial = ("domain", "space", "???", "none", "")
     sample_texts = [
         f"{n} of kind {kind!r}"
         for n, kind in zip(extents, kinds, strict=True)
-        if n > 1 and kind not in spatial
+        if n > 1 and kind not in (*SPATIAL_KINDS, "time")
     ]
-    axes = axes_of(
-        extents, f"{' and '.join(sample_texts)} in each voxel" if sample_texts else "", path
-    )
+    contents_text = f"{' and '.join(sample_texts)} in each voxel" if sample_texts else ""
+    axes = axes_of(extents, path, _names_by_nrrd(fields, kinds), contents_text=contents_text)
     dtype, endian = _type_of(str(fields.get("type", "")).strip(), path), fields.get("endian")
     if dtype.itemsize > 1 and endian not in ("little", "big"):
         raise damaged(path, "its header does not state the byte order (endian)")
@@ -136,15 +152,41 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     return Header(
         path=path,
         data=path if data_name is None else _data_file(str(data_name), path),
-        shape=tuple(extents[axis] for axis in axes),
+        axes=axes,
         stored_dtype=dtype.newbyteorder(">" if endian == "big" else "<"),
         offset=-1 if byte_skip == -1 else byte_skip + (header_bytes if data_name is None else 0),
         packing=PACKINGS[encoding],
-        stated=_stated_by_nrrd(fields, axes),
+        stated=_stated_by_nrrd(fields, axes.header_axes),
+        orientations=_oriented_by_nrrd(fields, axes.header_axes),
     )
 
 
-def _stated_by_nrrd(fields: Mapping[str, Any], axes: tuple[int, ...]) -> list[Stated]:
+def _names_by_nrrd(fields: Mapping[str, Any], kinds: Sequence[str]) -> list[AxisNames]:
+    """Names of the axes by their labels, and by the kind of an axis of time; fastest axis first."""
+    kind_names = tuple("time" if kind == "time" else "" for kind in kinds)
+    labels = tuple(str(label) for label in fields.get("labels") or [""] * len(kinds))
+    namings = [AxisNames("its kinds", kind_names), AxisNames("its labels", labels)]
+    return [naming for naming in namings if len(naming.names) == len(kinds) and any(naming.names)]
+
+
+def _oriented_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Orientation]:
+    """Where the axes run by the space directions, in a right-handed space."""
+    space = str(fields.get("space", "")).strip().casefold()
+    directions = fields.get("space directions")
+    rows = [None if directions is None else directions[axis] for axis in axes]
+    if any(row is None or len(row) != 3 or not np.isfinite(row).all() for row in rows):
+        return []
+    words = SPACES.get(space, space).split("-")
+    basis = np.eye(3)
+    if all(word in ANATOMICAL for word in words[:3]) and len(words) >= 3:
+        basis = np.array([ANATOMICAL[word] for word in words[:3]])
+    elif space == "3d-left-handed":
+        basis = np.diag([1.0, 1.0, -1.0])
+    source = f"the NRRD space directions ({space or 'no space written; a right-handed one'})"
+    return [Orientation(source, np.array(rows, np.float64) @ basis)]
+
+
+def _stated_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Stated]:
     """Voxel size along z, y, x: the lengths of the space directions, and the spacings."""
     stated: list[Stated] = []
     directions, spacings = fields.get("space directions"), fields.get("spacings")
@@ -201,7 +243,8 @@ def _meta_header(head: bytes, path: Path) -> Header:  # noqa: C901
         )
     extents = tuple(int(word) for word in words)
     channels = fields.get("elementnumberofchannels", "1")
-    axes = axes_of(extents, f"{channels} channels" if channels != "1" else "", path)
+    contents_text = f"{channels} channels" if channels != "1" else ""
+    axes = axes_of(extents, path, contents_text=contents_text)
     dtype = _type_of(fields.get("elementtype", ""), path)
     if not switched("binarydata", "True"):
         raise FileError(f"{path.name} has its values written as text. Save it with binary values.")
@@ -224,18 +267,50 @@ def _meta_header(head: bytes, path: Path) -> Header:  # noqa: C901
             with reading(path):
                 stated.append(
                     stated_in(
-                        source, [float(w) for w in words], [unit or "mm"] * len(extents), axes
+                        source,
+                        [float(w) for w in words],
+                        [unit or "mm"] * len(extents),
+                        axes.header_axes,
                     )
                 )
     return Header(
         path=path,
         data=path if is_local else _data_file(data_name, path),
-        shape=tuple(extents[axis] for axis in axes),
+        axes=axes,
         stored_dtype=dtype.newbyteorder(">" if is_big_endian else "<"),
         offset=offset,
         packing="deflate" if is_packed else "",
         stated=stated,
+        orientations=_oriented_by_meta(fields, axes.header_axes, path),
     )
+
+
+def _oriented_by_meta(
+    fields: Mapping[str, str], axes: Sequence[int], path: Path
+) -> list[Orientation]:
+    """Where the axes run by the matrix of a MetaImage, or by its letters where it has none."""
+    for key in ("TransformMatrix", "Rotation", "Orientation"):
+        words = fields.get(key.casefold(), "").split()
+        n = round(len(words) ** 0.5)
+        if not words:
+            continue
+        with reading(path):
+            matrix = np.array([float(word) for word in words])
+        if n * n != len(words) or n <= max(axes) or not np.isfinite(matrix).all():
+            raise damaged(path, f"its {key} is {' '.join(words)[:60]!r}")
+        # A row for each axis of the file: where it runs in space.
+        rows = matrix.reshape(n, n)[list(axes)]
+        across = [k for k in range(n) if n == 3 or np.any(rows[:, k] != 0)][:3]
+        directions = rows[:, across]
+        return [Orientation(f"the {key}", directions)] if directions.shape == (3, 3) else []
+    letters = fields.get("anatomicalorientation", "").strip().upper()
+    words_by_axis = [META_LETTERS.get(letter, "") for letter in letters]
+    if len(letters) <= max(axes):
+        return []
+    found = orientation_by_words(
+        f"the AnatomicalOrientation {letters}", [words_by_axis[axis] for axis in axes]
+    )
+    return [] if found is None else [found]
 
 
 def _read_meta(path: Path, where: Where) -> NDArray[Any]:
@@ -318,10 +393,12 @@ def _raw_header(path: Path) -> Header:
     if faults:
         raise FileError(f"{header_file.name}: {'; '.join(faults)}. Correct the header, {EXAMPLE}.")
     stated_um = tuple(None if v is None else float(v) for v in voxel_sizes)
+    n_z, n_y, n_x = (int(n) for n in shape or ())
+    order = (0, 1, 2)
     return Header(
         path=header_file,
         data=data_file,
-        shape=tuple(int(n) for n in shape or ()),
+        axes=StoredAxes((n_z, n_y, n_x), order, order, ()),
         offset=int(offset),
         stored_dtype=np.dtype(str(dtype)).newbyteorder(">" if byte_order == "big" else "<"),
         stated=[

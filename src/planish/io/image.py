@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from planish.core.facts import SIDES, Side
 from planish.core.typing import Pair
 from planish.io.formats import COLOURS, LUMINANCE, full_scale
 from planish.io.guard import check_memory, size_of_file
+from planish.io.orientation import orientation_attrs, tag_orientation
 from planish.io.picture import DecodedPicture, load_picture
 from planish.io.sizes import PIXEL, Stated, agreed_size
 
@@ -59,7 +60,8 @@ def read_image(
         Coordinates in um, pixel i has its centre at i × size. Attributes: ``units``, ``long_name``,
         ``pixel_um`` (y, x), ``pixel_um_source``, ``channel``, ``stored_dtype``, ``full_scale``
         (largest value the file can store, None for floating point), ``orientation`` (the tag),
-        ``file_name``, ``file_bytes``, and ``side`` if given.
+        ``hand`` or ``turned`` where it mirrors or turns the image, ``file_name``, ``file_bytes``,
+        and ``side`` if given.
 
     Raises
     ------
@@ -105,10 +107,17 @@ def read_image(
         "full_scale": full_scale(picture.values.dtype, picture.bits),
         "stored_dtype": str(picture.values.dtype),
         "orientation": picture.orientation,
+        **picture_attrs(picture.orientation),
         "file_name": path.name,
         "file_bytes": size_of_file(path),
     } | ({} if side is None else {"side": side})
     return labelled(values, PIXEL.axes, size, name="image", attrs=attrs)
+
+
+def picture_attrs(tag: int) -> Mapping[str, str]:
+    """Attributes of an image about its hand, by its orientation tag."""
+    orientation = tag_orientation(tag)
+    return orientation_attrs([] if orientation is None else [orientation])
 
 
 def across(stated: Sequence[Stated]) -> list[Stated]:

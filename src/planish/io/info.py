@@ -25,26 +25,23 @@ from planish.core.typing import Pair
 from planish.io.formats import (
     TIFF,
     Place,
-    check_channel,
     find_place,
     format_of,
     full_scale,
-    loader,
 )
 from planish.io.guard import size_of_file
-from planish.io.image import across, pick_channel
+from planish.io.image import across, pick_channel, picture_attrs
 from planish.io.inspection import declared_facts, inspect_values
 from planish.io.lazy import FileArray, Values, unmapped
+from planish.io.orientation import image_sentence, volume_sentence
 from planish.io.other_files import check_contents
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import SectionStack, is_section_folder, open_sections
-from planish.io.sizes import PIXEL, VOXEL, agreed_size
+from planish.io.sizes import PIXEL, USUAL_VOXEL_UM, VOXEL, agreed_size
 from planish.io.tiff import open_series
-from planish.io.volume import load_volume
+from planish.io.volume import load_volume, open_volume
 
-# Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet
-# is blurred.
-USUAL_VOXEL_UM = (0.3, 20.0)
+SENTENCES = ("doubts", "notes")  # attributes of a volume that are said on their own
 # Finds the size and its source, or raises SizeError.
 Agreed = Callable[..., tuple[tuple[float, ...], str]]
 ValueFacts = Callable[[Values, int | None, tuple[str, ...], bool], dict[str, Any]]
@@ -165,9 +162,10 @@ def _describe_volume(
         )
     is_read = loaded is not None
     # Of what does not fit into the memory, the values are not read.
-    loaded = loaded or loader(format_of(place))(place, check_channel(channel), None)
+    loaded = loaded or open_volume(place, channel=channel)
     grey_values, file_format = unmapped(loaded.values), format_of(place)
-    warnings += loaded.notes
+    warnings += loaded.attrs.get("doubts", [])
+    warnings += filter(None, [volume_sentence(loaded.attrs)])
     facts = value_facts(
         grey_values, full_scale(grey_values.dtype, loaded.bits), VOXEL.axes, is_read
     )
@@ -205,7 +203,8 @@ def _describe_volume(
         "run_bytes": PROGRAM_BYTES + max(bytes_to_map(n_columns), bytes_to_hold(whole_bytes)),
         "run_seconds": map_seconds(n_columns),
         "through": likely_through(grey_values) if is_read else None,
-        "metadata": dict(loaded.attrs),
+        "notes": loaded.attrs.get("notes", []),
+        "metadata": {k: v for k, v in loaded.attrs.items() if k not in SENTENCES},
     }
 
 
@@ -263,11 +262,7 @@ def _describe_image(
         channel_values, _ = pick_channel(picture, "0", file_name=path.name)
     if kind_of(path) == "jpeg":
         warnings.append("JPEG loses detail and adds block edges. Use TIFF or PNG if there is one.")
-    if picture.orientation != 1:
-        warnings.append(
-            f"An orientation tag ({picture.orientation}) asks viewers to turn the image; planish"
-            " does not."
-        )
+    warnings += filter(None, [image_sentence(picture_attrs(picture.orientation))])
     shown_values = channel_values if is_read else full_values
     facts = value_facts(
         shown_values, full_scale(full_values.dtype, picture.bits), PIXEL.axes, is_read

@@ -6,7 +6,7 @@ A few decoded slices stay.
 import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -184,6 +184,17 @@ class WholeArray(FileArray):
         """Decode everything and take a part."""
         return self.decode()[where]
 
+    def in_order(self, order: Sequence[int]) -> "WholeArray":
+        """The same with its axes in another order."""
+        if tuple(order) == tuple(range(self.ndim)):
+            return self
+        shape = tuple(self.shape[axis] for axis in order)
+        return WholeArray(self.path, shape, self.dtype, partial(_turned, self.decode, tuple(order)))
+
+
+def _turned(decode: Callable[[], NDArray[Any]], order: Sequence[int]) -> NDArray[Any]:
+    return decode().transpose(order)
+
 
 class ViewArray(FileArray):
     """An array with its axes in another order.
@@ -220,6 +231,15 @@ class ViewArray(FileArray):
 def transposed(inner: FileArray, order: Sequence[int]) -> FileArray:
     """Return the array itself where the order is its own."""
     return inner if tuple(order) == tuple(range(inner.ndim)) else ViewArray(inner, order)
+
+
+def reordered(values: Values, order: Sequence[int]) -> Values:
+    """Values with their axes in another order, wherever they lie."""
+    if isinstance(values, WholeArray):
+        return values.in_order(order)
+    if isinstance(values, FileArray):
+        return transposed(values, order)
+    return values.transpose(order)
 
 
 def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:

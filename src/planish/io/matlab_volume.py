@@ -54,12 +54,12 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
             " real numbers."
         )
     row_axis, column_axis, slice_axis = (axis for axis, n in enumerate(variable.shape) if n > 1)
-    axis_order, notes = (slice_axis, row_axis, column_axis), ()
+    axis_order, doubts = (slice_axis, row_axis, column_axis), ()
     if matlab.is_new(first_bytes):
         from planish.io.hdf5_volume import lazy_dataset, opened
 
         with opened(path) as file:
-            array, notes = lazy_dataset(file[variable.name], path)
+            array, doubts = lazy_dataset(file[variable.name], path)
         values = transposed(array, [len(variable.shape) - 1 - axis for axis in axis_order])
     else:
         dtype = matlab.NUMBERS[variable.kind]
@@ -70,7 +70,11 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         values = WholeArray(path, shape, dtype, partial(_decoded, path, variable))
     stated = stated_in("the variable voxel_um", sizes, ["um"] * 3)
     return LoadedVolume(
-        values=values, stated=[stated], files=[path], attrs={"variable": variable.name}, notes=notes
+        values=values,
+        stated=[stated],
+        files=[path],
+        attrs={"variable": variable.name},
+        doubts=doubts,
     )
 
 

@@ -20,6 +20,7 @@ from planish.core.tables import CsvTable, parse_table, read_text
 from planish.core.typing import Floats, Pair
 from planish.io.formats import check_channel, colour_attrs, full_scale, is_slice_name
 from planish.io.guard import size_of_file
+from planish.io.image import picture_attrs
 from planish.io.lazy import Values
 from planish.io.picture import DecodedPicture
 from planish.io.sizes import VOXEL, Stated, agreed_size, size_per_axis
@@ -137,6 +138,7 @@ def read_section_stack(
         "file_bytes": sections.file_bytes,
         "section_kind": sections.kind,
     } | colour_attrs(check_channel(channel), sections.folder, in_colour=sections.first.in_colour)
+    attrs |= picture_attrs(sections.first.orientation)
     return sections._replace(attrs=attrs)
 
 

@@ -60,9 +60,30 @@ class Asked(NamedTuple):
         return and_join(f"{s.source} states {self.in_words(s.um)}" for s in stated)
 
 
+# Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet
+# is blurred.
+USUAL_VOXEL_UM = (0.3, 20.0)
 VOXEL = Asked("voxel", ("z", "y", "x"), "voxel_um", (0.01, 100.0))
 PIXEL = Asked("pixel", ("y", "x"), "pixel_um", (0.01, 500.0))
 """What is asked of the size of a pixel: axes, word of a call, and what is usual."""
+
+
+def bare_unit(lengths: Sequence[float]) -> str:
+    """Unit of lengths that are written without one: m or mm, or empty where it is not clear.
+
+    It is the one in which all are voxels of a scan of paper; as micrometres they would lie below
+    any microscope.
+
+    >>> bare_unit([3e-6]), bare_unit([0.003]), bare_unit([3.0])
+    ('m', 'mm', '')
+    """
+    least_um, most_um = USUAL_VOXEL_UM
+    if not lengths or max(lengths) >= VOXEL.usual_um[0]:
+        return ""
+    for unit, unit_length in (("m", 1e6), ("mm", 1e3)):
+        if all(least_um <= length * unit_length <= most_um for length in lengths):
+            return unit
+    return ""
 
 
 def stated_in(

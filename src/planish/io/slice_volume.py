@@ -18,6 +18,7 @@ from planish.core.threads import map_threads
 from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.lazy import PagedArray, StoredArray, Values, supported_type, widened
+from planish.io.orientation import tag_orientation
 from planish.io.picture import ADVICE, PLUGINS, DecodedPicture, kind_of, load_picture
 from planish.io.scan_log import check_extent, read_scan, slices_of_scan
 from planish.io.slice_names import list_slices
@@ -37,8 +38,15 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
         window_attrs = {} if scan.window is None else {"attenuation_window": list(scan.window)}
         attrs |= {"nrecon": scan.details} | window_attrs
         stated = (*scan.stated, *stated)
+    orientation = tag_orientation(first.orientation)
     return LoadedVolume(
-        values=values, stated=stated, files=files, bits=first.bits, attrs=attrs, notes=notes
+        values=values,
+        stated=stated,
+        files=files,
+        bits=first.bits,
+        attrs=attrs,
+        notes=notes,
+        orientations=[] if orientation is None else [orientation],
     )
 
 
@@ -153,13 +161,17 @@ def _slice_header(file: Path) -> SliceHeader:
     if format_name != "tiff":
         with reading(file), file.open("rb") as stream:
             image = PLUGINS[format_name](stream)
-            key = (format_name, image.size, image.mode, image.info.get("dpi"))
+            # Pillow decodes a PNG to look for the tag behind its pixels.
+            orientation = image.getexif().get(274, 1) if format_name == "jpeg" else 1
+            key = (format_name, image.size, image.mode, image.info.get("dpi"), orientation)
             return SliceHeader(key, np.dtype(np.uint8))
     with open_series(file, error=FileError, advice=ADVICE) as (tif, series), reading(file):
         page = series.keyframe
         resolution = tuple(page.tags.valueof(code) for code in (282, 283, 296))
+        orientation = page.tags.valueof(274, default=1)
         page_facts = (page.photometric, page.bitspersample, page.compression, resolution)
-        key = (format_name, series.shape, series.axes, str(series.dtype), *page_facts)
+        shape_facts = (series.shape, series.axes, str(series.dtype))
+        key = (format_name, *shape_facts, *page_facts, orientation)
         dtype = series.dtype.newbyteorder(tif.byteorder)
         if page.photometric != PHOTOMETRIC.MINISBLACK:
             return SliceHeader(key, dtype)
@@ -204,6 +216,12 @@ def _check_same(
                 f"{file.name} {verb} {a}, {first_file.name} {verb} {b}. All slices need the same"
                 f" {feature}: export them again or remove the odd one."
             )
+    if picture.orientation != first.orientation:
+        raise VolumeError(
+            f"{file.name} has the orientation tag {picture.orientation}, {first_file.name}"
+            f" {first.orientation}. All slices need the same: export them again or remove the odd"
+            " one."
+        )
     for stated, first_stated in zip(picture.stated, first.stated, strict=False):
         for a, b in zip(stated.um, first_stated.um, strict=True):
             if a is not None and b is not None and not agree(a, b):

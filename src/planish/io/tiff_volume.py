@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError, VolumeError
+from planish.io.axes import LEAST_SLICES, slices_note
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.lazy import (
@@ -26,6 +27,7 @@ from planish.io.lazy import (
     mapped,
     stored_planes,
 )
+from planish.io.orientation import tag_orientation
 from planish.io.picture import kind_of
 from planish.io.sizes import stated_by_tiff
 from planish.io.tiff import (
@@ -54,8 +56,9 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
             f"{path.name} is one {kind.upper()} picture. Give a TIFF stack or a folder of slices."
         )
     with open_series(path, error=VolumeError, advice=ADVICE) as (tif, series):
-        axes = _volume_axes(series, path)
+        axes, notes = _volume_axes(series, path)
         page = series.keyframe
+        orientation = tag_orientation(page.tags.valueof(274, default=1))
         check_type(series.dtype, path)
         if page.photometric == PHOTOMETRIC.PALETTE and not tif.is_imagej:
             # A palette may only spread grey values over the range, in order.
@@ -75,7 +78,8 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
             stated=stated_by_tiff(tif, page, path),
             files=[path],
             bits=int(page.bitspersample),
-            notes=notes_on_reading(tif, page, path),
+            notes=(*notes, *notes_on_reading(tif, page, path)),
+            orientations=[] if orientation is None else [orientation],
         )
 
 
@@ -128,8 +132,8 @@ def _is_joined(page: TiffPage | TiffFrame) -> bool:
     return all(end == start for end, start in zip(segment_ends, page.dataoffsets[1:], strict=False))
 
 
-def _volume_axes(series: TiffPageSeries, path: Path) -> str:
-    """Return the axes of a stack that are longer than 1.
+def _volume_axes(series: TiffPageSeries, path: Path) -> tuple[str, tuple[str, ...]]:
+    """Return the axes of a stack that are longer than 1, and what was assumed of them.
 
     Slices, y and x, and the samples of a stack in colour.
     """
@@ -144,11 +148,12 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> str:
         and grey_axes[1:] == "YX"
         and (axes == grey_axes or is_rgb)
     ):
-        return axes
-    # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels,
-    # so these are slices.
-    if axes == "CYX" and axis_lengths["C"] >= 16:
-        return axes
+        return axes, ()
+    # Programs file a stack of unnamed pages as channels or time points.
+    is_like_slices = grey_axes[:1] == "T" or axis_lengths.get("C", 0) >= LEAST_SLICES
+    if grey_axes in ("TYX", "CYX") and is_like_slices and (axes == grey_axes or is_rgb):
+        letter = grey_axes[0].casefold()
+        return axes, (slices_note(axis_lengths[grey_axes[0]], letter),)
     if further_axes := {a: n for a, n in axis_lengths.items() if n > 1 and a in MEANINGS}:
         content_text = " and ".join(f"{n} {MEANINGS[a]}" for a, n in further_axes.items())
         hint_text = (

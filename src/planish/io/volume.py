@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from planish.core.errors import VolumeError
 from planish.core.frame import Axis, End, Frame
@@ -20,6 +20,7 @@ from planish.io.formats import (
     loader,
 )
 from planish.io.lazy import read_if_small
+from planish.io.orientation import orientation_attrs, orientation_notes
 from planish.io.other_files import check_contents
 from planish.io.sizes import VOXEL, agreed_size
 from planish.io.tiff import damaged, size_words
@@ -122,6 +123,19 @@ def read_volume(
     return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs)
 
 
+def open_volume(
+    place: Place, *, channel: str | None = None, memory_bytes: int | None = None
+) -> LoadedVolume:
+    """Open a volume, with what its file says about its hand and what was assumed as attributes."""
+    loaded = loader(format_of(place))(place, check_channel(channel), memory_bytes)
+    notes = [*loaded.notes, *orientation_notes(loaded.orientations)]
+    said: dict[str, Any] = {"doubts": [*loaded.doubts], "notes": notes}
+    attrs = {key: sentences for key, sentences in said.items() if sentences}
+    return loaded._replace(
+        attrs={**loaded.attrs, **orientation_attrs(loaded.orientations), **attrs}
+    )
+
+
 def load_volume(
     place: Place, *, channel: str | None = None, memory_bytes: int | None = None
 ) -> LoadedVolume:
@@ -130,7 +144,7 @@ def load_volume(
     Errors as those of :func:`read_volume`.
     """
     check_contents(place)
-    path, loaded = place.path, loader(format_of(place))(place, check_channel(channel), memory_bytes)
+    path, loaded = place.path, open_volume(place, channel=channel, memory_bytes=memory_bytes)
     shape = loaded.values.shape
     if 0 in shape or math.prod(shape) > 2**50:  # No scan has more; a larger number is damage.
         raise damaged(path, f"it declares {size_words(shape)} voxels, which no volume has")

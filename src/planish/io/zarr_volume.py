@@ -1,12 +1,13 @@
 """OME-Zarr volumes (0.4 on zarr v2, 0.5 on zarr v3), and plain zarr arrays with three axes."""
 
 import math
+import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import zarr
@@ -15,13 +16,16 @@ from zarr.storage import LocalStore
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
+from planish.io.attributes import names_by_attributes, sizes_by_attributes, spacing_of, word_of
+from planish.io.axes import AxisNames, letter_of, place_axes
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_type
 from planish.io.guard import reading
 from planish.io.hashes import missing_shards
 from planish.io.lazy import FileArray, transposed
+from planish.io.orientation import Orientation, orientation_by_steps, orientation_by_words
 from planish.io.shards import is_plain, read_plain
 from planish.io.sizes import Stated, stated_in
-from planish.io.tiff import damaged, size_words
+from planish.io.tiff import damaged
 
 # Files of a zarr store that are no chunks.
 METADATA = frozenset({"zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata"})
@@ -42,7 +46,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
             f"{path.name}: {name or 'the store'} is no array. Choose one as {path.name}:NAME."
         )
     shape = tuple(int(n) for n in array.shape)
-    units, order = _axes(multiscale, shape, path)
+    named = _named_axes(multiscale, array, path)
+    placed = place_axes(shape, named.namings, path.name, channel_labels=_channel_labels(multiscale))
     # A store that planish wrote lists its shards, also those that hold one constant.
     if lost := [shard for shard in missing_shards(path) if shard.startswith(f"{name}/")]:
         raise FileError(
@@ -52,7 +57,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     files = [file for file in (path / name).rglob("*") if file.is_file()]
     with reading(path):
         chunk = tuple(int(n) for n in array.shards or array.chunks)
-        notes = check_chunks(_stored_chunks(path / name, files), shape, chunk, name=path.name)
+        doubts = check_chunks(_stored_chunks(path / name, files), shape, chunk, name=path.name)
         check_type(np.dtype(array.dtype), path)
         lazy = FileArray(
             path,
@@ -63,7 +68,13 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         lazy.chunks = tuple(int(n) for n in array.chunks)
         lazy.piece_bytes = math.prod(lazy.chunks) * lazy.dtype.itemsize
     stated: list[Stated] = []
-    if multiscale is not None:
+    orientations = list[Orientation]()
+    if multiscale is None:
+        stated = sizes_by_attributes(array.attrs, shape, placed.order)
+        by_coordinates, by_steps = _along_coordinates(path, name, named, placed.order, shape)
+        stated += [] if by_coordinates is None else [by_coordinates]
+        orientations += [] if by_steps is None else [by_steps]
+    else:
         # The scale transformations of the level and of the whole image.
         scale = _scale_of(multiscale["datasets"][level], len(shape))
         image_scale = _scale_of(multiscale, len(shape)) or [1.0] * len(shape)
@@ -74,13 +85,19 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         ]
         if scale is not None:
             voxel = [a * b for a, b in zip(scale, image_scale, strict=True)]
-            stated = [stated_in("the OME-Zarr scale", voxel, units, order)]
+            stated = [stated_in("the OME-Zarr scale", voxel, named.units, placed.order)]
+        by_words = orientation_by_words(
+            "the OME-Zarr axes", [named.directions[axis] for axis in placed.order]
+        )
+        orientations += [] if by_words is None else [by_words]
     return LoadedVolume(
-        values=transposed(lazy, order),
+        values=transposed(lazy, placed.order),
         stated=stated,
         files=files,
         attrs={"dataset": name or "/"},
-        notes=notes,
+        doubts=doubts,
+        notes=placed.notes,
+        orientations=orientations,
     )
 
 
@@ -163,8 +180,9 @@ def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
         )
     if "bioformats2raw.layout" in keys:
         members = [member for member in members if member != "OME"]  # which holds no image
-    if len(members) == 1:
-        return _find_level(path, f"{name}/{members[0]}".strip("/"))
+    volumes = [member for member in members if _is_volume(path, f"{name}/{member}".strip("/"))]
+    if len(members) == 1 or len(volumes) == 1:
+        return _find_level(path, f"{name}/{(volumes or members)[0]}".strip("/"))
     example = (
         f" Choose one as {path.name}:{members[0]}." if members else " Export it again as OME-Zarr."
     )
@@ -172,6 +190,12 @@ def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
     raise VolumeError(
         f"{path.name} has no multiscale image at {node_text}; it holds {members_text}.{example}"
     )
+
+
+def _is_volume(path: Path, name: str) -> bool:
+    """True if a member of a group is an array with three axes longer than 1."""
+    node = _open_node(path, name)
+    return isinstance(node, zarr.Array) and sum(n > 1 for n in node.shape) == 3
 
 
 def _ome_keys(group: Any, path: Path) -> Keys:
@@ -199,35 +223,84 @@ def _multiscale_of(group: Any, path: Path) -> Keys | None:
     return {**image, "omero": ome.get("omero")}
 
 
-def _axes(
-    multiscale: Keys | None, shape: tuple[int, ...], path: Path
-) -> tuple[list[str], list[int]]:
-    """Units of the axes, and which of them are z, y and x; all others have to be of length 1."""
-    image_keys = multiscale or {}
-    axes: Any = image_keys.get("axes")
-    if axes is None:
-        axes = "tczyx"[5 - len(shape) :] if len(shape) <= 5 else "?" * len(shape)
-    axis_entries = axes if isinstance(axes, (list, str)) else []
-    axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in axis_entries]
-    if len(axes) != len(shape):
-        raise damaged(path, f"it names {len(axes)} axes, its array has {len(shape)}")
-    names = [str(axis.get("name", "")).casefold() for axis in axes]
-    shape_words = f"{size_words(shape)} ({', '.join(names)}). {ADVICE}"
-    for name, n in zip(names, shape, strict=True):
-        if name not in ("z", "y", "x") and n > 1:
-            content_text = {"c": "channels", "t": "time points"}.get(name, f"places along {name!r}")
-            omero: Any = image_keys.get("omero") if name == "c" else None
-            channels: Any = omero.get("channels") if isinstance(omero, dict) else None
-            labels = ", ".join(str(c.get("label")) for c in channels or () if isinstance(c, dict))
-            raise VolumeError(
-                f"{path.name} has {n} {content_text}{f' ({labels})' if labels else ''}:"
-                f" {shape_words}"
-            )
-    if any(names.count(letter) != 1 for letter in "zyx"):
-        raise VolumeError(
-            f"{path.name} is no volume: its axes are {', '.join(names)}: {shape_words}"
-        )
-    return [str(axis.get("unit", "")) for axis in axes], [names.index(letter) for letter in "zyx"]
+class NamedAxes(NamedTuple):
+    """What the metadata of an array say about its axes as stored."""
+
+    namings: list[AxisNames]
+    units: list[str]
+    directions: list[str]  # where they run to, in anatomical words; empty where nothing is said
+
+
+def _named_axes(multiscale: Keys | None, array: Any, path: Path) -> NamedAxes:
+    count = len(array.shape)
+    namings: list[AxisNames] = []
+    units, directions = [""] * count, [""] * count
+    if multiscale is not None:
+        # Before version 0.3 the axes had no names, and were these.
+        axes: Any = multiscale.get("axes", "tczyx"[5 - count :] if count <= 5 else None)
+        entries = axes if isinstance(axes, (list, str)) else []
+        axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in entries]
+        if len(axes) != count:
+            raise damaged(path, f"it names {len(axes)} axes, its array has {count}")
+        names = tuple(str(axis.get("name", "")) for axis in axes)
+        namings.append(AxisNames("the OME-Zarr axes", names))
+        units = [str(axis.get("unit", "")) for axis in axes]
+        directions = [_direction_of(axis) for axis in axes]
+    own_names: Any = getattr(array.metadata, "dimension_names", None)
+    if own_names is not None and len(own_names) == count:
+        words = tuple(str(name or "") for name in own_names)
+        namings.append(AxisNames("its dimension names", words))
+    namings += names_by_attributes(array.attrs, array.shape, is_own=True)
+    return NamedAxes(namings, units, directions)
+
+
+def _direction_of(axis: Keys) -> str:
+    """Where an axis runs to, as in ``left-to-right``; empty where nothing is said."""
+    orientation: Any = axis.get("orientation")
+    value = orientation.get("value", "") if isinstance(orientation, dict) else ""
+    return str(value).rpartition("-to-")[2]
+
+
+def _channel_labels(multiscale: Keys | None) -> str:
+    omero: Any = (multiscale or {}).get("omero")
+    channels: Any = omero.get("channels") if isinstance(omero, dict) else None
+    return ", ".join(str(c.get("label")) for c in channels or () if isinstance(c, dict))
+
+
+def _along_coordinates(
+    path: Path, name: str, named: NamedAxes, order: Sequence[int], shape: Sequence[int]
+) -> tuple[Stated | None, Orientation | None]:
+    """Voxel size and hand by arrays of coordinates beside the values, as xarray writes them."""
+    steps: list[float | None] = [None] * len(shape)
+    units = [""] * len(shape)
+    for axis in order:
+        names = [naming.names[axis] for naming in named.namings if letter_of(naming.names[axis])]
+        coordinates = _coordinates(path, name, names[0], shape[axis]) if names else None
+        if coordinates is not None:
+            steps[axis] = spacing_of(np.asarray(coordinates[:]))
+            units[axis] = word_of(coordinates.attrs.get("units", ""))
+    if not any(steps):
+        return None, None
+    source = "the spacing of its coordinates"
+    lengths = [None if step is None else abs(step) for step in steps]
+    stated = stated_in(source, lengths, units, order)
+    return stated, orientation_by_steps(source, [steps[axis] for axis in order])
+
+
+def _coordinates(path: Path, name: str, axis_name: str, count: int) -> Any:
+    """The array of an axis beside another array; None where there is none of its length."""
+    folder = (path / name).parent
+    is_word = re.fullmatch(r"\w+", axis_name) is not None
+    beside = f"{name.rpartition('/')[0]}/{axis_name}".strip("/")
+    if (
+        not name
+        or not is_word
+        or not any((folder / axis_name / file).is_file() for file in METADATA)
+    ):
+        return None
+    node = _open_node(path, beside)
+    is_row = isinstance(node, zarr.Array) and node.shape == (count,)
+    return node if is_row and np.dtype(node.dtype).kind in "uif" else None
 
 
 def _scale_of(owner: Keys, count: int) -> list[float] | None:

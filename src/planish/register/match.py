@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planish.core.errors import CannotRegister, MarkError
+from planish.core.errors import CannotRegister, MarkError, WrongHand
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Ints
 from planish.register.match_choose import BestMatch, choose, self_likeness
@@ -114,7 +114,7 @@ def match_marks(
     mirror_choice = BestMatch() if mirror else choose(source, target, *limits, hands=(True,))
     count, smaller_count = len(choice.pairs), min(len(source), len(target))
     if mirror_choice.log_chance < min(choice.log_chance - 1.0, ACCEPTED):
-        raise CannotRegister(
+        raise WrongHand(
             f"{sides_text}: {count} match, but {len(mirror_choice.pairs)} match if one side is"
             f" mirrored: {_WRONG_SIDE}"
         )
@@ -314,7 +314,7 @@ def _choose_hands(
     }
     best_hands = min(allowed, key=lambda hands: (allowed[hands], hands))
     if min(log_chances.values()) < min(allowed[best_hands], 2 * ACCEPTED) - 1.0:
-        raise CannotRegister(
+        raise WrongHand(
             f"The {names[0]} and the {names[1]} both match the design, but one of them only if it"
             f" is turned over: {_WRONG_SIDE}"
         )

@@ -216,6 +216,11 @@ def _orientation_facts(
         sentences.append(
             f"The marks fit mirrored only: the {moving.name} is numbered against the usual sense."
         )
+    hand_texts = [layer.hand_text for layer in (moving, fixed) if layer.hand_text]
+    if hand_texts:
+        sentences += hand_texts
+        fit_text = "mirrored, which agrees with that" if is_reversed else "as they are stored"
+        sentences.append(f"The layers fit on each other {fit_text}.")
     md_text = "The machine direction lies at"
     if md_fixed_deg is not None:
         given_text = "." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there."

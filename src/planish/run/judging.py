@@ -209,13 +209,23 @@ def _texture_checks(overlay: Overlay, a: str, b: str, texture: TextureFound) -> 
 
     Where two layers lie is judged where one of them is the reference.
     """
-    checks = texture.checks if b == overlay.reference.name else texture.checks[:1]
+    sides = [_with_hand(texture.checks[0], overlay, (a, b))]
+    checks = [*sides, *texture.checks[1:]] if b == overlay.reference.name else sides
     link = next(linked.link for linked in overlay.layers if linked.name == a)
     if link is None or link.path[1].name != b:
-        return checks
+        return tuple(checks)
     registration = link.registration
     if registration.source == "texture":
         return found_by_texture(registration.sentence or "", registration.false_probability)
     if registration.apart_um is not None:
         return checks[0], holes_and_texture(*registration.apart_um)
-    return checks
+    return tuple(checks)
+
+
+def _with_hand(side: Check, overlay: Overlay, names: tuple[str, str]) -> Check:
+    """The check of side and specimen; where it fails, with what the files say of their hand."""
+    if side.state not in ("look", "fail"):
+        return side
+    layers = [linked.layer for linked in overlay.layers if linked.name in names]
+    texts = [side.advice, *(layer.hand_text for layer in layers)]
+    return side.model_copy(update={"advice": " ".join(filter(None, texts))})

@@ -38,7 +38,7 @@ class MappedLayer:
     unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
     by_this_code: bool = True  # not of a sheet that was read from a run of other code
     facts: SheetFacts | None = None  # of a sheet
-    checks: tuple[Check, ...] = ()  # of a sheet and its volume
+    checks: tuple[Check, ...] = ()  # of a sheet and its volume, or of the file of an image
     side_found: Side | None = None  # that an image shows, by its texture, where none was given
 
     @property
@@ -63,6 +63,15 @@ class MappedLayer:
     def grid(self) -> Grid:
         """Its own pixels: of the image, or of the flat maps."""
         return Grid.of(self.groups["maps"] if self.image is None else self.image)
+
+    @property
+    def hand_text(self) -> str:
+        """What its file says of its hand, where it makes it a mirror image; empty otherwise."""
+        return " ".join(
+            check.sentence
+            for check in self.checks
+            if check.name.startswith("hand of") and check.state == "look"
+        )
 
     @property
     def side_given(self) -> Side | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from planish.analyze.image_values import compared_image
+from planish.checks import ImageFile, run_checks
 from planish.io import read_image
 from planish.marks.regions import Regions
 from planish.run.compute import Progress
@@ -74,6 +75,7 @@ def _read_image(params: GivenLayer) -> MappedLayer:
     image = read_image(params.path, **params.image.how)
     pixel_um = tuple(float(v) for v in image.attrs["pixel_um"])
     return MappedLayer(
+        checks=tuple(run_checks(ImageFile(image=image))),
         params=changed(params, image={"pixel_um": pixel_um}),
         source=input_file(image, params.path),
         image=image,

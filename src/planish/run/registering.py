@@ -7,6 +7,7 @@ The sheets themselves are never registered in space; their flat maps are (Hirn e
 from collections.abc import Sequence
 from dataclasses import replace
 
+from planish.core.errors import WrongHand
 from planish.register import Chain
 from planish.run.compute import Progress
 from planish.run.holes import HoleSearch
@@ -29,10 +30,14 @@ def register_layers(
     for k, k_fixed in enumerate(study.next_layers):
         layer, fixed = layers[k], layers[k_fixed]
         progress("register", f"{layer.name} to {fixed.name}")
-        if uses_texture(layer, fixed, holes, study):
-            registration = register_by_texture(layer, fixed, holes, study)
-        else:
-            registration = register_by_marks(layer, fixed, holes, study)
+        by_texture = uses_texture(layer, fixed, holes, study)
+        register = register_by_texture if by_texture else register_by_marks
+        try:
+            registration = register(layer, fixed, holes, study)
+        except WrongHand as error:
+            # What a file says of its hand may be the cause.
+            hand_texts = filter(None, (layer.hand_text, fixed.hand_text))
+            raise WrongHand(" ".join([error.text, *hand_texts])) from error
         registrations.append(registration)
         if registration.source == "texture" and not study.registration.mirror:
             layers[k], layers[k_fixed] = _with_sides_found(layer, fixed, registration)

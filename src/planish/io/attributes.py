@@ -1,0 +1,206 @@
+"""Axis names and voxel sizes in the attributes of an array: those of HDF5 and of zarr.
+
+Programs write them in many ways; all of them are read here, for both containers alike.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from planish.core.errors import VolumeError
+from planish.io.axes import AxisNames
+from planish.io.sizes import Stated, bare_unit, stated_in
+
+# Attributes that name the axes as stored, slowest first, in small letters: NeXus, vigra and
+# ilastik, xarray in zarr, netCDF, and what people write by hand.
+NAME_KEYS = (
+    "axes",
+    "axistags",
+    "dimension_names",
+    "_array_dimensions",
+    "dimension_labels",
+    "axis_labels",
+    "axislabels",
+    "axis_names",
+    "axis_order",
+    "axisorder",
+    "dim_names",
+    "dims",
+)
+NEXUS_INDICES = "_indices"
+# Names that programs use for sizes, with ``_um`` or another unit at the end, or the unit beside.
+SIZE_NAME = re.compile(
+    r"(voxel_?sizes?|element_?sizes?|pixel_?sizes?|spacings?|resolutions?|voxel)(?:_(.*))?"
+)
+COORDINATE_TOLERANCE = 0.01  # by which the steps of an axis may differ
+
+
+def names_by_attributes(
+    attrs: Mapping[str, Any], shape: Sequence[int], *, is_own: bool
+) -> list[AxisNames]:
+    """Names of the stored axes by each attribute that gives some.
+
+    Of the array's own attributes (``is_own``) the number of names has to fit; those of its group
+    may be meant for another array.
+
+    Raises
+    ------
+    VolumeError
+        If an attribute of the array names another number of axes than it has.
+    """
+    namings: list[AxisNames] = []
+    for key in attrs:
+        if str(key).casefold() not in NAME_KEYS:
+            continue
+        words = axis_words(attrs[key])
+        names = _names_of_all(words, shape)
+        if names is not None:
+            namings.append(AxisNames(f"the attribute {key}", names))
+        elif words and is_own:
+            raise VolumeError(
+                f"The attribute {key} names {len(words)} axes ({', '.join(words)}), the array has"
+                f" {len(shape)}. Correct it, or take it out."
+            )
+    return namings
+
+
+def _names_of_all(words: Sequence[str], shape: Sequence[int]) -> tuple[str, ...] | None:
+    """One name for each axis, or each longer than 1; None where the count does not fit."""
+    if len(words) == len(shape):
+        return tuple(words)
+    long_axes = [axis for axis, n in enumerate(shape) if n > 1]
+    if not words or len(words) != len(long_axes):
+        return None
+    names = [""] * len(shape)
+    for axis, word in zip(long_axes, words, strict=True):
+        names[axis] = word
+    return tuple(names)
+
+
+def names_by_indices(attrs: Mapping[str, Any], shape: Sequence[int]) -> list[AxisNames]:
+    """Names of the axes by the attributes ``NAME_indices`` of a NeXus group."""
+    names = [""] * len(shape)
+    for key in map(str, attrs):
+        indices = np.ravel(np.asarray(attrs[key]))
+        is_index = key.endswith(NEXUS_INDICES) and indices.size == 1 and indices.dtype.kind in "ui"
+        if is_index and 0 <= int(indices[0]) < len(shape):
+            names[int(indices[0])] = key.removesuffix(NEXUS_INDICES)
+    return [AxisNames("the NeXus indices", tuple(names))] if any(names) else []
+
+
+def axis_words(raw_value: Any) -> list[str]:
+    """Names of axes in the value of an attribute.
+
+    A list of words or of entries with a name; ``z:y:x``, ``[z, y, x]`` or ``zyx``; or JSON.
+
+    Examples
+    --------
+    >>> axis_words("zyx"), axis_words("[z, y, x]"), axis_words('{"axes": [{"key": "x"}]}')
+    (['z', 'y', 'x'], ['z', 'y', 'x'], ['x'])
+    """
+    value = _plain(raw_value)
+    if isinstance(value, str) and value.lstrip()[:1] in ("{", "["):
+        try:
+            value = json.loads(value)
+        except ValueError:
+            value = value.strip().strip("[]{}")
+    if isinstance(value, dict):
+        value = value.get("axes", [])
+    if isinstance(value, list):
+        words = [_entry_word(entry) for entry in value]
+        if len(words) != 1:
+            return words
+        value = words[0]
+    if not isinstance(value, str):
+        return []
+    text = value.strip().strip("[]")
+    if set(text.casefold()) <= set("zyxct") and len(text) > 1:
+        return [*text]
+    return [word.strip() for word in re.split(r"[:;,\s]+", text) if word.strip()]
+
+
+def _entry_word(entry: Any) -> str:
+    if isinstance(entry, dict):
+        return str(entry.get("name", entry.get("key", "")))
+    return str(entry)
+
+
+def _plain(raw_value: Any) -> Any:
+    """A word, a list of words, or what JSON made, out of arrays and bytes."""
+    if isinstance(raw_value, (dict, str)):
+        return raw_value
+    if isinstance(raw_value, (list, tuple)):
+        return [_plain(entry) for entry in raw_value]
+    if isinstance(raw_value, bytes):
+        return raw_value.decode("utf-8", errors="replace")
+    if isinstance(raw_value, np.ndarray):
+        return _plain(raw_value.tolist())
+    return "" if raw_value is None else str(raw_value)
+
+
+def sizes_by_attributes(
+    attrs: Mapping[str, Any], shape: Sequence[int], order: Sequence[int]
+) -> list[Stated]:
+    """Voxel size along z, y, x by each attribute that states one.
+
+    It is one number, or one for each axis as it is stored.
+    """
+    keys = {str(key).casefold(): str(key) for key in attrs}
+    stated: list[Stated] = []
+    for folded_key, key in keys.items():
+        size_name = SIZE_NAME.fullmatch(folded_key)
+        if size_name is None or "unit" in folded_key:
+            continue
+        quantity, unit = size_name[1], size_name[2] or ""
+        lengths = _lengths_along(attrs[key], shape)
+        if lengths is None or (quantity == "voxel" and unit != "um"):
+            continue
+        if not unit:
+            unit_keys = (f"{quantity}_units", f"{quantity}_unit", "units", "unit")
+            unit = next((word_of(attrs[keys[k]]) for k in unit_keys if k in keys), "")
+        source = f"the attribute {key}"
+        if not unit.strip():
+            unit = bare_unit([length for length in lengths if length is not None])
+            source += f" ({unit}; no unit is written, in another one no scan of paper)" * bool(unit)
+        stated.append(stated_in(source, lengths, [unit] * len(lengths), order))
+    return stated
+
+
+def _lengths_along(raw_value: Any, shape: Sequence[int]) -> list[float | None] | None:
+    """Lengths along the stored axes; None where a value is no number, or the count does not fit."""
+    numbers = np.ravel(np.asarray(raw_value))
+    long_axes = [axis for axis, n in enumerate(shape) if n > 1]
+    if numbers.dtype.kind not in "uif":
+        return None
+    if numbers.size == 1:
+        return [float(numbers[0]) for _ in shape]
+    if numbers.size not in (len(shape), len(long_axes)):
+        return None
+    axes = range(len(shape)) if numbers.size == len(shape) else long_axes
+    lengths: list[float | None] = [None] * len(shape)
+    for axis, number in zip(axes, numbers, strict=True):
+        lengths[axis] = float(number)
+    return lengths
+
+
+def spacing_of(coordinates: np.ndarray[Any, Any]) -> float | None:
+    """Step of coordinates along an axis, with its sign; None where they are not evenly spaced."""
+    steps = np.diff(np.asarray(coordinates, np.float64))
+    if not steps.size or not np.isfinite(steps).all():
+        return None
+    step = float(np.median(steps))
+    if step == 0 or np.any(np.abs(steps - step) > COORDINATE_TOLERANCE * abs(step)):
+        return None
+    return step
+
+
+def word_of(raw_value: Any) -> str:
+    """Read a word that may be stored as bytes, or as an array of one."""
+    entries = np.asarray(raw_value).ravel()[:1]
+    word: Any = entries[0] if entries.size else ""
+    return word.decode("utf-8", errors="replace") if isinstance(word, bytes) else str(word)

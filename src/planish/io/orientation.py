@@ -1,0 +1,164 @@
+"""How a volume or an image lies in space by its file: its hand, and which way its axes run.
+
+Values stay as they are stored. planish takes x to the right, y downwards and the slices as they are
+numbered; a file that makes this a left-handed system holds a mirror image of the specimen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planish.core.text import and_join
+from planish.core.typing import Floats
+
+LEAST_VOLUME = 1e-3  # of the cell of three unit vectors; below, they lie in one plane
+# Where a step along x and one along y of the stored picture lead, to the right and downwards, in
+# the picture as viewers show it (TIFF 6.0, tag 274).
+TAG_STEPS = {
+    2: ((-1, 0), (0, 1)),
+    3: ((-1, 0), (0, -1)),
+    4: ((1, 0), (0, -1)),
+    5: ((0, 1), (1, 0)),
+    6: ((0, 1), (-1, 0)),
+    7: ((0, -1), (-1, 0)),
+    8: ((0, -1), (1, 0)),
+}
+# Where anatomical words point in a right-handed system: left, posterior, superior.
+ANATOMICAL = {
+    "left": (1.0, 0.0, 0.0),
+    "right": (-1.0, 0.0, 0.0),
+    "posterior": (0.0, 1.0, 0.0),
+    "anterior": (0.0, -1.0, 0.0),
+    "superior": (0.0, 0.0, 1.0),
+    "inferior": (0.0, 0.0, -1.0),
+}
+
+
+class Orientation(NamedTuple):
+    """Where the axes z, y, x of an array run in a right-handed space, as one source states it."""
+
+    source: str  # for example "its affine"
+    directions: Floats  # (3, 3): along z, y, x; each (x, y, z) in space
+
+    @property
+    def volume(self) -> float:
+        """Volume of the cell of unit vectors along x, y, z; below 0 where it is left-handed."""
+        z, y, x = self.directions
+        lengths = np.linalg.norm(self.directions, axis=1)
+        if not np.all(np.isfinite(lengths)) or not np.all(lengths > 0):
+            return 0.0
+        return float(np.linalg.det(np.array([x, y, z])) / lengths.prod())
+
+    @property
+    def is_left_handed(self) -> bool:
+        """True if the stack is a mirror image."""
+        return self.volume < 0
+
+    @property
+    def is_flat(self) -> bool:
+        """True if the directions lie in one plane, and so are none."""
+        return abs(self.volume) < LEAST_VOLUME
+
+    @property
+    def is_usual(self) -> bool:
+        """True if the axes run along those of the space, or nearly so."""
+        unit = self.directions / np.linalg.norm(self.directions, axis=1)[:, None]
+        return bool(np.all(np.diagonal(unit[:, ::-1]) > np.sqrt(0.5)))
+
+
+def orientation_by_axes(source: str, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Orientation:
+    """Orientation by the directions of x, y and z."""
+    return Orientation(source, np.array([z, y, x], np.float64))
+
+
+def orientation_by_steps(source: str, steps: Sequence[float | None]) -> Orientation | None:
+    """Orientation by the signs of the steps of coordinates along z, y, x.
+
+    None where none falls.
+    """
+    signs = [-1.0 if step is not None and step < 0 else 1.0 for step in steps]
+    if min(signs) > 0:
+        return None
+    z, y, x = np.diag(signs)[:, ::-1]
+    return orientation_by_axes(source, x=x, y=y, z=z)
+
+
+def orientation_by_words(source: str, words: Sequence[str]) -> Orientation | None:
+    """Orientation by where z, y and x run to: left, posterior, superior or their opposites.
+
+    None where a word is another one.
+    """
+    directions = [ANATOMICAL.get(word) for word in words]
+    known = [direction for direction in directions if direction is not None]
+    return Orientation(source, np.array(known, np.float64)) if len(known) == 3 else None
+
+
+def tag_orientation(tag: object) -> Orientation | None:
+    """Orientation by the tag of a picture, or of the slices of a stack.
+
+    None where it turns nothing.
+    """
+    if not isinstance(tag, int) or tag not in TAG_STEPS:
+        return None
+    x_step, y_step = TAG_STEPS[tag]
+    source = f"the orientation tag {tag}"
+    return orientation_by_axes(source, x=(*x_step, 0), y=(*y_step, 0), z=(0, 0, 1))
+
+
+def orientation_attrs(orientations: Sequence[Orientation]) -> Mapping[str, str]:
+    """Attributes of a volume or an image.
+
+    ``hand`` where it is left-handed by one source at least, ``turned`` where it is not, but its
+    axes run another way than usual.
+    """
+    known = [orientation for orientation in orientations if not orientation.is_flat]
+    left_names = [o.source for o in known if o.is_left_handed]
+    right_names = [o.source for o in known if not o.is_left_handed]
+    if left_names:
+        text = f"left, by {and_join(left_names)}"
+        return {"hand": f"{text}; but right, by {and_join(right_names)}" if right_names else text}
+    turned_names = [o.source for o in known if not o.is_usual]
+    return {"turned": f"by {and_join(turned_names)}"} if turned_names else {}
+
+
+def orientation_notes(orientations: Sequence[Orientation]) -> tuple[str, ...]:
+    """Say which sources give no directions at all."""
+    return tuple(
+        f"The directions of {o.source} lie in one plane: they say nothing about the hand."
+        for o in orientations
+        if o.is_flat
+    )
+
+
+def volume_sentence(attrs: Mapping[str, object]) -> str:
+    """Say how a volume lies by its attributes; empty where it is as usual."""
+    if hand := attrs.get("hand"):
+        return (
+            f"The axes of the volume make a left-handed system ({hand}): its slices and maps are a"
+            " mirror image of the specimen."
+        )
+    if turned := attrs.get("turned"):
+        return (
+            f"The axes of the volume run another way than usual ({turned}). It is read as it is"
+            " stored, turned and not mirrored."
+        )
+    return ""
+
+
+def image_sentence(attrs: Mapping[str, object]) -> str:
+    """Say how an image lies by its attributes; empty where it is as usual."""
+    if hand := attrs.get("hand"):
+        return (
+            f"The image is stored as a mirror image ({hand}); viewers mirror it back, planish reads"
+            " it as it is stored."
+        )
+    if turned := attrs.get("turned"):
+        return (
+            f"The image is stored turned ({turned}); viewers turn it back, planish reads it as it"
+            " is stored."
+        )
+    return ""
