@@ -146,3 +146,12 @@ def test_a_preview_without_a_log_is_left_aside(tmp_path):
     folder = write_scan(tmp_path / "v", numbered("pap_rec{:08d}"), {})
     Image.fromarray(VALUES[0]).save(folder / "pap_rec_spr.png")
     np.testing.assert_array_equal(read_volume(folder, voxel_um=1).values, VALUES)
+
+
+def test_slices_of_another_scan_are_left_aside_and_counted(tmp_path):
+    folder = write_scan(tmp_path / "v", numbered("a_rec{:04d}"), {"a_rec.log": reconstruction()})
+    for k, page in enumerate(VALUES[:3]):
+        Image.fromarray(page).save(folder / f"b_rec{k:04d}.png")
+    np.testing.assert_array_equal(read_volume(folder).values, VALUES)
+    note = "a_rec.log names 6 slices. Pictures left aside: 3, first b_rec0000.png."
+    assert note in said(describe(folder))

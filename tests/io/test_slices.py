@@ -255,6 +255,23 @@ def test_all_pages_are_read_where_imagej_describes_fewer_images(tmp_path):
     assert "v.tif describes 12 images; its 20 pages are read." in notes_on(tmp_path / "v.tif")
 
 
+def test_all_pages_are_read_where_ome_describes_fewer_planes(tmp_path):
+    tifffile.imwrite(tmp_path / "few.ome.tif", stack(), metadata={"axes": "ZYX"})
+    with tifffile.TiffFile(tmp_path / "few.ome.tif") as tif:
+        ome = (tif.ome_metadata or "").encode()
+    values = stack(shape=(20, 7, 9))
+    path = tmp_path / "v.ome.tif"
+    tifffile.imwrite(path, values, description=ome, metadata=None, photometric="minisblack")
+    np.testing.assert_array_equal(read_volume(path, voxel_um=1).values, values)
+    assert "v.ome.tif describes 12 images; its 20 pages are read." in notes_on(path)
+
+
+@pytest.mark.parametrize("compression", [None, "deflate"])
+def test_axes_of_length_one_are_left_out(tmp_path, compression):
+    tifffile.imwrite(tmp_path / "v.tif", stack()[None, :, None], compression=compression)
+    np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, stack())
+
+
 def test_the_colours_in_which_imagej_shows_greys_are_no_values(tmp_path):
     ramp = np.arange(256)
     colours = np.stack([ramp, np.clip(3 * ramp - 255, 0, 255), 255 - ramp]).astype("u2") * 257

@@ -28,6 +28,7 @@ from planish.io.slice_names import (
     check_several,
     first_few,
     first_missing,
+    is_preview,
     list_slices,
 )
 from planish.io.tiff import size_words
@@ -150,13 +151,21 @@ def read_scan(folder: Path) -> Scan | None:
     if not naming_logs:
         return _scan_by_projections(logs, slices)
     (log,) = naming_logs
+    named_files = {path for _, path in log.named_slices}
+    others = [p for p in slices if p not in named_files and not is_preview(p)]
+    notes: tuple[str, ...] = ()
+    if named_files and others:
+        notes = (
+            f"{log.path.name} names {len(named_files)} slices. Pictures left aside: {len(others)},"
+            f" first {others[0].name}.",
+        )
     # The log of the whole scan beside that of a part.
     further = [
         Stated(other.path.name, (None, other.size_um, other.size_um))
         for other in reconstructions
         if other is not log and log.path.stem.casefold().startswith(other.path.stem.casefold())
     ]
-    return _scan_of(log, further)
+    return _scan_of(log, further, notes)
 
 
 def _is_log(path: Path) -> bool:
@@ -209,7 +218,7 @@ def _scan_by_projections(logs: list[_Log], slices: list[Path]) -> Scan | None:
     return None
 
 
-def _scan_of(log: _Log, further: list[Stated]) -> Scan:
+def _scan_of(log: _Log, further: list[Stated], notes: tuple[str, ...]) -> Scan:
     """Read the statements of the log of a reconstruction."""
     name, keys, size = log.path.name, log.keys, log.size_um
     step = _count(keys.get("section to section step", "1"))
@@ -249,7 +258,7 @@ def _scan_of(log: _Log, further: list[Stated]) -> Scan:
         is_of_whole=bool(log.named_slices) and not log.is_exact,
         window=None if low is None or high is None or low >= high else (low, high),
         details=_details(log),
-        notes=(),
+        notes=notes,
     )
 
 

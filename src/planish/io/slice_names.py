@@ -37,9 +37,7 @@ def list_slices(folder: Path) -> SliceOrder:
     if not folder.is_dir():
         raise FileError(f"{folder.name} is not a folder. Check the name.")
     files = sorted(p for p in folder.iterdir() if is_slice_name(p.name) and p.is_file())
-    # NRecon's preview of a scan has no number.
-    previews = [p for p in files if p.stem.casefold().endswith("_spr")]
-    files = [p for p in files if p not in previews] or files
+    files = [p for p in files if not is_preview(p)] or files
     if not files:
         raise folder_refusal(folder)
     # A preview, a second scan: names that differ in more than numbers.
@@ -58,6 +56,11 @@ def list_slices(folder: Path) -> SliceOrder:
     check_no_gap(numbers, folder)
     ordered_files = [file for _, file in sorted(zip(numbers, files, strict=True))]
     return SliceOrder(ordered_files, notes)
+
+
+def is_preview(path: Path) -> bool:
+    """True for NRecon's preview of a scan, which has no number."""
+    return path.stem.casefold().endswith("_spr")
 
 
 def check_several(files: list[Path]) -> None:

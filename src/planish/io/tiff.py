@@ -196,6 +196,14 @@ def _imagej_images(tif: TiffFile) -> int:
     return n_images if isinstance(n_images, int) else 1
 
 
+def _described_images(tif: TiffFile) -> int:
+    """Number of grey images that ImageJ or the one image of OME describes; 1 where none does."""
+    pixels = re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or "")
+    sizes = re.findall(r"\bSize[ZCT]\s*=\s*[\"'](\d{1,9})[\"']", pixels[0]) if pixels else []
+    n_planes = math.prod(map(int, sizes)) if len(pixels) == 1 else 1
+    return max(n_planes, _imagej_images(tif))
+
+
 def describes_other_images(tif: TiffFile) -> bool:
     """True if the description counts other grey images than the whole pages of a file.
 
@@ -203,17 +211,15 @@ def describes_other_images(tif: TiffFile) -> bool:
     stack with fewer pages than images, some are lost.
     """
     first: Any = tif.pages.first
-    n_pages, n_images = len(tif.pages), _imagej_images(tif)
-    if not first.dataoffsets or first.samplesperpixel > 1:
+    n_pages, n_images = len(tif.pages), _described_images(tif)
+    if n_images == 1 or not first.dataoffsets or first.samplesperpixel > 1:
         return False
     if n_pages > 1:
-        return 1 < n_images < n_pages
-    ome = tif.ome_metadata or ""
-    n_planes = math.prod(int(n) for n in re.findall(r"\bSize[ZT]\s*=\s*[\"'](\d{1,9})[\"']", ome))
+        return n_images < n_pages and len({page.hash for page in tif.pages}) == 1
     # ImageJ chains no pages in stacks above 4 GB, but then a part of the next image follows. What
     # follows a slice is a table of tags; pixels may begin at a full page of memory.
     stored_bytes = sum(first.databytecounts) + sum(tag.valuebytecount for tag in first.tags)
-    return max(n_planes, n_images) > 1 and tif.filehandle.size <= stored_bytes + 2 * 4096
+    return tif.filehandle.size <= stored_bytes + 2 * 4096
 
 
 def notes_on_reading(tif: TiffFile, page: TiffPage, path: Path) -> tuple[str, ...]:
@@ -223,7 +229,7 @@ def notes_on_reading(tif: TiffFile, page: TiffPage, path: Path) -> tuple[str, ..
     if describes_other_images(tif) and n_pages == 1:
         notes.append(f"{path.name} describes the stack that it was cut out of; it holds one image.")
     elif describes_other_images(tif):
-        n_images = _imagej_images(tif)
+        n_images = _described_images(tif)
         notes.append(f"{path.name} describes {n_images} images; its {n_pages} pages are read.")
     if page.photometric == PHOTOMETRIC.MINISWHITE:
         notes.append(f"{path.name} stores white as 0; the values are turned, so that black is 0.")

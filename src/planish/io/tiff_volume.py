@@ -87,7 +87,8 @@ def _series_values(
     series: TiffPageSeries, path: Path, axes: str, change: Change | None, limit_bytes: int
 ) -> Values:
     frame = series.keyframe
-    shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
+    # As long_axes: axes of length 1 may have the same letter as the slices.
+    shape = tuple(n for n, a in zip(series.shape, series.axes, strict=True) if n > 1 or a in "YX")
     stored_dtype = series.dtype.newbyteorder(frame.parent.byteorder)
     array: FileArray | None = None
     with reading(path):
