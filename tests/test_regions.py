@@ -179,6 +179,29 @@ def test_all_forms_of_geojson_are_read(tmp_path):
     np.testing.assert_array_equal(found[1].polygons[0][1], HOLE[:-1])
 
 
+QUPATH = feature(objectType="annotation", classification={"name": "Ignore*"}, isLocked=False)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"type": "FeatureCollection", "features": [QUPATH]},
+        QUPATH,
+        [feature() | {"id": "PathAnnotationObject"}],  # versions before 0.3
+        POLYGON | {"units": "pixel"},
+    ],
+)
+def test_geojson_in_pixels_covers_the_pixels_that_are_meant(tmp_path, content):
+    """Corners in pixels are half a pixel away from their centres, as selections of ImageJ are."""
+    grid = Grid(y_um=np.arange(7) * 3.0, x_um=np.arange(9) * 2.0)
+    found = read(tmp_path, content)
+    assert found.in_pixels
+    expected = np.array(POLYGON["coordinates"][0][:-1], dtype=float)
+    ring = found.on(grid).declared[0].polygons[0][0]
+    np.testing.assert_allclose(ring, (expected - 0.5) * [2.0, 3.0], rtol=0, atol=1e-12)
+    assert not read(tmp_path, feature(name="a")).in_pixels
+
+
 def test_what_is_written_reads_back_to_the_same_bytes(tmp_path):
     third = {"type": "Polygon", "coordinates": [[[1 / 3, -0.0], [1e-7, 2e8], [0.1 + 0.2, 4]]]}
     odd = "a\u001b[31m\n\tb\ud800 \u00fc" + "\u0007" * 60
@@ -300,7 +323,7 @@ WRONG = {
     "no region": ({"type": "FeatureCollection", "features": []}, "holds no region"),
     "a point": (feature({"type": "Point", "coordinates": [1, 2]}), "'Point'; a Polygon"),
     "no geometry": (feature(None), "region 1: its geometry is none"),
-    "units": (POLYGON | {"units": "px"}, "units are not um"),
+    "units": (POLYGON | {"units": "mm"}, "units are neither um nor pixel"),
     "not a number": (bent([0, 0], [float("nan"), 1], [2, 2]), "no number, or beyond"),
     "far": (bent([0, 0], [1e10, 1], [2, 2]), "no number, or beyond"),
     "beyond floats": (bent([0, 0], [10**400, 1], [2, 2]), "beyond all numbers"),

@@ -371,6 +371,39 @@ def test_the_remedy_for_pixels_is_one_that_the_file_allows(put):
     assert read_any(put(pairs_text(pixels * 0.5)), fixed=fine).sizes["mark"] == 3
 
 
+def foreign_files(put, numbers):
+    """Files of programs that state no unit, all with the same numbers on both sides."""
+    rows = np.asarray(numbers, dtype=float)
+    x_y = "\n".join(["X,Y", *(f"{x},{y}" for x, y in rows.tolist())])
+    return {
+        "BigWarp": (put(bigwarp_2d(rows, rows), "b.csv"),),
+        "elastix": (put(elastix(rows), "mp.txt"), put(elastix(rows), "fp.txt")),
+        "ImageJ": (put(x_y, "x.csv"), put(x_y, "y.csv")),
+    }
+
+
+@pytest.mark.parametrize("program", ["BigWarp", "elastix", "ImageJ"])
+def test_pixels_on_both_sides_are_suspected_and_named(put, program):
+    """As um they would lie in one corner of the image; its pixels, of 12 um, they spread over."""
+    pixels = [[160.3, 200.1], [1500.7, 130.2], [900.4, 1150.6], [400.9, 1001.3]]
+    paths = foreign_files(put, pixels)[program]
+    layers = {"moving": LayerPixels(4.0)} | LAYER
+    words = 'they look like pixels.* given unit="pixel", moving_pixel_um= and fixed_pixel_um='
+    refused(MarkError, words, read_any, *paths, **layers)
+    marks = read_any(*paths, unit="pixel", **layers)
+    np.testing.assert_allclose(marks.fixed_x, np.array(pixels)[:, 0] * 12, rtol=1e-12)
+
+
+def test_um_in_a_corner_are_read_where_somebody_says_so_or_they_reach_not_far(put):
+    pixels = [[160.3, 200.1], [1500.7, 130.2], [900.4, 1150.6], [400.9, 1001.3]]
+    (path,) = foreign_files(put, pixels)["BigWarp"]
+    assert read_any(path, unit="um", **LAYER).sizes["mark"] == 4
+    (path,) = foreign_files(put, np.array(pixels) / 2)["BigWarp"]
+    assert read_any(path, **LAYER).sizes["mark"] == 4
+    (path,) = foreign_files(put, np.array(pixels) * 12)["BigWarp"]
+    assert read_any(path, **LAYER).sizes["mark"] == 4
+
+
 # --- writing
 def test_nothing_is_overwritten_and_every_need_is_told(put, tmp_path):
     marks = read_any(put(bigwarp_2d()))

@@ -311,7 +311,8 @@ def convert(
     if not source["stated"] and unit is None:
         title = FORMATS[source["format"]].title
         click.echo(
-            f"{title} states no unit; the positions were taken as {source['unit']} (--unit).",
+            f"{title} states no unit; the positions were taken as {source['unit']} (--unit). Where"
+            " the images had no scale in that program, they are pixels: give --unit pixel.",
             err=True,
         )
     has_unit = FORMATS[out_format].unit is not None

@@ -244,6 +244,11 @@ def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
         )
 
 
+def has_other_unit(scale: float) -> bool:
+    """Return whether a scale is farther off than any calibration, so that a unit is wrong."""
+    return not 0.8 <= scale <= 1.25
+
+
 def _warn_of_size(fit: FittedTransform) -> Iterator[str]:
     rms, scale, strain = fit.rms_um, fit.transform.scale, fit.strain
     spread = scale * fit.field.size
@@ -254,7 +259,7 @@ def _warn_of_size(fit: FittedTransform) -> Iterator[str]:
             f"The residuals, {rms:.3g} um rms, are {100 * rms / spread:.0f} % of the spread of the"
             " marks: many pairs are wrong. Check that every row pairs the same hole on both sides."
         )
-    if not 0.8 <= scale <= 1.25:
+    if has_other_unit(scale):
         yield (
             f"Scale {scale:.4g}: one side is probably in pixels, or its pixel size is wrong. Give"
             " both sides in um."

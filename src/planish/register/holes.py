@@ -10,7 +10,7 @@ import numpy as np
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.facts import Side
 from planish.core.typing import Floats, Pair
-from planish.register.fit import fit_transform
+from planish.register.fit import fit_transform, has_other_unit
 from planish.register.match import Matched, match_by_design, match_marks
 from planish.register.params import RegistrationParams
 from planish.register.result import FittedTransform
@@ -142,6 +142,12 @@ def fit_pairs(
         source, target, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity"
     )
     scale, tolerance = fit.transform.scale, params.scale_tolerance
+    if abs(scale - 1) > tolerance and has_other_unit(scale):
+        raise CannotRegister(
+            f"The marks fit at a scale of {scale:.4g}: one side is probably in pixels, the other in"
+            " um. Give both in um; planish marks convert turns pixels into um, given `unit=pixel`,"
+            " `moving_pixel_um` and `fixed_pixel_um`."
+        )
     if abs(scale - 1) > tolerance:
         raise CannotRegister(
             f"The marks fit at a scale of {scale:.4f}, which is {100 * abs(scale - 1):.1f} % off"

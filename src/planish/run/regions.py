@@ -29,7 +29,7 @@ def regions_on(declared: Regions, grid: Grid, path: str | None) -> Regions:
         raise InputError(
             f"{Path(str(path)).name}: {'every' if share else 'no'} pixel of the reference lies in a"
             f" region. Its pixels lie at x from {x} and y from {y}. Give regions of this reference:"
-            " GeoJSON in um, selections of ImageJ in its pixels."
+            " GeoJSON in um, selections of ImageJ and QuPath in its pixels."
         )
     return regions
 

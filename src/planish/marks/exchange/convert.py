@@ -110,7 +110,7 @@ def read_any(
     marks.attrs["read_from"] = {"format": formats[0], "unit": stated[0], "stated": stated[1]}
     check_marks(marks, name)
     if unit != "um":
-        check_plausible(marks, name)
+        check_plausible(marks, name, unit)
     return marks
 
 

@@ -18,6 +18,7 @@ import xarray as xr
 from planish.core.errors import MarkError
 from planish.core.tables import raise_faults
 from planish.core.typing import Bools, Floats, Ints
+from planish.marks.exchange.formats import Unit
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 EXTRAS: dict[str, tuple[str, str]] = {
@@ -434,18 +435,51 @@ def check_marks(marks: xr.Dataset, name: str) -> None:
     raise_faults(name, faults, "Give each mark a label and a place of its own.", error=MarkError)
 
 
-def check_plausible(marks: xr.Dataset, name: str) -> None:
-    """Refuse marks that cannot be um in their layer.
+def check_plausible(marks: xr.Dataset, name: str, unit: Unit | None) -> None:
+    """Refuse marks that cannot be um in their layer, or may be pixels where nobody said ``unit``.
 
     Checked where the layer's pixel size and its size in pixels are known.
     """
-    stated = marks.attrs.get("read_from", {}).get("stated", True)
+    source = marks.attrs.get("read_from", {})
+    stated = source.get("stated", True)
+    # Numbers of the file where their unit is assumed; nothing where it is certain.
+    per_um = {"um": 1.0, "mm": 0.001}.get(source.get("unit"))
+    per_um = None if stated or unit is not None else per_um
     for layer in layer_names(marks):
         about = {"origin_um": {"x": 0.0, "y": 0.0}} | about_layer(marks, layer)
         points = points_of(marks, layer)[in_layers(marks, [layer]), :2]
         is_sized = len(points) >= 3 and {"pixel_um", "size_px"} <= about.keys()
-        if is_sized and (misfit_text := _misfit(points, about, stated)):
+        if not is_sized:
+            continue
+        if per_um:
+            _refuse_pixels(points, about, name, layer, source["unit"], per_um)
+        if misfit_text := _misfit(points, about, stated):
             raise MarkError(f"{name}: the marks in {layer} span {misfit_text}")
+
+
+def _refuse_pixels(
+    points: Floats, about: dict[str, Any], name: str, layer: str, unit: str, per_um: float
+) -> None:
+    """Refuse marks in a unit that was assumed whose numbers fit their layer as pixels.
+
+    They do where they reach over more than half of it along one side, as marks around what is
+    compared do. Taken as um they would lie in a corner of it, as many times smaller as a pixel has
+    um.
+    """
+    pixel, count, origin = (
+        np.array([about[key][axis] for axis in "xy"], dtype=np.float64)
+        for key in ("pixel_um", "size_px", "origin_um")
+    )
+    numbers = (points - origin) * per_um
+    reach = np.ptp(numbers, axis=0) / count
+    # Pixels of nearly 1 um cannot be distinguished from um.
+    if pixel.max() > 1.5 and reach.max() > 0.5 and _inside(numbers, count).all():
+        raise MarkError(
+            f"{name} states no unit. Taken as {unit}, the marks in {layer} span"
+            f" {_size(np.ptp(points, axis=0))}, and the layer {_size(pixel * count)}; taken as"
+            " pixels, they are spread over the layer: they look like pixels."
+            f" {_remedy('pixel', False)} If they are {unit}, give `unit={unit}` there."
+        )
 
 
 def _misfit(points: Floats, about: dict[str, Any], stated: bool) -> str:

@@ -1,9 +1,10 @@
 """Files of regions: GeoJSON (RFC 7946) with coordinates in um, x then y, read and written.
 
-Those of ImageJ are read.
+Those of ImageJ and QuPath are read.
 
-Which program wrote a file is recognised by its first bytes. ImageJ saves a selection, ``.roi``, or
-those of the ROI Manager, ``.zip``. Coordinates are in pixels and 0 at the corner of the first one.
+Which program wrote a file is recognised by its content. ImageJ saves a selection, ``.roi``, or
+those of the ROI Manager, ``.zip``, QuPath GeoJSON whose features are its objects. Coordinates of
+both are in pixels and 0 at the corner of the first one.
 """
 
 import json
@@ -61,7 +62,8 @@ def read_regions(path: str | Path) -> Regions:
     Returns
     -------
     Regions
-        In um of GeoJSON; of ImageJ in pixels, which :meth:`Regions.on` turns into um.
+        In um of GeoJSON; of ImageJ, QuPath and GeoJSON with ``"units": "pixel"`` in pixels, which
+        :meth:`Regions.on` turns into um.
 
     Raises
     ------
@@ -73,7 +75,7 @@ def read_regions(path: str | Path) -> Regions:
     content = read_bytes(path, what="file of regions", most_bytes=LARGEST_FILE)
     faults: list[str] = []
     readers: list[tuple[str, Callable[[], Region]]] = []
-    if is_imagej := content.startswith((ZIP, ROI)):
+    if in_pixels := content.startswith((ZIP, ROI)):
         remedy = _DRAW
         for part_name, data in selections_in(content, name, most=MOST_REGIONS, remedy=_DRAW):
             readers.append(
@@ -81,7 +83,12 @@ def read_regions(path: str | Path) -> Regions:
             )
     else:
         remedy = "Coordinates are [x, y] in um of the reference; docs/linking.md shows an example."
-        for k, feature in enumerate(_features(content, name, faults), 1):
+        root, features = _features(content, name)
+        units = root.get("units", "pixel" if any(map(_is_of_qupath, features)) else "um")
+        in_pixels = units in ("pixel", "px")
+        if units != "um" and not in_pixels:
+            faults.append("its units are neither um nor pixel")
+        for k, feature in enumerate(features, 1):
             readers.append((f"region {k}", partial(_region, feature, f"region {k}")))
     regions: list[Region] = []
     for title, read_region in readers:
@@ -101,7 +108,7 @@ def read_regions(path: str | Path) -> Regions:
             f" with {MOST_POINTS} points are the most. Simplify them, or join them to"
             " MultiPolygons."
         )
-    return Regions(declared=tuple(regions), in_pixels=is_imagej)
+    return Regions(declared=tuple(regions), in_pixels=in_pixels)
 
 
 def _selection(data: bytes, default_name: str) -> Region:
@@ -173,10 +180,17 @@ def _composite_rings(roi: ImagejRoi) -> Iterator[Ring]:
             yield ring + _NUDGE
 
 
-def _features(data: bytes, name: str, faults: list[str]) -> list[Any]:
-    """Read the features of a FeatureCollection or a Feature.
+def _is_of_qupath(feature: object) -> bool:
+    """Return whether a feature is an object of QuPath, which counts in pixels."""
+    identifier = _object(feature).get("id")
+    is_old = isinstance(identifier, str) and identifier.startswith("Path")
+    return is_old or "objectType" in _object(_object(feature).get("properties"))
 
-    A bare Polygon or MultiPolygon becomes one.
+
+def _features(data: bytes, name: str) -> tuple[dict[str, Any], list[Any]]:
+    """Read a FeatureCollection or a Feature, and its features.
+
+    A bare Polygon or MultiPolygon becomes one, as does a list of features.
     """
     text = decode_text(data, name, what="file of regions")
     # Every point has a bracket: what has far more of them would fill the memory when it is decoded.
@@ -193,15 +207,15 @@ def _features(data: bytes, name: str, faults: list[str]) -> list[Any]:
             f"{name} is neither GeoJSON nor a file of ImageJ: {error}. Save the regions again."
         ) from error
     root = _object(content)
+    if isinstance(content, list):  # as older versions of QuPath write them
+        root = {"type": "FeatureCollection", "features": content}
     kind, features = root.get("type"), root.get("features")
-    if root.get("units", "um") != "um":
-        faults.append("its units are not um")
     if kind in ("Polygon", "MultiPolygon"):
-        return [{"geometry": root}]
+        return root, [{"geometry": root}]
     if kind == "Feature":
-        return [root]
+        return root, [root]
     if kind == "FeatureCollection" and isinstance(features, list):
-        return cast("list[Any]", features)
+        return root, cast("list[Any]", features)
     raise FileError(
         f"{name} is JSON, but no GeoJSON of regions: a FeatureCollection, a Feature, a Polygon or a"
         " MultiPolygon is needed. Draw the regions as polygons and save them as GeoJSON."
