@@ -398,7 +398,7 @@ def test_um_in_a_corner_are_read_where_somebody_says_so_or_they_reach_not_far(pu
     pixels = [[160.3, 200.1], [1500.7, 130.2], [900.4, 1150.6], [400.9, 1001.3]]
     (path,) = foreign_files(put, pixels)["BigWarp"]
     assert read_any(path, unit="um", **LAYER).sizes["mark"] == 4
-    (path,) = foreign_files(put, np.array(pixels) / 2)["BigWarp"]
+    (path,) = foreign_files(put, np.array(pixels) / 4)["BigWarp"]
     assert read_any(path, **LAYER).sizes["mark"] == 4
     (path,) = foreign_files(put, np.array(pixels) * 12)["BigWarp"]
     assert read_any(path, **LAYER).sizes["mark"] == 4

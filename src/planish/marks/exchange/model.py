@@ -462,9 +462,9 @@ def _refuse_pixels(
 ) -> None:
     """Refuse marks in a unit that was assumed whose numbers fit their layer as pixels.
 
-    They do where they reach over more than half of it along one side, as marks around what is
-    compared do. Taken as um they would lie in a corner of it, as many times smaller as a pixel has
-    um.
+    They do where all lie in the layer, and reach over more than a quarter of it along one side:
+    marks are set far apart. Taken as um they would all lie in its first corner, which for pixels of
+    2 um or more is a quarter of the layer or less.
     """
     pixel, count, origin = (
         np.array([about[key][axis] for axis in "xy"], dtype=np.float64)
@@ -472,8 +472,7 @@ def _refuse_pixels(
     )
     numbers = (points - origin) * per_um
     reach = np.ptp(numbers, axis=0) / count
-    # Pixels of nearly 1 um cannot be distinguished from um.
-    if pixel.max() > 1.5 and reach.max() > 0.5 and _inside(numbers, count).all():
+    if pixel.prod() >= 4 and reach.max() > 0.25 and _inside(numbers, count).all():
         raise MarkError(
             f"{name} states no unit. Taken as {unit}, the marks in {layer} span"
             f" {_size(np.ptp(points, axis=0))}, and the layer {_size(pixel * count)}; taken as"
