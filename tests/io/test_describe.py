@@ -110,7 +110,7 @@ def test_missing_sizes_are_reported_and_not_raised(tmp_path):
 def test_slices_in_steps_are_mentioned(tmp_path):
     for i in range(3):
         tifffile.imwrite(tmp_path / f"{i * 5}.tif", ramp((20, 30)))
-    assert any("steps of 5" in w for w in describe(tmp_path, voxel_um=1)["notes"])
+    assert any("steps of 5" in w for w in describe(tmp_path, voxel_um=1)["warnings"])
 
 
 def test_broken_data_are_an_error(tmp_path):

@@ -155,3 +155,13 @@ def test_slices_of_another_scan_are_left_aside_and_counted(tmp_path):
     np.testing.assert_array_equal(read_volume(folder).values, VALUES)
     note = "a_rec.log names 6 slices. Pictures left aside: 3, first b_rec0000.png."
     assert note in said(describe(folder))
+
+
+@pytest.mark.parametrize(("step", "is_doubted"), [(1, True), (2, False)])
+def test_slices_in_other_steps_than_the_log_states_are_doubted(tmp_path, step, is_doubted):
+    names = [f"pap_rec_voi_{2 * k:04d}" for k in range(len(VALUES))]
+    keys = reconstruction(**{"Section to Section Step": step})
+    folder = write_scan(tmp_path / "v", names, {"pap_rec_voi_.log": keys | prefixed("pap_rec")})
+    told = describe(folder)
+    assert told["size_um"] == [2.5 * step, 2.5, 2.5]
+    assert any("in steps of 2, not 1" in w for w in told["warnings"]) is is_doubted

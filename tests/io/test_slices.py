@@ -202,7 +202,7 @@ def test_names_that_are_no_series_are_refused(tmp_path, names, error, words):
         (lambda i: f"img_20240301_{120000 + i}_{i:03d}", "number 3"),
         (lambda i: f"2024-03-01T{11 + i // 5}-{7 * i % 35:02d}_{i}", "number 6"),
         (lambda i: f"slice_{i}_at_{30 * i:04d}um", "number 1"),
-        (lambda i: f"z{0.75 * i:.2f}", "the decimal number"),
+        (lambda i: f"z{0.75 * i:.2f}", "The decimal number in their names"),
     ],
 )
 def test_of_several_numbers_the_one_that_counts_is_said(tmp_path, name, place):

@@ -30,6 +30,7 @@ from planish.io.slice_names import (
     first_missing,
     is_preview,
     list_slices,
+    step_doubts,
 )
 from planish.io.tiff import size_words
 
@@ -82,13 +83,15 @@ class Scan:
     stated: tuple[Stated, ...]  # voxel size (z, y, x), and that of further logs
     prefix: str | None  # of the names of the slices
     named_slices: list[NumberedFile]  # slices that the log names
+    step: int  # between the numbers of slices
     count: int | None
     numbers: range | None  # of the slices
     extent: tuple[int | None, int | None]  # rows and columns of a slice
     is_of_whole: bool  # whether count, numbers and extent are those of the scan it was cut from
     window: Pair | None  # attenuation at grey 0 and at the largest grey value, in NRecon's units
     details: dict[str, str]  # further keys, as written
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 class _Log:
@@ -195,10 +198,10 @@ def _scan_by_projections(logs: list[_Log], slices: list[Path]) -> Scan | None:
             )
         source = f"{name} (its projections)"
         stated = Stated(source, (None, None, None), "the slices have other names")
-        notes: tuple[str, ...] = ()
+        doubts: tuple[str, ...] = ()
         if first_slice.stem.casefold().startswith(log.path.stem.casefold()):
             stated = Stated(source, (sizes[0],) * 3)
-            notes = (
+            doubts = (
                 f"{name} states the size of the projections, {sizes[0]:g} um, and none of the"
                 " slices: that size is right unless the reconstruction was scaled.",
             )
@@ -207,13 +210,14 @@ def _scan_by_projections(logs: list[_Log], slices: list[Path]) -> Scan | None:
             stated=(stated,),
             prefix=None,
             named_slices=[],
+            step=1,
             count=None,
             numbers=None,
             extent=(None, None),
             is_of_whole=True,
             window=None,
             details=_details(log),
-            notes=notes,
+            doubts=doubts,
         )
     return None
 
@@ -252,6 +256,7 @@ def _scan_of(log: _Log, further: list[Stated], notes: tuple[str, ...]) -> Scan:
         stated=(Stated(log.source, (size * step, size, size)), *further),
         prefix=log.prefix,
         named_slices=log.named_slices,
+        step=step,
         count=count,
         numbers=None if first is None or last is None else range(first, last + 1, step),
         extent=(rows, columns),
@@ -310,14 +315,14 @@ def slices_of_scan(scan: Scan, folder: Path) -> SliceOrder:
             f" states: {folder_contents(folder)[0]}. Rename the slices, {ELSEWHERE}"
         )
     if not scan.named_slices:
-        files, notes = list_slices(folder)
-        _check_count(scan, len(files), folder)
-        return SliceOrder(files, notes)
+        order = list_slices(folder)
+        _check_count(scan, len(order.files), folder)
+        return order if scan.step == 1 else order._replace(doubts=())
     numbers, files = [number for number, _ in scan.named_slices], [p for _, p in scan.named_slices]
     check_several(files)
     if scan.is_of_whole:
         check_no_gap(numbers, folder)
-        return SliceOrder(files)
+        return SliceOrder(files, doubts=step_doubts(numbers, scan.step))
     if scan.numbers is not None:
         expected_numbers = scan.numbers
         if missing_text := first_missing(expected_numbers, numbers):
@@ -333,7 +338,7 @@ def slices_of_scan(scan: Scan, folder: Path) -> SliceOrder:
     if scan.count in (None, len(numbers)):
         check_no_gap(numbers, folder)
     _check_count(scan, len(files), folder)
-    return SliceOrder(files)
+    return SliceOrder(files, doubts=step_doubts(numbers, scan.step))
 
 
 def _check_count(scan: Scan, n_files: int, folder: Path) -> None:

@@ -24,12 +24,15 @@ MOST_NAMES = 8  # names or numbers written out in a message
 # A sign is part of a number where not all names have it, and a hyphen otherwise.
 NUMBER = re.compile(r"[+-]?\d+")
 
+DECIMALS = "The decimal number in their names counts the slices."
+
 
 class SliceOrder(NamedTuple):
     """Slices in their order, and what is to be said about it."""
 
     files: list[Path]
     notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 def list_slices(folder: Path) -> SliceOrder:
@@ -55,7 +58,8 @@ def list_slices(folder: Path) -> SliceOrder:
     numbers, notes = slice_numbers(files, folder)
     check_no_gap(numbers, folder)
     ordered_files = [file for _, file in sorted(zip(numbers, files, strict=True))]
-    return SliceOrder(ordered_files, notes)
+    doubts = () if notes == (DECIMALS,) else step_doubts(numbers)
+    return SliceOrder(ordered_files, notes, doubts)
 
 
 def is_preview(path: Path) -> bool:
@@ -90,12 +94,7 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str
     columns = _number_columns([p.stem for p in files])
     changing_columns = [column for column in columns if len({*column}) > 1]
     if len(changing_columns) == 1:
-        (numbers,) = changing_columns
-        step = slice_step(numbers)
-        if step < 2:
-            return numbers, ()
-        step_text = f"The slices are numbered in steps of {step}: the z size must be that of {step}"
-        return numbers, (f"{step_text} slices.",)
+        return changing_columns[0], ()
     counters = [column for column in changing_columns if _counts(column)]
     # Decimal numbers, such as the height of a slice.
     counters = counters or [column for column in [_decimals(files)] if _counts(column)]
@@ -115,11 +114,11 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str
             f"{folder.name}: {len(changing_columns)} numbers change {name_texts}, and they ask for"
             " different orders. Rename the slices with one running number."
         )
-    place_text = "the decimal number"
-    if numbers in columns:
-        place_text = f"number {columns.index(numbers) + 1}"
-    note = f"Of the numbers in {files[order[0]].name} and the other names, {place_text} counts the"
-    return numbers, (f"{note} slices; the others that change rise with it.",)
+    if numbers not in columns:
+        return numbers, (DECIMALS,)
+    note = f"Of the numbers in {files[order[0]].name} and the other names, number"
+    place = columns.index(numbers) + 1
+    return numbers, (f"{note} {place} counts the slices; the others that change rise with it.",)
 
 
 def _number_columns(stems: list[str]) -> list[list[int]]:
@@ -173,6 +172,15 @@ def first_missing(expected_numbers: range, numbers: list[int]) -> str:
 def slice_step(numbers: list[int]) -> int:
     """Largest step that meets every number."""
     return math.gcd(*np.diff(sorted(numbers)).tolist())
+
+
+def step_doubts(numbers: list[int], expected_step: int = 1) -> tuple[str, ...]:
+    """Say that slices are further apart than one another, or than their log states."""
+    step = slice_step(numbers)
+    if step == expected_step:
+        return ()
+    step_text = f"The slices are numbered in steps of {step}, not {expected_step}"
+    return (f"{step_text}: the z size must be that of {step} slices.",)
 
 
 def first_few(items: Sequence[object]) -> str:

@@ -29,12 +29,14 @@ from planish.io.tiff_volume import TiffPages
 def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read a folder of slices at once where it fits, otherwise slice by slice on demand."""
     scan = read_scan(place.path)
-    files, notes = list_slices(place.path) if scan is None else slices_of_scan(scan, place.path)
+    order = list_slices(place.path) if scan is None else slices_of_scan(scan, place.path)
+    files, notes, doubts = order
     values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes)
     attrs: dict[str, Any] = colour_attrs(channel, place.path, in_colour=first.in_colour)
     stated, notes = first.stated, (*notes, *first.notes)
     if scan is not None:
-        notes = (*notes, *scan.notes, *check_extent(scan, values.shape, files[0]))
+        notes = (*scan.notes, *notes)
+        doubts = (*doubts, *scan.doubts, *check_extent(scan, values.shape, files[0]))
         window_attrs = {} if scan.window is None else {"attenuation_window": list(scan.window)}
         attrs |= {"nrecon": scan.details} | window_attrs
         stated = (*scan.stated, *stated)
@@ -45,6 +47,7 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
         files=files,
         bits=first.bits,
         attrs=attrs,
+        doubts=doubts,
         notes=notes,
         orientations=[] if orientation is None else [orientation],
     )
@@ -72,8 +75,7 @@ def load_pictures(
     grey = _grey_values(first, files[0], channel)
     dtype, shape = supported_type(grey.dtype), (len(files), *grey.shape)
     header = _slice_header(files[0])
-    is_in_parts = header.offset is not None or header.strip_rows < grey.shape[0]
-    eager_bytes = min(limit, EAGER_BYTES) if is_in_parts and not photographs else limit
+    eager_bytes = limit if photographs or header.offset is None else min(limit, EAGER_BYTES)
     if math.prod(shape) * dtype.itemsize <= eager_bytes:
         values = np.empty(shape, dtype)
         values[0] = grey
