@@ -53,7 +53,7 @@ def _load_nifti(path: Path) -> LoadedVolume:
         extents = tuple(int(n) for n in fields.get_data_shape())
         dtype, offset = np.dtype(fields.get_data_dtype()), int(fields.get_data_offset())
         slope, intercept = fields.get_slope_inter()
-        unit_name = str(fields.get_xyzt_units()[0])
+        unit_name, time_name = map(str, fields.get_xyzt_units())
         unit = {"meter": "m", "micron": "um", "unknown": ""}.get(unit_name, unit_name)
         voxel_lengths = [float(v) for v in fields.get_zooms()]
         affines = _affines(fields)
@@ -61,7 +61,7 @@ def _load_nifti(path: Path) -> LoadedVolume:
         raise damaged(path, f"its sizes are {extents}, its values begin at byte {offset}")
     naming = AxisNames("the NIfTI standard", NIFTI_AXES[: len(extents)])
     axes = axes_of(extents, path, [naming])
-    units = [unit] * len(extents)
+    units = [unit] * 3 + [time_name] * (len(extents) - 3)
     stated = [stated_in("the NIfTI pixdim", voxel_lengths, units, axes.header_axes)]
     orientations: list[Orientation] = []
     for name, affine in affines.items() if axes.header_axes == (2, 1, 0) else ():
