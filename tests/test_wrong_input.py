@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import nibabel
 import numpy as np
 import pytest
+import SimpleITK as itk
 import tifffile
 from PIL import Image
 
@@ -156,6 +157,51 @@ def test_a_left_handed_volume_is_marked(sign, tmp_path):
     check = rule(SimpleNamespace(volume=read_volume(tmp_path / "v.nii")))
     assert (check is None) == (sign > 0)
     assert check is None or "mirror image of the specimen" in check.sentence
+
+
+def left_handed(path, volume):
+    """A MetaImage by whose matrix the rows run the other way: what is stored is a mirror image."""
+    image = itk.GetImageFromArray(np.ascontiguousarray(volume.values[:, ::-1]))
+    image.SetSpacing([um / 1000 for um in volume.attrs["voxel_um"][::-1]])
+    image.SetDirection(np.diag([1.0, -1.0, 1.0]).ravel().tolist())
+    itk.WriteImage(image, str(path))
+    return path
+
+
+@pytest.mark.ci
+def test_marks_that_fit_mirrored_name_the_header_that_says_so(
+    ended, planish, specimen, specimen_files, tmp_path
+):
+    volume = left_handed(tmp_path / "left.mha", specimen.volume)
+    code, _, error = planish("link", volume, specimen_files[1], "-o", tmp_path / "refused")
+    assert code == 3
+    for words in ("match if one side is mirrored", "left-handed system", "TransformMatrix"):
+        assert words in " ".join(error.split())
+    _, results, checks, _ = ended("link", volume, specimen_files[1], "--mirror")
+    assert checks["hand of the volume"]["state"] == "look"
+    orientation = results["layers"][0]["registration"]["orientation"]
+    assert "left-handed system" in orientation["sentence"]
+    assert "fit on each other mirrored, which agrees with that" in orientation["sentence"]
+
+
+@pytest.mark.ci
+def test_an_image_that_its_tag_mirrors(planish, specimen_files, tmp_path):
+    image = tifffile.imread(specimen_files[1])
+    tag = [(274, 3, 1, 2, True)]
+    path = tmp_path / "tagged.tif"
+    resolution = (2000, 2000)  # pixels of 5 um
+    tifffile.imwrite(
+        path,
+        np.ascontiguousarray(image[:, ::-1]),
+        metadata=None,
+        extratags=tag,
+        resolution=resolution,
+        resolutionunit="CENTIMETER",
+    )
+    code, _, error = planish("link", specimen_files[0], path, "-o", tmp_path / "run")
+    assert code == 3
+    for words in ("match if one side is mirrored", "orientation tag 2", "mirror image"):
+        assert words in " ".join(error.split())
 
 
 # --- what is refused, or doubted ------------------------------------------------------------------

@@ -333,6 +333,39 @@ def with_coordinates(order: str, steps: dict[str, float], unit: str) -> Callable
     return dress
 
 
+def by_labels(data: h5py.Dataset) -> None:
+    for dimension, label in zip(data.dims, "xyz", strict=True):
+        dimension.label = label
+
+
+def by_scales(data: h5py.Dataset) -> None:
+    for axis, name in enumerate("xyz"):
+        scale = data.parent.create_dataset(name, data=np.arange(data.shape[axis]) * 1.0)
+        scale.make_scale(name)
+        data.dims[axis].attach_scale(scale)
+
+
+def by_axistags(data: h5py.Dataset) -> None:
+    tags = [{"key": a, "typeFlags": 2, "resolution": 0, "description": ""} for a in "xyz"]
+    data.attrs["axistags"] = json.dumps({"axes": tags})
+
+
+def by_indices(data: h5py.Dataset) -> None:
+    data.parent.attrs.update({"x_indices": 0, "y_indices": 1, "z_indices": 2})
+
+
+def by_emd(data: h5py.Dataset) -> None:
+    data.parent.attrs["emd_group_type"] = 1
+    for axis, name in enumerate("xyz"):
+        values = np.arange(data.shape[axis]) * UM_STEPS[name] * 1000
+        dimension = data.parent.create_dataset(f"dim{axis + 1}", data=values)
+        dimension.attrs.update({"name": name, "units": "[n_m]"})
+
+
+def by_words(key: str, value: Any) -> Callable[[h5py.Dataset], None]:
+    return lambda data: data.attrs.update({key: value})
+
+
 @cell(
     "HDF5, NeXus",
     "axes",
@@ -340,45 +373,18 @@ def with_coordinates(order: str, steps: dict[str, float], unit: str) -> Callable
     " EMD, `_ARRAY_DIMENSIONS` and the like",
 )
 def hdf5_axes(folder: Path) -> Iterator[Said]:
-    def labels(data: h5py.Dataset) -> None:
-        for dimension, label in zip(data.dims, "xyz", strict=True):
-            dimension.label = label
-
-    def scales(data: h5py.Dataset) -> None:
-        for axis, name in enumerate("xyz"):
-            scale = data.parent.create_dataset(name, data=np.arange(data.shape[axis]) * 1.0)
-            scale.make_scale(name)
-            data.dims[axis].attach_scale(scale)
-
-    def axistags(data: h5py.Dataset) -> None:
-        tags = [{"key": a, "typeFlags": 2, "resolution": 0, "description": ""} for a in "xyz"]
-        data.attrs["axistags"] = json.dumps({"axes": tags})
-
-    def indices(data: h5py.Dataset) -> None:
-        data.parent.attrs.update({"x_indices": 0, "y_indices": 1, "z_indices": 2})
-
-    def emd(data: h5py.Dataset) -> None:
-        data.parent.attrs["emd_group_type"] = 1
-        for axis, name in enumerate("xyz"):
-            values = np.arange(data.shape[axis]) * UM_STEPS[name] * 1000
-            dimension = data.parent.create_dataset(f"dim{axis + 1}", data=values)
-            dimension.attrs.update({"name": name, "units": "[n_m]"})
-
-    def words(key: str, value: Any) -> Callable[[h5py.Dataset], None]:
-        return lambda data: data.attrs.update({key: value})
-
     dresses = {
-        "labels": labels,
-        "scales": scales,
-        "axistags": axistags,
-        "indices": indices,
-        "emd": emd,
-        "axes": words("axes", np.array(["x", "y", "z"], "S1")),
-        "word": words("axes", "xyz"),
-        "colons": words("axes", "x:y:z"),
-        "xarray": words("_ARRAY_DIMENSIONS", ["x", "y", "z"]),
-        "spelt": words("axes", ["column", "row", "slice"]),
-        "two": words("axes", ["x_axis (um)", "pos_y", ""]),
+        "labels": by_labels,
+        "scales": by_scales,
+        "axistags": by_axistags,
+        "indices": by_indices,
+        "emd": by_emd,
+        "axes": by_words("axes", np.array(["x", "y", "z"], "S1")),
+        "word": by_words("axes", "xyz"),
+        "colons": by_words("axes", "x:y:z"),
+        "xarray": by_words("_ARRAY_DIMENSIONS", ["x", "y", "z"]),
+        "spelt": by_words("axes", ["column", "row", "slice"]),
+        "two": by_words("axes", ["x_axis (um)", "pos_y", ""]),
     }
     for name, dress in dresses.items():
         path = hdf5(folder / f"{name}.h5", "xyz", dress)
@@ -664,10 +670,11 @@ def raw_hand(folder: Path) -> Iterator[Said]:
 
 
 def test_no_permutation_and_no_mirror_image_is_the_volume_itself():
-    seen: list[np.ndarray] = []
-    for order in itertools.permutations(range(3)):
-        for steps in itertools.product((1, -1), repeat=3):
-            seen.append(LETTERS.transpose(order)[tuple(slice(None, None, s) for s in steps)])
+    orders = itertools.permutations(range(3))
+    mirrors = itertools.product((slice(None), slice(None, None, -1)), repeat=3)
+    seen = [
+        LETTERS.transpose(order)[mirror] for order, mirror in itertools.product(orders, mirrors)
+    ]
     same = [values for values in seen if np.array_equal(values, LETTERS)]
     assert (len(seen), len(same)) == (48, 1)
 
