@@ -75,8 +75,8 @@ CASES = [
     (
         lambda: pl.volume(GREYS, voxel_um=3000),
         (
-            "The volume: the voxel size along z is 3000 um, possible are 0.0001 to 1000 um. It"
-            " looks like nm given as um (3000 nm is 3 um). Give the right one with voxel_um=,"
+            "The volume: the voxel size along z is 3000 um (voxel_um= gives it); possible are"
+            " 0.0001 to 1000 um. Check the number and its unit. Give the right one with voxel_um=,"
             " in um."
         ),
     ),

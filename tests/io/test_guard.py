@@ -1,7 +1,11 @@
-"""How much memory a run may have: that of its control groups, in containers and batch systems."""
+"""How much memory a run may have, that of its control groups; and what a failed read is called."""
+
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from planish.core.errors import FileError
 from planish.io import guard
 
 
@@ -34,3 +38,13 @@ def test_the_least_limit_of_the_groups_counts(tmp_path, groups, files, expected)
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_text(f"{text}\n", encoding="utf-8", newline="\n")
     assert guard._control_group_limit_bytes(own, folder) == expected
+
+
+@pytest.mark.parametrize("marks", [0x1000, 0x400000, 0])
+def test_a_file_that_a_cloud_has_is_not_called_damaged(monkeypatch, tmp_path, marks):
+    path = tmp_path / "a.tif"
+    path.touch()
+    monkeypatch.setattr(Path, "stat", lambda _: SimpleNamespace(st_file_attributes=marks))
+    words = "is in a cloud and not on this computer" if marks else "cannot be decoded"
+    with pytest.raises(FileError, match=words), guard.reading(path):
+        raise OSError(22, "The cloud file provider is not running")

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from planish.core.errors import SizeError
 from planish.core.units import unit_um
 from planish.io import PIXEL, agreed_size
-from planish.io.sizes import VOXEL, Stated, from_density
+from planish.io.resolution import from_density
+from planish.io.sizes import VOXEL, Stated, stated_in
 
 sizes = st.floats(0.02, 90)
 
@@ -129,12 +130,23 @@ def test_two_sources_fill_each_other_up_but_may_not_disagree():
         agreed_size([other, tags], None, file_name="v.tif", asked=VOXEL)
 
 
-@pytest.mark.parametrize(("size", "unit"), [("3000", "nm"), ("0.003", "mm"), ("0.000003", "m")])
-def test_a_size_out_of_range_says_which_unit_it_looks_like(size, unit):
-    with pytest.raises(
-        SizeError, match=rf"It looks like {unit} given as um \({size} {unit} is 3 um\)"
-    ):
-        agreed_size([], float(size), file_name="v.tif", asked=VOXEL)
+@pytest.mark.parametrize(
+    ("length", "unit", "words"),
+    [
+        (3, "mm", r"is 3000 um \(the header states 3 mm\); possible are 0\.0001 to 1000 um"),
+        (3, "nm", r"is 0\.003 um \(the header states 3 nm\); usual are 0\.01 to 100 um"),
+        (0.0003, "m", r"is 300 um \(the header states 0\.0003 m\); usual are"),
+    ],
+)
+def test_of_a_size_out_of_range_the_number_that_was_read_is_said_and_no_reason(length, unit, words):
+    stated = stated_in("the header", [length] * 3, [unit] * 3)
+    with pytest.raises(SizeError, match=words) as refused:
+        agreed_size([stated], None, file_name="v.tif", asked=VOXEL)
+    refused.match(r"Check the number and its unit\..* add override_size=True")
+    for guess in ("looks like", "given as um", "probably"):
+        assert guess not in refused.value.text
+    with pytest.raises(SizeError, match=r"is 3000 um \(voxel_um= gives it\); possible are"):
+        agreed_size([], 3000.0, file_name="v.tif", asked=VOXEL)
 
 
 def test_unusual_sizes_need_a_word_and_impossible_ones_are_refused():
@@ -146,7 +158,7 @@ def test_unusual_sizes_need_a_word_and_impossible_ones_are_refused():
     assert agreed_size(nm, None, file_name="v.tif", asked=VOXEL, unusual=True)[0] == (0.0046,) * 3
     with pytest.raises(SizeError, match=r"possible are 0.0001 to 1000 um.*in um\.$"):
         agreed_size([], 2000.0, file_name="v.tif", asked=VOXEL, unusual=True)
-    with pytest.raises(SizeError, match=r"looks like nm .*override_size=True"):
+    with pytest.raises(SizeError, match=r"OME metadata states it.*override_size=True"):
         agreed_size(
             [Stated(source="OME metadata", um=(3e3,) * 3)], None, file_name="v.tif", asked=VOXEL
         )

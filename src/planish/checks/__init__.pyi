@@ -12,4 +12,5 @@ from .registry import for_layers as for_layers
 from .registry import rows_with_trust as rows_with_trust
 from .registry import run_checks as run_checks
 from .sheets import MeasuredSheet as MeasuredSheet
+from .sizes import SizedLayer as SizedLayer
 from .through_scale import RegisteredSheet as RegisteredSheet

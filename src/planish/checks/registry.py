@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import xarray as xr
 
-from planish.checks import files, greys, registration, sheets, through_scale
+from planish.checks import files, greys, registration, sheets, sizes, through_scale
 from planish.checks.files import ImageFile
 from planish.checks.greys import SheetImage
 from planish.checks.registration import (
@@ -21,6 +21,7 @@ from planish.checks.registration import (
 )
 from planish.checks.scan import GreyScan, ScannedSheet, read_scan
 from planish.checks.sheets import MeasuredSheet
+from planish.checks.sizes import SizedLayer
 from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule, trust_of
@@ -50,6 +51,8 @@ CHECKS = (
     CheckRule("cut-off", MeasuredSheet, (POSITION,), sheets.cutoff),
     CheckRule("scale through the sheet", MeasuredSheet, _ALL, through_scale.scale_by_thickness),
     CheckRule("corrections", MeasuredSheet, (PROPERTIES,), sheets.corrections),
+    # planish map and link: from what a file says of its size
+    CheckRule("size by dpi", SizedLayer, _ALL, sizes.size_by_dpi),
     # planish map: from the volume
     CheckRule("hand of the volume", ScannedSheet, (POSITION, CORRELATION), files.hand_of_volume),
     CheckRule("reading of the volume", ScannedSheet, _ALL, files.reading),

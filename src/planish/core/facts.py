@@ -129,6 +129,9 @@ class InputFile(ResultModel):
     size_source: str = Field(
         description="Where the size was taken from, such as a log or an option."
     )
+    size_doubt: str = Field(
+        default="", description="A sentence where the size may be nobody's measurement."
+    )
 
 
 class ThinFacts(ResultModel):

@@ -334,4 +334,4 @@ def check_chunks(
             )
     if len(stored) == total:
         return ()
-    return (f"{loss} and read as one constant: they are empty, or were lost when it was copied.",)
+    return (f"{loss} and read as one constant: the file does not say whether something is lost.",)

@@ -6,6 +6,7 @@ Their failures become one error, and nothing larger than the memory is asked for
 import ctypes
 import logging
 import os
+import stat
 import threading
 import warnings
 from collections.abc import Generator
@@ -17,6 +18,8 @@ from planish.core.errors import FileError, PlanishError, ResourceError
 from planish.core.files import check_exists
 from planish.core.memory import FREE_SHARE, UNKNOWN_BYTES
 from planish.core.threads import control_groups
+
+RECALL_ON_DATA_ACCESS = 0x400000  # of winnt.h, which the module stat does not name
 
 
 class _Quiet:
@@ -70,12 +73,31 @@ def reading(path: Path) -> Generator[None]:
         raise FileError(
             f"{path.name} may not be read. Give yourself the right to read it."
         ) from error
-    except Exception as error:  # broken files make the decoders raise almost every type there is
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
+    except OSError as error:
+        if not _is_in_cloud(path):
+            raise _undecodable(path, error) from error
         raise FileError(
-            f"{path.name} cannot be decoded ({reason}). It is damaged or of a rare kind: copy or"
-            " export it again."
+            f"{path.name} is in a cloud and not on this computer. Download it first: right-click,"
+            " Always keep on this device."
         ) from error
+    except Exception as error:  # broken files make the decoders raise almost every type there is
+        raise _undecodable(path, error) from error
+
+
+def _undecodable(path: Path, error: Exception) -> FileError:
+    reason = " ".join(str(error).split())[:160] or type(error).__name__
+    return FileError(
+        f"{path.name} cannot be decoded ({reason}). It is damaged or of a rare kind: copy or"
+        " export it again."
+    )
+
+
+def _is_in_cloud(path: Path) -> bool:
+    """True for a placeholder of a file that Windows has to fetch from a server."""
+    with suppress(OSError):
+        marks = getattr(path.stat(), "st_file_attributes", 0)
+        return bool(marks & (stat.FILE_ATTRIBUTE_OFFLINE | RECALL_ON_DATA_ACCESS))
+    return False
 
 
 def size_of_file(path: Path) -> int:

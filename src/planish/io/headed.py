@@ -100,12 +100,11 @@ def values_behind(header: Header) -> Values:
             partial(_unpacked, header),
         )
     if stored_bytes != needed_bytes:
-        fault_text = "It was cut off" if stored_bytes < needed_bytes else "The header is wrong"
         raise FileError(
             f"{header.path.name} declares {size_words(header.shape)} values of"
             f" {header.stored_dtype.itemsize} bytes, {needed_bytes} bytes; {data_file.name} has"
-            f" {max(stored_bytes, 0)} from byte {offset} on. {fault_text}: copy or export it again,"
-            " or correct the header."
+            f" {max(stored_bytes, 0)} from byte {offset} on. Copy or export it again, or correct"
+            " the header."
         )
     return mapped(data_file, header.shape, header.stored_dtype, offset=offset)
 

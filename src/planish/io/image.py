@@ -16,7 +16,7 @@ from planish.io.formats import COLOURS, LUMINANCE, full_scale
 from planish.io.guard import check_memory, size_of_file
 from planish.io.orientation import orientation_attrs, tag_orientation
 from planish.io.picture import DecodedPicture, load_picture
-from planish.io.sizes import PIXEL, Stated, agreed_size
+from planish.io.sizes import PIXEL, Stated, agreed_size, doubt_of_size
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -61,7 +61,8 @@ def read_image(
         ``pixel_um`` (y, x), ``pixel_um_source``, ``channel``, ``stored_dtype``, ``full_scale``
         (largest value the file can store, None for floating point), ``orientation`` (the tag),
         ``hand`` or ``turned`` where it mirrors or turns the image, ``file_name``, ``file_bytes``,
-        and ``side`` if given.
+        ``side`` if given, and ``size_doubt``, a sentence, where the size may be nobody's
+        measurement.
 
     Raises
     ------
@@ -87,8 +88,9 @@ def read_image(
     if side is not None:
         check_choice("side", side, SIDES)
     picture = load_picture(path, memory_bytes=memory_bytes)
+    stated = across(picture.stated)
     size, source = agreed_size(
-        across(picture.stated),
+        stated,
         pixel_um,
         file_name=path.name,
         asked=PIXEL,
@@ -111,6 +113,8 @@ def read_image(
         "file_name": path.name,
         "file_bytes": size_of_file(path),
     } | ({} if side is None else {"side": side})
+    if doubt := doubt_of_size(stated, source):
+        attrs["size_doubt"] = doubt
     return labelled(values, PIXEL.axes, size, name="image", attrs=attrs)
 
 
@@ -122,7 +126,10 @@ def picture_attrs(tag: int) -> Mapping[str, str]:
 
 def across(stated: Sequence[Stated]) -> list[Stated]:
     """Leave out what is stated about z."""
-    return [s._replace(um=s.um[1:], note=s.note if None in s.um[1:] else "") for s in stated]
+    return [
+        s._replace(um=s.um[1:], note=s.note if None in s.um[1:] else "", written=s.written[1:])
+        for s in stated
+    ]
 
 
 def pick_channel(

@@ -37,7 +37,15 @@ from planish.io.orientation import image_sentence, volume_sentence
 from planish.io.other_files import check_contents
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import SectionStack, is_section_folder, open_sections
-from planish.io.sizes import PIXEL, USUAL_VOXEL_UM, VOXEL, agreed_size
+from planish.io.sizes import (
+    PIXEL,
+    USUAL_VOXEL_UM,
+    VOXEL,
+    Stated,
+    advice_on_doubt,
+    agreed_size,
+    doubt_of_size,
+)
 from planish.io.tiff import open_series
 from planish.io.volume import load_volume, open_volume
 
@@ -170,7 +178,11 @@ def _describe_volume(
         grey_values, full_scale(grey_values.dtype, loaded.bits), VOXEL.axes, is_read
     )
     size_facts = _size_facts(
-        partial(find_size, loaded.stated), grey_values.shape, warnings, ("Voxels", USUAL_VOXEL_UM)
+        partial(find_size, loaded.stated),
+        grey_values.shape,
+        warnings,
+        loaded.stated,
+        ("Voxels", USUAL_VOXEL_UM),
     )
     window = loaded.attrs.get("attenuation_window")
     if window is not None and is_read and grey_values.dtype == np.uint8:
@@ -214,7 +226,7 @@ def _describe_sections(
     steps_um = np.diff(sections.positions_um)
     pitch_um = float(np.median(steps_um))
     n_missing = np.rint(steps_um / pitch_um).astype(int) - 1
-    size_facts = _size_facts(find_size, sections.values.shape, warnings)
+    size_facts = _size_facts(find_size, sections.values.shape, warnings, sections.first.stated)
     if size_facts["extent_um"] is not None:
         size_facts["extent_um"][0] = float(np.ptp(sections.positions_um)) + pitch_um
     if missing_total := n_missing.sum():
@@ -269,8 +281,9 @@ def _describe_image(
     )
     if is_read and stride > 1:
         facts["sampled"] = f"every {stride} rows and columns"
+    stated = across(picture.stated)
     size_facts = _size_facts(
-        partial(find_size, across(picture.stated)), shape, warnings, ("Pixels", PIXEL.usual_um)
+        partial(find_size, stated), shape, warnings, stated, ("Pixels", PIXEL.usual_um)
     )
     return {
         "bytes": size_of_file(path),
@@ -302,17 +315,21 @@ def _size_facts(
     find_size: Agreed,
     shape: Sequence[int],
     warnings: list[str],
+    stated: Sequence[Stated],
     usual_range: tuple[str, Pair] | None = None,
 ) -> dict[str, Any]:
     """Voxel or pixel size and where it comes from, or why there is none.
 
-    Unusual ones are doubted.
+    Unusual ones are doubted, and those that nobody may have measured.
     """
     try:
         size, source = find_size()
     except SizeError as error:
         warnings.append(error.text)
         return {"size_um": None, "size_source": None, "size_problem": error.text, "extent_um": None}
+    if doubt := doubt_of_size(stated, source):
+        asked = PIXEL if len(size) == len(PIXEL.axes) else VOXEL
+        warnings.append(f"{doubt} {advice_on_doubt(asked)}")
     if usual_range is not None:
         elements, (least, most) = usual_range
         shortest, longest = min(size), max(size)

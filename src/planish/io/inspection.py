@@ -68,7 +68,7 @@ def inspect_values(  # noqa: C901
     if seen.constant_numbers:
         warnings.append(
             f"{len(seen.constant_numbers)} slices have one grey value only (black or empty), z "
-            f"{first_few(seen.constant_numbers)}: the scan ended there, or files were damaged."
+            f"{first_few(seen.constant_numbers)}: look at them, and leave out what shows no sheet."
         )
     if seen.copy_numbers:
         place_text = (

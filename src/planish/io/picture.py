@@ -12,12 +12,13 @@ from typing import Any, Literal, NamedTuple
 import imagecodecs
 import numpy as np
 from numpy.typing import NDArray
-from PIL import BmpImagePlugin, ImageFile, JpegImagePlugin, PngImagePlugin
+from PIL import BmpImagePlugin, Image, ImageFile, JpegImagePlugin, PngImagePlugin
 from tifffile import PHOTOMETRIC, TiffPageSeries
 
 from planish.core.errors import FileError
 from planish.io.guard import check_blown_up, check_memory, head_of, reading
 from planish.io.other_files import PICTURE_STARTS, folder_contents, refusal
+from planish.io.resolution import writer_of
 from planish.io.sizes import Stated, stated_by_tiff, stated_density
 from planish.io.tiff import (
     has_rgb,
@@ -183,7 +184,9 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         check_memory(path, needed_bytes=needed_bytes, limit_bytes=memory_bytes)
     with reading(path):
         # Pillow decodes a PNG to look for the tag behind its pixels.
-        orientation = image.getexif().get(274, 1) if decode or kind != "png" else 1
+        exif = image.getexif() if decode or kind != "png" else Image.Exif()
+        orientation = exif.get(274, 1)
+        writer = writer_of({305: image.info.get("Software")} | dict(exif), exif.get_ifd(34665))
         dpi: Any = image.info.get("dpi")
         if decode:
             image.load()
@@ -212,7 +215,7 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
     bits = 16 if image.mode == "I" else 8 * values.dtype.itemsize
     # Along x, y in the file.
     density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)
-    stated = (stated_density(f"the {kind.upper()} resolution", density, "inch"),)
+    stated = (stated_density(f"the {kind.upper()} resolution", density, "inch", writer),)
     orientation = orientation if isinstance(orientation, int) else 1
     return DecodedPicture(
         values=values, colour=colour, bits=bits, stated=stated, orientation=orientation

@@ -23,7 +23,7 @@ from planish.io.guard import size_of_file
 from planish.io.image import picture_attrs
 from planish.io.lazy import Values
 from planish.io.picture import DecodedPicture
-from planish.io.sizes import VOXEL, Stated, agreed_size, size_per_axis
+from planish.io.sizes import VOXEL, Stated, agreed_size, doubt_of_size, size_per_axis
 from planish.io.slice_names import first_few
 from planish.io.slice_volume import load_pictures
 
@@ -139,6 +139,8 @@ def read_section_stack(
         "section_kind": sections.kind,
     } | colour_attrs(check_channel(channel), sections.folder, in_colour=sections.first.in_colour)
     attrs |= picture_attrs(sections.first.orientation)
+    if doubt := doubt_of_size(sections.first.stated, source):
+        attrs["size_doubt"] = doubt
     return sections._replace(attrs=attrs)
 
 

@@ -20,6 +20,7 @@ from planish.core.text import and_join
 from planish.core.typing import Pair
 from planish.core.units import unit_um
 from planish.io.guard import reading
+from planish.io.resolution import Writer, doubt_of, from_density, reason_of_none, writer_of
 
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPage
@@ -35,13 +36,12 @@ class Stated(NamedTuple):
     # One entry an axis, slowest axis first; None where the metadata are silent.
     um: tuple[float | None, ...]
     note: str = ""  # why, if there is something to say
+    written: tuple[str, ...] = ()  # what was read along each axis, such as "3 mm"
+    doubt: str = ""  # a sentence, where it may be nobody's measurement
 
 
 class Asked(NamedTuple):
-    """Kind of size that is needed: names, word of a call, and the usual range.
-
-    Outside of it the unit is probably wrong.
-    """
+    """Kind of size that is needed: names, word of a call, and the usual range."""
 
     name: str
     axes: tuple[str, ...]
@@ -98,30 +98,18 @@ def stated_in(
     """
     sizes: list[float | None] = []
     notes: list[str] = []
+    written: list[str] = []
     for axis in order:
         length = lengths[axis] if axis < len(lengths) else None
         unit = units[axis] if axis < len(units) else ""
         size, unit_length = _number(length), unit_um(unit)
         sizes.append(None if size is None or unit_length is None else size * unit_length)
+        written.append("" if length is None else f"{length:g} {unit}")
         if length is not None and size is None:
             notes.append(f"{length:g} is no size")
         elif length is not None and unit_length is None:
             notes.append(f"{unit!r} is no unit of length" if unit else f"{length:g} without a unit")
-    return Stated(source, tuple(sizes), ", ".join(dict.fromkeys(notes)))
-
-
-def from_density(per_unit: float | None, unit: str) -> float | None:
-    """Pixel size (um) from pixels per unit of length.
-
-    None for 1 per unit and 72 or 96 an inch, which mean unknown.
-    """
-    unit_length, density = unit_um(unit), _number(per_unit)
-    if density is None or unit_length is None or density == 1:
-        return None
-    pixel_um = unit_length / density
-    # What programs write when they do not know the resolution, within the rounding of whole pixels
-    # per cm.
-    return None if any(abs(25400.0 / pixel_um - dpi) <= 1.0 for dpi in (72.0, 96.0)) else pixel_um
+    return Stated(source, tuple(sizes), ", ".join(dict.fromkeys(notes)), tuple(written))
 
 
 def agreed_size(
@@ -168,7 +156,7 @@ def agreed_size(
             file_name=file_name,
             asked=asked,
             unusual=unusual,
-            more_text=f", and add {OVERRIDE}",
+            statements=statements,
         )
         return size, sources
     size = size_per_axis(user_um, asked)
@@ -228,21 +216,43 @@ def _merge_stated(
     return tuple(sizes)
 
 
+def doubt_of_size(stated: Sequence[Stated], source: str) -> str:
+    """Say why the size that was agreed on may be nobody's measurement; nothing where it is one."""
+    sized = [s for s in stated if s.um[-1] is not None]
+    is_sure = source.startswith("given") or not all(s.doubt for s in sized)
+    return "" if is_sure else " ".join(dict.fromkeys(s.doubt for s in sized))
+
+
+def advice_on_doubt(asked: Asked) -> str:
+    """Say what to do about a size that may be nobody's measurement."""
+    return (
+        "Compare a known length; if the size is another one, give it with"
+        f" `{asked.word}=SIZE` and {OVERRIDE}."
+    )
+
+
 def _check_range(
-    size: Sequence[float], *, file_name: str, asked: Asked, unusual: bool, more_text: str = ""
+    size: Sequence[float],
+    *,
+    file_name: str,
+    asked: Asked,
+    unusual: bool,
+    statements: Sequence[Stated] = (),
 ) -> None:
-    """Ask about sizes that no image of paper has, and refuse those that no image has."""
+    """Ask about sizes that no image of paper has, and refuse those that no image has.
+
+    What was read is said, and no reason is guessed.
+    """
     low, high = asked.usual_um
     for axis, um in zip(asked.axes, size, strict=True):
         is_possible = POSSIBLE_UM[0] <= um <= POSSIBLE_UM[1]
         if low <= um <= high or (unusual and is_possible):
             continue
-        guess_text = "The unit is probably wrong"
-        for unit, factor in (("m", 1e6), ("mm", 1e3), ("nm", 1e-3)):
-            if low <= um * factor <= high:
-                guess_text = (
-                    f"It looks like {unit} given as um ({um:g} {unit} is {um * factor:g} um)"
-                )
+        origin_text, more_text = f"`{asked.word}` gives it", ""
+        origin = next((s for s in statements if s.um[asked.axes.index(axis)] is not None), None)
+        if origin is not None:
+            written = origin.written[asked.axes.index(axis)] if origin.written else "it"
+            origin_text, more_text = f"{origin.source} states {written}", f", and add {OVERRIDE}"
         limits_text, meant_text = f"possible are {POSSIBLE_UM[0]:g} to 1000 um", ""
         if is_possible:
             limits_text, meant_text = (
@@ -250,8 +260,9 @@ def _check_range(
                 " If it is meant, add `unusual_size=True`.",
             )
         raise SizeError(
-            f"{file_name}: the {asked.name} size along {axis} is {um:g} um, {limits_text}."
-            f" {guess_text}. Give the right one with `{asked.word}`, in um{more_text}.{meant_text}"
+            f"{file_name}: the {asked.name} size along {axis} is {um:g} um ({origin_text});"
+            f" {limits_text}. Check the number and its unit. Give the right one with"
+            f" `{asked.word}`, in um{more_text}.{meant_text}"
         )
 
 
@@ -261,6 +272,9 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
         ome = tif.ome_metadata
         imagej: Mapping[str, Any] | None = tif.imagej_metadata
         density = [_fraction(page.tags.valueof(code)) for code in (283, 282)]
+        tags = {tag.code: tag.value for tag in page.tags}
+        photo_tags: Any = tags.get(34665)
+        writer = writer_of(tags, photo_tags if isinstance(photo_tags, dict) else ())
         stated: list[Stated] = []
         if ome is not None:  # the first image; the unit is um where none is written, as OME has it
             if "<!ENTITY" in ome or "<!DOCTYPE" in ome:
@@ -273,29 +287,48 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
                 (e.attrib for e in elements if e.tag.rpartition("}")[2] == "Pixels"),
                 dict[str, str](),
             )
-            sizes = [_number(attributes.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
+            sizes = [_real(attributes.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
             units = [attributes.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"]
             stated = [stated_in("OME metadata", sizes, units)]
         if imagej is not None and str(imagej.get("unit", "")).strip():
-            return (*stated, _stated_by_imagej(imagej, density))
+            return (*stated, _stated_by_imagej(imagej, density, writer))
         code: Any = page.tags.valueof(296)  # The resolution tags, with their unit, never state z.
         return (
             *stated,
-            stated_density("the TIFF resolution", density, {2: "inch", 3: "cm"}.get(code, "")),
+            stated_density(
+                "the TIFF resolution", density, {2: "inch", 3: "cm"}.get(code, ""), writer
+            ),
         )
 
 
-def stated_density(source: str, density: Sequence[float | None], unit: str) -> Stated:
+def stated_density(
+    source: str, density: Sequence[float | None], unit: str, writer: Writer
+) -> Stated:
     """Size along z, y, x by pixels per unit of length along y, x."""
     sizes_um = [from_density(per_unit, unit) for per_unit in density]
-    return Stated(
-        source,
-        (None, *sizes_um),
-        "missing, or a default such as 72 dpi" if None in sizes_um else "",
+    reasons = [
+        reason_of_none(per_unit, unit)
+        for per_unit, um in zip(density, sizes_um, strict=True)
+        if um is None
+    ]
+    return _doubted(
+        Stated(source, (None, *sizes_um), ", ".join(filter(None, dict.fromkeys(reasons)))), writer
     )
 
 
-def _stated_by_imagej(meta: Mapping[str, Any], density: Sequence[float | None]) -> Stated:
+def _doubted(stated: Stated, writer: Writer) -> Stated:
+    """Size along z, y, x by a resolution along y, x, and whether somebody measured it."""
+    doubts = [doubt_of(um, writer) for um in stated.um[1:] if um is not None]
+    if not any(doubts):
+        return stated
+    dpi_texts = [f"{25400.0 / um:.4g}" for um in stated.um[1:] if um is not None]
+    source = f"{stated.source} of {' x '.join(dict.fromkeys(dpi_texts))} dpi"
+    return stated._replace(source=source, doubt=next(filter(None, doubts)))
+
+
+def _stated_by_imagej(
+    meta: Mapping[str, Any], density: Sequence[float | None], writer: Writer
+) -> Stated:
     """Read `unit` (`yunit`, `zunit`), `spacing`, and pixels per unit from the resolution tags."""
     unit = str(meta.get("unit", ""))
     if unit_um(unit) is None:
@@ -310,13 +343,13 @@ def _stated_by_imagej(meta: Mapping[str, Any], density: Sequence[float | None]) 
             sizes_um.append(
                 None if per_unit is None or unit_length is None else unit_length / per_unit
             )
-    z = stated_in("", [_number(meta.get("spacing"))], [unit_z], (0,)).um[0]
-    note = (
-        ""
-        if z is not None
-        else "it has no slice spacing (ImageJ leaves out a spacing of exactly 1)"
-    )
-    return Stated("ImageJ metadata", (z, *sizes_um), note)
+    spacing = stated_in("", [_real(meta.get("spacing"))], [unit_z], (0,))
+    note = f"its spacing: {spacing.note}" if spacing.note else ""
+    if meta.get("spacing") is None:
+        note = "it has no slice spacing (ImageJ leaves out a spacing of exactly 1)"
+    stated = Stated("ImageJ metadata", (*spacing.um, *sizes_um), note)
+    is_resolution = unit_um(unit) in (unit_um("inch"), unit_um("cm"))
+    return _doubted(stated, writer) if is_resolution else stated
 
 
 def _fraction(tag_value: Any) -> float | None:
@@ -327,8 +360,13 @@ def _fraction(tag_value: Any) -> float | None:
 
 
 def _number(raw_value: Any) -> float | None:
+    number = _real(raw_value)
+    return number if number is not None and math.isfinite(number) and number > 0 else None
+
+
+def _real(raw_value: Any) -> float | None:
+    """Read a number as it stands, which need not be a size."""
     try:
-        number = float(raw_value)
+        return float(raw_value)
     except (TypeError, ValueError):
         return None
-    return number if math.isfinite(number) and number > 0 else None

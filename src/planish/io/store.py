@@ -302,6 +302,7 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     attr_names = (
         "full_scale",
         "voxel_um_source",
+        "size_doubt",
         "stored_dtype",
         "channel",
         "sections",

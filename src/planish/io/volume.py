@@ -22,7 +22,7 @@ from planish.io.formats import (
 from planish.io.lazy import read_if_small
 from planish.io.orientation import orientation_attrs, orientation_notes
 from planish.io.other_files import check_contents
-from planish.io.sizes import VOXEL, agreed_size
+from planish.io.sizes import VOXEL, agreed_size, doubt_of_size
 from planish.io.tiff import damaged, size_words
 
 if TYPE_CHECKING:
@@ -120,6 +120,8 @@ def read_volume(
         **loaded.attrs,
         **frame_attrs,
     }
+    if doubt := doubt_of_size(loaded.stated, source):
+        attrs["size_doubt"] = doubt
     return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs)
 
 

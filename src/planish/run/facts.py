@@ -46,6 +46,7 @@ def input_file(data: xr.DataArray, path: str) -> InputFile:
         sha256=fingerprint(path),
         size_um=tuple(float(v) for v in data.attrs[size]),
         size_source=str(data.attrs[f"{size}_source"]),
+        size_doubt=str(data.attrs.get("size_doubt", "")),
     )
 
 

@@ -1,6 +1,6 @@
 """Judge a run: its checks, and with them the trust in every number of its results."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
@@ -17,6 +17,7 @@ from planish.checks import (
     JudgedRegistration,
     RegisteredSheet,
     SheetImage,
+    SizedLayer,
     TextureChecks,
     apply_checks,
     for_layers,
@@ -48,7 +49,8 @@ def judge_sheet(study: Study, sheet: MappedLayer) -> Run:
         headline=leading_map(sheet.groups["surfaces"]),
         sheet=sheet.facts,
     )
-    results = _results(study, [facts], for_layers(sheet.checks, sheet.name))
+    checks = [*for_layers(sheet.checks, sheet.name), *_size_checks([facts])]
+    results = _results(study, [facts], checks)
     return Run(study=study, results=results, groups=sheet.groups, unchanged=sheet.unchanged)
 
 
@@ -127,6 +129,7 @@ def _checks_of_link(overlay: Overlay, comparison: Comparison, holes: HoleSearch)
         yield from scale_checks
         if linked.link is not None:
             yield from _registration_checks(linked.link, facts, holes)
+    yield from _size_checks(comparison.layers)
     for linked in overlay.layers[:-1]:
         yield from _hole_checks(linked, overlay.reference)
     if any(linked.kind == "sheet" for linked in overlay.layers):
@@ -137,6 +140,21 @@ def _checks_of_link(overlay: Overlay, comparison: Comparison, holes: HoleSearch)
     if comparison.area is not None:
         names = [linked.name for linked in overlay.layers]
         yield from run_checks(comparison.area, *names)
+
+
+def _size_checks(layers: Sequence[LayerFacts]) -> Iterator[Check]:
+    """Whether sizes that nobody may have measured fit those of the layers they are linked to."""
+    doubted = {facts.name for facts in layers if facts.source.size_doubt}
+    for facts in layers:
+        scale = None
+        for moving in layers:
+            registration = moving.registration
+            if registration is None or registration.model == "rigid":
+                continue
+            pair = {moving.name, registration.to}
+            if facts.name in pair and len(pair & doubted) == 1:
+                scale = registration.scale
+        yield from run_checks(SizedLayer(source=facts.source, scale=scale), facts.name)
 
 
 def _scale_checks(overlay: Overlay, linked: LinkedLayer) -> Iterator[Check]:
