@@ -67,6 +67,10 @@ def test_specimens_are_named_by_factors_files_or_numbers_and_studies_name_each_o
         ("name,volume\nA/B,a.tif\n", "cannot name a specimen"),
         ("name,volume,image\nA,,i.tif\n", "row 2: no volume"),
         ("name,volume,layers\nA,a.tif,x.tif;y.tif\n", "not both"),
+        (
+            "name;volume;image.pixel_um\nA;a.tif;4,1\n",
+            "row 2: image.pixel_um '4,1' may be 4.1, or the two numbers 4 and 1",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_table_is_named_with_its_row(tmp_path, text, words):

@@ -69,7 +69,9 @@ class Rows:
     def has_decimal_commas(self) -> bool:
         """Whether a comma stands where it cannot separate thousands: ``0,5``, ``1234,5``."""
         cells = [cell for row in self.rows for cell in row.cells]
-        return any(_COMMA.fullmatch(cell) and not _GROUPED.fullmatch(cell) for cell in cells)
+        return any(
+            DECIMAL_OR_TWO.fullmatch(cell) and not _GROUPED.fullmatch(cell) for cell in cells
+        )
 
     def number(self, text: str) -> float | None:
         """Return the finite number in a cell; None where it is none, or may be another."""
@@ -89,8 +91,8 @@ class Rows:
         return "is not a finite number"
 
 
-# Numbers with a comma; those of them in which it may separate thousands.
-_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+# Numbers with a comma, which may be two; those of them in which it may separate thousands.
+DECIMAL_OR_TWO = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 _IN_BRACKETS = re.compile(r"(.*?)[\s_]*[(\[]\s*([^()\[\]]+?)\s*[)\]]")
 _AT_THE_END = re.compile(r"(.+?)(?:\s+in)?[\s_/]+([^\s_/]+)")

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
 from planish.core.parameter_faults import fault_texts, key_lines
-from planish.core.tables import parse_table, raise_faults, read_text
+from planish.core.tables import DECIMAL_OR_TWO, parse_table, raise_faults, read_text
 from planish.io import find_place
 from planish.run.build import study_of
 from planish.run.study import (
@@ -132,6 +132,15 @@ def _rows_of(path: Path, text: str) -> list[_TableRow]:
         table.faults.append(
             f"neither a column volume nor layers (found {', '.join(table.header)[:120]}). {_NEEDED}"
         )
+    for row in table.rows:
+        for name, cell in zip(table.header, row.cells, strict=True):
+            if "." in name and DECIMAL_OR_TWO.fullmatch(cell):
+                table.fault(
+                    row,
+                    f"{name} {cell!r} may be {cell.replace(',', '.')}, or the two numbers"
+                    f" {cell.replace(',', ' and ')}; write a number with a decimal point, two with"
+                    " a blank after the comma",
+                )
     table.check("Correct the table.")
     rows: list[_TableRow] = []
     for row in table.rows:
