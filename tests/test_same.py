@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import tifffile
 import xarray as xr
+from benchmarks import same
 from benchmarks.same.difference import differences
 
 MAP = xr.Dataset(
@@ -79,3 +80,9 @@ def test_cells_pictures_pages_and_missing_files_are_named(sides):
         "marks.csv:row 1": "'A, 1.0' -> 'A, 1.25'",
         "page.html:numbers": "'7' -> '8'",
     }
+
+
+@pytest.mark.parametrize("words", [("HEAD", "--folder", "f", "part"), ("HEAD", "part", "--reuse")])
+def test_parts_stand_before_or_behind_options(words):
+    with pytest.raises(SystemExit, match="There is no part part"):
+        same.main(*words)

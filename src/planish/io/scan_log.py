@@ -11,7 +11,7 @@ fine tuning.
 
 import re
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -81,15 +81,18 @@ class Scan:
 
     log: Path
     stated: tuple[Stated, ...]  # voxel size (z, y, x), and that of further logs
-    prefix: str | None  # of the names of the slices
-    named_slices: list[NumberedFile]  # slices that the log names
-    step: int  # between the numbers of slices
-    count: int | None
-    numbers: range | None  # of the slices
-    extent: tuple[int | None, int | None]  # rows and columns of a slice
-    is_of_whole: bool  # whether count, numbers and extent are those of the scan it was cut from
-    window: Pair | None  # attenuation at grey 0 and at the largest grey value, in NRecon's units
     details: dict[str, str]  # further keys, as written
+    prefix: str | None = None  # of the names of the slices
+    named_slices: list[NumberedFile] = field(default_factory=list[NumberedFile])
+    step: int = 1  # between the numbers of slices
+    count: int | None = None
+    numbers: range | None = None  # of the slices
+    extent: tuple[int | None, int | None] = (None, None)  # rows and columns of a slice
+    # Whether count, numbers and extent are those of the scan that the slices were cut out of.
+    is_of_whole: bool = False
+    window: Pair | None = (
+        None  # attenuation at grey 0 and at the largest grey value, as NRecon has it
+    )
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 
@@ -194,7 +197,7 @@ def _scan_by_projections(logs: list[_Log], slices: list[Path]) -> Scan | None:
         if projections and not is_export:
             raise VolumeError(
                 f"{first_slice.parent.name} holds X-ray projections, first {first_slice.name}, as"
-                f" {name} states. Give the folder of the reconstructed slices."
+                f" {name} states. Give the folder of the reconstructed slices, {ELSEWHERE}"
             )
         source = f"{name} (its projections)"
         stated = Stated(source, (None, None, None), "the slices have other names")
@@ -205,20 +208,7 @@ def _scan_by_projections(logs: list[_Log], slices: list[Path]) -> Scan | None:
                 f"{name} states the size of the projections, {sizes[0]:g} um, and none of the"
                 " slices: that size is right unless the reconstruction was scaled.",
             )
-        return Scan(
-            log=log.path,
-            stated=(stated,),
-            prefix=None,
-            named_slices=[],
-            step=1,
-            count=None,
-            numbers=None,
-            extent=(None, None),
-            is_of_whole=True,
-            window=None,
-            details=_details(log),
-            doubts=doubts,
-        )
+        return Scan(log=log.path, stated=(stated,), details=_details(log), doubts=doubts)
     return None
 
 
