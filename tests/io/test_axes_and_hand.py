@@ -25,7 +25,7 @@ from PIL import Image
 from tests.folders import refused
 
 from planish.core.errors import VolumeError
-from planish.io import read_volume
+from planish.io import read_volume, write_store
 from planish.io.info import describe
 
 VOXEL_UM = (4.0, 3.0, 2.0)  # z, y, x
@@ -757,3 +757,22 @@ def test_directions_in_one_plane_say_nothing(tmp_path):
     volume = read_volume(path)
     assert "hand" not in volume.attrs
     assert "lie in one plane" in volume.attrs["notes"][0]
+
+
+def test_an_imported_volume_keeps_what_its_file_says(tmp_path):
+    axes = {"x": {"orientation": {"type": "anatomical", "value": "left-to-right"}}}
+    axes |= {"y": {"orientation": {"type": "anatomical", "value": "anterior-to-posterior"}}}
+    axes |= {"z": {"orientation": {"type": "anatomical", "value": "inferior-to-superior"}}}
+    volume = read_volume(ome_zarr(tmp_path / "v.zarr", "xzy", **axes))
+    for ome in ("0.4", "0.5"):
+        write_store(volume, tmp_path / f"{ome}.zarr", ome=ome)
+        stored = read_volume(tmp_path / f"{ome}.zarr")
+        np.testing.assert_array_equal(stored.values, LETTERS)
+        for name in ("hand", "notes", "voxel_um"):
+            assert stored.attrs[name] == volume.attrs[name]
+
+
+def test_sizes_in_the_group_of_a_zarr_array(tmp_path):
+    path = plain_zarr(tmp_path / "v.zarr", "yzx", 3, {}, "")
+    zarr.open_group(str(path), mode="r+").attrs["voxel_size_um"] = [3.0, 4.0, 2.0]
+    assert read_volume(path).attrs["voxel_um"] == pytest.approx(VOXEL_UM)

@@ -308,6 +308,9 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
         "sections",
         "corrections",
         "history",
+        "hand",
+        "turned",
+        "notes",
     )
     noted_attrs = {
         key: volume.attrs[key] for key in attr_names if volume.attrs.get(key) is not None

@@ -67,10 +67,12 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         )
         lazy.chunks = tuple(int(n) for n in array.chunks)
         lazy.piece_bytes = math.prod(lazy.chunks) * lazy.dtype.itemsize
+    hand, imported_notes = _said_at_import(_group_attrs(path, name))
     stated: list[Stated] = []
     orientations = list[Orientation]()
     if multiscale is None:
-        stated = sizes_by_attributes(array.attrs, shape, placed.order)
+        owners = (array.attrs, _group_attrs(path, name))
+        stated = [s for attrs in owners for s in sizes_by_attributes(attrs, shape, placed.order)]
         by_coordinates, by_steps = _along_coordinates(path, name, named, placed.order, shape)
         stated += [] if by_coordinates is None else [by_coordinates]
         orientations += [] if by_steps is None else [by_steps]
@@ -94,11 +96,30 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         values=transposed(lazy, placed.order),
         stated=stated,
         files=files,
-        attrs={"dataset": name or "/"},
+        attrs={"dataset": name or "/", **hand},
         doubts=doubts,
-        notes=placed.notes,
+        notes=(*imported_notes, *placed.notes),
         orientations=orientations,
     )
+
+
+def _group_attrs(path: Path, name: str) -> Keys:
+    """Attributes of the group in which an array lies; none where it lies in no group."""
+    parent = name.rpartition("/")[0]
+    if not name or not any((path / parent / file).is_file() for file in METADATA):
+        return {}
+    with reading(path):
+        return dict(_open_node(path, parent).attrs)
+
+
+def _said_at_import(group_attrs: Keys) -> tuple[dict[str, str], list[str]]:
+    """Hand and notes of the file from which planish imported a volume."""
+    own: Any = group_attrs.get("planish")
+    if not isinstance(own, dict):
+        return {}, []
+    notes: Any = own.get("notes")
+    hand = {key: own[key] for key in ("hand", "turned") if isinstance(own.get(key), str)}
+    return hand, [str(note) for note in notes] if isinstance(notes, list) else []
 
 
 def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> NDArray[Any]:
