@@ -121,6 +121,18 @@ def test_two_logs_that_both_name_slices_are_refused(tmp_path):
     )
 
 
+def test_a_copy_of_a_log_has_to_state_the_same_size(tmp_path):
+    log = reconstruction() | prefixed("pap_rec")
+    logs = {"pap_rec.log": log, "pap_rec - Copy.log": log}
+    folder = write_scan(tmp_path / "v", numbered("pap_rec{:08d}"), logs)
+    assert read_volume(folder).attrs["voxel_um"] == [2.5] * 3
+    other = "[Reconstruction]\nPixel Size (um)=3\n[File name convention]\nFilename Prefix=pap_rec\n"
+    (folder / "pap_rec - Copy.log").write_text(other, encoding="utf-8")
+    refused(
+        SizeError, r"contradicts itself: .* pap_rec - Copy\.log states y 3", read_volume, folder
+    )
+
+
 PROJECTIONS = {"Acquisition": {"Filename Prefix": "pap", "Image Pixel Size (um)": "2.5"}}
 
 

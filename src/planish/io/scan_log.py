@@ -148,7 +148,9 @@ def read_scan(folder: Path) -> Scan | None:
     logs = [_Log(p, slices) for p in files if _is_log(p)]
     reconstructions = [log for log in logs if log.keys or log.size_um]
     naming_logs = [log for log in reconstructions if log.named_slices] or reconstructions
-    if len(naming_logs) > 1:
+    # A log and its copies name the same slices.
+    naming_logs.sort(key=lambda log: len(log.path.name))
+    if any(log.named_slices != naming_logs[0].named_slices for log in naming_logs):
         names = ", ".join(log.path.name for log in naming_logs)
         raise VolumeError(
             f"{folder.name} holds {len(naming_logs)} NRecon logs: {names}. Keep the one of this"
@@ -156,7 +158,7 @@ def read_scan(folder: Path) -> Scan | None:
         )
     if not naming_logs:
         return _scan_by_projections(logs, slices)
-    (log,) = naming_logs
+    log = naming_logs[0]
     named_files = {path for _, path in log.named_slices}
     others = [p for p in slices if p not in named_files and not is_preview(p)]
     notes: tuple[str, ...] = ()
@@ -165,12 +167,12 @@ def read_scan(folder: Path) -> Scan | None:
             f"{log.path.name} names {len(named_files)} slices. Pictures left aside: {len(others)},"
             f" first {others[0].name}.",
         )
-    # The log of the whole scan beside that of a part.
-    further = [
-        Stated(other.path.name, (None, other.size_um, other.size_um))
-        for other in reconstructions
-        if other is not log and log.path.stem.casefold().startswith(other.path.stem.casefold())
-    ]
+    # Copies, and the log of the whole scan beside that of a part, have to state the same size.
+    further: list[Stated] = []
+    for other in reconstructions:
+        is_of_whole = log.path.stem.casefold().startswith(other.path.stem.casefold())
+        if other is not log and (other in naming_logs or is_of_whole):
+            further.append(Stated(other.path.name, (None, other.size_um, other.size_um)))
     return _scan_of(log, further, notes)
 
 
