@@ -163,7 +163,7 @@ def test_a_folder_of_sections(tmp_path):
     assert "2 sections are missing" in told["warnings"][0]
     unsized = describe(tmp_path)
     assert unsized["size_um"] is None
-    assert "`voxel_um=SIZE`" in unsized["size_problem"]
+    assert "`voxel_um=3,Y,X`" in unsized["size_problem"]
 
 
 def test_of_a_large_volume_some_slices_are_seen_and_that_is_said(tmp_path, monkeypatch):

@@ -115,7 +115,7 @@ def test_refusals_name_the_sizes_and_the_missing_axes():
     assert (
         str(caught.value)
         == "v.tif states no voxel size along z: the TIFF resolution states y 2, x 2.5 um only. "
-        "Give it with voxel_um=SIZE (or Z,Y,X), in um."
+        "Give all with voxel_um=(Z, 2, 2.5), in um."
     )
 
 

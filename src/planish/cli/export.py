@@ -17,6 +17,7 @@ from planish.cli.options import (
     verb,
     wrong_usage,
 )
+from planish.cli.runs import image_params, image_size_options
 from planish.exports import FORMATS, ExportParams
 from planish.io.params import ImageParams
 from planish.run.compute import Compute
@@ -113,6 +114,7 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     help="Serve to other machines, over a connection that is not encrypted.",
 )
 @options(ImageParams, "Image", only=("pixel_um", "channel", "side"))
+@image_size_options
 @json_option
 def view(
     run: Path,
@@ -143,8 +145,8 @@ def view(
             " connection that is not encrypted. Give --expose as well if you mean it; for one"
             " other machine, an ssh tunnel is safer."
         )
-    image_params = None if image is None else build_params(ImageParams, values, path=str(image))
-    session = Session.open(run, image_params, read_only=read_only)
+    shown_image = None if image is None else image_params(image, values)
+    session = Session.open(run, shown_image, read_only=read_only)
 
     def started(url: str) -> None:
         facts = {"url": url, "run": str(run), "read_only": session.read_only}

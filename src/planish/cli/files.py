@@ -8,7 +8,16 @@ from typing import Any, Literal
 import click
 
 from planish.cli.console import print_json, shown
-from planish.cli.options import PATH, build_params, existing, json_option, options, out_option, verb
+from planish.cli.options import (
+    PATH,
+    build_params,
+    existing,
+    json_option,
+    options,
+    out_option,
+    verb,
+    with_commands,
+)
 from planish.core.errors import FileError
 from planish.correct.params import CorrectParams
 from planish.io.params import VolumeParams
@@ -55,6 +64,8 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
             path,
             look=(lambda values: sections.extend(middle_sections(values))) if needs_look else None,
         )
+        ctx = click.get_current_context()
+        facts["warnings"] = [with_commands(warning, ctx) for warning in facts["warnings"]]
         lines = fact_lines(facts)
         if has_drawing and len(sections) > 1:
             lines += as_text(best_section(sections, facts["through"]))

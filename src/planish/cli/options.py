@@ -3,7 +3,7 @@
 Their groups in the help; how text becomes numbers.
 """
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial, reduce
 from pathlib import Path
@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from planish.core.annotations import kinds_of
-from planish.core.errors import StudyError
+from planish.core.errors import PlanishError, StudyError
 from planish.core.options import (
     Params,
     Shown,
@@ -26,7 +26,8 @@ from planish.core.options import (
     unit_of,
     words_in,
 )
-from planish.core.parameter_words import flag_of, in_terminal_words
+from planish.core.parameter_words import flag_of, in_terminal_words, names_in
+from planish.core.text import and_join
 
 Command = Callable[..., Any]
 P = TypeVar("P", bound=Params)
@@ -73,7 +74,58 @@ class Verb(click.Command):
             refuse_inside(out, inputs)
             if not self.can_resume:
                 refuse_existing(out)
-        return super().invoke(ctx)
+        try:
+            return super().invoke(ctx)
+        except PlanishError as error:
+            error.args = (with_commands(error.text, ctx),)
+            raise
+
+
+def with_commands(text: str, ctx: click.Context) -> str:
+    """Add to a text the commands with the options that it names and this command has not."""
+    own_words, root = words_of_command(ctx.command), ctx.find_root()
+    missing_names = {name for name in names_in(text) if name not in own_words}
+    if not missing_names:
+        return text
+    words_by_command = {
+        f"'{name}'": words_of_command(command)
+        for name, command in _commands_in(root.command, root, "planish")
+    }
+    sentences: list[str] = []
+    while missing_names:
+        # The commands with most of them; of those with as many, the first two.
+        counts = {name: len(missing_names & words) for name, words in words_by_command.items()}
+        commands = [name for name, count in counts.items() if 0 < count == max(counts.values())]
+        if not commands:
+            break
+        shared_names = missing_names & words_by_command[commands[0]]
+        commands = [name for name in commands if shared_names <= words_by_command[name]]
+        flags_text = and_join(f"`{name}`" for name in names_in(text) if name in shared_names)
+        verb_text = "is an option" if len(shared_names) == 1 else "are options"
+        sentences.append(f" {flags_text} {verb_text} of {' and '.join(commands[:2])}.")
+        missing_names -= shared_names
+    return text + "".join(sentences)
+
+
+def _commands_in(
+    command: click.Command, ctx: click.Context, name: str
+) -> Iterator[tuple[str, click.Command]]:
+    if not isinstance(command, click.Group):
+        yield name, command
+        return
+    for key in command.list_commands(ctx):
+        if (inner_command := command.get_command(ctx, key)) is not None:
+            yield from _commands_in(inner_command, ctx, f"{name} {key}")
+
+
+def words_of_command(command: click.Command) -> set[str]:
+    """Words of the options of a command."""
+    return {
+        flag.removeprefix("--").replace("-", "_")
+        for param in command.params
+        if isinstance(param, click.Option)
+        for flag in param.opts
+    }
 
 
 class Option(click.Option):

@@ -44,6 +44,9 @@ from planish.surface.params import SurfaceParams
 OUT = "Folder to make for the results; it must not exist."
 volume_options = options(VolumeParams, "Volume")
 image_options = options(ImageParams, "Image")
+# Of images alone: a run says them once, with those of the volume.
+_SIZE_WORDS = ("override_size", "unusual_size")
+image_size_options = options(VolumeParams, "Image", only=_SIZE_WORDS)
 surface_options = options(SurfaceParams, "Surface search")
 property_options = options(MeasureParams, "Properties")
 hole_options = options(HoleParams, "Marks and registration")
@@ -66,6 +69,12 @@ def _set_option(text: str) -> Command:
     return click.option(
         "--set", "changes", multiple=True, metavar="[LAYER.]SECTION.NAME=VALUE", help=text
     )
+
+
+def image_params(path: Path, values: dict[str, Any]) -> ImageParams:
+    """How an image is read, with the words on its size that it shares with a volume."""
+    sizes = {name: bool(values[name]) for name in _SIZE_WORDS}
+    return build_params(ImageParams, values, path=str(path), **sizes)
 
 
 def study_from(

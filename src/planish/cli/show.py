@@ -292,7 +292,7 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:  # noqa: C901
     if facts.get("sampled"):
         lines.append(f"grey values: of {facts['sampled']}")
     if facts.get("through"):
-        option = "" if facts["through"] == "z" else f": --through {facts['through']}"
+        option = "" if facts["through"] == "z" else f": planish map --through {facts['through']}"
         lines.append(f"sheet: across {facts['through']}, along which the grey changes most{option}")
     if "link_bytes" in facts:
         memory, time = f"{enough_gb(facts['link_bytes'])} GB", duration(facts["link_seconds"])

@@ -28,6 +28,8 @@ from planish.cli.runs import (
     compute_options,
     hole_options,
     image_options,
+    image_params,
+    image_size_options,
     property_options,
     surface_options,
     volume_options,
@@ -90,7 +92,7 @@ def _volume(
 def _image(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, ImageParams]:
     from planish.io import read_image
 
-    params = build_params(ImageParams, values, path=str(path))
+    params = image_params(path, values)
     return read_image(path, **params.how), params
 
 
@@ -194,6 +196,7 @@ def flatten(surfaces: Path, out: Path, **values: Any) -> int:
 )
 @click.option("--registration", help="marks.json of 'planish register' or of a run.", **_ONE_FILE)
 @image_options
+@image_size_options
 def resample(
     measured: Path,
     flat: Path,
@@ -236,6 +239,7 @@ def resample(
 @existing("image")
 @out_option("JSON file to make; a table for reading, .csv, is made beside it.")
 @options(ImageParams, "Image", without=("dark_grey", "white_grey", "screen_um"))
+@image_size_options
 @hole_options
 def holes(image: Path, out: Path, **values: Any) -> None:
     """Find the laser holes in IMAGE: a picture, or the flat maps of a sheet."""
@@ -266,6 +270,7 @@ def holes(image: Path, out: Path, **values: Any) -> None:
 @out_option("JSON file to make; a table of the pairs, .csv, is made beside it.")
 @options(RegistrationParams, "Marks and registration", without=("marks", "refine"))
 @options(ImageParams, "Image", without=("dark_grey", "white_grey", "screen_um"))
+@image_size_options
 def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     """Match the holes in MOVING and FIXED and fit the transformation.
 

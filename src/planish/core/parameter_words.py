@@ -35,6 +35,15 @@ def with_names(text: str, name_of: Callable[[str], str]) -> str:
     return _NAMED.sub(words, text)
 
 
+def names_in(text: str) -> list[str]:
+    """Parameters that a text names, each once.
+
+    >>> names_in("Give `voxel_um=SIZE`, or `mirror=True`.")
+    ['voxel_um', 'mirror']
+    """
+    return list(dict.fromkeys(named[1] for named in _NAMED.finditer(text)))
+
+
 def in_terminal_words(text: str) -> str:
     """Name options of the command line.
 

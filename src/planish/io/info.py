@@ -330,6 +330,11 @@ def _size_facts(
     if doubt := doubt_of_size(stated, source):
         asked = PIXEL if len(size) == len(PIXEL.axes) else VOXEL
         warnings.append(f"{doubt} {advice_on_doubt(asked)}")
+    try:
+        find_size(unusual=False)
+    except SizeError as error:  # as a run says it
+        warnings.append(error.text)
+        usual_range = None
     if usual_range is not None:
         elements, (least, most) = usual_range
         shortest, longest = min(size), max(size)

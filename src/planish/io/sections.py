@@ -68,8 +68,8 @@ class SectionStack(NamedTuple):
             if not is_single and not agree(axis_sizes[0], pitch_um):
                 raise SizeError(
                     f"{name}: `{VOXEL.word}` gives z {axis_sizes[0]:g} um, but the median step of"
-                    f" {COUNTER} is {pitch_um:g} um. Correct the counter, or give the pixel size"
-                    " alone."
+                    f" {COUNTER} is {pitch_um:g} um. Correct the counter, or give"
+                    f" `{VOXEL.word}={pitch_um:.9g},Y,X`."
                 )
             voxel_um = (pitch_um, axis_sizes[1], axis_sizes[2])
         photograph_sizes = [s._replace(um=(None, *s.um[1:])) for s in self.first.stated]

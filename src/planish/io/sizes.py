@@ -143,13 +143,20 @@ def agreed_size(
                 axis for axis, um in zip(asked.axes, merged_size, strict=True) if um is None
             )
             notes_text = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
-            only_text = (
-                f" along {missing_axes}: {asked.statements(statements)} only" if statements else ""
-            )
+            only_text, axes_text = "", ",".join(asked.axes).upper()
+            give_text = f"it with `{asked.word}=SIZE` (or {axes_text})"
+            if statements:
+                only_text = f" along {missing_axes}: {asked.statements(statements)} only"
+                # One number for all axes would contradict what is stated.
+                axis_texts = [
+                    axis.upper() if um is None else f"{um:.9g}"
+                    for axis, um in zip(asked.axes, merged_size, strict=True)
+                ]
+                give_text = f"all with `{asked.word}={','.join(axis_texts)}`"
             raise SizeError(
                 f"{file_name} states no {asked.name}"
-                f" size{only_text}{f' ({notes_text})' if notes_text else ''}. Give it with"
-                f" `{asked.word}=SIZE` (or {','.join(asked.axes).upper()}), in um."
+                f" size{only_text}{f' ({notes_text})' if notes_text else ''}. Give {give_text}, in"
+                " um."
             )
         _check_range(
             size,

@@ -18,7 +18,7 @@ from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
 from planish.core.options import Params, option, words_in
 from planish.core.parameter_faults import Key, fault_texts, key_lines, toml_fault
-from planish.core.parameter_words import flag_of, with_names
+from planish.core.parameter_words import flag_of, names_in, with_names
 from planish.core.tables import read_text
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
@@ -344,6 +344,9 @@ def in_study_words(text: str) -> str:
         for section, model in reversed(SECTIONS.items())  # of the same word in two the first one
         for word, path in words_in(model, section).items()
     }
+    if "pixel_um" in names_in(text):
+        # An image has its own; of a volume they are said in its section.
+        keys |= {name: f"image.{name}" for name in ("override_size", "unusual_size")}
     return with_names(text, lambda word: keys.get(word) or flag_of(word))
 
 
