@@ -776,3 +776,10 @@ def test_sizes_in_the_group_of_a_zarr_array(tmp_path):
     path = plain_zarr(tmp_path / "v.zarr", "yzx", 3, {}, "")
     zarr.open_group(str(path), mode="r+").attrs["voxel_size_um"] = [3.0, 4.0, 2.0]
     assert read_volume(path).attrs["voxel_um"] == pytest.approx(VOXEL_UM)
+
+
+@pytest.mark.parametrize("name", ["DIMENSION_LABELS", "DIMENSION_LIST"])
+def test_damaged_scales_of_dimensions_crash_nothing(name, tmp_path):
+    """The library's own functions for labels and scales end the program at such an attribute."""
+    path = hdf5(tmp_path / "v.h5", "zyx", lambda data: data.attrs.update({name: "zyx"}))
+    np.testing.assert_array_equal(read_volume(path, voxel_um=1).values, LETTERS)

@@ -8,7 +8,7 @@ outside the folder is refused.
 import math
 import os
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -295,11 +295,9 @@ def _child(group: Any, name: str) -> Any:
 def _axis_names(dataset: Any) -> list[AxisNames]:
     """Names of the axes of a data set by every convention of HDF5."""
     shape = dataset.shape
-    labels = tuple(str(dimension.label) for dimension in dataset.dims)
     scales = tuple(_last_word(scale) for scale in _scales(dataset))
     coordinates = tuple(_attribute(scale, "name") for scale in _emd_scales(dataset))
     return [
-        AxisNames("the labels of its dimensions", labels),
         AxisNames("the scales of its dimensions", scales),
         AxisNames("the EMD dimensions", coordinates),
         *names_by_attributes(dataset.attrs, shape, is_own=True),
@@ -310,9 +308,18 @@ def _axis_names(dataset: Any) -> list[AxisNames]:
 
 def _scales(dataset: Any) -> list[Any]:
     """The first scale attached to each dimension, of the same file; None where there is none."""
-    with suppress(RuntimeError, KeyError, OSError):
-        return [dimension[0] if len(dimension) else None for dimension in dataset.dims]
-    return [None] * len(dataset.shape)
+    # Read as an attribute: the library's own functions for scales crash on a damaged one.
+    none_attached: list[Any] = [None] * len(dataset.shape)
+    if "DIMENSION_LIST" not in dataset.attrs:
+        return none_attached
+    stored_type = dataset.attrs.get_id("DIMENSION_LIST").dtype
+    if not h5py.check_ref_dtype(h5py.check_vlen_dtype(stored_type) or stored_type):
+        return none_attached
+    references = np.ravel(dataset.attrs["DIMENSION_LIST"])
+    if len(references) != len(dataset.shape):
+        return none_attached
+    firsts = [next(iter(np.ravel(entry)), None) for entry in references]
+    return [dataset.file[first] if first else None for first in firsts]
 
 
 def _emd_scales(dataset: Any) -> list[Any]:
