@@ -215,6 +215,13 @@ def test_of_several_numbers_the_one_that_counts_is_said(tmp_path, name, place):
     assert any(f"{place} counts the slices" in n for n in told["warnings"] + told.get("notes", []))
 
 
+def test_small_and_capital_letters_are_the_same_in_names(tmp_path):
+    names = ["s0.tif", "S1.TIF", "s2.tif"]
+    for name in names:
+        (tmp_path / name).touch()
+    assert [p.name for p in slice_names.list_slices(tmp_path).files] == names
+
+
 def test_a_sign_is_read_where_not_all_names_have_it(tmp_path):
     names = ["z-010", "z-005", "z+000", "z+005"]
     for name in names:

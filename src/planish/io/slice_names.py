@@ -44,7 +44,7 @@ def list_slices(folder: Path) -> SliceOrder:
     if not files:
         raise folder_refusal(folder)
     # A preview, a second scan: names that differ in more than numbers.
-    patterns = [NUMBER.sub("#", p.stem) + p.suffix.lower() for p in files]
+    patterns = [NUMBER.sub("#", p.stem.casefold()) + p.suffix.lower() for p in files]
     (main_pattern, n_main), *_ = Counter(patterns).most_common(1)
     if odd_files := [
         p for p, pattern in zip(files, patterns, strict=True) if pattern != main_pattern
