@@ -141,12 +141,32 @@ def test_pairs_typed_by_hand_are_read_once_their_unit_is_stated(put):
         ("X,Y,Slice\n1,2,3\n4,5,6\n", MarkError, "points on 2 slices of a stack"),
         ("index,shape-type,vertex-index,axis-0,axis-1\n0,p,0,1,2\n", MarkError, "shapes of napari"),
         ("index,axis-0,axis-1\n", MarkError, "has a header and no mark"),
+        ("index,axis-0,axis-1,axis-2,axis-3\n0,1,2,3,4\n", MarkError, "more axes than z, y, x"),
+        ("label,x_um,y_um\n#1,1,2\n#2,3,4\nb,5,6\n", MarkError, "row 2 begins with #.*row 3"),
+        ('label,x_um,y_um\n"a\nb",1,2\n', MarkError, "row 2: a quotation mark is not closed"),
         ("XM,YM\n1,2\n", FileError, "XM,YM.*no known format.*moving_x_um, moving_y_um"),
         ("Pt,true,1,5,2,5,3,5,4,5\n", MarkError, "10 columns .decimal commas need semicolons"),
     ],
 )
 def test_what_is_needed_is_named(put, text, error, words):
     refused(error, words, read_any, put(text, "t.csv"))
+
+
+def test_each_side_may_have_a_unit_of_its_own(put):
+    names = ["moving_x_um", "moving_y_um", "fixed_x_px", "fixed_y_px"]
+    values = np.hstack([MOVING, FIXED / FIXED_PIXEL]).tolist()
+    text = "\n".join([";".join(names), *(";".join(map(str, row)) for row in values)])
+    np.testing.assert_allclose(read_any(put(text, "t.csv"), **PIXELS).fixed_y, FIXED[:, 1])
+
+
+def test_landmarks_of_bigwarp_saved_again_in_german(put):
+    rows = np.hstack([MOVING, FIXED]).tolist()
+    cells = [[f"Pt-{k}", "WAHR", *map(str, row)] for k, row in enumerate(rows)]
+    cells[3][1] = "FALSCH"
+    text = "\r\n".join(";".join(row).replace(".", ",") for row in cells)
+    marks = read_any(put(text, "t.csv"))
+    np.testing.assert_array_equal(marks.moving_y, MOVING[:, 1])
+    assert marks.used.values.tolist() == [True, True, True, False]
 
 
 def test_of_two_units_in_one_table_one_is_taken(put):

@@ -195,13 +195,20 @@ def split_rows(text: str) -> Rows:
     ]
     table_lines = [line for line, comment in zip(lines, is_comment, strict=True) if not comment]
     delimiter = delimiter or _delimiter_of([line for _, line in table_lines[:20]])
+    # A label such as #1, and no comment.
+    faults = [
+        f"row {number} begins with #: write '# ' before a comment, a label in quotation marks"
+        for number, line in lines
+        if re.match(r"\s*#\d", line) and delimiter in line
+    ]
     rows: list[CsvRow] = []
-    faults: list[str] = []
     for line_number, line in table_lines:
         try:
             cells = _cells(line, delimiter)
         except csv.Error as error:
-            faults.append(f"row {line_number}: {error}")
+            is_open = "end of data" in str(error)
+            text = "a quotation mark is not closed on its line" if is_open else str(error)
+            faults.append(f"row {line_number}: {text}")
             continue
         if any(cells):
             rows.append(CsvRow(line_number, cells))

@@ -16,12 +16,17 @@ from planish.marks.exchange.lists import Content, PointList
 from planish.marks.exchange.model import labels_of, used_of
 
 _NEEDED = "name, active, moving x, y, target x, y (6 columns), or with z (8 columns)"
+# As spreadsheets in several languages write them again.
+_STATES = {
+    **dict.fromkeys(("true", "wahr", "vrai", "vero", "verdadero"), True),
+    **dict.fromkeys(("false", "falsch", "faux", "falso"), False),
+}
 _AGAIN = "Save the landmarks in BigWarp again."
 
 
 def looks_like(content: Content) -> bool:
     """Return whether the second cell says true or false, or the JSON holds landmarks."""
-    has_state = len(content.header) > 2 and content.header[1].lower() in ("true", "false")
+    has_state = len(content.header) > 2 and content.header[1].lower() in _STATES
     return has_state or bool({"movingPoints", "landmarks"} & content.json.keys())
 
 
@@ -69,7 +74,7 @@ def read(content: Content) -> list[PointList]:  # noqa: C901
         if len(row) != width:
             faults.append(f"row {number} has {len(row)} columns, the first {width}")
             continue
-        if str(row[1]).lower() not in ("true", "false"):
+        if str(row[1]).lower() not in _STATES:
             faults.append(f"row {number}: active is {row[1]!r}, not true or false")
         points.append(
             [
@@ -82,7 +87,7 @@ def read(content: Content) -> list[PointList]:  # noqa: C901
             faults.append(f"row {number}: {cell!r} {content.rows.number_fault(cell)}")
     raise_faults(name, faults, f"BigWarp writes {_NEEDED}.", error=MarkError)
     labels = [str(row[0]) or f"row {number}" for number, row in rows]
-    used = [str(row[1]).lower() == "true" for _, row in rows]
+    used = [_STATES[str(row[1]).lower()] for _, row in rows]
     # One coordinate that is not set leaves the point without a position.
     sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
     sides = np.where(np.isfinite(sides).all(axis=2, keepdims=True), sides, np.nan)

@@ -42,6 +42,7 @@ LAYOUTS = (
     # The first axis of an array runs down.
     Layout("points of napari", {"": ("axis_2", "axis_1", "axis_0")}, "pixel"),
     Layout("points of napari", {"": ("axis_1", "axis_0")}, "pixel"),
+    Layout("table of scikit-image", {"": ("centroid_2", "centroid_1", "centroid_0")}, "pixel"),
     Layout("table of scikit-image", {"": ("centroid_1", "centroid_0")}, "pixel"),
     Layout("table of QuPath", {"": ("centroid_x", "centroid_y")}, first_centre=0.5),
     Layout("table of CellProfiler", {"": ("location_center_x", "location_center_y")}, "pixel"),
@@ -107,6 +108,11 @@ def _taken_heading_rows(table: CsvTable, layout: Layout) -> list[str]:
 
 def _refuse_other_places(table: CsvTable, layout: Layout) -> None:
     """Refuse points whose x and y are no places in one flat picture."""
+    if "axis-3" in table.header:
+        raise MarkError(
+            f"{table.name} holds points with more axes than z, y, x. Save points of one channel and"
+            " one time."
+        )
     if "vertex-index" in table.header:
         raise MarkError(f"{table.name} holds shapes of napari. Save a layer of points.")
     is_flat = all(len(columns) == 2 for columns in layout.lists.values())

@@ -15,7 +15,7 @@ import xarray as xr
 
 from planish.core.errors import MarkError
 from planish.core.files import write_whole
-from planish.core.tables import CsvTable, parse_table, table_text
+from planish.core.tables import CsvTable, heading_of, parse_table, table_text
 from planish.core.typing import Floats
 from planish.marks.exchange.lists import Content, PointList
 from planish.marks.exchange.model import (
@@ -35,9 +35,12 @@ _SIDES = {
 
 
 def looks_like(content: Content) -> bool:
-    """Return whether the header names a column of pairs or of holes."""
+    """Return whether the header names a column of pairs or of holes, and states no other unit."""
     columns = {"x_um", "y_um"}.union(*_SIDES.values())
-    return any(name.lower() in columns for name in content.header)
+    headings = [heading_of(cell) for cell in content.header]
+    names = [f"{heading.name}_um" for heading in headings if heading.unit not in ("", "um")]
+    is_named = any(name.lower() in columns for name in content.header)
+    return is_named and not columns.intersection(names)
 
 
 def read(content: Content) -> xr.Dataset | list[PointList]:
