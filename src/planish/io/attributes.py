@@ -8,12 +8,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
 from planish.io.axes import AxisNames
+from planish.io.orientation import Orientation, orientation_by_steps
 from planish.io.sizes import Stated, bare_unit, stated_in
 
 # Attributes that name the axes as stored, slowest first, in small letters: NeXus, vigra and
@@ -38,6 +40,14 @@ SIZE_NAME = re.compile(
     r"(voxel_?sizes?|element_?sizes?|pixel_?sizes?|spacings?|resolutions?|voxel)(?:_(.*))?"
 )
 COORDINATE_TOLERANCE = 0.01  # by which the steps of an axis may differ
+
+
+class Coordinates(NamedTuple):
+    """Places of the values along an axis, as a file has them beside the array."""
+
+    name: str
+    values: NDArray[Any]
+    unit: str
 
 
 def names_by_attributes(
@@ -188,15 +198,33 @@ def _lengths_along(raw_value: Any, shape: Sequence[int]) -> list[float | None] |
     return lengths
 
 
-def spacing_of(coordinates: np.ndarray[Any, Any]) -> float | None:
-    """Step of coordinates along an axis, with its sign; None where they are not evenly spaced."""
-    steps = np.diff(np.asarray(coordinates, np.float64))
-    if not steps.size or not np.isfinite(steps).all():
-        return None
+def stated_by_coordinates(
+    along: Sequence[Coordinates | None], order: Sequence[int]
+) -> tuple[list[Stated], list[Orientation]]:
+    """Voxel size and hand by the coordinates along the stored axes, None where an axis has none.
+
+    They have to be evenly spaced; where they fall, the axis runs the other way.
+    """
+    steps = [None if axis is None else _step_of(axis.values) for axis in along]
+    uneven_names = [axis.name for axis, step in zip(along, steps, strict=True) if axis and not step]
+    if not uneven_names and not any(steps):
+        return [], []
+    source = "the spacing of its coordinates"
+    lengths = [None if step is None else abs(step) for step in steps]
+    units = ["" if axis is None else axis.unit for axis in along]
+    stated = stated_in(source, lengths, units, order)
+    notes = [*(f"{name} is not evenly spaced" for name in uneven_names), stated.note]
+    orientation = orientation_by_steps(source, [steps[axis] for axis in order])
+    stated = stated._replace(note=", ".join(filter(None, notes)))
+    return [stated], [] if orientation is None else [orientation]
+
+
+def _step_of(coordinates: NDArray[Any]) -> float | None:
+    """Step along an axis, with its sign; None where the coordinates are not evenly spaced."""
+    steps = np.diff(coordinates.astype(np.float64))
     step = float(np.median(steps))
-    if step == 0 or np.any(np.abs(steps - step) > COORDINATE_TOLERANCE * abs(step)):
-        return None
-    return step
+    is_even = np.all(np.abs(steps - step) <= COORDINATE_TOLERANCE * abs(step))
+    return step if step and is_even and np.isfinite(step) else None
 
 
 def word_of(raw_value: Any) -> str:

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
 from planish.io.attributes import (
+    Coordinates,
     names_by_attributes,
     names_by_indices,
     sizes_by_attributes,
-    spacing_of,
+    stated_by_coordinates,
     word_of,
 )
 from planish.io.axes import AxisNames, place_axes
@@ -38,8 +39,6 @@ from planish.io.formats import (
 )
 from planish.io.guard import reading, size_of_file
 from planish.io.lazy import FileArray, transposed
-from planish.io.orientation import Orientation, orientation_by_steps
-from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
 
 MOST_COORDINATES = 10_000_000  # along one axis
@@ -190,24 +189,24 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
             volumes = describe_volumes(volumes_in(path), path.name)
             raise VolumeError(f"{path.name}: {place.part!r} is a group. {volumes}")
         shape = tuple(int(n) for n in dataset.shape or ())
-        placed = place_axes(shape, _axis_names(dataset), f"{path.name}: {name}")
+        namings = _axis_names(dataset)
+        placed = place_axes(shape, namings, f"{path.name}: {name}")
         array, doubts = lazy_dataset(dataset, file_path)
         files = [path, file_path, *source_files(dataset, file_path)]
         stated = [
             *sizes_by_attributes(dataset.attrs, shape, placed.order),
             *sizes_by_attributes(dataset.parent.attrs, shape, placed.order),
         ]
-        by_coordinates, orientation = _along_coordinates(dataset, placed.order)
-        if by_coordinates is not None:
-            stated.insert(0, by_coordinates)
+        along = [_coordinates_along(dataset, axis, namings) for axis in range(len(shape))]
+        by_coordinates, orientations = stated_by_coordinates(along, placed.order)
     return LoadedVolume(
         values=transposed(array, placed.order),
-        stated=stated,
+        stated=[*by_coordinates, *stated],
         files=files,
         attrs={"dataset": name},
         doubts=doubts,
         notes=placed.notes,
-        orientations=[] if orientation is None else [orientation],
+        orientations=orientations,
     )
 
 
@@ -333,38 +332,9 @@ def _last_word(member: Any) -> str:
     return "" if member is None else str(member.name).rpartition("/")[2]
 
 
-def _along_coordinates(
-    dataset: Any, order: Sequence[int]
-) -> tuple[Stated | None, Orientation | None]:
-    """Voxel size and hand by the coordinates along the axes, which have to be evenly spaced."""
-    shape = dataset.shape
-    steps: list[float | None] = [None] * len(shape)
-    units = [""] * len(shape)
-    notes: list[str] = []
-    for axis in order:
-        coordinates = _coordinates_along(dataset, axis)
-        if coordinates is None:
-            continue
-        steps[axis] = spacing_of(coordinates[()])
-        units[axis] = _attribute(coordinates, "units")
-        if steps[axis] is None:
-            notes.append(f"{_last_word(coordinates)} is not evenly spaced")
-    if not notes and not any(steps):
-        return None, None
-    source = "the spacing of its coordinates"
-    lengths = [None if step is None else abs(step) for step in steps]
-    stated = stated_in(source, lengths, units, order)
-    note = ", ".join(filter(None, [*notes, stated.note]))
-    orientation = orientation_by_steps(source, [steps[axis] for axis in order])
-    return stated._replace(note=note), orientation
-
-
-def _coordinates_along(dataset: Any, axis: int) -> Any:
-    """The coordinates of an axis: a scale of it, or a data set beside it with the axis's name.
-
-    None where there are none.
-    """
-    names = [naming.names[axis] for naming in _axis_names(dataset) if naming.names[axis]]
+def _coordinates_along(dataset: Any, axis: int, namings: Sequence[AxisNames]) -> Coordinates | None:
+    """Coordinates of an axis: a scale of it, or a data set beside it with the axis's name."""
+    names = [naming.names[axis] for naming in namings]
     members = [_child(dataset.parent, name) for name in names]
     for member in (_scales(dataset)[axis], _emd_scales(dataset)[axis], *members):
         # netCDF writes a scale without coordinates for a dimension that has none.
@@ -375,7 +345,7 @@ def _coordinates_along(dataset: Any, axis: int) -> Any:
         is_plain = not member.is_virtual and not member.external
         is_one_row = member.shape == (dataset.shape[axis],) and member.shape[0] < MOST_COORDINATES
         if is_plain and is_one_row and member.dtype.kind in "uif":
-            return member
+            return Coordinates(_last_word(member), member[()], _attribute(member, "units"))
     return None
 
 

@@ -3,7 +3,7 @@
 import math
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
@@ -16,13 +16,19 @@ from zarr.storage import LocalStore
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.attributes import names_by_attributes, sizes_by_attributes, spacing_of, word_of
-from planish.io.axes import AxisNames, letter_of, place_axes
+from planish.io.attributes import (
+    Coordinates,
+    names_by_attributes,
+    sizes_by_attributes,
+    stated_by_coordinates,
+    word_of,
+)
+from planish.io.axes import AxisNames, place_axes
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_type
 from planish.io.guard import reading
 from planish.io.hashes import missing_shards
 from planish.io.lazy import FileArray, transposed
-from planish.io.orientation import Orientation, orientation_by_steps, orientation_by_words
+from planish.io.orientation import Orientation, orientation_by_words
 from planish.io.shards import is_plain, read_plain
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
@@ -73,9 +79,9 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     if multiscale is None:
         owners = (array.attrs, _group_attrs(path, name))
         stated = [s for attrs in owners for s in sizes_by_attributes(attrs, shape, placed.order)]
-        by_coordinates, by_steps = _along_coordinates(path, name, named, placed.order, shape)
-        stated += [] if by_coordinates is None else [by_coordinates]
-        orientations += [] if by_steps is None else [by_steps]
+        along = [_coordinates_along(path, name, named, axis, n) for axis, n in enumerate(shape)]
+        by_coordinates, orientations = stated_by_coordinates(along, placed.order)
+        stated += by_coordinates
     else:
         # The scale transformations of the level and of the whole image.
         scale = _scale_of(multiscale["datasets"][level], len(shape))
@@ -288,40 +294,21 @@ def _channel_labels(multiscale: Keys | None) -> str:
     return ", ".join(str(c.get("label")) for c in channels or () if isinstance(c, dict))
 
 
-def _along_coordinates(
-    path: Path, name: str, named: NamedAxes, order: Sequence[int], shape: Sequence[int]
-) -> tuple[Stated | None, Orientation | None]:
-    """Voxel size and hand by arrays of coordinates beside the values, as xarray writes them."""
-    steps: list[float | None] = [None] * len(shape)
-    units = [""] * len(shape)
-    for axis in order:
-        names = [naming.names[axis] for naming in named.namings if letter_of(naming.names[axis])]
-        coordinates = _coordinates(path, name, names[0], shape[axis]) if names else None
-        if coordinates is not None:
-            steps[axis] = spacing_of(np.asarray(coordinates[:]))
-            units[axis] = word_of(coordinates.attrs.get("units", ""))
-    if not any(steps):
-        return None, None
-    source = "the spacing of its coordinates"
-    lengths = [None if step is None else abs(step) for step in steps]
-    stated = stated_in(source, lengths, units, order)
-    return stated, orientation_by_steps(source, [steps[axis] for axis in order])
-
-
-def _coordinates(path: Path, name: str, axis_name: str, count: int) -> Any:
-    """The array of an axis beside another array; None where there is none of its length."""
-    folder = (path / name).parent
-    is_word = re.fullmatch(r"\w+", axis_name) is not None
-    beside = f"{name.rpartition('/')[0]}/{axis_name}".strip("/")
-    if (
-        not name
-        or not is_word
-        or not any((folder / axis_name / file).is_file() for file in METADATA)
-    ):
-        return None
-    node = _open_node(path, beside)
-    is_row = isinstance(node, zarr.Array) and node.shape == (count,)
-    return node if is_row and np.dtype(node.dtype).kind in "uif" else None
+def _coordinates_along(
+    path: Path, name: str, named: NamedAxes, axis: int, count: int
+) -> Coordinates | None:
+    """Coordinates of an axis in an array of its name beside the values, as xarray writes them."""
+    group_name = name.rpartition("/")[0]
+    for naming in named.namings if name else ():
+        axis_name = naming.names[axis]
+        beside = f"{group_name}/{axis_name}".strip("/")
+        has_name = re.fullmatch(r"\w+", axis_name) is not None
+        if not has_name or not any((path / beside / file).is_file() for file in METADATA):
+            continue
+        node = _open_node(path, beside)
+        if isinstance(node, zarr.Array) and node.shape == (count,) and node.dtype.kind in "uif":
+            return Coordinates(axis_name, np.asarray(node[:]), word_of(node.attrs.get("units", "")))
+    return None
 
 
 def _scale_of(owner: Keys, count: int) -> list[float] | None:
