@@ -442,53 +442,38 @@ def check_plausible(marks: xr.Dataset, name: str, unit: Unit | None) -> None:
     """
     source = marks.attrs.get("read_from", {})
     stated = source.get("stated", True)
-    # Numbers of the file where their unit is assumed; nothing where it is certain.
-    per_um = {"um": 1.0, "mm": 0.001}.get(source.get("unit"))
-    per_um = None if stated or unit is not None else per_um
+    assumed = "" if stated or unit is not None else source["unit"]
     for layer in layer_names(marks):
         about = {"origin_um": {"x": 0.0, "y": 0.0}} | about_layer(marks, layer)
         points = points_of(marks, layer)[in_layers(marks, [layer]), :2]
         is_sized = len(points) >= 3 and {"pixel_um", "size_px"} <= about.keys()
-        if not is_sized:
-            continue
-        if per_um:
-            _refuse_pixels(points, about, name, layer, source["unit"], per_um)
-        if misfit_text := _misfit(points, about, stated):
+        if is_sized and (misfit_text := _misfit(points, about, stated, assumed)):
             raise MarkError(f"{name}: the marks in {layer} span {misfit_text}")
 
 
-def _refuse_pixels(
-    points: Floats, about: dict[str, Any], name: str, layer: str, unit: str, per_um: float
-) -> None:
-    """Refuse marks in a unit that was assumed whose numbers fit their layer as pixels.
+def _misfit(  # noqa: PLR0911
+    points: Floats, about: dict[str, Any], stated: bool, assumed: str
+) -> str:
+    """Describe why marks cannot be um in their layer; empty where they can.
 
-    They do where all lie in the layer, and reach over more than a quarter of it along one side:
-    marks are set far apart. Taken as um they would all lie in its first corner, which for pixels of
-    2 um or more is a quarter of the layer or less.
+    In a unit that was ``assumed``, they may be pixels where their numbers lie in the layer as such
+    and reach over more than a quarter of it along one side, as marks are set far apart. Taken as um
+    they would all lie in its first corner, a quarter of it or less for pixels of 2 um or more.
     """
-    pixel, count, origin = (
-        np.array([about[key][axis] for axis in "xy"], dtype=np.float64)
-        for key in ("pixel_um", "size_px", "origin_um")
-    )
-    numbers = (points - origin) * per_um
-    reach = np.ptp(numbers, axis=0) / count
-    if pixel.prod() >= 4 and reach.max() > 0.25 and _inside(numbers, count).all():
-        raise MarkError(
-            f"{name} states no unit. Taken as {unit}, the marks in {layer} span"
-            f" {_size(np.ptp(points, axis=0))}, and the layer {_size(pixel * count)}; taken as"
-            " pixels, they are spread over the layer: they look like pixels."
-            f" {_remedy('pixel', False)} If they are {unit}, give `unit={unit}` there."
-        )
-
-
-def _misfit(points: Floats, about: dict[str, Any], stated: bool) -> str:
-    """Describe why marks cannot be um in their layer; empty where they can."""
     pixel, count, origin = (
         np.array([about[key][axis] for axis in "xy"], dtype=np.float64)
         for key in ("pixel_um", "size_px", "origin_um")
     )
     size, span, placed = pixel * count, np.ptp(points, axis=0), points - origin
     spans = f"{_size(span)}, the layer {_size(size)}"
+    numbers = placed / 1000 if assumed == "mm" else placed
+    reaches_far = (np.ptp(numbers, axis=0) / count).max() > 0.25
+    if assumed and pixel.prod() >= 4 and reaches_far and _inside(numbers, count).all():
+        return (
+            f"{spans}. The file states no unit, {assumed} was assumed, and as pixels they spread"
+            f" over the layer: they look like pixels. {_remedy('pixel', stated)} If they are"
+            f" {assumed}, give `unit={assumed}` there."
+        )
     is_inside, pixels_fit = _inside(placed, size), _inside(points, count).all()
     are_halves = bool(np.all(points * 2 == np.round(points * 2)))
     # Places clicked on pixels and then turned into um are multiples of the pixel.
