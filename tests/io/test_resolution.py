@@ -113,3 +113,11 @@ def test_what_imagej_wrote_in_place_of_a_spacing_is_said(tmp_path, meta, words):
     (problem,) = [w for w in describe(tmp_path / "v.tif")["warnings"] if "voxel size" in w]
     assert re.search(words, problem)
     assert ("leaves out" in problem) == ("leaves out" in words)
+
+
+def test_a_search_for_holes_says_the_doubt_before_it_finds_none(tmp_path, planish):
+    path = written(tmp_path / "i.png", 300, {})
+    _, _, err = planish("holes", path, "--out", tmp_path / "h.csv")
+    words = " ".join(err.split())
+    assert "look: 84.67 um a pixel is 300 dpi, which cameras and editors write by default" in words
+    assert "--pixel-um SIZE and --override-size" in words

@@ -91,9 +91,14 @@ def _volume(
 
 def _image(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, ImageParams]:
     from planish.io import read_image
+    from planish.io.sizes import PIXEL, with_advice
 
     params = image_params(path, values)
-    return read_image(path, **params.how), params
+    image = read_image(path, **params.how)
+    if "size_doubt" in image.attrs:
+        doubt_text = with_advice(image.attrs["size_doubt"], PIXEL)
+        click.echo(f"look: {shown(doubt_text)}", err=True)
+    return image, params
 
 
 @verb(

@@ -42,9 +42,9 @@ from planish.io.sizes import (
     USUAL_VOXEL_UM,
     VOXEL,
     Stated,
-    advice_on_doubt,
     agreed_size,
     doubt_of_size,
+    with_advice,
 )
 from planish.io.tiff import open_series
 from planish.io.volume import load_volume, open_volume
@@ -329,7 +329,7 @@ def _size_facts(
         return {"size_um": None, "size_source": None, "size_problem": error.text, "extent_um": None}
     if doubt := doubt_of_size(stated, source):
         asked = PIXEL if len(size) == len(PIXEL.axes) else VOXEL
-        warnings.append(f"{doubt} {advice_on_doubt(asked)}")
+        warnings.append(with_advice(doubt, asked))
     try:
         find_size(unusual=False)
     except SizeError as error:  # as a run says it

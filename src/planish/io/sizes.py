@@ -230,10 +230,10 @@ def doubt_of_size(stated: Sequence[Stated], source: str) -> str:
     return "" if is_sure else " ".join(dict.fromkeys(s.doubt for s in sized))
 
 
-def advice_on_doubt(asked: Asked) -> str:
-    """Say what to do about a size that may be nobody's measurement."""
+def with_advice(doubt: str, asked: Asked) -> str:
+    """Say what to do about a size that may be nobody's measurement, behind the doubt."""
     return (
-        "Compare a known length; if the size is another one, give it with"
+        f"{doubt} Compare a known length; if the size is another one, give it with"
         f" `{asked.word}=SIZE` and {OVERRIDE}."
     )
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from planish.analyze.image_values import compared_image
 from planish.checks import ImageFile, run_checks
 from planish.io import read_image
+from planish.io.sizes import PIXEL, with_advice
 from planish.marks.regions import Regions
 from planish.run.compute import Progress
 from planish.run.facts import input_file
@@ -46,7 +47,9 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> In
         if params.kind == "run":
             layers[params.name] = _read_run(params, study)
         else:
-            layers[params.name] = _read_image(params)
+            layers[params.name] = layer = _read_image(params)
+            if layer.source.size_doubt:  # before what needs the right size
+                progress("look", with_advice(layer.source.size_doubt, PIXEL))
     holes = HoleSearch(study.holes)
     _check_marks(study, layers, holes)
     reference = layers.get(study.layers[-1].name)

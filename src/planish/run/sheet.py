@@ -16,6 +16,7 @@ from planish.core.threads import thread_pool
 from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
 from planish.io import find_place
+from planish.io.sizes import VOXEL, with_advice
 from planish.measure import measure_properties, sheet_numbers, surfaces_of
 from planish.resample import resample_maps
 from planish.results import SheetFacts, SheetNumbers
@@ -147,6 +148,8 @@ def _read(
     assert v is not None
     progress("read", find_place(v.path).path.name)
     volume, sections = read_sheet_volume(v, compute, progress)
+    if "size_doubt" in volume.attrs:
+        progress("look", with_advice(volume.attrs["size_doubt"], VOXEL))
     if hint_text := other_axis(volume, v.through):  # before the search, which takes minutes
         progress("look", f"{hint_text} The sheet is searched along {v.through}.")
     return volume, sections
