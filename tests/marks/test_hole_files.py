@@ -65,6 +65,19 @@ def test_every_float_survives():
     assert np.isnan(back["x"].values[-1])
 
 
+@pytest.mark.parametrize("text", ["x,y\n1,2\n", "X (px);Y (px)\n1;2\n", "label;a\nb;c\n"])
+def test_the_headings_that_a_table_needs_are_named(tmp_path, text):
+    (tmp_path / "holes.csv").write_text(text)
+    refused(MarkError, "columns missing: x_um, y_um .found", read_holes, tmp_path / "holes.csv")
+
+
+def test_a_table_of_a_german_spreadsheet_in_mm(tmp_path):
+    (tmp_path / "holes.csv").write_text("Label;X (mm);Y (mm);Diameter (um)\na;1,5;2;150,5\n")
+    holes = read_holes(tmp_path / "holes.csv")
+    values = [float(holes[name][0]) for name in ("x", "y", "diameter")]
+    assert values == [1500.0, 2000.0, 150.5]
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -193,7 +193,7 @@ def read_holes(path: str | Path) -> xr.Dataset:
         optional=("diameter_um",),
         error=MarkError,
     )
-    columns = [column for column in ("x_um", "y_um", "diameter_um") if column in table.header]
+    columns = ["x_um", "y_um"] + ["diameter_um"] * ("diameter_um" in table.header)
     numbers = table.numbers(columns)
     table.check()
     if not len(numbers):
