@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import roifile
 
 from folders import refused
 from marks.files_by_hand import (
@@ -447,6 +448,12 @@ def test_nothing_is_overwritten_and_every_need_is_told(put, tmp_path):
 # --- damage
 
 
+def points_roi(points):
+    selection = roifile.ImagejRoi.frompoints(points)
+    selection.roitype = roifile.ROI_TYPE.POINT
+    return selection.tobytes()
+
+
 WHOLE = {
     "b2.csv": bigwarp_2d().encode(),
     "b3.csv": bigwarp_3d().encode(),
@@ -458,6 +465,8 @@ WHOLE = {
         slicer(slicer_list(MOVING / 1000, "a"), slicer_list(FIXED / 1000, "b", "RAS")).encode()
     ),
     "ij.csv": imagej(MOVING).encode(),
+    "napari.csv": b"index,axis-0,axis-1\n0,1.5,2.5\n1,3.5,4.5\n2,7.5,9.5\n",
+    "points.roi": points_roi(MOVING),
     "m5.mat": mat(MOVING, FIXED),
     "m73.mat": mat(MOVING, FIXED, "7.3"),
     "m7.mat": mat(MOVING, FIXED, "7"),
@@ -497,7 +506,7 @@ def damaged(data, rng):
 
 @pytest.mark.parametrize("name", sorted(WHOLE))
 def test_damaged_files_end_in_a_sentence_or_in_marks(put, name):
-    """Twenty damaged files of each kind, 240 in all."""
+    """Twenty damaged files of each kind."""
     layers = {"moving": LayerPixels(2.0), "fixed": LayerPixels(2.0)}
     assert read_any(put(WHOLE[name], name), **layers).sizes["mark"] > 0
     rng = np.random.default_rng(sorted(WHOLE).index(name))
