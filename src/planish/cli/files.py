@@ -20,24 +20,28 @@ from planish.cli.options import (
 )
 from planish.core.errors import FileError
 from planish.correct.params import CorrectParams
-from planish.io.params import VolumeParams
+from planish.io.params import ImageParams, VolumeParams
 from planish.run.compute import Compute, engine
 
 
 @verb(
     "planish info volume.tif",
     "planish info volume.tif --picture look.png",
+    "planish info volume.tif --voxel-um 2,1.5,1.5",
     "planish info run --json",
 )
 @existing("path")
 @click.option(
     "--picture", type=PATH, metavar="PNG", help="Draw the middle sections into this file."
 )
+@options(VolumeParams, "Size", only=("voxel_um", "override_size"))
+@options(ImageParams, "Size", only=("pixel_um",))
 @json_option
-def info(path: Path, picture: Path | None, as_json: bool) -> None:
+def info(path: Path, picture: Path | None, as_json: bool, **sizes: Any) -> None:
     """Say what PATH holds.
 
-    Shape, type, voxel or pixel size and its source, grey values, what looks wrong.
+    Shape, type, voxel or pixel size and its source, grey values, what looks wrong. A size is
+    compared with the file as a run does it.
 
     In a terminal, the middle of a volume is drawn, too: there a sheet shows as a line across the
     axis that runs through it. --picture draws three sections: x and y across with z down, and x
@@ -63,6 +67,7 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
         facts = describe(
             path,
             look=(lambda values: sections.extend(middle_sections(values))) if needs_look else None,
+            **{name: size for name, size in sizes.items() if size is not None},
         )
         ctx = click.get_current_context()
         facts["warnings"] = [with_commands(warning, ctx) for warning in facts["warnings"]]
