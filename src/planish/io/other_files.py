@@ -35,7 +35,7 @@ class OtherKind(NamedTuple):
     """A kind of file or folder that planish does not read."""
 
     name: str  # with its article; the last word is a noun
-    suffixes: tuple[str, ...]  # ends of names, in small letters
+    ends: str  # of names, in small letters
     way: str  # to something that planish reads
     starts: Starts = ()  # each a byte of the file and what stands there
 
@@ -53,100 +53,100 @@ _DETACHED = "Save header and values as one file, such as .nii, or as TIFF slices
 _ARCHIVE = "Unpack it, and give the file or folder in it."
 _TABLE = "Give the image or the volume itself."
 OTHER_KINDS = (
-    OtherKind("a Zeiss Xradia file", (".txm", ".txrm", ".xrm"), _SCANNER),
-    OtherKind("a VGStudio file", (".vgi", ".vgl"), _RAW),
-    OtherKind("a GE phoenix datos|x file", (".pca", ".pcr", ".pcp"), _RAW),
-    OtherKind("a Nikon X-Tek file", (".xtekct", ".xtekvolume"), _RAW),
-    OtherKind("a raw values file", (".xraw", ".bin", ".dat"), (
+    OtherKind("a Zeiss Xradia file", ".txm .txrm .xrm", _SCANNER),
+    OtherKind("a VGStudio file", ".vgi .vgl", _RAW),
+    OtherKind("a GE phoenix datos|x file", ".pca .pcr .pcp", _RAW),
+    OtherKind("a Nikon X-Tek file", ".xtekct .xtekvolume", _RAW),
+    OtherKind("a raw values file", ".xraw .bin .dat", (
         "Give it the end .raw, and write numbers of voxels and type into a header beside it,"
         " NAME.raw.toml."
     )),
-    OtherKind("a Scanco file", (".isq", ".aim", ".rsq"), _SCANNER, ((0, b"CTDATA-HEADER"),)),
+    OtherKind("a Scanco file", ".isq .aim .rsq", _SCANNER, ((0, b"CTDATA-HEADER"),)),
     OtherKind(
-        "an Amira or Avizo file", (".am", ".amiramesh", ".hx"),
+        "an Amira or Avizo file", ".am .amiramesh .hx",
         "Save it as NRRD or as TIFF slices in Amira or Avizo.",
         ((0, b"# AmiraMesh"), (0, b"# Avizo")),
     ),
     OtherKind(
-        "a DICOM file", (".dcm", ".dicom", ".ima"),
+        "a DICOM file", ".dcm .dicom .ima",
         "Open the folder in Fiji and save it with File > Save As > Tiff; Pixel Spacing × 1000 is"
         " the size in um.",
         ((128, b"DICM"),),
     ),
     OtherKind(
-        "a NumPy file", (".npy", ".npz"),
+        "a NumPy file", ".npy .npz",
         "Load it in Python and give the array to `pl.volume` or `pl.image`.",
         ((0, b"\x93NUMPY"),),
     ),
-    OtherKind("an N5 container", (".n5",), (
+    OtherKind("an N5 container", ".n5", (
         "Open it in Fiji (File > Import > N5) and save it as Tiff, or convert it to OME-Zarr."
     )),
-    OtherKind("an Imaris file", (".ims",), _FIJI),
-    OtherKind("a Zeiss microscope file", (".czi", ".zvi"), _FIJI, ((0, b"ZISRAWFILE"),)),
-    OtherKind("a Leica microscope file", (".lif", ".scn"), _FIJI, ((0, b"p\0\0\0"),)),
-    OtherKind("a Nikon microscope file", (".nd2",), _FIJI, ((0, b"\xda\xce\xbe\n"),)),
-    OtherKind("an Olympus microscope file", (".vsi", ".oib", ".oif", ".oir"), _FIJI),
-    OtherKind("an electron microscope file", (".dm3", ".dm4", ".ser", ".emd"), _FIJI),
-    OtherKind("a FITS file", (".fits", ".fit"), _FIJI, ((0, b"SIMPLE  ="),)),
+    OtherKind("an Imaris file", ".ims", _FIJI),
+    OtherKind("a Zeiss microscope file", ".czi .zvi", _FIJI, ((0, b"ZISRAWFILE"),)),
+    OtherKind("a Leica microscope file", ".lif .scn", _FIJI, ((0, b"p\0\0\0"),)),
+    OtherKind("a Nikon microscope file", ".nd2", _FIJI, ((0, b"\xda\xce\xbe\n"),)),
+    OtherKind("an Olympus microscope file", ".vsi .oib .oif .oir", _FIJI),
+    OtherKind("an electron microscope file", ".dm3 .dm4 .ser .emd", _FIJI),
+    OtherKind("a FITS file", ".fits .fit", _FIJI, ((0, b"SIMPLE  ="),)),
     OtherKind(
-        "a slide scanner file", (".svs", ".ndpi", ".mrxs", ".bif"),
+        "a slide scanner file", ".svs .ndpi .mrxs .bif",
         "Export the level you need as TIFF in QuPath or Fiji.",
     ),
     OtherKind(
-        "a detached header file", (".hdr",),
+        "a detached header file", ".hdr",
         _DETACHED,
         ((0, b"ENVI"),),
     ),
-    OtherKind("a detached values file", (".img",), _DETACHED),
+    OtherKind("a detached values file", ".img", _DETACHED),
     OtherKind(
-        "a JPEG 2000 file", (".jp2", ".j2k", ".jpx", ".jpf"), _PICTURE,
+        "a JPEG 2000 file", ".jp2 .j2k .jpx .jpf", _PICTURE,
         ((4, b"jP  \r\n"), (0, b"\xff\x4f\xff\x51")),
     ),
     OtherKind(
         "a foreign picture file",
-        (".gif", ".webp", ".heic", ".heif", ".avif", ".jxl", ".psd", ".exr"), _PICTURE,
+        ".gif .webp .heic .heif .avif .jxl .psd .exr", _PICTURE,
         ((0, b"GIF8"), (8, b"WEBP"), (4, b"ftyp"), (0, b"8BPS")),
     ),
     OtherKind(
-        "a camera raw file", (".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2"),
+        "a camera raw file", ".cr2 .cr3 .nef .arw .raf .orf .rw2",
         "Develop it to a TIFF of 16 bits, without sharpening.",
     ),
-    OtherKind("a PDF file", (".pdf",), "Export the picture in it as TIFF or PNG.", ((0, b"%PDF"),)),
+    OtherKind("a PDF file", ".pdf", "Export the picture in it as TIFF or PNG.", ((0, b"%PDF"),)),
     OtherKind(
-        "a surface mesh", (".stl", ".ply", ".obj"),
+        "a surface mesh", ".stl .ply .obj",
         "It holds no grey values: give the volume that it was made of.",
     ),
     OtherKind(
         "a packed archive",
-        (".zip", ".gz", ".bz2", ".tar", ".tgz", ".7z", ".rar", ".xz", ".zst", ".ozx"), _ARCHIVE,
+        ".zip .gz .bz2 .tar .tgz .7z .rar .xz .zst .ozx", _ARCHIVE,
         (
             (0, b"PK\3\4"), (0, b"\x1f\x8b"), (0, b"BZh"), (257, b"ustar"), (0, b"7z\xbc\xaf"),
             (0, b"Rar!"), (0, b"\xfd7zXZ"),
         ),
     ),
     OtherKind(
-        "a shortcut", (".lnk", ".url", ".webloc"), "Give the file or folder that it leads to.",
+        "a shortcut", ".lnk .url .webloc", "Give the file or folder that it leads to.",
         ((0, b"L\0\0\0\1\x14\2\0"), (0, b"[InternetShortcut]")),
     ),
     OtherKind(
-        "a cloud placeholder", (".icloud",), "Download the file itself to this computer first."
+        "a cloud placeholder", ".icloud", "Download the file itself to this computer first."
     ),
     OtherKind(
-        "an unfinished download", (".crdownload", ".part", ".partial", ".download"),
+        "an unfinished download", ".crdownload .part .partial .download",
         "Wait until it is complete, or download it again.",
     ),
     OtherKind(
-        "a Git LFS pointer", (), "It names the file without its values: run git lfs pull.",
+        "a Git LFS pointer", "", "It names the file without its values: run git lfs pull.",
         ((0, b"version https://git-lfs"),),
     ),
     OtherKind(
-        "a web page", (".html", ".htm"), "Download the file itself, not the page that shows it.",
+        "a web page", ".html .htm", "Download the file itself, not the page that shows it.",
         ((0, b"<!doctype html"), (0, b"<html")),
     ),
-    OtherKind("a table", (".csv", ".xlsx", ".xls", ".ods"), _TABLE),
-    OtherKind("a text file", (".txt", ".log", ".xml", ".json", ".ini", ".md"), _TABLE),
+    OtherKind("a table", ".csv .xlsx .xls .ods", _TABLE),
+    OtherKind("a text file", ".txt .log .xml .json .ini .md", _TABLE),
 )  # fmt: skip
-_BY_NAME = {suffix: kind for kind in OTHER_KINDS for suffix in kind.suffixes}
+_BY_NAME = {suffix: kind for kind in OTHER_KINDS for suffix in kind.ends.split()}
 _TEXT, _ARCHIVES, _N5 = _BY_NAME[".txt"], _BY_NAME[".zip"], _BY_NAME[".n5"]
 RAW_DESCRIPTIONS = tuple(suffix for suffix, kind in _BY_NAME.items() if kind.way == _RAW)
 RAW_VALUES = (".vol", ".raw")
@@ -226,7 +226,7 @@ def partner(path: Path, suffixes: Sequence[str]) -> Path | None:
 
 def folder_refusal(folder: Path) -> FileError:
     """Give the error for a folder without slices: what it holds, and what to give."""
-    if folder.suffix.lower() in _N5.suffixes or (folder / "attributes.json").is_file():
+    if folder.suffix.lower() == _N5.ends or (folder / "attributes.json").is_file():
         return FileError(f"{folder.name} holds no slices, it is {_N5.name}. {_N5.way}")
     if (folder / "run.toml").is_file():
         return FileError(
