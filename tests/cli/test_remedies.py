@@ -84,7 +84,7 @@ def test_an_option_of_another_command_is_said_with_that_command(name):
 def test_several_options_are_said_with_the_fewest_commands():
     text = "Give `pixel_um=SIZE` and add `override_size=True`."
     assert with_commands(text, context("planish holes")) == text
-    assert in_terminal_words(with_commands(text, context("planish info"))) == (
+    assert in_terminal_words(with_commands(text, context("planish flatten"))) == (
         "Give --pixel-um SIZE and add --override-size. --pixel-um and --override-size are options"
         " of 'planish link' and 'planish resample'."
     )
