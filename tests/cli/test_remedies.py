@@ -95,6 +95,8 @@ def test_several_options_are_said_with_the_fewest_commands():
         " `hole_um` and `marks` are options of 'planish link'. `swap` is an option of 'planish"
         " marks convert'."
     )
+    named = "planish marks convert turns pixels into um, given `unit=pixel`."
+    assert with_commands(named, context("planish register")) == named
     assert with_commands("`nonsense` is none.", context("planish map")) == "`nonsense` is none."
 
 

@@ -91,6 +91,9 @@ def with_commands(text: str, ctx: click.Context) -> str:
         f"'{name}'": words_of_command(command)
         for name, command in _commands_in(root.command, root, "planish")
     }
+    for name, words in words_by_command.items():
+        if name.strip("'") in text:  # it is said already
+            missing_names -= words
     sentences: list[str] = []
     while missing_names:
         # The commands with most of them; of those with as many, the first two.

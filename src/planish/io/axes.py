@@ -97,53 +97,94 @@ def place_axes(
         each other, or if the axes are not z, y and x.
     """
     long_axes = [axis for axis, n in enumerate(shape) if n > 1]
-    naming = _agreed_naming(shape, namings, subject)
-    letters = [letter_of(naming.names[axis]) if naming else "" for axis in long_axes]
-    if len(long_axes) != 3:
-        raise VolumeError(
-            _no_volume_text(shape, long_axes, letters, naming, subject, channel_labels)
-        )
-    if naming is None:
+    telling = _telling_namings(namings, long_axes, subject)
+    if not telling:
+        if len(long_axes) != 3:
+            extent = size_words(shape) or "one value"
+            raise VolumeError(f"{subject} is no volume but {extent}. {ADVICE}")
         return PlacedAxes(tuple(long_axes), ())
-    found = _filled(letters)
-    if found is None:
+    naming = telling[0]
+    letters = _filled(naming.letters)
+    if letters is None:
         raise VolumeError(
-            f"{subject}: its axes are {_names_text(naming, shape)} by {naming.source}; which of"
-            " them are z, y and x is not known. Name them z, y and x, in the order in which they"
-            " are stored."
+            f"{subject}: its axes are {naming}; which of them are z, y and x is not known. Name"
+            " them z, y and x, in the order in which they are stored."
         )
     notes: tuple[str, ...] = ()
-    if sorted(found) != ["x", "y", "z"]:
-        found, notes = _with_slices(found, shape, long_axes, naming, subject, channel_labels)
-    order = tuple(long_axes[found.index(letter)] for letter in "zyx")
-    if list(order) != long_axes:
-        stored_text = ", ".join(found)
-        turned_text = (
-            f"Its axes are stored as {stored_text} ({naming.source}), and read as z, y, x."
+    counts = {letter: shape[axis] for letter, axis in zip(letters, long_axes, strict=True)}
+    further_letters = [letter for letter in letters if letter in MEANINGS]
+    is_like_slices = further_letters == ["t"] or counts.get("c", 0) >= LEAST_SLICES
+    if "z" not in letters and len(further_letters) == 1 and is_like_slices:
+        notes = (slices_note(counts[further_letters[0]], further_letters[0]),)
+        letters = ["z" if letter in MEANINGS else letter for letter in letters]
+    elif further_letters:
+        labels_text = f" ({channel_labels})" if channel_labels else ""
+        texts = [f"{counts[letter]} {MEANINGS[letter]}" for letter in further_letters]
+        all_names = ", ".join(naming.all_names)
+        raise VolumeError(
+            f"{subject} has {and_join(texts)}{labels_text}: {size_words(shape)} ({all_names})."
+            f" {ADVICE}"
         )
-        notes = (*notes, turned_text)
+    if sorted(letters) != ["x", "y", "z"]:
+        raise VolumeError(
+            f"{subject} is no volume with the axes z, y and x: its axes are {naming}. {ADVICE}"
+        )
+    order = tuple(long_axes[letters.index(letter)] for letter in "zyx")
+    if list(order) != long_axes:
+        stored_text = f"Its axes are stored as {', '.join(letters)} ({naming.source})"
+        notes = (*notes, f"{stored_text}, and read as z, y, x.")
     return PlacedAxes(order, notes)
 
 
+class _Naming(NamedTuple):
+    """Names of the axes longer than 1 by one convention, and their letters."""
+
+    source: str
+    names: list[str]
+    letters: list[str | None]
+    all_names: tuple[str, ...]
+
+    def __str__(self) -> str:
+        names = [name or "one without a name" for name in self.names]
+        return f"{', '.join(names)} by {self.source}"
+
+
+def _telling_namings(
+    namings: Sequence[AxisNames], long_axes: Sequence[int], subject: str
+) -> list[_Naming]:
+    """The conventions that say something of an axis, which may not contradict each other."""
+    telling: list[_Naming] = []
+    for source, all_names in namings:
+        names = [all_names[axis] for axis in long_axes]
+        naming = _Naming(source, names, [letter_of(name) for name in names], all_names)
+        if all(letter == "" for letter in naming.letters):
+            continue
+        telling.append(naming)
+        for first_letter, letter in zip(telling[0].letters, naming.letters, strict=True):
+            if "" not in (first_letter, letter) and first_letter != letter:
+                raise VolumeError(
+                    f"{subject} contradicts itself: its axes are {telling[0]}, and {naming}."
+                    " Correct one of them."
+                )
+    return telling
+
+
 def _filled(letters: Sequence[str | None]) -> list[str] | None:
-    """Letters of three axes, of which some may have no name; None where these are not clear.
+    """Letters of all axes, of which some may have no name; None where these are not clear.
 
     An axis without a name is the letter that is left, or in its usual place.
     """
-    if None in letters:
-        return None
     named = [letter for letter in letters if letter]
     left_letters = [letter for letter in "zyx" if letter not in named]
     if set(named) & set(MEANINGS):
         left_letters = left_letters[1:]
     n_missing = len(letters) - len(named)
-    if n_missing > len(left_letters):
+    if None in letters or n_missing > len(left_letters):
         return None
     remaining = iter(left_letters)
     filled = [letter or next(remaining) for letter in letters]
     places = ["z" if letter in MEANINGS else letter for letter in filled]
-    is_clear = n_missing < 2 or places == ["z", "y", "x"]
-    return filled if is_clear else None
+    return filled if n_missing < 2 or places == ["z", "y", "x"] else None
 
 
 def slices_note(count: int, letter: str) -> str:
@@ -151,80 +192,4 @@ def slices_note(count: int, letter: str) -> str:
     return (
         f"Its {count} slices are filed as {MEANINGS[letter]}; they are read as slices, in their"
         " order along z."
-    )
-
-
-def _agreed_naming(
-    shape: Sequence[int], namings: Sequence[AxisNames], subject: str
-) -> AxisNames | None:
-    """The first convention that names the axes; None where none does."""
-    telling = [
-        naming
-        for naming in namings
-        if any(letter_of(name) != "" for name, n in zip(naming.names, shape, strict=True) if n > 1)
-    ]
-    for other in telling[1:]:
-        for first_name, name, n in zip(telling[0].names, other.names, shape, strict=True):
-            letters = {letter_of(first_name), letter_of(name)} - {""}
-            if n > 1 and len(letters) > 1:
-                raise VolumeError(
-                    f"{subject} contradicts itself: its axes are"
-                    f" {_names_text(telling[0], shape)} by {telling[0].source}, and"
-                    f" {_names_text(other, shape)} by {other.source}. Correct one of them."
-                )
-    return telling[0] if telling else None
-
-
-def _names_text(naming: AxisNames, shape: Sequence[int]) -> str:
-    names = [name for name, n in zip(naming.names, shape, strict=True) if n > 1]
-    return ", ".join(name or "one without a name" for name in names)
-
-
-def _no_volume_text(
-    shape: Sequence[int],
-    long_axes: Sequence[int],
-    letters: Sequence[str | None],
-    naming: AxisNames | None,
-    subject: str,
-    channel_labels: str,
-) -> str:
-    extent = size_words(shape) or "one value"
-    if naming is not None:
-        extent += f" ({', '.join(name or '?' for name in naming.names)})"
-    further_texts = [
-        _content_text(shape[axis], letter, channel_labels)
-        for axis, letter in zip(long_axes, letters, strict=True)
-        if letter in MEANINGS
-    ]
-    if further_texts:
-        return f"{subject} has {and_join(further_texts)}: {extent}. {ADVICE}"
-    return f"{subject} is no volume but {extent}. {ADVICE}"
-
-
-def _content_text(count: int, letter: str | None, channel_labels: str) -> str:
-    text = f"{count} {MEANINGS[str(letter)]}"
-    return f"{text} ({channel_labels})" if letter == "c" and channel_labels else text
-
-
-def _with_slices(
-    letters: list[str],
-    shape: Sequence[int],
-    long_axes: Sequence[int],
-    naming: AxisNames,
-    subject: str,
-    channel_labels: str,
-) -> tuple[list[str], tuple[str, ...]]:
-    """Read time points, or as many channels as nothing has, as the slices that are not there."""
-    others = [letter for letter in letters if letter not in "yx"]
-    if sorted(letters) in (["c", "x", "y"], ["t", "x", "y"]):
-        (letter,) = others
-        count = shape[long_axes[letters.index(letter)]]
-        if letter == "t" or count >= LEAST_SLICES:
-            as_slices = ["z" if other == letter else other for other in letters]
-            return as_slices, (slices_note(count, letter),)
-        content_text = _content_text(count, letter, channel_labels)
-        raise VolumeError(f"{subject} has {content_text}: {size_words(shape)}. {ADVICE}")
-    raise VolumeError(
-        f"{subject} is no volume with the axes z, y and x: its axes are"
-        f" {_names_text(naming, shape)} by {naming.source}. {ADVICE}"
     )
