@@ -86,7 +86,7 @@ def test_several_options_are_said_with_the_fewest_commands():
     assert with_commands(text, context("planish holes")) == text
     assert in_terminal_words(with_commands(text, context("planish flatten"))) == (
         "Give --pixel-um SIZE and add --override-size. --pixel-um and --override-size are options"
-        " of 'planish link' and 'planish resample'."
+        " of 'planish link' and 'planish info'."
     )
     more = with_commands(
         "Check `hole_um`, or give `marks`, or `swap`.", context("planish register")
