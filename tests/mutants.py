@@ -102,9 +102,9 @@ MUTANTS = [
     ),
     # io: sizes and files
     Mutant(
-        "io/sizes.py",
-        "pixel_um = unit_length / density",
-        "pixel_um = unit_length * density",
+        "io/resolution.py",
+        "pixel_um = unit_length / per_unit",
+        "pixel_um = unit_length * per_unit",
         "io/test_sizes.py",
     ),
     Mutant(
@@ -114,9 +114,9 @@ MUTANTS = [
         "io/test_sizes.py",
     ),
     Mutant(
-        "io/sizes.py",
-        "abs(25400.0 / pixel_um - dpi) <= 1.0",
-        "abs(25400.0 / pixel_um - dpi) <= 0.0001",
+        "io/resolution.py",
+        "ROUNDING_DPI = 1.0",
+        "ROUNDING_DPI = 0.0001",
         "io/test_sizes.py",
     ),
     Mutant(

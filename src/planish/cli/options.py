@@ -27,6 +27,7 @@ from planish.core.options import (
     words_in,
 )
 from planish.core.parameter_words import flag_of, in_terminal_words, names_in
+from planish.core.tables import DECIMAL_OR_TWO
 from planish.core.text import and_join
 
 Command = Callable[..., Any]
@@ -184,6 +185,13 @@ class Value(click.ParamType[Any]):
         """Parse ``"3"`` or ``"3,1.5,1.5"``."""
         if not isinstance(value, str):
             return value
+        if self.can_repeat and DECIMAL_OR_TWO.fullmatch(value.strip()):
+            decimal = value.strip().replace(",", ".")
+            self.fail(
+                f"{value!r} may be {decimal} or two numbers. Write numbers with a decimal point.",
+                param,
+                ctx,
+            )
         texts: Any = [part.strip() for part in value.split(",")] if self.n_values else value
         if self.is_any_count and value.strip().casefold() == "none":
             texts = []

@@ -7,6 +7,7 @@ One check for each kind of object, called once where a public function begins.
 """
 
 from collections.abc import Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ _CURES = {
     "b": "Give the grey values that it was made from.",
     "c": "Give their magnitude: abs(array).",
 }
+MISSING_KEYS = ("_FillValue", "missing_value", "nodata")  # of netCDF and of rasters
 _GRID_AXES = ("y", "x", "v", "u")  # along which columns and pixels stand in um
 _POSITIONS = ("x", "y", "u", "v", "centre")  # variables that are lengths
 _PICTURE_MODES = ("L", "I", "I;16", "F", "RGB", "RGBA")  # of Pillow, whose numbers are the values
@@ -133,6 +135,19 @@ def check_numbers(array: Any, name: str, *, kinds: str = "uif") -> None:
         if kinds == "b":
             wanted, fix = "true or false", "Compare them with a limit: array > 0."
         raise VolumeError(f"{name} has {array.dtype} values; needed are {wanted}. {fix}")
+
+
+def check_missing(array: Any, name: str) -> None:
+    """Refuse a map that holds the number its attributes call missing: it would be a value here."""
+    for key in MISSING_KEYS:
+        number = getattr(array, "attrs", {}).get(key)
+        n_missing = int(np.sum(array.values == number)) if isinstance(number, Real) else 0
+        if n_missing:
+            raise VolumeError(
+                f"{name} holds {number:g} {n_missing} times, which its attribute {key} calls"
+                f" missing. Write array.where(array != {number:g}): what is NaN is missing. If it"
+                f" is a value, take the attribute out."
+            )
 
 
 def values_of(values: Any, name: str) -> Array:

@@ -8,11 +8,13 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
+from pathlib import Path
 from typing import Any, NamedTuple, get_origin
 
 from pydantic import BaseModel, ValidationError
 
 from planish.core.annotations import models_in
+from planish.core.errors import FileError
 
 # a key with the tables around it; the tables of an array are numbered from 0.
 Key = tuple[str | int, ...]
@@ -116,6 +118,15 @@ _ADVICE = (
     ),
     (re.compile(r"^\s*[^\[#\n=]+$", re.MULTILINE), ("after a key",), "A line reads key = value."),
 )
+
+
+def toml_tables(path: Path | str, text: str) -> dict[str, Any]:
+    """Tables in the text of a file; FileError says where it is no TOML."""
+    try:
+        # With a line end, what is wrong in the last line has a number, too.
+        return tomllib.loads(f"{text}\n")
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise FileError(f"{path} is not a TOML file: {toml_fault(error, text)}") from error
 
 
 def toml_fault(error: tomllib.TOMLDecodeError | RecursionError, text: str) -> str:

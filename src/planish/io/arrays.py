@@ -15,6 +15,7 @@ from planish.core.arrays import (
     IMAGE,
     VOLUME,
     ArrayKind,
+    check_missing,
     check_numbers,
     check_values,
     conversion_call,
@@ -132,6 +133,7 @@ def image(
     if side is not None:
         check_choice("side", side, SIDES)
     raster = _array(array, IMAGE)
+    check_missing(raster, "The image")
     stored_values = raster.values
     colour = "rgb" if stored_values.ndim == 3 else "grey"
     picture = DecodedPicture(values=stored_values, colour=colour, bits=64, stated=(), orientation=1)

@@ -113,14 +113,7 @@ def axis_words(raw_value: Any) -> list[str]:
     >>> axis_words("zyx"), axis_words("[z, y, x]"), axis_words('{"axes": [{"key": "x"}]}')
     (['z', 'y', 'x'], ['z', 'y', 'x'], ['x'])
     """
-    value = _plain(raw_value)
-    if isinstance(value, str) and value.lstrip()[:1] in ("{", "["):
-        try:
-            value = json.loads(value)
-        except ValueError:
-            value = value.strip().strip("[]{}")
-    if isinstance(value, dict):
-        value = value.get("axes", [])
+    value = _axes_content(raw_value)
     if isinstance(value, list):
         words = [_entry_word(entry) for entry in value]
         if len(words) != 1:
@@ -132,6 +125,17 @@ def axis_words(raw_value: Any) -> list[str]:
     if set(text.casefold()) <= set("zyxct") and len(text) > 1:
         return [*text]
     return [word.strip() for word in re.split(r"[:;,\s]+", text) if word.strip()]
+
+
+def _axes_content(raw_value: Any) -> Any:
+    """A list of words or entries, or a text, in the value of an attribute on axes."""
+    value = _plain(raw_value)
+    if isinstance(value, str) and value.lstrip()[:1] in ("{", "["):
+        try:
+            value = json.loads(value)
+        except ValueError:
+            value = value.strip().strip("[]{}")
+    return value.get("axes", []) if isinstance(value, dict) else value
 
 
 def _entry_word(entry: Any) -> str:
@@ -163,6 +167,8 @@ def sizes_by_attributes(
     keys = {str(key).casefold(): str(key) for key in attrs}
     stated: list[Stated] = []
     for folded_key, key in keys.items():
+        if folded_key == "axistags":
+            stated += _stated_by_tags(attrs[key], f"the attribute {key}", shape, order)
         size_name = SIZE_NAME.fullmatch(folded_key)
         if size_name is None or "unit" in folded_key:
             continue
@@ -179,6 +185,21 @@ def sizes_by_attributes(
             source += f" ({unit}; no unit is written, in another one no scan of paper)" * bool(unit)
         stated.append(stated_in(source, lengths, [unit] * len(lengths), order))
     return stated
+
+
+def _stated_by_tags(
+    raw_value: Any, source: str, shape: Sequence[int], order: Sequence[int]
+) -> list[Stated]:
+    """Voxel size by tags of vigra, in which a resolution of 0 is none."""
+    content = _axes_content(raw_value)
+    if not isinstance(content, list):
+        return []
+    entries = [entry for entry in content if isinstance(entry, dict)]
+    if len(entries) != len(shape):
+        return []
+    resolutions = [entry.get("resolution") for entry in entries]
+    lengths = [float(n) if isinstance(n, (int, float)) and n else None for n in resolutions]
+    return [stated_in(source, lengths, [str(e.get("unit", "")) for e in entries], order)]
 
 
 def _lengths_along(raw_value: Any, shape: Sequence[int]) -> list[float | None] | None:

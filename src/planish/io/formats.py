@@ -221,7 +221,7 @@ def referenced_file(
     folder: Path, name: str, path: Path, *, base_folder: Path | None = None
 ) -> Path:
     """Path of a file that another file names, which has to lie in the same folder or below."""
-    target = (base_folder or folder) / name
+    target = (base_folder or folder) / name.replace("\\", "/")
     try:
         is_within = "\0" not in name and target.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError):
@@ -234,7 +234,7 @@ def referenced_file(
     if not target.is_file():
         raise FileError(
             f"{path.name} takes data from {name!r}, which does not exist. Put it beside"
-            f" {path.name}."
+            f" {path.name}, and name it there without a path."
         )
     return target
 

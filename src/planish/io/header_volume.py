@@ -6,7 +6,6 @@ Compressed values of a MetaImage that do not fit into the memory are read in par
 """
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from io import BytesIO
@@ -18,6 +17,8 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
+from planish.core.parameter_faults import toml_tables
+from planish.core.tables import read_text
 from planish.io.axes import AxisNames
 from planish.io.formats import LoadedVolume, Place, extra, referenced_file
 from planish.io.guard import head_of, memory_limit, reading, size_of_file
@@ -103,6 +104,14 @@ def _data_file(name: str, path: Path) -> Path:
     return referenced_file(path.parent, name, path)
 
 
+def _text_of(line: bytes) -> str:
+    """Text of a line of a header, in UTF-8 or as older programs on Windows write it."""
+    try:
+        return line.decode("utf-8")
+    except UnicodeDecodeError:
+        return line.decode("cp1252", errors="replace")
+
+
 def _nrrd_header(head: bytes, path: Path) -> Header:
     import nrrd  # pyright: ignore[reportMissingTypeStubs]
 
@@ -112,7 +121,7 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     header_bytes = 0
     for line in BytesIO(head):
         # pynrrd would drop what is not ASCII, as in file names.
-        header_lines.append(line.decode("utf-8", errors="replace"))
+        header_lines.append(_text_of(line))
         header_bytes += len(line)
         is_list = re.fullmatch(rb"data ?file:=? *LIST\b.*", line.strip(), re.IGNORECASE)
         # Names of files follow a list of them to the end.
@@ -215,9 +224,7 @@ def _meta_header(head: bytes, path: Path) -> Header:  # noqa: C901
     fields: dict[str, str] = {}
     header_bytes = 0
     for line in BytesIO(head):
-        key, equals, field_text = map(
-            str.strip, line.decode("utf-8", errors="replace").partition("=")
-        )
+        key, equals, field_text = map(str.strip, _text_of(line).partition("="))
         if key and not equals:
             break
         header_bytes += len(line)
@@ -367,8 +374,7 @@ def _raw_header(path: Path) -> Header:
         raise FileError(
             f"{header_file.name} is larger than 100 kB and no header. Write one {EXAMPLE}."
         )
-    with reading(header_file), header_file.open("rb") as file:
-        fields = tomllib.load(file)
+    fields = toml_tables(header_file.name, read_text(header_file, what="header"))
     data_name = str(fields.get("file", header_file.name[: -len(".toml")]))
     data_file = referenced_file(header_file.parent, data_name, header_file)
     faults = [f"unknown key {key!r}" for key in fields if key not in KEYS]

@@ -113,6 +113,10 @@ OTHER_KINDS = (
     ),
     OtherKind("a PDF file", ".pdf", "Export the picture in it as TIFF or PNG.", ((0, b"%PDF"),)),
     OtherKind(
+        "a VTK file", ".vtk .vti .pvti .vtr",
+        "Open it in ParaView and save it as MetaImage (.mhd).", ((0, b"# vtk DataFile"),),
+    ),
+    OtherKind(
         "a surface mesh", ".stl .ply .obj",
         "It holds no grey values: give the volume that it was made of.",
     ),
@@ -169,7 +173,11 @@ def check_contents(place: Place) -> None:
     Pictures and TIFF files are known by their first bytes alone, and raw values may begin with any.
     """
     path, file_format = place.path, format_of(place)
-    if file_format is TIFF or not path.is_file() or path.suffix.lower() in (".gz", ".bz2"):
+    if file_format is TIFF or not path.is_file():
+        return
+    if path.suffix.lower() in (".gz", ".bz2"):
+        if name := _read_format(head_of(path, HEAD_BYTES))[0]:
+            raise FileError(f"{path.name} is no packed file but {name}. Rename it to {path.stem}.")
         return
     is_raw = ".raw" in file_format.suffixes
     if is_raw and (path.suffix.lower() == ".toml" or Path(f"{path}.toml").is_file()):

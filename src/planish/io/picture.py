@@ -6,6 +6,7 @@ Its stored values, what they mean, and its pixel size.
 import math
 from collections.abc import Sequence
 from io import BytesIO
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -215,8 +216,17 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
     bits = 16 if image.mode == "I" else 8 * values.dtype.itemsize
     # Along x, y in the file.
     density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)
-    stated = (stated_density(f"the {kind.upper()} resolution", density, "inch", writer),)
+    stated = [stated_density(f"the {kind.upper()} resolution", density, "inch", writer)]
+    exif_unit = {2: "inch", 3: "cm"}.get(exif.get(296, 2), "")
+    exif_density = [_real(exif.get(tag)) for tag in (283, 282)]
+    # Programs that change one of the two resolutions may leave the other.
+    if None not in (*stated[0].um[1:], *exif_density):
+        stated.append(stated_density("the Exif resolution", exif_density, exif_unit, writer))
     orientation = orientation if isinstance(orientation, int) else 1
     return DecodedPicture(
-        values=values, colour=colour, bits=bits, stated=stated, orientation=orientation
+        values=values, colour=colour, bits=bits, stated=tuple(stated), orientation=orientation
     )
+
+
+def _real(value: object) -> float | None:
+    return float(value) if isinstance(value, Real) else None

@@ -17,7 +17,7 @@ from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
 from planish.core.options import Params, option, words_in
-from planish.core.parameter_faults import Key, fault_texts, key_lines, toml_fault
+from planish.core.parameter_faults import Key, fault_texts, key_lines, toml_tables
 from planish.core.parameter_words import flag_of, names_in, with_names
 from planish.core.tables import read_text
 from planish.flatten.params import FlattenParams
@@ -211,15 +211,6 @@ def read_study(path: Path) -> Study:
             f"{path} is a series of specimens. Do it with: planish study {path} --out OUT."
         )
     return with_paths(checked_study(path, text, tables), lambda p: _absolute(path.parent / p))
-
-
-def toml_tables(path: Path, text: str) -> dict[str, Any]:
-    """Tables in the text of a file; FileError says where it is no TOML."""
-    try:
-        # With a line end, what is wrong in the last line has a number, too.
-        return tomllib.loads(f"{text}\n")
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise FileError(f"{path} is not a TOML file: {toml_fault(error, text)}") from error
 
 
 def checked_study(path: Path, text: str, tables: dict[str, Any]) -> Study:

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
-from planish.core.parameter_faults import fault_texts, key_lines
+from planish.core.parameter_faults import fault_texts, key_lines, toml_tables
 from planish.core.tables import DECIMAL_OR_TWO, parse_table, raise_faults, read_text
 from planish.io import find_place
 from planish.run.build import study_of
@@ -22,7 +22,6 @@ from planish.run.study import (
     Study,
     checked_study,
     in_study_words,
-    toml_tables,
     with_paths,
     with_values,
 )

@@ -18,6 +18,22 @@ from planish.marks.exchange.lists import Content, LayerPixels, PointList, join_l
 from planish.marks.exchange.model import about_layer, check_marks, check_plausible, layer_names
 
 _NOTHING = LayerPixels()
+_BY_HAND = (
+    "Give its positions as a table with the headings label, moving_x_mm, moving_y_mm, fixed_x_mm,"
+    " fixed_y_mm, or in um or px, y downwards."
+)
+# How files begin that hold positions in another format: what they are, and the way on.
+_OTHERS = (
+    (
+        "# Markups fiducial file",
+        "is a point list of Slicer in the old format .fcsv",
+        "Save it in Slicer as .mrk.json.",
+    ),
+    (("# Amira", "# Avizo"), "holds landmarks of Amira or Avizo", _BY_HAND),
+    ("mapX,", "holds points of QGIS, whose y counts upwards", _BY_HAND),
+    ("LM=", "holds landmarks of tpsDig, whose y counts upwards", _BY_HAND),
+    ("<", "is XML, such as the named landmarks of Fiji", _BY_HAND),
+)
 
 
 def read_any(
@@ -233,11 +249,9 @@ def _recognised(content: Content) -> str:
     for name in FORMATS:
         if module_of(name).looks_like(content):
             return name
-    if content.text.startswith("# Markups fiducial file"):
-        raise FileError(
-            f"{content.name} is a point list of Slicer in the old format .fcsv. Save it in Slicer"
-            " as .mrk.json."
-        )
+    for starts, what, way in _OTHERS:
+        if content.text.lstrip().startswith(starts):
+            raise FileError(f"{content.name} {what}. {way}")
     if content.text.lstrip().startswith("{"):
         keys = ", ".join(list(content.json)[:6]) or "nothing"
         raise FileError(
