@@ -146,6 +146,32 @@ def axis_tags_that_know_no_size(folder):
     return volume_text(axis_tags(folder / "a.h5", "zyx", {a: {"resolution": 0} for a in "zyx"}))
 
 
+def with_attributes(path: Path, **attributes: Any) -> Path:
+    """Write a volume with attributes."""
+    with h5py.File(path, "w") as file:
+        file.create_dataset("v", data=GREY).attrs.update(attributes)
+    return path
+
+
+@reported("Image-data-science-with-Python-and-Napari 5", READ)
+def a_size_for_each_axis(folder):
+    sizes = {"voxel_size_x": 2.0, "voxel_size_y": 3.0, "z_step": 4.0}
+    return volume_text(with_attributes(folder / "a.h5", unit="um", **sizes))
+
+
+@reported(
+    "CellProfiler tutorials 45", "contradicts itself: .*pixel_size_um states z 2.* states z 4"
+)
+def one_pixel_size_and_another_along_z(folder):
+    sizes = {"pixel_size_um": 2.0, "slice_spacing_um": 4.0}
+    return volume_text(with_attributes(folder / "a.h5", **sizes))
+
+
+@reported("HDF5_Vibez 10", ASKED)
+def two_sizes_for_three_axes(folder):
+    return volume_text(with_attributes(folder / "a.h5", element_size_um=[3.0, 2.0]))
+
+
 def imagej(path: Path, lines: str, resolution: tuple[float, float], unit: str = "NONE") -> Path:
     """Write a stack with the description of ImageJ."""
     description = f"ImageJ=1.53t\nimages=20\nslices=20\n{lines}\nloop=false\n"

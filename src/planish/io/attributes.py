@@ -35,9 +35,12 @@ NAME_KEYS = (
     "dims",
 )
 NEXUS_INDICES = "_indices"
-# Names that programs use for sizes, with ``_um`` or another unit at the end, or the unit beside.
+# Names that programs use for sizes, with ``_um`` or another unit at the end, or the unit beside;
+# before or behind them the one axis that is meant.
 SIZE_NAME = re.compile(
-    r"(voxel_?sizes?|element_?sizes?|pixel_?sizes?|spacings?|resolutions?|voxel)(?:_(.*))?"
+    r"(?:(z|y|x|slice)_?)?"
+    r"(voxel_?sizes?|element_?sizes?|pixel_?sizes?|spacings?|resolutions?|voxel|step)"
+    r"(?:_([zyx]))?(?:_(.*))?"
 )
 COORDINATE_TOLERANCE = 0.01  # by which the steps of an axis may differ
 
@@ -172,9 +175,12 @@ def sizes_by_attributes(
         size_name = SIZE_NAME.fullmatch(folded_key)
         if size_name is None or "unit" in folded_key:
             continue
-        quantity, unit = size_name[1], size_name[2] or ""
+        quantity, unit = size_name[2], size_name[4] or ""
+        axis = "z" if size_name[1] == "slice" else size_name[1] or size_name[3] or ""
         lengths = _lengths_along(attrs[key], shape)
         if lengths is None or (quantity == "voxel" and unit != "um"):
+            continue
+        if quantity == "step" and not axis:
             continue
         if not unit:
             unit_keys = (f"{quantity}_units", f"{quantity}_unit", "units", "unit")
@@ -183,7 +189,11 @@ def sizes_by_attributes(
         if not unit.strip():
             unit = bare_unit([length for length in lengths if length is not None])
             source += f" ({unit}; no unit is written, in another one no scan of paper)" * bool(unit)
-        stated.append(stated_in(source, lengths, [unit] * len(lengths), order))
+        if axis:
+            along = [lengths[0] if letter == axis else None for letter in "zyx"]
+            stated.append(stated_in(source, along, [unit] * 3))
+        else:
+            stated.append(stated_in(source, lengths, [unit] * len(lengths), order))
     return stated
 
 
