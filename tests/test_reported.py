@@ -549,6 +549,15 @@ def image_with_a_number_for_missing(_folder):
     return array_text(pl.image(xr.DataArray(values, dims=("y", "x"), attrs={"nodata": 0})))
 
 
+@reported("georaster 87", "25 % of the values are missing")
+def image_of_gdal_with_a_number_for_missing(folder):
+    values = PICTURE.astype(np.float32)
+    values[:15] = -9999
+    tags = [(42113, "s", 0, "-9999", True)]
+    tifffile.imwrite(folder / "a.tif", values, metadata=None, extratags=tags)
+    return image_text(folder / "a.tif")
+
+
 @reported("xarray 7340", "complex128 values; .*abs")
 def maps_of_complex_numbers(_folder):
     a, b = (one.values for one in two_maps())

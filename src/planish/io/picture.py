@@ -14,7 +14,7 @@ import imagecodecs
 import numpy as np
 from numpy.typing import NDArray
 from PIL import BmpImagePlugin, Image, ImageFile, JpegImagePlugin, PngImagePlugin
-from tifffile import PHOTOMETRIC, TiffPageSeries
+from tifffile import PHOTOMETRIC, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError
 from planish.io.guard import check_blown_up, check_memory, head_of, reading
@@ -39,6 +39,7 @@ PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
 }
 
 ADVICE = "One picture is needed: save it alone."
+NO_DATA = 42113  # tag of GDAL, with the number of pixels that are missing
 PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
 Colour = Literal["grey", "rgb", "other"]
 
@@ -127,6 +128,7 @@ def load_picture(
                     else np.moveaxis(colormap[:, entry], 0, -1)
                 )
             orientation = page.tags.valueof(274, default=1)
+            values = _with_gaps(values, page, is_image=decode and not is_slice)
         stated = stated_by_tiff(tif, page, path)
         notes = notes_on_reading(tif, page, path) if is_slice else ()
     orientation = orientation if isinstance(orientation, int) else 1
@@ -138,6 +140,13 @@ def load_picture(
         orientation=orientation,
         notes=notes,
     )
+
+
+def _with_gaps(values: NDArray[Any], page: TiffPage, *, is_image: bool) -> NDArray[Any]:
+    """Values of an image with NaN where GDAL says that there is none."""
+    if not is_image or NO_DATA not in page.tags:
+        return values
+    return np.where(values == float(page.tags.valueof(NO_DATA)), np.nan, values)
 
 
 def is_mapped(path: Path) -> bool:
