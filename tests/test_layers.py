@@ -163,6 +163,50 @@ def test_given_marks_replace_the_search(passes, linked_run, specimen_files, tmp_
     assert found["scale"] == pytest.approx(weighed, rel=3e-4)
 
 
+def test_positions_that_count_from_the_first_pixel_of_a_map_are_shifted_by_its_place(
+    passes, refuses, linked_run, specimen_files, tmp_path
+):
+    """Landmarks of BigWarp lie where the map begins, whether a link or a conversion reads them."""
+    link = ("link", linked_run, specimen_files[1], "--marks")
+    maps = open_run(linked_run).maps
+    place_um = np.array([float(maps.u[0]), float(maps.v[0])])
+    place_text = f"{place_um[0]:.17g},{place_um[1]:.17g}"
+    assert np.abs(place_um).min() > 5
+    own = read_any(linked_run / "marks.json")
+    own = own.isel(mark=np.flatnonzero(own["used"].values & np.isfinite(own["moving_x"].values)))
+    rows = [
+        f'"{mark.label.item()}","true","{mark.moving_x - place_um[0]:.17g}",'
+        f'"{mark.moving_y - place_um[1]:.17g}","{mark.fixed_x:.17g}","{mark.fixed_y:.17g}"'
+        for mark in (own.isel(mark=k) for k in range(own.sizes["mark"]))
+    ]
+    landmarks, converted = tmp_path / "landmarks.csv", tmp_path / "marks.json"
+    landmarks.write_text("\n".join(rows))
+
+    out, _ = passes(*link, landmarks, "-o", tmp_path / "direct")
+    assert "was added" in " ".join(out.split())
+    assert f"({place_um[0]:g}, {place_um[1]:g}) um" in " ".join(out.split())
+    passes("marks", "convert", landmarks, converted, "--moving-origin-um", place_text)
+    out, _ = passes(*link, converted, "-o", tmp_path / "by-convert")
+    assert "was added" not in " ".join(out.split())
+    for name in ("direct", "by-convert"):
+        marks = read_any(tmp_path / name / "marks.json").set_index(mark="label")
+        marks = marks.sel(mark=own["label"].values)
+        for axis in "xy":
+            moving_um = marks[f"moving_{axis}"].values
+            assert moving_um == pytest.approx(own[f"moving_{axis}"].values, abs=1e-6)
+
+    # A conversion that is not given the place says so, in both directions.
+    _, err = passes("marks", "convert", landmarks, tmp_path / "shifted.json")
+    assert "first pixel was taken to lie at 0,0 um" in err
+    run_marks = linked_run / "marks.json"
+    _, err = passes("marks", "convert", run_marks, tmp_path / "a.csv", "--to", "bigwarp")
+    assert "first pixel was taken to lie at 0,0 um" in err
+    # Positions of Slicer hold the place where a NRRD stated it.
+    lists = tmp_path / "lists.mrk.json"
+    passes("marks", "convert", converted, lists, "--moving-origin-um", place_text)
+    refuses(*link, lists, words=("moving-origin-um", "for a TIFF", "for a NRRD"))
+
+
 def test_marks_given_in_the_volume(passes, specimen, linked_run, specimen_files, tmp_path):
     in_volume = specimen.warp.points(*specimen.sheet.holes.T)
     in_image = specimen.pose(specimen.sheet.holes)

@@ -60,7 +60,8 @@ def imported(
         paths = [Path(folder) / f"{name}{upload.suffix}" for name, upload in uploads.items()]
         for path, upload in zip(paths, uploads.values(), strict=True):
             path.write_bytes(upload.content())
-        marks = read_any(*paths, **{plane: _pixels(session, layer, plane) for plane in PLANES})
+        pixels = {plane: _pixels(session, layer, plane) for plane in PLANES}
+        marks = read_any(*paths, **pixels, volume=LayerPixels())
     moving, fixed = pair_of_layers(marks, name=file.name)
     if moving == "volume":
         store, is_sheet = (

@@ -316,6 +316,15 @@ def convert(
             err=True,
         )
     has_unit = FORMATS[out_format].unit is not None
+    is_counted = "moving" in marks.attrs["from_first_pixel"]
+    is_shifted = "moving" in layers and is_counted != has_unit
+    if is_shifted and "origin_um" not in about_layer(marks, "moving"):
+        click.echo(
+            "moving: its first pixel was taken to lie at 0,0 um, as that of an image does. That of"
+            " a flat map lies elsewhere: give --moving-origin-um, in Python"
+            " pl.open_run(RUN).maps.u[0] and .v[0].",
+            err=True,
+        )
     for layer in layers:
         origin = about_layer(marks, layer).get("origin_um", {"x": 0.0, "y": 0.0})
         if has_unit and any(origin.values()):

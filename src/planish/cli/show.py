@@ -165,7 +165,7 @@ def _registration(layer: LayerFacts) -> None:
         f" leave-one-out {number(r.leave_one_out_rms_um, 2)} um{error_text}; {r.model}, scale"
         f" {r.scale:.4f}, rotation {r.rotation_deg:.2f} deg{', mirrored' if r.mirrored else ''}"
     )
-    if r.source in ("texture", "both") and r.match_sentence:
+    if r.source != "found" and r.match_sentence:
         notes = (r.match_sentence, *notes)
     if r.held_out is not None:
         notes = (*notes, r.held_out.sentence)

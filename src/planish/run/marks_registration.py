@@ -12,7 +12,9 @@ from planish.core.errors import MarkError
 from planish.core.frame import Frame
 from planish.core.grid import values_at
 from planish.marks.exchange import (
+    FORMATS,
     LayerPixels,
+    about_layer,
     holes_of,
     marks_of_holes,
     pair_of_layers,
@@ -36,6 +38,7 @@ def register_by_marks(
         hole_um = holes.params.hole_um
         return register_holes(holes.of(layer, fixed), holes.of(fixed, layer), params, hole_um)
     marks = volume_to_map(read_given(path, layer, fixed), layer.name, layer.groups)
+    sentence = _shift_sentence(marks, Path(path).name)
     fit = fit_marks(
         marks, params=params, mirrored=None if params.mirror else layer.side != fixed.side
     )
@@ -61,6 +64,7 @@ def register_by_marks(
         saved = marks.attrs.get("registration", {})
         source, search = "texture" if is_tile.all() else "both", saved.get("search", {})
         fit = replace(fit, shared_um=float(saved.get("shared_um", 0.0)))
+    search.setdefault("sentence", sentence)
     return Registration(fit=fit, marks=with_residuals(marks, fit), source=source, **search)
 
 
@@ -99,22 +103,64 @@ def check_marks(
 
 def read_given(path: str, moving: MappedLayer | str, fixed: MappedLayer | str) -> xr.Dataset:
     """Read marks from a file of any known format: three pairs or more."""
-    pixels = [
-        (
-            LayerPixels()
-            if isinstance(layer, str) or layer.image is None
-            else LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
-        )
-        for layer in (moving, fixed)
-    ]
-    marks = read_any(path, moving=pixels[0], fixed=pixels[1])
-    pair_of_layers(marks, name=Path(path).name)  # one layer alone is refused
+    name = Path(path).name
+    marks = read_any(path, moving=_pixels_of(moving), fixed=_pixels_of(fixed), volume=LayerPixels())
+    pair_of_layers(marks, name=name)  # one layer alone is refused
     if (n_pairs := int(paired(marks).sum())) < 3:
         raise MarkError(
-            f"{Path(path).name} holds {n_pairs} pairs of marks in use; a registration needs 3 to"
+            f"{name} holds {n_pairs} pairs of marks in use; a registration needs 3 to"
             " say how good it is. Add more, far apart."
         )
+    for side, layer in (("moving", moving), ("fixed", fixed)):
+        if side in marks.attrs["from_first_pixel"]:
+            _refuse_unknown_place(marks, layer, side, name)
     return marks
+
+
+def _refuse_unknown_place(
+    marks: xr.Dataset, layer: MappedLayer | str, side: str, name: str
+) -> None:
+    """Refuse positions on a map that hold its place or not, as the file of its picture had it."""
+    mark_format = FORMATS[marks.attrs["read_from"]["format"]]
+    is_image = not isinstance(layer, str) and layer.image is not None
+    if is_image or not mark_format.in_space:
+        return
+    place_text = "X,Y"
+    if not isinstance(layer, str):
+        place_text = ",".join(f"{um:g}" for um in layer.grid.origin_um)
+    raise MarkError(
+        f"{name}: positions of {mark_format.title} count from the first pixel of a map that was"
+        " opened from a TIFF, and hold its place already where a NRRD stated it. Convert the file"
+        f" by planish marks convert, given `{side}_origin_um={place_text}` for a TIFF, 0,0 for a"
+        " NRRD."
+    )
+
+
+def _pixels_of(layer: MappedLayer | str) -> LayerPixels:
+    """What is known of the pixels from which other programs count.
+
+    A picture of a map may have other pixels than the map, but begins where the map does.
+    """
+    if isinstance(layer, str):
+        return LayerPixels()
+    if layer.image is None:
+        return LayerPixels(origin_um=layer.grid.origin_um)
+    return LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
+
+
+def _shift_sentence(marks: xr.Dataset, name: str) -> str | None:
+    """Say what was added to positions that count from the first pixel of a map."""
+    place_texts: list[str] = []
+    for side in marks.attrs["from_first_pixel"]:
+        place = about_layer(marks, side).get("origin_um", {})
+        if any(place.values()):
+            place_texts.append(f"({place['x']:g}, {place['y']:g}) um")
+    if not place_texts:
+        return None
+    return (
+        f"Positions on a map in {name} count from its first pixel, so the place of that pixel,"
+        f" {' and '.join(place_texts)}, was added."
+    )
 
 
 def volume_to_map(marks: xr.Dataset, name: str, groups: Mapping[str, xr.Dataset]) -> xr.Dataset:

@@ -42,6 +42,7 @@ def read_any(
     *,
     moving: LayerPixels = _NOTHING,
     fixed: LayerPixels = _NOTHING,
+    volume: LayerPixels | None = None,
     unit: Unit | None = None,
     swap: bool = False,
 ) -> xr.Dataset:
@@ -58,6 +59,8 @@ def read_any(
         What is known of the layers: pixel size (needed where the file counts in pixels), place of
         the first pixel, from which other programs count, and size. Where both sizes are known,
         marks that cannot lie in a layer are refused.
+    volume : LayerPixels, optional
+        The same for positions with z; ``moving`` where not given.
     unit : {"um", "mm", "pixel"}, optional
         Unit of a file that does not state its own; um for BigWarp and results of ImageJ, mm for
         elastix where not given.
@@ -70,7 +73,8 @@ def read_any(
     Dataset, dims (mark)
         As :func:`planish.marks.exchange.make_marks` makes it, lengths in um, x to the right and y
         down. ``attrs["read_from"]`` says the format, the unit, and whether the file stated the
-        unit.
+        unit, ``attrs["from_first_pixel"]`` in which layers the file counts from the first
+        pixel, whose place was added.
 
     Raises
     ------
@@ -81,6 +85,7 @@ def read_any(
     SizeError
         If a pixel size is needed and not given, or units contradict each other.
     """
+    volume = moving if volume is None else volume
     places = [Path(path)] if second is None else [Path(path), Path(second)]
     name = " and ".join(place.name for place in places)
     contents = [read_content(place) for place in places]
@@ -100,12 +105,12 @@ def read_any(
             )
         # What is known of the layers beside what the file states.
         layers = {layer: dict(about) for layer, about in marks.attrs["layers"].items()}
-        for side, layer_pixels in (("moving", moving), ("volume", moving), ("fixed", fixed)):
+        for side, layer_pixels in (("moving", moving), ("volume", volume), ("fixed", fixed)):
             if side in layers:
                 layers[side] |= layer_pixels.about()
         if list(layers) == ["marks"]:
             layers["marks"] |= moving.about() | fixed.about()
-        marks, stated = marks.assign_attrs(layers=layers), ("um", True)
+        marks, stated = marks.assign_attrs(layers=layers, from_first_pixel=[]), ("um", True)
     else:
         lists: list[PointList] = []
         for content, reading in zip(contents, readings, strict=True):
@@ -120,7 +125,9 @@ def read_any(
                     " alone, or two files with one each."
                 )
             lists += file_lists
-        marks = join_lists(lists, name=name, moving=moving, fixed=fixed, unit=unit, swap=swap)
+        marks = join_lists(
+            lists, name=name, moving=moving, volume=volume, fixed=fixed, unit=unit, swap=swap
+        )
         silent = next((points for points in lists if not points.stated), lists[0])
         stated = unit or silent.unit, silent.stated
     marks.attrs["read_from"] = {"format": formats[0], "unit": stated[0], "stated": stated[1]}

@@ -32,7 +32,8 @@ class MarkFormat:
     direction, what is kept when it is written. ``suffixes`` ask for it. It is written in ``unit``
     (None for planish's own, which keep the layer's origin), or in another with ``free_unit``.
     ``pairs_only``: it holds only marks that are used and lie in both layers; ``single``: one layer
-    alone may be written.
+    alone may be written. ``in_space``: positions hold the place that the picture states, as a NRRD
+    does and a TIFF does not.
     """
 
     title: str
@@ -44,6 +45,7 @@ class MarkFormat:
     pairs_only: bool = False
     single: bool = False
     writable: bool = True
+    in_space: bool = False
 
 
 FORMATS: dict[str, MarkFormat] = {
@@ -81,6 +83,7 @@ FORMATS: dict[str, MarkFormat] = {
         suffixes=(".mrk.json",),
         unit="mm",
         single=True,
+        in_space=True,
         row=(
             "3D Slicer (`.mrk.json`)",
             "point lists",
@@ -115,6 +118,7 @@ FORMATS: dict[str, MarkFormat] = {
         free_unit=True,
         pairs_only=True,
         single=True,
+        in_space=True,
         row=(
             "elastix, transformix points (`.txt`)",
             "one layer a file",

@@ -155,6 +155,10 @@ class PointList:
         """Labels, or numbers from 1."""
         return list(self.labels) or [str(k + 1) for k in range(len(self.points))]
 
+    def counts_from_pixel(self, unit: Unit | None) -> bool:
+        """Whether positions in ``unit`` count from the first pixel of the layer."""
+        return not self.placed or (unit or self.unit) == "pixel"
+
 
 @dataclass(frozen=True, slots=True)
 class LayerPixels:
@@ -231,6 +235,7 @@ def join_lists(  # noqa: C901
     *,
     name: str,
     moving: LayerPixels,
+    volume: LayerPixels,
     fixed: LayerPixels,
     unit: Unit | None,
     swap: bool,
@@ -275,21 +280,28 @@ def join_lists(  # noqa: C901
         layers = {"moving": (first, moving), "fixed": (last, fixed)}
     places: dict[str, MarkPlaces] = {}
     about: dict[str, dict[str, Any]] = {}
+    counted: list[str] = []
     for side, (point_list, facts) in layers.items():
-        mark_places = _places(point_list, side, facts, unit, name)
-        has_z = mark_places.um.shape[1] == 3
+        coordinates = _coordinates(point_list, side)
+        has_z = coordinates.shape[1] == 3
         if side == "fixed" and has_z:
             raise MarkError(
                 f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to"
                 " be a flat image; where the volume was the fixed or target one, give `swap`."
             )
-        layer = "volume" if side == "moving" and has_z else side
-        places[layer], about[layer] = mark_places, dict(point_list.about) | facts.about()
+        layer = side
+        if side == "moving" and has_z:
+            layer, facts = "volume", volume
+        places[layer] = _places(point_list, coordinates, side, facts, unit, name)
+        about[layer] = dict(point_list.about) | facts.about()
+        if point_list.counts_from_pixel(unit):
+            counted.append(layer)
     used = np.ones(len(first.points), bool)
     for point_list in (first, last):
         if point_list.used:
             used &= point_list.used
-    return make_marks(first.names, places, used=used.tolist(), about=about)
+    marks = make_marks(first.names, places, used=used.tolist(), about=about)
+    return marks.assign_attrs(from_first_pixel=counted)
 
 
 def _check_unit(lists: Sequence[PointList], name: str, unit: Unit | None) -> None:
@@ -311,20 +323,25 @@ def _check_unit(lists: Sequence[PointList], name: str, unit: Unit | None) -> Non
         )
 
 
-def _places(
-    point_list: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str
-) -> MarkPlaces:
-    """Convert points to um, shape (n, 2), or (n, 3) where z says something.
+def _coordinates(point_list: PointList, side: str) -> Floats:
+    """Coordinates of points, with z where it says something."""
+    z = point_list.points[:, 2:]
+    z = z[np.isfinite(z)]
+    # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a
+    # picture.
+    is_flat = not z.any() or (side == "fixed" and np.ptp(z) == 0)
+    return point_list.points[:, :2] if is_flat else point_list.points
 
-    And what else is known, in um too.
-    """
-    coordinates = point_list.points
-    if coordinates.shape[1] == 3:
-        z = coordinates[:, 2][np.isfinite(coordinates[:, 2])]
-        # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a
-        # picture.
-        if not z.any() or (side == "fixed" and np.ptp(z) == 0):
-            coordinates = coordinates[:, :2]
+
+def _places(
+    point_list: PointList,
+    coordinates: Floats,
+    side: str,
+    facts: LayerPixels,
+    unit: Unit | None,
+    name: str,
+) -> MarkPlaces:
+    """Convert points, and what else is known of them, to um."""
     unit = unit or point_list.unit
     assert unit is not None
     origin, factor = facts.frame(unit, coordinates.shape[1], name, side)
@@ -335,6 +352,6 @@ def _places(
     powers = {"um": 1, "um2": 2, "1": 0}
     extras = {k: v * factor[0] ** powers[EXTRAS[k][0]] for k, v in point_list.extras.items()}
     with np.errstate(over="ignore", invalid="ignore"):  # check_marks refuses what is too far away
-        start = 0.0 if point_list.placed and unit != "pixel" else origin
+        start = origin if point_list.counts_from_pixel(unit) else 0.0
         um = start + coordinates * factor - first_centre
         return MarkPlaces(um=um, source=point_list.source, extras=extras)
