@@ -67,7 +67,7 @@ def with_other_kinds(text: str) -> str:
     rows = ["| It is | By the name | Take |", "|---|---|---|"]
     for kind in OTHER_KINDS:
         name = kind.name.partition(" ")[2].replace("|", "\\|")
-        suffixes = " ".join(f"`{suffix}`" for suffix in kind.ends.split())
+        suffixes = " ".join(f"`{suffix}`" for suffix in kind.ends)
         rows.append(f"| {name} | {suffixes} | {in_terminal_words(kind.way)} |")
     return _with_section(text, "What planish does not read", "\n".join(rows) + "\n")
 

@@ -244,3 +244,9 @@ def test_every_command_names_it_and_ends_with_3(tmp_path, monkeypatch, planish, 
     code, _, err = planish(*words)
     assert "a.txm is a Zeiss Xradia file by its name" in err
     assert code == 3
+
+
+def test_an_hdf5_file_may_begin_with_zeros(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w", userblock_size=1024) as file:
+        file["v"] = np.ones((3, 4, 5), "uint8")
+    assert read_volume(tmp_path / "a.h5", voxel_um=1).shape == (3, 4, 5)

@@ -6,6 +6,7 @@ from decimal import Decimal
 from difflib import get_close_matches
 from unicodedata import category
 
+MOST_NAMES = 8  # names or numbers written out in a message
 _POWER = re.compile(r"(?<![\w.])-?\d(?:\.\d+)?e[+-]\d\d\b")
 _MINUS_ZERO = re.compile(r"(?<![\w.])-(?=0(?:\.0+)?(?![\w.]\w|\w))")
 
@@ -48,6 +49,12 @@ def and_join(words: Iterable[str]) -> str:
 def and_join_few(words: Sequence[str]) -> str:
     """Words in a list: ``a, b and c``; the first eight of ten or more."""
     return and_join([*words[:8], f"{len(words) - 8} more"] if len(words) > 9 else words)
+
+
+def first_few(items: Sequence[object]) -> str:
+    """Write the first few names or numbers."""
+    more_text = ", ..." if len(items) > MOST_NAMES else ""
+    return ", ".join(map(str, items[:MOST_NAMES])) + more_text
 
 
 def likely(name: str, words: Iterable[str]) -> str:

@@ -28,7 +28,7 @@ from planish.io.guard import quiet
 from planish.io.lazy import Values
 from planish.io.orientation import Orientation
 from planish.io.sizes import Stated
-from planish.io.tiff import size_words
+from planish.io.tiff import is_tiff, size_words
 
 ADVICE = "Save one grey volume alone, as a stack of slices."
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, Rec. ITU-R BT.709
@@ -36,8 +36,11 @@ COLOURS = {"red": 0, "green": 1, "blue": 2}
 CHANNELS = ("luminance", *COLOURS)
 
 
+Starts = Sequence[tuple[int, bytes]]  # each a byte of a file and what stands from there on
+
+
 class VolumeFormat(NamedTuple):
-    """A format of volumes."""
+    """A format of volumes or pictures."""
 
     name: str
     module: str  # of this package
@@ -45,37 +48,55 @@ class VolumeFormat(NamedTuple):
     # Names of files that mark a folder of this format, whatever its own name.
     marker_files: tuple[str, ...] = ()
     has_parts: bool = False  # whether ``path:part`` chooses one volume of several
+    starts: Starts = ()  # by which its files are known; none where they may begin with any bytes
 
 
+HEAD_BYTES = 512  # the longest header by which a kind of file is known ends within them
+HDF5_START = (0, b"\x89HDF\r\n\x1a\n")
 FORMATS = (  # The first line that fits is taken, so longer suffixes stand before shorter ones.
     VolumeFormat("raw with a header", "header_volume", (".toml", ".raw", ".vol")),
     VolumeFormat(
         "OME-Zarr", "zarr_volume", (".zarr",), ("zarr.json", ".zgroup", ".zarray"), has_parts=True
     ),
-    VolumeFormat("NRRD", "header_volume", (".nrrd", ".nhdr")),
-    VolumeFormat("MetaImage", "header_volume", (".mha", ".mhd")),
+    VolumeFormat("NRRD", "header_volume", (".nrrd", ".nhdr"), starts=[(0, b"NRRD0")]),
+    VolumeFormat("MetaImage", "header_volume", (".mha", ".mhd"), starts=[(0, b"ObjectType")]),
     VolumeFormat(
         "HDF5 or NeXus",
         "hdf5_volume",
         (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx"),
         has_parts=True,
+        starts=[HDF5_START],
     ),
-    VolumeFormat("NIfTI", "binary_volume", (".nii", ".nii.gz")),
     VolumeFormat(
-        "MRC", "binary_volume", (".mrc", ".rec", ".st", ".ali", ".map", ".mrc.gz", ".mrc.bz2")
+        "NIfTI",
+        "binary_volume",
+        (".nii", ".nii.gz"),
+        starts=[(344, b"n+1\0"), (344, b"ni1\0"), (4, b"n+2\0")],
     ),
-    VolumeFormat("MATLAB", "matlab_volume", (".mat",), has_parts=True),
+    VolumeFormat(
+        "MRC",
+        "binary_volume",
+        (".mrc", ".rec", ".st", ".ali", ".map", ".mrc.gz", ".mrc.bz2"),
+        starts=[(208, b"MAP ")],
+    ),
+    VolumeFormat(
+        "MATLAB",
+        "matlab_volume",
+        (".mat",),
+        has_parts=True,
+        starts=[(0, b"MATLAB 5.0 MAT"), (0, b"MATLAB 7.3 MAT"), HDF5_START],
+    ),
 )
 TIFF = VolumeFormat("TIFF", "tiff_volume", (".tif", ".tiff", ".btf", ".tf8"))
 SLICES = VolumeFormat("folder of slices", "slice_volume")
+PICTURES = (
+    VolumeFormat("PNG", "picture", (".png",), starts=[(0, b"\x89PNG\r\n\x1a\n")]),
+    VolumeFormat("JPEG", "picture", (".jpg", ".jpeg"), starts=[(0, b"\xff\xd8\xff")]),
+    VolumeFormat("BMP", "picture", (".bmp",), starts=[(0, b"BM")]),
+)
 # Files with other extensions (logs, licences, thumbnails of the system) are no slices.
-PICTURE_SUFFIXES = {
-    ".tif": "TIFF",
-    ".tiff": "TIFF",
-    ".png": "PNG",
-    ".bmp": "BMP",
-    ".jpg": "JPEG",
-    ".jpeg": "JPEG",
+PICTURE_SUFFIXES = {".tif": "TIFF", ".tiff": "TIFF"} | {
+    suffix: picture.name for picture in PICTURES for suffix in picture.suffixes
 }
 
 
@@ -155,6 +176,18 @@ def format_of(place: Place) -> VolumeFormat:
             f" ':{place.part}'."
         )
     return file_format
+
+
+def format_by_bytes(head: bytes) -> VolumeFormat | None:
+    """Find the format to which the first bytes of a file belong."""
+    if is_tiff(head):
+        return TIFF
+    return next((f for f in (*PICTURES, *FORMATS) if begins(head, f.starts)), None)
+
+
+def begins(head: bytes, starts: Starts) -> bool:
+    """True if one of some marks stands at its place in the first bytes of a file."""
+    return any(head.startswith(mark, byte) for byte, mark in starts)
 
 
 def is_slice_name(name: str) -> bool:

@@ -25,7 +25,6 @@ from planish.io.guard import head_of, memory_limit, reading, size_of_file
 from planish.io.headed import Header, StoredAxes, axes_of, unpacked_parts, values_behind
 from planish.io.lazy import FileArray, Values
 from planish.io.orientation import ANATOMICAL, Orientation, orientation_by_words
-from planish.io.other_files import RAW_DESCRIPTIONS, partner
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
 
@@ -363,8 +362,11 @@ def _raw_header(path: Path) -> Header:
     """Header of raw values in a TOML file; either of the two files is given."""
     header_file = path if path.suffix.lower() == ".toml" else path.with_name(path.name + ".toml")
     if not header_file.is_file() and header_file != path:
-        size_of_file(path)
-        description = partner(path, RAW_DESCRIPTIONS)
+        # Here, so that a good file waits for no table of other files.
+        from planish.io.other_files import check_kind, description_of
+
+        check_kind(path, takes_text=True)
+        description = description_of(path)
         source_text = f" Its numbers stand in {description.name}." if description else ""
         raise FileError(
             f"{path.name} has raw values and no header. Write {header_file.name} beside it,"

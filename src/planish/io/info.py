@@ -34,7 +34,6 @@ from planish.io.image import across, pick_channel, picture_attrs
 from planish.io.inspection import declared_facts, inspect_values
 from planish.io.lazy import FileArray, Values, unmapped
 from planish.io.orientation import image_sentence, volume_sentence
-from planish.io.other_files import check_contents
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import SectionStack, is_section_folder, open_sections
 from planish.io.sizes import (
@@ -160,7 +159,6 @@ def _describe_volume(
     warnings: list[str],
 ) -> dict[str, Any]:
     """Report what a volume holds; of its values, if they can be read within ``most_bytes``."""
-    check_contents(place)
     loaded = None
     with suppress(ResourceError):
         loaded = (

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from planish.core.files import write_whole
 from planish.core.memory import EAGER_BYTES, SAMPLE_BYTES, SAMPLE_VALUES
+from planish.core.text import first_few
 from planish.core.typing import Ints
 from planish.io.lazy import Values
-from planish.io.slice_names import first_few
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 

@@ -17,13 +17,12 @@ from PIL import BmpImagePlugin, Image, ImageFile, JpegImagePlugin, PngImagePlugi
 from tifffile import PHOTOMETRIC, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError
+from planish.io.formats import HEAD_BYTES, PICTURES, TIFF, format_by_bytes
 from planish.io.guard import check_blown_up, check_memory, head_of, reading
-from planish.io.other_files import PICTURE_STARTS, folder_contents, refusal
 from planish.io.resolution import writer_of
 from planish.io.sizes import Stated, stated_by_tiff, stated_density
 from planish.io.tiff import (
     has_rgb,
-    is_tiff,
     long_axes,
     map_or_decode,
     mapped_from,
@@ -64,18 +63,20 @@ class DecodedPicture(NamedTuple):
 
 def kind_of(path: Path) -> str:
     """``tiff``, ``png``, ``jpeg`` or ``bmp``, by the first bytes, whatever the name says."""
+    # Here, so that a look at a file waits for no table of other files.
     if path.is_dir():
+        from planish.io.other_files import folder_contents
+
         raise FileError(
             f"{path.name} is not a file but a folder: {folder_contents(path)[0]}. Give one image"
             " file."
         )
-    head = head_of(path, 8)
-    if is_tiff(head):
-        return "tiff"
-    kind = next((kind for start, kind in PICTURE_STARTS.items() if head.startswith(start)), None)
-    if kind is None:
+    file_format = format_by_bytes(head_of(path, HEAD_BYTES))
+    if file_format is None or file_format not in (TIFF, *PICTURES):
+        from planish.io.other_files import refusal
+
         raise refusal(path)
-    return kind
+    return file_format.name.lower()
 
 
 def load_picture(

@@ -17,16 +17,15 @@ from pathlib import Path
 
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.tables import finite
+from planish.core.text import first_few
 from planish.core.typing import Pair
 from planish.io.formats import is_slice_name
 from planish.io.guard import reading
-from planish.io.other_files import folder_contents
 from planish.io.sizes import Stated
 from planish.io.slice_names import (
     SliceOrder,
     check_no_gap,
     check_several,
-    first_few,
     first_missing,
     is_preview,
     list_slices,
@@ -302,6 +301,8 @@ def _log_sections(path: Path) -> dict[str, dict[str, str]]:
 def slices_of_scan(scan: Scan, folder: Path) -> SliceOrder:
     """Slices in their order, as a log names them or in the order of their numbers, with notes."""
     if not scan.named_slices and scan.prefix is not None:
+        from planish.io.other_files import folder_contents  # here, so that slices wait for no table
+
         raise VolumeError(
             f"{folder.name} holds no slice named {scan.prefix} and a number, as {scan.log.name}"
             f" states: {folder_contents(folder)[0]}. Rename the slices, {ELSEWHERE}"

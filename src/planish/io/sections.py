@@ -17,6 +17,7 @@ import numpy as np
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.numbers import agree
 from planish.core.tables import CsvTable, parse_table, read_text
+from planish.core.text import first_few
 from planish.core.typing import Floats, Pair
 from planish.io.formats import check_channel, colour_attrs, full_scale, is_slice_name
 from planish.io.guard import size_of_file
@@ -24,8 +25,6 @@ from planish.io.image import picture_attrs
 from planish.io.lazy import Values
 from planish.io.picture import DecodedPicture
 from planish.io.sizes import VOXEL, Stated, agreed_size, doubt_of_size, size_per_axis
-from planish.io.slice_names import first_few
-from planish.io.slice_volume import load_pictures
 
 COUNTER = "sections.csv"
 COLUMNS = ("file", "position_um")
@@ -185,6 +184,9 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
             f"{folder.name} holds {len(unlisted)} pictures that {COUNTER} does not name:"
             f" {first_few(unlisted)}. Add a row for each with its position, or move them elsewhere."
         )
+    # Here, so that a look at a file waits for no reader of slices.
+    from planish.io.slice_volume import load_pictures
+
     kind, channel = _kind_of_sections(table), check_channel(channel)
     values, picture = load_pictures(
         files, channel=channel, memory_bytes=memory_bytes, photographs=True

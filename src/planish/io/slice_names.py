@@ -7,7 +7,6 @@ and all have to ask for the same order.
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -15,12 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from planish.core.errors import FileError, VolumeError
+from planish.core.text import MOST_NAMES, first_few
 from planish.io.formats import is_slice_name
-from planish.io.other_files import folder_contents, folder_refusal
 from planish.io.picture import ADVICE, is_picture, kind_of
 from planish.io.tiff import open_series, shape_words
 
-MOST_NAMES = 8  # names or numbers written out in a message
 # A sign is part of a number where not all names have it, and a hyphen otherwise.
 NUMBER = re.compile(r"[+-]?\d+")
 
@@ -42,6 +40,9 @@ def list_slices(folder: Path) -> SliceOrder:
     files = sorted(p for p in folder.iterdir() if is_slice_name(p.name) and p.is_file())
     files = [p for p in files if not is_preview(p)] or files
     if not files:
+        # Here, so that slices wait for no table of other files.
+        from planish.io.other_files import folder_refusal
+
         raise folder_refusal(folder)
     # A preview, a second scan: names that differ in more than numbers.
     patterns = [NUMBER.sub("#", p.stem.casefold()) + p.suffix.lower() for p in files]
@@ -79,6 +80,8 @@ def check_several(files: list[Path]) -> None:
                     f"{folder.name} holds one stack, {file.name}, of {shape_words(series)}. Give"
                     f" {folder.name}/{file.name} in place of the folder."
                 )
+    from planish.io.other_files import folder_contents  # here, so that slices wait for no table
+
     raise VolumeError(
         f"{folder.name} holds one slice only, {file.name}: {folder_contents(folder)[0]}. Give all"
         " of the volume."
@@ -181,9 +184,3 @@ def step_doubts(numbers: list[int], expected_step: int = 1) -> tuple[str, ...]:
         return ()
     step_text = f"The slices are numbered in steps of {step}, not {expected_step}"
     return (f"{step_text}: the z size must be that of {step} slices.",)
-
-
-def first_few(items: Sequence[object]) -> str:
-    """Write the first few names or numbers."""
-    more_text = ", ..." if len(items) > MOST_NAMES else ""
-    return ", ".join(map(str, items[:MOST_NAMES])) + more_text

@@ -6,22 +6,25 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planish.core.errors import VolumeError
+from planish.core.errors import FileError, VolumeError
 from planish.core.frame import Axis, End, Frame
 from planish.io.formats import (
     ADVICE,
+    HEAD_BYTES,
     LoadedVolume,
     Place,
+    begins,
     check_channel,
     check_type,
     find_place,
+    format_by_bytes,
     format_of,
     full_scale,
     loader,
 )
+from planish.io.guard import head_of
 from planish.io.lazy import read_if_small
 from planish.io.orientation import orientation_attrs, orientation_notes
-from planish.io.other_files import check_contents
 from planish.io.sizes import VOXEL, agreed_size, doubt_of_size
 from planish.io.tiff import damaged, size_words
 
@@ -129,6 +132,7 @@ def open_volume(
     place: Place, *, channel: str | None = None, memory_bytes: int | None = None
 ) -> LoadedVolume:
     """Open a volume, with what its file says about its hand and what was assumed as attributes."""
+    _check_contents(place)
     loaded = loader(format_of(place))(place, check_channel(channel), memory_bytes)
     notes = [*loaded.notes, *orientation_notes(loaded.orientations)]
     said: dict[str, Any] = {"doubts": [*loaded.doubts], "notes": notes}
@@ -138,6 +142,29 @@ def open_volume(
     )
 
 
+def _check_contents(place: Place) -> None:
+    """Refuse a file that is of another kind than its name says, before it is called damaged.
+
+    Pictures and TIFF files are known by their first bytes alone, and raw values may begin with any.
+    """
+    path, file_format = place.path, format_of(place)
+    if not file_format.starts:
+        return
+    head = head_of(path, HEAD_BYTES)
+    if path.suffix.lower() in (".gz", ".bz2"):
+        unpacked = format_by_bytes(head)
+        if unpacked is not None:
+            raise FileError(
+                f"{path.name} is no packed file but {unpacked.name}. Rename it to {path.stem}."
+            )
+        return
+    if begins(head, file_format.starts):
+        return
+    from planish.io.other_files import check_kind  # here, so that a good file waits for no table
+
+    check_kind(path, takes_text=file_format.name == "MetaImage")
+
+
 def load_volume(
     place: Place, *, channel: str | None = None, memory_bytes: int | None = None
 ) -> LoadedVolume:
@@ -145,7 +172,6 @@ def load_volume(
 
     Errors as those of :func:`read_volume`.
     """
-    check_contents(place)
     path, loaded = place.path, open_volume(place, channel=channel, memory_bytes=memory_bytes)
     shape = loaded.values.shape
     if 0 in shape or math.prod(shape) > 2**50:  # No scan has more; a larger number is damage.
