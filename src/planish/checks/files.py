@@ -1,12 +1,13 @@
 """Checks of what files say of themselves: the hand of volume or image, and how it was read."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import xarray as xr
 
 from planish.checks.scan import ScannedSheet
 from planish.core.checks import Check, CheckRule
-from planish.io.orientation import image_sentence, volume_sentence
+from planish.io.orientation import hand_sentence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,35 +22,26 @@ def hand_of_volume(rule: CheckRule, scan: ScannedSheet) -> Check | None:
 
     None where it says nothing of the kind.
     """
-    attrs = scan.volume.attrs
-    return _judged_hand(
-        rule,
-        volume_sentence(attrs),
-        is_mirrored="hand" in attrs,
-        advice=(
-            "Flip one axis where you export the volume, and map it again; or see by the marks or"
-            " the texture which hand it has."
-        ),
+    advice = (
+        "Flip one axis where you export the volume, and map it again; or see by the marks or the"
+        " texture which hand it has."
     )
+    return _judged_hand(rule, scan.volume, "volume", advice)
 
 
 def hand_of_image(rule: CheckRule, file: ImageFile) -> Check | None:
     """Say that viewers mirror or turn an image, which planish does not."""
-    attrs = file.image.attrs
-    return _judged_hand(
-        rule,
-        image_sentence(attrs),
-        is_mirrored="hand" in attrs,
-        advice="Save it as it is shown, without the tag, if the side given is the one it shows.",
-    )
+    advice = "Save it as it is shown, without the tag, if the side given is the one it shows."
+    return _judged_hand(rule, file.image, "image", advice)
 
 
-def _judged_hand(rule: CheckRule, sentence: str, *, is_mirrored: bool, advice: str) -> Check | None:
-    if not sentence:
-        return None
-    if is_mirrored:
+def _judged_hand(
+    rule: CheckRule, data: xr.DataArray, subject: Literal["volume", "image"], advice: str
+) -> Check | None:
+    sentence = hand_sentence(data.attrs, subject)
+    if "hand" in data.attrs:
         return rule.check("look", sentence, advice=advice)
-    return rule.check("pass", sentence)
+    return rule.check("pass", sentence) if sentence else None
 
 
 def reading(rule: CheckRule, scan: ScannedSheet) -> Check | None:

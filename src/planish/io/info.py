@@ -33,7 +33,7 @@ from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel, picture_attrs
 from planish.io.inspection import declared_facts, inspect_values
 from planish.io.lazy import FileArray, Values, unmapped
-from planish.io.orientation import image_sentence, volume_sentence
+from planish.io.orientation import hand_sentence
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import SectionStack, is_section_folder, open_sections
 from planish.io.sizes import (
@@ -171,7 +171,7 @@ def _describe_volume(
     loaded = loaded or open_volume(place, channel=channel)
     grey_values, file_format = unmapped(loaded.values), format_of(place)
     warnings += loaded.attrs.get("doubts", [])
-    warnings += filter(None, [volume_sentence(loaded.attrs)])
+    warnings += filter(None, [hand_sentence(loaded.attrs, "volume")])
     facts = value_facts(
         grey_values, full_scale(grey_values.dtype, loaded.bits), VOXEL.axes, is_read
     )
@@ -272,7 +272,7 @@ def _describe_image(
         channel_values, _ = pick_channel(picture, "0", file_name=path.name)
     if kind_of(path) == "jpeg":
         warnings.append("JPEG loses detail and adds block edges. Use TIFF or PNG if there is one.")
-    warnings += filter(None, [image_sentence(picture_attrs(picture.orientation))])
+    warnings += filter(None, [hand_sentence(picture_attrs(picture.orientation), "image")])
     shown_values = channel_values if is_read else full_values
     facts = value_facts(
         shown_values, full_scale(full_values.dtype, picture.bits), PIXEL.axes, is_read

@@ -7,10 +7,9 @@ numbered; a file that makes this a left-handed system holds a mirror image of th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from planish.core.text import and_join
 from planish.core.typing import Floats
@@ -35,6 +34,25 @@ ANATOMICAL = {
     "anterior": (0.0, -1.0, 0.0),
     "superior": (0.0, 0.0, 1.0),
     "inferior": (0.0, 0.0, -1.0),
+}
+
+
+SENTENCES = {
+    ("volume", "hand"): (
+        "The axes of the volume make a left-handed system ({}): its slices and maps are a mirror"
+        " image of the specimen."
+    ),
+    ("volume", "turned"): (
+        "The axes of the volume run another way than usual ({}). It is read as it is stored, turned"
+        " and not mirrored."
+    ),
+    ("image", "hand"): (
+        "The image is stored as a mirror image ({}); viewers mirror it back, planish reads it as it"
+        " is stored."
+    ),
+    ("image", "turned"): (
+        "The image is stored turned ({}); viewers turn it back, planish reads it as it is stored."
+    ),
 }
 
 
@@ -70,11 +88,6 @@ class Orientation(NamedTuple):
         return bool(np.all(np.diagonal(unit[:, ::-1]) > np.sqrt(0.5)))
 
 
-def orientation_by_axes(source: str, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Orientation:
-    """Orientation by the directions of x, y and z."""
-    return Orientation(source, np.array([z, y, x], np.float64))
-
-
 def orientation_by_steps(source: str, steps: Sequence[float | None]) -> Orientation | None:
     """Orientation by the signs of the steps of coordinates along z, y, x.
 
@@ -83,8 +96,7 @@ def orientation_by_steps(source: str, steps: Sequence[float | None]) -> Orientat
     signs = [-1.0 if step is not None and step < 0 else 1.0 for step in steps]
     if min(signs) > 0:
         return None
-    z, y, x = np.diag(signs)[:, ::-1]
-    return orientation_by_axes(source, x=x, y=y, z=z)
+    return Orientation(source, np.diag(signs)[:, ::-1])
 
 
 def orientation_by_words(source: str, words: Sequence[str]) -> Orientation | None:
@@ -105,8 +117,8 @@ def tag_orientation(tag: object) -> Orientation | None:
     if not isinstance(tag, int) or tag not in TAG_STEPS:
         return None
     x_step, y_step = TAG_STEPS[tag]
-    source = f"the orientation tag {tag}"
-    return orientation_by_axes(source, x=(*x_step, 0), y=(*y_step, 0), z=(0, 0, 1))
+    directions = np.array([(0, 0, 1), (*y_step, 0), (*x_step, 0)], np.float64)
+    return Orientation(f"the orientation tag {tag}", directions)
 
 
 def orientation_attrs(orientations: Sequence[Orientation]) -> Mapping[str, str]:
@@ -134,31 +146,9 @@ def orientation_notes(orientations: Sequence[Orientation]) -> tuple[str, ...]:
     )
 
 
-def volume_sentence(attrs: Mapping[str, object]) -> str:
-    """Say how a volume lies by its attributes; empty where it is as usual."""
-    if hand := attrs.get("hand"):
-        return (
-            f"The axes of the volume make a left-handed system ({hand}): its slices and maps are a"
-            " mirror image of the specimen."
-        )
-    if turned := attrs.get("turned"):
-        return (
-            f"The axes of the volume run another way than usual ({turned}). It is read as it is"
-            " stored, turned and not mirrored."
-        )
-    return ""
-
-
-def image_sentence(attrs: Mapping[str, object]) -> str:
-    """Say how an image lies by its attributes; empty where it is as usual."""
-    if hand := attrs.get("hand"):
-        return (
-            f"The image is stored as a mirror image ({hand}); viewers mirror it back, planish reads"
-            " it as it is stored."
-        )
-    if turned := attrs.get("turned"):
-        return (
-            f"The image is stored turned ({turned}); viewers turn it back, planish reads it as it"
-            " is stored."
-        )
+def hand_sentence(attrs: Mapping[str, object], subject: Literal["volume", "image"]) -> str:
+    """Say how a volume or an image lies by its attributes; empty where it is as usual."""
+    for key in ("hand", "turned"):
+        if key in attrs:
+            return SENTENCES[subject, key].format(attrs[key])
     return ""
