@@ -720,6 +720,8 @@ def test_the_table_of_the_document_is_that_of_the_cells():
         ({"axes": ["x", "y"]}, "names 2 axes .*x, y.* the array has 3"),
         ({"axes": "zyx", "dims": "xyz"}, "contradicts itself: its axes are z, y, x by .* x, y, z"),
         ({"axes": ["rotation_angle", "y", "x"]}, "rotation_angle, y, x"),
+        ({"dimension_order": "xyz"}, "may begin with the fastest or the slowest axis"),
+        ({"axis_order": ["z", "x", "y"]}, "axis_order is z, x, y, which may begin"),
     ],
 )
 def test_names_that_place_no_axis_are_refused(attrs, words, tmp_path):

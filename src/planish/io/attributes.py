@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
-from planish.io.axes import AxisNames
+from planish.io.axes import AxisNames, letter_of
 from planish.io.orientation import Orientation, orientation_by_steps
 from planish.io.sizes import Stated, bare_unit, stated_in
 
@@ -29,11 +29,11 @@ NAME_KEYS = (
     "axis_labels",
     "axislabels",
     "axis_names",
-    "axis_order",
-    "axisorder",
     "dim_names",
     "dims",
 )
+# Attributes of an order that may begin with the slowest or the fastest axis: programs differ.
+ORDER_KEYS = ("axis_order", "axisorder", "dimension_order", "dimensionorder", "dim_order")
 NEXUS_INDICES = "_indices"
 # Names that programs use for sizes, with ``_um`` or another unit at the end, or the unit beside;
 # before or behind them the one axis that is meant.
@@ -64,13 +64,20 @@ def names_by_attributes(
     Raises
     ------
     VolumeError
-        If an attribute of the array names another number of axes than it has.
+        If an attribute of the array names another number of axes than it has, or an order that
+        may be meant either way.
     """
     namings: list[AxisNames] = []
     for key in attrs:
-        if str(key).casefold() not in NAME_KEYS:
+        folded_key = str(key).casefold()
+        if folded_key not in (*NAME_KEYS, *ORDER_KEYS):
             continue
         words = axis_words(attrs[key])
+        if folded_key in ORDER_KEYS and is_own and not _is_usual(words):
+            raise VolumeError(
+                f"The attribute {key} is {', '.join(words)}, which may begin with the fastest or the"
+                " slowest axis. Name the axes in the attribute `axes`, slowest first."
+            )
         names = _names_of_all(words, shape)
         if names is not None:
             namings.append(AxisNames(f"the attribute {key}", names))
@@ -80,6 +87,12 @@ def names_by_attributes(
                 f" {len(shape)}. Correct it, or take it out."
             )
     return namings
+
+
+def _is_usual(words: Sequence[str]) -> bool:
+    """True if an order names no two of z, y, x, or names them in this order."""
+    letters = [letter for word in words if (letter := letter_of(word)) in ("z", "y", "x")]
+    return letters == sorted(letters, reverse=True)
 
 
 def _names_of_all(words: Sequence[str], shape: Sequence[int]) -> tuple[str, ...] | None:
