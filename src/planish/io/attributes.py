@@ -75,8 +75,8 @@ def names_by_attributes(
         words = axis_words(attrs[key])
         if folded_key in ORDER_KEYS and is_own and not _is_usual(words):
             raise VolumeError(
-                f"The attribute {key} is {', '.join(words)}, which may begin with the fastest or the"
-                " slowest axis. Name the axes in the attribute `axes`, slowest first."
+                f"The attribute {key} is {', '.join(words)}, which may begin with the fastest or"
+                " the slowest axis. Name the axes in an attribute axes, slowest first."
             )
         names = _names_of_all(words, shape)
         if names is not None:
