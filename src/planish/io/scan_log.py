@@ -226,12 +226,8 @@ def _scan_of(log: _Log, further: list[Stated], notes: tuple[str, ...]) -> Scan:
     count, first, last = (
         _count(keys.get(k)) for k in ("sections count", "first section", "last section")
     )
-    if (
-        count is not None
-        and first is not None
-        and last is not None
-        and count != (last - first) / step + 1
-    ):
+    numbers = None if first is None or last is None else range(first, last + 1, step)
+    if numbers is not None and count not in (None, len(numbers)):
         raise VolumeError(
             f"{name} contradicts itself: {count} sections, but from {first} to {last} in steps"
             f" of {step}. Correct the log, or move it elsewhere and give `voxel_um`."
@@ -249,7 +245,7 @@ def _scan_of(log: _Log, further: list[Stated], notes: tuple[str, ...]) -> Scan:
         named_slices=log.named_slices,
         step=step,
         count=count,
-        numbers=None if first is None or last is None else range(first, last + 1, step),
+        numbers=numbers,
         extent=(rows, columns),
         is_of_whole=bool(log.named_slices) and not log.is_exact,
         window=None if low is None or high is None or low >= high else (low, high),
@@ -313,25 +309,26 @@ def slices_of_scan(scan: Scan, folder: Path) -> SliceOrder:
         return order if scan.step == 1 else order._replace(doubts=())
     numbers, files = [number for number, _ in scan.named_slices], [p for _, p in scan.named_slices]
     check_several(files)
-    if scan.is_of_whole:
-        check_no_gap(numbers, folder)
-        return SliceOrder(files, doubts=step_doubts(numbers, scan.step))
-    if scan.numbers is not None:
-        expected_numbers = scan.numbers
-        if missing_text := first_missing(expected_numbers, numbers):
-            raise VolumeError(
-                f"{scan.log.name} states {len(expected_numbers)} sections, {folder.name} holds"
-                f" {len(numbers)}. Missing: {missing_text}. Add them, {ELSEWHERE}"
-            )
-        if odd := [n for n in numbers if n not in expected_numbers]:
-            raise VolumeError(
-                f"{folder.name} holds slices that {scan.log.name} does not name: {first_few(odd)}."
-                " Move them elsewhere."
-            )
-    if scan.count in (None, len(numbers)):
-        check_no_gap(numbers, folder)
-    _check_count(scan, len(files), folder)
+    if not scan.is_of_whole:
+        _check_numbers(scan, numbers, folder)
+        _check_count(scan, len(files), folder)
+    check_no_gap(numbers, folder)
     return SliceOrder(files, doubts=step_doubts(numbers, scan.step))
+
+
+def _check_numbers(scan: Scan, numbers: list[int], folder: Path) -> None:
+    if scan.numbers is None:
+        return
+    if missing_text := first_missing(scan.numbers, numbers):
+        raise VolumeError(
+            f"{scan.log.name} states {len(scan.numbers)} sections, {folder.name} holds"
+            f" {len(numbers)}. Missing: {missing_text}. Add them, {ELSEWHERE}"
+        )
+    if odd_numbers := [n for n in numbers if n not in scan.numbers]:
+        raise VolumeError(
+            f"{folder.name} holds slices that {scan.log.name} does not name:"
+            f" {first_few(odd_numbers)}. Move them elsewhere."
+        )
 
 
 def _check_count(scan: Scan, n_files: int, folder: Path) -> None:
