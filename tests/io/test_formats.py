@@ -322,7 +322,7 @@ def test_the_one_log_is_read_by_section_also_with_decimal_commas_and_kept(tmp_pa
             r"contradicts itself: 13 sections, but from 20 to 31 in steps of 1",
         ),
         ("First Section=20", "First Section=19", r"contradicts itself"),
-        ("(pixels)=19", "(pixels)=38", r"is 17 x 19 pixels, Núria_rec\.log states 17 x 38"),
+        ("(pixels)=19", "(pixels)=38", r"states 12 x 17 x 38 voxels.* 12 x 17 x 19:"),
         ("Prefix=Núria_rec", "Prefix=Juan_rec", r"holds no slice named Juan_rec and a number"),
         ("Step=1", "Step=0", r"no number for 'Section to Section Step'"),
     ],

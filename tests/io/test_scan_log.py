@@ -71,9 +71,7 @@ def test_a_part_of_a_scan_keeps_the_size_and_the_log_of_the_scan_is_said(tmp_pat
     folder = write_scan(tmp_path / "v", VOI, {"pap_rec_voi_.log": sections})
     told = describe(folder)
     assert told["size_um"] == [2.5] * 3
-    assert any(
-        "describes 900 x 800 x 900 voxels, the slices have 6 x 7 x 9" in w for w in said(told)
-    )
+    assert any("states 900 x 800 x 900 voxels, the slices have 6 x 7 x 9" in w for w in said(told))
 
 
 def said(told):
@@ -83,8 +81,13 @@ def said(told):
 @pytest.mark.parametrize(
     ("sections", "rows", "columns", "words"),
     [
-        (12, 14, 18, "they were scaled, or"),  # twice as many along each axis
-        (12, 14, 8, "they were scaled, or the log is another's"),  # wider than the scan itself
+        (12, 14, 18, "they were cropped or scaled, or"),  # twice as many along each axis
+        (
+            12,
+            14,
+            8,
+            "they were cropped or scaled, or the log is another's",
+        ),  # wider than the scan itself
     ],
 )
 def test_a_part_that_cannot_be_cut_out_of_the_scan_is_refused(

@@ -20,7 +20,7 @@ from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.lazy import PagedArray, StoredArray, Values, supported_type, widened
 from planish.io.orientation import tag_orientation
 from planish.io.picture import ADVICE, PLUGINS, DecodedPicture, kind_of, load_picture
-from planish.io.scan_log import check_extent, read_scan, slices_of_scan
+from planish.io.scan_log import check_extent, read_scan, slices_by_log
 from planish.io.slice_names import list_slices
 from planish.io.tiff import open_series, size_words
 from planish.io.tiff_volume import TiffPages
@@ -29,16 +29,17 @@ from planish.io.tiff_volume import TiffPages
 def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read a folder of slices at once where it fits, otherwise slice by slice on demand."""
     scan = read_scan(place.path)
-    order = list_slices(place.path) if scan is None else slices_of_scan(scan, place.path)
+    order = list_slices(place.path) if scan is None else slices_by_log(scan.log, place.path)
     files, notes, doubts = order
     values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes)
     attrs: dict[str, Any] = colour_attrs(channel, place.path, in_colour=first.in_colour)
     stated, notes = first.stated, (*notes, *first.notes)
     if scan is not None:
         notes = (*scan.notes, *notes)
-        doubts = (*doubts, *scan.doubts, *check_extent(scan, values.shape, files[0]))
-        window_attrs = {} if scan.window is None else {"attenuation_window": list(scan.window)}
-        attrs |= {"nrecon": scan.details} | window_attrs
+        doubts = (*doubts, *scan.doubts, *check_extent(scan.log, values.shape))
+        window = scan.log.window
+        window_attrs = {} if window is None else {"attenuation_window": list(window)}
+        attrs |= {"nrecon": scan.log.details} | window_attrs
         stated = (*scan.stated, *stated)
     orientation = tag_orientation(first.orientation)
     return LoadedVolume(
@@ -56,7 +57,7 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
 def slice_files(folder: Path) -> list[Path]:
     """Slices of a folder in their order."""
     scan = read_scan(folder)
-    return (list_slices(folder) if scan is None else slices_of_scan(scan, folder)).files
+    return (list_slices(folder) if scan is None else slices_by_log(scan.log, folder)).files
 
 
 def load_pictures(
