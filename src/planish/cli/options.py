@@ -97,13 +97,11 @@ def with_commands(text: str, ctx: click.Context) -> str:
             missing_names -= words
     sentences: list[str] = []
     while missing_names:
-        # The commands with most of them; of those with as many, the first two.
-        counts = {name: len(missing_names & words) for name, words in words_by_command.items()}
-        commands = [name for name, count in counts.items() if 0 < count == max(counts.values())]
-        if not commands:
+        # The command with most of them, and the next one that has these as well.
+        shared_names = max((missing_names & words for words in words_by_command.values()), key=len)
+        if not shared_names:
             break
-        shared_names = missing_names & words_by_command[commands[0]]
-        commands = [name for name in commands if shared_names <= words_by_command[name]]
+        commands = [name for name, words in words_by_command.items() if shared_names <= words]
         flags_text = and_join(f"`{name}`" for name in names_in(text) if name in shared_names)
         verb_text = "is an option" if len(shared_names) == 1 else "are options"
         sentences.append(f" {flags_text} {verb_text} of {' and '.join(commands[:2])}.")

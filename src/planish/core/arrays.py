@@ -17,11 +17,8 @@ import xarray as xr
 from planish.core.errors import InputError, SizeError, VolumeError
 from planish.core.numbers import TOLERANCE, agree
 from planish.core.typing import Array, Pair
+from planish.core.units import unit_um
 
-_UM = (
-    *("um", "µm", "μm", "micrometer", "micrometre", "micron"),
-    *("micrometers", "micrometres", "microns"),
-)
 _CURES = {
     "b": "Give the grey values that it was made from.",
     "c": "Give their magnitude: abs(array).",
@@ -76,7 +73,7 @@ def check_dataset(
     for name in variables or map(str, data.data_vars):
         check_numbers(data[name], f"{name} of the {expected}", kinds="uifb")
         unit = _unit_of(data[name])
-        if name in _POSITIONS and unit not in (None, *_UM):
+        if name in _POSITIONS and not _is_um(unit):
             raise SizeError(
                 f"{name} of the {expected} is in {unit}; needed is um. Give it in um, with"
                 ' attrs["units"] = "um".'
@@ -197,6 +194,11 @@ def _unit_of(values: xr.DataArray) -> object:
     return values.attrs.get("units") or values.attrs.get("unit")
 
 
+def _is_um(unit: object) -> bool:
+    """Return whether lengths are in um: where no unit is stated, they are."""
+    return unit is None or unit_um(str(unit)) == 1.0
+
+
 def step_um(array: xr.DataArray | xr.Dataset, axis: str) -> float | None:
     """Distance of voxels or pixels by their coordinates.
 
@@ -205,13 +207,11 @@ def step_um(array: xr.DataArray | xr.Dataset, axis: str) -> float | None:
     if axis not in array.coords or array.sizes[axis] < 2:
         return None
     unit, values = _unit_of(array[axis]), array[axis].values
-    unit = "um" if unit is None else unit
     fault_text, fix = "", f"array.assign_coords({axis}=...)"
-    if unit not in _UM or values.dtype.kind not in "uif":
-        fault_text = (
-            f"are {f'in {unit}' if unit not in _UM else f'{values.dtype} values'}; needed are"
-            " lengths in um"
-        )
+    if not _is_um(unit):
+        fault_text = f"are in {unit}; needed are lengths in um"
+    elif values.dtype.kind not in "uif":
+        fault_text = f"are {values.dtype} values; needed are lengths in um"
     else:
         steps = np.diff(values.astype(np.float64))
         if steps.max() < 0:

@@ -187,13 +187,13 @@ def split_rows(text: str) -> Rows:
     if lines and (match := re.fullmatch(r'"?sep=(.)"?[,;\s]*', lines[0][1], re.IGNORECASE)):
         delimiter = match[1]
         lines = lines[1:]
-    is_comment = [line.lstrip().startswith("#") for _, line in lines]
-    comments = [
-        line.strip().lstrip("#").strip()
-        for (_, line), comment in zip(lines, is_comment, strict=True)
-        if comment
-    ]
-    table_lines = [line for line, comment in zip(lines, is_comment, strict=True) if not comment]
+    comments: list[str] = []
+    table_lines: list[tuple[int, str]] = []
+    for number, line in lines:
+        if line.lstrip().startswith("#"):
+            comments.append(line.strip().lstrip("#").strip())
+        else:
+            table_lines.append((number, line))
     delimiter = delimiter or _delimiter_of([line for _, line in table_lines[:20]])
     # A label such as #1, and no comment.
     faults = [
@@ -265,11 +265,6 @@ class CsvTable:
     error: type[PlanishError] = InputError  # class of the error that names the faults
     um: dict[str, float] = field(default_factory=dict[str, float])  # by column in another unit
     faults: list[str] = field(default_factory=list[str])
-
-    @property
-    def comments(self) -> list[str]:
-        """Comments without their sign."""
-        return self.content.comments
 
     def text(self, row: CsvRow, column: str, default: str = "") -> str:
         """Cell of a row; the default where there is no such column, or nothing in the cell."""

@@ -201,7 +201,7 @@ def _kind_of_sections(table: CsvTable) -> str:
 
     Two kinds are never mixed.
     """
-    comments = [comment.strip().lower().partition(":") for comment in table.comments]
+    comments = [comment.strip().lower().partition(":") for comment in table.content.comments]
     kinds = sorted(
         {kind.strip() for key, colon, kind in comments if colon and key.strip() == "kind"}
     )

@@ -11,8 +11,8 @@ from pydantic import Field, TypeAdapter
 
 from planish.core.errors import FileError, MarkError
 from planish.core.files import write_whole
-from planish.core.tables import naming_faults, parse_table, raise_faults, read_text
-from planish.marks.exchange.csv_marks import holes_text
+from planish.core.tables import naming_faults, raise_faults, read_text
+from planish.marks.exchange.csv_marks import holes_text, table_of_holes
 from planish.marks.exchange.lists import Part, json_file, json_text, read_object
 
 FORMAT, VERSION = "planish-holes", 1
@@ -186,22 +186,14 @@ def read_holes(path: str | Path) -> xr.Dataset:
     name = file.name
     if _checked_suffix(file) == ".json":
         return holes_from_json(read_object(read_text(file, what="file of holes"), name), name)
-    table = parse_table(
-        read_text(file, what="table of holes"),
-        name,
-        needed=("x_um", "y_um"),
-        optional=("diameter_um",),
-        error=MarkError,
-    )
-    columns = ["x_um", "y_um"] + ["diameter_um"] * ("diameter_um" in table.header)
-    numbers = table.numbers(columns)
-    table.check()
-    if not len(numbers):
+    table, points, diameters = table_of_holes(read_text(file, what="table of holes"), name)
+    if not table.rows:
         raise MarkError(f"{name} has a header and no hole. One row for each is needed.")
-    variables = zip(columns, numbers.T, strict=True)
-    return xr.Dataset(
-        {name.removesuffix("_um"): ("mark", column, {"units": "um"}) for name, column in variables}
-    )
+    columns = {"x": points[:, 0], "y": points[:, 1]}
+    if "diameter_um" in table.header:
+        columns["diameter"] = diameters
+    um = {"units": "um"}
+    return xr.Dataset({key: ("mark", column, um) for key, column in columns.items()})
 
 
 def _checked_suffix(file: Path) -> str:

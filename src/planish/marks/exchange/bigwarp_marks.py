@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
-from planish.core.tables import DECIMAL_COMMAS, finite, raise_faults, table_text
+from planish.core.tables import DECIMAL_COMMAS, CsvRow, raise_faults, table_text
 from planish.core.typing import Floats
 from planish.marks.exchange.lists import Content, PointList
 from planish.marks.exchange.model import labels_of, used_of
@@ -30,72 +30,75 @@ def looks_like(content: Content) -> bool:
     return has_state or bool({"movingPoints", "landmarks"} & content.json.keys())
 
 
-def read(content: Content) -> list[PointList]:  # noqa: C901
+def read(content: Content) -> list[PointList]:
     """Read the moving and target points."""
     name = content.name
-    rows: list[tuple[int, list[Any]]] = [*content.rows.rows]
-    if content.json:  # alone or in a project
-        landmarks: Any = content.json.get("landmarks", content.json)
-        marks: Mapping[str, Any] = landmarks if isinstance(landmarks, Mapping) else {}
-        axes = marks.get("numDimensions")
-        columns: list[list[Any]] = []
-        for key in ("names", "active", "movingPoints", "fixedPoints"):
-            column = marks.get(key)
-            columns.append(column if isinstance(column, list) else [])
-            if not key.endswith("Points"):
-                continue
-            are_points = isinstance(column, list) and all(
-                isinstance(row, list) and len(row) == axes for row in column
-            )
-            if not are_points or axes not in (2, 3):
-                raise MarkError(
-                    f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers"
-                    f" each; 2 or 3 are needed. {_AGAIN}"
-                )
-        labels, active, moving, fixed = map(len, columns)
-        if not labels == active == moving == fixed > 0:
-            raise MarkError(
-                f"{name} holds {moving} moving points, {fixed} fixed points, {labels} names and"
-                f" {active} of active; as many of each are needed. {_AGAIN}"
-            )
-        rows = [
-            (k, [*row[:2], *row[2], *row[3]]) for k, row in enumerate(zip(*columns, strict=True), 1)
-        ]
-    first, width = rows[0][0], len(rows[0][1])
+    rows = _rows_of_json(content.json, name) if content.json else content.rows.rows
+    first, width = rows[0].line, len(rows[0].cells)
     if width not in (6, 8):
         hint = f" ({DECIMAL_COMMAS})" if width > 8 and content.rows.delimiter == "," else ""
         raise MarkError(
             f"{name}, row {first} has {width} columns{hint}. BigWarp writes {_NEEDED}. {_AGAIN}"
         )
-    number_of = finite if content.json else content.rows.number
-    points: list[list[float | None]] = []
+    points: list[list[float]] = []
     faults = list(content.rows.faults)
-    for number, row in rows:
-        if len(row) != width:
-            faults.append(f"row {number} has {len(row)} columns, the first {width}")
+    for number, cells in rows:
+        if len(cells) != width:
+            faults.append(f"row {number} has {len(cells)} columns, the first {width}")
             continue
-        if str(row[1]).lower() not in _STATES:
-            faults.append(f"row {number}: active is {row[1]!r}, not true or false")
-        points.append(
-            [
-                np.inf if str(v).lstrip("+-").lower() in ("infinity", "inf") else number_of(v)
-                for v in row[2:]
-            ]
-        )
-        if None in points[-1]:
-            cell = str(row[2 + points[-1].index(None)])
-            faults.append(f"row {number}: {cell!r} {content.rows.number_fault(cell)}")
+        if cells[1].lower() not in _STATES:
+            faults.append(f"row {number}: active is {cells[1]!r}, not true or false")
+        points.append([])
+        for cell in cells[2:]:
+            is_unset = cell.lstrip("+-").lower() in ("infinity", "inf")
+            value = np.inf if is_unset else content.rows.number(cell)
+            if value is None:
+                faults.append(f"row {number}: {cell!r} {content.rows.number_fault(cell)}")
+                break
+            points[-1].append(value)
     raise_faults(name, faults, f"BigWarp writes {_NEEDED}.", error=MarkError)
-    labels = [str(row[0]) or f"row {number}" for number, row in rows]
-    used = [_STATES[str(row[1]).lower()] for _, row in rows]
     # One coordinate that is not set leaves the point without a position.
     sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
     sides = np.where(np.isfinite(sides).all(axis=2, keepdims=True), sides, np.nan)
     return [
         PointList(
-            title=title, labels=labels, points=sides[:, k], used=used, unit="um", stated=False
+            title=title,
+            labels=[row.cells[0] or f"row {row.line}" for row in rows],
+            points=sides[:, k],
+            used=[_STATES[row.cells[1].lower()] for row in rows],
+            unit="um",
+            stated=False,
         )
         for k, title in enumerate(("moving", "target"))
+    ]
+
+
+def _rows_of_json(content: Mapping[str, Any], name: str) -> list[CsvRow]:
+    """Landmarks, alone or in a project, as the rows that BigWarp writes of them."""
+    landmarks = content.get("landmarks", content)
+    entries: Mapping[str, Any] = landmarks if isinstance(landmarks, Mapping) else {}
+    axes = entries.get("numDimensions")
+    for key in ("movingPoints", "fixedPoints"):
+        points = entries.get(key)
+        are_points = isinstance(points, list) and all(
+            isinstance(point, list) and len(point) == axes for point in points
+        )
+        if not are_points or axes not in (2, 3):
+            raise MarkError(
+                f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers"
+                f" each; 2 or 3 are needed. {_AGAIN}"
+            )
+    keys = ("names", "active", "movingPoints", "fixedPoints")
+    columns = [entries[key] if isinstance(entries.get(key), list) else [] for key in keys]
+    labels, active, moving, fixed = map(len, columns)
+    if not labels == active == moving == fixed > 0:
+        raise MarkError(
+            f"{name} holds {moving} moving points, {fixed} fixed points, {labels} names and"
+            f" {active} of active; as many of each are needed. {_AGAIN}"
+        )
+    return [
+        CsvRow(k, [str(cell) for cell in (label, state, *moving_point, *fixed_point)])
+        for k, (label, state, moving_point, fixed_point) in enumerate(zip(*columns, strict=True), 1)
     ]
 
 

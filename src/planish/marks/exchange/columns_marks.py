@@ -17,7 +17,6 @@ from planish.marks.exchange.lists import Content, PointList
 class Layout(NamedTuple):
     """A table that is known by the names of its columns, without their units."""
 
-    title: str
     lists: Mapping[str, tuple[str, ...]]  #: Columns x, y (and z) by the title of each list.
     unit: Unit | None = None  #: Where the headings state none; None: it is asked for.
     stated: bool = True  #: Whether this unit is certain.
@@ -28,35 +27,28 @@ class Layout(NamedTuple):
     heading_rows: int = 0  #: Further rows of names and units below the first.
 
 
-def _pair(first: str) -> dict[str, tuple[str, ...]]:
-    axes = "xyz" if first == "volume" else "xy"
-    return {first: tuple(f"{first}_{axis}" for axis in axes), "fixed": ("fixed_x", "fixed_y")}
-
-
+_FIXED = {"fixed": ("fixed_x", "fixed_y")}
 _MATLAB = {side: (f"{side}points_1", f"{side}points_2") for side in ("moving", "fixed")}
 _MANAGER = frozenset(("X", "Y", "Type", "Width", "Height"))
 LAYOUTS = (
-    Layout("table of pairs", _pair("moving"), placed=True),
-    Layout("table of pairs", _pair("volume"), placed=True),
-    Layout("table of MATLAB", _MATLAB, "pixel", first_centre=1.0),
-    # The first axis of an array runs down.
-    Layout("points of napari", {"": ("axis_2", "axis_1", "axis_0")}, "pixel"),
-    Layout("points of napari", {"": ("axis_1", "axis_0")}, "pixel"),
-    Layout("table of scikit-image", {"": ("centroid_2", "centroid_1", "centroid_0")}, "pixel"),
-    Layout("table of scikit-image", {"": ("centroid_1", "centroid_0")}, "pixel"),
-    Layout("table of QuPath", {"": ("centroid_x", "centroid_y")}, first_centre=0.5),
-    Layout("table of CellProfiler", {"": ("location_center_x", "location_center_y")}, "pixel"),
-    Layout("spots of TrackMate", {"": ("position_x", "position_y", "position_z")}, heading_rows=3),
-    Layout("list of the ROI Manager", {"": ("x", "y")}, "pixel", also=_MANAGER, source="clicked"),
-    Layout(
-        "results of ImageJ",
-        {"": ("x", "y")},
-        "um",
-        stated=False,
-        also=frozenset("XY"),
-        source="clicked",
-    ),
-    Layout("table of points", {"": ("x", "y")}),
+    # Pairs typed by hand.
+    Layout({"moving": ("moving_x", "moving_y")} | _FIXED, placed=True),
+    Layout({"volume": ("volume_x", "volume_y", "volume_z")} | _FIXED, placed=True),
+    Layout(_MATLAB, "pixel", first_centre=1.0),
+    # napari and scikit-image: the first axis of an array runs down.
+    Layout({"": ("axis_2", "axis_1", "axis_0")}, "pixel"),
+    Layout({"": ("axis_1", "axis_0")}, "pixel"),
+    Layout({"": ("centroid_2", "centroid_1", "centroid_0")}, "pixel"),
+    Layout({"": ("centroid_1", "centroid_0")}, "pixel"),
+    # QuPath, CellProfiler, TrackMate.
+    Layout({"": ("centroid_x", "centroid_y")}, first_centre=0.5),
+    Layout({"": ("location_center_x", "location_center_y")}, "pixel"),
+    Layout({"": ("position_x", "position_y", "position_z")}, heading_rows=3),
+    # ImageJ: the list of the ROI Manager, and results.
+    Layout({"": ("x", "y")}, "pixel", also=_MANAGER, source="clicked"),
+    Layout({"": ("x", "y")}, "um", stated=False, also=frozenset("XY"), source="clicked"),
+    # Points typed by hand.
+    Layout({"": ("x", "y")}),
 )
 """Tables by their columns; the first that fits is taken."""
 
@@ -145,32 +137,27 @@ def _point_list(
             f" {', '.join(table.header)[:120]}). Give one unit to all of them."
         )
     columns = [table.header[headings.index(heading)] for heading in choice]
-    points, unit_um = table.numbers(columns), choice[0].um
-    unit, is_stated = layout.unit, layout.stated
-    if choice[0].unit:
-        unit, is_stated = _unit_of(choice[0], table, columns), True
-    if unit_um and unit == "um":
-        points = points * unit_um
+    points, heading = table.numbers(columns), choice[0]
+    unit, is_stated = layout.unit, layout.stated and layout.unit is not None
+    if heading.unit:
+        unit, is_stated = "um", True
+    if heading.unit == "pixel" or heading.unit == "mm":
+        unit = heading.unit
+    elif heading.um:
+        points = points * heading.um
+    elif heading.unit:
+        raise MarkError(
+            f"{table.name}: {', '.join(columns)} are in {heading.unit!r}, which is no length. Give"
+            " um, mm or px."
+        )
     return PointList(
         title=title,
         points=points,
         unit=unit,
-        stated=is_stated and unit is not None,
+        stated=is_stated,
         columns=columns,
         labels=labels_in(table, unique=not layout.placed),
         placed=layout.placed,
         first_centre=layout.first_centre,
         source=layout.source,
     )
-
-
-def _unit_of(heading: Heading, table: CsvTable, columns: Sequence[str]) -> Unit:
-    """Give the unit of a heading; other lengths become um."""
-    if heading.unit == "pixel" or heading.unit == "mm":
-        return heading.unit
-    if heading.um is None:
-        raise MarkError(
-            f"{table.name}: {', '.join(columns)} are in {heading.unit!r}, which is no length. Give"
-            " um, mm or px."
-        )
-    return "um"

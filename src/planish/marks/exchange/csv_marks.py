@@ -133,23 +133,8 @@ def pairs_text(dataset: xr.Dataset) -> str:
 
 
 def _read_holes(content: Content) -> PointList:
-    """Read the holes of one layer."""
-    columns = ("x_um", "y_um")
-    advice = f"Give a table with the columns {' and '.join(columns)} and one row for each mark."
-    table = parse_table(
-        content.text,
-        content.name,
-        needed=columns,
-        optional=("diameter_um",),
-        error=MarkError,
-        advice=advice,
-    )
-    points = table.numbers(columns)
-    diameters = [
-        table.text(row, "diameter_um") and table.number(row, "diameter_um") for row in table.rows
-    ]
-    table.check()
-    if not len(points):
+    table, points, diameters = table_of_holes(content.text, content.name)
+    if not table.rows:
         raise MarkError(f"{content.name} has a header and no mark. One row for each is needed.")
     return PointList(
         title=content.name,
@@ -158,8 +143,20 @@ def _read_holes(content: Content) -> PointList:
         stated=True,
         placed=True,
         labels=labels_in(table),
-        extras={"diameter": np.array([v or np.nan for v in diameters], dtype=np.float64)},
+        extras={"diameter": diameters},
     )
+
+
+def table_of_holes(text: str, name: str) -> tuple[CsvTable, Floats, Floats]:
+    """Read a table of holes: its places (n, 2), and diameters, NaN where there is none, in um."""
+    needed, diameter = ("x_um", "y_um"), "diameter_um"
+    table = parse_table(text, name, needed=needed, optional=(diameter,), error=MarkError)
+    points = table.numbers(needed)
+    diameters = [
+        table.number(row, diameter) if table.text(row, diameter) else np.nan for row in table.rows
+    ]
+    table.check()
+    return table, points, np.array(diameters, dtype=np.float64)
 
 
 def rows_in_use(table: CsvTable) -> None:

@@ -15,7 +15,7 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict
 
 from planish.core.errors import FileError, MarkError, SizeError
-from planish.core.tables import Rows, decode_text, read_bytes, refuse_workbook, split_rows
+from planish.core.tables import Rows, decode_text, read_bytes, split_rows
 from planish.core.typing import Floats
 from planish.marks.exchange.formats import Unit, known_formats
 from planish.marks.exchange.model import EXTRAS, MarkPlaces, make_marks
@@ -57,7 +57,6 @@ def read_content(path: str | Path) -> Content:
     """Read a file, whatever its format."""
     place = Path(path)
     name, data = place.name, read_bytes(place, what="file of marks")
-    refuse_workbook(data, name, what="marks")
     if data.startswith(SELECTIONS):
         return Content(name=name, data=data)
     # Version 4 of MATLAB has no heading that says what it is.

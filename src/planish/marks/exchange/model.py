@@ -243,21 +243,19 @@ def join_holes(
 
     ``pairs`` is (k, 2: rows of moving and fixed).
     """
-    paired_rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
-    unpaired_rows = [
-        np.setdiff1d(np.arange(h.sizes["mark"]), paired_rows[:, k])
-        for k, h in enumerate((moving, fixed))
-    ]
+    rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
     names, layers, about = [*labels], dict[str, MarkPlaces](), dict[str, dict[str, Any]]()
-    for k, (side, holes) in enumerate((("moving", moving), ("fixed", fixed))):
-        padded_rows = [
-            rows if j == k else np.full(rows.size, -1) for j, rows in enumerate(unpaired_rows)
-        ]
-        hole_rows = np.concatenate([paired_rows[:, k], *padded_rows])
-        layers[side] = MarkPlaces.of_holes(holes, hole_rows, holes.attrs.get("source", "detected"))
+    sides = {"moving": moving, "fixed": fixed}
+    for k, (side, holes) in enumerate(sides.items()):
+        single_rows = np.setdiff1d(np.arange(holes.sizes["mark"]), rows[:, k])
+        names += [f"{side} {row + 1}" for row in single_rows]
+        added_rows = np.full((single_rows.size, 2), -1)
+        added_rows[:, k] = single_rows
+        rows = np.concatenate([rows, added_rows])
+    for k, (side, holes) in enumerate(sides.items()):
+        layers[side] = MarkPlaces.of_holes(holes, rows[:, k], holes.attrs.get("source", "detected"))
         attrs = {"title": holes.attrs.get("layer"), "side": holes.attrs.get("seen_from")}
         about[side] = {key: attribute for key, attribute in attrs.items() if attribute is not None}
-        names += [f"{side} {row + 1}" for row in unpaired_rows[k]]
     return make_marks(names, layers, about=about)
 
 
