@@ -70,15 +70,12 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
         kind = "str" if variable.dtype.kind == "U" else str(variable.dtype)
         if variable.dims != ("mark",) or kind not in _COLUMN_TYPES:
             faults.append(f"{name} has dims {variable.dims} and type {kind}")
-        elif kind == "float64" and np.isinf(variable.values).any():
-            faults.append(f"{name} holds infinite values")
-        else:
-            attributes = _plain(variable.attrs, str(name), faults)
-            variables[str(name)] = {
-                "type": kind,
-                "attributes": attributes,
-                "values": _plain(variable.values),
-            }
+            continue
+        variables[str(name)] = {
+            "type": kind,
+            "attributes": _plain(variable.attrs, str(name), faults),
+            "values": _plain(variable.values, str(name), faults),
+        }
     attributes = _plain(holes.attrs, "the holes", faults)
     remedy = f"Types are {', '.join(_COLUMN_TYPES)}, along 'mark'."
     raise_faults("The holes cannot be written", faults, remedy, error=MarkError)
@@ -205,7 +202,7 @@ def _checked_suffix(file: Path) -> str:
     return suffix
 
 
-def _plain(value: Any, where: str = "", faults: list[str] | None = None) -> Any:
+def _plain(value: Any, where: str, faults: list[str]) -> Any:
     """Turn a value into what JSON has; what has no place there is a fault."""
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
@@ -216,7 +213,7 @@ def _plain(value: Any, where: str = "", faults: list[str] | None = None) -> Any:
     if isinstance(value, float) and math.isnan(value):
         return None
     if not isinstance(value, (str, int, float)) or value in (math.inf, -math.inf):
-        (faults if faults is not None else []).append(f"{where} is {value!r}")
+        faults.append(f"{where} is {value!r}")
     return value
 
 

@@ -360,13 +360,12 @@ def used_pairs(
             " those that are switched off."
         )
     side = "volume" if f"{first}_z" in marks else "moving"
-    columns = [(first, side, axis) for axis in "xyz"] + [(second, "fixed", axis) for axis in "xy"]
-    places = {
-        f"{role}_{axis}": pairs[f"{layer}_{axis}"]
-        for layer, role, axis in columns
-        if f"{layer}_{axis}" in pairs
-    }
-    return xr.Dataset({"label": ("mark", np.array(labels_of(pairs), dtype=np.str_))} | places)
+    variables: dict[str, Any] = {"label": ("mark", np.array(labels_of(pairs), dtype=np.str_))}
+    for layer, role in ((first, side), (second, "fixed")):
+        for axis in "xyz":
+            if f"{layer}_{axis}" in pairs:
+                variables[f"{role}_{axis}"] = pairs[f"{layer}_{axis}"]
+    return xr.Dataset(variables)
 
 
 def pair_of_layers(
