@@ -178,7 +178,8 @@ def test_marks_that_fit_mirrored_name_the_header_that_says_so(
     for words in ("match if one side is mirrored", "left-handed system", "TransformMatrix"):
         assert words in " ".join(error.split())
     _, results, checks, _ = ended("link", volume, specimen_files[1], "--mirror")
-    assert checks["hand of the volume"]["state"] == "look"
+    assert checks["hand of the volume"]["state"] == "pass"
+    assert "fit mirrored, which agrees with that" in checks["hand of the volume"]["sentence"]
     orientation = results["layers"][0]["registration"]["orientation"]
     assert "left-handed system" in orientation["sentence"]
     assert "fit on each other mirrored, which agrees with that" in orientation["sentence"]

@@ -125,6 +125,7 @@ def _checks_of_link(overlay: Overlay, comparison: Comparison, holes: HoleSearch)
         scale_checks = [*_scale_checks(overlay, linked)]
         scale_check_names = {check.name for check in scale_checks}
         own_checks = [c for c in linked.layer.checks if c.name not in scale_check_names]
+        own_checks = [_with_fit(check, linked, comparison.layers) for check in own_checks]
         yield from for_layers(own_checks, linked.name)
         yield from scale_checks
         if linked.link is not None:
@@ -140,6 +141,18 @@ def _checks_of_link(overlay: Overlay, comparison: Comparison, holes: HoleSearch)
     if comparison.area is not None:
         names = [linked.name for linked in overlay.layers]
         yield from run_checks(comparison.area, *names)
+
+
+def _with_fit(check: Check, linked: LinkedLayer, layers: Sequence[LayerFacts]) -> Check:
+    """A check; that of a mirror image passes where the layer fits on another one mirrored."""
+    if not linked.layer.hand_text or not check.name.startswith("hand of"):
+        return check
+    for facts in layers:
+        fit = facts.registration
+        if fit is not None and fit.orientation.mirrored_volume and linked.name in fit.path[:2]:
+            sentence = f"{check.sentence} The layers fit mirrored, which agrees with that."
+            return check.model_copy(update={"state": "pass", "sentence": sentence, "advice": ""})
+    return check
 
 
 def _size_checks(layers: Sequence[LayerFacts]) -> Iterator[Check]:
