@@ -51,6 +51,7 @@ EXPECTED = (
         "a base of fibres, a film and section gains are parameters",
     ),
     ("*.json:*.remedy", "what a check asks to be set is a field of its own"),
+    ("*.json:*.size_doubt", "a size by a default resolution is doubted"),
     ("*.json:*.ceiling_sentence", "the page words the limit that attenuation sets"),
     ("*.zarr:*._FillValue", "what is NaN is missing without being told"),
     ("*-info.json:run_bytes", "info counts the memory that a run reckons with"),
