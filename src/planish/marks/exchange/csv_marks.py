@@ -32,6 +32,9 @@ _SIDES = {
     "volume": ("volume_x_um", "volume_y_um", "volume_z_um"),
     "fixed": ("fixed_x_um", "fixed_y_um"),
 }
+# What stands in ``used``, also where a spreadsheet in another language has saved it.
+NO_WORDS = ("0", "0.0", "false", "no", "falsch", "nein", "faux", "non", "falso")
+YES_WORDS = ("", "1", "1.0", "true", "yes", "wahr", "ja", "vrai", "oui", "vero", "verdadero")
 
 
 def looks_like(content: Content) -> bool:
@@ -160,9 +163,12 @@ def table_of_holes(text: str, name: str) -> tuple[CsvTable, Floats, Floats]:
 
 
 def rows_in_use(table: CsvTable) -> None:
-    """Leave out the rows of a table whose ``used`` says no."""
-    no = ("0", "0.0", "false", "no")
-    table.rows[:] = [row for row in table.rows if table.text(row, "used").lower() not in no]
+    """Leave out the rows of a table whose ``used`` says no; another word is a fault of the row."""
+    rows_used = [row for row in table.rows if table.text(row, "used").casefold() not in NO_WORDS]
+    for row in rows_used:
+        if (word := table.text(row, "used")).casefold() not in YES_WORDS:
+            table.fault(row, f"used is {word!r}, which is neither yes nor no")
+    table.rows[:] = rows_used
 
 
 def labels_in(table: CsvTable, *, unique: bool = False) -> list[str]:
