@@ -53,6 +53,7 @@ EXPECTED = (
     ("*.json:*.remedy", "what a check asks to be set is a field of its own"),
     ("*.json:*.size_doubt", "a size by a default resolution is doubted"),
     ("*marks.json:*.origin_um.*", "marks of a run say where its map begins"),
+    ("*-info.json:notes", "info says what was assumed to read a volume"),
     ("*.json:*.ceiling_sentence", "the page words the limit that attenuation sets"),
     ("*.zarr:*._FillValue", "what is NaN is missing without being told"),
     ("*-info.json:run_bytes", "info counts the memory that a run reckons with"),
