@@ -279,6 +279,5 @@ def test_no_damage_gives_a_traceback_wrong_values_or_a_long_wait(tmp_path, every
     ]
     assert slowest["seconds"] < 10
     assert told[-1]["peak_mib"] < 1024
-    # Of slices whose log alone is damaged, the values are read; a size is asked for.
-    assert refused > 0.75 * len(seen)
+    assert refused > 0.8 * len(seen)
     assert done.stderr == ""

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from folders import refused
-from planish.core.errors import SizeError, VolumeError
+from planish.core.errors import FileError, SizeError, VolumeError
 from planish.io import describe, read_volume
 
 VALUES = np.random.default_rng(5).integers(0, 200, (6, 7, 9)).astype(np.uint8)
@@ -180,3 +180,12 @@ def test_slices_in_other_steps_than_the_log_states_are_doubted(tmp_path, step, i
     told = describe(folder)
     assert told["size_um"] == [2.5 * step, 2.5, 2.5]
     assert any("in steps of 2, not 1" in w for w in told["warnings"]) is is_doubted
+
+
+@pytest.mark.parametrize("content", [b"", b"7", bytes(500), b"[System]\nScanner=SkyScan1272\n"])
+def test_a_damaged_log_of_the_slices_is_not_left_aside(tmp_path, content):
+    for k in range(3):
+        Image.fromarray(np.full((8, 9), k, np.uint8)).save(tmp_path / f"pap_rec{k:04d}.png")
+    (tmp_path / "pap_rec.log").write_bytes(content)
+    with pytest.raises(FileError, match=r"pap_rec.log .* no section \[Reconstruction\]"):
+        read_volume(tmp_path, voxel_um=1)

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from planish.core.errors import SizeError, VolumeError
+from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.tables import finite
 from planish.core.text import first_few
 from planish.core.typing import Pair
@@ -168,6 +168,12 @@ def read_scan(folder: Path) -> Scan | None:
     slices = [p for p in files if is_slice_name(p.name)]
     logs = [Log(p, slices) for p in files if _is_log(p)]
     reconstructions = [log for log in logs if log.is_of_slices]
+    for log in logs:
+        if log.stem.endswith("_rec") and log.named_slices and not log.is_of_slices:
+            raise FileError(
+                f"{log.name} is named like the slices and has no section [Reconstruction]: it is"
+                f" cut off or damaged. Copy it again, {ELSEWHERE}"
+            )
     naming_logs = [log for log in reconstructions if log.named_slices] or reconstructions
     # A log and its copies name the same slices.
     naming_logs.sort(key=lambda log: len(log.name))
