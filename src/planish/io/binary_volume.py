@@ -64,7 +64,9 @@ def _load_nifti(path: Path) -> LoadedVolume:
     units = [unit] * 3 + [time_name] * (len(extents) - 3)
     stated = [stated_in("the NIfTI pixdim", voxel_lengths, units, axes.header_axes)]
     orientations: list[Orientation] = []
-    for name, affine in affines.items() if axes.header_axes == (2, 1, 0) else ():
+    if axes.header_axes != (2, 1, 0):  # time points in place of z have no place in an affine
+        affines = {}
+    for name, affine in affines.items():
         orientation = Orientation(f"the {name}", affine[:, ::-1].T)
         orientations.append(orientation)
         if not orientation.is_flat:

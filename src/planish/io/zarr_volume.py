@@ -298,8 +298,10 @@ def _coordinates_along(
     path: Path, name: str, named: NamedAxes, axis: int, count: int
 ) -> Coordinates | None:
     """Coordinates of an axis in an array of its name beside the values, as xarray writes them."""
+    if not name:  # an array that lies in no group
+        return None
     group_name = name.rpartition("/")[0]
-    for naming in named.namings if name else ():
+    for naming in named.namings:
         axis_name = naming.names[axis]
         beside = f"{group_name}/{axis_name}".strip("/")
         has_name = re.fullmatch(r"\w+", axis_name) is not None
