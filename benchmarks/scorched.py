@@ -54,7 +54,7 @@ def make_scorched(seed, name):
         if look == "soot"
         else rng.uniform(0.03, 0.2)
     )
-    # Char that is hardly brighter than the hole shows no rim.
+    # Char that is hardly lighter than the hole shows no rim.
     level = (
         rng.uniform(0.08, 0.25)
         if look == "soot"

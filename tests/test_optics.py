@@ -72,7 +72,7 @@ def test_a_screen_is_taken_off_over_what_may_count():
     [{"dark_grey": 10}, {"white_grey": 10}, {"dark_grey": 50, "white_grey": 50}, {"screen_um": 0}],
 )
 def test_references_that_mean_nothing_are_refused(options):
-    with pytest.raises(ValueError, match=r"belong together|brighter than the dark|greater than 0"):
+    with pytest.raises(ValueError, match=r"belong together|lighter than the dark|greater than 0"):
         given(**options)
 
 

@@ -65,7 +65,7 @@ class SurfaceFacts(ResultModel):
     missing_share: Number = Field(description="Share of the voxels that are NaN or infinite.")
     empty_share: Number = optional("Share of the columns that hold nothing but air.")
     polarity: Number = Field(
-        description="1 where the sheet is brighter than air, -1 where it is darker."
+        description="1 where the sheet is lighter than air, -1 where it is darker."
     )
     grey_air: Number = Field(description="Grey of the air.")
     grey_base: Number = Field(description="Grey of the base.")

@@ -149,7 +149,7 @@ def test_holes_that_are_not_round_or_not_known_on_the_other_side_are_unclear():
     assert followed(found) == (4, 0, 2)
 
 
-def test_noise_of_a_sheet_that_is_hardly_brighter_than_its_holes_hides_none():
+def test_noise_of_a_sheet_that_is_hardly_lighter_than_its_holes_hides_none():
     """As in resin: its noise is a third of the contrast, and alone makes the floors of the holes
     uneven."""
     rng = np.random.default_rng(5)

@@ -28,7 +28,7 @@ def test_first_page_of_a_link_shows_the_result_and_nothing_else(link_page):
     html = first_of(link_page)
     page = Page(html)
     assert (
-        "The image is brighter (relative grey, luminance) where coating thickness (top side) is"
+        "The image is lighter (relative grey, luminance) where coating thickness (top side) is"
         " larger: r = 0.80" in page.text("p")
     )
     assert len(re.findall(r'<dd class="value">', html)) == 3

@@ -244,9 +244,8 @@ def test_two_images_are_called_by_their_names_and_nothing_is_said_of_a_volume():
         "marks": {"white": some_marks(1)},
     }
     read = Page(page_of(given))
-    assert (
-        "Uv is darker (relative grey, luminance) where white is brighter: r = −1.00"
-        in read.text("p")
+    assert "Uv is darker (relative grey, luminance) where white is lighter: r = −1.00" in read.text(
+        "p"
     )
     assert "A pixel is one of uv." in read.text("p")
     assert "volume" not in read.text("p")

@@ -103,7 +103,7 @@ def test_a_reader_finds_what_how_sure_why_who_and_how_to_cite(signed_run, chromi
         key=lambda row: row.point_um,
     )
     found = re.search(
-        r"The image is brighter .*where coating thickness \(top side\) is larger: r = (\S+) with a"
+        r"The image is lighter .*where coating thickness \(top side\) is larger: r = (\S+) with a"
         r" 95 % interval of "
         r"(\S+) to (\S+), over \d+ points of 100.µm, (\d+) of them independent",
         first,

@@ -61,7 +61,7 @@ def test_verdict_states_the_results_and_no_more(link_page):
         "81\u202f% are valid in all maps",
         "does not imply causation",
         (
-            "image is brighter (relative grey, luminance) where coating thickness (top side) is"
+            "image is lighter (relative grey, luminance) where coating thickness (top side) is"
             " larger: r = 0.80 with a"
         ),
     ):
@@ -82,7 +82,7 @@ def test_verdict_states_the_results_and_no_more(link_page):
 def test_no_direction_is_named_that_is_not_certain(interval, says):
     text = text_of(a_run(interval=interval))
     assert says in text
-    assert "brighter where" not in text
+    assert "lighter where" not in text
     assert "darker where" not in text
 
 

@@ -23,7 +23,7 @@ THIN = Sheet(
 
 
 def stack(gap_grey=20.0, offsets=(-75.0, 0.0, 75.0), bright=1.0):
-    """Sheets on top of each other, in air or in other material; the last one may be brighter."""
+    """Sheets on top of each other, in air or in other material; the last one may be lighter."""
     single = THIN.volume().astype(float)
     middle = THIN.middle()[0][0, 0]
     z = single["z"].values[:, None, None]

@@ -93,8 +93,8 @@ def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     ):
         return rule.check(
             "fail",
-            f"An even layer covers a brighter one, {covers_text} thick: tape, film or a mount that"
-            " touches.",
+            f"An even layer covers one of lighter grey, {covers_text} thick: tape, film or a mount"
+            " that touches.",
             value=max(covers.values()),
             limit=0.0,
             units="um",
@@ -238,7 +238,7 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     uncertainty = 3.0 * 1.86 * np.nanmedian(np.abs(profiles, out=profiles), axis=1) / root_n
     median = median_profiles.astype(np.float64)
     base_grey = float(np.median(median))
-    # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is
+    # A second sheet whose coatings lie in the middle may be learnt as base; what is lighter is
     # then told by the air.
     coating_grey = denser_coating(greys)
     coating_contrast = (

@@ -145,7 +145,7 @@ def correct_volume(
 
     Notes
     -----
-    The sheet has to be brighter than the air. Rings are additive and the same all around; their
+    The sheet has to be lighter than the air. Rings are additive and the same all around; their
     height may vary slowly along the axis. The factor of the cupping is taken relative to its mean
     over the sheet, so that the sheet's mean grey stays; it says nothing about which radius shows
     the true grey.

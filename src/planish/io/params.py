@@ -165,7 +165,7 @@ class ImageParams(Params):
             and not self.white_grey > self.dark_grey
         ):
             raise ValueError(
-                f"the white reference ({self.white_grey:g}) has to be brighter than the dark one"
+                f"the white reference ({self.white_grey:g}) has to be lighter than the dark one"
                 f" ({self.dark_grey:g})"
             )
         return self

@@ -3,7 +3,7 @@
 
 Numpy and numba only, arrays in, arrays out. Images are float32 ``(y, x)`` with NaN where there is
 no data; the centre of pixel ``(i, j)`` is ``(j * px, i * py)`` um. ``sign`` is +1 for holes darker
-than the sheet, -1 for brighter ones.
+than the sheet, -1 for lighter ones.
 """
 
 import numpy as np

@@ -29,7 +29,7 @@ REASONS = {
 
 
 Polarity = Literal["auto", "dark", "bright"]
-"""Whether holes are darker or brighter than the sheet."""
+"""Whether holes are darker or lighter than the sheet."""
 
 # Diameter of the middle of the default range.
 USUAL_UM = 173.2
@@ -54,7 +54,7 @@ def find_holes(
     diameter_um : tuple of float, in um
         Smallest and largest diameter of a hole.
     polarity : {"auto", "dark", "bright"}
-        Whether holes are darker than the sheet (presence maps, reflected light) or brighter
+        Whether holes are darker than the sheet (presence maps, reflected light) or lighter
         (transmitted light). With ``"auto"`` the side with the stronger holes is taken; holes of
         both kinds are never mixed.
 

@@ -212,7 +212,7 @@ class TypicalHole(NamedTuple):
 
         The others are burnt by more than this share of the step.
         """
-        # In transmitted light char is darker than the sheet and holes are brighter: its share is
+        # In transmitted light char is darker than the sheet and holes are lighter: its share is
         # negative.
         burnt_steps = np.sign(self.burnt_share) * marks[:, k.BURNT]
         least_steps = 0.5 * abs(self.burnt_share) * depth(marks) - marks[:, k.TEXTURE]

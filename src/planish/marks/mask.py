@@ -96,7 +96,7 @@ def without_dots(
     Parameters
     ----------
     image : ndarray, shape (rows, cols)
-        Printed paper, brighter than its ink; NaN is missing.
+        Printed paper, lighter than its ink; NaN is missing.
     pixel_um : (float, float)
         Along y and x.
     least_um : float

@@ -23,7 +23,7 @@ class Greys:
     coating_top: float  # NaN where that side has no coating
     coating_bottom: float
     noise: float  # standard deviation of one voxel
-    polarity: float  # +1 where the sheet is brighter than the air, -1 where it is darker
+    polarity: float  # +1 where the sheet is lighter than the air, -1 where it is darker
     blur_um: float  # standard deviation of the blur across the faces
     padding: float  # value outside the field of view; NaN where there is none
     single_noise: float = float("nan")  # that of a column before it is averaged with its neighbours

@@ -327,7 +327,7 @@ def _darkness_sentence(
     ):
         return ""
     shift = float(inside_greys.mean() - outside_greys.mean()) / grey_sd
-    comparative = "darker" if shift < 0 else "brighter"
+    comparative = "darker" if shift < 0 else "lighter"
     return (
         f"Inside, the image is on average {abs(shift):.2f} standard deviations {comparative} than"
         " elsewhere. "

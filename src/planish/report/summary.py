@@ -177,7 +177,7 @@ def quantities(results: Results) -> list[str]:
     ]
     if any(image.quantity != "reflectance" for _, image in images):
         texts.append(
-            "Relative grey is the brightness that the file holds: larger is brighter, in no"
+            "Relative grey is the brightness that the file holds: larger is lighter, in no"
             " physical unit."
         )
     return texts
@@ -306,10 +306,10 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     )
     if not row.direction:
         return f"It is not certain that {b} is related to {a}: {limits_text}"
-    comparative = (("brighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
+    comparative = (("lighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
     title = titles.get((pixel.b, pixel.b_map)) if is_image else None
     title_text = f" ({title[:1].lower()}{title[1:]})" if title else ""
-    larger = "brighter" if are_images else "larger"
+    larger = "lighter" if are_images else "larger"
     return f"{capital(b)} is {comparative}{title_text} where {a} is {larger}: {limits_text}"
 
 

@@ -303,7 +303,7 @@ def fit_faces(  # noqa: C901, PLR0912
 ):
     """Fit the outer face and the interface of every column of a slab, read from outside to inside.
 
-    slab          : (rows, cols, depth) float32, grey, oriented so that the sheet is brighter than
+    slab          : (rows, cols, depth) float32, grey, oriented so that the sheet is lighter than
                     the air
     expected      : (rows, cols), depth in voxels of this face, and ``other`` of the opposite one,
                     from the coarse search; NaN where there is no sheet

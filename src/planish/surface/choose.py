@@ -216,7 +216,7 @@ def _seeded(
         raise last_error
     # The best of them shows both faces, without a neighbour, in the most columns.
     max_columns, best_sheet = 0, None
-    # What is brighter than 1.6 times that grey is not the same object.
+    # What is lighter than 1.6 times that grey is not the same object.
     for share in np.linspace(0.5, 0.95, 19):
         is_inside = (sharp_blocks > share * grey_at_seed) & (sharp_blocks < 1.6 * grey_at_seed)
         try:

@@ -148,7 +148,7 @@ class _Learner(Sampler):
         level = float(np.median(core_grey))
         if level <= 0:
             raise VolumeError(
-                "The core of the sheet is not brighter than the air around it. Check `sheet_grey`."
+                "The core of the sheet is not lighter than the air around it. Check `sheet_grey`."
             )
         return level, float(
             np.sqrt(max(mad_sd(core_grey) ** 2 - self.noise**2, (0.05 * level) ** 2))

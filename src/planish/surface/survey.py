@@ -31,7 +31,7 @@ class Survey:
     coarse: CoarseSheet
     air_grey: float  # its grey
     noise: float  # standard deviation of one voxel of the air
-    polarity: float  # +1 where the sheet is brighter than the air, -1 where it is darker
+    polarity: float  # +1 where the sheet is lighter than the air, -1 where it is darker
     padding: float | None  # value of the voxels outside the field of view
     missing_share: float  # voxels that are NaN or infinite
     empty_share: float  # columns with nothing but air, beside the sheet or in a hole

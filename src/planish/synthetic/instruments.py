@@ -244,7 +244,7 @@ class Scanner:
 
     @cached_property
     def _cupping_factor(self) -> Slab:
-        """Factor (x, z) that makes what is brighter than air too faint in the field's middle."""
+        """Factor (x, z) that makes what is lighter than air too faint in the field's middle."""
         radius = self._radius()
         return (1 - self.params.cupping * (1 - (radius / radius.max()) ** 2)).astype(np.float32)
 

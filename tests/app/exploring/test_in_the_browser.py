@@ -175,7 +175,7 @@ GREY_BELOW_THE_FACE = """() => {
   }
   return out;
 }"""
-"""In the magnified picture, column by column: by how much it is brighter below the drawn top face
+"""In the magnified picture, column by column: by how much it is lighter below the drawn top face
 than above."""
 
 
