@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field
+from pydantic.json_schema import SkipJsonSchema
 
 from planish.analyze.compare import ComparisonRow, CorrelationRow
 from planish.analyze.correlation_evidence import EvidenceFacts
@@ -31,12 +32,10 @@ from planish.core.facts import (
     Trust,
     optional,
 )
+from planish.core.older_names import FORMAT, todays_names
 from planish.core.source_hash import is_this_code
 from planish.core.tables import naming_faults
 from planish.flatten import FlatteningQuality
-
-FORMAT = 3
-"""Version of the schema; planish 0.1.0 wrote files without one."""
 
 
 class SurfaceFacts(ResultModel):
@@ -277,7 +276,8 @@ class RegionsFacts(ResultModel):
 class Results(ResultModel):
     """All numbers of a run: a map of one sheet, or layers linked onto the last one."""
 
-    format: Literal[3] = Field(default=FORMAT, description="Version of this schema.")
+    format: Literal[4] = Field(default=FORMAT, description="Version of this schema.")
+    stored_format: SkipJsonSchema[int] = Field(default=FORMAT, exclude=True, repr=False)
     planish: str = Field(description="Version of the program.")
     code: str = Field(
         default="", description="Hash of the program's sources; empty where not all is of one code."
@@ -379,19 +379,34 @@ class Results(ResultModel):
                 " readable, but the errors stated there are about 1.5 times too small. Repeat it"
                 f" with this version: planish run {path.parent}/run.toml"
             )
-        if isinstance(data, dict) and data.get("format") == 2:  # type: ignore[reportUnknownMemberType]
-            data = _from_format_2(data)
+        if isinstance(data, dict) and data.get("format") in (2, 3):  # type: ignore[reportUnknownMemberType]
+            data = _from_older_format(data)  # type: ignore[reportUnknownArgumentType]
         remedy = "Give a whole run folder, or repeat the run."
         with naming_faults(f"{path} is no results file of planish", remedy, error=FileError):
             return cls.model_validate(data)
 
 
+def _from_older_format(stored_json: dict[str, Any]) -> dict[str, Any]:
+    """Bring results of format 2 (planish 0.2.0) or 3 to today's format."""
+    stored_format = stored_json["format"]
+    if stored_format == 2:
+        stored_json = _from_format_2(stored_json)
+    return todays_names(stored_json) | {"format": FORMAT, "stored_format": stored_format}
+
+
 # By later formats.
-_LEFT_OUT_OF_2 = ("saturated_share", "null_95", "null_99", "split_um", "lags_of_bands_um")
+_LEFT_OUT_OF_2 = (
+    "saturated_share",
+    "null_95",
+    "null_99",
+    "split_um",
+    "lags_of_bands_um",
+    "ceiling_sentence",
+)
 
 
 def _from_format_2(stored_json: Any) -> Any:
-    """Bring what is read of a file of format 2 (planish 0.2.0) to today's format.
+    """Bring what is read of a file of format 2 (planish 0.2.0) to format 3.
 
     The gates of format 2 passed or failed.
     """
@@ -405,7 +420,6 @@ def _from_format_2(stored_json: Any) -> Any:
         if name not in (*_LEFT_OUT_OF_2, "gates")
     }
     if "gates" in stored_json:
-        converted["format"] = FORMAT
         converted["checks"] = [
             {
                 "name": gate["name"],

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from planish.analyze.agreement import Twice, answer_twice
 from planish.analyze.attenuation import answer_ceiling
@@ -95,14 +95,6 @@ class EvidenceFacts(ResultModel):
         " '), at the larger points; their sum is r2 of all of them. Below 0 where a map hides what"
         " another one does."
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_words(cls, data: Any) -> Any:
-        """Leave out a sentence that files of planish 0.2.0 hold beside the ceiling."""
-        if isinstance(data, dict):
-            return {name: answer for name, answer in data.items() if name != "ceiling_sentence"}  # type: ignore[reportUnknownVariableType]
-        return data
 
 
 class Question(NamedTuple):

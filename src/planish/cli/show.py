@@ -14,6 +14,7 @@ from rich import progress as rich
 from planish.cli.console import animated, console, letters, sentence, shown, table, warn
 from planish.core.facts import is_known
 from planish.core.memory import enough_gb
+from planish.core.older_names import FORMAT
 from planish.core.text import quoted
 from planish.core.tiles import tiles_told
 
@@ -229,7 +230,7 @@ def run_facts(path: Path) -> dict[str, Any] | None:
                 "made by planish 0.1.0: the errors stated in it are about 1.5 times too small;"
                 f" {repeat_text}"
             )
-        elif checks_key == "gates":
+        elif results.get("format", 0) < FORMAT:
             warning = f"made by planish {version}: its results have an older format; {repeat_text}"
         return {
             "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),

@@ -20,6 +20,7 @@ from planish.io.map_chunks import is_ours, write_chunks
 from planish.io.map_store import (
     COMPLETE,
     OVERVIEWS,
+    ROOT,
     create_array,
     is_large,
     open_group,
@@ -36,7 +37,7 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
     Others in it stay.
     """
-    zarr.open_group(path, mode="a", attributes={COMPLETE: True})
+    zarr.open_group(path, mode="a", attributes=ROOT)
     for name, data in groups.items():
         group = open_group(path, name, data)
 

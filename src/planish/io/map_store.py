@@ -24,6 +24,7 @@ from planish.core.grid import Grid
 from planish.core.labelled import variable_data
 from planish.core.lazy import LazyArray, Where
 from planish.core.memory import LARGE_BYTES
+from planish.core.older_names import FORMAT
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.io.map_chunks import CODECS, is_ours, read_chunks, write_chunks
@@ -31,6 +32,7 @@ from planish.io.map_chunks import CODECS, is_ours, read_chunks, write_chunks
 CHUNK = 512  # pixels along the edge of a chunk of a map
 # Attribute of a store: one that is not there is a damage, not a missing value.
 COMPLETE = "every_chunk_is_written"
+ROOT: dict[str, Any] = {COMPLETE: True, "format": FORMAT}  # no format: of planish 0.2.0, or 3
 # Group of a store with smaller copies of its maps, which are read where they are shown.
 OVERVIEWS = "overviews"
 
@@ -142,7 +144,7 @@ class StoredMaps:
 
 def open_group(path: Path, name: str, data: xr.Dataset) -> zarr.Group:
     """Open or make a group of a store, with the attributes of a dataset."""
-    group = zarr.open_group(path, mode="a", attributes={COMPLETE: True}).require_group(name)
+    group = zarr.open_group(path, mode="a", attributes=ROOT).require_group(name)
     group.attrs.update(_json_attrs(data.attrs))
     return group
 
