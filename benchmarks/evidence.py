@@ -25,7 +25,7 @@ from scipy import fft, ndimage, optimize, stats
 from benchmarks.shared import in_parts, memory
 from planish.analyze import coherence, correlate, paired_difference, size_curve, without_screen
 from planish.analyze.compare import correlate_layers
-from planish.analyze.covariance import Lags
+from planish.texture.covariance import Lags
 
 SHAPE, SIDE = (150, 200), 150
 

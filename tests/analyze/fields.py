@@ -4,8 +4,9 @@ import numpy as np
 import xarray as xr
 from scipy import fft, ndimage
 
-from planish.analyze import CorrelateParams, correlation_evidence, covariance
+from planish.analyze import CorrelateParams, correlation_evidence
 from planish.core.grid import Grid
+from planish.texture import covariance
 from planish.texture.ncc import MaskedNcc
 
 

@@ -5,8 +5,9 @@ import xarray as xr
 import planish as pl
 from analyze.fields import exact_n_eff, gaussian_maps, related_maps
 from folders import refused
-from planish.analyze import PairAtSizes, PairSums, correlate, covariance, pearson
+from planish.analyze import PairAtSizes, PairSums, correlate, pearson
 from planish.core.errors import InputError, PlanishError, SizeError
+from planish.texture import covariance
 
 
 def pair(r, shape=(200, 300), seed=0):

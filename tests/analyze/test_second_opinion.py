@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from analyze.fields import gaussian_maps, related_maps
-from planish.analyze import correlate, correlation, covariance, second_opinion
+from planish.analyze import correlate, correlation, second_opinion
 from planish.analyze.second_opinion import critical_value
+from planish.texture import covariance
 
 
 def drawn_critical(known, draws=4000):

@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.special import ndtr
 
+from analyze.fields import gaussian_maps
 from folders import refused
 from planish.core.errors import CannotMeasure
-from planish.measure import measure_properties, thin_fraction
+from planish.measure import MeasureParams, measure_properties, thin_fraction
+from planish.measure.numbers import sheet_numbers
 
 MIDDLE = (slice(8, -8), slice(20, -20))
 SLAB = (40.0, 100.0)
@@ -155,3 +158,43 @@ def test_thin_fraction_of_a_ramp():
     assert found.attrs["support_um"] == 6.0
     assert "warning" not in thin_fraction(ramp, marked_um=(2.0, 5.0)).attrs
     refused(CannotMeasure, "all values are missing", thin_fraction, ramp * np.nan)
+
+
+def test_the_error_of_a_thin_share_is_the_scatter_of_fields_of_one_sheet():
+    """A Gaussian field of known covariance is thin on Phi(-1) and on half of its area."""
+    shares, errors, rng = [], [], np.random.default_rng(0)
+    for _ in range(50):
+        for field in gaussian_maps(rng, (40, 50), 2.0, kind="gauss"):
+            found = thin_fraction(xr.DataArray(field + 5, dims=("y", "x")), marked_um=(4.0, 5.0))
+            shares.append(found["marked_share"])
+            errors.append(found["marked_se"])
+    truth = ndtr([-1.0, 0.0])
+    np.testing.assert_allclose(np.mean(shares, axis=0), truth, atol=0.01)
+    # the standard deviation of 100 shares is known within 7 %
+    stated = np.sqrt(np.mean(np.square(errors), axis=0))
+    np.testing.assert_allclose(np.std(shares, axis=0) / stated, 1.0, atol=0.2)
+    independent = np.sqrt(truth * (1 - truth) / field.size)
+    assert (stated > 2.5 * independent).all()
+
+
+def test_the_share_of_what_no_neighbour_shares_has_the_error_of_independent_values():
+    values = np.random.default_rng(0).uniform(0, 20, (60, 80))
+    found = thin_fraction(xr.DataArray(values, dims=("y", "x")), marked_um=(5.0, 30.0))
+    assert 0.8 * values.size < found["marked_n_eff"][0] <= values.size
+    assert found["marked_se"][0] == pytest.approx(np.sqrt(0.25 * 0.75 / values.size), rel=0.1)
+    assert found["marked_se"][1] == 0
+
+
+def test_numbers_of_a_sheet_state_the_errors_of_thin_shares_and_what_noise_makes_of_them(made):
+    sheet = made(size_um=(40.0, 60.0))
+    measured = measure_properties(sheet.surfaces, volume=sheet.volume)
+    ramp = measured["coating_top"] * 0 + np.linspace(0, 20, measured.sizes["x"])
+    measured = measured.assign(coating_top=ramp)
+    for se_um, is_warned in ((1.5, True), (0.5, False)):
+        measured["coating_top_se"] = ramp * 0 + se_um
+        numbers = sheet_numbers(measured, volume=None, params=MeasureParams())
+        thin = numbers.thin["top"]
+        assert ("below 0, 2 um" in (thin.warning or "")) == is_warned
+        assert len(thin.standard_error) == len(thin.share)
+        # a ramp is one event, however many columns it has
+        assert thin.standard_error[2] > 2 * np.sqrt(0.25 * 0.75 / ramp.size)

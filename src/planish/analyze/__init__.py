@@ -1,6 +1,6 @@
 """How two maps on one grid are related, at which scale, and how sure: a layer above the stages.
 
-``compare`` correlates layers, ``correlation`` is r with its interval, from ``covariance`` by lag.
+``compare`` correlates layers, ``correlation`` is r with its interval, from covariances by lag.
 ``correlation_evidence`` holds QUESTIONS, a row a statistic beside r: ``curve_of_sizes`` and
 ``octaves`` (at which scale), ``robustness``, ``second_opinion``, ``curve``, ``thin_regions``,
 ``attenuation`` and ``split_half`` (what could be seen), ``variograms`` and ``correlograms`` (by

@@ -22,7 +22,6 @@ from planish.analyze.correlation import (
     sums_of,
     valid_pixels,
 )
-from planish.analyze.covariance import Lags, PairCovariances, scatter_of
 from planish.analyze.curve import independent_points
 from planish.analyze.distributions import t_95
 from planish.analyze.rings import RingCorrelation, ring_correlation
@@ -31,6 +30,7 @@ from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Floats, Pair, Pixel
+from planish.texture.covariance import Lags, PairCovariances, scatter_of
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps

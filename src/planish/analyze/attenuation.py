@@ -9,12 +9,12 @@ import numpy as np
 from scipy import fft
 
 from planish.analyze.correlation import check_varying, valid_pixels
-from planish.analyze.covariance import Lags, covariance_of
 from planish.analyze.split_half import reliability_of
 from planish.core.arrays import values_of
 from planish.core.bands import thinned
 from planish.core.errors import InputError
 from planish.core.typing import Array, Floats, Pixel
+from planish.texture.covariance import Lags, covariance_of
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps

@@ -8,12 +8,12 @@ from typing import Any
 
 import xarray as xr
 
-from planish.analyze.covariance import Lags
 from planish.analyze.params import CorrelateParams
 from planish.analyze.sheet_columns import SheetColumns
 from planish.core.area import area_mean
 from planish.core.grid import Grid
 from planish.core.typing import Floats, Pair
+from planish.texture.covariance import Lags
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,7 +12,6 @@ import xarray as xr
 from pydantic import Field
 from scipy import special
 
-from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import ranks, student_tail, t_95
 from planish.core.area import AreaMeans
 from planish.core.arrays import check_missing, check_numbers, described, map_pixel_um, values_of
@@ -20,6 +19,7 @@ from planish.core.bands import Rows, read_bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
+from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.detrend import shared_trend
 
 LEAST_CLAIMED = 10.0

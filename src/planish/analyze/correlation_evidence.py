@@ -20,7 +20,6 @@ from planish.analyze.compare import CELLS
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import PairAtSizes
 from planish.analyze.correlograms import CorrelogramProfiles, answer_correlogram
-from planish.analyze.covariance import Lags
 from planish.analyze.curve import Curvature, answer_curve
 from planish.analyze.curve_of_sizes import SizeRow, answer_sizes
 from planish.analyze.kubelka_munk import (
@@ -45,6 +44,7 @@ from planish.analyze.variograms import Variogram, answer_variograms
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Number, ResultModel, optional
 from planish.core.grid import Grid
+from planish.texture.covariance import Lags
 
 
 class EvidenceFacts(ResultModel):

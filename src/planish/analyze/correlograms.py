@@ -13,11 +13,11 @@ from pydantic import Field
 from scipy import fft, ndimage, optimize, special
 
 from planish.analyze.correlation import LEAST_CLAIMED, check_varying, on_one_grid
-from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import normal_tail
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Interval, ResultModel, Value
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
+from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.ncc import MaskedNcc
 
 if TYPE_CHECKING:

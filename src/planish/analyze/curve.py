@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from planish.analyze.correlation import LEAST_CLAIMED, check_varying, correlate, valid_pixels
-from planish.analyze.covariance import Lags, scatter_of
 from planish.analyze.distributions import t_95
 from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Floats, Pixel
+from planish.texture.covariance import Lags, scatter_of
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps

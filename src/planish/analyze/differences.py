@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
-from planish.analyze.covariance import Lags, variance_of_products
 from planish.analyze.distributions import t_95
 from planish.core.errors import InputError
 from planish.core.typing import Array, Pair, Pixel
+from planish.texture.covariance import Lags, variance_of_products
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,11 +21,11 @@ from planish.analyze.correlation import (
     pearson,
     valid_pixels,
 )
-from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import t_95
 from planish.core.area import area_mean
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Bools, Pair, Pixel
+from planish.texture.covariance import Lags, PairCovariances
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps

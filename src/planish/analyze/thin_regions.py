@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import Field
 
 from planish.analyze.correlation import LEAST, LEAST_CLAIMED, on_one_grid, valid_pixels
-from planish.analyze.covariance import Lags, scatter_of
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Pixel
+from planish.texture.covariance import Lags, scatter_of
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps

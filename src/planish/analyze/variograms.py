@@ -13,10 +13,10 @@ from pydantic import Field
 from scipy import optimize
 
 from planish.analyze.correlation import check_varying, valid_pixels
-from planish.analyze.covariance import Lags
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
+from planish.texture.covariance import Lags
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps

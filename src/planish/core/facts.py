@@ -141,6 +141,9 @@ class ThinFacts(ResultModel):
     share: tuple[Number, ...] = Field(
         description="Share of the area that is thinner, for each limit."
     )
+    standard_error: tuple[Number, ...] = Field(
+        default=(), description="Standard error of each share, of the sheet by this field."
+    )
     support_um: float = Field(
         description="Size of the region that one value of the thickness stands for."
     )

@@ -3,21 +3,26 @@
 Thin coating, roughness, two-sidedness, and profiles in depth.
 """
 
+import math
 from itertools import repeat
 
 import numpy as np
 import xarray as xr
 
+from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure
 from planish.core.facts import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
 from planish.core.grid import pitch
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Bools, Floats, Pair
 from planish.measure.depth_profiles import depth_profiles
 from planish.measure.lengths import scale_limited
 from planish.measure.params import MeasureParams
 from planish.measure.registry import SIDES, Side
+from planish.texture.covariance import Lags, covariance_of
+
+_MOST_CELLS = 2**16  # by which the independent values of a share are counted
 
 
 def thin_fraction(
@@ -30,7 +35,7 @@ def thin_fraction(
 
     Parameters
     ----------
-    thickness : DataArray, in um
+    thickness : DataArray, dims (y, x), in um
         NaN is left out. ``support_um`` in its attributes is passed on.
     se : array like it
         Standard error of each value, um.
@@ -42,11 +47,12 @@ def thin_fraction(
     -------
     Dataset
         ``share`` along ``thickness`` (um), and for every marked thickness ``marked_share`` along
-        ``marked``, ``marked_se`` (sampling of n values that were independent, sqrt(F (1 - F) / n):
-        a lower bound, because neighbours are alike) and ``biased``: 1 where x lies below twice the
-        median SE of the values around it, so that noise alone puts ever more values below it. ``n``
-        and ``support_um`` in the attributes, and ``warning`` where a marked share is biased: F
-        depends on support and noise and must not be compared without them.
+        ``marked``, ``marked_n_eff`` (independent values that would give a share of this scatter,
+        from the covariances by lag of the map of what is thinner: neighbours are alike),
+        ``marked_se`` (of the sheet's share by this field, sqrt(F (1 - F) / n_eff)) and ``biased``:
+        1 where x lies below twice the median SE of the values around it, so that the share rests on
+        noise. ``n`` and ``support_um`` in the attributes, and ``warning`` where a marked share is
+        biased: F depends on support and noise and must not be compared without them.
 
     Raises
     ------
@@ -62,10 +68,9 @@ def thin_fraction(
     x = np.arange(0.0, float(sorted_um[-1]) + 0.25, 0.25)
     marks = np.array(marked_um, dtype=np.float64)
     # At 0 the values that are 0 count: nothing is thinner than no coating.
-    counts = [
-        np.searchsorted(sorted_um, mark, side="left" if mark > 0 else "right") for mark in marks
-    ]
-    shares = np.array(counts) / sorted_um.size
+    masks = [thickness.values < mark if mark > 0 else thickness.values <= 0 for mark in marks]
+    shares = np.array([np.count_nonzero(mask) for mask in masks]) / sorted_um.size
+    n_eff = np.array([_independent(mask, is_finite, pitch(thickness)) for mask in masks])
     value_se_um = np.zeros(marks.size)
     if se is not None:
         se_um = np.where(is_finite, se, np.nan).astype(np.float64)
@@ -82,8 +87,8 @@ def thin_fraction(
         biased_text = ", ".join(f"{m:g}" for m in marks[is_biased > 0])
         attrs["warning"] = (
             f"The standard error of one value is {value_se_um[is_biased > 0].max():.2g} um: the"
-            f" shares below {biased_text} um are too large by what noise puts there. Average the"
-            " map first, or compare larger thicknesses."
+            f" shares below {biased_text} um are wrong by what noise puts there or takes away."
+            " Average the map first, or compare larger thicknesses."
         )
     share_attrs = {"units": "1", "long_name": "Share of the area with a thinner coating"}
     variables = {
@@ -93,7 +98,8 @@ def thin_fraction(
             share_attrs,
         ),
         "marked_share": ("marked", shares, share_attrs),
-        "marked_se": ("marked", np.sqrt(shares * (1 - shares) / sorted_um.size), {"units": "1"}),
+        "marked_se": ("marked", np.sqrt(shares * (1 - shares) / n_eff), {"units": "1"}),
+        "marked_n_eff": ("marked", n_eff, {"long_name": "Independent values"}),
         "value_se": (
             "marked",
             value_se_um,
@@ -109,6 +115,21 @@ def thin_fraction(
         name: (name, um, {"units": "um"}) for name, um in (("thickness", x), ("marked", marks))
     }
     return xr.Dataset(variables, coords=coords, attrs=attrs)
+
+
+def _independent(is_thin: Bools, is_known: Bools, pitch_um: Pair) -> float:
+    """Count the independent values of a map of truth values; n where it has one value only.
+
+    So many would give their share the variance that its covariances by lag give.
+    """
+    k = max(1, math.ceil(math.sqrt(is_known.size / _MOST_CELLS)))
+    cells = area_mean(np.where(is_known, is_thin, np.nan), (k, k))
+    lags = Lags(np.isfinite(cells), (k * pitch_um[0], k * pitch_um[1]))
+    variance_of_mean = lags.variance_of_mean(covariance_of(cells, lags))
+    n, share = np.count_nonzero(is_known), np.mean(is_thin[is_known])
+    if not variance_of_mean > 0:
+        return float(n)
+    return float(min(share * (1 - share) / variance_of_mean, n))
 
 
 def roughness_numbers(
@@ -249,13 +270,19 @@ def _numbers_of_side(
     thin, coating = None, measured[f"coating_{side}"]
     if np.isfinite(coating.values).any():
         support_um = float(np.sqrt(np.prod(pitch_um)))
-        thin_shares = thin_fraction(coating.assign_attrs(support_um=support_um))
-        marked_um, share = (
-            tuple(thin_shares[name].values.tolist()) for name in ("marked", "marked_share")
+        thin_shares = thin_fraction(
+            coating.assign_attrs(support_um=support_um), se=measured.get(f"coating_{side}_se")
         )
-        warning_text = thin_shares.attrs.get("warning")
+        marked_um, share, standard_error = (
+            tuple(thin_shares[name].values.tolist())
+            for name in ("marked", "marked_share", "marked_se")
+        )
         thin = ThinFacts(
-            thinner_than_um=marked_um, share=share, support_um=support_um, warning=warning_text
+            thinner_than_um=marked_um,
+            share=share,
+            standard_error=standard_error,
+            support_um=support_um,
+            warning=thin_shares.attrs.get("warning"),
         )
     try:
         roughness_map = scale_limited(measured[f"topography_{side}"].values, pitch_um, **filters_um)

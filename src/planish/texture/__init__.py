@@ -2,7 +2,8 @@
 
 ``textures`` takes what is no texture off and averages; ``detrend`` parts waves by their length, and
 makes unrelated maps; ``ncc`` is the correlation at every lag; ``lag_field`` and ``lag_search`` find
-the lag of tiles; ``white_noise`` takes off noise that no neighbour shares.
+the lag of tiles; ``white_noise`` takes off noise that no neighbour shares; ``covariance`` counts
+the independent points of maps and of their products.
 """
 
 import lazy_loader as lazy
