@@ -1,6 +1,7 @@
 """Grey scale, second sheet, delamination, few voxels and dust: seen with their number, and not
 where all is right."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -312,6 +313,50 @@ def test_filler_is_doubted_where_its_grains_are_not_resolved(grain, state):
     found = of_scan("filler", volume, measured.assign(filler=measured["coating_top"]))
     assert (found.state, found.value) == (state, pytest.approx(VOXEL * (grain or 0), abs=VOXEL))
     assert ("No grain" in found.sentence) == (grain is None)
+
+
+def test_porosity_without_the_grey_of_a_wall_is_doubtful_and_says_what_the_brightest_make_of_it():
+    """Walls of 140 take half of a base in air of 40: with their grey the porosity is one half."""
+
+    def walls(t, r, c):
+        return np.where((r // 8 + c // 8) % 2 == 0, 140.0, 40.0) + 0 * t
+
+    volume, measured = layered(extra=walls, shape=SMALL)
+    assert of_scan("porosity", volume, measured) is None
+    measured = measured.assign(porosity=measured["coating_top"])
+    found = of_scan("porosity", volume, measured)
+    assert (found.state, found.figures) == ("look", ("porosity",))
+    assert "beyond the grey 65:" in found.sentence
+    assert found.remedy == "Give it with `solid_grey`."
+    brightest, share = re.search(r"below, ([\d.]+), .* about ([\d.]+)\.", found.sentence).groups()
+    assert float(brightest) == pytest.approx(140, abs=10)  # two standard deviations of its noise
+    assert float(share) == pytest.approx(0.5, abs=0.05)
+    measured["porosity"].attrs["void_grey"] = 80.0
+    assert "beyond the grey 80:" in of_scan("porosity", volume, measured).sentence
+    measured["porosity"].attrs["solid_grey"] = 140.0
+    found = of_scan("porosity", volume, measured)
+    assert (found.state, found.sentence.endswith("is 140.")) == ("pass", True)
+
+
+def test_a_base_that_shows_no_pores_says_nothing_of_a_wall(right):
+    volume, measured = right
+    found = of_scan("porosity", volume, measured.assign(porosity=measured["coating_top"]))
+    assert found.state == "look"
+    assert found.sentence.endswith("count as wall.")
+
+
+def test_the_level_of_filler_that_was_given_is_that_of_its_check():
+    """Grains of 200 and 8 voxels, half way beyond the base's 90 and the coating's 200, not beyond
+    250."""
+
+    def grains(t, r, c):
+        return np.where((abs(t - 0.5) < 0.1) & (r % 15 < 7) & (c % 15 < 7), 200.0, np.nan)
+
+    volume, measured = layered(extra=grains, shape=SMALL)
+    measured = measured.assign(filler=measured["coating_top"])
+    assert of_scan("filler", volume, measured).value == pytest.approx(8 * VOXEL, abs=VOXEL)
+    measured["filler"].attrs["filler_grey"] = 250.0
+    assert "No grain" in of_scan("filler", volume, measured).sentence
 
 
 @pytest.mark.parametrize(("voxel", "state"), [(30.0, "pass"), (31.0, "look")])

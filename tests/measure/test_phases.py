@@ -45,6 +45,8 @@ def test_unresolved_voids_are_seen_by_the_mean_grey_only(made):
     for solid, value in (({"solid_grey": 140.0}, 0.5), ({}, 0.0)):
         found = sheet.measured("porosity", **solid)
         assert float(found["porosity"].mean()) == pytest.approx(value, abs=1e-3)
+        # the check of porosity reads there whether the grey of a wall is known
+        assert found["porosity"].attrs.get("solid_grey") == solid.get("solid_grey")
     refused(CannotMeasure, "lies beyond the base", sheet.measured, "porosity", solid_grey=80.0)
 
 

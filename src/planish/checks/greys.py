@@ -18,7 +18,7 @@ from planish.core.checks import PROPERTIES, Check, CheckRule
 from planish.core.facts import SIDES
 from planish.core.frame import Frame
 from planish.core.robust import mad_sd
-from planish.core.typing import Array, Floats, Ints
+from planish.core.typing import Array, Bools, Floats, Ints
 from planish.measure.greys import FWHM, Greys
 from planish.surface.learn import POROUS
 
@@ -175,15 +175,9 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
     """
     core, grey, greys = scan.core, scan.core_grey, scan.greys
     contrast, name = abs(greys.base - greys.air), "its contrast"
-    is_seen = np.any(np.isfinite(grey).all(axis=2), axis=1)
-    if is_seen.any():
-        spread = np.sqrt(max(mad_sd(grey[is_seen]) ** 2 - greys.single_noise**2, 0.0))
-        if spread > POROUS * contrast:
-            wall_share = _WALL if greys.polarity > 0 else 1.0 - _WALL
-            contrast, name = (
-                abs(float(np.nanquantile(grey[is_seen], wall_share)) - greys.air),
-                "the contrast of a wall",
-            )
+    is_seen = _seen(grey)
+    if (wall := wall_grey(scan)) is not None:
+        contrast, name = abs(wall - greys.air), "the contrast of a wall"
     if np.count_nonzero(is_seen) < 20 or not contrast > 0:
         return rule.check(
             "unknown",
@@ -217,6 +211,49 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
             "The beam or the light faded, or the scan is shaded. Correct it by a flat field, or"
             " scan again."
         ),
+    )
+
+
+def _seen(grey: Array) -> Bools:
+    return np.any(np.isfinite(grey).all(axis=2), axis=1)
+
+
+def wall_grey(scan: GreyScan) -> float | None:
+    """Grey that hardly any of the base passes; None where pores do not make much of its grey."""
+    greys, grey = scan.greys, scan.core_grey[_seen(scan.core_grey)]
+    if not grey.size:
+        return None
+    spread = np.sqrt(max(mad_sd(grey) ** 2 - greys.single_noise**2, 0.0))
+    if not spread > POROUS * abs(greys.base - greys.air):
+        return None
+    return float(np.nanquantile(grey, _WALL if greys.polarity > 0 else 1.0 - _WALL))
+
+
+def porosity(rule: CheckRule, scan: GreyScan) -> Check | None:
+    """Judge whether the grey of a wall is known that porosity rests on; None without porosity."""
+    greys, measured = scan.greys, scan.measured
+    if "porosity" not in measured:
+        return None
+    attrs = measured["porosity"].attrs
+    if "solid_grey" in attrs:
+        return rule.check("pass", f"The grey of a wall without voids is {attrs['solid_grey']:g}.")
+    level = attrs.get("void_grey", 0.5 * (greys.air + greys.base))
+    sentence = (
+        f"Porosity counts what lies beyond the grey {level:.4g}: the grey of a wall without voids"
+        " is not known, and pores that the voxels do not resolve count as wall."
+    )
+    wall = wall_grey(scan)
+    if wall is not None:
+        share = (wall - np.nanmean(scan.core_grey)) / (wall - greys.air)
+        sentence += (
+            f" With the grey that 95 % of the base stay below, {wall:.4g}, as that of a wall it is"
+            f" about {share:.2f}."
+        )
+    return rule.check(
+        "look",
+        sentence,
+        advice="Read the grey in a thick fibre, or in a scan of cellulose by the same settings.",
+        remedy="Give it with `solid_grey`.",
     )
 
 
@@ -273,7 +310,7 @@ def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
     greys, core = scan.greys, scan.core
     if "filler" not in scan.measured or not core.is_base.any():
         return None
-    if (level := scan.measured.attrs.get("filler_grey")) is None:
+    if (level := scan.measured["filler"].attrs.get("filler_grey")) is None:
         level = 0.5 * (greys.base + np.nanmean([greys.coating_top, greys.coating_bottom]))
     columns = (greys.polarity * (scan.core_grey - level) > 0)[core.is_base]
     # Along each column by itself.

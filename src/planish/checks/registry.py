@@ -68,6 +68,7 @@ CHECKS = (
         ("coating_top", "coating_bottom", *_BASE),
         greys.coating_grey,
     ),
+    CheckRule("porosity", GreyScan, ("porosity",), greys.porosity),
     CheckRule("filler", GreyScan, ("filler", "filler_weight"), greys.filler),
     CheckRule("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
     CheckRule("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),

@@ -64,6 +64,7 @@ def _solid(params: Options, greys: Greys) -> None:
     units="1",
     long_name="Porosity of the base",
     check=_solid,
+    stated=("solid_grey", "void_grey"),
     when=lambda params, _greys: params.solid_grey is not None or params.void_grey is not None,
 )
 def porosity(rays: Rays) -> Measured:
@@ -73,7 +74,7 @@ def porosity(rays: Rays) -> Measured:
     voxel and is not biased by noise. SE: sqrt(noise / L) / (solid - air), L the length on the ray.
     Without: the share beyond ``void_grey``; pores below two voxels are lost, and noise makes voids
     where the base is faint. SE: sqrt(n) sqrt(2 pi) w sigma / (base - air) / L with n ends of voids,
-    each as uncertain as one crossing.
+    each as uncertain as one crossing. A level that no wall's grey stands behind makes it doubtful.
     """
     return share_of_void(rays, *rays.core)
 
@@ -133,6 +134,7 @@ def filler_level(params: Common, greys: Greys) -> float:
     units="1",
     long_name="Filler in the base",
     check=filler_level,
+    stated=("filler_grey",),
     when=lambda params, _greys: params.filler_grey is not None,
 )
 def filler(rays: Rays) -> Measured:

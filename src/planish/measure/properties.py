@@ -444,6 +444,8 @@ def _variables(
     values = np.where(is_valid, answer.values, np.nan).astype(np.float32)
     se = np.where(np.isfinite(values), answer.se, np.nan).astype(np.float32)
     attrs = {"units": prop.units, "long_name": title, "support_um": round(support_um, 3)}
+    stated = {name: getattr(frame.params, name) for name in prop.stated}
+    attrs |= prop.attrs | {name: value for name, value in stated.items() if value is not None}
     variables = {
         prop.name: xr.Variable(dims, values, attrs),
         f"{prop.name}_se": xr.Variable(

@@ -18,7 +18,7 @@ planish's own becomes known by its entry in the table in :mod:`planish.measure.p
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial, update_wrapper
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar
@@ -144,6 +144,8 @@ class Property:
     #: are given.
     when: Callable[..., bool] | None = None
     together: tuple[str, ...] = ()  #: properties that are measured with it where it is named
+    attrs: dict[str, float] = field(default_factory=dict[str, float])  #: further ones of its map
+    stated: tuple[str, ...] = ()  #: options that its map states where they are given
 
 
 _REGISTERED: dict[str, Property] = {}
