@@ -61,6 +61,21 @@ def test_a_sheet_and_its_image_in_either_order():
     assert [check.state for check in turned.checks] == ["fail", "look"]
 
 
+def test_the_texture_of_a_small_sheet_is_that_of_paper_in_its_own_unit():
+    sheet, image = a_sheet(), layer(image=200 - 20 * np.roll(field(0), 3, axis=1) + 10 * field(9))
+    lag, (side, _) = texture_of(sheet, image, ("sheet", "photo"))
+    small = [d.assign_coords(y=0.01 * d["y"], x=0.01 * d["x"]) for d in (sheet, image)]
+    small[0]["expected_error"] *= 0.01
+    small_lag, (small_side, _) = texture_of(*small, ("sheet", "photo"), unit_um=0.01)
+    assert small_side.state == "pass"
+    assert small_side.value == pytest.approx(side.value)
+    for key in ("lag_um", "se_um", "length_um", "length_se_um", "reach_um", "expected_um"):
+        assert 100 * np.array(getattr(small_lag, key)) == pytest.approx(
+            np.array(getattr(lag, key)), abs=1e-6
+        )
+    assert (small_lag.agrees, small_lag.r) == (lag.agrees, pytest.approx(lag.r))
+
+
 def test_coatings_within_their_error_and_pixels_too_large_for_texture_are_inconclusive():
     sheet = a_sheet()
     errors = {f"coating_{side}_se": sheet["coating_top"] * 0 + 5.0 for side in ("top", "bottom")}

@@ -13,9 +13,11 @@ from scipy import ndimage
 import planish as pl
 from folders import refused
 from planish.core.errors import CannotRegister, InputError
+from planish.core.grid import Grid
 from planish.core.transform import Similarity, nearest_similarity
 from planish.register import RegistrationParams
 from planish.register.by_texture.rotations import _exceeded
+from planish.texture.length_unit import length_unit_um
 
 PIXEL_UM = 6.0
 SHAPE, IMAGE_SHAPE = (200, 250), (330, 360)
@@ -100,6 +102,58 @@ def test_an_image_of_something_else_or_of_a_pattern_that_repeats_is_refused():
     maps["thickness"] = (("v", "u"), np.tile(tile, (2, 3))[:, :250])
     image = image.copy(data=np.tile(tile, (4, 4))[:330, :360])
     refused(CannotRegister, r"nearly alike.*repeats", pl.register_texture, maps, image)
+
+
+def unit(pixels_um, sides_um):
+    return length_unit_um(
+        *(
+            Grid.regular((round(side / px),) * 2, px)
+            for px, side in zip(pixels_um, sides_um, strict=True)
+        )
+    )
+
+
+def test_paper_is_measured_in_um_and_what_is_no_paper_by_its_coarser_pixel():
+    for pixels_um, sides_um in (
+        ((0.65, 0.3), (1300.0, 5000.0)),
+        ((4.0, 2.6), (300.0, 8000.0)),
+        ((12.0, 21.2), (12_000.0, 200_000.0)),
+    ):
+        assert unit(pixels_um, sides_um) == 1.0
+    assert unit((0.02, 0.04), (28.0, 28.0)) == pytest.approx(0.01)
+    assert unit((400.0, 260.0), (200_000.0, 300_000.0)) == pytest.approx(100.0)
+    assert unit((0.04, 0.02), (400.0, 400.0)) == pytest.approx(0.01)  # a large picture of many
+    assert unit((1.0, 1.0), (200.0, 2000.0)) == pytest.approx(0.25)  # too small for waves of paper
+    for factor in (0.5, 3.0):
+        assert unit((0.02 * factor, 0.04), (28.0, 28.0)) == pytest.approx(
+            max(0.02 * factor, 0.04) / 4
+        )
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("size", [0.01, 100.0])
+def test_what_is_a_hundred_times_smaller_or_larger_than_paper_is_found_as_paper_is(size):
+    place = placed(137.0, scale=1.018)
+    pair_of_fields = pair(place=place, r=0.6)
+
+    def found(size):
+        pixel_um = 4.0 * size
+        maps, image = (
+            d.assign_coords({k: pixel_um * np.arange(n) for k, n in d.sizes.items()})
+            for d in pair_of_fields
+        )
+        image.attrs["pixel_um"] = [pixel_um] * 2
+        near_um = (707 * size, 653 * size, 200 * size)
+        params = RegistrationParams(near=near_um)
+        return pl.register_texture(maps, image, params=params)
+
+    paper, other = found(1.0), found(size)
+    assert other.false_probability == pytest.approx(paper.false_probability)
+    at = 4.0 / PIXEL_UM * CORNERS
+    np.testing.assert_allclose(other(size * at), size * paper(at), rtol=0, atol=1e-4 * size)
+    np.testing.assert_allclose(
+        other.fit.expected_error_um(size * at), size * paper.fit.expected_error_um(at), rtol=1e-4
+    )
 
 
 @pytest.mark.ci

@@ -3,6 +3,8 @@
 It goes by their common texture alone.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -157,6 +159,18 @@ class Lag:
         The lags are normal with one spread along x and y.
         """
         return math.sqrt(-math.log(0.05)) * math.hypot(expected_error_um, *self.se_um)
+
+    def scaled(self, factor: float) -> Lag:
+        """The same with lengths that are larger by a factor."""
+        (down, across), (x, y) = self.pixel_um, self.lag_um
+        return replace(
+            self,
+            reach_um=factor * self.reach_um,
+            pixel_um=(factor * down, factor * across),
+            lag_um=(factor * x, factor * y),
+            covariance_um2=factor**2 * self.covariance_um2,
+            field=None if self.field is None else self.field.scaled(factor),
+        )
 
     def check(self, expected_error_um: float | None = None) -> Check:
         """State what the lag says of the registration.

@@ -287,8 +287,11 @@ def refine_link(
     grid: Grid,
     fit: FittedTransform,
     model: Refinement,
+    unit_um: float,
 ) -> tuple[RefinedTransform, RefinementFacts]:
     """Refine a link by the maps of two layers on one grid, and correlate without the bias of that.
+
+    Waves and mesh are those of paper in the unit of both layers.
 
     What the refinement changed stands beside r over tiles that it has not seen; where the map is
     too small for such tiles, beside r after the search and what the search reaches on unrelated
@@ -296,7 +299,9 @@ def refine_link(
     the marks allow.
     """
     pixel, options = grid.pixel_um, RefineOptions(model=model)
-    moving, fixed = (_detail(m.values, valid, pixel) for m in (a, b))
+    options = replace(options, grid_um=unit_um * options.grid_um)
+    coarsest_um = unit_um * _COARSEST_UM
+    moving, fixed = (_detail(m.values, valid, pixel, coarsest_um) for m in (a, b))
     fine = refine(moving, fixed, valid, pixel_um=pixel, fit=fit, options=options)
 
     def tune(other: Floats, look: Bools) -> Floats:
@@ -320,14 +325,14 @@ def refine_link(
         strain=fine.strain,
         warnings=fine.warnings,
         sentence=fine.sentence,
-        longest_wave_um=_COARSEST_UM,
+        longest_wave_um=coarsest_um,
         correlation=of_r,
     )
     return RefinedTransform(marks=Chain(fits=(fit,)), refined=fine), facts
 
 
 def held_out_r(
-    a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um: Pair
+    a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um: Pair, unit_um: float = 1.0
 ) -> RefinementR:
     """Correlate a map with an image (rows, cols) where their place was not tuned on them.
 
@@ -335,20 +340,21 @@ def held_out_r(
 
     A similarity is tuned on every other tile and r read off the rest; where the map is too small
     for that, r stands beside what the same tuning reaches on unrelated maps. The slopes of
-    ``face``, heights, take up one-sided light.
+    ``face``, heights, take up one-sided light. Waves and reach are those of paper in ``unit_um``.
     """
-    a, b = (_detail(values, valid, pixel_um) for values in (a, b))
-    is_known = valid & np.isfinite(b)
-    fixed = textures({"image": b}, is_known, pixel_um, band_um=BAND_UM)
+    coarsest_um = unit_um * _COARSEST_UM
+    a, b = (_detail(values, valid, pixel_um, coarsest_um) for values in (a, b))
+    is_known, pixel = valid & np.isfinite(b), (pixel_um[0] / unit_um, pixel_um[1] / unit_um)
+    fixed = textures({"image": b}, is_known, pixel, band_um=BAND_UM)
     rows, cols = np.indices(b.shape)
-    points = np.stack([cols * pixel_um[1], rows * pixel_um[0]], axis=-1)
+    points = np.stack([cols * pixel[1], rows * pixel[0]], axis=-1)
     # A linear interpolation would take noise off the image, and raise r by that alone.
     spline = np.asarray(ndimage.spline_filter(np.where(is_known, b, 0.0)), dtype=np.float64)
-    step, b_known = np.array(pixel_um), is_known.astype(np.float64)
+    step, b_known = np.array(pixel), is_known.astype(np.float64)
 
     def tune(other: Floats, look: Bools) -> Floats:
         maps = {"map": other} if face is None else {"map": other, "face": face}
-        moving, light = textures(maps, look & np.isfinite(other), pixel_um, band_um=BAND_UM), ()
+        moving, light = textures(maps, look & np.isfinite(other), pixel, band_um=BAND_UM), ()
         if face is not None:
             moving, light = moving.with_slopes("face"), ("face_x", "face_y")
         place = tuned_place(
@@ -360,7 +366,7 @@ def held_out_r(
             is_seen, ndimage.map_coordinates(spline, at, order=3, prefilter=False), np.nan
         )
 
-    waves_text = f"ithout waves above {_COARSEST_UM / 1000:g} mm, "
+    waves_text = f"ithout waves above {coarsest_um / 1000:g} mm, "
     try:
         found = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel_um)
         text = (
@@ -373,11 +379,11 @@ def held_out_r(
     return found.model_copy(update={"sentence": text})
 
 
-def _detail(values: Floats, valid: Bools, pixel_um: Pair) -> Floats:
+def _detail(values: Floats, valid: Bools, pixel_um: Pair, longest_um: float) -> Floats:
     """A map without its slow variations; NaN where it is not valid."""
     is_valid = valid & np.isfinite(values)
     return np.where(
         is_valid,
-        in_band(values.astype(np.float64), is_valid, pixel_um, (None, _COARSEST_UM)),
+        in_band(values.astype(np.float64), is_valid, pixel_um, (None, longest_um)),
         np.nan,
     )

@@ -354,8 +354,9 @@ def texture_of(
     *,
     side: Side = "top",
     is_given: bool = True,
+    unit_um: float = 1.0,
 ) -> TextureFound:
-    """Compare two layers on one grid by their own texture.
+    """Compare two layers on one grid by their own texture, its waves in ``unit_um``.
 
     ``side`` is that of the sheet which an image of the two shows, given or assumed.
     """
@@ -370,7 +371,8 @@ def texture_of(
     image = {k: m for k, m in second.items() if k == "image"}
     maps = first | (image if one_sheet else {f"other {k}": m for k, m in second.items()})
     try:
-        texture = textures(maps, valid, Grid.of(a).pixel_um)
+        down, across = Grid.of(a).pixel_um
+        texture = textures(maps, valid, (down / unit_um, across / unit_um))
     except SizeError as error:
         text = f"Specimen and position by texture: inconclusive. {error.text}"
         return TextureFound(None, (Check(name=NAME, state="unknown", sentence=text),))
@@ -422,7 +424,7 @@ def texture_of(
             slopes=len(slope_names),
             reach_um=min(150.0, short / 4),
             tiles_um=_TILE_UM if short >= 2 * _TILE_UM else None,
-        )
+        ).scaled(unit_um)
     except SizeError:
         return TextureFound(None, (check,))
     if offset.distinct and check.state == "look" and set(check.figures) <= {POSITION, CORRELATION}:

@@ -39,6 +39,7 @@ from planish.run.layers import LinkedLayer
 from planish.run.overlay import LINKED, Overlay
 from planish.run.regions import regions_on
 from planish.run.study import Study
+from planish.texture.length_unit import length_unit_um
 
 Textures = dict[tuple[str, str], TextureFound]
 
@@ -99,6 +100,7 @@ def _texture_of_pair(a: LinkedLayer, b: LinkedLayer) -> TextureFound:
         (a.name, b.name),
         side=_side_of(a, b),
         is_given=all(image.side_given is not None for image in images),
+        unit_um=length_unit_um(a.layer.grid, b.layer.grid),
     )
 
 
@@ -118,12 +120,13 @@ def _facts_of_layers(study: Study, overlay: Overlay, textures: Textures) -> tupl
             lag=None if texture is None else texture.lag,
             headline=study.correlate.headline,
         )
-    return tuple(_with_held_out(layer, facts, overlay) for layer in facts.values())
+    return tuple(_with_held_out(linked, facts, overlay) for linked in overlay.layers)
 
 
 def _with_held_out(
-    layer: LayerFacts, facts: Mapping[str, LayerFacts], overlay: Overlay
+    linked: LinkedLayer, facts: Mapping[str, LayerFacts], overlay: Overlay
 ) -> LayerFacts:
+    layer = facts[linked.name]
     registration = layer.registration
     if registration is None or registration.source not in ("texture", "both"):
         return layer
@@ -144,6 +147,7 @@ def _with_held_out(
         heights,
         valid,
         overlay.grid.pixel_um,
+        length_unit_um(linked.layer.grid, overlay.reference.layer.grid),
     )
     judged = registration.model_copy(update={"held_out": held_out})
     return layer.model_copy(update={"registration": judged})
@@ -261,6 +265,7 @@ def _refine(
         grid,
         moving.link.registration.fit,
         model,
+        length_unit_um(moving.layer.grid, reference.layer.grid),
     )
     shown = moving.layer.shown
     if isinstance(shown, xr.DataArray):

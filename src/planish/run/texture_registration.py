@@ -20,7 +20,7 @@ from planish.core.typing import Floats, Ints
 from planish.marks.exchange.model import join_holes, paired, points_of
 from planish.register import RegistrationParams, fit_pairs, need_holes
 from planish.register.by_texture.place import TilePlaces
-from planish.register.by_texture.planes import PlanePair, TexturedPlane
+from planish.register.by_texture.planes import PlanePair, TexturedPlane, in_unit
 from planish.register.by_texture.rotations import Names, PlaceSearch
 from planish.register.by_texture.search import TUNED_UM, find_places, tiles_near
 from planish.run.holes import HoleSearch
@@ -87,7 +87,8 @@ def register_texture(
     -----
     Coatings and thicknesses are band-passed (18 to 150 um) and correlated with the image at all
     rotations and shifts, either sign, in pixels of 20 um; the best place is tuned and tiles are
-    placed in pixels of 8 um. Of two sheets the same map is compared.
+    placed in pixels of 8 um. These are lengths of paper; where a layer has another size, all of
+    them are in proportion to the coarser pixel. Of two sheets the same map is compared.
     """
     for layer, call in (
         (moving, "pl.register_texture({}, fixed)"),
@@ -102,7 +103,8 @@ def register_texture(
     if place is not None:
         is_bottom = place.mirrored if mirrored is None else mirrored
         layers = PlanePair.of(moving, fixed, "bottom" if is_bottom else "top", holes)
-        tiles = tiles_near(layers, place.inverse if layers.swapped else place, off_um=TUNED_UM)
+        start = in_unit(place.inverse if layers.swapped else place, layers.unit_um)
+        tiles = tiles_near(layers, start, off_um=TUNED_UM)
         search = None
     else:
         layers, found = find_places(moving, fixed, fit_params, mirrored, holes)
@@ -222,7 +224,8 @@ def _with_tiles(
     """
     layers = PlanePair.of(moving, fixed, side, holes)
     place = known.fit.transform.similarity
-    tiles = tiles_near(layers, place.inverse if layers.swapped else place)
+    start = in_unit(place.inverse if layers.swapped else place, layers.unit_um)
+    tiles = tiles_near(layers, start)
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
             f"{len(tiles.moving_um)} parts of the texture show where they lie, and {_LEAST_TILES}"

@@ -3,7 +3,9 @@
 They also show whether one map is stretched against the other.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -23,6 +25,16 @@ class LagField:
     r: Floats  # correlation at the peak of each tile, a searched one
     distinct: Bools  # whether the peak is a summit above what 99 % of tiles of unrelated maps reach
     tile_um: float  # side of a tile
+
+    def scaled(self, factor: float) -> LagField:
+        """The same with lengths that are larger by a factor."""
+        return replace(
+            self,
+            at_um=factor * self.at_um,
+            lag_um=factor * self.lag_um,
+            covariance_um2=factor**2 * self.covariance_um2,
+            tile_um=factor * self.tile_um,
+        )
 
     def linear(self) -> tuple[Floats, Floats, Floats] | None:
         """Lag at the middle of the map, its change with place, and standard errors of the change.

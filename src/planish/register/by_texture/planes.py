@@ -12,8 +12,10 @@ from planish.core.area import common_means
 from planish.core.errors import InputError
 from planish.core.facts import Side
 from planish.core.grid import Grid, hole_mask
+from planish.core.transform import Similarity
 from planish.core.typing import Array, Bools, Floats, Pair
 from planish.register.by_texture.rotations import BAND_UM
+from planish.texture.length_unit import length_unit_um
 from planish.texture.textures import Textures, textures
 from planish.texture.white_noise import without_white_noise
 
@@ -32,18 +34,25 @@ class TexturedPlane:
 
     @classmethod
     def of(
-        cls, layer: xr.Dataset | xr.DataArray, side: Side = "top", holes: xr.Dataset | None = None
+        cls,
+        layer: xr.Dataset | xr.DataArray,
+        side: Side = "top",
+        holes: xr.Dataset | None = None,
+        unit_um: float = 1.0,
     ) -> TexturedPlane:
         """Take the maps that may show in an image of a side, or an image without its holes.
 
-        InputError for none.
+        InputError for none. The plane's lengths are in units of ``unit_um``.
         """
         if isinstance(layer, xr.DataArray):
             grid, valid = Grid.of(layer), None
             if holes is not None and holes.sizes["mark"]:
                 centres_um = np.stack([holes["x"].values, holes["y"].values], axis=1)
-                valid = ~hole_mask(grid, centres_um, 0.5 * holes["diameter"].values + _RIM_UM)
-            return cls(maps={"image": layer.values}, face={}, valid=valid, grid=grid)
+                valid = ~hole_mask(
+                    grid, centres_um, 0.5 * holes["diameter"].values + unit_um * _RIM_UM
+                )
+            plane = cls(maps={"image": layer.values}, face={}, valid=valid, grid=grid)
+            return plane.scaled(1.0 / unit_um)
         names = (f"coating_{side}", "base_thickness", "thickness")
         maps = {
             name: layer[name].values
@@ -56,12 +65,9 @@ class TexturedPlane:
                 " (`property`)."
             )
         face = {name: layer[name].values for name in (f"topography_{side}",) if name in layer}
-        return cls(
-            maps=maps,
-            face=face,
-            valid=layer["valid"].values if "valid" in layer else None,
-            grid=Grid.of(layer),
-        )
+        valid = layer["valid"].values if "valid" in layer else None
+        plane = cls(maps=maps, face=face, valid=valid, grid=Grid.of(layer))
+        return plane.scaled(1.0 / unit_um)
 
     @property
     def is_sheet(self) -> bool:
@@ -137,11 +143,15 @@ class TexturedPlane:
 
 
 class PlanePair(NamedTuple):
-    """Two layers, a sheet before an image; ``swapped`` where the first one is the fixed one."""
+    """Two layers, a sheet before an image; ``swapped`` where the first one is the fixed one.
+
+    Their lengths are in units of ``unit_um``, and so are places between them.
+    """
 
     a: TexturedPlane
     b: TexturedPlane
     swapped: bool
+    unit_um: float = 1.0
 
     @classmethod
     def of(
@@ -153,9 +163,16 @@ class PlanePair(NamedTuple):
     ) -> PlanePair:
         """Take two layers by what an image of a side may show; ``holes`` of both are masked."""
         moving_holes, fixed_holes = holes or (None, None)
-        first, second = (
-            TexturedPlane.of(moving, side, moving_holes),
-            TexturedPlane.of(fixed, side, fixed_holes),
-        )
+        unit_um = length_unit_um(Grid.of(moving), Grid.of(fixed))
+        first = TexturedPlane.of(moving, side, moving_holes, unit_um)
+        second = TexturedPlane.of(fixed, side, fixed_holes, unit_um)
         is_swapped = second.is_sheet and not first.is_sheet
-        return cls(second, first, is_swapped) if is_swapped else cls(first, second, is_swapped)
+        if is_swapped:
+            first, second = second, first
+        return cls(first, second, is_swapped, unit_um)
+
+
+def in_unit(place: Similarity, unit: float) -> Similarity:
+    """Measure the shift of a place in another unit, which is so many of its own."""
+    x, y = place.shift_um
+    return replace(place, shift_um=(x / unit, y / unit))

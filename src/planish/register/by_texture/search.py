@@ -18,7 +18,7 @@ from planish.core.errors import CannotRegister, InputError
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Pair
 from planish.register.by_texture.place import TilePlaces, clearest_maps, tile_places, tuned_place
-from planish.register.by_texture.planes import PlanePair, TexturedPlane
+from planish.register.by_texture.planes import PlanePair, TexturedPlane, in_unit
 from planish.register.by_texture.rotations import FALSE, Names, Near, PlaceSearch, search_place
 from planish.register.params import RegistrationParams
 
@@ -103,11 +103,13 @@ def _nears(
     """
     if params.near is not None:
         x, y, *radius = params.near
-        radius_um = radius[0] if radius else _NEAR_UM
+        usual_um = layers.unit_um * _NEAR_UM
+        radius_um = radius[0] if radius else usual_um
         if radius_um <= 0:
             raise InputError(
-                f"The radius of `near` is {radius_um:g} um. Give one above 0, such as {_NEAR_UM:g}."
+                f"The radius of `near` is {radius_um:g} um. Give one above 0, such as {usual_um:g}."
             )
+        x, y, radius_um = (length_um / layers.unit_um for length_um in (x, y, radius_um))
         if layers.swapped:  # the middle of the second layer lies there in the first one
             mx, my = layers.b.middle_um.tolist()
             yield [Near(fixed_um=(mx, my), radius_um=radius_um, moving_um=(x, y))]
@@ -115,7 +117,10 @@ def _nears(
             yield [Near(fixed_um=(x, y), radius_um=radius_um)]
         return
     if holes is not None and all(1 <= h.sizes["mark"] <= _FEW_HOLES for h in holes):
-        places = [np.stack([h["x"].values, h["y"].values], axis=1).tolist() for h in holes]
+        places = [
+            (np.stack([h["x"].values, h["y"].values], axis=1) / layers.unit_um).tolist()
+            for h in holes
+        ]
         first, second = reversed(places) if layers.swapped else places
         yield [
             Near(fixed_um=(b[0], b[1]), radius_um=_HOLE_UM, moving_um=(a[0], a[1]))
@@ -215,9 +220,8 @@ def tiles_near(
 ) -> TilePlaces:
     """Tune a place of the first layer in the second one, ``scaled``, by as much as it may be off.
 
-    Tiles are then found there.
-
-    Their places and covariances are those in the second layer as it is.
+    Tiles are then found there. ``place`` and ``off_um`` are in the unit of the layers; places and
+    covariances of the tiles are in um, in the second layer as it is.
     """
     a, b = layers.a, layers.b.scaled(scaled)
     seen = place(a.corners_um)
@@ -239,20 +243,21 @@ def tiles_near(
     if off_um:
         place = tuned_place(moving, fixed, names, place, reach_um=off_um, beside=(*beside, *light))
     tiles = tile_places(moving, fixed, names, place, beside=beside, light=light)
+    unit_um = layers.unit_um
     return tiles._replace(
-        moving_um=tiles.moving_um + moving_first,
-        fixed_um=(tiles.fixed_um + fixed_first) / scaled,
-        covariance_um2=tiles.covariance_um2 / scaled**2,
-        shared_um2=tiles.shared_um2 / scaled**2,
+        moving_um=unit_um * (tiles.moving_um + moving_first),
+        fixed_um=unit_um * (tiles.fixed_um + fixed_first) / scaled,
+        covariance_um2=unit_um**2 * tiles.covariance_um2 / scaled**2,
+        shared_um2=unit_um**2 * tiles.shared_um2 / scaled**2,
     )
 
 
 def _undecided(found: Found, layers: PlanePair) -> Undecided:
-    search, middle_um = found.search, (layers.b if layers.swapped else layers.a).middle_um
+    search, middle = found.search, (layers.b if layers.swapped else layers.a).middle_um
     places = tuple(
-        FoundPlace(place, (float(x), float(y)), candidate.z)
+        FoundPlace(in_unit(place, 1.0 / layers.unit_um), (float(x), float(y)), candidate.z)
         for candidate, place in zip(search.candidates, found.places, strict=True)
-        for x, y in (place(middle_um),)
+        for x, y in (layers.unit_um * place(middle),)
     )
     text = (
         "Best places, in standard deviations of chance:"
