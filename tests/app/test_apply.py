@@ -362,6 +362,17 @@ def test_a_process_makes_the_run_says_how_far_it_is_or_why_it_is_not_made_and_se
         ):
             assert stranger.get(f"/report/{wrong}").status == 404
     assert open_run(new).results.layers[0].registration.model == "similarity"
+
+    assert stranger.post("/api/apply/open").status == 401
+    assert client.post("/api/apply/open").json() == {"run": "run-2"}
+    assert client.get("/api/session").json()["run"] == "run-2"
+    with closing(app.state.session) as session:  # the new run is changed, the old one is free
+        assert (session.folder, session.can_undo) == (new, False)
+        do(session, do="model", model="affine")
+        assert client.get("/api/state").json()["model"] == "affine"
+        opened(run_copy).thing.close()
+    assert stranger.get(end["report"]).status == 200  # its window may be open still
+    app.state.applying.close()
     shutil.rmtree(new)
     assert nothing_left(run_copy)
 

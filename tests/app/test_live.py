@@ -68,6 +68,13 @@ def test_a_mark_out_of_use_is_missed_by_the_fit_to_the_others():
     assert np.array_equal(found.residual_um[1:], np.linalg.norm(wanted.residuals_um, axis=1))
 
 
+def test_a_mark_in_use_to_which_the_fit_gives_no_weight_is_marked_as_such():
+    moving, fixed, _ = pairs(12, 4)
+    fixed[3] += 200.0
+    assert shown(moving, fixed, "auto").is_rejected.tolist() == [k == 3 for k in range(12)]
+    assert not shown(moving, fixed, "similarity").is_rejected.any()  # all count alike there
+
+
 @pytest.mark.parametrize("model", ["auto", "similarity"])
 @pytest.mark.parametrize("n", [6, 12])
 @pytest.mark.parametrize("seed", range(3))

@@ -121,8 +121,7 @@ def test_a_film_beyond_air_is_left_out_and_named_where_the_sheet_is_coated(gap_u
     for face in ("top", "bottom", "interface_bottom"):
         assert np.abs(found[face] - alone[face]).max() < 0.3
     assert "from the bottom side, in 100 % of the columns" in found.attrs["beside"]
-    # Between the outer edges of the blur.
-    assert found.attrs["beside_gap_um"] == pytest.approx(gap_um, abs=10.0)
+    assert found.attrs["beside_gap_um"] == pytest.approx(gap_um, abs=1.0)
     assert "beside" not in alone.attrs
 
 

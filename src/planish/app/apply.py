@@ -175,7 +175,7 @@ class Applying:
             ticket = secrets.token_urlsafe(24)
             self.reports[ticket] = out / "report.html"
             page = f"/report/{ticket}"
-            message = f"{out.name} is made; planish view {out} opens it."
+            message = f"{out.name} is made."
             final = Progress(state="done", share=1.0, message=message, run=str(out), report=page)
         elif state == "failed":
             final = Progress(**last_message)

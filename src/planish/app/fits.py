@@ -132,6 +132,7 @@ class Fitted:
     fit: FittedTransform | None  # to the pairs in use; of a quick model while another one follows
     pairs: tuple[Mark, ...]  # in use or not
     is_outlier: Bools  # (n,), pairs that stand out
+    is_rejected: Bools  # (n,), pairs in use to which the fit gives no weight
     residual_um: Floats  # (n,), of all pairs
     leave_one_out_um: Floats  # (n,); marks that stand out are left out of the fits to all others
     # Why there is no fit of the model; a similarity stands for it where there is one.
@@ -237,6 +238,7 @@ def fitted(
         fit=None,
         pairs=pairs,
         is_outlier=is_outlier,
+        is_rejected=np.zeros(len(pairs), dtype=np.bool_),
         residual_um=nans,
         leave_one_out_um=nans,
         warnings=tuple(warnings),
@@ -287,6 +289,7 @@ def fitted(
     return replace(
         unfitted,
         fit=fit,
+        is_rejected=is_rejected,
         residual_um=residual_um,
         leave_one_out_um=leave_one_out_um,
         error=error_text,

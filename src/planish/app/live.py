@@ -135,6 +135,7 @@ class Live:
             "id": mark.id,
             "label": mark.label,
             "used": mark.used,
+            "without_weight": k is not None and bool(marks_fit.is_rejected[k]),
             "source": " and ".join(sources),
             "moving": mark.moving and mark.moving.xy,
             "fixed": mark.fixed and mark.fixed.xy,

@@ -20,6 +20,7 @@ from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Import, La
 from planish.app.exchange import MarkFile, exported, imported
 from planish.app.live import Live
 from planish.app.picture import PLANES, finite_or_none
+from planish.app.served import open_new_run
 from planish.app.session import Stale, pairs_of
 from planish.app.snap import not_snapped, snapped
 from planish.app.view_routes import required_numbers, route, session_of
@@ -120,7 +121,7 @@ def _state_of(request: Request) -> dict[str, Any]:
 async def get_events(request: Request) -> Response:
     """Send one line of JSON for each new version, and one each half second.
 
-    By the latter a lost server is noticed.
+    By the latter a lost server is noticed, and another run that is served now.
     """
     session = session_of(request)
     new_version, loop = anyio.Event(), asyncio.get_running_loop()
@@ -133,7 +134,8 @@ async def get_events(request: Request) -> Response:
         )
         try:
             while True:
-                yield json.dumps({"version": session.version}).encode() + b"\n"
+                news = {"version": session.version, "run": session_of(request).folder.name}
+                yield json.dumps(news).encode() + b"\n"
                 with anyio.move_on_after(0.5):
                     await new_version.wait()
                 new_version = anyio.Event()
@@ -250,6 +252,11 @@ def post_apply(request: Request) -> Response:
         return _progress_response(applying.progress, 409, error=error.text)
 
 
+def post_open(request: Request) -> Response:
+    """Serve the run that was made from now on."""
+    return Answer({"run": open_new_run(request.app)})
+
+
 def get_report(request: Request) -> Response:
     """The page of a run that was made here: its address is a secret of its own."""
     path = _applying(request).reports.get(request.path_params["ticket"])
@@ -294,5 +301,6 @@ ROUTES = [
     route("/api/apply", lambda r: _progress_response(_applying(r).progress)),
     route("/api/apply", post_apply, "POST"),
     route("/api/apply/cancel", lambda r: _progress_response(_applying(r).cancel()), "POST"),
+    route("/api/apply/open", post_open, "POST"),
     route("/report/{ticket}", get_report),
 ]

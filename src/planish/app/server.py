@@ -24,9 +24,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from planish.app import marks_routes, snap, view_routes
 from planish.app.answers import Answer
-from planish.app.apply import Applying
-from planish.app.live import Live
-from planish.app.pictures import Tiles
+from planish.app.served import close_session, serve_session
 from planish.app.session import Session, Stale
 from planish.core.errors import FileError, PlanishError, ResourceError
 from planish.register.by_texture.search import Undecided
@@ -152,11 +150,7 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
         middleware=[Middleware(Guard, token=token, hosts=tuple(hosts))],
         exception_handlers={PlanishError: _error_response},
     )
-    app.state.session = session
-    app.state.live = Live(session)
-    app.state.tiles = Tiles(session.pictures)
-    app.state.sheets = {}
-    app.state.applying = Applying(session)
+    serve_session(app, session)
     return app
 
 
@@ -233,8 +227,11 @@ def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], No
             threading.Thread(target=snap.warm, args=(session,), name="warm", daemon=True).start()
             on_open(f"http://{shown_host}:{bound_port}/#token={token}")
             # An interrupt is how a server ends.
-            with closing(app.state.applying), suppress(KeyboardInterrupt):
-                uvicorn.Server(config).run(sockets=[listener])
+            try:
+                with suppress(KeyboardInterrupt):
+                    uvicorn.Server(config).run(sockets=[listener])
+            finally:
+                close_session(app)
 
 
 def _host_names(host: str) -> list[str]:

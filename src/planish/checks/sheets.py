@@ -28,6 +28,7 @@ _BRIGHT_SHARE = 0.10  # of the tiles
 _SPLIT_TILES = 12
 # 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right.
 _LEAST_VOXELS = 5.0
+_BLUR_REACH = 2.5  # blurs that a face reaches into the air beside it
 _COARSE = 10  # cells across the median of what lies around a particle
 _LEAST_MM2 = 0.1  # measured
 
@@ -108,7 +109,7 @@ def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     gap_um = float(sheet.measured.attrs["beside_gap_um"])
     return rule.at_least(
         gap_um,
-        look=2.5 * float(sheet.measured.attrs["blur_um"]),
+        look=2 * _BLUR_REACH * float(sheet.measured.attrs["blur_um"]),
         units="um",
         sentence=f"Beside the sheet lies something flat that was left out: {beside_text}.",
         advice=(

@@ -32,10 +32,10 @@ MERGED = 1.6
 
 
 class Companion(NamedTuple):
-    """A flat object beside the sheet, beyond air; lengths in voxels of depth."""
+    """A flat object beside the sheet, beyond air."""
 
-    thickness_px: float  # median
-    gap_px: float  # median air between them where both are
+    thickness_px: float  # median, in voxels of depth
+    facing: Floats  # (block rows, block cols): its face towards the sheet as a depth index
     share: float  # of the columns
     end: Literal["low", "high"]  # of the axis through the sheet at which it lies
 
@@ -150,7 +150,7 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
         # Fewer blocks are noise.
         specks=int(np.count_nonzero(n_blocks[1:] >= 8)) - len(sheet_labels),
         companions=tuple(
-            _companion(labels == k, low, high) for k in sheet_labels if k != largest_label
+            _companion(blocks, labels == k, low, high) for k in sheet_labels if k != largest_label
         ),
     )
 
@@ -213,16 +213,17 @@ def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blo
     return candidates[leader]
 
 
-def _companion(in_object: Bools, low: Floats, high: Floats) -> Companion:
-    n_filled = in_object.sum(axis=-1)
-    first, last = first_and_last(in_object)
-    is_there = n_filled > 0
-    below, above = low - last - 1, first - high - 1
-    is_below = float(np.nanmedian(np.where(is_there, below, np.nan))) > 0
-    gap = np.where(is_there, below if is_below else above, np.nan)
+def _companion(blocks: Blocks, in_object: Bools, low: Floats, high: Floats) -> Companion:
+    """Measure an object beside the sheet from ``low`` to ``high``: its faces at half its grey."""
+    level = 0.5 * float(np.median(blocks[in_object]))
+    is_core = in_object & (blocks > level)
+    is_there = is_core.any(axis=-1)
+    first, last = (np.where(is_there, index, -1) for index in first_and_last(is_core))
+    own_low, own_high = _extent(blocks, first, last, level)
+    is_below = float(np.nanmedian(low - own_high)) > float(np.nanmedian(own_low - high))
     return Companion(
-        thickness_px=float(np.median(n_filled[is_there])),
-        gap_px=float(np.nanmedian(gap)),
+        thickness_px=float(np.nanmedian(own_high - own_low)),
+        facing=own_high if is_below else own_low,
         share=float(is_there.mean()),
         end="low" if is_below else "high",
     )

@@ -3,7 +3,6 @@
 They are heights above the volume's own columns.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from planish.core.options import params_of
 from planish.core.tiles import Engine
 from planish.surface.assemble import assemble
 from planish.surface.boundaries import find_faces_by_slice, surfaces_from_labels
-from planish.surface.coarse import Companion
+from planish.surface.coarse import CoarseSheet, to_columns
 from planish.surface.columns import Columns, make_guide
 from planish.surface.corrected import correct_surfaces
 from planish.surface.faces import find_faces
@@ -155,7 +154,7 @@ def _search(
     surfaces.attrs |= priors.attrs(columns.pitch[2], frame) | share_attrs
     if survey.padding is not None:
         surfaces.attrs["padding"] = survey.padding
-    surfaces.attrs |= _attrs_of_companions(survey.coarse.companions, columns.pitch[2], frame)
+    surfaces.attrs |= _attrs_of_companions(survey.coarse, columns, surfaces)
     if params.corrections is None:
         return surfaces
     corrections = read_corrections(params.corrections)
@@ -163,20 +162,29 @@ def _search(
 
 
 def _attrs_of_companions(
-    companions: Sequence[Companion], voxel_um: float, frame: Frame
+    coarse: CoarseSheet, columns: Columns, surfaces: xr.Dataset
 ) -> dict[str, str | float]:
-    """Describe the objects left out beside the sheet, and give the narrowest gap to one of them."""
-    if not companions:
+    """Describe the objects left out beside the sheet, and give the narrowest gap to one of them.
+
+    A gap is the median air between the face of the sheet and that of the object.
+    """
+    voxel_um = columns.pitch[2]
+    texts: list[str] = []
+    gaps_um: list[float] = []
+    for companion in coarse.companions:
+        side = "top" if companion.end == columns.frame.top else "bottom"
+        face_um = surfaces[side].values
+        facing_px = to_columns(companion.facing, coarse.block, face_um.shape)
+        facing_um = float(columns.depth_um[0]) + voxel_um * facing_px
+        gap_um = float(np.nanmedian(np.abs(face_um - facing_um)))
+        gaps_um.append(gap_um)
+        texts.append(
+            f"{companion.thickness_px * voxel_um:.0f} um thick, some {gap_um:.0f} um from the"
+            f" {side} side, in {100 * companion.share:.0f} % of the columns"
+        )
+    if not texts:
         return {}
-    texts = [
-        f"{c.thickness_px * voxel_um:.0f} um thick, some {c.gap_px * voxel_um:.0f} um from the "
-        f"{'top' if c.end == frame.top else 'bottom'} side, in {100 * c.share:.0f} % of the columns"
-        for c in companions
-    ]
-    return {
-        "beside": "; ".join(texts),
-        "beside_gap_um": voxel_um * min(c.gap_px for c in companions),
-    }
+    return {"beside": "; ".join(texts), "beside_gap_um": min(gaps_um)}
 
 
 _LEAST_SHARE = 0.15  # of the columns with more than air: with less there is no map

@@ -13,8 +13,9 @@ export function mountApply(place, app) {
     title: "Make a new run beside this one, with all changes; this run stays as it is",
   });
   const cancel = button("Cancel", () => app.api.post("apply/cancel").then(watch, failed), { hidden: true });
+  const open = button("Open the new run", () => app.api.post("apply/open").then(() => location.reload(), failed), { hidden: true });
   const link = make("a", { target: "_blank", rel: "noopener", hidden: true });
-  place.replaceChildren(words, bar, link, cancel, apply);
+  place.replaceChildren(words, bar, link, open, cancel, apply);
   void app.api.get("apply").then((now) => now.state !== "idle" && show(now), () => {});
 
   async function start() {
@@ -59,7 +60,7 @@ export function mountApply(place, app) {
     if (typeof now.share === "number") bar.value = now.share;
     else bar.removeAttribute("value");
     words.textContent = working ? (now.stage ?? "") : now.report ? "This page still shows the run before." : "";
-    link.hidden = !now.report;
+    link.hidden = open.hidden = !now.report;
     if (now.report) {
       link.href = now.report;
       link.textContent = `Open report of ${(now.run ?? "the new run").split(/[\\/]/).at(-1)}`;

@@ -24,7 +24,7 @@ export class Artefacts {
     this.name = make("input", { type: "text", size: 14, maxlength: 60 });
     this.author = make("input", { type: "text", size: 14, maxlength: 100 });
     this.reason = make("input", { type: "text", size: 26, maxlength: 300 });
-    this.polygon = make("input", { type: "text", size: 12, spellcheck: "false" });
+    this.polygon = make("textarea", { rows: 4, cols: 18, spellcheck: "false" });
     this.list = make("ul", { class: "artefacts", "aria-label": "Declared artefacts" });
     this.element = make(
       "section",

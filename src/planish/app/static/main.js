@@ -175,6 +175,7 @@ function followServer(api, app) {
   let lost = false;
   return api.follow({
     onNews: (line) => {
+      if (line.run && line.run !== app.session.run) return location.reload(); // another run is served now
       void app.heard(line.version).catch(() => {});
       app.news?.(line);
     },

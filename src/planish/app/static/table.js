@@ -128,6 +128,8 @@ class Row {
     written(this.label, mark.label);
     this.used.setAttribute("aria-label", `Use ${mark.label}`);
     this.used.checked = mark.used;
+    this.used.indeterminate = mark.used && mark.without_weight; // asked for, and not used by the fit
+    this.used.title = this.used.indeterminate ? "The fit gives it no weight" : "";
     this.cells.forEach((cell, k) => this.cell(cell, this.columns[k + 2], errors(k + 2)));
     written(this.note, typeset(notes.join(" ")));
     this.note.className = notes.length ? "warned" : "";

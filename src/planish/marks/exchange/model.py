@@ -281,8 +281,11 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
     """Give marks the diameters of the holes they lie in, and add the holes that hold none of them.
 
     ``holes`` are marks of the layer, with diameters. Those known in ``marks`` stay; without a hole,
-    ``usual_um``. Tiles of texture are no holes: they are given none.
+    ``usual_um``. Tiles of texture are no holes: they are given none, and nor is a mark that was set
+    beside them where no hole is known.
     """
+    tiles = tiles_of(marks)
+    assumed_um = np.nan if tiles.any() else usual_um
     holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer]) & ~tiles_of(holes)))
     name, hole_count = f"{layer}_diameter", holes.sizes["mark"]
     mark_um, hole_um = (
@@ -295,8 +298,8 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
     hole_rows = np.argmin(
         np.pad(distances, ((0, 0), (0, 1)), constant_values=np.finfo(np.float64).max), axis=1
     )
-    diameters = np.where(np.isfinite(mark_um), mark_um, np.append(hole_um, usual_um)[hole_rows])
-    diameters = np.where(np.isfinite(points[:, 0]) & ~tiles_of(marks), diameters, np.nan)
+    diameters = np.where(np.isfinite(mark_um), mark_um, np.append(hole_um, assumed_um)[hole_rows])
+    diameters = np.where(np.isfinite(points[:, 0]) & ~tiles, diameters, np.nan)
     columns = ["label", *(column for column in holes if str(column).startswith(f"{layer}_"))]
     unmarked = holes[columns].isel(mark=np.setdiff1d(np.arange(hole_count), hole_rows))
     with_diameters = marks.assign({name: ("mark", diameters, {"units": "um"})})
