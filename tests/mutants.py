@@ -184,8 +184,8 @@ MUTANTS = [
     ),
     Mutant(
         "measure/registry.py",
-        'else -faces["bottom"]',
-        'else faces["bottom"]',
+        "faces.get(upper_face, centre) - faces",
+        "faces.get(upper_face, centre) + faces",
         "measure/test_along_normals.py",
     ),
     Mutant(

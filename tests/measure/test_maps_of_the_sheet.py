@@ -58,11 +58,9 @@ def test_filters_pass_their_cut_off_by_half():
     inner = (slice(100, -100), slice(100, -100))
     assert np.ptp(low[inner]) / np.ptp(wave[inner]) == pytest.approx(0.5, abs=0.01)
     limited = scale_limited(wave, (pitch, pitch), s_filter_um=20.0, l_filter_um=cutoff)
-    known = np.isfinite(limited)
-    assert not known[:, :24].any()
-    assert known[30:-30, 30:-30].all()
+    assert np.isfinite(limited).all()
     # half of the wave passes the L-filter; the S-filter of a tenth takes 0.7 % off
-    assert np.nanmax(limited) == pytest.approx(0.5, abs=0.02)
+    assert np.ptp(limited[inner]) / np.ptp(wave[inner]) == pytest.approx(0.5, abs=0.01)
     # roughness of a sine: Sq = a / sqrt 2, Sa = 2 a / pi, Ssk = 0, Sku = 1.5, Sdq = 2 pi / L * Sq
     numbers = roughness_numbers(
         wave[:, :450] * 3.0, (pitch, pitch), s_filter_um=5.0, l_filter_um=cutoff
@@ -80,7 +78,6 @@ def test_filters_and_heights_that_leave_nothing_are_refused():
     height, limited = np.zeros((60, 100)), np.full((20, 20), np.nan)
     limited[5, 5], limited[12, 9] = 1.0, 2.0
     for call, values, short, long, words in (
-        (scale_limited, height, 5.0, 800.0, r"0.24 x 0.4 mm large.*Give a shorter l_filter_um"),
         (scale_limited, height, 500.0, 80.0, "must be shorter"),
         (roughness_numbers, limited, 5.0, 800.0, "too small"),
     ):
@@ -123,11 +120,11 @@ def test_curvatures(made, height, mean, gauss):
 
 def test_two_sides(made):
     sheet = made(top=16.0, bottom=12.0, slope=(0.0, 0.3))
-    found = sheet.measured("coating_difference", "topography_difference").isel(
+    found = sheet.measured("coating_difference", "half_thickness_difference").isel(
         y=slice(10, -10), x=slice(15, -15)
     )
-    # topographies: 25 + 16 above the centre, 25 + 12 below
-    for name in ("coating_difference", "topography_difference"):
+    # half thicknesses: 25 + 16 above the centre, 25 + 12 below
+    for name in ("coating_difference", "half_thickness_difference"):
         np.testing.assert_allclose(found[name], 4.0, atol=2e-3)
     rng = np.random.default_rng(0)
     shared, own = rng.normal(size=(2, 200, 300))
@@ -155,7 +152,13 @@ def test_peaks_of_both_sides_point_outwards(monkeypatch, side, outwards):
     """A bump away from the middle of the sheet is a peak, on whichever side it stands."""
     y, x = np.mgrid[:120, :120] * 5.0
     bump = 3.0 * np.exp(-((x - 300) ** 2 + (y - 300) ** 2) / 900)
-    frame = SimpleNamespace(faces={side: outwards * (40.0 + bump)}, pitch_um=(5.0, 5.0))
+    frame = SimpleNamespace(
+        faces={side: outwards * (40.0 + bump)},
+        heights={"centre": np.zeros(x.shape)},
+        pitch_um=(5.0, 5.0),
+        slopes=lambda: np.zeros((*x.shape, 2)),
+        oblique=lambda slope: np.ones(slope.shape[:-1]),
+    )
     params = MeasureParams(s_filter_um=20.0, l_filter_um=200.0)
     monkeypatch.setattr(lengths, "thickness_se", lambda *_: np.ones(x.shape))
     sheet = SimpleNamespace(frame=frame, params=params, valid=np.ones(x.shape, dtype=bool))

@@ -13,11 +13,6 @@ from planish.core.transform import Similarity
 from planish.core.typing import Floats
 from planish.measure.registry import LENGTHS
 
-_ENDS = LENGTHS | {
-    "topography_top": ("top", "centre"),
-    "topography_bottom": ("centre", "bottom"),
-}
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SheetColumns:
@@ -44,10 +39,10 @@ class SheetColumns:
         """
         data = self.measured
         is_valid = np.isfinite(data[name].values)
-        if name not in _ENDS:
+        if name not in LENGTHS:
             return np.where(is_valid, data[name].values, np.nan), False
         faces: list[Floats] = []
-        for end in _ENDS[name]:
+        for end in LENGTHS[name]:
             values = data[end].values
             # a side without a coating.
             if end.startswith("interface_") and not np.isfinite(values).any():

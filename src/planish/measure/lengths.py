@@ -1,4 +1,4 @@
-"""What the faces show on the rays: depth of ink, thicknesses, topography, roughness.
+"""What the faces show: depth of ink, thicknesses, topography, base surface, roughness.
 
 And the warp of the sheet.
 """
@@ -310,14 +310,21 @@ def coating_envelope(rays: Rays, side: Side) -> Measured:
     return Measured(values=envelope, se=se)
 
 
-# Sqrt(ln 2 / pi): the Gaussian exp(-pi (x / (alpha cutoff))^2) passes its cut-off by half.
-_ALPHA = 0.4697
 _PER_MM = 1000.0
 
 
 class RoughnessOptions(Params):
-    """Options of the roughness."""
+    """Options of topography and roughness."""
 
+    form_um: float | None = option(
+        None,
+        gt=0,
+        cli=None,
+        help=(
+            "Nesting index of the form of a face, above which its topography lies: longer waves are"
+            " left out; twice the cut-off of the centre surface where not given."
+        ),
+    )
     s_filter_um: float = option(
         5.0, gt=0, cli=None, help="S-filter of the roughness: shorter waves are left out."
     )
@@ -325,13 +332,61 @@ class RoughnessOptions(Params):
         800.0, gt=0, cli=None, help="L-filter of the roughness: longer waves are left out."
     )
 
+    def nesting_um(self, cutoff_um: float) -> float:
+        """Nesting index of the form, by the cut-off of the centre surface."""
+        return 2 * cutoff_um if self.form_um is None else self.form_um
+
+
+@sheet_property(
+    "half_thickness_{side}", units="um", long_name="Face above the centre surface, {side} side"
+)
+def half_thickness(sheet: Sheet, side: Side) -> Measured:
+    """From the centre surface outwards to the face; SE: that of the fitted face."""
+    return _between_faces(sheet, f"half_thickness_{side}")
+
 
 @sheet_property(
     "topography_{side}", units="um", long_name=PROPERTIES["topography_top"].replace("top", "{side}")
 )
 def topography(sheet: Sheet, side: Side) -> Measured:
-    """P-06: from the centre surface outwards to the face; SE: that of the fitted face."""
-    return _between_faces(sheet, f"topography_{side}")
+    """P-06: outward height of the face above its own form (planish.measure.form).
+
+    SE: that of the fitted face; the form, a mean of thousands of columns, adds nothing to it.
+    """
+    return _above_form(sheet, f"topography_{side}", _nesting_um(sheet))
+
+
+@sheet_property(
+    "base_surface_{side}",
+    units="um",
+    long_name=PROPERTIES["base_surface_top"].replace("top", "{side}"),
+)
+def base_surface(sheet: Sheet, side: Side) -> Measured:
+    """The same of the interface between coating and base.
+
+    SE: that of the fitted interface. Nothing on a side without a coating, whose base shows in
+    ``topography_{side}``.
+    """
+    if sheet.frame.greys.coated(side):
+        return _above_form(sheet, f"base_surface_{side}", _nesting_um(sheet))
+    return Measured(values=np.full(sheet.frame.status.shape, np.nan))
+
+
+def _nesting_um(sheet: Sheet) -> float:
+    return sheet.params.of(RoughnessOptions).nesting_um(sheet.frame.cutoff_um)
+
+
+def _above_form(sheet: Sheet, name: str, nesting_um: float) -> Measured:
+    from planish.measure.form import outward_heights
+
+    f = sheet.frame
+    # Distances along vertical rays are longer than along normals by as much everywhere.
+    oblique = f.oblique(f.slopes())
+    faces = {face: place_um / oblique for face, place_um in f.faces.items()}
+    heights_um = outward_heights(
+        faces, f.heights["centre"], sheet.valid, f.pitch_um, names=(name,), nesting_um=nesting_um
+    )
+    return Measured(values=heights_um[name] * oblique, se=thickness_se(sheet, name))
 
 
 @sheet_property(
@@ -341,32 +396,39 @@ def topography(sheet: Sheet, side: Side) -> Measured:
     support_um=lambda params: params.s_filter_um,
 )
 def roughness(sheet: Sheet, side: Side) -> Measured:
-    """P-06: the topography between S-filter and L-filter; see :func:`scale_limited`.
+    """P-06: the face between S-filter and L-filter; see :func:`scale_limited`.
 
     SE: the face's, times what the S-filter leaves of white noise, pitch / (2 sqrt(pi) sigma) where
     it is below 1.
     """
     f, p = sheet.frame, sheet.params.of(RoughnessOptions)
-    outward_sign = 1.0 if side == "top" else -1.0
-    height = np.where(sheet.valid, outward_sign * f.faces[side], np.nan)
-    limited = scale_limited(
-        height, f.pitch_um, s_filter_um=p.s_filter_um, l_filter_um=p.l_filter_um
-    )
+    _check_filters(p.s_filter_um, p.l_filter_um)
+    above = _above_form(sheet, f"topography_{side}", p.l_filter_um)
     filter_width_um = 2 * np.sqrt(np.pi) * _sigma(p.s_filter_um)
     noise_share = np.prod([min(1.0, np.sqrt(p_um / filter_width_um)) for p_um in f.pitch_um])
-    return Measured(
-        values=limited, se=thickness_se(sheet, f"topography_{side}") * float(noise_share)
-    )
+    values = without_short(np.where(sheet.valid, above.values, np.nan), f.pitch_um, p.s_filter_um)
+    return Measured(values=values, se=above.se * float(noise_share))
 
 
 def _sigma(cutoff_um: float) -> float:
-    return cutoff_um * _ALPHA / np.sqrt(2 * np.pi)
+    # Sqrt(ln 2 / pi): the Gaussian exp(-pi (x / (alpha cutoff))^2) passes its cut-off by half.
+    return cutoff_um * 0.4697 / np.sqrt(2 * np.pi)
 
 
-def smoothed(values: Floats, pitch_um: Pair, sigma_um: float) -> Floats:
+def _check_filters(s_filter_um: float, l_filter_um: float) -> None:
+    if not s_filter_um < l_filter_um:
+        raise CannotMeasure(
+            f"The S-filter ({s_filter_um:g} um) must be shorter than the L-filter ({l_filter_um:g}"
+            " um). Change s_filter_um or l_filter_um."
+        )
+
+
+def smoothed(
+    values: Floats, pitch_um: Pair, sigma_um: float, *, least_share: float = 0.3
+) -> Floats:
     """Gaussian mean of known values (rows, cols) inside the border, by their weight.
 
-    NaN where that is too small.
+    NaN where less than a share of the filter's weight lies on known values.
     """
     from scipy import ndimage
 
@@ -377,26 +439,35 @@ def smoothed(values: Floats, pitch_um: Pair, sigma_um: float) -> Floats:
         np.ones(values.shape), sigma, mode="constant", truncate=3.5
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        # So much of the filter's weight must lie on known values.
-        return np.where(weight > 0.3 * full_weight, total / weight, np.nan)
+        return np.where(weight > least_share * full_weight, total / weight, np.nan)
+
+
+def without_short(height: Floats, pitch_um: Pair, s_filter_um: float) -> Floats:
+    """Heights without the waves that are shorter than the S-filter; each known one is kept.
+
+    A filter below two pitches is left out, because the grid has filtered already.
+    """
+    if s_filter_um < 2 * max(pitch_um):
+        return height
+    fine = smoothed(height, pitch_um, _sigma(s_filter_um), least_share=0.0)
+    return np.where(np.isfinite(height), fine, np.nan)
 
 
 def scale_limited(
     height: Floats, pitch_um: Pair, *, s_filter_um: float, l_filter_um: float
 ) -> Floats:
-    """Roughness between two Gaussian filters.
-
-    Half of the longer cut-off is discarded along the outline.
+    """Roughness between two filters; no height is lost along the outline.
 
     Parameters
     ----------
     height : (rows, cols)
-        um, outwards; NaN where unknown. The form is gone: heights are those above the centre
-        surface.
+        um, outwards, over a plane; NaN where unknown.
     pitch_um : (float, float)
     s_filter_um, l_filter_um : float
-        Wavelengths of which half is taken off: shorter ones by the S-filter, longer ones by the
-        L-filter. An S-filter below two pitches is left out, because the grid has filtered already.
+        Wavelengths of which half is taken off: shorter ones by the S-filter, a Gaussian mean of
+        the known heights, longer ones by the L-filter, the regression of
+        :mod:`planish.measure.form`. An S-filter below two pitches is left out, because the grid has
+        filtered already.
 
     Returns
     -------
@@ -406,47 +477,24 @@ def scale_limited(
     Raises
     ------
     CannotMeasure
-        If the field is no wider than the longer cut-off, or the filters leave nothing between them.
+        If the filters leave nothing between them.
     """
-    from scipy import ndimage
+    from planish.measure.form import above_form
 
-    if not s_filter_um < l_filter_um:
-        raise CannotMeasure(
-            f"The S-filter ({s_filter_um:g} um) must be shorter than the L-filter ({l_filter_um:g}"
-            " um). Change s_filter_um or l_filter_um."
-        )
-    is_finite = np.isfinite(height)
-    # Holes are no edge: the masked filter bridges them.
-    inside = np.pad(ndimage.binary_fill_holes(is_finite), 1)
-    inside = (
-        np.asarray(ndimage.distance_transform_edt(inside, sampling=pitch_um))[1:-1, 1:-1]
-        >= 0.5 * l_filter_um
-    )
-    if not (inside & is_finite).any():
-        size = " x ".join(
-            f"{n * p / 1000:.2g}" for n, p in zip(height.shape, pitch_um, strict=True)
-        )
-        raise CannotMeasure(
-            f"The sheet is {size} mm large: an L-filter of {l_filter_um / 1000:g} mm, half of which"
-            " is discarded along its edge, leaves nothing. Give a shorter l_filter_um, and say so"
-            " beside every number."
-        )
-    fine = (
-        smoothed(height, pitch_um, _sigma(s_filter_um))
-        if s_filter_um >= 2 * max(pitch_um)
-        else height
-    )
-    coarse = smoothed(height, pitch_um, _sigma(l_filter_um))
-    return np.where(inside & is_finite, fine - coarse, np.nan)
+    _check_filters(s_filter_um, l_filter_um)
+    is_known = np.isfinite(height)
+    plane = np.zeros(height.shape)
+    above = above_form({"face": height}, plane, is_known, pitch_um, nesting_um=l_filter_um)
+    return without_short(above["face"], pitch_um, s_filter_um)
 
 
 @sheet_property(
-    "topography_difference",
+    "half_thickness_difference",
     units="um",
-    long_name="Topography, top less bottom",
-    after=("topography_top", "topography_bottom"),
+    long_name="Face above the centre surface, top less bottom",
+    after=("half_thickness_top", "half_thickness_bottom"),
 )
-def topography_difference(sheet: Sheet) -> Measured:
+def half_thickness_difference(sheet: Sheet) -> Measured:
     """P-14: outward height of the top face less that of the bottom face on the same ray.
 
     SE as of coatings.
@@ -455,7 +503,7 @@ def topography_difference(sheet: Sheet) -> Measured:
     near 0 by construction; what is left is roughness that only one side has, and form below the
     centre surface's cut-off.
     """
-    return difference(sheet, "topography")
+    return difference(sheet, "half_thickness")
 
 
 # Warp, tilt and curvatures (P-07) have no standard error: what matters is a slow drift of the

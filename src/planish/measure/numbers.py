@@ -17,8 +17,10 @@ from planish.core.threads import map_threads
 from planish.core.tiles import Engine
 from planish.core.typing import Bools, Floats, Pair
 from planish.measure.depth_profiles import depth_profiles
-from planish.measure.lengths import scale_limited
+from planish.measure.form import outward_heights
+from planish.measure.lengths import without_short
 from planish.measure.params import MeasureParams
+from planish.measure.rays import meet
 from planish.measure.registry import SIDES, Side
 from planish.texture.covariance import Lags, covariance_of
 
@@ -285,8 +287,25 @@ def _numbers_of_side(
             warning=thin_shares.attrs.get("warning"),
         )
     try:
-        roughness_map = scale_limited(measured[f"topography_{side}"].values, pitch_um, **filters_um)
+        roughness_map = _scale_limited_face(measured, side, params)
         return thin, roughness_numbers(roughness_map, pitch_um, **filters_um)
     # a field smaller than the filters has none, which is no fault of the run.
     except CannotMeasure as reason:
         return thin, RoughnessFacts(reason=reason.text)
+
+
+def _scale_limited_face(measured: xr.Dataset, side: Side, params: MeasureParams) -> Floats:
+    name, pitch_um = f"topography_{side}", pitch(measured)
+    above_um = measured[name].values
+    if measured[name].attrs.get("form_um") != params.l_filter_um:
+        heights, faces = meet(measured, "normal")
+        above_um = outward_heights(
+            faces,
+            heights["centre"],
+            np.isfinite(above_um),
+            pitch_um,
+            names=(name,),
+            nesting_um=params.l_filter_um,
+        )[name]
+    known = np.where(np.isfinite(measured[name].values), above_um, np.nan)
+    return without_short(known, pitch_um, params.s_filter_um)

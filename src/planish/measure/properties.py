@@ -1,6 +1,6 @@
-"""The step of a run: the six properties of the faces (Hirn et al.
+"""The step of a run: the properties of the faces, and all further maps along rays.
 
-2009, section 2.2), and all further maps along rays.
+What was taken from Hirn et al. (2009, section 2.2): coatings, base and topography along normals.
 
 Further maps are worked out on row tiles on threads: the same bytes however they are cut.
 """
@@ -22,10 +22,12 @@ from planish.core.status import FIRST_OWN, Status, status_flags
 from planish.core.threads import count_threads, map_threads
 from planish.core.tiles import Engine
 from planish.core.typing import Floats
+from planish.measure.form import F_OPERATOR, outward_heights
 from planish.measure.greys import FWHM, Greys
 from planish.measure.params import MeasureParams
-from planish.measure.rays import RayFrame, Rays, meet
+from planish.measure.rays import CUTOFF_UM, RayFrame, Rays, meet
 from planish.measure.registry import (
+    LENGTHS,
     PROPERTIES,
     SIDES,
     Measured,
@@ -55,7 +57,7 @@ def measure_properties(
         ``top``, ``bottom``, ``interface_top``, ``interface_bottom``, ``centre`` and ``status``, as
         :func:`planish.surface.find_surfaces` returns them.
     volume : DataArray, dims (z, y, x), coordinates in um
-        Where they were found. Without it the six properties of the faces are measured, with it all
+        Where they were found. Without it the properties of the faces are measured, with it all
         further maps too: those that cost nothing, those whose numbers are given in ``params``, and
         those that ``params.maps`` names.
     params : MeasureParams
@@ -68,9 +70,11 @@ def measure_properties(
         The surfaces and beside them, in um: ``coating_top``, ``coating_bottom``: outer face to
         interface; NaN on a side without a coating. ``base_thickness``: interface to interface (a
         face where that side has no coating). ``thickness``: face to face. ``topography_top``,
-        ``topography_bottom``: from the centre surface to the face, positive outwards. ``status``:
-        that of the surfaces, and 4 where a normal does not meet both faces. All six are NaN where
-        it is not 0. Further maps are as in :func:`measure_along_rays`.
+        ``topography_bottom``: outward height of the face above its own form, along the normal;
+        ``form_um`` in their attributes is the nesting index of the form. ``base_surface_top``,
+        ``base_surface_bottom``: the same of the interface; NaN on a side without a coating.
+        ``status``: that of the surfaces, and 4 where a normal does not meet both faces. All of them
+        are NaN where it is not 0. Further maps are as in :func:`measure_along_rays`.
 
     Raises
     ------
@@ -107,7 +111,7 @@ def measure_properties(
             "Further maps are measured in grey values; a volume of labels has none. Leave"
             " `property` out."
         )
-    faces = _measure_faces(surfaces)
+    faces = _measure_faces(surfaces, params)
     measured = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")
     noise_um = float("nan")
     if volume is not None and not is_labels:
@@ -125,9 +129,9 @@ def measure_properties(
 
 def surfaces_of(measured: xr.Dataset) -> xr.Dataset:
     """The surfaces that :func:`measure_properties` was given, of what it gave."""
-    names = {*PROPERTIES, *further_maps(measured)}
+    names = {*PROPERTIES, *LENGTHS, *further_maps(measured)}
     names |= {name for name in measured.data_vars if str(name).removesuffix("_se") in names}
-    surfaces = measured.drop_vars(names)
+    surfaces = measured.drop_vars(names, errors="ignore")
     status = surfaces["status"]
     status_before = np.where(status.values == Status.NORMAL_LEAVES_SHEET, 0, status.values).astype(
         status.dtype
@@ -136,7 +140,7 @@ def surfaces_of(measured: xr.Dataset) -> xr.Dataset:
 
 
 def further_maps(measured: xr.Dataset) -> list[str]:
-    """Return the names of the maps in a dataset beside the six of the faces.
+    """Return the names of the maps in a dataset beside those of the faces.
 
     Also returns the names of their standard errors, where there are any.
     """
@@ -216,9 +220,9 @@ def _se_name(long_name: str) -> str:
     return f"Standard error of {long_name[0].lower()}{long_name[1:]}"
 
 
-def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
-    _, faces = meet(surfaces, "normal")
-    lengths_um = {name: face_length(faces, name) for name in PROPERTIES}
+def _measure_faces(surfaces: xr.Dataset, params: MeasureParams) -> xr.Dataset:
+    heights, faces = meet(surfaces, "normal")
+    lengths_um = {name: face_length(faces, name) for name in PROPERTIES if name in LENGTHS}
     status = surfaces["status"].values.copy()
     # A column counts as measured when everything that the sheet has was measured there.
     is_whole = np.isfinite(lengths_um["thickness"])
@@ -234,9 +238,21 @@ def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
             "No normal of the centre surface meets both faces. Look at the surfaces with 'planish"
             " surface'."
         )
+    nesting_um = params.nesting_um(float(surfaces.attrs.get("cutoff_um", CUTOFF_UM)))
+    above_forms = [name for name in PROPERTIES if name not in LENGTHS]
+    lengths_um |= outward_heights(
+        faces,
+        heights["centre"],
+        is_valid,
+        pitch(surfaces),
+        names=above_forms,
+        nesting_um=nesting_um,
+    )
     variables: dict[str, xr.Variable] = {}
     for name, length_um in lengths_um.items():
         attrs = {"units": "um", "long_name": PROPERTIES[name], "role": "property"}
+        if name in above_forms:
+            attrs |= {"form_um": nesting_um, "f_operator": F_OPERATOR}
         variables[name] = xr.Variable(("y", "x"), np.where(is_valid, length_um, np.nan), attrs)
     variables["status"] = xr.Variable(("y", "x"), status, status_flags())
     return xr.Dataset(variables, coords=surfaces.coords, attrs=surfaces.attrs)

@@ -26,6 +26,7 @@ from planish.measure.options import Common
 Grey = NDArray[np.float32]
 Direction = Literal["normal", "vertical"]
 T = TypeVar("T")
+CUTOFF_UM = 400.0  # of a centre surface that does not state its own
 FACES = ("top", "bottom", "interface_top", "interface_bottom")
 
 
@@ -226,6 +227,7 @@ class RayFrame:
     params: Common
     mean_stretch: Pair
     column_px: int
+    cutoff_um: float  # of the centre surface
     noise_um: float = float("nan")
 
     @classmethod
@@ -283,6 +285,7 @@ class RayFrame:
             greys=greys,
             params=params,
             column_px=column_px,
+            cutoff_um=float(surfaces.attrs.get("cutoff_um", CUTOFF_UM)),
             mean_stretch=(float(stretch[0]), float(stretch[1])),
         )
 

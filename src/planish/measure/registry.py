@@ -46,24 +46,27 @@ PROPERTIES = {
     "thickness": "Sheet thickness",
     "topography_top": "Topography, top side",
     "topography_bottom": "Topography, bottom side",
+    "base_surface_top": "Surface of the base, top side",
+    "base_surface_bottom": "Surface of the base, bottom side",
 }
-"""The six properties that the faces alone give."""
+"""The properties that the faces alone give."""
 
 LENGTHS = {
     "coating_top": ("top", "interface_top"),
     "coating_bottom": ("interface_bottom", "bottom"),
     "base_thickness": ("interface_top", "interface_bottom"),
     "thickness": ("top", "bottom"),
+    "half_thickness_top": ("top", "centre"),
+    "half_thickness_bottom": ("centre", "bottom"),
 }
-"""Upper and lower end of each thickness."""
+"""Upper and lower end of each length along a ray."""
 
 
 def face_length(faces: Mapping[str, Floats], name: str) -> Floats:
-    """One of the six, um, from the signed distances of the faces and interfaces along the rays."""
-    if name in LENGTHS:
-        upper_face, lower_face = LENGTHS[name]
-        return faces[upper_face] - faces[lower_face]
-    return faces["top"] if name == "topography_top" else -faces["bottom"]
+    """A length, um, from the signed distances of the faces and interfaces along the rays."""
+    upper_face, lower_face = LENGTHS[name]
+    centre = np.zeros(faces["top"].shape)
+    return faces.get(upper_face, centre) - faces.get(lower_face, centre)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
-from planish.core.facts import Side
+from planish.core.facts import SIDES, Side
 from planish.core.robust import mad_sd
 from planish.core.typing import Floats, Pair
 from planish.measure.greys import Greys
@@ -70,7 +70,7 @@ class SharedNoise:
 
     # Variance of the grey's integral over one um of a column as the fit saw it; grey^2 um.
     noise_um: float
-    # Error of each thickness and topography that averaging does not lessen.
+    # Error of each thickness and height that averaging does not lessen.
     common_um: Mapping[str, float]
     # The same with what differs from place to place: a column of voxels that are longer across than
     # along it takes in more of the boundary's detail.
@@ -128,7 +128,7 @@ def thickness_errors(
     *,
     cosine: Floats,
 ) -> dict[str, Floats]:
-    """Standard errors of coatings, base, sheet and topography along the normals, um (rows, cols).
+    """Standard errors of thicknesses and of heights of faces along the normals, um (rows, cols).
 
     ``coatings``: their thicknesses; those of a side without one are ignored. ``cosine``: of the
     sheet's tilt against the columns; a tilted column holds 1 / cosine times as many voxels of the
@@ -145,12 +145,14 @@ def thickness_errors(
         "base_thickness": np.hypot(top[2], bottom[2]),
         "thickness": np.hypot(top[0], bottom[0]),
     }
-    errors |= {f"topography_{k}": layer_se[0] for k, layer_se in sides.items()}
+    for side, (face_se, _, interface_se) in sides.items():
+        errors[f"half_thickness_{side}"] = errors[f"topography_{side}"] = face_se
+        errors[f"base_surface_{side}"] = interface_se
     return {name: np.hypot(se, shared_noise.local_um[name]) for name, se in errors.items()}
 
 
 def common_errors(unit_um: float) -> dict[str, float]:
-    """Give the error of each thickness and topography that averaging does not lessen, um.
+    """Give the error of each thickness and height that averaging does not lessen, um.
 
     ``unit_um``: of a voxel.
     """
@@ -162,8 +164,14 @@ def common_errors(unit_um: float) -> dict[str, float]:
         "coating_bottom": coating_um,
         "base_thickness": root2 * interface_um,
         "thickness": root2 * face_um,
-        "topography_top": face_um,
-        "topography_bottom": face_um,
+    } | {
+        f"{name}_{side}": error_um
+        for name, error_um in (
+            ("half_thickness", face_um),
+            ("topography", face_um),
+            ("base_surface", interface_um),
+        )
+        for side in SIDES
     }
 
 

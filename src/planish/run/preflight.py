@@ -25,7 +25,8 @@ from planish.run.study import Study
 _SUMS = (
     ("thickness", "coating_top", "coating_bottom", "base_thickness"),
     ("coating_difference", "coating_top", "coating_bottom"),
-    ("topography_difference", "topography_top", "topography_bottom"),
+    ("half_thickness_difference", "half_thickness_top", "half_thickness_bottom"),
+    ("thickness", "half_thickness_top", "half_thickness_bottom"),
 )
 
 # Bytes a pixel: refining holds image and map in double precision, filtered, several times; without
