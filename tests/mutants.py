@@ -202,14 +202,14 @@ MUTANTS = [
     ),
     Mutant(
         "measure/lengths.py",
-        "_ALPHA = 0.4697",
-        "_ALPHA = 0.6642",
+        "return cutoff_um * 0.4697",
+        "return cutoff_um * 0.6642",
         "measure/test_maps_of_the_sheet.py measure/test_layers.py",
     ),
     Mutant(
-        "measure/lengths.py",
-        "height = np.where(sheet.valid, outward_sign * f.faces[side], np.nan)",
-        "height = np.where(sheet.valid, f.faces[side], np.nan)",
+        "measure/form.py",
+        'outwards = 1.0 if name.endswith("top") else -1.0',
+        "outwards = 1.0",
         "measure/test_maps_of_the_sheet.py measure/test_layers.py",
     ),
     Mutant(
