@@ -81,7 +81,11 @@ def _maps(tile, grid, k, rng):
     image = (120 + 20 * wave + rng.normal(0, 12, part.shape)).astype(np.float32)
     valid = np.hypot(part.y_um[:, None] % 4000 - 2000, part.x_um % 4000 - 2000) > 150
     found = {
-        "image": (("y", "x"), image, {"units": "1", "long_name": f"Relative grey {k + 1}"}),
+        "image": (
+            ("y", "x"),
+            image,
+            {"units": "1", "long_name": f"Grey value, uncalibrated {k + 1}"},
+        ),
         "valid": (("y", "x"), valid, {"long_name": "Measured"}),
     }
     return xr.Dataset(found, coords=part.coords)

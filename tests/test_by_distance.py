@@ -135,12 +135,12 @@ def of_each(evidence, titles):
 
 
 def test_the_page_names_ranges_directions_and_the_lag():
-    titles = ("Coating thickness, top side", "Relative grey")
+    titles = ("Coating thickness, top side", "Grey value, uncalibrated")
     first, second, both = of_each(facts(md_deg=10.0), titles)
     assert first.startswith("Coating thickness, top side: ")
     assert "along and" in first
     assert "across the machine direction" in first
-    assert "relative grey²" in second or "no nugget" in second
+    assert "grey value²" in second or "no nugget" in second
     assert both.startswith("Shifted against each other, the maps agree best at a lag of ")
     assert "is exceeded at any lag by 1 % of unrelated maps." in both
     assert "the machine direction is not given" in of_each(facts(), titles)[0]
@@ -153,7 +153,7 @@ def test_the_page_names_ranges_directions_and_the_lag():
 def test_figures_hold_their_numbers():
     found = facts(md_deg=10.0)
     variograms = diagnostics.draw_variograms(
-        found, titles=("Coating thickness, top side", "Relative grey")
+        found, titles=("Coating thickness, top side", "Grey value, uncalibrated")
     )
     assert [*variograms.data] == ["coating-top", "image"]
     assert [*variograms.data["coating-top"]] == [
@@ -162,7 +162,7 @@ def test_figures_hold_their_numbers():
     ]
     assert [*variograms.data["image"]] == [
         "distance / µm",
-        "half mean square difference / relative grey²",
+        "half mean square difference / grey value²",
     ]
     assert "µm²" in variograms.svg
     lags = diagnostics.draw_correlogram(found.correlogram, names=("coating", "grey"))

@@ -27,7 +27,7 @@ from planish.results import EvidenceFacts, Results
 from planish.run import Compute, as_study, correlate_maps, preflight
 
 
-def image_of(values, um=4.0, title="Relative grey"):
+def image_of(values, um=4.0, title="Grey value, uncalibrated"):
     coords = {axis: um * np.arange(n) for axis, n in zip("yx", values.shape, strict=True)}
     attrs = {"units": "1", "long_name": title, "pixel_um": [um, um]}
     return xr.DataArray(values.astype(np.float32), coords, ("y", "x"), attrs=attrs)
@@ -39,13 +39,15 @@ def given(**options):
 
 # --- the image as it is compared ------------------------------------------------------------------
 def test_references_make_reflectance_and_results_state_the_quantity():
-    image = image_of(np.array([[200.0, 1200.0], [2200.0, np.nan]]), title="Relative grey, red")
+    image = image_of(
+        np.array([[200.0, 1200.0], [2200.0, np.nan]]), title="Grey value, uncalibrated, red"
+    )
     found = compared_image(image, given(dark_grey=200, white_grey=2200))
     np.testing.assert_allclose(found, [[0.0, 0.5], [1.0, np.nan]])
     assert (found.dtype, found.attrs["long_name"]) == (np.float32, "Reflectance, red")
-    assert image.attrs["long_name"] == "Relative grey, red"
+    assert image.attrs["long_name"] == "Grey value, uncalibrated, red"
     assert compared_image(image, given()) is image
-    assert image_facts(given()).sentence.startswith("relative grey, as stored")
+    assert image_facts(given()).sentence.startswith("grey value, uncalibrated: no dark")
     facts = image_facts(given(dark_grey=100, white_grey=40000, screen_um=167))
     assert (facts.quantity, facts.sigma_um) == ("reflectance", pytest.approx(70.1, abs=0.1))
     assert "grey 100 is 0, grey 40000 is 1" in facts.sentence
@@ -61,7 +63,7 @@ def test_a_screen_is_taken_off_over_what_may_count():
     expected = without_screen(values.astype(np.float32), pixel_um=4.0, sigma_um=42.0, mask=mask)
     np.testing.assert_array_equal(found, expected)
     assert np.nanmax(np.abs(found)) < 1
-    assert found.attrs["long_name"] == "Relative grey, without its screen"
+    assert found.attrs["long_name"] == "Grey value, uncalibrated, without its screen"
     assert found.attrs["reach_um"] == pytest.approx(126.0)
     with pytest.raises(PlanishError, match="pixels wide"):
         compared_image(image_of(values, um=100.0), given(screen_um=100.0))
@@ -175,11 +177,11 @@ def test_mottle_is_of_valid_pixels_and_says_why_there_is_none():
     image[:60] = 5e5
     layer = xr.Dataset({"image": image_of(image, um=5.0)})
     layer["valid"] = layer["image"] < 1e5
-    found = mottle_of("print", layer, quantity="relative grey")
+    found = mottle_of("print", layer, quantity="grey value, uncalibrated")
     assert [(b.shortest_um, b.longest_um) for b in found.bands] == [(250.0, 500.0)]
     assert 0.004 < found.bands[0].coefficient_of_variation < 0.02
     assert found.mean == pytest.approx(1000, rel=0.02)
-    assert found.measured.startswith("Coefficient of variation of the relative grey")
+    assert found.measured.startswith("Coefficient of variation of the grey value (uncalibrated)")
     small = layer.isel(y=slice(100), x=slice(100))
     assert "No octave lies between" in mottle_of("print", small, quantity="reflectance").silence
 
@@ -241,7 +243,7 @@ def test_a_run_with_all_of_it(planish, specimen_files, tmp_path):
     assert (found.light_spread.width_um, len(results.mottle)) == (60, 1)
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "at 1.6 g/cm³ / g/m²" in page
-    assert "relative grey" not in page.lower()
+    assert "uncalibrated" not in page.lower()
     assert "Light in the coating" in page
     assert (
         any(p.name.endswith("curve.csv") for p in (tmp_path / "run" / "figures").iterdir())
@@ -262,4 +264,4 @@ def test_a_screen_leaves_no_texture_to_align_and_more_room_around_holes(
     assert "taken off with the screen" in check.sentence
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "was taken off by a Gaussian" in page
-    assert "Relative grey, without its screen" in page
+    assert "Grey value, uncalibrated, without its screen" in page

@@ -240,7 +240,7 @@ def test_regions_lines_and_artefacts_are_drawn_typed_shown_and_undone(
         data = download.value.path().read_bytes()
         assert data.startswith(first_bytes)
     assert b"var(" not in data  # as other programs read it
-    assert "Relative grey" in data.decode()
+    assert "Grey value, uncalibrated" in data.decode()
     maps.field("Only valid pixels").check()
     maps.field("Layout").select_option("Blended")
     expect(maps.role("application", "Right map")).to_be_hidden()

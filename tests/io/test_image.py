@@ -32,7 +32,7 @@ def test_grey_tiff_survives(tmp_path, dtype, compression):
         "full_scale": None if dtype.startswith("float") else np.iinfo(dtype).max,
         "pixel_um": [3, 2],
         "pixel_um_source": "given",
-        "long_name": "Relative grey",
+        "long_name": "Grey value, uncalibrated",
         "file_name": "i.tif",
         "file_bytes": (tmp_path / "i.tif").stat().st_size,
     }
@@ -57,7 +57,7 @@ def test_channels_of_a_colour_image(tmp_path, planar):
     for i, colour in enumerate(("red", "green", "blue")):
         image = read_image(tmp_path / "i.tif", pixel_um=1, channel=colour)
         np.testing.assert_array_equal(image.values, values[..., i])
-        assert image.attrs["long_name"] == f"Relative grey, {colour}"
+        assert image.attrs["long_name"] == f"Grey value, uncalibrated, {colour}"
     luminance = read_image(tmp_path / "i.tif", pixel_um=1)
     np.testing.assert_allclose(luminance, values @ [0.2126, 0.7152, 0.0722], rtol=1e-5)  # float32
     assert luminance.attrs["channel"] == "luminance"

@@ -14,7 +14,7 @@ PROPERTIES = {
     "thickness": "Sheet thickness",
 }
 TITLES = {name: {"units": "um", "long_name": title} for name, title in PROPERTIES.items()}
-TITLES["image"] = {"long_name": "Relative grey, luminance", "units": "1"}
+TITLES["image"] = {"long_name": "Grey value, uncalibrated, luminance", "units": "1"}
 COATING = ("coating_top", "coating_bottom", "base_thickness")
 ROWS = ("projection, no scale", "projection, similarity", "flattened, similarity")
 UM = {"units": "um"}

@@ -76,7 +76,10 @@ def test_numbers_of_the_figures_are_those_of_the_results(figures):
     np.testing.assert_array_equal(
         [float(v) for row in points for v in row.values()], np.stack([a, b], axis=1).ravel()
     )
-    assert list(points[0]) == ["Coating thickness, top side / µm", "Relative grey, luminance"]
+    assert list(points[0]) == [
+        "Coating thickness, top side / µm",
+        "Grey value, uncalibrated, luminance",
+    ]
     names = {name.rpartition("-")[2]: rows for name, rows in found.items()}
     assert [float(row["r"]) for row in names["sizes"]] == [0.8]
     assert names["sizes"][0]["lower end of the band"] == ""

@@ -28,14 +28,14 @@ def test_first_page_of_a_link_shows_the_result_and_nothing_else(link_page):
     html = first_of(link_page)
     page = Page(html)
     assert (
-        "The image is lighter (relative grey, luminance) where coating thickness (top side) is"
-        " larger: r = 0.80" in page.text("p")
+        "The image is lighter (grey value, uncalibrated, luminance) where coating thickness (top"
+        " side) is larger: r = 0.80" in page.text("p")
     )
     assert len(re.findall(r'<dd class="value">', html)) == 3
     titles = re.findall(r"<b>Figure \d\. (.*?)\.</b>", html)
     assert titles == [
         "Coating thickness, top side",
-        "Relative grey, luminance",
+        "Grey value, uncalibrated, luminance",
         "Points of 100\u202fµm",
     ]
     assert "What would make it more certain" in page.text("h2")

@@ -244,12 +244,13 @@ def test_two_images_are_called_by_their_names_and_nothing_is_said_of_a_volume():
         "marks": {"white": some_marks(1)},
     }
     read = Page(page_of(given))
-    assert "Uv is darker (relative grey, luminance) where white is lighter: r = −1.00" in read.text(
-        "p"
+    assert (
+        "Uv is darker (grey value, uncalibrated, luminance) where white is lighter: r = −1.00"
+        in read.text("p")
     )
     assert "A pixel is one of uv." in read.text("p")
     assert "volume" not in read.text("p")
-    axes = [f"Relative grey, luminance, {name}" for name in ("white", "uv")]
+    axes = [f"Grey value, uncalibrated, luminance, {name}" for name in ("white", "uv")]
     # On the first page, and of pixels and of points.
     assert [read.text("svg").count(axis) for axis in axes] == [3, 3]
     rows[0]["trust"] = rows[1]["trust"] = "doubtful"

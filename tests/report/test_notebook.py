@@ -16,7 +16,7 @@ def test_a_link_shows_its_numbers_and_both_maps():
         "0.51",
         "The check passed.",
         "volume: Coating thickness, top side / µm",
-        "image: Relative grey, luminance",
+        "image: Grey value, uncalibrated, luminance",
     ):
         assert expected in page.text("div")
     assert len(page.addresses) == 2

@@ -61,8 +61,8 @@ def test_verdict_states_the_results_and_no_more(link_page):
         "81\u202f% are valid in all maps",
         "does not imply causation",
         (
-            "image is lighter (relative grey, luminance) where coating thickness (top side) is"
-            " larger: r = 0.80 with a"
+            "image is lighter (grey value, uncalibrated, luminance) where coating thickness (top"
+            " side) is larger: r = 0.80 with a"
         ),
     ):
         assert expected in text

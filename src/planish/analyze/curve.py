@@ -102,7 +102,7 @@ def straight_or_curved(
     Parameters
     ----------
     x : array_like; thickness or weight of points; NaN is missing
-    y : array_like, shape of x; relative grey or reflectance of the same points
+    y : array_like, shape of x; grey value or reflectance of the same points
     n_eff : float; independent points, of :func:`planish.analyze.independent_points`
     n_eff_square : float, optional
         The same of the bend. The square of a map varies faster than the map, so there are more;

@@ -35,7 +35,7 @@ SCREEN_REACH = 3.0
 class ImageFacts(ResultModel):
     """What the values of an image are that is compared."""
 
-    quantity: Literal["relative grey", "reflectance"] = Field(
+    quantity: Literal["grey value, uncalibrated", "reflectance"] = Field(
         description="What the grey is taken for."
     )
     dark_grey: Number = optional("Grey of the dark reference, if it was given.")
@@ -50,7 +50,7 @@ class ImageFacts(ResultModel):
         if self.quantity == "reflectance":
             text = f"reflectance: grey {self.dark_grey:g} is 0, grey {self.white_grey:g} is 1"
         else:
-            text = "relative grey, as stored: no dark and white reference was given"
+            text = "grey value, uncalibrated: no dark and white reference was given"
         if self.screen_um is not None:
             text += (
                 f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma"
@@ -64,7 +64,7 @@ def image_facts(params: ImageParams) -> ImageFacts:
     """What the values of an image are."""
     screen_um = params.screen_um
     return ImageFacts(
-        quantity="relative grey" if params.dark_grey is None else "reflectance",
+        quantity="grey value, uncalibrated" if params.dark_grey is None else "reflectance",
         dark_grey=params.dark_grey,
         white_grey=params.white_grey,
         screen_um=screen_um,
@@ -107,7 +107,7 @@ def compared_image(
         values = (values - np.float32(params.dark_grey)) / np.float32(
             params.white_grey - params.dark_grey
         )
-        _, comma, channel = title.partition(", ")
+        _, comma, channel = title.replace(", uncalibrated", "").partition(", ")
         title = f"Reflectance{comma}{channel}"
     if params.screen_um is not None:
         pixel = float(image.attrs["pixel_um"][0]), float(image.attrs["pixel_um"][1])

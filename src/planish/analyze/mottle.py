@@ -19,6 +19,7 @@ from planish.core.area import common_means
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import ResultModel, Value, optional
 from planish.core.grid import Grid
+from planish.core.numbers import in_words
 from planish.core.typing import Pixel
 
 # Sigma of the Gaussian that halves a wave, over its length.
@@ -141,9 +142,10 @@ def print_mottle(
             MottleBand(shortest_um=short_um, longest_um=long_um, coefficient_of_variation=sd / mean)
         )
     measured = (
-        f"Coefficient of variation of the {quantity} in octaves from {edges[0]:g} to {edges[-1]:g}"
-        f" um, as differences of Gaussian means over {np.count_nonzero(is_valid)} pixels; after"
-        " ISO/IEC 24790 and ISO 15311, conforming to neither."
+        f"Coefficient of variation of the {in_words(quantity)} in octaves from {edges[0]:g}"
+        f" to {edges[-1]:g} um, as differences of Gaussian means over"
+        f" {np.count_nonzero(is_valid)} pixels; after ISO/IEC 24790 and ISO 15311,"
+        " conforming to neither."
     )
     return Mottle(
         bands=tuple(bands), mean=mean, n=int(np.count_nonzero(is_valid)), measured=measured

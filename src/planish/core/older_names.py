@@ -13,9 +13,9 @@ FORMAT = 4
 
 _KEYS: dict[str, str] = {}
 
-_VALUES: dict[str, str] = {}  # values that are words
+_VALUES = {"relative grey": "grey value, uncalibrated"}  # values that are words
 
-_TITLES: dict[str, str] = {}  # how titles begin
+_TITLES = {"Relative grey": "Grey value, uncalibrated"}  # how titles begin
 
 _TITLE = re.compile("|".join(_TITLES) or "$^")
 

@@ -21,7 +21,8 @@ from planish.io.sizes import PIXEL, Stated, agreed_size, doubt_of_size
 if TYPE_CHECKING:
     import xarray as xr
 
-GREY = "Relative grey"  # long name of the values of an image without references for dark and white
+# Long name of the values of an image without references for dark and white.
+GREY = "Grey value, uncalibrated"
 
 
 def read_image(

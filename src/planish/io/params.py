@@ -131,7 +131,7 @@ class ImageParams(Params):
         metavar="GREY",
         help=(
             "Grey of the image without light, in its own values; with `white_grey` the image"
-            " becomes reflectance. Without both it is relative grey."
+            " becomes reflectance. Without both its grey values are uncalibrated."
         ),
     )
     white_grey: float | None = option(
@@ -157,7 +157,7 @@ class ImageParams(Params):
     def _references(self) -> Self:
         if (self.dark_grey is None) != (self.white_grey is None):
             raise ValueError(
-                "dark_grey and white_grey belong together: give both, or neither for relative grey"
+                "dark_grey and white_grey belong together: give both, or neither for grey values"
             )
         if (
             self.dark_grey is not None

@@ -145,8 +145,8 @@ def operator_notes(results: Results) -> list[str]:
     images = [layer.image for layer in results.layers if layer.image is not None]
     if any(image.quantity != "reflectance" for image in images):
         notes.append(
-            "Reflectance in place of relative grey: --dark-grey and --white-grey, of two known"
-            " greys."
+            "Reflectance in place of uncalibrated grey values: --dark-grey and --white-grey, of two"
+            " known greys."
         )
     if "about" not in results.parameters:
         notes.append(

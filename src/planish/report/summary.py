@@ -177,7 +177,7 @@ def quantities(results: Results) -> list[str]:
     ]
     if any(image.quantity != "reflectance" for _, image in images):
         texts.append(
-            "Relative grey is the brightness that the file holds: larger is lighter, in no"
+            "A grey value is the brightness that the file holds: larger is lighter, in no"
             " physical unit."
         )
     return texts

@@ -138,8 +138,9 @@ def _check_light(study: Study) -> None:
         )
     if correlate.kubelka_munk is not None and reference is not None and reference.dark_grey is None:
         raise InputError(
-            "`kubelka_munk` needs reflectance, and the image is relative grey. Give `dark_grey` and"
-            " `white_grey`, the grey of a dark and of a white reference, or leave it out."
+            "`kubelka_munk` needs reflectance, and the image holds uncalibrated grey"
+            " values. Give `dark_grey` and `white_grey`, the grey of a dark and of a white"
+            " reference, or leave it out."
         )
     images = [layer.image for layer in study.layers if layer.image is not None]
     if study.registration.refine is not None and any(

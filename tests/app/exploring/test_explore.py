@@ -72,7 +72,7 @@ def test_leading_maps_come_first_with_the_sentence_of_the_report_and_a_picture_w
     [lead] = re.findall(r'<p class="lead">(.*?)</p>', report)
     assert f'<p class="lead">{lead}</p>' in page.html
     titles = [one["title"] for one in page.data["maps"]]
-    assert titles[:2] == ["Coating thickness, top side", "Relative grey"]
+    assert titles[:2] == ["Coating thickness, top side", "Grey value, uncalibrated"]
     assert not [title for title in titles if "error of the coating" in title or "Place" in title]
     assert page.data["grid"]["dx"] == 5.0
     [image] = [attrs for tag, attrs in page.elements if tag == "img"]

@@ -10,5 +10,5 @@ class Wording(NamedTuple):
     """
 
     point_um: float = float("nan")
-    image: str = "relative grey"
+    image: str = "grey value"
     titles: tuple[str, ...] = ()
