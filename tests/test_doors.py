@@ -60,9 +60,9 @@ MAP_DOORS = {
     "correlate": both(pl.correlate, **PIXEL)
     | {"mask": lambda value: pl.correlate(MAP.values, MAP.values, mask=value, **PIXEL)},
     "bland_altman": both(statistics.bland_altman, **PIXEL),
-    "ceiling": {
-        "a": lambda value: statistics.ceiling(value, error_um=5.0, **PIXEL),
-        "error_um": lambda value: statistics.ceiling(MAP.values, error_um=value, **PIXEL),
+    "attenuation_limit": {
+        "a": lambda value: statistics.attenuation_limit(value, error_um=5.0, **PIXEL),
+        "error_um": lambda value: statistics.attenuation_limit(MAP.values, error_um=value, **PIXEL),
     },
     "coherence": both(statistics.coherence, **PIXEL),
     "compare_instruments": both(statistics.compare_instruments, **PIXEL),

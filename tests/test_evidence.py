@@ -64,7 +64,7 @@ def test_registrations_are_compared_on_the_same_pixels(results):
         assert row.difference_interval[0] <= row.difference <= row.difference_interval[1]
 
 
-def test_the_headline_has_its_scales_and_ceiling(results):
+def test_the_headline_has_its_scales_and_attenuation_limit(results):
     (found,) = results.evidence
     assert (found.a_map, found.b_map, found.declared) == ("coating_top", "image", False)
     assert len(found.sizes) >= 4
@@ -72,7 +72,7 @@ def test_the_headline_has_its_scales_and_ceiling(results):
     for row in found.sizes:
         if row.band is not None:
             assert row.band[0] < row.interval[0] < row.r < row.interval[1] < row.band[1]
-    assert 0.9 < found.ceiling <= 1
+    assert 0.9 < found.attenuation_limit <= 1
     assert found.curve is None or found.curve.r2_line <= found.curve.r2_parabola
 
 
@@ -296,7 +296,7 @@ def test_unrelated_noise_says_nothing_at_any_scale():
     found = evidence_of(maps, point_um=50, declared=True)
     assert all(row.band[0] < 0 < row.band[1] for row in found.sizes if row.band)
     assert all(band.p_of_bands > 0.01 for band in found.bands)
-    assert found.ceiling is None
+    assert found.attenuation_limit is None
     assert found.declared
 
 

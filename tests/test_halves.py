@@ -11,7 +11,7 @@ import xarray as xr
 
 from analyze.fields import compared, gaussian_maps, lags_of
 from planish.analyze import CorrelateParams, SheetColumns, split_half
-from planish.analyze.attenuation import answer_ceiling
+from planish.analyze.attenuation import answer_attenuation
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
 
@@ -52,10 +52,10 @@ def columns(
 
 def stated(found, name="coating_top", *, cells=(80, 100), origin_um=(-2.0, -2.0), known=None):
     known = np.ones(cells, bool) if known is None else known
-    return ceilings(found, name, origin_um=origin_um, known=known)["reliability"][0]
+    return limits_of(found, name, origin_um=origin_um, known=known)["reliability"][0]
 
 
-def ceilings(found, name="coating_top", *, origin_um=(-2.0, -2.0), known, error_um=None):
+def limits_of(found, name="coating_top", *, origin_um=(-2.0, -2.0), known, error_um=None):
     values = np.where(known, np.random.default_rng(0).normal(size=known.shape), np.nan)
     corner = origin_um[0] + UM, origin_um[1] + UM
     grid = Grid.regular(known.shape, 2 * UM, corner)
@@ -69,7 +69,7 @@ def ceilings(found, name="coating_top", *, origin_um=(-2.0, -2.0), known, error_
     )
     if error_um is not None:
         asked.layers[0]["expected_error"] = (("y", "x"), np.full(known.shape, error_um))
-    return answer_ceiling(asked)
+    return answer_attenuation(asked)
 
 
 def test_noise_of_single_columns_gives_the_share_that_it_takes():
@@ -80,9 +80,11 @@ def test_noise_of_single_columns_gives_the_share_that_it_takes():
     share = points.var() / (points.var() + 20.0**2 / 625)
     assert row.n == 48
     assert row.value == pytest.approx(share, abs=0.15)
-    limits = ceilings(found, known=np.ones((80, 100), bool), error_um=5.0)
-    assert limits["ceiling_noise"] == pytest.approx(np.sqrt(row.value))
-    assert limits["ceiling_both"] == pytest.approx(limits["ceiling"] * np.sqrt(row.value))
+    limits = limits_of(found, known=np.ones((80, 100), bool), error_um=5.0)
+    assert limits["attenuation_limit_noise"] == pytest.approx(np.sqrt(row.value))
+    assert limits["attenuation_limit_both"] == pytest.approx(
+        limits["attenuation_limit"] * np.sqrt(row.value)
+    )
 
 
 def test_texture_without_noise_is_wholly_reliable_however_rows_fall_into_points():
@@ -148,7 +150,7 @@ def test_only_columns_in_cells_that_count_are_taken():
 
 def test_where_nothing_can_be_said_the_reason_stands():
     found, _ = columns()
-    limits = ceilings(found, known=np.zeros((80, 100), bool))
+    limits = limits_of(found, known=np.zeros((80, 100), bool))
     (row,) = limits["reliability"]
     assert math.isnan(row.value)
     assert "Only 0 points" in row.silence

@@ -39,7 +39,11 @@ _HERE = Path(__file__).parent
 _FORMER = {"0.1.0": "53637cb", "0.2.0": "9ab4fc1"}  # the last commit of each version's own results
 _MOST_LINES = 20  # of one part
 
-KEYS = {}
+KEYS = {
+    "evidence[].ceiling": "evidence[].attenuation_limit",
+    "evidence[].ceiling_noise": "evidence[].attenuation_limit_noise",
+    "evidence[].ceiling_both": "evidence[].attenuation_limit_both",
+}
 """Keys of results that got another name: old -> new, with ``[]`` for an index."""
 
 _CODE = "which code made a run is noted since 0.3.0"
@@ -55,6 +59,10 @@ EXPECTED = (
     ("*marks.json:*.origin_um.*", "marks of a run say where its map begins"),
     ("*-info.json:notes", "info says what was assumed to read a volume"),
     ("*.json:*.ceiling_sentence", "the page words the limit that attenuation sets"),
+    ("*.zarr:*.format", "stores of maps say their format"),
+    ("*.zarr:format", "stores of maps say their format"),
+    ("*results.json:format", "the format rises"),
+    ("*.zarr:*.long_name", "grey values of an image are called uncalibrated"),
     ("*.zarr:*._FillValue", "what is NaN is missing without being told"),
     ("*-info.json:run_bytes", "info counts the memory that a run reckons with"),
     ("former/*-info.json:warning", "runs of 0.2.0 are named by their format"),

@@ -4,7 +4,14 @@ from scipy import ndimage
 
 from analyze.fields import gaussian_maps, related_maps
 from folders import refused
-from planish.analyze import ceiling, commonality, correlate, of_short_waves, origins, partial
+from planish.analyze import (
+    attenuation_limit,
+    commonality,
+    correlate,
+    of_short_waves,
+    origins,
+    partial,
+)
 from planish.core.errors import CannotMeasure, InputError, SizeError
 
 
@@ -22,31 +29,33 @@ def displaced(rng, values, error):
 @pytest.mark.parametrize(("kind", "length"), [("gauss", 12.0), ("exp", 12.0)])
 @pytest.mark.parametrize("error", [3.0, 8.0])
 @pytest.mark.parametrize("point", [None, 6.0])
-def test_the_ceiling_is_the_r_of_a_displaced_map(kind, length, error, point):
+def test_the_attenuation_limit_is_the_r_of_a_displaced_map(kind, length, error, point):
     rng = np.random.default_rng(0)
     seen, said = [], []
     for _ in range(4):
         a = gaussian_maps(rng, (150, 200), length, kind=kind)[0]
         seen.append(correlate(a, displaced(rng, a, error), pixel_um=1.0, point_um=point).r)
-        said.append(ceiling(a, error_um=error, pixel_um=1.0, point_um=point))
+        said.append(attenuation_limit(a, error_um=error, pixel_um=1.0, point_um=point))
     assert np.mean(said) == pytest.approx(np.mean(seen), abs=0.03)
 
 
-def test_a_ceiling_needs_a_map_and_an_error_and_lies_between_those_of_its_errors():
+def test_an_attenuation_limit_needs_a_map_and_an_error_and_lies_between_those_of_its_errors():
     a = gaussian_maps(1, (60, 80), 4.0)[0]
-    assert ceiling(a, error_um=0.0, pixel_um=1.0) == pytest.approx(1)
+    assert attenuation_limit(a, error_um=0.0, pixel_um=1.0) == pytest.approx(1)
     a = gaussian_maps(2, (60, 80), 6.0)[0]
     errors = np.broadcast_to(np.linspace(1.0, 5.0, 80), a.shape)
-    low, high = (ceiling(a, error_um=e, pixel_um=1.0) for e in (5.0, 1.0))
-    assert low < ceiling(a, error_um=errors, pixel_um=1.0) < high
+    low, high = (attenuation_limit(a, error_um=e, pixel_um=1.0) for e in (5.0, 1.0))
+    assert low < attenuation_limit(a, error_um=errors, pixel_um=1.0) < high
     a = gaussian_maps(2, (20, 30), 6.0)[0]
     for given in (
         {"error_um": -1.0},
         {"error_um": np.full(a.shape, np.nan)},
     ):
         with pytest.raises(InputError):
-            ceiling(a, pixel_um=1.0, **given)
-    refused(CannotMeasure, "constant", ceiling, np.ones((9, 9)), error_um=1.0, pixel_um=1.0)
+            attenuation_limit(a, pixel_um=1.0, **given)
+    refused(
+        CannotMeasure, "constant", attenuation_limit, np.ones((9, 9)), error_um=1.0, pixel_um=1.0
+    )
 
 
 def test_origins_scatter_about_r():

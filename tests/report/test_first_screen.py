@@ -137,11 +137,11 @@ def evidence(**values):
         (None, {}, "too few independent points for an interval", "four times"),
         (
             [0.78, 0.82],
-            {"ceiling": 0.9},
+            {"attenuation_limit": 0.9},
             "a perfect relation would show r = 0.90",
             "A second specimen",
         ),
-        ([0.78, 0.82], {"ceiling": 0.97}, "A second specimen", "More marks"),
+        ([0.78, 0.82], {"attenuation_limit": 0.97}, "A second specimen", "More marks"),
         ([0.78, 0.82], {"declared": False}, "Declare the map that leads", "A second specimen"),
     ],
 )
@@ -157,7 +157,7 @@ def test_what_would_make_it_surer_follows_from_the_results(interval, given, says
 def test_more_tiles_of_a_texture_are_not_to_be_had_but_holes_are():
     run = a_run(interval=[0.78, 0.82])
     run["results"]["layers"][0]["registration"]["source"] = "texture"
-    run["results"]["evidence"] = evidence(ceiling=0.9)
+    run["results"]["evidence"] = evidence(attenuation_limit=0.9)
     (advice, _), *_ = first_screen.recommendations(results_of(run))
     assert advice.startswith("Laser holes as marks, spread over the field")
 

@@ -34,7 +34,11 @@ def with_lag(light, lag_um):
         "along_x": profile,
         "along_y": profile,
     }
-    evidence = IMAGE_PAIR | {"declared": True, "correlogram": correlogram, "ceiling": 0.93}
+    evidence = IMAGE_PAIR | {
+        "declared": True,
+        "correlogram": correlogram,
+        "attenuation_limit": 0.93,
+    }
     run["results"]["evidence"] = [evidence]
     return run
 

@@ -4,7 +4,7 @@ from .agreement import Instruments as Instruments
 from .agreement import bland_altman as bland_altman
 from .agreement import compare_instruments as compare_instruments
 from .agreement import deming as deming
-from .attenuation import ceiling as ceiling
+from .attenuation import attenuation_limit as attenuation_limit
 from .between_sheets import Equivalence as Equivalence
 from .between_sheets import SheetDifference as SheetDifference
 from .between_sheets import equivalence as equivalence

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _QUANTILES = 16  # of the errors of a map
 
 
-def ceiling(
+def attenuation_limit(
     a: Array,
     *,
     error_um: float | Array,
@@ -96,7 +96,7 @@ def ceiling(
     return float(np.clip(np.mean(attenuations), 0.0, 1.0))
 
 
-def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
+def answer_attenuation(pair: ComparedMaps) -> dict[str, Any]:
     """Give the r that a perfect relation would show.
 
     By misplacement, by the noise of two half measurements, and by both.
@@ -113,7 +113,7 @@ def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
             pair.point_um if pair.has_points else None,
             np.quantile(errors_um, np.linspace(0, 1, 65)),
         )
-        answers["ceiling"] = ceiling(
+        answers["attenuation_limit"] = attenuation_limit(
             pair.x,
             error_um=errors_um,
             pixel_um=pair.cell_um,
@@ -128,7 +128,7 @@ def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
         answers["reliability"] = halves
         noise_r = math.sqrt(math.prod(half.value for half in halves)) if halves else math.nan
         if not math.isnan(noise_r):
-            answers["ceiling_noise"] = noise_r
-            if "ceiling" in answers:
-                answers["ceiling_both"] = noise_r * answers["ceiling"]
+            answers["attenuation_limit_noise"] = noise_r
+            if "attenuation_limit" in answers:
+                answers["attenuation_limit_both"] = noise_r * answers["attenuation_limit"]
     return answers

@@ -15,7 +15,7 @@ import xarray as xr
 from pydantic import Field
 
 from planish.analyze.agreement import Twice, answer_twice
-from planish.analyze.attenuation import answer_ceiling
+from planish.analyze.attenuation import answer_attenuation
 from planish.analyze.compare import CELLS
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import PairAtSizes
@@ -74,15 +74,17 @@ class EvidenceFacts(ResultModel):
     )
     short_waves: SizeRow | None = optional("Without waves above short_waves_um.")
     short_waves_um: Number = optional("Longest wave that was left in for short_waves.")
-    ceiling: Number = optional("The r that a perfect relation would show, by misplacement alone.")
+    attenuation_limit: Number = optional(
+        "The r that a perfect relation would show, by misplacement alone."
+    )
     reliability: tuple[Reliability, ...] = Field(
         default=(), description="Of the maps of sheets among the two, at the larger points."
     )
-    ceiling_noise: Number = optional(
+    attenuation_limit_noise: Number = optional(
         "The r that a perfect relation would show, by the noise of these maps alone: an upper"
         " bound."
     )
-    ceiling_both: Number = optional("The same by noise and misplacement together.")
+    attenuation_limit_both: Number = optional("The same by noise and misplacement together.")
     second_opinion: SecondOpinion | None = optional("An interval from what single points add to r.")
     variograms: tuple[Variogram, ...] = Field(
         default=(), description="How each map varies with distance."
@@ -119,8 +121,8 @@ QUESTIONS = (
     Question(("short_waves", "short_waves_um"), answer_short_waves),
     Question(("partial", "commonality"), answer_partial, option="beside"),
     Question(
-        ("ceiling", "reliability", "ceiling_noise", "ceiling_both"),
-        answer_ceiling,
+        ("attenuation_limit", "reliability", "attenuation_limit_noise", "attenuation_limit_both"),
+        answer_attenuation,
     ),
     Question(("variograms",), answer_variograms),
     Question(("correlogram",), answer_correlogram),

@@ -11,7 +11,11 @@ from typing import Any
 FORMAT = 4
 """Version of what a run writes; planish 0.1.0 wrote none, 0.2.0 wrote 2."""
 
-_KEYS: dict[str, str] = {}
+_KEYS = {
+    "ceiling": "attenuation_limit",
+    "ceiling_noise": "attenuation_limit_noise",
+    "ceiling_both": "attenuation_limit_both",
+}
 
 _VALUES = {"relative grey": "grey value, uncalibrated"}  # values that are words
 

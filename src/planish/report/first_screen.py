@@ -177,11 +177,11 @@ def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
 
 def _marks_advice(results: Results) -> str:
     more = "Laser holes as marks" if registered_by(results) == BY_TEXTURE else "More marks"
-    r_ceilings = [e.ceiling for e in results.evidence if e.ceiling is not None]
-    if r_ceilings and min(r_ceilings) < 0.95:  # r that misplacement leaves of a perfect relation
+    r_limits = [e.attenuation_limit for e in results.evidence if e.attenuation_limit is not None]
+    if r_limits and min(r_limits) < 0.95:  # r that misplacement leaves of a perfect relation
         return (
             f"{more}, spread over the field: with the expected error of the place, a perfect"
-            f" relation would show r = {fixed(min(r_ceilings), 2)} and no more."
+            f" relation would show r = {fixed(min(r_limits), 2)} and no more."
         )
     for layer in results.moving:
         r = layer.registration

@@ -42,19 +42,19 @@ def reading(results: Results) -> list[str]:
     moving = next((layer for layer in results.moving if layer.name in (row.a, row.b)), None)
     texts = [
         strength,
-        _ceiling_text(evidence),
+        _limit_text(evidence),
         _short_waves_text(row, evidence),
         *_bearing_texts(evidence, moving),
     ]
     return [text for text in texts if text]
 
 
-def _ceiling_text(evidence: EvidenceFacts | None) -> str:
-    if evidence is None or evidence.ceiling is None:
+def _limit_text(evidence: EvidenceFacts | None) -> str:
+    if evidence is None or evidence.attenuation_limit is None:
         return ""
-    highest, causes = evidence.ceiling_both, "misplacement and noise"
+    highest, causes = evidence.attenuation_limit_both, "misplacement and noise"
     if highest is None:
-        highest, causes = evidence.ceiling, "misplacement"
+        highest, causes = evidence.attenuation_limit, "misplacement"
     if highest > 0.99:
         return f"A perfect relation would show an r above 0.99 here: little is lost to {causes}."
     return (

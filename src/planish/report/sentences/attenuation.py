@@ -9,10 +9,10 @@ from planish.core.facts import is_known
 from planish.core.numbers import count, fixed, percent, plain
 
 
-def say_ceiling(_: object, evidence: EvidenceFacts, *__: object) -> Iterator[str]:
+def say_attenuation(_: object, evidence: EvidenceFacts, *__: object) -> Iterator[str]:
     """What a perfect relation would show."""
-    if evidence.ceiling is not None:
-        r = f"{evidence.ceiling:.2f}"
+    if evidence.attenuation_limit is not None:
+        r = f"{evidence.attenuation_limit:.2f}"
         yield (
             f"A perfect relation would show r = {r} here (misplacement leaves {r}). It rests on the"
             " expected error of the registration and the texture of the map; noise lowers it"
@@ -39,14 +39,12 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
             f" they correlate with r {_near_one(reliability.halves_r)}, so that noise which differs"
             f" between them is {share_text} of the variance of the map"
         )
-        if k == len(evidence.reliability) - 1 and evidence.ceiling_noise is not None:
-            ceiling_both = evidence.ceiling_both
+        if k == len(evidence.reliability) - 1 and evidence.attenuation_limit_noise is not None:
+            limit_both = evidence.attenuation_limit_both
             shift_text = (
-                ""
-                if ceiling_both is None
-                else f", r {_near_one(ceiling_both)} with misplacement, too"
+                "" if limit_both is None else f", r {_near_one(limit_both)} with misplacement, too"
             )
-            noise_r = _near_one(evidence.ceiling_noise)
+            noise_r = _near_one(evidence.attenuation_limit_noise)
             text += f"; with such noise alone a perfect relation would show r {noise_r}{shift_text}"
         yield (
             f"{text}. Errors that neighbouring columns share are not in it, and the standard error"

@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple
 
 from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.report.sentences.agreement import say_twice
-from planish.report.sentences.attenuation import say_ceiling
+from planish.report.sentences.attenuation import say_attenuation
 from planish.report.sentences.correlogram import say_correlogram
 from planish.report.sentences.curve import say_curve
 from planish.report.sentences.kubelka_munk import say_kubelka_munk
@@ -40,7 +40,10 @@ SENTENCES = (
     QuestionText(("thin",), say_thin),
     QuestionText(("short_waves", "short_waves_um"), say_short_waves),
     QuestionText(("partial", "commonality"), say_partial),
-    QuestionText(("ceiling", "reliability", "ceiling_noise", "ceiling_both"), say_ceiling),
+    QuestionText(
+        ("attenuation_limit", "reliability", "attenuation_limit_noise", "attenuation_limit_both"),
+        say_attenuation,
+    ),
     QuestionText(("variograms",), say_variograms, section="distance"),
     QuestionText(("correlogram",), say_correlogram, section="distance"),
     QuestionText(("twice",), say_twice, section="repeated"),
