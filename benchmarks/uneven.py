@@ -1,5 +1,5 @@
 """Intervals of r where the maps vary alike everywhere, and where they do not: as stated, and as the
-second opinion.
+Conley interval.
 
 ``python -m benchmarks uneven [fields [seed]]``
 
@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from benchmarks.evidence import field
-from planish.analyze import correlate, second_opinion
+from planish.analyze import conley_interval, correlate
 
 _SHAPE, _R = (100, 133), 0.5
 _LEAST = 0.89
@@ -32,7 +32,7 @@ _CASES = (
 
 
 def cover(fields, seed, share, what):
-    """Shares of fields whose r lies in the interval as stated and in the second opinion; warned;
+    """Shares of fields whose r lies in the interval as stated and in the Conley interval; warned;
     ratio of widths."""
     rng, side = np.random.default_rng(seed), _SHAPE[0]
     found = np.zeros(4)
@@ -45,7 +45,7 @@ def cover(fields, seed, share, what):
         true = _R if what != "rest" else _R / math.sqrt(_R**2 + (1 - _R**2) * square)
         first, second = (
             correlate(a * own, b, pixel_um=1.0),
-            second_opinion(a * own, b, pixel_um=1.0),
+            conley_interval(a * own, b, pixel_um=1.0),
         )
         wide = [high - low for low, high in (first.interval, second.interval)]
         found += [
@@ -60,7 +60,7 @@ def cover(fields, seed, share, what):
 def main(fields=200, seed=0):
     """Print the table; the number of cases in which the interval as stated covers less than it
     promises."""
-    print("maps, length          as stated  second opinion  warned  second over first, width")
+    print("maps, length          as stated Conley interval  warned  second over first, width")
     failed = 0
     for name, share, what in _CASES:
         numbers = cover(int(fields), int(seed), share, what)

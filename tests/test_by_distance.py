@@ -178,7 +178,7 @@ def test_a_run_has_all_of_it(linked_run):
         ("image", "image"),
     ]
     assert found.correlogram is not None
-    assert found.second_opinion is not None
+    assert found.conley_interval is not None
     (row,) = found.reliability
     assert math.isnan(row.value) or 0.99 < row.value < 1
     page = (linked_run / "report.html").read_text(encoding="utf-8")

@@ -91,7 +91,7 @@ MAP_DOORS = {
         "inside": lambda value: statistics.region_difference(MAP.values, value, **PIXEL),
     },
     "ring_correlation": both(statistics.ring_correlation, **PIXEL),
-    "second_opinion": both(statistics.second_opinion, **PIXEL),
+    "conley_interval": both(statistics.conley_interval, **PIXEL),
     "size_curve": both(statistics.size_curve, **PIXEL),
     "split_reliability": {
         "first": lambda value: statistics.split_reliability(value, MAP.values, **PIXEL),

@@ -43,6 +43,7 @@ KEYS = {
     "evidence[].ceiling": "evidence[].attenuation_limit",
     "evidence[].ceiling_noise": "evidence[].attenuation_limit_noise",
     "evidence[].ceiling_both": "evidence[].attenuation_limit_both",
+    "evidence[].second_opinion": "evidence[].conley_interval",
 }
 """Keys of results that got another name: old -> new, with ``[]`` for an index."""
 
@@ -60,7 +61,6 @@ EXPECTED = (
     ("*-info.json:notes", "info says what was assumed to read a volume"),
     ("*.json:*.ceiling_sentence", "the page words the limit that attenuation sets"),
     ("*.zarr:*.format", "stores of maps say their format"),
-    ("*.zarr:format", "stores of maps say their format"),
     ("*results.json:format", "the format rises"),
     ("*.zarr:*.long_name", "grey values of an image are called uncalibrated"),
     ("*.zarr:*._FillValue", "what is NaN is missing without being told"),

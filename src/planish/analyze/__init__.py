@@ -2,7 +2,7 @@
 
 ``compare`` correlates layers, ``correlation`` is r with its interval, from covariances by lag.
 ``correlation_evidence`` holds QUESTIONS, a row a statistic beside r: ``curve_of_sizes`` and
-``octaves`` (at which scale), ``robustness``, ``second_opinion``, ``curve``, ``thin_regions``,
+``octaves`` (at which scale), ``robustness``, ``conley_interval``, ``curve``, ``thin_regions``,
 ``attenuation`` and ``split_half`` (what could be seen), ``variograms`` and ``correlograms`` (by
 distance), ``agreement`` and ``rings`` (one quantity twice), ``kubelka_munk`` and ``light_spread``
 (light over a coating). ``compared_maps`` and ``sheet_columns`` are what these are given. ``sides``

@@ -12,6 +12,8 @@ from .between_sheets import p_of_tables as p_of_tables
 from .between_sheets import paired_over_sheets as paired_over_sheets
 from .between_sheets import two_groups as two_groups
 from .compare import correlate_layers as correlate_layers
+from .conley_interval import ConleyInterval as ConleyInterval
+from .conley_interval import conley_interval as conley_interval
 from .correlation import Correlation as Correlation
 from .correlation import PairAtSizes as PairAtSizes
 from .correlation import PairSums as PairSums
@@ -73,8 +75,6 @@ from .robustness import commonality as commonality
 from .robustness import of_short_waves as of_short_waves
 from .robustness import origins as origins
 from .robustness import partial as partial
-from .second_opinion import SecondOpinion as SecondOpinion
-from .second_opinion import second_opinion as second_opinion
 from .sheet_columns import SheetColumns as SheetColumns
 from .sheets import Fields as Fields
 from .sheets import RandomEffects as RandomEffects

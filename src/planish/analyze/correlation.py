@@ -33,8 +33,8 @@ LEAST = 3
 """Pixels of a map without which it says nothing."""
 
 UNEVEN = 1.4
-"""Standard error of the second opinion over that of the covariances, from which on maps do not vary
-alike."""
+"""Standard error of the Conley interval over that of the covariances, from which on maps do not
+vary alike."""
 
 _ORDER = "The first", "The second"
 _MOST_CELLS = 2**20

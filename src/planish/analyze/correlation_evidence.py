@@ -18,6 +18,7 @@ from planish.analyze.agreement import Twice, answer_twice
 from planish.analyze.attenuation import answer_attenuation
 from planish.analyze.compare import CELLS
 from planish.analyze.compared_maps import ComparedMaps
+from planish.analyze.conley_interval import ConleyInterval, answer_conley_interval
 from planish.analyze.correlation import PairAtSizes
 from planish.analyze.correlograms import CorrelogramProfiles, answer_correlogram
 from planish.analyze.curve import Curvature, answer_curve
@@ -36,7 +37,6 @@ from planish.analyze.robustness import (
     answer_partial,
     answer_short_waves,
 )
-from planish.analyze.second_opinion import SecondOpinion, answer_second_opinion
 from planish.analyze.sheet_columns import SheetColumns
 from planish.analyze.split_half import Reliability
 from planish.analyze.thin_regions import RegionDifference, answer_thin
@@ -85,7 +85,9 @@ class EvidenceFacts(ResultModel):
         " bound."
     )
     attenuation_limit_both: Number = optional("The same by noise and misplacement together.")
-    second_opinion: SecondOpinion | None = optional("An interval from what single points add to r.")
+    conley_interval: ConleyInterval | None = optional(
+        "An interval from what single points add to r."
+    )
     variograms: tuple[Variogram, ...] = Field(
         default=(), description="How each map varies with distance."
     )
@@ -115,7 +117,7 @@ QUESTIONS = (
     Question(("sizes",), answer_sizes),
     Question(("bands", "resolution_per_um"), answer_octaves),
     Question(("origins",), answer_origins),
-    Question(("second_opinion",), answer_second_opinion),
+    Question(("conley_interval",), answer_conley_interval),
     Question(("curve",), answer_curve),
     Question(("thin",), answer_thin),
     Question(("short_waves", "short_waves_um"), answer_short_waves),

@@ -15,6 +15,7 @@ _KEYS = {
     "ceiling": "attenuation_limit",
     "ceiling_noise": "attenuation_limit_noise",
     "ceiling_both": "attenuation_limit_both",
+    "second_opinion": "conley_interval",
 }
 
 _VALUES = {"relative grey": "grey value, uncalibrated"}  # values that are words

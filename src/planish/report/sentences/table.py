@@ -6,13 +6,13 @@ from typing import Any, Literal, NamedTuple
 from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.report.sentences.agreement import say_twice
 from planish.report.sentences.attenuation import say_attenuation
+from planish.report.sentences.conley_interval import say_conley_interval
 from planish.report.sentences.correlogram import say_correlogram
 from planish.report.sentences.curve import say_curve
 from planish.report.sentences.kubelka_munk import say_kubelka_munk
 from planish.report.sentences.light_spread import say_light_spread
 from planish.report.sentences.origins import say_origins
 from planish.report.sentences.partial import say_partial
-from planish.report.sentences.second_opinion import say_second_opinion
 from planish.report.sentences.short_waves import say_short_waves
 from planish.report.sentences.thin_regions import say_thin
 from planish.report.sentences.variograms import say_variograms
@@ -35,7 +35,7 @@ class QuestionText(NamedTuple):
 
 SENTENCES = (
     QuestionText(("origins",), say_origins),
-    QuestionText(("second_opinion",), say_second_opinion),
+    QuestionText(("conley_interval",), say_conley_interval),
     QuestionText(("curve",), say_curve),
     QuestionText(("thin",), say_thin),
     QuestionText(("short_waves", "short_waves_um"), say_short_waves),

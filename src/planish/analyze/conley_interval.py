@@ -1,6 +1,6 @@
 """An interval of r that asks nothing of the maps' covariances.
 
-It is a second opinion beside that of a correlation.
+It stands beside that of a correlation.
 
 It holds where the maps vary unevenly, and is too narrow where they reach far: the first one is
 used.
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
 
 
-class SecondOpinion(ResultModel):
+class ConleyInterval(ResultModel):
     """Interval of r that asks nothing of the covariances of the maps (Conley 1999).
 
     It is taken at the larger points.
@@ -45,9 +45,9 @@ class SecondOpinion(ResultModel):
     ratio: Value = Field(description="Standard error over that of the covariances.")
 
 
-def second_opinion(
+def conley_interval(
     a: Array, b: Array, *, pixel_um: Pixel, point_um: float | None = None
-) -> SecondOpinion:
+) -> ConleyInterval:
     """State the interval of r that a spatial standard error with critical values of its own gives.
 
     Parameters
@@ -57,7 +57,7 @@ def second_opinion(
 
     Returns
     -------
-    SecondOpinion
+    ConleyInterval
 
     Raises
     ------
@@ -96,7 +96,7 @@ def second_opinion(
         if spatial_error > 0:
             error, critical = spatial_error, critical_value(is_valid, pixel)
     z = math.atanh(r) if critical > 0 else math.nan
-    return SecondOpinion(
+    return ConleyInterval(
         point_um=correlation.point_um,
         r=r,
         interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
@@ -134,8 +134,10 @@ def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
     return t_95(free) * math.sqrt(places_um.shape[0] / expected)
 
 
-def answer_second_opinion(pair: ComparedMaps) -> dict[str, Any]:
-    """The second opinion at the larger points."""
+def answer_conley_interval(pair: ComparedMaps) -> dict[str, Any]:
+    """The Conley interval at the larger points."""
     return (
-        {"second_opinion": second_opinion(pair.x, pair.y, **pair.sizes)} if pair.has_points else {}
+        {"conley_interval": conley_interval(pair.x, pair.y, **pair.sizes)}
+        if pair.has_points
+        else {}
     )
