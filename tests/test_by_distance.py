@@ -32,7 +32,7 @@ def twice_of(maps, points, **options):
     asked = compared(
         maps, lags_of(maps[0], CELL), params=CorrelateParams(**options), repeated_points=points
     )
-    return agreement.answer_twice(asked)["twice"]
+    return agreement.answer_agreement(asked)["agreement"]
 
 
 def pair(seed=0, r=0.6, length=6.0, shape=(120, 150)):
@@ -93,7 +93,7 @@ def test_two_measurements_are_compared_as_the_functions_say():
     assert found.error_slope == deming(*points, error_ratio=2.0, n_eff=50).slope
     assert found.error_interval[0] < 1 < found.error_interval[1]
     facts = EvidenceFacts(
-        a="ct", a_map="thickness", b="lm", b_map="thickness", declared=True, twice=found
+        a="ct", a_map="thickness", b="lm", b_map="thickness", declared=True, agreement=found
     )
     said = [*sentences(facts, "repeated")]
     assert said[0].startswith("Both show the same down to waves of")

@@ -274,8 +274,8 @@ def test_where_nothing_is_left_the_run_stands_and_says_why(beside, point_um, wor
     found = evidence_of(maps, point_um=point_um, declared=True, beside=beside)
     assert found.sizes
     assert math.isnan(found.partial.r)
-    assert words in found.partial.silence
-    assert any(found.partial.silence in s for s in sentences(found, point_um))
+    assert words in found.partial.reason
+    assert any(found.partial.reason in s for s in sentences(found, point_um))
     assert (found.partial.n == 0) == (beside == ("nothing",))
 
 

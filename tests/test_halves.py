@@ -153,5 +153,5 @@ def test_where_nothing_can_be_said_the_reason_stands():
     limits = limits_of(found, known=np.zeros((80, 100), bool))
     (row,) = limits["reliability"]
     assert math.isnan(row.value)
-    assert "Only 0 points" in row.silence
+    assert "Only 0 points" in row.reason
     assert [*limits] == ["reliability"]

@@ -129,7 +129,7 @@ def test_a_grey_that_is_no_reflectance_has_no_curve():
     coating, image = coated()
     outside = kubelka_munk_of((coating, 255 * image), point_um=20.0, ratio=0.002, density=None)
     assert math.isnan(outside.scattering)
-    assert "not within 0 and 1" in outside.silence
+    assert "not within 0 and 1" in outside.reason
 
 
 def test_a_coating_blurred_like_the_light_follows_the_image_better():
@@ -156,7 +156,7 @@ def test_a_coating_blurred_like_the_light_follows_the_image_better():
         light_spread.answer_light_spread(small)["light_spread"],
         answer_kubelka_munk(small)["kubelka_munk"],
     ):
-        assert "smaller than the means" in answer.silence
+        assert "smaller than the means" in answer.reason
 
 
 def test_the_density_is_that_which_was_named_or_follows_from_what_was_weighed():
@@ -183,7 +183,7 @@ def test_mottle_is_of_valid_pixels_and_says_why_there_is_none():
     assert found.mean == pytest.approx(1000, rel=0.02)
     assert found.measured.startswith("Coefficient of variation of the grey value (uncalibrated)")
     small = layer.isel(y=slice(100), x=slice(100))
-    assert "No octave lies between" in mottle_of("print", small, quantity="reflectance").silence
+    assert "No octave lies between" in mottle_of("print", small, quantity="reflectance").reason
 
 
 # --- what is refused before anything is read ------------------------------------------------------
@@ -239,7 +239,7 @@ def test_a_run_with_all_of_it(planish, specimen_files, tmp_path):
     results = Results.read(tmp_path / "run" / "results.json")
     (found,), image = results.evidence, results.layers[-1].image
     assert (image.quantity, found.density_g_cm3) == ("reflectance", 1.6)
-    assert found.kubelka_munk.silence or found.kubelka_munk.weight
+    assert found.kubelka_munk.reason or found.kubelka_munk.weight
     assert (found.light_spread.width_um, len(results.mottle)) == (60, 1)
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "at 1.6 g/cm³ / g/m²" in page
@@ -247,7 +247,7 @@ def test_a_run_with_all_of_it(planish, specimen_files, tmp_path):
     assert "Light in the coating" in page
     assert (
         any(p.name.endswith("curve.csv") for p in (tmp_path / "run" / "figures").iterdir())
-        or found.kubelka_munk.silence
+        or found.kubelka_munk.reason
     )
 
 

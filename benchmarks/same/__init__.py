@@ -44,6 +44,13 @@ KEYS = {
     "evidence[].ceiling_noise": "evidence[].attenuation_limit_noise",
     "evidence[].ceiling_both": "evidence[].attenuation_limit_both",
     "evidence[].second_opinion": "evidence[].conley_interval",
+    "evidence[].twice": "evidence[].agreement",
+    "evidence[].kubelka_munk.silence": "evidence[].kubelka_munk.reason",
+    "evidence[].light_spread.silence": "evidence[].light_spread.reason",
+    "evidence[].partial.silence": "evidence[].partial.reason",
+    "evidence[].reliability[].silence": "evidence[].reliability[].reason",
+    "layers[].registration.lag.silence": "layers[].registration.lag.reason",
+    "mottle[].silence": "mottle[].reason",
 }
 """Keys of results that got another name: old -> new, with ``[]`` for an index."""
 

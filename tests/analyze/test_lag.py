@@ -129,7 +129,7 @@ def test_what_is_said_and_with_which_light():
     assert nothing.sentence.startswith(
         "Image-based check: inconclusive, because the maps have no texture in common"
     )
-    assert lag_of(a, np.where(np.arange(b.shape[1]) < 4, b, np.nan)).silence == "few"
+    assert lag_of(a, np.where(np.arange(b.shape[1]) < 4, b, np.nan)).reason == "few"
     # More than the marks allow, but within 3 standard errors of the lag: no answer.
     vague = replace(found, lag_um=(2.0, 0.0), covariance_um2=np.eye(2))
     assert [vague.check(e).state for e in (0.1, 1.0)] == ["pass", "pass"]

@@ -24,7 +24,7 @@ class AtPoints(ResultModel):
 class MapSlope(Slope, AtPoints):
     """The same as a run holds it."""
 
-    silence: str | None = None
+    reason: str | None = None
 
 
 def test_missing_numbers_are_nan_in_memory_and_null_in_json_and_schema():
@@ -49,11 +49,11 @@ def test_an_interval_without_an_end_is_null_and_keeps_its_ends_in_memory(low, hi
 
 
 def test_a_whole_holds_its_parts_and_equals_what_was_saved():
-    row = MapSlope.holding(Slope(slope=2.0), point_um=100.0, silence="x")
-    assert list(row.model_dump()) == ["point_um", "slope", "interval", "silence"]
+    row = MapSlope.holding(Slope(slope=2.0), point_um=100.0, reason="x")
+    assert list(row.model_dump()) == ["point_um", "slope", "interval", "reason"]
     with pytest.raises(ValidationError):
         # No such field: nothing is lost in silence.
-        MapSlope.holding(Slope(slope=2.0), point_um=100.0, reason="x")
+        MapSlope.holding(Slope(slope=2.0), point_um=100.0, silence="x")
     with pytest.raises(ValidationError):
         MapSlope.holding(Slope(slope=2.0))  # no point_um
     row = MapSlope.holding(Slope(slope=float("nan"), interval=(1.0, 2.0), mean=5.0), point_um=100.0)

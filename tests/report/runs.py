@@ -361,7 +361,7 @@ def lag_of(**values):
         "n": 5000,
         "reach_um": 100.0,
         "agrees": True,
-        "silence": None,
+        "reason": None,
         "expected_um": 0.9,
         "sentence": "lag 0.5 ± 0.3 um: agrees",
         "pixel_um": [6.0, 6.0],

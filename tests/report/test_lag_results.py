@@ -18,7 +18,7 @@ NAN = math.nan
 NOWHERE = (NAN, NAN)
 
 
-def a_lag(*, silence=None, tiles=True):
+def a_lag(*, reason=None, tiles=True):
     """Return a lag of (3, -4) um, known to 0.6 and 0.8 um, or one that says nothing."""
     field = LagField(
         at_um=np.array([[100.0, 200.0], [300.0, 200.0]]),
@@ -28,14 +28,14 @@ def a_lag(*, silence=None, tiles=True):
         distinct=np.array([True, False]),
         tile_um=400.0,
     )
-    quiet = silence is not None
+    quiet = reason is not None
     return Lag(
         lag_um=NOWHERE if quiet else (3.0, -4.0),
         covariance_um2=np.full((2, 2), NAN) if quiet else np.diag([0.36, 0.64]),
         r=-0.5,
         r_at_zero=-0.4,
         limit_r=0.15,
-        silence=silence,
+        reason=reason,
         light=NAN,
         reach_um=150.0,
         pixel_um=(8.0, 8.0),
@@ -61,11 +61,11 @@ def test_results_of_a_lag_are_ready_for_json():
 
 
 def test_results_of_a_lag_that_says_nothing_are_none():
-    found = _lag(a_lag(silence="texture", tiles=False), expected_um=4.0, headline="coating_top")
+    found = _lag(a_lag(reason="texture", tiles=False), expected_um=4.0, headline="coating_top")
     json.dumps(found, allow_nan=False)
     assert [found[k] for k in ("lag_um", "se_um", "length_um", "agrees", "light", "tile_um")] == [
         None
     ] * 6
-    assert (found["tiles"], found["silence"]) == ([], "texture")
+    assert (found["tiles"], found["reason"]) == ([], "texture")
     for missing in (None, NAN):
         assert _lag(a_lag(), expected_um=missing, headline="coating_top")["expected_um"] is None

@@ -18,7 +18,7 @@ from report.runs import a_run, lag_of, page_of, registration_of, text_of
 
 MICRO = "\u202fµm"
 SILENT = {
-    "silence": "texture",
+    "reason": "texture",
     "agrees": None,
     "lag_um": None,
     "se_um": None,

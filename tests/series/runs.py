@@ -85,7 +85,7 @@ def two_volumes(*, bias=0.5):
         "difference_sd": 1.0,
         "limits": [bias - 1.96, bias + 1.96],
     }
-    twice = {
+    agreement = {
         "point_um": 100.0,
         "bias": bias,
         "bias_interval": [bias - 0.1, bias + 0.1],
@@ -106,7 +106,7 @@ def two_volumes(*, bias=0.5):
         "layers": [first, second],
         "correlations": [row],
         "comparison": [],
-        "evidence": [evidence | {"twice": twice}],
+        "evidence": [evidence | {"agreement": agreement}],
     }
 
 

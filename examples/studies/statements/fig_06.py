@@ -71,7 +71,7 @@ def state(folder: Path, figure: Figure) -> str:
 def _place(lag: Lag) -> str:
     """How far the dark places lie beside the outlines."""
     if not lag.distinct:
-        return f"How far the dark places lie beside the outlines is inconclusive ({lag.silence})."
+        return f"How far the dark places lie beside the outlines is inconclusive ({lag.reason})."
     (x, y), (sx, sy) = lag.lag_um, lag.se_um
     largest = math.sqrt(float(np.linalg.eigvalsh(lag.covariance_um2)[-1]))
     return (

@@ -32,7 +32,7 @@ def _mottle(run: pl.Run) -> str:
     """In which octave of wavelength the print is most uneven."""
     bands = [band for one in run.results.mottle for band in one.bands]
     if not bands:
-        why = "; ".join(one.silence for one in run.results.mottle if one.silence)
+        why = "; ".join(one.reason for one in run.results.mottle if one.reason)
         return (
             " How uneven the print is, is stated for no octave of"
             f" wavelength{f': {why}' if why else ''}."

@@ -33,7 +33,7 @@ def state(folder: Path, figure: Figure) -> str:
         title=f"r = {row.r:.2f}", xlabel=f"{row.a} / µm", ylabel=f"{row.b} / µm", aspect="equal"
     )
 
-    twice = run.results.evidence[0].twice
+    agreement = run.results.evidence[0].agreement
     declared = len(run.results.regions.regions) if run.results.regions else 0
     left_out = (
         f" Left out beside the holes: {declared} declared region{'s' * (declared > 1)}."
@@ -43,8 +43,8 @@ def state(folder: Path, figure: Figure) -> str:
     return (
         f"r = {row.r:.3f} (95 % interval {interval(row.interval, 3)}) over {row.n} points of"
         f" {row.point_um:.0f} um, {row.n_eff:.0f} of them independent. {row.b} less {row.a}:"
-        f" {twice.bias:+.2f} um (95 % interval {interval(twice.bias_interval)}); limits of"
-        f" agreement {interval(twice.limits, 1)} um (the lower one"
-        f" {interval(twice.limit_intervals[0], 1)}, the upper one"
-        f" {interval(twice.limit_intervals[1], 1)}). {twice.sentence or ''}{left_out}"
+        f" {agreement.bias:+.2f} um (95 % interval {interval(agreement.bias_interval)}); limits of"
+        f" agreement {interval(agreement.limits, 1)} um (the lower one"
+        f" {interval(agreement.limit_intervals[0], 1)}, the upper one"
+        f" {interval(agreement.limit_intervals[1], 1)}). {agreement.sentence or ''}{left_out}"
     )

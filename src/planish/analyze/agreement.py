@@ -250,7 +250,7 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
     return Deming(slope=slope, intercept=intercept, interval=interval, error_ratio=error_ratio)
 
 
-class Twice(Agreement, RingCorrelation):
+class AgreementFacts(Agreement, RingCorrelation):
     """Agreement of two measurements of one quantity.
 
     Down to which wavelength they agree, and how far they differ.
@@ -263,7 +263,7 @@ class Twice(Agreement, RingCorrelation):
     error_interval: Interval = optional("95 % interval of that slope.")
 
 
-def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
+def answer_agreement(pair: ComparedMaps) -> dict[str, Any]:
     """Compare two sheets with one quantity.
 
     Rings of waves over the cells, bias and limits over the larger points.
@@ -283,7 +283,7 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
     try:
         agreement = bland_altman(a, b, pixel_um=point_um)
     except PlanishError:
-        return {"twice": Twice.holding(rings, units=units)}
+        return {"agreement": AgreementFacts.holding(rings, units=units)}
     line_fields: dict[str, Any] = {"error_ratio": error_ratio}
     if error_ratio is not None:
         with suppress(PlanishError):
@@ -294,7 +294,11 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
                 "error_intercept": fit.intercept,
                 "error_interval": fit.interval,
             }
-    return {"twice": Twice.holding(rings, agreement, point_um=point_um, units=units, **line_fields)}
+    return {
+        "agreement": AgreementFacts.holding(
+            rings, agreement, point_um=point_um, units=units, **line_fields
+        )
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

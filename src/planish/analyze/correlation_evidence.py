@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from pydantic import Field
 
-from planish.analyze.agreement import Twice, answer_twice
+from planish.analyze.agreement import AgreementFacts, answer_agreement
 from planish.analyze.attenuation import answer_attenuation
 from planish.analyze.compare import CELLS
 from planish.analyze.compared_maps import ComparedMaps
@@ -92,7 +92,7 @@ class EvidenceFacts(ResultModel):
         default=(), description="How each map varies with distance."
     )
     correlogram: CorrelogramProfiles | None = optional("r at every shift of one map.")
-    twice: Twice | None = optional("Where both maps are of the same quantity.")
+    agreement: AgreementFacts | None = optional("Where both maps are of the same quantity.")
     partial: Partial | None = optional("Where the study names maps that stand beside.")
     commonality: dict[str, float] | None = optional(
         "Shares of the variance of b that the maps explain alone and only together (joined by ' and"
@@ -128,7 +128,7 @@ QUESTIONS = (
     ),
     Question(("variograms",), answer_variograms),
     Question(("correlogram",), answer_correlogram),
-    Question(("twice",), answer_twice),
+    Question(("agreement",), answer_agreement),
     Question(("density_g_cm3",), answer_density),
     Question(
         ("kubelka_munk",),

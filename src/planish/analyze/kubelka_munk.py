@@ -49,7 +49,7 @@ class KubelkaMunk(ResultModel):
         "Backing that fits best with each end of the interval of S."
     )
     rms: Value = optional("Of what the curve leaves of the reflectance.")
-    silence: str | None = optional("Why there is no curve.")
+    reason: str | None = optional("Why there is no curve.")
 
     def __call__(self, x: ArrayLike) -> Floats:
         """Reflectance of the layer at thicknesses or weights x."""
@@ -310,7 +310,7 @@ def kubelka_munk_of(
             weight=is_weight,
         )
     except PlanishError as error:
-        return KubelkaMunk(point_um=point_um, ratio=ratio, weight=is_weight, silence=error.text)
+        return KubelkaMunk(point_um=point_um, ratio=ratio, weight=is_weight, reason=error.text)
     return KubelkaMunk.holding(curve, point_um=point_um)
 
 
@@ -329,7 +329,7 @@ def answer_kubelka_munk(pair: ComparedMaps) -> dict[str, Any]:
         return {}
     if pair.why_no_points:
         return {
-            "kubelka_munk": KubelkaMunk(point_um=point_um, ratio=ratio, silence=pair.why_no_points)
+            "kubelka_munk": KubelkaMunk(point_um=point_um, ratio=ratio, reason=pair.why_no_points)
         }
     density = 1.0 if pair.units[0] == "g/m2" else answer_density(pair).get("density_g_cm3")
     return {

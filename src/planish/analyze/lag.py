@@ -24,9 +24,9 @@ from planish.texture.lag_search import LagSearch
 from planish.texture.ncc import MARGIN, find_peak, rival_of, within
 from planish.texture.textures import Textures
 
-Silence = Literal["few", "texture", "border", "rival", "light"]
+Reason = Literal["few", "texture", "border", "rival", "light"]
 NAME = "position by texture"
-_SILENCE: dict[Silence, str] = {
+_REASONS: dict[Reason, str] = {
     "few": "too few pixels are known in all maps",
     "texture": "the maps have no texture in common that stands out from chance",
     "border": "the correlation still rises at the largest lag searched",
@@ -63,7 +63,7 @@ class LagNumbers(ResultModel):
     r: Value = Field(description="r at the best lag; it was searched for and measures no relation.")
     r_at_zero: Value = Field(description="r without any lag.")
     limit_r: Value = optional("|r| that unrelated maps exceed in the search in 1 of 1000 cases.")
-    silence: str | None = Field(
+    reason: str | None = Field(
         description="Why the lag is inconclusive: few, texture, border, rival or light."
     )
     agrees: bool | None = Field(
@@ -81,7 +81,7 @@ class LagNumbers(ResultModel):
 
 # Of a lag, in this order in the results.
 _SAVED = (
-    *("lag_um", "se_um", "length_um", "length_se_um", "r", "r_at_zero", "limit_r", "silence"),
+    *("lag_um", "se_um", "length_um", "length_se_um", "r", "r_at_zero", "limit_r", "reason"),
     *("pixel_um", "n", "reach_um", "light"),
 )
 
@@ -98,7 +98,7 @@ class Lag:
     reach_um: float
     pixel_um: Pair
     n: int
-    silence: Silence | None
+    reason: Reason | None
     lag_um: Pair = (math.nan, math.nan)
     covariance_um2: Floats = field(default_factory=lambda: np.full((2, 2), np.nan))
     r: float = math.nan
@@ -110,7 +110,7 @@ class Lag:
     @property
     def distinct(self) -> bool:
         """Whether the peak is above chance, inside the search, the only one, and well located."""
-        return self.silence is None
+        return self.reason is None
 
     @property
     def se_um(self) -> Pair:
@@ -178,8 +178,8 @@ class Lag:
         The expected error of the registration (rms, in um) may be unknown.
         """
         inconclusive = "Image-based check: inconclusive, because"
-        if self.silence is not None:
-            sentence = f"{inconclusive} {_SILENCE[self.silence]}."
+        if self.reason is not None:
+            sentence = f"{inconclusive} {_REASONS[self.reason]}."
             return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
         length, length_error = self.length_um, self.length_se_um
         offset = (
@@ -316,7 +316,7 @@ def texture_lag(  # noqa: PLR0911
     if texture.n < 400 or not all(
         k in texture.maps and texture.maps[k].any() for k in (*first, last)
     ):
-        return build_lag(silence="few")
+        return build_lag(reason="few")
     halves = [texture.halves(k) for k in first]
     x, y = np.stack([m for two in halves for m in two]), texture.maps[last]
     search = LagSearch(x, y, texture.known, (reach[0] + MARGIN, reach[1] + MARGIN))
@@ -325,7 +325,7 @@ def texture_lag(  # noqa: PLR0911
     peak = find_peak(search.share, above if above.any() else allowed)
     share_at_zero = search.share[search.share.shape[0] // 2, search.share.shape[1] // 2]
     lag = build_lag(
-        silence="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(share_at_zero, 0))
+        reason="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(share_at_zero, 0))
     )
     if peak is None:
         return lag
@@ -339,9 +339,9 @@ def texture_lag(  # noqa: PLR0911
     if not above.any():
         return lag
     if not peak.inner:
-        return replace(lag, silence="border")
+        return replace(lag, reason="border")
     if rival_of(search.share, peak, allowed) > max(limit, 0.8 * peak.r):
-        return replace(lag, silence="rival")
+        return replace(lag, reason="rival")
     step = np.array([pixel[1], pixel[0]])
     covariance = search.covariance(peak, pixel)[::-1, ::-1] * np.outer(step, step)
     covariance += (0.1 * max(pixel)) ** 2 * np.eye(2)  # what is lost between the pixels
@@ -350,9 +350,9 @@ def texture_lag(  # noqa: PLR0911
         lag = replace(lag, light=1.0 - search.share_of(without_slopes, peak.lag_px) / peak.r)
     # Else it locates nothing.
     if not math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) < reach_um / 4:
-        return replace(lag, silence="light" if slopes else "texture")
+        return replace(lag, reason="light" if slopes else "texture")
     lag_x_um, lag_y_um = (float(v) for v in peak.summit_px[::-1] * step)
-    lag = replace(lag, silence=None, lag_um=(lag_x_um, lag_y_um), covariance_um2=covariance)
+    lag = replace(lag, reason=None, lag_um=(lag_x_um, lag_y_um), covariance_um2=covariance)
     if tiles_um is None:
         return lag
     return replace(

@@ -32,7 +32,7 @@ class LightSpread(PointsCorrelation, _Spread):
 
     difference: Value = optional("This r minus that of the coating as it is, at the same points.")
     difference_interval: Interval = optional("95 % interval of the difference.")
-    silence: str | None = optional("Why there is no such r.")
+    reason: str | None = optional("Why there is no such r.")
 
 
 def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
@@ -102,7 +102,7 @@ def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
         return {}
     build_result = partial(LightSpread, width_um=width_um, point_um=point_um)
     if pair.why_no_points:
-        return {"light_spread": build_result(silence=pair.why_no_points)}
+        return {"light_spread": build_result(reason=pair.why_no_points)}
     try:
         blurred = spread_light(pair.x, pixel_um=cell_um, width_um=width_um)
         blurred_points = area_mean(blurred, (point_um / cell_um[0], point_um / cell_um[1]))
@@ -110,10 +110,10 @@ def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
         correlation = correlate(blurred_points, image, pixel_um=point_um)
         difference = paired_difference((coating, image), (blurred_points, image), pixel_um=point_um)
     except PlanishError as error:
-        return {"light_spread": build_result(silence=error.text)}
+        return {"light_spread": build_result(reason=error.text)}
     if math.isnan(correlation.r):
         return {
-            "light_spread": build_result(n=correlation.n, silence=" ".join(correlation.warnings))
+            "light_spread": build_result(n=correlation.n, reason=" ".join(correlation.warnings))
         }
     return {
         "light_spread": LightSpread.of(

@@ -51,7 +51,7 @@ class Mottle(ResultModel):
     mean: Value = optional("Of the image.")
     n: int | None = optional("Pixels, or means over several, that are known.")
     measured: str | None = optional("What the values are of.")
-    silence: str | None = optional("Why there is none.")
+    reason: str | None = optional("Why there is none.")
 
 
 def print_mottle(
@@ -165,5 +165,5 @@ def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> Mottle:
     try:
         mottle = print_mottle(image, pixel_um=cell_um, quantity=quantity)
     except PlanishError as error:
-        return Mottle(layer=name, silence=error.text)
+        return Mottle(layer=name, reason=error.text)
     return Mottle.holding(mottle, layer=name)

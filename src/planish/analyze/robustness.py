@@ -42,7 +42,7 @@ class _Given(ResultModel):
 class Partial(PointsCorrelation, _Given):
     """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
 
-    silence: str | None = optional("Why there is no partial correlation.")
+    reason: str | None = optional("Why there is no partial correlation.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -256,7 +256,7 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
     if min(factor) < 1 - 1e-9:
         reason = f"Points of {point_um:g} um are smaller than a pixel."
-        return {"partial": partial_of(silence=reason)}
+        return {"partial": partial_of(reason=reason)}
     names = (pair.a[1], *covariates)
     maps = [*(sheet_maps[name] for name in names), image_maps[pair.b[1]]]
     *sheet_points, image_points = common_means(
@@ -273,12 +273,12 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
         reason = (
             f"Over {n} points that are valid in all maps, {', '.join(flat_maps)} does not vary."
         )
-        return {"partial": partial_of(n=n, silence=reason)}
+        return {"partial": partial_of(n=n, reason=reason)}
     try:
         correlation = partial(sheet_points[0], image_points, sheet_points[1:], pixel_um=point_um)
         shares = commonality(image_points, dict(zip(names, sheet_points, strict=True)))
     except PlanishError as error:  # nothing is left: the rest of the run stands
-        return {"partial": partial_of(silence=error.text)}
+        return {"partial": partial_of(reason=error.text)}
     return {
         "partial": Partial.of(correlation, given=covariates, point_um=point_um),
         "commonality": shares,

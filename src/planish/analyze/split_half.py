@@ -43,7 +43,7 @@ class Reliability(ResultModel):
     interval: Interval = optional("Its 95 % interval.")
     n_eff: Value = optional("Independent points.")
     shared: str | None = optional("What both halves share, which makes it an upper bound.")
-    silence: str | None = optional("Why there is none.")
+    reason: str | None = optional("Why there is none.")
 
 
 def split_reliability(
@@ -191,7 +191,7 @@ def reliability_of(pair: ComparedMaps, layer: str, name: str) -> Reliability:
         )
         reliability = split_reliability(odd, even, pixel_um=point_um)
     except PlanishError as error:
-        return Reliability(layer=layer, map=name, point_um=point_um, silence=error.text)
+        return Reliability(layer=layer, map=name, point_um=point_um, reason=error.text)
     return Reliability.holding(
         reliability, layer=layer, map=name, shared=columns.shared(alone=alone)
     )

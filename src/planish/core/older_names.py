@@ -16,6 +16,8 @@ _KEYS = {
     "ceiling_noise": "attenuation_limit_noise",
     "ceiling_both": "attenuation_limit_both",
     "second_opinion": "conley_interval",
+    "silence": "reason",
+    "twice": "agreement",
 }
 
 _VALUES = {"relative grey": "grey value, uncalibrated"}  # values that are words

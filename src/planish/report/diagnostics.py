@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from planish.analyze import CorrelogramProfiles, LagProfile
-from planish.analyze.agreement import Twice
+from planish.analyze.agreement import AgreementFacts
 from planish.analyze.kubelka_munk import KubelkaMunk
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, count, in_words, number, plain
@@ -265,7 +265,7 @@ def _lag_table(axis: str, profile: LagProfile) -> Table:
 
 
 def draw_rings(
-    agreement: Twice, *, name: str, layers: tuple[str, str], excluded_text: str = HOLES
+    agreement: AgreementFacts, *, name: str, layers: tuple[str, str], excluded_text: str = HOLES
 ) -> Picture:
     """Draw how far two measurements of one map agree, against wavelength."""
     canvas = Canvas(FULL, 345)

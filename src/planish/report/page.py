@@ -383,9 +383,9 @@ def _evidence_section(
         figures["distance"].append(
             diagnostics.draw_correlogram(e.correlogram, names=names, excluded_text=excluded_text)
         )
-    if e.twice is not None and e.twice.rings:
+    if e.agreement is not None and e.agreement.rings:
         rings = diagnostics.draw_rings(
-            e.twice, name=titles_text[0], layers=(e.a, e.b), excluded_text=excluded_text
+            e.agreement, name=titles_text[0], layers=(e.a, e.b), excluded_text=excluded_text
         )
         figures["repeated"].append(rings)
     if e.kubelka_munk is not None and is_known(e.kubelka_munk.scattering) and pair is not None:

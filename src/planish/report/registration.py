@@ -343,9 +343,7 @@ def draw_lags(
         width=2.2,
     )
     doubt_text = (
-        " The check as a whole is inconclusive: read the arrows with caution."
-        if lag.silence
-        else ""
+        " The check as a whole is inconclusive: read the arrows with caution." if lag.reason else ""
     )
     size_text = f" of {plain(lag.tile_um)}" if is_known(lag.tile_um) else ""
     return canvas.picture(

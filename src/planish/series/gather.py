@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from planish.analyze.agreement import Twice
+from planish.analyze.agreement import AgreementFacts
 from planish.core.checks import State, concerned
 from planish.core.errors import FileError
 from planish.core.facts import SIDES, Trust, is_known
@@ -164,7 +164,9 @@ def _summary(member: Member, results: Results) -> RunSummary:
     if results.is_link and len(results.layers) == 2 and sheets:
         kind = "two volumes" if len(sheets) == 2 else "sheet on image"
     instruments = (
-        _instruments(member, results, e, e.twice) for e in results.evidence if e.twice is not None
+        _instruments(member, results, e, e.agreement)
+        for e in results.evidence
+        if e.agreement is not None
     )
     return RunSummary(
         specimen=SeriesSpecimen(
@@ -197,15 +199,19 @@ def _largest(lengths: Sequence[float | None]) -> float | None:
 
 
 def _instruments(
-    member: Member, results: Results, e: EvidenceFacts, twice: Twice
+    member: Member, results: Results, e: EvidenceFacts, agreement: AgreementFacts
 ) -> InstrumentFacts | None:
     """How two measurements of the map that stands for both sheets differ.
 
     None where they are of two quantities.
     """
     rows = [row for row in results.correlations if key_of(row) == key_of(e)]
-    if is_known(twice.point_um):
-        rows = [row for row in rows if abs(row.point_um - twice.point_um) <= 1e-6 * twice.point_um]
+    if is_known(agreement.point_um):
+        rows = [
+            row
+            for row in rows
+            if abs(row.point_um - agreement.point_um) <= 1e-6 * agreement.point_um
+        ]
     row = max(rows, key=lambda row: row.point_um, default=None)
     if row is None or not row.same_quantity:
         return None
@@ -214,12 +220,12 @@ def _instruments(
         has_slopes = is_known(row.slope) and row.slope_x_on_y
         figures = {
             "bias": row.difference_mean,
-            "bias_interval": twice.bias_interval,
+            "bias_interval": agreement.bias_interval,
             "limits": row.limits,
-            "limit_intervals": twice.limit_intervals,
-            "shared_um": twice.resolution_um,
+            "limit_intervals": agreement.limit_intervals,
+            "shared_um": agreement.resolution_um,
             "slopes": (row.slope, 1 / row.slope_x_on_y) if has_slopes else None,
-            "sentence": twice.sentence or "",
+            "sentence": agreement.sentence or "",
         }
     return InstrumentFacts(
         specimen=member.name,
@@ -303,7 +309,7 @@ def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterato
 
 
 def _of_pairs(results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
-    twice_by_pair = {key_of(e): e.twice for e in results.evidence}
+    agreement_by_pair = {key_of(e): e.agreement for e in results.evidence}
     for c in results.correlations:
         trust_fields = _trusted(
             c.trust, results, (c.a, c.b), (c.a_map, c.b_map, "position", "correlation")
@@ -317,7 +323,7 @@ def _of_pairs(results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
             yield make_pair_row(quantity_name, _number(float(getattr(c, quantity))))
         if c.same_quantity:
             yield from _differences(
-                c, twice_by_pair.get(key_of(c)), partial(make_pair_row, unit=c.units or "1")
+                c, agreement_by_pair.get(key_of(c)), partial(make_pair_row, unit=c.units or "1")
             )
     for image in results.mottle:
         for band in image.bands:
@@ -334,21 +340,27 @@ def _number(value: float) -> float | None:
     return value if is_known(value) else None
 
 
-def _differences(c: CorrelationRow, twice: Twice | None, make_row: MakeRow) -> Iterator[FigureRow]:
+def _differences(
+    c: CorrelationRow, agreement: AgreementFacts | None, make_row: MakeRow
+) -> Iterator[FigureRow]:
     """Give the bias and limits of two measurements of one quantity.
 
     They have intervals at the points where the run states them.
     """
-    if twice is not None and (c.trust == "withheld" or not abs(twice.point_um - c.point_um) < 1e-6):
-        twice = None
-    intervals = (None,) * 3 if twice is None else (twice.bias_interval, *twice.limit_intervals)
+    if agreement is not None and (
+        c.trust == "withheld" or not abs(agreement.point_um - c.point_um) < 1e-6
+    ):
+        agreement = None
+    intervals = (
+        (None,) * 3 if agreement is None else (agreement.bias_interval, *agreement.limit_intervals)
+    )
     for quantity, value, ends in zip(
         ("bias", "limit_low", "limit_high"), (c.difference_mean, *c.limits), intervals, strict=True
     ):
         low, high = ends if ends is not None and is_known(ends) else (None, None)
         yield make_row(quantity, _number(value), low=low, high=high)
-    if twice is not None and twice.resolution_um is not None:
-        yield make_row("shared_um", twice.resolution_um, unit="um")
+    if agreement is not None and agreement.resolution_um is not None:
+        yield make_row("shared_um", agreement.resolution_um, unit="um")
 
 
 def _trusted(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from planish.analyze.agreement import Twice
+from planish.analyze.agreement import AgreementFacts
 from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.core.facts import is_known
 from planish.core.numbers import count, fixed, limits_text, number, plain, typeset, unit
 from planish.report.sentences.wording import Wording
 
 
-def say_twice(agreement: Twice, evidence: EvidenceFacts, _: Wording) -> Iterator[str]:
+def say_agreement(agreement: AgreementFacts, evidence: EvidenceFacts, _: Wording) -> Iterator[str]:
     """Down to which wavelength two measurements agree, and how far they differ."""
     if agreement.sentence:
         yield typeset(agreement.sentence)

@@ -28,7 +28,7 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
         if len(evidence.reliability) > 1:
             map_text += f" of {reliability.layer}"
         if not is_known(reliability.value):
-            yield f"Reliability of {map_text}: not known. {reliability.silence or ''}".strip()
+            yield f"Reliability of {map_text}: not known. {reliability.reason or ''}".strip()
             continue
         size_text = f"over {count(reliability.n)} points of {plain(reliability.point_um)}"
         share_text = ("below " if reliability.value > 0.99 else "") + percent(

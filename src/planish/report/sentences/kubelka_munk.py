@@ -13,8 +13,8 @@ from planish.core.typing import Pair
 def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
     """S and the backing with their intervals."""
     title = f"Kubelka and Munk's curve with K/S = {curve.ratio:g}"
-    if curve.silence is not None:
-        yield f"{title}: none. {curve.silence}"
+    if curve.reason is not None:
+        yield f"{title}: none. {curve.reason}"
         return
     unit_text = "m²/kg" if curve.weight else "per µm"
     interval_text = _limits_text(curve.scattering_interval) or "its 95 % interval has no upper end"

@@ -15,7 +15,7 @@ def say_light_spread(spread: LightSpread, *_: object) -> Iterator[str]:
         f"With the coating blurred by light that spreads over {plain(spread.width_um)} (declared)"
     )
     if not is_known(spread.r):
-        yield f"{width_text}, there is no r. {spread.silence or ''}".strip()
+        yield f"{width_text}, there is no r. {spread.reason or ''}".strip()
         return
     text = f"{width_text}, r = {fixed(spread.r, 2)} at points of {plain(spread.point_um)}"
     if interval_text := limits_text(spread.interval):

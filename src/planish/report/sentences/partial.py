@@ -15,7 +15,7 @@ def say_partial(partial_r: Partial, evidence: EvidenceFacts, _: Wording) -> Iter
     """R given other maps, and the share that the map explains alone."""
     names_text = " and ".join(name.replace("_", " ") for name in partial_r.given)
     if not is_known(partial_r.r):
-        yield f"Given {names_text}, there is no r. {partial_r.silence or ''}".strip()
+        yield f"Given {names_text}, there is no r. {partial_r.reason or ''}".strip()
         return
     interval_text = f"{limits_text(partial_r.interval)}; ".lstrip("; ")
     unique_share = (evidence.commonality or {}).get(evidence.a_map)

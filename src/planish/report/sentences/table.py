@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Literal, NamedTuple
 
 from planish.analyze.correlation_evidence import EvidenceFacts
-from planish.report.sentences.agreement import say_twice
+from planish.report.sentences.agreement import say_agreement
 from planish.report.sentences.attenuation import say_attenuation
 from planish.report.sentences.conley_interval import say_conley_interval
 from planish.report.sentences.correlogram import say_correlogram
@@ -46,7 +46,7 @@ SENTENCES = (
     ),
     QuestionText(("variograms",), say_variograms, section="distance"),
     QuestionText(("correlogram",), say_correlogram, section="distance"),
-    QuestionText(("twice",), say_twice, section="repeated"),
+    QuestionText(("agreement",), say_agreement, section="repeated"),
     QuestionText(("kubelka_munk",), say_kubelka_munk, section="light"),
     QuestionText(("light_spread",), say_light_spread, section="light"),
 )
