@@ -277,7 +277,9 @@ class Results(ResultModel):
     """All numbers of a run: a map of one sheet, or layers linked onto the last one."""
 
     format: Literal[4] = Field(default=FORMAT, description="Version of this schema.")
-    stored_format: SkipJsonSchema[int] = Field(default=FORMAT, exclude=True, repr=False)
+    stored_format: SkipJsonSchema[int] = Field(
+        default=FORMAT, exclude=True, description="Format of the file that was read; in no file."
+    )
     planish: str = Field(description="Version of the program.")
     code: str = Field(
         default="", description="Hash of the program's sources; empty where not all is of one code."

@@ -6,9 +6,10 @@ Sheets, not fields, are the sample: means, intervals and tests are over means of
 """
 
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic.json_schema import SkipJsonSchema
 
 from planish.analyze.agreement import Agreement
 from planish.analyze.between_sheets import Equivalence, SetDifference
@@ -26,6 +27,7 @@ from planish.core.facts import (
     is_known,
     optional,
 )
+from planish.core.older_names import todays_names
 from planish.core.tables import naming_faults, read_text
 
 # ``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its
@@ -58,7 +60,7 @@ class Member(ResultModel):
         return None if self.run is None else home / self.run
 
 
-FORMAT = 1  # version of the schema
+FORMAT = 2  # version of the schema; planish 0.2.0 wrote 1
 What = Literal["mean", "sd", "thin_share", "r"]  # statistics that are compared over specimens
 
 # What a run is: one sheet mapped; a sheet linked to an image; two sheets linked; more layers, or
@@ -195,7 +197,10 @@ class InstrumentFacts(Agreement, _OfTwoLayers):
 class SeriesResults(ResultModel):
     """All numbers of a series of specimens."""
 
-    format: Literal[1] = Field(default=FORMAT, description="Version of this schema.")
+    format: Literal[2] = Field(default=FORMAT, description="Version of this schema.")
+    stored_format: SkipJsonSchema[int] = Field(
+        default=FORMAT, exclude=True, description="Format of the file that was read; in no file."
+    )
     planish: str = Field(description="Version of the program.")
     declared: dict[str, object] = Field(
         description="What was declared: factor, margins, maps, doubtful figures."
@@ -217,6 +222,13 @@ class SeriesResults(ResultModel):
         default=(), description="Specimens measured by two instruments."
     )
     cautions: tuple[str, ...] = Field(default=(), description="What to be careful about.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_todays_names(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("format") == 1:  # type: ignore[reportUnknownMemberType]
+            return todays_names(data) | {"format": FORMAT, "stored_format": 1}
+        return data  # type: ignore[reportUnknownVariableType]
 
     @property
     def members(self) -> tuple[Member, ...]:

@@ -174,6 +174,12 @@ class TwoSidesFacts(ResultModel):
     )
     coating_correlation: Number = optional("r of both coatings.")
     coating_n: int | None = optional("Columns with both coatings.")
+    half_thickness_difference_um: Number = optional(
+        "Mean height above the centre surface, top less bottom."
+    )
+    half_thickness_sd_ratio: Number = optional("Standard deviation of the top's over the bottom's.")
+    half_thickness_correlation: Number = optional("r of both, outward heights.")
+    half_thickness_n: int | None = optional("Columns with both.")
     topography_difference_um: Number = optional(
         "Mean topography of the top less that of the bottom."
     )
@@ -200,7 +206,13 @@ class SheetNumbers(ResultModel):
     """What describes a sheet and is no map; keyed by side."""
 
     thin: dict[Side, ThinFacts] = Field(description="Thin and bare shares of the coating, by side.")
-    roughness: dict[Side, RoughnessFacts] = Field(description="Roughness of the face, by side.")
+    roughness: dict[Side, RoughnessFacts] = Field(
+        default={}, description="Roughness of the face, by side."
+    )
+    roughness_about_centre: dict[Side, RoughnessFacts] = Field(
+        default={},
+        description="Of heights above the centre surface, as runs up to format 3 have it.",
+    )
     two_sides: TwoSidesFacts = Field(description="Top against bottom.")
     profiles: ProfileFacts | None = optional(
         "Porosity and filler over the depth, where their maps were measured."

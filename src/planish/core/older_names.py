@@ -1,6 +1,6 @@
 """What older results call things, and what the same is called today.
 
-Of results, figures and stores of maps alike; ``docs/words.md`` and the changelog list them.
+Of results, studies and stores of maps alike; the changelog has the table.
 """
 
 from __future__ import annotations
@@ -15,24 +15,34 @@ _KEYS = {
     "ceiling": "attenuation_limit",
     "ceiling_noise": "attenuation_limit_noise",
     "ceiling_both": "attenuation_limit_both",
+    "roughness": "roughness_about_centre",
     "second_opinion": "conley_interval",
     "silence": "reason",
     "twice": "agreement",
 }
-
-_VALUES = {"relative grey": "grey value, uncalibrated"}  # values that are words
-
-_TITLES = {"Relative grey": "Grey value, uncalibrated"}  # how titles begin
-
-_TITLE = re.compile("|".join(_TITLES) or "$^")
+# A map, its error and its slopes, alone or after a layer's name, and no file or folder.
+_OF_MAP = r"_(?=(?:top|bottom|difference|sd_ratio|correlation|n)(?:_se|_um|_x|_y)?\b(?![./\\]))"
+_OF_TITLE = r"(?=,? \(?(?:top|bottom) )"
+# Up to format 3 both were heights above the centre surface.
+_WORDS = {
+    rf"(?<![\w/\\])topography{_OF_MAP}": "half_thickness_",
+    rf"(?<![\w/\\])roughness{_OF_MAP}": "roughness_about_centre_",
+    rf"\bTopography{_OF_TITLE}": "Face above the centre surface",
+    rf"\btopography{_OF_TITLE}": "face above the centre surface",
+    rf"\bRoughness{_OF_TITLE}": "Roughness about the centre surface",
+    rf"\broughness{_OF_TITLE}": "roughness about the centre surface",
+    r"\bRelative grey\b": "Grey value, uncalibrated",
+    r"\brelative grey\b": "grey value, uncalibrated",
+}
 
 
 def todays_names(stored: Any) -> Any:
     """Give JSON, or the attributes of maps, of an older format the names of today."""
     if isinstance(stored, dict):
-        return {_KEYS.get(key, key): todays_names(part) for key, part in stored.items()}  # type: ignore[reportUnknownVariableType]
-    if isinstance(stored, list):
+        return {_KEYS.get(k) or todays_names(k): todays_names(v) for k, v in stored.items()}  # type: ignore[reportUnknownVariableType]
+    if isinstance(stored, list | tuple):
         return [todays_names(part) for part in stored]  # type: ignore[reportUnknownVariableType]
-    if not isinstance(stored, str):
-        return stored
-    return _VALUES.get(stored) or _TITLE.sub(lambda found: _TITLES[found[0]], stored, count=1)
+    if isinstance(stored, str):
+        for pattern, todays in _WORDS.items():
+            stored = re.sub(pattern, todays, stored)
+    return stored

@@ -21,7 +21,7 @@ from planish.core.transform import Affine, Similarity
 from planish.exports.content import ExportHistory
 from planish.exports.transforms import DirectedTransform, TransformPair
 from planish.io import VolumeParams, find_place, fingerprint
-from planish.io.map_store import overviews_of
+from planish.io.map_store import map_folder, overviews_of
 from planish.marks.exchange import LayerPixels
 from planish.measure import straightened
 from planish.report.colours import Scale, colours_of, partner_of
@@ -112,8 +112,8 @@ def map_levels(store: Path, group: str, name: str) -> list[Path]:
 
     None where it is not stored.
     """
-    levels = [store / level / name for level in (group, *overviews_of(store, group, name))]
-    return levels if levels[0].is_dir() else []
+    levels = (map_folder(store, level, name) for level in (group, *overviews_of(store, group)))
+    return [level for level in levels if level is not None]
 
 
 def scale_of(maps: xr.Dataset, name: str) -> Scale:

@@ -24,7 +24,7 @@ from planish.core.grid import Grid
 from planish.core.labelled import variable_data
 from planish.core.lazy import LazyArray, Where
 from planish.core.memory import LARGE_BYTES
-from planish.core.older_names import FORMAT
+from planish.core.older_names import FORMAT, todays_names
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.io.map_chunks import CODECS, is_ours, read_chunks, write_chunks
@@ -198,7 +198,27 @@ def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Da
             values = variable_data(values) if array.ndim == 2 else array[...]
             (coords if dims == (key,) else variables)[key] = xr.Variable(dims, values, attrs)
         coords |= {key: variables.pop(key) for key in other_coords & variables.keys()}
-        return xr.Dataset(variables, coords=coords, attrs=dict(group.attrs))
+        maps = xr.Dataset(variables, coords=coords, attrs=dict(group.attrs))
+        return _with_todays_names(maps) if _is_older(path) else maps
+
+
+def _with_todays_names(maps: xr.Dataset) -> xr.Dataset:
+    for variable in maps.variables.values():
+        variable.attrs = todays_names(variable.attrs)
+    maps.attrs = todays_names(maps.attrs)
+    return maps.rename({name: todays_names(name) for name in maps.data_vars})
+
+
+def _is_older(store: Path) -> bool:
+    return int(zarr.open_group(store, mode="r").attrs.get("format", 0)) < FORMAT
+
+
+def map_folder(store: Path, group: str, name: str) -> Path | None:
+    """Folder of a map in a store, where it may have an older name; None where it is not."""
+    is_older = _is_older(store)
+    folders = (store / group).glob("*")
+    names = {todays_names(path.name) if is_older else path.name: path for path in folders}
+    return names.get(name)
 
 
 def is_large(arrays: Iterable[Any]) -> bool:
@@ -213,7 +233,7 @@ def overviews_of(path: Path, group: str, name: str = "") -> list[str]:
     """
     return list(
         takewhile(
-            lambda copy: (path / copy / name).is_dir(),
+            lambda copy: map_folder(path, copy, name) if name else (path / copy).is_dir(),
             (f"{OVERVIEWS}/{group}/{k}" for k in count(1)),
         )
     )

@@ -199,7 +199,7 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
         If there is no pair.
     """
     numbers: dict[str, float] = {}
-    for pair in ("coating", "topography"):
+    for pair in ("coating", "half_thickness", "topography"):
         names = [f"{pair}_{side}" for side in SIDES]
         if any(name not in maps for name in names):
             continue

@@ -14,6 +14,7 @@ from planish.core.errors import FileError
 from planish.core.facts import is_known
 from planish.core.files import check_exists
 from planish.core.lazy import ReadOnDemand
+from planish.core.older_names import FORMAT, todays_names
 from planish.io.map_groups import open_tree
 from planish.marks.regions import Regions, read_regions
 from planish.results import Results
@@ -188,7 +189,7 @@ def open_run(path: str | Path) -> Run:
     folder = check_path(path, "the folder of a run", "pl.open_run", 'pl.open_run("run")')
     results = open_results(folder)
     return Run(
-        study=read_study(folder / RUN_TOML),
+        study=_study_of(folder, results),
         results=results,
         groups=open_tree(folder / MAPS),
         registrations=ReadOnDemand(
@@ -206,12 +207,21 @@ def open_sheet(path: str | Path) -> MappedLayer:
     FileError if it is no run, holds no sheet of its own, or a file of it is missing or damaged.
     """
     folder = Path(path)
-    results, study = open_results(folder), read_study(folder / RUN_TOML)
+    results = open_results(folder)
+    study = _study_of(folder, results)
     sheet = Run(
         study=study, results=results, groups=open_tree(folder / MAPS, _SHEET_GROUPS), folder=folder
     ).sheet()
     unchanged = dict.fromkeys(sheet.groups, folder / MAPS) if results.is_of_this_code else {}
     return replace(sheet, by_this_code=results.is_of_this_code, unchanged=unchanged)
+
+
+def _study_of(folder: Path, results: Results) -> Study:
+    """The study of a run, with the names that its maps have today."""
+    study = read_study(folder / RUN_TOML)
+    if results.stored_format == FORMAT:
+        return study
+    return Study.model_validate(todays_names(study.model_dump(mode="json")))
 
 
 def open_results(folder: Path) -> Results:

@@ -11,10 +11,11 @@ from typing import Any
 
 from planish.analyze.agreement import AgreementFacts
 from planish.core.checks import State, concerned
-from planish.core.errors import FileError
-from planish.core.facts import SIDES, Trust, is_known
+from planish.core.errors import FileError, InputError
+from planish.core.facts import SIDES, RoughnessFacts, Trust, is_known
+from planish.core.older_names import FORMAT
 from planish.report.summary import key_of
-from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
+from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results, SheetFacts
 from planish.run.run import open_results
 from planish.run.study import in_study_words
 from planish.series_results import InstrumentFacts, Member, SeriesSpecimen
@@ -115,8 +116,14 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
     -------
     Gathered
         A run that is missing or damaged does not end it: its member says so.
+
+    Raises
+    ------
+    InputError
+        If some runs have an older format than others.
     """
     judged_members, rows, runs = list[Member](), list[FigureRow](), dict[str, RunSummary]()
+    run_by_age = dict[bool, str]()
     for timed_member in members:
         # Of a clock: no two runs take the same.
         member = timed_member.model_copy(update={"seconds": None})
@@ -131,7 +138,14 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
                 member = as_judged(member, results)
                 rows += rows_of(member, results)
                 runs[member.name] = _summary(member, results)
+                run_by_age[results.stored_format < FORMAT] = member.name
         judged_members.append(member)
+    if len(run_by_age) > 1:
+        raise InputError(
+            f"The results of {run_by_age[True]} have an older format than those of"
+            f" {run_by_age[False]}, and topography, roughness and mean angles meant something else"
+            " there. Repeat the older runs with this version: planish run RUN/run.toml"
+        )
     return Gathered(members=tuple(judged_members), rows=rows, runs=runs)
 
 
@@ -265,13 +279,21 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
     ]
 
 
+def _roughness_by_map(sheet: SheetFacts) -> dict[str, RoughnessFacts]:
+    if sheet.numbers is None:
+        return {}
+    return {f"topography_{side}": facts for side, facts in sheet.numbers.roughness.items()} | {
+        f"half_thickness_{side}": facts
+        for side, facts in sheet.numbers.roughness_about_centre.items()
+    }
+
+
 def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterator[FigureRow]:  # noqa: C901
     sheet, registration = layer.sheet, layer.registration
     make_row = partial(make_row, layer=layer.name)
     if sheet is not None:
-        thin_by_side, roughness_by_side = (
-            (sheet.numbers.thin, sheet.numbers.roughness) if sheet.numbers else ({}, {})
-        )
+        thin_by_side = sheet.numbers.thin if sheet.numbers else {}
+        roughness_by_map = _roughness_by_map(sheet)
         for name, stats in sheet.properties.items():
             make_map_row = partial(
                 make_row, map=name, **_trusted(stats.trust, results, (layer.name,), (name,))
@@ -293,9 +315,9 @@ def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterato
                         thin_by_side[side].thinner_than_um, thin_by_side[side].share, strict=True
                     ):
                         yield make_map_row("thin_share", share, at_um=limit)
-                if name == f"topography_{side}" and side in roughness_by_side:
-                    yield make_map_row("sa", roughness_by_side[side].sa, "um")
-                    yield make_map_row("sq", roughness_by_side[side].sq, "um")
+            if name in roughness_by_map:
+                yield make_map_row("sa", roughness_by_map[name].sa, "um")
+                yield make_map_row("sq", roughness_by_map[name].sq, "um")
         yield make_row("measured_share", sheet.surfaces.shares.get("measured"))
     if registration is not None:
         make_row = partial(make_row, other_layer=registration.to)

@@ -9,9 +9,10 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import FileError
+from planish.core.older_names import todays_names
 from planish.core.tables import parse_table, read_bytes
 from planish.series.pages import OF_A_ROW, RESULTS, VALUES, factor_columns
-from planish.series_results import SeriesResults
+from planish.series_results import FORMAT, SeriesResults
 
 _SIZES = {"thin_share": "limit_um", "coefficient_of_variation": "wave_um"}
 # Quantities whose trust stands for all of their dims
@@ -68,6 +69,8 @@ def open_study(path: str | Path) -> xr.Dataset:
         dict(zip(table.header, table_row.cells, strict=True)) for table_row in table.rows
     ]
     table.check("Write the series again.")
+    if results.stored_format < FORMAT:
+        figure_rows = todays_names(figure_rows)
     names = [specimen.name for specimen in results.specimens]
     if unknown := {row["specimen"] for row in figure_rows} - set(names):
         raise FileError(

@@ -17,7 +17,7 @@ from planish.core.errors import PlanishError
 from planish.core.files import delete, write_whole
 from planish.core.tables import table_text
 from planish.io.map_groups import read_group
-from planish.io.map_store import overviews_of
+from planish.io.map_store import map_folder, overviews_of
 from planish.report import SmallMap, series_page, small_map
 from planish.run.run import MAPS
 from planish.run.study import relative_path
@@ -159,12 +159,12 @@ def _read_map(store: Path, kind: RunKind, quantity: Quantity) -> xr.DataArray | 
         "maps",
         *(() if kind == "map" else ("linked",)),
     ):
-        if (store / group / name).is_dir():
+        if map_folder(store, group, name):
             smallest_group = [group, *overviews_of(store, group, name)][-1]
             data = read_group(
                 store,
                 smallest_group,
-                [v for v in (name, "valid") if (store / smallest_group / v).is_dir()],
+                [v for v in (name, "valid") if map_folder(store, smallest_group, v)],
             )
             values = data[name].values.astype(np.float64)
             if "valid" in data:
