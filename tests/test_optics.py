@@ -1,5 +1,5 @@
-"""What a link says of light on request: references, screens, curves, spread, mottle; and what is
-refused before."""
+"""What a link says with its optical options: references, screens, curves, spread, mottle; and what
+is refused before."""
 
 import json
 import math

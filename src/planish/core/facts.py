@@ -205,7 +205,9 @@ class ProfileFacts(ResultModel):
 class SheetNumbers(ResultModel):
     """What describes a sheet and is no map; keyed by side."""
 
-    thin: dict[Side, ThinFacts] = Field(description="Thin and bare shares of the coating, by side.")
+    thin: dict[Side, ThinFacts] = Field(
+        description="Thin and uncovered shares of the coating, by side."
+    )
     roughness: dict[Side, RoughnessFacts] = Field(
         default={}, description="Roughness of the face, by side."
     )

@@ -230,7 +230,7 @@ def sheet_numbers(
 ) -> SheetNumbers:
     """Describe a sheet in numbers.
 
-    Thin and bare shares, roughness, two-sidedness, and profiles in depth.
+    Thin and uncovered shares, roughness, two-sidedness, and profiles in depth.
 
     Parameters
     ----------

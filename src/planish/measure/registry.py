@@ -249,13 +249,13 @@ def check_maps(params: Common) -> None:
     CannotMeasure
         If a map is unknown, or needs a number that is not given whether the sheet is coated or not.
     """
-    coated, bare = _coated_and_bare()
+    coated, uncoated = _coated_and_uncoated()
     for name in params.maps:
         try:
             in_order([name], params, coated)
         except CannotMeasure as fault:
             try:
-                in_order([name], params, bare)
+                in_order([name], params, uncoated)
             except CannotMeasure:
                 raise fault from None
 
@@ -265,12 +265,12 @@ def possible_maps(params: Common) -> list[str]:
 
     Which sides are coated is not known yet.
     """
-    further_names = [name for greys in _coated_and_bare() for name in chosen(params, greys)]
+    further_names = [name for greys in _coated_and_uncoated() for name in chosen(params, greys)]
     return list(dict.fromkeys([*PROPERTIES, *further_names]))
 
 
-def _coated_and_bare() -> tuple[Greys, Greys]:
-    bare = Greys(
+def _coated_and_uncoated() -> tuple[Greys, Greys]:
+    uncoated = Greys(
         air=0.0,
         base=1.0,
         coating_top=np.nan,
@@ -280,7 +280,7 @@ def _coated_and_bare() -> tuple[Greys, Greys]:
         blur_um=1.0,
         padding=np.nan,
     )
-    return replace(bare, coating_top=2.0, coating_bottom=2.0), bare
+    return replace(uncoated, coating_top=2.0, coating_bottom=2.0), uncoated
 
 
 def chosen(params: Common, greys: Greys) -> list[str]:

@@ -137,7 +137,7 @@ def short(q: Quantity) -> str:
     name = {
         "mean": "Mean",
         "sd": "Standard deviation",
-        "thin_share": f"Below {size_text}" if q.at_um else "Bare",
+        "thin_share": f"Below {size_text}" if q.at_um else "Uncovered area",
         "r": f"r with {q.other_layer or 'the image'}, points of {size_text}",
     }[q.what]
     return axis_label(name, units(q))
