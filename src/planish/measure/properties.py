@@ -183,7 +183,8 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
             # A crossing of half the step uses one place of the edge, a fit all of it.
             crossing_factor = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through_um))
             errors = {name: se * crossing_factor for name, se in errors.items()}
-    # What corrections and the grey of an uncoated base leave open; a wrong grey moves all columns alike.
+    # What corrections and the grey of an uncoated base leave open; a wrong grey moves all columns
+    # alike.
     level_um = 0.0
     for side in SIDES:
         for added in (

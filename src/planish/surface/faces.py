@@ -211,8 +211,8 @@ def _fit_tile(job: FitJob, tile: Tile) -> Floats:
 
     The values are in voxels, (4, rows, cols).
 
-    Where a base of walls and pores lies uncoated, two more: how far each face moves where the wall's
-    grey is a little off.
+    Where a base of walls and pores lies uncoated, two more: how far each face moves where the
+    wall's grey is a little off.
     """
     columns, guide, priors, search_depths = job
     edge = priors.edge
