@@ -79,7 +79,7 @@ def test_filters_and_heights_that_leave_nothing_are_refused():
     limited[5, 5], limited[12, 9] = 1.0, 2.0
     for call, values, short, long, words in (
         (scale_limited, height, 500.0, 80.0, "must be shorter"),
-        (roughness_numbers, limited, 5.0, 800.0, "too small"),
+        (roughness_numbers, limited, 5.0, 800.0, "no slopes"),
     ):
         refused(CannotMeasure, words, call, values, (4.0, 4.0), s_filter_um=short, l_filter_um=long)
 

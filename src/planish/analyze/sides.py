@@ -15,6 +15,7 @@ from planish.core.errors import SizeError
 from planish.core.facts import SIDES, Side
 from planish.core.grid import Grid
 from planish.core.numbers import capital, with_article
+from planish.measure.registry import HEIGHTS
 from planish.register.by_texture.rotations import FALSE
 from planish.texture.textures import Relation, Textures, relate, textures, unexplained
 
@@ -24,7 +25,7 @@ Z_RELATED, Z_CLEAR = 4.5, 3.0
 
 _OF_A_SPECIMEN = (POSITION, CORRELATION)
 """Where nothing says that both show one specimen, a pixel may have no place in it."""
-_OF_SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom", CORRELATION)
+_OF_SIDES = ("coating_top", "coating_bottom", *HEIGHTS, CORRELATION)
 _NO_WORD = "nothing beside the marks says that both show one specimen"
 _ONE = "so both show one specimen"
 _EXCHANGED = "Top and bottom are exchanged."

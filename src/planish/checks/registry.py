@@ -26,6 +26,7 @@ from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule, trust_of
 from planish.core.threads import map_threads
+from planish.measure.registry import HEIGHTS
 from planish.results import (
     ComparisonRow,
     CorrelationRow,
@@ -40,7 +41,7 @@ Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, Expecte
 _ALL = (PROPERTIES, POSITION, CORRELATION)
 _BASE = ("base_thickness", "thickness")
 _THICKNESSES = ("thickness", "coating_top", "coating_bottom", "base_thickness")
-_SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom")
+_SIDES = ("coating_top", "coating_bottom", *HEIGHTS)
 CHECKS = (
     # planish map: from the maps of a sheet
     CheckRule("coverage", MeasuredSheet, (PROPERTIES,), sheets.coverage),

@@ -181,7 +181,7 @@ class TwoSidesFacts(ResultModel):
     half_thickness_correlation: Number = optional("r of both, outward heights.")
     half_thickness_n: int | None = optional("Columns with both.")
     topography_difference_um: Number = optional(
-        "Mean topography of the top less that of the bottom."
+        "Mean topography of the top less that of the bottom: each is about its own form."
     )
     topography_sd_ratio: Number = optional(
         "Standard deviation of the top's topography over that of the bottom's."
@@ -214,6 +214,10 @@ class SheetNumbers(ResultModel):
     roughness_about_centre: dict[Side, RoughnessFacts] = Field(
         default={},
         description="Of heights above the centre surface, as runs up to format 3 have it.",
+    )
+    form_um: Number = optional(
+        "Nesting index of the form, a Gaussian regression of second order, above which topographies"
+        " and surfaces of the base lie."
     )
     two_sides: TwoSidesFacts = Field(description="Top against bottom.")
     profiles: ProfileFacts | None = optional(

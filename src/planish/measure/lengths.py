@@ -377,13 +377,13 @@ def _nesting_um(sheet: Sheet) -> float:
 
 
 def _above_form(sheet: Sheet, name: str, nesting_um: float) -> Measured:
-    from planish.measure.form import outward_heights
+    from planish.measure.form import above_form
 
     f = sheet.frame
     # Distances along vertical rays are longer than along normals by as much everywhere.
     oblique = f.oblique(f.slopes())
     faces = {face: place_um / oblique for face, place_um in f.faces.items()}
-    heights_um = outward_heights(
+    heights_um = above_form(
         faces, f.heights["centre"], sheet.valid, f.pitch_um, names=(name,), nesting_um=nesting_um
     )
     return Measured(values=heights_um[name] * oblique, se=thickness_se(sheet, name))
@@ -406,7 +406,7 @@ def roughness(sheet: Sheet, side: Side) -> Measured:
     above = _above_form(sheet, f"topography_{side}", p.l_filter_um)
     filter_width_um = 2 * np.sqrt(np.pi) * _sigma(p.s_filter_um)
     noise_share = np.prod([min(1.0, np.sqrt(p_um / filter_width_um)) for p_um in f.pitch_um])
-    values = without_short(np.where(sheet.valid, above.values, np.nan), f.pitch_um, p.s_filter_um)
+    values = without_short(above.values, f.pitch_um, p.s_filter_um)
     return Measured(values=values, se=above.se * float(noise_share))
 
 
@@ -482,10 +482,15 @@ def scale_limited(
     from planish.measure.form import above_form
 
     _check_filters(s_filter_um, l_filter_um)
-    is_known = np.isfinite(height)
-    plane = np.zeros(height.shape)
-    above = above_form({"face": height}, plane, is_known, pitch_um, nesting_um=l_filter_um)
-    return without_short(above["face"], pitch_um, s_filter_um)
+    (above,) = above_form(
+        {"top": height},
+        np.zeros(height.shape),
+        np.isfinite(height),
+        pitch_um,
+        names=("topography_top",),
+        nesting_um=l_filter_um,
+    ).values()
+    return without_short(above, pitch_um, s_filter_um)
 
 
 @sheet_property(

@@ -17,7 +17,7 @@ from planish.core.threads import map_threads
 from planish.core.tiles import Engine
 from planish.core.typing import Bools, Floats, Pair
 from planish.measure.depth_profiles import depth_profiles
-from planish.measure.form import outward_heights
+from planish.measure.form import above_form
 from planish.measure.lengths import without_short
 from planish.measure.params import MeasureParams
 from planish.measure.rays import meet
@@ -146,9 +146,7 @@ def roughness_numbers(
     """
     is_finite = np.isfinite(limited)
     if np.count_nonzero(is_finite) < 2:
-        raise CannotMeasure(
-            "No height is known between the filters. Look at 'status', and at l_filter_um."
-        )
+        raise CannotMeasure("No height of the face is known. Look at 'status'.")
     h = limited[is_finite] - limited[is_finite].mean()
     sq = float(np.sqrt(np.mean(h**2)))
     if sq == 0:
@@ -160,8 +158,8 @@ def roughness_numbers(
     squared_slope = squared_slope[np.isfinite(squared_slope)]
     if not squared_slope.size:
         raise CannotMeasure(
-            f"Between the filters {h.size} heights are known, none with neighbours on all sides:"
-            " the field is too small. Give a shorter l_filter_um, and say so beside every number."
+            f"Of the face {h.size} heights are known, none with neighbours on all sides: it has no"
+            " slopes. Look at 'status'."
         )
     return RoughnessFacts(
         sa=float(np.mean(np.abs(h))),
@@ -259,7 +257,10 @@ def sheet_numbers(
         side: facts for side, (_, facts) in zip(SIDES, of_sides, strict=True)
     }
     two_sides = TwoSidesFacts.model_validate(two_sidedness(measured))
-    return SheetNumbers(thin=thin, roughness=roughness, two_sides=two_sides, profiles=profiles)
+    form_um = measured["topography_top"].attrs.get("form_um")
+    return SheetNumbers(
+        thin=thin, form_um=form_um, roughness=roughness, two_sides=two_sides, profiles=profiles
+    )
 
 
 def _numbers_of_side(
@@ -289,23 +290,22 @@ def _numbers_of_side(
     try:
         roughness_map = _scale_limited_face(measured, side, params)
         return thin, roughness_numbers(roughness_map, pitch_um, **filters_um)
-    # a field smaller than the filters has none, which is no fault of the run.
+    # A face of which little is known has none, which is no fault of the run.
     except CannotMeasure as reason:
         return thin, RoughnessFacts(reason=reason.text)
 
 
 def _scale_limited_face(measured: xr.Dataset, side: Side, params: MeasureParams) -> Floats:
-    name, pitch_um = f"topography_{side}", pitch(measured)
-    above_um = measured[name].values
-    if measured[name].attrs.get("form_um") != params.l_filter_um:
+    topography, pitch_um = measured[f"topography_{side}"], pitch(measured)
+    above_um = topography.values
+    if topography.attrs.get("form_um") != params.l_filter_um:
         heights, faces = meet(measured, "normal")
-        above_um = outward_heights(
+        (above_um,) = above_form(
             faces,
             heights["centre"],
             np.isfinite(above_um),
             pitch_um,
-            names=(name,),
+            names=(f"topography_{side}",),
             nesting_um=params.l_filter_um,
-        )[name]
-    known = np.where(np.isfinite(measured[name].values), above_um, np.nan)
-    return without_short(known, pitch_um, params.s_filter_um)
+        ).values()
+    return without_short(above_um, pitch_um, params.s_filter_um)

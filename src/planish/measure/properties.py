@@ -22,11 +22,12 @@ from planish.core.status import FIRST_OWN, Status, status_flags
 from planish.core.threads import count_threads, map_threads
 from planish.core.tiles import Engine
 from planish.core.typing import Floats
-from planish.measure.form import F_OPERATOR, outward_heights
+from planish.measure.form import F_OPERATOR, above_form
 from planish.measure.greys import FWHM, Greys
 from planish.measure.params import MeasureParams
 from planish.measure.rays import CUTOFF_UM, RayFrame, Rays, meet
 from planish.measure.registry import (
+    HEIGHTS,
     LENGTHS,
     PROPERTIES,
     SIDES,
@@ -229,7 +230,8 @@ def _measure_faces(surfaces: xr.Dataset, params: MeasureParams) -> xr.Dataset:
     is_whole = np.isfinite(lengths_um["thickness"])
     for side in SIDES:
         if faces[f"interface_{side}"] is faces[side]:
-            lengths_um[f"coating_{side}"] = np.full(is_whole.shape, np.nan)
+            for name in (f"coating_{side}", f"base_surface_{side}"):
+                lengths_um[name] = np.full(is_whole.shape, np.nan)
         elif np.isfinite(lengths_um[f"coating_{side}"]).any():
             is_whole &= np.isfinite(lengths_um[f"coating_{side}"])
     status[(status == 0) & ~is_whole] = Status.NORMAL_LEAVES_SHEET
@@ -240,21 +242,17 @@ def _measure_faces(surfaces: xr.Dataset, params: MeasureParams) -> xr.Dataset:
             " surface'."
         )
     nesting_um = params.nesting_um(float(surfaces.attrs.get("cutoff_um", CUTOFF_UM)))
-    above_forms = [name for name in PROPERTIES if name not in LENGTHS]
-    lengths_um |= outward_heights(
-        faces,
-        heights["centre"],
-        is_valid,
-        pitch(surfaces),
-        names=above_forms,
-        nesting_um=nesting_um,
+    names = [name for name in HEIGHTS if name not in lengths_um]
+    lengths_um |= above_form(
+        faces, heights["centre"], is_valid, pitch(surfaces), names=names, nesting_um=nesting_um
     )
     variables: dict[str, xr.Variable] = {}
-    for name, length_um in lengths_um.items():
-        attrs = {"units": "um", "long_name": PROPERTIES[name], "role": "property"}
-        if name in above_forms:
+    for name, long_name in PROPERTIES.items():
+        attrs = {"units": "um", "long_name": long_name, "role": "property"}
+        if name in HEIGHTS:
             attrs |= {"form_um": nesting_um, "f_operator": F_OPERATOR}
-        variables[name] = xr.Variable(("y", "x"), np.where(is_valid, length_um, np.nan), attrs)
+        length_um = np.where(is_valid, lengths_um[name], np.nan)
+        variables[name] = xr.Variable(("y", "x"), length_um, attrs)
     variables["status"] = xr.Variable(("y", "x"), status, status_flags())
     return xr.Dataset(variables, coords=surfaces.coords, attrs=surfaces.attrs)
 

@@ -61,6 +61,14 @@ LENGTHS = {
 }
 """Upper and lower end of each length along a ray."""
 
+HEIGHTS = {
+    "topography_top": "top",
+    "topography_bottom": "bottom",
+    "base_surface_top": "interface_top",
+    "base_surface_bottom": "interface_bottom",
+}
+"""The surface whose height above its own form a property is."""
+
 
 def face_length(faces: Mapping[str, Floats], name: str) -> Floats:
     """A length, um, from the signed distances of the faces and interfaces along the rays."""
