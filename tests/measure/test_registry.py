@@ -1,6 +1,7 @@
 """A property of one's own, and what is said when something is missing."""
 
 import numpy as np
+import pytest
 from pydantic import ValidationError
 
 from folders import refused
@@ -101,6 +102,14 @@ def test_options_are_those_of_the_modules_with_a_rule_each_and_checked_numbers()
     refused(ValidationError, "coating_g_cm3", MeasureParams, coating_g_cm3=-1.0)
     refused(ValidationError, "pore_limit_um", MeasureParams, pore_limit_um=0.0)
     assert MeasureParams(grammage_g_m2=80.0).known() == {"grammage_g_m2": 80.0}
+
+
+@pytest.mark.filterwarnings("error::FutureWarning")
+def test_what_was_measured_is_measured_anew(made):
+    sheet = made(size_um=(40.0, 60.0), blur=1.0)
+    once = measure_properties(sheet.surfaces, volume=sheet.volume)
+    stale = once.assign(thickness=once["thickness"] + 1.0, warp=once["warp"] + 1.0)
+    assert measure_properties(stale, volume=sheet.volume).identical(once)
 
 
 def test_maps_whose_numbers_are_given_are_measured(made):

@@ -5,6 +5,7 @@ What was taken from Hirn et al. (2009, section 2.2): coatings, base and topograp
 Further maps are worked out on row tiles on threads: the same bytes however they are cut.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -112,6 +113,7 @@ def measure_properties(
             "Further maps are measured in grey values; a volume of labels has none. Leave"
             " `property` out."
         )
+    surfaces = surfaces_of(surfaces)  # those of a run hold its maps
     faces = _measure_faces(surfaces, params)
     measured = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")
     noise_um = float("nan")
@@ -131,7 +133,9 @@ def measure_properties(
 def surfaces_of(measured: xr.Dataset) -> xr.Dataset:
     """The surfaces that :func:`measure_properties` was given, of what it gave."""
     names = {*PROPERTIES, *LENGTHS, *further_maps(measured)}
-    names |= {name for name in measured.data_vars if str(name).removesuffix("_se") in names}
+    names |= {
+        name for name in measured.data_vars if re.sub("_(se|status)$", "", str(name)) in names
+    }
     surfaces = measured.drop_vars(names, errors="ignore")
     status = surfaces["status"]
     status_before = np.where(status.values == Status.NORMAL_LEAVES_SHEET, 0, status.values).astype(
