@@ -17,10 +17,13 @@ from planish.analyze import (
     leading_map,
     partial,
 )
+from planish.analyze.compare import CorrelationRow
 from planish.core.area import area_mean
 from planish.core.errors import InputError
+from planish.measure.registry import shared_parts
 from planish.report import summary
 from planish.report.sentences import table
+from planish.report.sentences.partial import say_over_control
 from planish.report.sentences.wording import Wording
 from planish.results import Results
 from planish.run import Compute, as_study, preflight
@@ -254,6 +257,62 @@ def test_the_page_says_the_partial_r():
     without = evidence_of(maps, point_um=20, declared=True)
     assert (without.partial, without.commonality) == (None, None)
     assert not any("Given" in s for s in sentences(without, 20.0))
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "shared"),
+    [
+        ("coating_top", "thickness", ["coating_top"]),
+        ("half_thickness_top", "coating_bottom", ["coating_bottom"]),
+        ("topography_top", "thickness", ["coating_top", "base_surface_top"]),
+        ("coating_difference", "coat_weight_bottom", ["coating_bottom"]),
+        ("coating_top", "base_thickness", []),
+        ("topography_top", "topography_bottom", []),
+        ("ash", "thickness", []),  # of one's own
+    ],
+)
+def test_what_two_maps_are_both_made_up_of(a, b, shared):
+    assert sorted(shared_parts(a, b)) == sorted(shared)
+    assert sorted(shared_parts(b, a)) == sorted(shared)
+
+
+def test_maps_that_contain_the_map_are_named_with_what_they_do_to_r():
+    maps = with_base(shape=(60, 80))
+    sheet = maps["sheet"]
+    sheet["thickness"][:] = (
+        sheet["coating_top"] + sheet["base_thickness"] + 0.3 * sheet["thickness"]
+    )
+    given = ("thickness", "base_thickness")
+    found = evidence_of(maps, point_um=20, declared=True, beside=given).partial
+    assert found.over_control == ("thickness",)
+    top, image = (
+        area_mean(m.values, (4.0, 4.0)) for m in (sheet["coating_top"], maps["image"]["image"])
+    )
+    assert found.r_alone == pytest.approx(correlate(top, image, pixel_um=20.0).r)
+    text = say_over_control(found, "coating_top")
+    assert "Over-control: thickness contains coating top." in text
+    assert text.endswith(f"r = {found.r_alone:.2f} becomes {found.r:.2f}.".replace("-", "−"))
+    alone = evidence_of(maps, point_um=20, declared=True, beside=("base_thickness",)).partial
+    assert alone.over_control == ()
+    assert say_over_control(alone, "coating_top") == ""
+    sheet["thickness"][:] = sheet["coating_top"] + sheet["base_thickness"]
+    lost = evidence_of(maps, point_um=20, declared=True, beside=given).partial
+    assert say_over_control(lost, "coating_top").endswith("is lost.")
+
+
+def test_the_pose_is_a_negative_control_and_counts_in_no_correction():
+    maps = drawn()
+    rows = [*correlate_layers("sheet", "image", maps, 100.0)]
+    maps["sheet"]["warp"] = maps["sheet"]["thickness"].copy()
+    with_pose = [*correlate_layers("sheet", "image", maps, 100.0)]
+    properties = [row for row in with_pose if not row.negative_control]
+    assert [row.p_of_table for row in properties] == [row.p_of_table for row in rows]
+    controls = [row for row in with_pose if row.negative_control]
+    assert [row.a_map for row in controls] == ["warp", "warp"]
+    assert all(row.p_of_table == row.p for row in controls)
+    # Of a run that was made before.
+    stored = controls[0].model_dump(exclude={"negative_control"})
+    assert CorrelationRow.model_validate(stored).negative_control
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,10 @@ EXPECTED = (
     ("*base_surface*", "the interface about its own form is a map"),
     ("*roughness*", "roughness is that of the face itself, up to the border"),
     ("*.zarr:*._FillValue", "what is NaN is missing without being told"),
+    ("*.json:*.negative_control", "the pose in the scanner is called a negative control"),
+    ("*.json:*.p_of_table", "Holm leaves the negative control out"),
+    ("*figures.csv:*", "the negative control is called one"),
+    ("*.json:*.partial.*", "maps that contain each other are named, with r of the map alone"),
     ("*-info.json:run_bytes", "info counts the memory that a run reckons with"),
     ("former/*-info.json:warning", "runs of 0.2.0 are named by their format"),
     *(

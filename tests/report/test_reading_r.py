@@ -51,7 +51,9 @@ def test_side_light_lag_and_strain_are_reconciled_beside_r():
     text = read(with_lag(0.62, (0.0, -19.0)))
     assert "A straight line explains r² = 64 % of the variance" in text
     assert (
-        "A perfect relation would show an r of 0.93 here; the rest is lost to misplacement." in text
+        "A perfect relation would show an r of 0.93 here; the rest is lost to misplacement. What"
+        " light that spreads in the paper, the blur of the lens and shading take is not in it."
+        in text
     )
     assert "62 % of what image and sheet share follows slopes" in text
     assert "side light affects r" in text

@@ -21,6 +21,7 @@ from planish.core.grid import Grid, pitch, values_at
 from planish.core.threads import map_threads, read_ahead
 from planish.core.typing import Array, Bools, Pixel
 from planish.measure import PROPERTIES
+from planish.measure.registry import NEGATIVE_CONTROLS
 from planish.register import FittedTransform, fit_transform
 from planish.resample import Mesh, resample
 
@@ -63,8 +64,15 @@ class CorrelationRow(_Judged):
     a_map: str = Field(description="Its map.")
     b: str = Field(description="Second layer.")
     b_map: str = Field(description="Its map.")
+    negative_control: bool = Field(
+        default_factory=lambda fields: (
+            not {fields.get("a_map"), fields.get("b_map")}.isdisjoint(NEGATIVE_CONTROLS)
+        ),
+        description="Whether the map is the pose in the scanner and no property of the paper.",
+    )
     p_of_table: Value = optional(
-        "p after Holm, corrected for the number of rows at this point size."
+        "p after Holm, corrected for the number of rows at this point size; of a negative control"
+        " p alone, which counts among no properties."
     )
     same_quantity: bool = Field(
         default=False,
@@ -176,8 +184,10 @@ def correlate_layers(
             table.append(
                 CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement)
             )
-    for size_um in {row.point_um for row in table}:
-        row_numbers = [k for k, row in enumerate(table) if row.point_um == size_um]
+    for family in {(row.point_um, row.negative_control) for row in table}:
+        row_numbers = [
+            k for k, row in enumerate(table) if (row.point_um, row.negative_control) == family
+        ]
         for k, p_of_table in zip(row_numbers, holm([table[k].p for k in row_numbers]), strict=True):
             table[k] = table[k].model_copy(update={"p_of_table": p_of_table})
     yield from table

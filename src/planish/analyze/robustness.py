@@ -21,14 +21,16 @@ from planish.analyze.correlation import (
     PointsCorrelation,
     check_varying,
     correlate,
+    pearson,
     valid_pixels,
 )
 from planish.analyze.curve_of_sizes import SizeRow
 from planish.core.area import common_means
 from planish.core.arrays import values_of
 from planish.core.errors import InputError, PlanishError, SizeError
-from planish.core.facts import ResultModel, optional
+from planish.core.facts import ResultModel, Value, optional
 from planish.core.typing import Array, Floats, Pixel
+from planish.measure.registry import shared_parts
 from planish.texture.textures import low_pass
 
 if TYPE_CHECKING:
@@ -43,6 +45,14 @@ class Partial(PointsCorrelation, _Given):
     """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
 
     reason: str | None = optional("Why there is no partial correlation.")
+    r_alone: Value = optional("r over the same points with no part taken off.")
+    over_control: tuple[str, ...] = Field(
+        default=(),
+        description=(
+            "Those of `given` that contain the map, are part of it, or hold a part of it: what they"
+            " take off is the map itself."
+        ),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -247,7 +257,10 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     )
     if "thickness" not in sheet_maps:
         return {}
-    partial_of = functools.partial(Partial, given=covariates, point_um=point_um)
+    over_control = tuple(name for name in covariates if shared_parts(pair.a[1], name))
+    partial_of = functools.partial(
+        Partial, given=covariates, point_um=point_um, over_control=over_control
+    )
     if missing_names := [name for name in covariates if name not in sheet_maps]:
         raise InputError(
             f"The sheet has no map {', '.join(missing_names)} to stand beside. Leave it out of"
@@ -274,12 +287,11 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
             f"Over {n} points that are valid in all maps, {', '.join(flat_maps)} does not vary."
         )
         return {"partial": partial_of(n=n, reason=reason)}
+    r_alone = pearson(sheet_points[0][is_valid], image_points[is_valid])
     try:
         correlation = partial(sheet_points[0], image_points, sheet_points[1:], pixel_um=point_um)
         shares = commonality(image_points, dict(zip(names, sheet_points, strict=True)))
     except PlanishError as error:  # nothing is left: the rest of the run stands
-        return {"partial": partial_of(reason=error.text)}
-    return {
-        "partial": Partial.of(correlation, given=covariates, point_um=point_um),
-        "commonality": shares,
-    }
+        return {"partial": partial_of(reason=error.text, r_alone=r_alone)}
+    stated = Partial.of(correlation, **partial_of.keywords, r_alone=r_alone)
+    return {"partial": stated, "commonality": shares}

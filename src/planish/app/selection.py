@@ -26,6 +26,7 @@ from planish.core.facts import is_known
 from planish.core.labelled import computed
 from planish.core.lazy import Where
 from planish.core.typing import Bools, Floats, Window
+from planish.measure.registry import NEGATIVE_CONTROLS
 
 MOST_SAMPLES = 2000
 """Pixels along a profile; a longer line is read from a coarser level."""
@@ -305,13 +306,18 @@ def select(
     )
     # As a run does: its whole map gives its n_eff.
     row = correlate(x, y, mask=mask, pixel_um=pixel_um, most_cells=CELLS)
+    warnings = [
+        f"{p.title} is the pose of the sheet in the scanner: a negative control, no property."
+        for p in (a, b)
+        if p.variable in NEGATIVE_CONTROLS
+    ]
     return {
         "n": row.n,
         "pixel_um": pixel_um,
         "r": finite_or_none(row.r),
         "n_eff": finite_or_none(row.n_eff),
         "interval": row.interval if is_known(row.interval) else None,
-        "warnings": row.warnings,
+        "warnings": [*warnings, *row.warnings],
     }
 
 

@@ -43,7 +43,8 @@ _WITH_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(_UNITS)})(?![\w/]))")
 _NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 _GLUE = "\N{NO-BREAK SPACE}"
 _GAP = 2  # blanks between columns
-_UNITLESS = ("n", "n_eff", "columns", "r", "r2", "95 %")  # columns without the unit of their row
+# Columns without the unit of their row.
+_UNITLESS = ("n", "n_eff", "columns", "r", "rho", "r2", "95 %", "p (Holm)")
 _LEAST_WIDTH = 20  # a terminal that says it has fewer columns does not mean it
 
 

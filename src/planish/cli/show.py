@@ -14,6 +14,7 @@ from rich import progress as rich
 from planish.cli.console import animated, console, letters, sentence, shown, table, warn
 from planish.core.facts import is_known
 from planish.core.memory import enough_gb
+from planish.core.numbers import NONE
 from planish.core.older_names import FORMAT
 from planish.core.text import quoted
 from planish.core.tiles import tiles_told
@@ -97,6 +98,7 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int: 
                 _properties(layer.name, layer.sheet)
         for layer in results.moving:
             _registration(layer)
+        _given_others(results)
         if results.comparison:
             if any(not r.n for r in results.comparison):
                 sentence(
@@ -174,30 +176,50 @@ def _registration(layer: LayerFacts) -> None:
         sentence(f"  {note}")
 
 
+def _given_others(results: Results) -> None:
+    """Print r given the maps that stand beside, where the study names some."""
+    from planish.report.sentences.partial import say_partial
+    from planish.report.sentences.wording import Wording
+
+    for evidence in results.evidence:
+        if evidence.partial is not None:
+            for text in say_partial(evidence.partial, evidence, Wording()):
+                sentence(text.replace("\u202fµm", " um"))
+
+
 def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | ComparisonRow]]) -> None:
-    """Print correlations, each under its name."""
-    cells: list[tuple[str, ...]] = []
+    """Print correlations, each under its name; p is that of the page, which tests no difference."""
+    from planish.report.statement import p_of, p_text
+
+    has_marks = any(getattr(row, "marks_rms_um", None) for _, row in rows)
+    is_tested = not any(getattr(row, "same_quantity", True) for _, row in rows)
+    headings = ["", "point um", "n", "n_eff", "r", "95 %", "rho", "r2"]
+    headings += ["p (Holm)"] * is_tested + ["slope"] + ["marks um"] * has_marks
+    cells: list[list[str]] = []
     for name, row in rows:
-        rms_um = getattr(row, "marks_rms_um", None)
-        label = name if getattr(row, "trust", "ok") == "ok" else f"{name} ({row.trust})"
+        is_control = getattr(row, "negative_control", False)
+        label = f"{name} (negative control)" if is_control else name
+        if row.trust != "ok":
+            label += f" ({row.trust})"
         low, high = row.interval
         digits = 2 if high - low >= 0.02 else 4  # of a narrow one more: two decimals hide it
         interval = f"{low:.{digits}f} to {high:.{digits}f}" if is_known(row.interval) else "-"
-        slope = f"{row.slope:.4g}" if is_known(row.slope) else "-"
-        figures = (
+        figures = [
+            label,
+            f"{row.point_um:g}",
+            str(row.n),
             number(row.n_eff, 0),
             number(row.r),
             interval,
-            number(row.r2),
-            slope,
-            number(rms_um, 1),
-        )
-        cells.append((label, f"{row.point_um:g}", str(row.n), *figures))
-    names = ("", "point um", "n", "n_eff", "r", "95 %", "r2", "slope", "marks um")
-    n_columns = (
-        len(names) if any(getattr(row, "marks_rms_um", None) for _, row in rows) else len(names) - 1
-    )
-    table(title, names[:n_columns], [row[:n_columns] for row in cells])
+        ]
+        figures += [number(row.rho), number(row.r2)]
+        if is_tested:
+            figures.append(p_text(p_of(row)).replace(NONE, "-"))
+        figures.append(f"{row.slope:.4g}" if is_known(row.slope) else "-")
+        if has_marks:
+            figures.append(number(getattr(row, "marks_rms_um", None), 1))
+        cells.append(figures)
+    table(title, headings, cells)
 
 
 def run_facts(path: Path) -> dict[str, Any] | None:

@@ -69,6 +69,58 @@ HEIGHTS = {
 }
 """The surface whose height above its own form a property is."""
 
+NEGATIVE_CONTROLS = ("warp",)
+"""Maps of the pose in the scanner, not of the paper: r with one shows no property."""
+
+SUMS = (
+    ("thickness", "coating_top", "coating_bottom", "base_thickness"),
+    ("coating_difference", "coating_top", "coating_bottom"),
+    ("half_thickness_difference", "half_thickness_top", "half_thickness_bottom"),
+    ("thickness", "half_thickness_top", "half_thickness_bottom"),
+)
+"""Each map is the sum of the others, or their difference: given all but one, that one says nothing
+new."""
+
+PARTS: dict[str, Sequence[str]] = {
+    **{total: parts for total, *parts in reversed(SUMS)},
+    "base_thickness": ("base_surface_top", "base_surface_bottom"),
+    "thickness_envelope": ("thickness",),
+    "absorption": ("thickness",),
+    "absorption_base": ("base_thickness",),
+    "grammage": ("thickness",),
+    "apparent_density": ("grammage",),
+    "filler_weight": ("filler", "base_thickness"),
+}
+"""The maps that each map of planish's own is made up of, some of them in some waves only."""
+
+for _side in SIDES:
+    PARTS.update(
+        {
+            f"half_thickness_{_side}": ("thickness",),
+            f"topography_{_side}": (f"base_surface_{_side}", f"coating_{_side}"),
+            f"roughness_{_side}": (f"topography_{_side}",),
+            f"coating_{_side}_sum": (f"coating_{_side}",),
+            f"coating_{_side}_envelope": (f"coating_{_side}",),
+            f"coating_absorption_{_side}": (f"coating_{_side}",),
+            f"coat_weight_{_side}": (f"coating_{_side}",),
+        }
+    )
+
+
+def shared_parts(a: str, b: str) -> list[str]:
+    """Return the largest maps that two maps both contain by construction; each contains itself."""
+    of_b = _contents(b)
+    shared = [name for name in _contents(a) if name in of_b]
+    inner = {part for name in shared for part in _contents(name)[1:]}
+    return [name for name in shared if name not in inner]
+
+
+def _contents(name: str) -> list[str]:
+    contents = [name]
+    for part in PARTS.get(name, ()):
+        contents += _contents(part)
+    return contents
+
 
 def face_length(faces: Mapping[str, Floats], name: str) -> Floats:
     """A length, um, from the signed distances of the faces and interfaces along the rays."""

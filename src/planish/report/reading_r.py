@@ -55,11 +55,12 @@ def _limit_text(evidence: EvidenceFacts | None) -> str:
     highest, causes = evidence.attenuation_limit_both, "misplacement and noise"
     if highest is None:
         highest, causes = evidence.attenuation_limit, "misplacement"
+    text = f"an r of {fixed(highest, 2)} here; the rest is lost to {causes}"
     if highest > 0.99:
-        return f"A perfect relation would show an r above 0.99 here: little is lost to {causes}."
+        text = f"an r above 0.99 here: little is lost to {causes}"
     return (
-        f"A perfect relation would show an r of {fixed(highest, 2)} here; the rest is lost to"
-        f" {causes}."
+        f"A perfect relation would show {text}. What light that spreads in the paper, the blur of"
+        " the lens and shading take is not in it."
     )
 
 

@@ -39,10 +39,22 @@ def r_interval_text(row: Row | None) -> str:
     return NONE if row is None else interval_text(row.interval, decimals_of_r(row.interval))
 
 
+def rho_text(row: Row | None) -> str:
+    """Write Spearman's rank correlation with as many decimals as r."""
+    return NONE if row is None else fixed(row.rho, decimals_of_r(row.interval))
+
+
 def r_sentence(row: Row) -> str:
     """Write ``r = `` with its interval, where it has one."""
     limits_text = f" (95 %: {r_interval_text(row)})" if is_known(row.interval) else ""
     return f"r = {r_text(row)}{limits_text}"
+
+
+def p_of(row: Row | None) -> float | None:
+    """Return p of a row, after Holm where it stands among others."""
+    if isinstance(row, CorrelationRow) and "p_of_table" in row.model_fields_set:
+        return row.p_of_table
+    return None if row is None else row.p
 
 
 def p_text(p: float | None) -> str:

@@ -25,8 +25,9 @@ from planish.core.numbers import (
     unit,
 )
 from planish.report.relation import largest, written_difference
+from planish.report.sentences.partial import say_over_control
 from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
-from planish.report.text import registered_by
+from planish.report.text import as_compared, registered_by
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
@@ -109,7 +110,8 @@ def titles_of(
     """
 
     def title(layer: str, name: str) -> str:
-        return titles.get((layer, name), name) + (f", {layer}" if with_layers else "")
+        text = as_compared(titles.get((layer, name), name), name)
+        return text + (f", {layer}" if with_layers else "")
 
     return title(pair.a, pair.a_map), title(pair.b, pair.b_map)
 
@@ -316,7 +318,14 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
 def cautions(results: Results) -> list[str]:
     """What to be careful about in the correlation that leads."""
     rows = lead_pair(results)
-    return list(largest(rows).warnings) if rows and largest(rows).trust != "withheld" else []
+    if not rows or largest(rows).trust == "withheld":
+        return []
+    over_control = [
+        say_over_control(e.partial, e.a_map)
+        for e in results.evidence
+        if e.partial is not None and key_of(e) == key_of(rows[0])
+    ]
+    return [*largest(rows).warnings, *filter(None, over_control)]
 
 
 def declared(results: Results) -> str:

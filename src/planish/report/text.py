@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from planish.core import numbers
 from planish.core.facts import is_known
+from planish.measure.registry import NEGATIVE_CONTROLS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -62,6 +63,11 @@ def left_out(regions: object) -> str:
 def title_of(data: xr.DataArray) -> str:
     """Return the title of a map."""
     return str(data.attrs.get("long_name", data.name))
+
+
+def as_compared(title: str, name: str) -> str:
+    """Return the title of a map as it stands beside an r: a negative control is called one."""
+    return f"{title} (negative control)" if name in NEGATIVE_CONTROLS else title
 
 
 def unit_of(data: xr.DataArray) -> str:

@@ -327,7 +327,7 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
                 )
     for row in results.correlations:
         figure_name, size_text = (
-            f"r of {row.a_map} and {row.b_map}",
+            f"r of {row.a_map} and {row.b_map}{', negative control' * row.negative_control}",
             f"points of {row.point_um:g} um",
         )
         first_cells = f"{row.a} {row.b}", figure_name

@@ -16,18 +16,10 @@ from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import load_picture
 from planish.marks.regions import Regions, read_regions
 from planish.measure import PROPERTIES, check_maps, possible_maps
+from planish.measure.registry import SUMS
 from planish.run.compute import Compute
 from planish.run.sheet import asked_corrections
 from planish.run.study import Study
-
-# Each map is the sum of the others, or their difference: given all but one, that one says nothing
-# new.
-_SUMS = (
-    ("thickness", "coating_top", "coating_bottom", "base_thickness"),
-    ("coating_difference", "coating_top", "coating_bottom"),
-    ("half_thickness_difference", "half_thickness_top", "half_thickness_bottom"),
-    ("thickness", "half_thickness_top", "half_thickness_bottom"),
-)
 
 # Bytes a pixel: refining holds image and map in double precision, filtered, several times; without
 # a folder, all linked maps are held; beside an image, its values as compared and, while a screen is
@@ -108,7 +100,7 @@ def _check_beside(study: Study) -> None:
             f"`beside={', '.join(repeated)}`: the map leads already, or stands there twice. Leave"
             " it out of `beside`."
         )
-    for total, *summands in _SUMS:
+    for total, *summands in SUMS:
         if {total, *summands} <= {headline, *names}:
             raise InputError(
                 f"`beside={', '.join(names)}`: {total} follows from {', '.join(summands)}. With"

@@ -10,6 +10,7 @@ from planish.core.errors import InputError
 from planish.core.numbers import in_words
 from planish.core.text import likely
 from planish.measure import registered
+from planish.report.text import as_compared
 from planish.series.declared import Declared
 from planish.series.gather import FigureRow, RunSummary
 from planish.series_results import Cell, Quantity, What
@@ -149,7 +150,7 @@ def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
                 other_map=second,
                 at_um=at_um,
                 unit="1",
-                title=f"r of {map_title} and {other}, points of {at_um:g} um",
+                title=f"r of {as_compared(map_title, first)} and {other}, points of {at_um:g} um",
                 map_title=map_title,
             )
         )

@@ -24,7 +24,7 @@ from planish.exports.run_contents import IMAGE
 from planish.io.map_groups import read_group
 from planish.io.map_store import overviews_of
 from planish.report.colours import Scale, colours_of
-from planish.report.text import title_of, unit_of
+from planish.report.text import as_compared, title_of, unit_of
 from planish.results import LayerFacts, Results
 from planish.run.run import MAPS, Run
 
@@ -289,6 +289,7 @@ def _packed_map(
     data: xr.DataArray, valid_values: Floats, layer: LayerFacts, results: Results, group_index: int
 ) -> PageMap:
     name = str(data.name)
+    title = as_compared(title_of(data), name) if results.is_link else title_of(data)
     figure = POSITION if name == "expected_error" else name
     checks = concerned(results.checks, (layer.name,), (figure,))
     scale = colours_of(data, valid_values)
@@ -303,7 +304,7 @@ def _packed_map(
     return PageMap(
         layer=layer.name,
         name=name,
-        title=title_of(data),
+        title=title,
         units=unit_of(data),
         packed=packed_map,
         scale=scale,

@@ -1,0 +1,105 @@
+"""A correlation is the same wherever it is stated: page, terminal, JSON, table, function."""
+
+import csv
+import re
+
+import pytest
+
+import planish as pl
+from planish.analyze import holm
+from planish.analyze.compare import CELLS
+from planish.report.statement import p_text
+from planish.results import Results
+from planish.run import open_run
+
+SIZES_UM = (4.0, 100.0)
+
+
+def numbers_of_page(text):
+    """Give each line of the page's table of correlations: name -> point size -> its numbers."""
+    table = re.search(r'aria-label="Correlations: Property".*?</table>', text, flags=re.DOTALL)[0]
+    lines = {}
+    for row in re.findall(r"<tr[^>]*><th scope.*?</tr>", table, flags=re.DOTALL):
+        name = re.search(r"<th[^>]*>(.*?)</th>", row)[1]
+        cells = [
+            cell.replace("\u202f", "").replace("−", "-").split("\n")
+            for cell in re.findall(r"<td[^>]*>(.*?)</td>", row, flags=re.DOTALL)
+        ]
+        half = len(cells) // 2
+        for size_um, (points, r, squares, p, _) in zip(
+            SIZES_UM, (cells[:half], cells[half:]), strict=True
+        ):
+            lines[name, size_um] = {
+                "n_eff": points[1],
+                "r": r[0],
+                "interval": r[1],
+                "r2": squares[0],
+                "rho": squares[1],
+                "p": p[0].replace("&lt;", "<"),
+            }
+    return lines
+
+
+def numbers_of_terminal(out):
+    """Give each line of the terminal's table."""
+    lines = {}
+    for line in out.splitlines()[2:]:
+        name, size_um, _, n_eff, r, interval, rho, r2, p, _ = re.split(r"\s{2,}", line.strip())
+        lines[name, float(size_um)] = {
+            "n_eff": n_eff,
+            "r": r,
+            "interval": interval,
+            "r2": r2,
+            "rho": rho,
+            "p": p,
+        }
+    return lines
+
+
+@pytest.mark.ci
+def test_page_terminal_json_table_and_function_state_the_same(kinds, passes):
+    folder = kinds("demo")
+    results, linked = Results.read(folder / "results.json"), open_run(folder).linked.load()
+    page = numbers_of_page((folder / "report.html").read_text(encoding="utf-8"))
+    terminal = numbers_of_terminal(passes("correlate", folder)[0])
+    with (folder / "figures.csv").open(encoding="utf-8", newline="") as file:
+        figures = {(row["figure"], row["statistic"]): row for row in csv.DictReader(file)}
+    assert len(results.correlations) == len(page) == len(terminal) > 12
+    for size_um in SIZES_UM:
+        rows = [row for row in results.correlations if row.point_um == size_um]
+        found = {
+            row.a_map: pl.correlate(
+                linked[row.a_map],
+                linked["image"],
+                mask=linked["valid"],
+                point_um=None if size_um == SIZES_UM[0] else size_um,
+                most_cells=CELLS,
+            )
+            for row in rows
+        }
+        properties = [row for row in rows if not row.negative_control]
+        assert [row.a_map for row in rows if row.negative_control] == ["warp"]
+        for row, p in zip(
+            properties, holm([found[row.a_map].p for row in properties]), strict=True
+        ):
+            assert row.p_of_table == pytest.approx(p)
+        for row in rows:
+            twin, name = found[row.a_map], row.a_map
+            stated = (row.n, row.n_eff, row.r, row.rho, row.p, *row.interval)
+            assert stated == pytest.approx(
+                (twin.n, twin.n_eff, twin.r, twin.rho, twin.p, *twin.interval), rel=1e-5
+            )
+            title, figure = linked[name].attrs["long_name"], f"r of {name} and image"
+            if row.negative_control:
+                assert row.p_of_table == row.p
+                title, name = f"{title} (negative control)", f"{name} (negative control)"
+                figure += ", negative control"
+            assert float(figures[figure, f"points of {size_um:g} um"]["value"]) == row.r
+            for line in (page[title, size_um], terminal[name, size_um]):
+                assert line["n_eff"] == f"{row.n_eff:.0f}"
+                assert line["interval"] == " to ".join(f"{end:.2f}" for end in row.interval)
+                assert line["p"] == p_text(row.p_of_table)
+                for key in ("r", "r2", "rho"):
+                    decimals = len(line[key].partition(".")[2])
+                    assert decimals >= 2
+                    assert float(line[key]) == round(getattr(row, key), decimals)
