@@ -85,9 +85,9 @@ def test_a_straightened_slice_is_the_volume_along_the_normals(folder):
     assert (lines["centre"] == 0).all()
     known = np.flatnonzero(np.isfinite(lines["top"] + lines["bottom"]) & (lines["status"] == 0))
     assert known.size > 50
-    # The faces along the normals are the topography that was measured.
+    # The faces along the normals are as far apart as was measured.
     np.testing.assert_allclose(
-        lines["top"][known], surfaces["topography_top"].values[row, known], atol=1e-3
+        (lines["top"] - lines["bottom"])[known], surfaces["thickness"].values[row, known], atol=1e-3
     )
     for col in known[:: max(1, known.size // 10)]:
         for k in (facts.down.count // 3, facts.down.count // 2):

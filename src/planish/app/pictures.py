@@ -38,8 +38,7 @@ from planish.io.map_store import CHUNK, overviews_of, stored_group
 from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
 from planish.run.overlay import LINKED
-from planish.run.run import MAPS, open_results
-from planish.run.study import read_study
+from planish.run.run import MAPS, open_results, study_of
 
 _PLACES = ("u", "v", "volume_x", "volume_y", "volume_z", "projected_u", "projected_v")
 
@@ -97,7 +96,8 @@ class Pictures:
 
 
 def _of_run(run: Path) -> Iterator[PlanePicture]:
-    results, study = open_results(run), read_study(run / "run.toml")
+    results = open_results(run)
+    study = study_of(run, results)
     if not results.is_link:
         yield from _sheet(run, layer=results.layers[0].name, prefix="")
         return

@@ -43,8 +43,8 @@ from planish.results import Results
 from planish.run import Registration, find_holes
 from planish.run.cached_maps import noted_study
 from planish.run.regions import REGIONS
-from planish.run.run import MAPS, marks_file, open_results
-from planish.run.study import EDITS, Study, read_study
+from planish.run.run import MAPS, marks_file, open_results, study_of
+from planish.run.study import EDITS, Study
 
 _UNDO, _REDO = b'{"do": "undo"}', b'{"do": "redo"}'
 
@@ -82,7 +82,8 @@ class Session:
         SizeError
             If the pixel size of the image is not known.
         """
-        results, study = open_results(run), read_study(run / "run.toml")
+        results = open_results(run)
+        study = study_of(run, results)
         params = _image_params(run, image, results)
         subject, journal_name = fingerprint(run / "results.json"), "journal.jsonl"
         if params is not None:

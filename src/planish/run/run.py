@@ -189,7 +189,7 @@ def open_run(path: str | Path) -> Run:
     folder = check_path(path, "the folder of a run", "pl.open_run", 'pl.open_run("run")')
     results = open_results(folder)
     return Run(
-        study=_study_of(folder, results),
+        study=study_of(folder, results),
         results=results,
         groups=open_tree(folder / MAPS),
         registrations=ReadOnDemand(
@@ -208,7 +208,7 @@ def open_sheet(path: str | Path) -> MappedLayer:
     """
     folder = Path(path)
     results = open_results(folder)
-    study = _study_of(folder, results)
+    study = study_of(folder, results)
     sheet = Run(
         study=study, results=results, groups=open_tree(folder / MAPS, _SHEET_GROUPS), folder=folder
     ).sheet()
@@ -216,8 +216,8 @@ def open_sheet(path: str | Path) -> MappedLayer:
     return replace(sheet, by_this_code=results.is_of_this_code, unchanged=unchanged)
 
 
-def _study_of(folder: Path, results: Results) -> Study:
-    """The study of a run, with the names that its maps have today."""
+def study_of(folder: Path, results: Results) -> Study:
+    """The study of a run folder; its maps have the names of today."""
     study = read_study(folder / RUN_TOML)
     if results.stored_format == FORMAT:
         return study
