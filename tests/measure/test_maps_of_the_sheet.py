@@ -77,9 +77,13 @@ def test_filters_pass_their_cut_off_by_half():
 def test_filters_and_heights_that_leave_nothing_are_refused():
     height, limited = np.zeros((60, 100)), np.full((20, 20), np.nan)
     limited[5, 5], limited[12, 9] = 1.0, 2.0
+    nothing = scale_limited(
+        np.full((20, 20), np.nan), (4.0, 4.0), s_filter_um=5.0, l_filter_um=800.0
+    )
     for call, values, short, long, words in (
         (scale_limited, height, 500.0, 80.0, "must be shorter"),
         (roughness_numbers, limited, 5.0, 800.0, "no slopes"),
+        (roughness_numbers, nothing, 5.0, 800.0, "No height of the face is known"),
     ):
         refused(CannotMeasure, words, call, values, (4.0, 4.0), s_filter_um=short, l_filter_um=long)
 

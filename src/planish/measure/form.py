@@ -12,7 +12,7 @@ from scipy import interpolate
 
 from planish.core.grid import filled
 from planish.core.threads import map_threads
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.measure import _form_kernels
 from planish.measure.rays import slopes_of
 from planish.measure.registry import HEIGHTS
@@ -42,6 +42,8 @@ def above_form(
     is_known = is_valid & has_normal
     for name in names:
         is_known &= np.isfinite(faces[HEIGHTS[name]])
+    if not is_known.any():
+        return {name: np.full(shape, np.nan) for name in names}
     blocks = [
         max(1, min(int(nesting_um / _NODES / p), n // 4))
         for p, n in zip(pitch_um, shape, strict=True)
@@ -61,12 +63,14 @@ def above_form(
         [lines[0][:, None], lines[1], centre_um, *np.moveaxis(-slopes, -1, 0)], has_normal
     )
     # A block outside the sheet has no place.
-    place, normal = np.where(sheet[..., -1:] > 0, sheet[..., :3], np.nan), sheet[..., 3:]
+    place = np.where(sheet[..., -1:] > 0, sheet[..., :3], np.nan)
+    normal = sheet[..., 3:]
     normal[..., 2] = 1.0
     stretch = np.linalg.norm(normal, axis=-1)
     normal /= stretch[..., None]
     distance = means([faces[HEIGHTS[name]] for name in names], is_known)
-    weight, distance = distance[..., -1] * stretch, np.ascontiguousarray(distance[..., :-1])
+    weight = distance[..., -1] * stretch
+    distance = np.ascontiguousarray(distance[..., :-1])
     # As wide as that of the centre surface, see planish.surface.centre.
     width_um = 0.887 * nesting_um
     reach = tuple(
@@ -88,14 +92,18 @@ def above_form(
     form += regressed(distance - form, 0.0)
     above: dict[str, Floats] = {}
     for k, name in enumerate(names):
-        form_um = filled(form[..., k])
-        for axis, first in enumerate(starts):
-            middles = 0.5 * (first + np.append(first[1:], shape[axis]) - 1)
-            spline = interpolate.make_interp_spline(
-                middles, form_um, k=min(3, first.size - 1), axis=axis
-            )
-            form_um = spline(np.arange(shape[axis]))
         outwards = 1.0 if name.endswith("top") else -1.0
+        form_um = _of_columns(filled(form[..., k]), starts, shape)
         height_um = outwards * (faces[HEIGHTS[name]] - form_um)
         above[name] = np.where(is_valid, height_um, np.nan)
     return above
+
+
+def _of_columns(nodes: Floats, starts: Sequence[Ints], shape: tuple[int, ...]) -> Floats:
+    """Give the columns of blocks, which begin at ``starts``, values by those of their middles."""
+    for axis, first in enumerate(starts):
+        middles = 0.5 * (first + np.append(first[1:], shape[axis]) - 1)
+        degree = min(3, first.size - 1)
+        spline = interpolate.make_interp_spline(middles, nodes, k=degree, axis=axis)
+        nodes = spline(np.arange(shape[axis]))
+    return nodes
