@@ -1,5 +1,7 @@
 """Faces of known spectra above their own forms, flat and bent, with borders and holes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -172,3 +174,16 @@ def test_numbers_of_roughness_are_those_of_the_face_on_a_small_field(rough):
         assert numbers.roughness["top"].sq == pytest.approx(
             float(maps["roughness_top"].std()), rel=1e-4
         )
+
+
+def test_heights_along_vertical_rays_are_longer_by_the_cosine(made):
+    sheet = made(slope=(0.0, 0.5), size_um=(120.0, 150.0))
+    wave = np.cos(2 * np.pi * sheet.surfaces["y"] / 40.0)
+    surfaces = sheet.surfaces.assign(top=sheet.surfaces["top"] + wave)
+    waved = replace(sheet, surfaces=surfaces)
+    sq = {
+        rays: float(waved.measured("topography_top", rays=rays)["topography_top"].std())
+        for rays in ("normal", "vertical")
+    }
+    assert sq["vertical"] == pytest.approx(np.sqrt(0.5), rel=0.03)
+    assert sq["vertical"] / sq["normal"] == pytest.approx(np.hypot(1, 0.5), rel=0.01)

@@ -29,6 +29,8 @@ def test_the_fitted_maps_are_those_of_the_surfaces(rough):
         "thickness",
         "topography_top",
         "topography_bottom",
+        "base_surface_top",
+        "base_surface_bottom",
     ]
     found, plain = rough.measured(*names), measure_properties(rough.surfaces)
     for name in names:

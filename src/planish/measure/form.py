@@ -18,7 +18,7 @@ from planish.measure.rays import slopes_of
 from planish.measure.registry import HEIGHTS
 
 F_OPERATOR = "Gaussian regression of second order, applied twice"
-_NODES = 16  # along the nesting index
+_NODES = 16  # along the nesting index, or a field that is shorter
 
 
 def above_form(
@@ -45,8 +45,7 @@ def above_form(
     if not is_known.any():
         return {name: np.full(shape, np.nan) for name in names}
     blocks = [
-        max(1, min(int(nesting_um / _NODES / p), n // 4))
-        for p, n in zip(pitch_um, shape, strict=True)
+        max(1, min(int(nesting_um / p), n) // _NODES) for p, n in zip(pitch_um, shape, strict=True)
     ]
     starts = [np.arange(0, n, b) for n, b in zip(shape, blocks, strict=True)]
 
