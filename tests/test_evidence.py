@@ -154,6 +154,22 @@ def test_a_map_that_its_numbers_make_may_lead_or_stand_beside(layers, properties
                 preflight.check_request(as_study(parts), Compute())
 
 
+def test_angles_of_an_axis_have_no_r_and_neither_lead_nor_stand_beside(layers):
+    words = "fibre_angle holds angles of an axis.* fibre_cos2 and fibre_sin2"
+    properties = {"properties": {"maps": ["fibre_angle"]}}
+    for place in ({"headline": "fibre_angle"}, {"beside": ["fibre_angle"]}):
+        with pytest.raises(InputError, match=words):
+            preflight.check_request(as_study(layers | properties | {"correlate": place}), Compute())
+    maps = with_base()
+    maps["sheet"]["fibre_angle"] = maps["sheet"]["base_thickness"] * 0 + 5.0
+    with pytest.raises(InputError, match=words):
+        evidence_of(maps, point_um=20, declared=True, beside=("fibre_angle",))
+    with pytest.raises(InputError, match=words):
+        leading_map(maps["sheet"], "top", "fibre_angle")
+    with pytest.raises(InputError, match=words):
+        correlate(maps["sheet"]["fibre_angle"], maps["image"]["image"])
+
+
 def test_two_of_three_parts_may_stand_beside_and_of_labels_maps_of_the_faces_may_lead(layers):
     parts = layers | {"correlate": {"beside": ["base_thickness", "coating_bottom"]}}
     assert preflight.check_request(as_study(parts), Compute()) is None

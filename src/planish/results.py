@@ -106,6 +106,7 @@ class PropertyFacts(ResultModel):
         "Standard error of the mean over the columns, from the measurement alone."
     )
     support_um: Number = optional("Size of the region that one value stands for.")
+    period_deg: Number = optional("180 for angles of an axis, whose mean and spread these are.")
 
 
 class SectionFacts(ResultModel):

@@ -246,6 +246,25 @@ def test_points_of_a_region_and_histograms_count_valid_values(maps, tiles, pair)
     np.testing.assert_allclose(found["range"], np.percentile(a, [2, 98]))
 
 
+def test_a_histogram_of_an_axis_has_its_mean_and_a_selection_no_r(maps, tmp_path):
+    rng = np.random.default_rng(0)
+    wrapped = ((85 + rng.normal(0, 12, SHAPE) + 90) % 180 - 90).astype(np.float32)
+    attrs = {"units": "deg", "support_um": 2.0, "period_deg": 180.0, "long_name": "Axis"}
+    axis = maps[["image"]].assign(axis=(("y", "x"), wrapped, attrs))
+    smaller = {f"overviews/linked/{k}": one for k, one in enumerate(overviews(axis), 1)}
+    write_tree(tmp_path / "maps.zarr", {"linked": axis} | smaller)
+    tiles = pictures.Tiles(
+        pictures.Pictures(pictures.group_pictures(tmp_path, "linked", plane="fixed", layer="image"))
+    )
+    by_name = {p.name: p for p in tiles.pictures}
+    found = histogram(tiles, by_name["axis"])
+    assert found["mean"] == pytest.approx(85, abs=0.2)
+    assert found["sd"] == pytest.approx(12, abs=0.2)
+    assert found["median"] == pytest.approx(85, abs=0.2)
+    chosen = select(tiles, by_name["image"], by_name["axis"])
+    assert (chosen["n"], chosen["r"], chosen["interval"]) == (wrapped.size, None, None)
+
+
 def test_a_picture_without_a_mask_is_counted_without_its_holes(maps, tmp_path):
     x, y = (float(maps[axis].values.mean()) for axis in "xy")
     away = np.hypot(maps.y - y, maps.x - x)

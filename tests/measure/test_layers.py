@@ -182,7 +182,6 @@ def test_the_error_of_a_thin_share_is_the_scatter_of_fields_of_one_sheet():
 def test_the_share_of_what_no_neighbour_shares_has_the_error_of_independent_values():
     values = np.random.default_rng(0).uniform(0, 20, (60, 80))
     found = thin_fraction(xr.DataArray(values, dims=("y", "x")), marked_um=(5.0, 30.0))
-    assert 0.8 * values.size < found["marked_n_eff"][0] <= values.size
     assert found["marked_se"][0] == pytest.approx(np.sqrt(0.25 * 0.75 / values.size), rel=0.1)
     assert found["marked_se"][1] == 0
 

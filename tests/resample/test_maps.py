@@ -5,9 +5,10 @@ import pytest
 import xarray as xr
 
 from flatten.meshes import middles
+from planish.core.axial import axial_angle
 from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
-from planish.core.transform import Similarity, axial_angle
+from planish.core.transform import Similarity
 from planish.resample import resample_image, resample_maps
 from planish.run import position_error
 
@@ -119,3 +120,25 @@ def test_an_image_on_a_reference_and_its_expected_error():
     error = position_error.PositionErrors(None, way, grid).on(grid, found.values)["expected_error"]
     np.testing.assert_array_equal(np.isfinite(error.values), known)
     np.testing.assert_allclose(error.values[known], (1 + 0.01 * points[..., 0])[known], rtol=1e-6)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_an_axis_without_parts_is_interpolated_and_turned_as_one(mirrored):
+    """Between columns of 80 and of -80 degrees lie axes of 80 to 100 degrees."""
+    surfaces, flat = sheet()
+    surfaces = surfaces.drop_vars(["fibre_cos2", "fibre_sin2", "fibre_angle"])
+    stripes = np.where(np.arange(50) % 2, -80.0, 80.0) + 0 * surfaces["centre"]
+    surfaces["own"] = stripes.assign_attrs(units="deg", support_um=3.0, period_deg=180.0)
+    way = Placed(rotation_rad=0.2, mirrored=mirrored)
+    grid = Grid.regular((50, 60), (1.9, 2.1), (-110.0, 0.0) if mirrored else (0.0, 0.0))
+    for found, turn in (
+        (resample_maps(surfaces, flat, map_um=1.7)["own"], 0.0),
+        (resample_maps(surfaces, flat, onto=grid, transform=way)["own"], np.rad2deg(0.2)),
+    ):
+        assert found.attrs["period_deg"] == 180
+        known = found.values[np.isfinite(found.values)]
+        assert known.size > 200
+        assert (np.abs(known) <= 90).all()
+        away = np.abs((known - turn) % 180 - 90)
+        assert away.max() < 10.1
+        assert away.min() < 1.0

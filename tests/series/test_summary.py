@@ -262,3 +262,31 @@ def test_sheets_that_pair_by_a_factor_of_ones_own_are_said_to_be_the_same_sheets
             for c in results.cautions
         ]
         assert any(said_same) == are_the_same
+
+
+def axis_of(angle):
+    """Results whose leading map holds angles of an axis with this mean."""
+    run = results_of(mean=angle)
+    coating = run["layers"][0]["sheet"]["properties"]["coating_top"]
+    coating |= {"units": "deg", "period_deg": 180.0}
+    return run
+
+
+def test_mean_axes_are_averaged_and_compared_across_90_degrees(tmp_path):
+    """Papers whose axes lie at 85 and at 95 degrees differ by 10, and not by 170."""
+    rng = np.random.default_rng(0)
+    near = {paper: at + rng.normal(0, 2, 6) for paper, at in (("A", 85.0), ("B", 95.0))}
+    rows = [
+        ({"paper": paper, "sheet": str(s)}, axis_of((angle + 90) % 180 - 90))
+        for paper, angles in near.items()
+        for s, angle in enumerate(angles)
+    ]
+    results = said(tmp_path, *rows)
+    for paper, angles in near.items():
+        group = of(results, "mean", paper=paper)
+        assert (group.mean - angles.mean() + 90) % 180 == pytest.approx(90)
+        assert group.sd == pytest.approx(angles.std(ddof=1))
+    difference = results.differences[number_of(results, "mean")]
+    assert difference.difference == pytest.approx(near["B"].mean() - near["A"].mean())
+    welch = stats.ttest_ind(near["B"], near["A"], equal_var=False)
+    assert difference.p == pytest.approx(welch.pvalue, rel=1e-6)

@@ -15,6 +15,7 @@ from scipy import special
 from planish.analyze.distributions import ranks, student_tail, t_95
 from planish.core.area import AreaMeans
 from planish.core.arrays import check_missing, check_numbers, described, map_pixel_um, values_of
+from planish.core.axial import refuse_axial
 from planish.core.bands import Rows, read_bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
@@ -272,6 +273,7 @@ def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel | None, mask: Rows | None = No
                 f"{name} is no array of two dimensions in memory, but {described(values)}. {fix}."
             )
         check_missing(values, name)
+        refuse_axial(values)
         if values.shape != a.shape:
             raise InputError(
                 f"{name} has {values.shape} pixels, a has {a.shape}. Bring both onto one grid"

@@ -5,6 +5,7 @@ from collections.abc import Container
 import xarray as xr
 
 from planish.analyze.compare import maps_to_correlate
+from planish.core.axial import refuse_axial
 from planish.core.bands import any_finite
 from planish.core.errors import InputError
 from planish.core.facts import Side
@@ -25,7 +26,7 @@ def leading_map(maps: xr.Dataset, side: Side = "top", declared: str | None = Non
     Raises
     ------
     InputError
-        If the study declares a map that the sheet does not have.
+        If the study declares a map that the sheet does not have, or angles of an axis.
     """
     if "thickness" not in maps:
         return "image"
@@ -35,6 +36,7 @@ def leading_map(maps: xr.Dataset, side: Side = "top", declared: str | None = Non
                 f"The sheet has no map {declared!r} to lead. It has"
                 f" {', '.join(maps_to_correlate(maps))}."
             )
+        refuse_axial(maps[declared])
         return declared
     coating = f"coating_{side}"
     return coating if coating in maps and any_finite(maps[coating]) else "thickness"

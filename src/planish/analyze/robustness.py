@@ -27,6 +27,7 @@ from planish.analyze.correlation import (
 from planish.analyze.curve_of_sizes import SizeRow
 from planish.core.area import common_means
 from planish.core.arrays import values_of
+from planish.core.axial import refuse_axial
 from planish.core.errors import InputError, PlanishError, SizeError
 from planish.core.facts import ResultModel, Value, optional
 from planish.core.typing import Array, Floats, Pixel
@@ -266,6 +267,8 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
             f"The sheet has no map {', '.join(missing_names)} to stand beside. Leave it out of"
             " `beside`, or measure it."
         )
+    for name in covariates:
+        refuse_axial(sheet_maps[name])
     factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
     if min(factor) < 1 - 1e-9:
         reason = f"Points of {point_um:g} um are smaller than a pixel."

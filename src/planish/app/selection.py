@@ -20,6 +20,7 @@ from planish.analyze.compare import CELLS
 from planish.app.picture import PlanePicture, finite_or_none
 from planish.app.pictures import Tiles
 from planish.core.area import valid_in_all
+from planish.core.axial import distribution, is_axial
 from planish.core.bands import read_bands
 from planish.core.errors import InputError
 from planish.core.facts import is_known
@@ -240,6 +241,9 @@ def histogram(
     low, high = _limits(finite)
     percentiles = np.percentile(finite, [2, 98]).tolist() if finite.size else [0.0, 1.0]
     counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
+    mean, sd = None, None
+    if finite.size:
+        mean, sd, finite = distribution(picture.full, finite, ddof=int(finite.size > 1))
     return {
         "pixel_um": _pixel_um(picture, level),
         "n": finite.size,
@@ -248,8 +252,8 @@ def histogram(
         "high": high,
         "range": percentiles,
         "counts": counts.tolist(),
-        "mean": float(finite.mean()) if finite.size else None,
-        "sd": float(finite.std(ddof=1)) if finite.size > 1 else None,
+        "mean": mean,
+        "sd": sd if finite.size > 1 else None,
         "median": float(np.median(finite)) if finite.size else None,
     }
 
@@ -276,14 +280,14 @@ def select(
 
     Of a region also say how two pictures are correlated in it.
 
-    Of picked values nothing is said of r: ``r``, ``n_eff`` and ``interval`` are None. Stopped once
-    ``stop`` is set.
+    Of picked values, and of angles of an axis, nothing is said of r: ``r``, ``n_eff`` and
+    ``interval`` are None. Stopped once ``stop`` is set.
     """
     stop, pixel_um = stop or threading.Event(), a.grid.pixel_um
     window: Window = (slice(None), slice(None)) if region is None else region.on(a)
     x, y = (computed(p.full[window], partial(_read_until, stop, p.full[window])) for p in (a, b))
     masks = [p.full[window] for p in tiles.pictures.valid_of(a, b)]
-    if brushes:
+    if brushes or is_axial(a.full) or is_axial(b.full):
         brush_values = [brush.picture.full[window] for brush in brushes]
         n = 0
         for _, (a_values, b_values, *bands) in read_bands(x, y, *brush_values, *masks):

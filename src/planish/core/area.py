@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import sparse
 
+from planish.core.axial import angle_of, axial_angle, summable
 from planish.core.bands import Rows, read_bands
 from planish.core.typing import Bools, Floats, Pair
 
@@ -37,7 +38,9 @@ class AreaMeans:
 
     def add(self, first_row: int, is_known: Bools, *maps: NDArray[Any]) -> None:
         """Add the rows from ``first_row`` on of maps, which count where ``is_known``."""
-        self._totals = self._totals or [np.zeros(self._weight.shape) for _ in maps]
+        self._totals = self._totals or [
+            np.zeros(self._weight.shape, np.result_type(np.float64, m)) for m in maps
+        ]
         row_overlap = self._row_overlap[:, first_row : first_row + is_known.shape[0]]
         touched_cells = np.flatnonzero(np.diff(row_overlap.indptr))
         if not touched_cells.size:
@@ -48,9 +51,10 @@ class AreaMeans:
             total[cells] += self._summed(row_overlap[cells], np.where(is_known, values, 0.0))
 
     def means(self) -> list[Floats]:
-        """The means of each map."""
+        """The means of each map; angles where what ``summable`` makes of an axis was added."""
         is_covered, weight = self._weight >= self._least_weight, np.maximum(self._weight, 1e-12)
-        return [np.where(is_covered, total / weight, np.nan) for total in self._totals]
+        means = [np.where(is_covered, total / weight, np.nan) for total in self._totals]
+        return [angle_of(m) if np.iscomplexobj(m) else m for m in means]
 
     def _summed(self, row_overlap: sparse.csr_array, values: Floats) -> Floats:
         return values if self._is_identity else (self._col_overlap @ (row_overlap @ values).T).T
@@ -76,7 +80,7 @@ def common_means(
     """
     area_means = AreaMeans((maps[0].shape[0], maps[0].shape[1]), factor, least_share=least_share)
     for rows, bands in read_bands(*maps, *masks):
-        map_bands = bands[: len(maps)]
+        map_bands = [summable(m, band) for m, band in zip(maps, bands, strict=False)]
         area_means.add(rows.start, valid_in_all(map_bands, bands[len(maps) :]), *map_bands)
     return area_means.means()
 
@@ -134,7 +138,11 @@ def halved(maps: xr.Dataset) -> xr.Dataset:
         str(dim): (dim, middles(maps[dim].values), maps[dim].attrs) for dim in maps[names].dims
     }
     variables = {
-        name: (maps[name].dims, halved_values(maps[name].values), maps[name].attrs)
+        name: (
+            maps[name].dims,
+            halved_values(summable(maps[name], maps[name].values)),
+            maps[name].attrs,
+        )
         for name in names
     }
     return xr.Dataset(variables, coords=coords, attrs=maps.attrs)
@@ -150,10 +158,12 @@ def middles(centres: Floats) -> Floats:
 def halved_values(values: NDArray[Any]) -> NDArray[Any]:
     """Values (rows, cols) of pixels twice as wide, as :func:`overviews` has them.
 
-    Floats or truth values.
+    Floats, truth values, or what ``summable`` makes of an axis, whose angles are given then.
     """
     from planish.core._overview_kernels import halve_truth, halve_values
 
+    if np.iscomplexobj(values):
+        return axial_angle(halved_values(np.real(values)), halved_values(np.imag(values)))
     out = np.empty(((values.shape[0] + 1) // 2, (values.shape[1] + 1) // 2), values.dtype)
     (halve_truth if values.dtype == np.bool_ else halve_values)(np.ascontiguousarray(values), out)
     return out

@@ -220,11 +220,3 @@ Transform = Similarity | NearSimilarity  # what every fitted transformation is
 def _everywhere(matrix: Floats, points: ArrayLike) -> Floats:
     shape = np.shape(np.asarray(points))[:-1]
     return np.broadcast_to(matrix, (*shape, 2, 2)).copy()
-
-
-def axial_angle(cosine: Floats, sine: Floats) -> Floats:
-    """Angle in degrees, -90 to 90, of a direction without sense.
-
-    From means of the cosine and sine of its double.
-    """
-    return np.rad2deg(0.5 * np.arctan2(sine, cosine))

@@ -15,6 +15,7 @@ import zarr
 from numpy.typing import NDArray
 
 from planish.core.area import halved_values, overview_count
+from planish.core.axial import summable
 from planish.core.bands import BAND, bands
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
@@ -55,7 +56,7 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
             for finer, coarser in pairwise(arrays):
                 for rows in bands(coarser.shape[-2]):
                     finer_rows = finer[(*channel, slice(2 * rows.start, 2 * rows.stop))]
-                    coarser[(*channel, rows)] = halved_values(finer_rows)
+                    coarser[(*channel, rows)] = halved_values(summable(maps.data[name], finer_rows))
         windows.append(_window(np.asarray(arrays[-1][(*channel, ...)])))  # of the coarsest
     group.attrs.update(_attributes(maps, windows, len(arrays), history))
 

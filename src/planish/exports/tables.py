@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.area import AreaMeans
+from planish.core.axial import summable
 from planish.core.bands import band_of, bands
 from planish.core.errors import StudyError
 from planish.core.memory import TABLE_VALUES, TEXT_VALUES
@@ -90,7 +91,10 @@ def _points(maps: Maps, names: list[str], point_um: float) -> Iterator[Floats]:
     validity = AreaMeans(maps.shape, pixels_per_point, least_share=0.0)
     means = {name: AreaMeans(maps.shape, pixels_per_point, least_share=_LEAST) for name in names}
     for rows in bands(maps.shape[0]):
-        map_bands = {name: band_of(maps.data[name], rows).astype(np.float64) for name in names}
+        map_bands = {
+            name: summable(maps.data[name], band_of(maps.data[name], rows).astype(np.float64))
+            for name in names
+        }
         if "valid" in maps.data:
             valid = band_of(maps.data["valid"], rows).astype(bool)
         else:

@@ -49,12 +49,12 @@ def thin_fraction(
     -------
     Dataset
         ``share`` along ``thickness`` (um), and for every marked thickness ``marked_share`` along
-        ``marked``, ``marked_n_eff`` (independent values that would give a share of this scatter,
-        from the covariances by lag of the map of what is thinner: neighbours are alike),
-        ``marked_se`` (of the sheet's share by this field, sqrt(F (1 - F) / n_eff)) and ``biased``:
-        1 where x lies below twice the median SE of the values around it, so that the share rests on
-        noise. ``n`` and ``support_um`` in the attributes, and ``warning`` where a marked share is
-        biased: F depends on support and noise and must not be compared without them.
+        ``marked``, ``marked_se`` (of the sheet's share by this field: sqrt(F (1 - F) / n_eff), the
+        independent values from the covariances by lag of the map of what is thinner) and
+        ``biased``: 1 where x lies below twice the median SE of the values around it, so that the
+        share rests on noise. ``n`` and ``support_um`` in the attributes, and ``warning`` where a
+        marked share is biased: F depends on support and noise and must not be compared without
+        them.
 
     Raises
     ------
@@ -71,8 +71,8 @@ def thin_fraction(
     marks = np.array(marked_um, dtype=np.float64)
     # At 0 the values that are 0 count: nothing is thinner than no coating.
     masks = [thickness.values < mark if mark > 0 else thickness.values <= 0 for mark in marks]
-    shares = np.array([np.count_nonzero(mask) for mask in masks]) / sorted_um.size
-    n_eff = np.array([_independent(mask, is_finite, pitch(thickness)) for mask in masks])
+    shares = np.array([mask[is_finite].mean() for mask in masks])
+    share_se = [_share_se(mask, is_finite, pitch(thickness)) for mask in masks]
     value_se_um = np.zeros(marks.size)
     if se is not None:
         se_um = np.where(is_finite, se, np.nan).astype(np.float64)
@@ -100,8 +100,7 @@ def thin_fraction(
             share_attrs,
         ),
         "marked_share": ("marked", shares, share_attrs),
-        "marked_se": ("marked", np.sqrt(shares * (1 - shares) / n_eff), {"units": "1"}),
-        "marked_n_eff": ("marked", n_eff, {"long_name": "Independent values"}),
+        "marked_se": ("marked", share_se, {"units": "1"}),
         "value_se": (
             "marked",
             value_se_um,
@@ -119,19 +118,12 @@ def thin_fraction(
     return xr.Dataset(variables, coords=coords, attrs=attrs)
 
 
-def _independent(is_thin: Bools, is_known: Bools, pitch_um: Pair) -> float:
-    """Count the independent values of a map of truth values; n where it has one value only.
-
-    So many would give their share the variance that its covariances by lag give.
-    """
-    k = max(1, math.ceil(math.sqrt(is_known.size / _MOST_CELLS)))
+def _share_se(is_thin: Bools, is_known: Bools, pitch_um: Pair) -> float:
+    """Standard error of a share, sqrt(F (1 - F) / n_eff), from the covariances by lag."""
+    k = math.ceil(math.sqrt(is_known.size / _MOST_CELLS))
     cells = area_mean(np.where(is_known, is_thin, np.nan), (k, k))
-    lags = Lags(np.isfinite(cells), (k * pitch_um[0], k * pitch_um[1]))
-    variance_of_mean = lags.variance_of_mean(covariance_of(cells, lags))
-    n, share = np.count_nonzero(is_known), np.mean(is_thin[is_known])
-    if not variance_of_mean > 0:
-        return float(n)
-    return float(min(share * (1 - share) / variance_of_mean, n))
+    lags = Lags(np.isfinite(cells), pitch_um)
+    return math.sqrt(max(lags.variance_of_mean(covariance_of(cells, lags)), 0.0))
 
 
 def roughness_numbers(

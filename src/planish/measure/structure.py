@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.axial import axial_angle
 from planish.core.options import Params, option
-from planish.core.transform import axial_angle
 from planish.core.typing import Floats
 from planish.measure import phases
 from planish.measure.greys import FWHM
@@ -190,13 +190,14 @@ def fibre_sin2(rays: Rays) -> Floats:
     units="deg",
     long_name="Fibre angle",
     together=_PARTS,
+    attrs={"period_deg": 180.0},
 )
 def fibre_angle(rays: Rays, **depth: float) -> Floats:
     """P-13: mean axis of the fibres, -90 to 90 degrees from the map's u axis towards its v axis.
 
     Axial statistics: of doubled angles, each gradient with its square. No standard error: the
-    directions of one neighbourhood are those of few fibres. Do not interpolate it; use
-    ``fibre_cos2`` and ``fibre_sin2``.
+    directions of one neighbourhood are those of few fibres. Means and spreads are those of the axis
+    wherever planish makes them; for r take ``fibre_cos2`` and ``fibre_sin2``.
     """
     return axial_angle(*_components(rays, **depth))
 

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planish.core.axial import is_axial
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -42,8 +44,8 @@ _ANCHORS = {
         " d25749 bb2a34 960f26 67001f"
     ),
     CYCLIC: (
-        "e2d9e2 d6d7dd c2ced4 aac2cc 94b4c7 81a6c3 7296c1 6886be 6275ba 5f63b5 5e50ac 5d3da0 592a8f"
-        " 511b77 45135c 381145 2f1436"
+        "e2d9e2 c4ced4 95b5c7 7297c1 6276ba 5e51ad 592a8f 45135c 2f1436 4a1342 741e4f 983550 b25652"
+        " c27c63 cca389 d8c7be e2d9e2"
     ),
     ERROR: (
         "000004 0a0822 1d1146 36106a 50127c 691c81 822681 9c2e7f b63779 cf4170 e65163 f5695c fb8761"
@@ -106,8 +108,8 @@ def limits(
 def colours_of(data: xr.DataArray, limit_values: Array) -> Scale:
     """Return the colours of a map."""
     # An angle of fibres begins again at 180 degrees, and so must its colours.
-    if str(data.attrs.get("units")) == "deg" and str(data.name).endswith("angle"):
-        return Scale(0.0, 180.0, CYCLIC)
+    if is_axial(data):
+        return Scale(-90.0, 90.0, CYCLIC)
     return limits(limit_values, GREYS if data.name == "image" else PROPERTY)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planish.core.area import area_mean
+from planish.core.axial import summable
 from planish.core.facts import is_known
 from planish.core.numbers import count, fixed, length, plain, round_step
 from planish.report.colours import MISSING, Array, Scale, image_uri
@@ -524,7 +525,7 @@ def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Sho
     pixel_um = max(data.shape[1] * steps[1] / (width * 1.35), 1e-12)
     factor = (max(1.0, pixel_um / abs(steps[0])), max(1.0, pixel_um / steps[1]))
     if max(factor) > 1:
-        data = area_mean(data, factor)
+        data = area_mean(summable(values, data), factor)
     down, across = (n * f * s for n, f, s in zip(data.shape, factor, steps, strict=True))
     x, y = float(cols[0]) - steps[1] / 2, float(rows[0]) - steps[0] / 2
     return ShownMap(data, (x, x + across, y + down, y))

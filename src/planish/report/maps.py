@@ -153,7 +153,7 @@ def _draw_property(
 ) -> draw.Picture:
     data, map_px = maps[name], width - draw.MARGIN - _BESIDE
     values = data.values.astype(np.float64)
-    shown = draw.reduced(values, data["v"].values, data["u"].values, width=map_px)
+    shown = draw.reduced(data, data["v"].values, data["u"].values, width=map_px)
     size = shown.fit(map_px, 480.0 if width < draw.FULL else 640.0)
     scale = colours_of(
         data, np.concatenate([maps[k].values.ravel() for k in sorted({name, partner or name})])

@@ -6,10 +6,11 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
+from planish.core.axial import angle_of, is_axial, summable
 from planish.core.errors import SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import Grid, pitch
-from planish.core.transform import Similarity, axial_angle
+from planish.core.transform import Similarity
 from planish.core.typing import Floats
 from planish.resample.places import Mesh, covering_grid, find_places, resample_dataset
 from planish.resample.warp import warp_image
@@ -56,8 +57,8 @@ def resample_maps(
     The transformation is applied to the nodes of the sheet: values are interpolated once, from the
     volume's columns to the pixels. The standard error of a pixel that is the mean of many columns
     is smaller than theirs by the share of the variance that the mean keeps; what is common to all
-    columns stays. Axial angles are averaged by their components, ``NAME_cos2`` and ``NAME_sin2``
-    for ``NAME_angle``.
+    columns stays. Angles of an axis are averaged by the doubled angle, those of ``NAME_angle`` by
+    ``NAME_cos2`` and ``NAME_sin2`` where these are there.
     """
     if onto is not None:
         return SheetOnto(surfaces, flat, transform=transform).on(onto)
@@ -277,22 +278,25 @@ def _on_columns(
 
 
 def _with_angles(maps: xr.Dataset, similarity: Similarity) -> xr.Dataset:
-    """Turn axial directions with the sheet and recompute angles from their averaged components."""
-    for name in [
-        str(n).removesuffix("_angle") for n in maps.data_vars if str(n).endswith("_angle")
-    ]:
-        parts = f"{name}_cos2", f"{name}_sin2"
-        if any(part not in maps for part in parts):
+    """Turn the directions of axes with the sheet.
+
+    An angle whose parts are there is that of their means, to which even directions add more.
+    """
+    turn = np.exp(2j * similarity.rotation_rad)
+    for name, angle in maps.data_vars.items():
+        if not is_axial(angle):
             continue
-        cos2, sin2 = (maps[part].values for part in parts)
-        if similarity.rotation_rad or similarity.mirrored:
-            # x reversed: an angle a becomes 180 - a, its double -2a.
-            hand = -1.0 if similarity.mirrored else 1.0
-            c, s = np.cos(2 * similarity.rotation_rad), np.sin(2 * similarity.rotation_rad)
-            cos2, sin2 = c * cos2 - s * hand * sin2, s * cos2 + c * hand * sin2
-            maps = maps.assign(
-                {k: maps[k].copy(data=v) for k, v in zip(parts, (cos2, sin2), strict=True)}
-            )
-        angle = np.where(np.isfinite(cos2) & np.isfinite(sin2), axial_angle(cos2, sin2), np.nan)
-        maps = maps.assign({f"{name}_angle": maps[f"{name}_angle"].copy(data=angle)})
+        stem = str(name).removesuffix("_angle")
+        cosine, sine = f"{stem}_cos2", f"{stem}_sin2"
+        has_parts = cosine in maps and sine in maps
+        vectors = summable(angle, angle.values)
+        if has_parts:
+            vectors = maps[cosine].values + 1j * maps[sine].values
+        if similarity.mirrored:  # x reversed: an angle a becomes 180 - a, its double -2a
+            vectors = vectors.conj()
+        vectors = vectors * turn
+        turned = {name: angle_of(vectors)}
+        if has_parts:
+            turned |= {cosine: vectors.real, sine: vectors.imag}
+        maps = maps.assign({k: maps[k].copy(data=values) for k, values in turned.items()})
     return maps

@@ -16,6 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from pydantic import Field
 
+from planish.core.axial import axial_angle, summable
 from planish.core.errors import SurfaceError
 from planish.core.facts import ResultModel
 from planish.core.grid import Grid
@@ -288,7 +289,7 @@ def resample(field: NDArray[Any], places: Places) -> Floats:
     Parameters
     ----------
     field : (rows, cols)
-        Value of each node; NaN is missing.
+        Value of each node, or what ``summable`` makes of an axis; NaN is missing.
     places : Places
         From :func:`find_places`, of a mesh of (rows, cols).
 
@@ -303,6 +304,8 @@ def resample(field: NDArray[Any], places: Places) -> Floats:
     SurfaceError
         The field does not have the mesh's shape.
     """
+    if np.iscomplexobj(field):
+        return axial_angle(resample(np.real(field), places), resample(np.imag(field), places))
     return _sampled(field, places, np.empty((0, 0)))
 
 
@@ -346,11 +349,12 @@ def resample_dataset(
     for name, variable in data.data_vars.items():
         attrs = {
             k: variable.attrs[k]
-            for k in ("units", "long_name", "role", "support_um")
+            for k in ("units", "long_name", "role", "support_um", "period_deg")
             if k in variable.attrs
         }
         if np.issubdtype(variable.dtype, np.floating):
-            variables[str(name)] = xr.Variable(dims, resample(variable.values, places), attrs)
+            resampled = resample(summable(variable, variable.values), places)
+            variables[str(name)] = xr.Variable(dims, resampled, attrs)
     return xr.Dataset(variables, coords={k: (k, v, {"units": "um"}) for k, v in coords.items()})
 
 

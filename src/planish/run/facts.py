@@ -11,6 +11,7 @@ from planish.analyze import LagNumbers
 from planish.analyze.compare import is_property
 from planish.analyze.image_values import image_facts
 from planish.analyze.leading_map import leading_map
+from planish.core.axial import distribution
 from planish.core.bands import read_bands, thinned
 from planish.core.checks import concerned
 from planish.core.facts import InputFile, Side, is_known
@@ -74,7 +75,8 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
         values = data.values[np.isfinite(data.values)].astype(np.float64)
         if not values.size:
             continue
-        p5, p50, p95 = np.percentile(values, [5, 50, 95])
+        mean, sd, near_mean = distribution(data, values)
+        p5, p50, p95 = np.percentile(near_mean, [5, 50, 95])
         error = surfaces.get(f"{name}_se")
         errors = (
             np.empty(0)
@@ -92,12 +94,13 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
         facts[str(name)] = PropertyFacts(
             units=str(data.attrs["units"]),
             n=int(values.size),
-            mean=float(values.mean()),
-            sd=float(values.std()),
+            mean=mean,
+            sd=sd,
             p5=float(p5),
             median=float(p50),
             p95=float(p95),
             support_um=data.attrs.get("support_um"),
+            period_deg=data.attrs.get("period_deg"),
             standard_error=float(np.median(errors)) if errors.size else None,
             **mean_facts,
         )

@@ -9,14 +9,19 @@ import numpy as np
 import xarray as xr
 
 from planish.analyze.leading_map import leading_map
+from planish.core.axial import refuse_axial
 from planish.core.errors import InputError, ResourceError
 from planish.core.memory import enough_gb
 from planish.design import read_pattern
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import load_picture
 from planish.marks.regions import Regions, read_regions
+<<<<<<< HEAD
 from planish.measure import PROPERTIES, check_maps, possible_maps
 from planish.measure.registry import SUMS
+=======
+from planish.measure import PROPERTIES, check_maps, possible_maps, registered
+>>>>>>> c9305c61 (Angles of an axis are averaged as such in every mean, and have no r)
 from planish.run.compute import Compute
 from planish.run.sheet import asked_corrections
 from planish.run.study import Study
@@ -83,8 +88,13 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
 
 
 def _check_beside(study: Study) -> None:
-    """Raise InputError where the maps to stand beside hold one twice, or parts and their sum."""
+    """Raise InputError where the maps to stand beside hold one twice, or parts and their sum.
+
+    Also where one of them, or the map that is to lead, has no r.
+    """
     names = study.correlate.beside
+    for name in (study.correlate.headline, *names):
+        refuse_axial(registered().get(str(name)))
     is_bottom = any(
         layer.image is not None and layer.image.side == "bottom" for layer in study.layers
     )

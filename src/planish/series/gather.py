@@ -48,6 +48,7 @@ class FigureRow:
     high: float | None = None  #: as ``low``
     trust: Trust = "ok"
     checks: str = ""  #: names of those that doubt or refute it
+    period_deg: float | None = None  #: 180 of a map of angles of an axis
 
 
 MakeRow = Callable[..., FigureRow]
@@ -296,7 +297,10 @@ def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterato
         roughness_by_map = _roughness_by_map(sheet)
         for name, stats in sheet.properties.items():
             make_map_row = partial(
-                make_row, map=name, **_trusted(stats.trust, results, (layer.name,), (name,))
+                make_row,
+                map=name,
+                period_deg=stats.period_deg,
+                **_trusted(stats.trust, results, (layer.name,), (name,)),
             )
             for quantity in ("mean", "sd", "p5", "median", "p95"):
                 yield make_map_row(quantity, getattr(stats, quantity), stats.units)

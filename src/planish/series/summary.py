@@ -5,11 +5,15 @@ It gives means over sheets, differences between papers or treatments, and pooled
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
+import numpy as np
+
 import planish
 from planish import analyze
+from planish.core.axial import angle_of, doubled, near_axis
 from planish.core.errors import InputError
 from planish.core.text import likely
 from planish.series.cautions import NEST, cautions_of
@@ -62,7 +66,7 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
         *([] if compared_by is None else [compared_by]),
     ]
     grouped_by = tuple(f for f in dict.fromkeys(separate_factors) if _varies(gathered, f))
-    rows = gathered.rows_of_series()
+    rows = _near_common_axes(gathered.rows_of_series())
     quantities = quantities_of(rows, gathered.runs, declared)
     specimens = _specimens(gathered, rows, quantities, declared)
     counted = [specimen for specimen in specimens if specimen.kind is not None]
@@ -101,6 +105,25 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
             cautions_of(gathered, specimens, quantities, grouped_by, compared_by, _MOST_LEVELS)
         ),
     )
+
+
+def _near_common_axes(rows: Sequence[FigureRow]) -> list[FigureRow]:
+    """Give mean axes as angles near the axis of all of their map: such have means and differences.
+
+    They may pass 90 degrees.
+    """
+    axes: dict[str, list[float]] = {}
+    near_rows: list[FigureRow] = []
+    for row in rows:
+        if row.period_deg and row.quantity == "mean" and row.value is not None:
+            axes.setdefault(row.map, []).append(row.value)
+    for row in rows:
+        if row.map in axes and row.quantity == "mean" and row.value is not None:
+            axis_deg = angle_of(np.mean(doubled(np.array(axes[row.map]))))
+            near_rows.append(replace(row, value=float(near_axis(row.value, axis_deg))))
+        else:
+            near_rows.append(row)
+    return near_rows
 
 
 def _compared_by(gathered: Gathered, factors: Sequence[str], declared: Declared) -> str | None:

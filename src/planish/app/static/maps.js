@@ -253,7 +253,7 @@ class Maps {
     const brushes = `${a ? `&brush_a=${a.join()}` : ""}${b ? `&brush_b=${b.join()}` : ""}`;
     const found = await this.latest("selection", `selection?${this.query}${brushes}`);
     if (!found) return;
-    const said = [saidOf(found), ...(a || b ? ["no r: selecting by value biases it"] : [])].join("; ");
+    const said = a || b ? `${saidOf(found)}: selecting by value biases it` : saidOf(found);
     const what = this.sides.map((side) => titled({ ...side.picture, units: "" })).join(" and ");
     const words = [`${said} (${what}, pixels of ${shown(found.pixel_um[1])} um).`, ...found.warnings];
     this.selection.textContent = typeset(words.join(" "));
@@ -314,8 +314,7 @@ class Maps {
 
 /** n, r and its interval in words. */
 function saidOf({ n, r, interval, n_eff: independent }) {
-  const parts = [`n ${n}`];
-  if (r !== null) parts.push(`r ${r.toFixed(4)}`);
+  const parts = [`n ${n}`, r === null ? "no r" : `r ${r.toFixed(4)}`];
   if (interval) parts.push(`95 % interval ${interval.map((v) => v.toFixed(4)).join(" to ")}`);
   if (independent !== null) parts.push(`n_eff ${independent.toFixed(1)}`);
   return parts.join("; ");

@@ -53,7 +53,8 @@ function choose() {
     }
   }
   const both = (saa - (sa * sa) / n) * (sbb - (sb * sb) / n);
-  const r = n > 2 && both > 0 && state.left !== state.right ? (sab - (sa * sb) / n) / Math.sqrt(both) : NaN;
+  const hasAxis = [a, b].some((m) => m.colours === "twilight"); // those of angles of an axis, which have no r
+  const r = n > 2 && both > 0 && state.left !== state.right && !hasAxis ? (sab - (sa * sb) / n) / Math.sqrt(both) : NaN;
   state.version++;
   state.found = { n, all, r, marked: Boolean(marked) };
 }

@@ -1,0 +1,71 @@
+"""Angles of an axis, such as that of fibres: 90 and -90 degrees are one direction.
+
+Their means and spreads are those of the doubled angles (Mardia and Jupp 2000, Directional
+Statistics, sections 2.2 and 2.3, doi:10.1002/9780470316979).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.errors import InputError
+from planish.core.typing import Floats
+
+
+def is_axial(data: Any) -> bool:
+    """Whether a map holds angles of an axis: its attribute says so, of older maps the name."""
+    attrs, name = getattr(data, "attrs", {}), str(getattr(data, "name", ""))
+    return "period_deg" in attrs or name.startswith("fibre_angle")
+
+
+def refuse_axial(data: Any) -> None:
+    """Raise InputError where a map that is to be correlated holds angles of an axis."""
+    if is_axial(data):
+        raise InputError(
+            f"{data.name} holds angles of an axis: 90 and -90 degrees are one direction, and an r"
+            " with them means nothing. Take the cosine and the sine of the doubled angle: of"
+            " fibre_angle they are the maps fibre_cos2 and fibre_sin2."
+        )
+
+
+def summable(data: Any, values: NDArray[Any]) -> NDArray[Any]:
+    """Values of a map that have a mean: of an axis, unit vectors of the doubled angles."""
+    return doubled(values) if is_axial(data) else values
+
+
+def doubled(angles_deg: NDArray[Any]) -> NDArray[Any]:
+    """Unit vectors of the doubled angles, as complex numbers."""
+    return np.exp(2j * np.deg2rad(angles_deg))
+
+
+def axial_angle(cosine: Floats, sine: Floats) -> Floats:
+    """Angle in degrees, -90 to 90, of a direction without sense.
+
+    From means of the cosine and sine of its double.
+    """
+    return np.rad2deg(0.5 * np.arctan2(sine, cosine))
+
+
+def angle_of(vectors: Any) -> Floats:
+    """Angle of the axis of means of what ``summable`` gives."""
+    return axial_angle(np.real(vectors), np.imag(vectors))
+
+
+def near_axis(angles_deg: Floats | float, axis_deg: Floats | float) -> Any:
+    """The same directions, as angles within a quarter turn of an axis."""
+    return axis_deg + (angles_deg - axis_deg + 90.0) % 180.0 - 90.0
+
+
+def distribution(data: Any, values: Floats, *, ddof: int = 0) -> tuple[float, float, Floats]:
+    """Mean and standard deviation of values of a map, and the values for percentiles.
+
+    Of an axis: its mean, half of the circular standard deviation of the doubled angles, and the
+    angles near the mean, which may pass 90 degrees.
+    """
+    if not is_axial(data):
+        return float(values.mean()), float(values.std(ddof=ddof)), values
+    vector = doubled(values).mean()
+    mean = float(angle_of(vector))
+    sd = np.rad2deg(0.5 * np.sqrt(-2 * np.log(np.abs(vector))))
+    return mean, float(sd), near_axis(values, mean)
