@@ -6,7 +6,7 @@ import xarray as xr
 
 from exports.contents import HISTORY
 from planish.core.area import area_mean, common_means, halved
-from planish.core.axial import distribution, is_axial, near_axis
+from planish.core.axial import distribution, doubled, is_axial, near_axis
 from planish.exports import ExportParams, Maps, writer_of
 from planish.measure import registered
 from planish.report import draw
@@ -34,19 +34,21 @@ def test_the_mean_of_a_wrapped_normal_axis_is_its_axis_and_the_spread_its_own():
     """Of angles wrapped into half a turn, mean and standard deviation are those before."""
     angles = np.random.default_rng(0).normal(85.0, 12.0, 200_000)
     wrapped = (angles + 90) % 180 - 90
-    mean, sd, values = distribution(an_axis(wrapped[None]), wrapped)
+    mean, sd, values = distribution(wrapped, doubled(wrapped))
     assert (mean, sd) == (pytest.approx(85, abs=0.1), pytest.approx(12, abs=0.1))
     # the 5th and 95th percentile, of which one lies beyond 90 degrees
     expected = 85 + 12 * np.array([-1.645, 0, 1.645])
     np.testing.assert_allclose(np.percentile(values, [5, 50, 95]), expected, atol=0.3)
     assert abs(wrapped.mean()) < 45  # which is what the arithmetic gives
-    as_lengths = distribution(ACROSS.drop_attrs(), np.array([80.0, -80.0]), ddof=1)
+    as_lengths = distribution(*[np.array([80.0, -80.0])] * 2, ddof=1)
     assert as_lengths[:2] == (0.0, pytest.approx(np.sqrt(2) * 80))
 
 
 def test_no_direction_prevails_among_even_angles_and_near_angles_are_the_same_axes():
     values = np.linspace(-90, 90, 1000, endpoint=False)
-    assert distribution(ACROSS, values)[1] > 100  # of an even distribution it is not bounded
+    assert (
+        distribution(values, doubled(values))[1] > 100
+    )  # of an even distribution it is not bounded
     near = near_axis(values, 70.0)
     assert [near.min(), near.max()] == pytest.approx([-20, 160], abs=0.2)
     assert apart(near, values).max() < 1e-9
@@ -69,6 +71,22 @@ def test_means_over_areas_and_smaller_copies_are_those_of_the_axis(factor):
     small = halved(ACROSS.to_dataset())["axis"]
     assert (small.dtype, small.attrs) == (ACROSS.dtype, ACROSS.attrs)
     assert apart(small, 90).max() < 1e-4
+
+
+def test_an_angle_whose_parts_are_there_counts_as_its_direction_prevails():
+    """Of two columns of fibres at 80 and at -60 degrees, the first three times as even."""
+    angles = np.tile([[80.0, -60.0]], (4, 3)).astype(np.float32)
+    evenness = np.tile([[0.6, 0.2]], (4, 3))
+    maps = xr.Dataset({"fibre_angle": an_axis(angles, "fibre_angle")})
+    for part, turn in (("cos2", np.cos), ("sin2", np.sin)):
+        maps[f"fibre_{part}"] = maps["fibre_angle"] * 0 + evenness * turn(np.deg2rad(2 * angles))
+    vector = 3 * np.exp(2j * np.deg2rad(80)) + np.exp(-2j * np.deg2rad(60))
+    expected = np.rad2deg(np.angle(vector)) / 2
+    facts = property_facts(maps)["fibre_angle"]
+    assert apart(facts.mean, expected) < 1e-4
+    spread = np.rad2deg(np.sqrt(-2 * np.log(abs(vector) / 4))) / 2
+    assert facts.sd == pytest.approx(spread, rel=1e-4)
+    assert apart(halved(maps)["fibre_angle"], expected).max() < 1e-4
 
 
 def test_what_is_missing_has_no_direction():

@@ -20,7 +20,7 @@ from planish.analyze.compare import CELLS
 from planish.app.picture import PlanePicture, finite_or_none
 from planish.app.pictures import Tiles
 from planish.core.area import valid_in_all
-from planish.core.axial import distribution, is_axial
+from planish.core.axial import distribution, is_axial, summable
 from planish.core.bands import read_bands
 from planish.core.errors import InputError
 from planish.core.facts import is_known
@@ -243,7 +243,9 @@ def histogram(
     counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
     mean, sd = None, None
     if finite.size:
-        mean, sd, finite = distribution(picture.full, finite, ddof=int(finite.size > 1))
+        mean, sd, finite = distribution(
+            finite, summable(picture.full, finite), ddof=int(finite.size > 1)
+        )
     return {
         "pixel_um": _pixel_um(picture, level),
         "n": finite.size,

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import sparse
 
-from planish.core.axial import angle_of, axial_angle, summable
+from planish.core.axial import angle_of, axial_angle, summable, summable_of
 from planish.core.bands import Rows, read_bands
 from planish.core.typing import Bools, Floats, Pair
 
@@ -140,7 +140,7 @@ def halved(maps: xr.Dataset) -> xr.Dataset:
     variables = {
         name: (
             maps[name].dims,
-            halved_values(summable(maps[name], maps[name].values)),
+            halved_values(summable_of(maps, name)),
             maps[name].attrs,
         )
         for name in names

@@ -7,6 +7,7 @@ Statistics, sections 2.2 and 2.3, doi:10.1002/9780470316979).
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import InputError
@@ -34,6 +35,18 @@ def summable(data: Any, values: NDArray[Any]) -> NDArray[Any]:
     return doubled(values) if is_axial(data) else values
 
 
+def summable_of(maps: xr.Dataset, name: Any) -> NDArray[Any]:
+    """The same of one of several maps: NAME_angle by NAME_cos2 and NAME_sin2, where they are there.
+
+    Those are vectors as long as the direction prevails.
+    """
+    stem = str(name).removesuffix("_angle")
+    cosine, sine = f"{stem}_cos2", f"{stem}_sin2"
+    if is_axial(maps[name]) and cosine in maps and sine in maps:
+        return maps[cosine].values + 1j * maps[sine].values
+    return summable(maps[name], maps[name].values)
+
+
 def doubled(angles_deg: NDArray[Any]) -> NDArray[Any]:
     """Unit vectors of the doubled angles, as complex numbers."""
     return np.exp(2j * np.deg2rad(angles_deg))
@@ -57,15 +70,19 @@ def near_axis(angles_deg: Floats | float, axis_deg: Floats | float) -> Any:
     return axis_deg + (angles_deg - axis_deg + 90.0) % 180.0 - 90.0
 
 
-def distribution(data: Any, values: Floats, *, ddof: int = 0) -> tuple[float, float, Floats]:
+def distribution(
+    values: Floats, vectors: NDArray[Any], *, ddof: int = 0
+) -> tuple[float, float, Floats]:
     """Mean and standard deviation of values of a map, and the values for percentiles.
 
-    Of an axis: its mean, half of the circular standard deviation of the doubled angles, and the
-    angles near the mean, which may pass 90 degrees.
+    ``vectors`` are what ``summable`` makes of them. Of an axis: its mean, half of the circular
+    standard deviation of the doubled angles, and the angles near the mean, which may pass 90
+    degrees.
     """
-    if not is_axial(data):
+    if not np.iscomplexobj(vectors):
         return float(values.mean()), float(values.std(ddof=ddof)), values
-    vector = doubled(values).mean()
-    mean = float(angle_of(vector))
-    sd = np.rad2deg(0.5 * np.sqrt(-2 * np.log(np.abs(vector))))
+    total = vectors.sum()
+    mean = float(angle_of(total))
+    length = np.abs(total) / np.abs(vectors).sum()
+    sd = np.rad2deg(0.5 * np.sqrt(-2 * np.log(length)))
     return mean, float(sd), near_axis(values, mean)

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
-from planish.core.axial import angle_of, is_axial, summable
+from planish.core.axial import angle_of, is_axial, summable_of
 from planish.core.errors import SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import Grid, pitch
@@ -286,17 +286,13 @@ def _with_angles(maps: xr.Dataset, similarity: Similarity) -> xr.Dataset:
     for name, angle in maps.data_vars.items():
         if not is_axial(angle):
             continue
-        stem = str(name).removesuffix("_angle")
-        cosine, sine = f"{stem}_cos2", f"{stem}_sin2"
-        has_parts = cosine in maps and sine in maps
-        vectors = summable(angle, angle.values)
-        if has_parts:
-            vectors = maps[cosine].values + 1j * maps[sine].values
+        vectors = summable_of(maps, name)
         if similarity.mirrored:  # x reversed: an angle a becomes 180 - a, its double -2a
             vectors = vectors.conj()
         vectors = vectors * turn
         turned = {name: angle_of(vectors)}
-        if has_parts:
-            turned |= {cosine: vectors.real, sine: vectors.imag}
+        stem = str(name).removesuffix("_angle")
+        if f"{stem}_cos2" in maps:
+            turned |= {f"{stem}_cos2": vectors.real, f"{stem}_sin2": vectors.imag}
         maps = maps.assign({k: maps[k].copy(data=values) for k, values in turned.items()})
     return maps

@@ -11,7 +11,7 @@ from planish.analyze import LagNumbers
 from planish.analyze.compare import is_property
 from planish.analyze.image_values import image_facts
 from planish.analyze.leading_map import leading_map
-from planish.core.axial import distribution
+from planish.core.axial import distribution, summable_of
 from planish.core.bands import read_bands, thinned
 from planish.core.checks import concerned
 from planish.core.facts import InputFile, Side, is_known
@@ -75,7 +75,8 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
         values = data.values[np.isfinite(data.values)].astype(np.float64)
         if not values.size:
             continue
-        mean, sd, near_mean = distribution(data, values)
+        vectors = summable_of(surfaces, name)[np.isfinite(data.values)]
+        mean, sd, near_mean = distribution(values, vectors)
         p5, p50, p95 = np.percentile(near_mean, [5, 50, 95])
         error = surfaces.get(f"{name}_se")
         errors = (
