@@ -95,10 +95,16 @@ MUTANTS = [
         "core/test_transform.py register/test_models.py register/test_refusals.py",
     ),
     Mutant(
-        "core/transform.py",
+        "core/axial.py",
         "np.rad2deg(0.5 * np.arctan2(sine, cosine))",
         "np.rad2deg(np.arctan2(sine, cosine))",
-        "core/test_transform.py resample/test_maps.py measure/test_orientation.py",
+        "core/test_axial.py resample/test_maps.py measure/test_orientation.py",
+    ),
+    Mutant(
+        "core/area.py",
+        "angle_of(m) if np.iscomplexobj(m) else m",
+        "np.rad2deg(np.angle(m)) if np.iscomplexobj(m) else m",
+        "core/test_axial.py",
     ),
     # io: sizes and files
     Mutant(
@@ -382,14 +388,14 @@ MUTANTS = [
     # resample
     Mutant(
         "resample/maps.py",
-        "hand = -1.0 if similarity.mirrored else 1.0",
-        "hand = 1.0",
+        "vectors = vectors.conj()",
+        "vectors = vectors.copy()",
         "resample/test_maps.py",
     ),
     Mutant(
         "resample/maps.py",
-        "c * cos2 - s * hand * sin2",
-        "c * cos2 + s * hand * sin2",
+        "np.exp(2j * similarity.rotation_rad)",
+        "np.exp(-2j * similarity.rotation_rad)",
         "resample/test_maps.py",
     ),
     Mutant(

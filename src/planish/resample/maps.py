@@ -292,7 +292,7 @@ def _with_angles(maps: xr.Dataset, similarity: Similarity) -> xr.Dataset:
         vectors = vectors * turn
         turned = {name: angle_of(vectors)}
         stem = str(name).removesuffix("_angle")
-        if f"{stem}_cos2" in maps:
+        if f"{stem}_cos2" in maps and f"{stem}_sin2" in maps:
             turned |= {f"{stem}_cos2": vectors.real, f"{stem}_sin2": vectors.imag}
         maps = maps.assign({k: maps[k].copy(data=values) for k, values in turned.items()})
     return maps
