@@ -16,12 +16,8 @@ from planish.design import read_pattern
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import load_picture
 from planish.marks.regions import Regions, read_regions
-<<<<<<< HEAD
-from planish.measure import PROPERTIES, check_maps, possible_maps
-from planish.measure.registry import SUMS
-=======
 from planish.measure import PROPERTIES, check_maps, possible_maps, registered
->>>>>>> c9305c61 (Angles of an axis are averaged as such in every mean, and have no r)
+from planish.measure.registry import SUMS
 from planish.run.compute import Compute
 from planish.run.sheet import asked_corrections
 from planish.run.study import Study
