@@ -15,6 +15,8 @@ from planish.core.errors import SizeError
 from planish.core.facts import SIDES, Side
 from planish.core.grid import Grid
 from planish.core.numbers import capital, with_article
+from planish.core.older_names import height_map
+from planish.core.typing import Bools
 from planish.measure.registry import HEIGHTS
 from planish.register.by_texture.rotations import FALSE
 from planish.texture.textures import Relation, Textures, relate, textures, unexplained
@@ -35,15 +37,7 @@ _TURN = (
 )
 
 _TILE_UM = 1000.0
-_MAPS = (
-    "coating_top",
-    "coating_bottom",
-    "thickness",
-    "base_thickness",
-    "topography_top",
-    "topography_bottom",
-    "image",
-)
+_MAPS = ("coating_top", "coating_bottom", "thickness", "base_thickness")
 
 
 class SideFound(NamedTuple):
@@ -131,10 +125,11 @@ def _by_slopes_and_thickness(
 
     The slopes are those of the faces under light from one side.
     """
-    for k in SIDES:
-        if f"topography_{k}" in texture.maps:
-            texture = texture.with_slopes(f"topography_{k}")
-    slopes = _faces(texture, {k: [f"topography_{k}_{way}" for way in "xy"] for k in SIDES})
+    heights = {k: height_map(k, texture.maps) for k in SIDES}
+    for name in heights.values():
+        if name in texture.maps:
+            texture = texture.with_slopes(name)
+    slopes = _faces(texture, {k: [f"{name}_{way}" for way in "xy"] for k, name in heights.items()})
     tried_text = "; ".join(
         f"coating of the {k} side {relation}" for k, relation in coatings.items()
     )
@@ -157,7 +152,7 @@ def _by_slopes_and_thickness(
     relations = {
         k: relate(m, texture.maps["image"], texture.known, texture.pixel_um)
         for k, m in texture.maps.items()
-        if k in ("thickness", "base_thickness", f"topography_{side}")
+        if k in ("thickness", "base_thickness", heights[side])
     }
     relations |= {f"slopes of the {k} face": relation for k, relation in slopes.items()}
     best_map = max(relations, key=lambda k: abs(relations[k].z), default=None)
@@ -367,7 +362,7 @@ def texture_of(
         a["valid"].values & b["valid"].values,
         "thickness" in a and "thickness" not in b,
     )
-    first, second = ({k: d[k] for k in _MAPS if k in d and any_finite(d[k], valid)} for d in (a, b))
+    first, second = (_maps_of(d, valid) for d in (a, b))
     # None where the two have no valid pixel in common.
     image = {k: m for k, m in second.items() if k == "image"}
     maps = first | (image if one_sheet else {f"other {k}": m for k, m in second.items()})
@@ -388,13 +383,13 @@ def texture_of(
         # An image of a face follows its coating, or thickness and height, and slopes under light
         # from one side.
         face = face or side
-        height_map = f"topography_{face}"
+        heights = height_map(face, texture.maps)
         source_maps = [f"coating_{face}"] if face in coated else ["thickness"]
-        if height_map in texture.maps:
-            source_maps += [] if face in coated else [height_map]
+        if heights in texture.maps:
+            source_maps += [] if face in coated else [heights]
             texture, slope_names = (
-                texture.with_slopes(height_map),
-                (f"{height_map}_x", f"{height_map}_y"),
+                texture.with_slopes(heights),
+                (f"{heights}_x", f"{heights}_y"),
             )
     elif coated_sides:
         check = two_sheets(texture, names, coated=coated)
@@ -437,6 +432,11 @@ def texture_of(
     return TextureFound(
         offset.numbers(source_maps[0], expected_um), (check, offset.check(expected_um))
     )
+
+
+def _maps_of(layer: xr.Dataset, valid: Bools) -> dict[str, xr.DataArray]:
+    names = (*_MAPS, *(height_map(side, layer) for side in SIDES), "image")
+    return {k: layer[k] for k in names if k in layer and any_finite(layer[k], valid)}
 
 
 def found_by_texture(sentence: str, false_probability: float | None) -> tuple[Check, Check]:

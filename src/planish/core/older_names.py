@@ -6,6 +6,7 @@ Of results, studies and stores of maps alike; the changelog has the table.
 from __future__ import annotations
 
 import re
+from collections.abc import Container
 from typing import Any
 
 FORMAT = 4
@@ -46,3 +47,10 @@ def todays_names(stored: Any) -> Any:
         for pattern, todays in _WORDS.items():
             stored = re.sub(pattern, todays, stored)
     return stored
+
+
+def height_map(side: str, maps: Container[object]) -> str:
+    """Name of the heights of a face: its topography; of older maps, that above the centre."""
+    older_name = f"half_thickness_{side}"
+    topography = f"topography_{side}"
+    return older_name if topography not in maps and older_name in maps else topography

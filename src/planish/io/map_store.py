@@ -210,7 +210,7 @@ def _with_todays_names(maps: xr.Dataset) -> xr.Dataset:
 
 
 def _is_older(store: Path) -> bool:
-    return int(zarr.open_group(store, mode="r").attrs.get("format", 0)) < FORMAT
+    return zarr.open_group(store, mode="r").attrs.get("format") != FORMAT
 
 
 def map_folder(store: Path, group: str, name: str) -> Path | None:

@@ -26,6 +26,7 @@ from planish.core.bands import read_bands
 from planish.core.errors import InputError
 from planish.core.facts import Side
 from planish.core.grid import Grid
+from planish.core.older_names import height_map
 from planish.core.options import params_of
 from planish.core.transform import Similarity
 from planish.core.typing import Bools
@@ -137,7 +138,7 @@ def _with_held_out(
     valid = sheet["valid"][seen].values & fixed["valid"][seen].values
     if not valid.any():
         return layer
-    face = f"topography_{overlay.reference.layer.side}"
+    face = height_map(overlay.reference.layer.side, sheet)
     heights = None
     if face in sheet and fixed_name == "image":
         heights = sheet[face][seen].values.astype(np.float64)

@@ -12,6 +12,7 @@ from planish.core.area import common_means
 from planish.core.errors import InputError
 from planish.core.facts import Side
 from planish.core.grid import Grid, hole_mask
+from planish.core.older_names import height_map
 from planish.core.transform import Similarity
 from planish.core.typing import Array, Bools, Floats, Pair
 from planish.register.by_texture.rotations import BAND_UM
@@ -64,7 +65,7 @@ class TexturedPlane:
                 "The maps hold no thickness whose texture could be searched. Measure one"
                 " (`property`)."
             )
-        face = {name: layer[name].values for name in (f"topography_{side}",) if name in layer}
+        face = {name: layer[name].values for name in (height_map(side, layer),) if name in layer}
         valid = layer["valid"].values if "valid" in layer else None
         plane = cls(maps=maps, face=face, valid=valid, grid=Grid.of(layer))
         return plane.scaled(1.0 / unit_um)
