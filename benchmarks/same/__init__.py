@@ -72,6 +72,7 @@ EXPECTED = (
     ("*.zarr:*.long_name", "grey values of an image are called uncalibrated"),
     ("*topography*", "topography is the face about its own form"),
     ("*base_surface*", "the interface about its own form is a map"),
+    ("*half_thickness*", "what topography was is the half thickness"),
     ("*roughness*", "roughness is that of the face itself, up to the border"),
     ("*.zarr:*._FillValue", "what is NaN is missing without being told"),
     ("*.json:*.negative_control", "the pose in the scanner is called a negative control"),

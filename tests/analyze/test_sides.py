@@ -85,12 +85,13 @@ def test_what_cannot_be_told_is_said():
     )
 
 
-def test_light_from_one_side_tells_the_side_where_the_coating_does_not():
+@pytest.mark.parametrize("name", ["topography", "half_thickness"])  # the second of older runs
+def test_light_from_one_side_tells_the_side_where_the_coating_does_not(name):
     maps = sheet()
     top, bottom = field(30, 4.0), field(31, 4.0)
     lit = {
-        "topography_top": top,
-        "topography_bottom": 0.5 * bottom - 0.3 * top,
+        f"{name}_top": top,
+        f"{name}_bottom": 0.5 * bottom - 0.3 * top,
         "image": np.gradient(top, axis=1),
     }
     found = judged(maps | lit).check
