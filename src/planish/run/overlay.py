@@ -61,11 +61,11 @@ class ValidMask:
 
 
 def _on_tiles(
-    layer_data: Shown, chain: Chain | None, grid: Grid
+    layer_data: Shown, chain: Chain | None, grid: Grid, reference: Shown
 ) -> Callable[[Tile, Grid], xr.Dataset]:
     """Give the function from a tile of a reference to a layer's maps there.
 
-    The maps have errors where a chain moved the layer.
+    The maps have errors where a chain moved the layer to the ``reference``.
     """
     is_image = isinstance(layer_data, xr.DataArray)
     if chain is None:
@@ -79,7 +79,12 @@ def _on_tiles(
                 [name for name in maps.data_vars if str(name).startswith(dropped_prefixes)]
             )
         return lambda tile, _: maps.isel(y=tile.rows, x=tile.cols)
-    errors = PositionErrors(None if is_image else layer_data, chain, grid)
+    errors = PositionErrors(
+        None if is_image else layer_data,
+        chain,
+        grid,
+        None if isinstance(reference, xr.DataArray) else reference,
+    )
     sheet = (
         None if is_image else SheetOnto(layer_data["surfaces"], layer_data["flat"], transform=chain)
     )
@@ -181,7 +186,10 @@ def resample_layers(
     what was moved with its shares: as ``layers/NAME``, or one sheet and image as one group
     ``joint_group``. Returns the maps of each layer.
     """
-    tile_readers = {name: _on_tiles(*source, grid) for name, source in layer_sources.items()}
+    reference, _ = [*layer_sources.values()][-1]
+    tile_readers = {
+        name: _on_tiles(*source, grid, reference) for name, source in layer_sources.items()
+    }
     absent = [name for name, (_, chain) in layer_sources.items() if chain is not None]
     valid_attrs = {"long_name": mask.sentence}
 

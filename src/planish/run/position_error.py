@@ -58,43 +58,38 @@ class PositionErrors:
     """How far the pixels of a reference (``grid``) may be off, computed at the places of a lattice.
 
     ``sheet`` holds ``surfaces``, ``flat`` and, of serial sections, ``sections``; None for an image
-    that was moved. ``chain`` goes from its map to the reference.
+    that was moved. ``chain`` goes from its map to the reference, of which ``reference`` holds the
+    same where it is a sheet.
     """
 
-    def __init__(self, sheet: Mapping[str, xr.Dataset] | None, chain: Chain, grid: Grid) -> None:
+    def __init__(
+        self,
+        sheet: Mapping[str, xr.Dataset] | None,
+        chain: Chain,
+        grid: Grid,
+        reference: Mapping[str, xr.Dataset] | None = None,
+    ) -> None:
         self._lattice = Lattice(grid)
         places = self._lattice.places
         self._shares = {
             "marks": np.asarray(chain.expected_error_um(chain.inverse(places)), dtype=np.float64)
         }
-        self._whole = sheet is None
-        if sheet is None:
-            return
-        self._shares |= _moved(sheet, chain, places)
-        if "sections" not in sheet:
-            return
-        # What is left of the sections' shifts in the plane of the sheet, rms. The wander is a
-        # random walk with a step q a section. Marks hold it at the square root of their number of
-        # places along the cut; n sections between two such places leave q sqrt(n / 6), the mean
-        # over a Brownian bridge.
-        sections, through = sheet["sections"], Frame.of(sheet["surfaces"]).through
-        n_between_marks = sections.sizes["section"] / np.sqrt(max(chain.fits[0].moving.shape[0], 1))
-        variance_um2 = 0.0
-        for axis, name, jitter_um in zip(
-            "yx", ("row", "col"), sections.attrs["jitter_left_um"], strict=True
-        ):
-            if axis == through:
-                continue
-            variance_um2 += (_SHARED * float(jitter_um)) ** 2
-            if name not in sections.attrs.get("fixed", ()):
-                variance_um2 += (
-                    (_WANDER * float(np.std(sections[f"shift_{name}"].values))) ** 2
-                    * n_between_marks
-                    / 6
-                )
-        self._shares["sections"] = np.full(
-            places.shape[:2], float(np.sqrt(variance_um2)) * chain.similarity.scale
+        if sheet is not None:
+            self._shares |= _moved(sheet, chain, places)
+        # Poses of layers in between move marks only: a place goes over the link before and the link
+        # after as if they were right.
+        ends = (
+            (sheet, chain.fits[0], chain.similarity.scale),
+            (reference, chain.fits[-1], 1.0),
         )
+        squares_um2 = [
+            scale**2 * _sections_um2(groups, marks=len(fit.moving))
+            for groups, fit, scale in ends
+            if groups is not None and "sections" in groups
+        ]
+        if squares_um2:
+            self._shares["sections"] = np.full(places.shape[:2], np.sqrt(sum(squares_um2)))
+        self._whole = sheet is None and not squares_um2
 
     def on(self, part: Grid, layer_values: Floats) -> dict[str, xr.DataArray]:
         """Give the rms errors of the place of some pixels of the reference (y, x), in um.
@@ -160,6 +155,29 @@ def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares |
         {f"{name}_um": value for name, value in rms.items()}
         | {"rms_um": total_um, "largest": largest_share, "sentence": sentence}
     )
+
+
+def _sections_um2(groups: Mapping[str, xr.Dataset], *, marks: int) -> float:
+    """Mean square of what is left of the sections' shifts in the plane of the sheet, in um**2.
+
+    The wander is a random walk with a step q a section. Marks hold it at the square root of their
+    number of places along the cut; n sections between two such places leave q sqrt(n / 6), the mean
+    over a Brownian bridge.
+    """
+    sections = groups["sections"]
+    through = Frame.of(groups["surfaces"]).through
+    n_between_marks = sections.sizes["section"] / np.sqrt(max(marks, 1))
+    square_um2 = 0.0
+    for axis, name, jitter_um in zip(
+        "yx", ("row", "col"), sections.attrs["jitter_left_um"], strict=True
+    ):
+        if axis == through:
+            continue
+        square_um2 += (_SHARED * float(jitter_um)) ** 2
+        if name not in sections.attrs.get("fixed", ()):
+            step_um = _WANDER * float(np.std(sections[f"shift_{name}"].values))
+            square_um2 += step_um**2 * n_between_marks / 6
+    return square_um2
 
 
 def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dict[str, Floats]:
