@@ -16,9 +16,9 @@ from planish.run import position_error
 RADIUS, OFFSET = 1500.0, 4.0
 
 
-def errors_of(groups, fit, grid, values=None):
+def errors_of(groups, fit, grid, values=None, reference=None):
     """Errors of the places of a grid by one fit."""
-    errors = position_error.PositionErrors(groups, Chain(fits=(fit,)), grid)
+    errors = position_error.PositionErrors(groups, Chain(fits=(fit,)), grid, reference)
     return errors.on(grid, np.zeros(grid.shape) if values is None else values)
 
 
@@ -117,13 +117,29 @@ def test_no_coating_seen_leaves_a_hundredth_of_the_thickness_and_sections_their_
     shifts = {
         f"shift_{k}": ("section", np.resize([-s, s], 600)) for k, s in (("row", 1.0), ("col", 2.0))
     }
-    # What the alignment left, more than it sees of it; and a wander of a tenth of the shifts a
-    # section, held at sqrt(5) places by 5 marks, unless the stage showed it.
-    for fixed, wander in (([], np.hypot(0.1, 0.2)), (["col"], 0.1), (["row", "col"], 0.0)):
+    # What the alignment left; and a wander of a tenth of the true shifts a section, held at sqrt(5)
+    # places by 5 marks, unless the stage showed it.
+    walks = np.array([1.0**2 - 0.3**2, 2.0**2 - 0.4**2]) * 0.1**2 * 600 / np.sqrt(5) / 6
+    for fixed, wander in (([], walks.sum()), (["col"], walks[0]), (["row", "col"], 0.0)):
         cut = {"sections": xr.Dataset(shifts, attrs={"jitter_left_um": [0.3, 0.4], "fixed": fixed})}
-        found = errors_of({"surfaces": bare, "flat": flat} | cut, fit, grid)
-        left = np.hypot(1.3 * 0.5, wander * np.sqrt(600 / np.sqrt(5) / 6)) * fit.transform.scale
-        np.testing.assert_allclose(found["error_sections"].values, left, rtol=1e-6)
+        sheet = {"surfaces": bare, "flat": flat}
+        left = np.sqrt(0.5**2 + wander)
+        found = errors_of(sheet | cut, fit, grid)
+        np.testing.assert_allclose(
+            found["error_sections"].values, left * fit.transform.scale, rtol=1e-6
+        )
+        # The same where the sections are what is moved to, in their own lengths, and of both.
+        onto = errors_of(sheet, fit, grid, reference=sheet | cut)
+        np.testing.assert_allclose(onto["error_sections"].values, left, rtol=1e-6)
+        both = errors_of(sheet | cut, fit, grid, reference=sheet | cut)
+        np.testing.assert_allclose(
+            both["error_sections"].values, left * np.hypot(1, fit.transform.scale), rtol=1e-6
+        )
+        image = errors_of(None, fit, grid, reference=sheet | cut)
+        assert set(image) == {"expected_error", "error_marks", "error_sections"}
+        squares = found["expected_error"].values ** 2 - found["error_sections"].values ** 2
+        without = errors_of(sheet, fit, grid)["expected_error"].values
+        np.testing.assert_allclose(squares, without**2, rtol=1e-4)
     stated = errors_of({"surfaces": surfaces, "flat": flat}, fit, grid)
     # an offset of 0.8 um against one of 4 um, of which faces state NEUTRAL["faces"]
     ratio = found["error_neutral"].values / stated["error_neutral"].values

@@ -251,9 +251,9 @@ def test_pair_sums_twin():
     a[2, 5] = np.nan
     x, y = rng.normal(0, 100, (2, 20)).astype(np.float32)
     limit, trust = rng.uniform(1, 3, 8), rng.uniform(0.2, 1, 8)
-    sums = np.empty((3, 13))
+    sums = np.empty((3, 15))
     pair_sums(a, b, x, y, (2.0, 5.0), 3, limit, trust, sums)
-    twin = np.zeros((3, 13))
+    twin = np.zeros((3, 15))
     for chunk in range(3):
         for k in range(1, 7):
             for c in range(max(1, 20 * chunk // 3), min(19, 20 * (chunk + 1) // 3)):
@@ -263,7 +263,9 @@ def test_pair_sums_twin():
                 if not np.isfinite(d + gr + gc):
                     continue
                 g = np.array([gr, gc, gr * x[c] - gc * (y[c] + (k - 3.5) * 2.0)])
-                w = trust[k] * max(0.0, 1 - (d / limit[k]) ** 2) ** 2
+                far = max(0.0, 1 - (d / limit[k]) ** 2)
+                w = trust[k] * far**2
+                slope = trust[k] * far * (5 * far - 4)  # of d far^2
                 square = (float(a[k, c]) - 0.5) ** 2 + (float(b[k, c]) - 0.5) ** 2
                 twin[chunk] += [
                     *(w * np.outer(g, g)[np.triu_indices(3)]),
@@ -272,6 +274,7 @@ def test_pair_sums_twin():
                     w * square,
                     w,
                     trust[k],
+                    *(slope * g[:2] ** 2),
                 ]
     np.testing.assert_allclose(sums, twin, rtol=1e-4, atol=1e-3)
 

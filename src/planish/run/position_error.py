@@ -32,11 +32,9 @@ from planish.results import ErrorShares
 # (b + r sum(t)), e(0) = 0, e(1) = 1; with a base of 50-60 um and coatings of 9-20 um, e(3) =
 # 1.7-1.9.
 NEUTRAL = {"base": 1.25, "faces": 0.55}
-# Of serial sections: true over stated error of what is left of their quick shifts (1.2-2.1 on ten
-# drawn specimens), as each column sees what all share in one section; and the step of the slow
-# wander, which no alignment sees, for a quick shift of 1: microtomes of the field jitter by 1-2 um
-# and wander by 0.1-0.2 um a section.
-_SHARED, _WANDER = 1.3, 0.1
+# Of serial sections, the step of the slow wander, which no alignment sees, for a quick shift of 1:
+# microtomes of the field jitter by 1-2 um and wander by 0.1-0.2 um a section.
+_WANDER = 0.1
 _SHARES = {  # their words, and what would lower them
     "marks": ("marks and model", "more marks, spread over the field"),
     "neutral": (
@@ -78,18 +76,15 @@ class PositionErrors:
             self._shares |= _moved(sheet, chain, places)
         # Poses of layers in between move marks only: a place goes over the link before and the link
         # after as if they were right.
-        ends = (
-            (sheet, chain.fits[0], chain.similarity.scale),
-            (reference, chain.fits[-1], 1.0),
-        )
-        squares_um2 = [
-            scale**2 * _sections_um2(groups, marks=len(fit.moving))
-            for groups, fit, scale in ends
-            if groups is not None and "sections" in groups
-        ]
-        if squares_um2:
-            self._shares["sections"] = np.full(places.shape[:2], np.sqrt(sum(squares_um2)))
-        self._whole = sheet is None and not squares_um2
+        sections_um2 = 0.0
+        if sheet is not None and "sections" in sheet:
+            moved_um2 = _sections_um2(sheet, marks=len(chain.fits[0].moving))
+            sections_um2 += chain.similarity.scale**2 * moved_um2
+        if reference is not None and "sections" in reference:
+            sections_um2 += _sections_um2(reference, marks=len(chain.fits[-1].moving))
+        if sections_um2 != 0:
+            self._shares["sections"] = np.full(places.shape[:2], np.sqrt(sections_um2))
+        self._whole = set(self._shares) == {"marks"} and sheet is None
 
     def on(self, part: Grid, layer_values: Floats) -> dict[str, xr.DataArray]:
         """Give the rms errors of the place of some pixels of the reference (y, x), in um.
@@ -173,10 +168,12 @@ def _sections_um2(groups: Mapping[str, xr.Dataset], *, marks: int) -> float:
     ):
         if axis == through:
             continue
-        square_um2 += (_SHARED * float(jitter_um)) ** 2
+        left_um2 = float(jitter_um) ** 2
+        square_um2 += left_um2
         if name not in sections.attrs.get("fixed", ()):
-            step_um = _WANDER * float(np.std(sections[f"shift_{name}"].values))
-            square_um2 += step_um**2 * n_between_marks / 6
+            # What was taken off holds the shift that was there and the error that is left.
+            quick_um2 = max(float(np.var(sections[f"shift_{name}"].values)) - left_um2, 0.0)
+            square_um2 += _WANDER**2 * quick_um2 * n_between_marks / 6
     return square_um2
 
 

@@ -82,10 +82,12 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
     """Set sums[chunk] to what the displacement of band b against band a follows from.
 
     With the gradient g = (row, col, turn) of the mean of both bands and the difference d = b - a,
-    the thirteen numbers are the upper triangle of the sum of g g' (6), the sum of g d (3), the sum
+    the fifteen numbers are the upper triangle of the sum of g g' (6), the sum of g d (3), the sum
     of d d, that of the squares of both around 0.5, all weighted with trust[row] and Tukey's (1 - (d
     / limit[row])^2)^2, 0 where |d| >= limit; then the sum of the weights, and that of trust over
-    all samples without NaN.
+    all samples without NaN. Two more are the row and column entries of the first six once more,
+    weighted with the derivative of d Tukey(d) in place of Tukey's weight: what a displacement
+    changes the sum of g d by, the change of the weights with it.
 
     With ``shared`` 1 the first six are instead the sums of g_a g_b', made symmetric: noise, which
     the bands do not share, enlarges g g' and so shortens the displacement, but cancels here.
@@ -97,13 +99,14 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
     half_r, half_c = np.float32(0.25 / pitch[0]), np.float32(0.25 / pitch[1])
     sums[:] = 0.0
     zero, one, less = np.float32(0.0), np.float32(1.0), np.float32(shared)
+    four, five = np.float32(4.0), np.float32(5.0)
     for k in range(1, rows - 1):
         a0, a1, a2 = a[k - 1], a[k], a[k + 1]
         b0, b1, b2 = b[k - 1], b[k], b[k + 1]
         steep, heavy = np.float32(1.0 / (limit[k] * limit[k])), np.float32(trust[k])
         off = np.float32((k - 0.5 * (rows - 1)) * pitch[0])
         for chunk in range(chunks):
-            s0 = s1 = s2 = s3 = s4 = s5 = t0 = t1 = t2 = dd = ss = used = held = zero
+            s0 = s1 = s2 = s3 = s4 = s5 = t0 = t1 = t2 = dd = ss = used = held = n0 = n1 = zero
             for c in range(
                 max(1, cols * chunk // chunks), min(cols - 1, cols * (chunk + 1) // chunks)
             ):
@@ -119,6 +122,7 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
                 w = one if sound == sound else zero
                 held += heavy * w
                 far = one - steep * d * d
+                tilt = heavy * far * (five * far - four) if (w > zero and far > zero) else zero
                 w = heavy * far * far if (w > zero and far > zero) else zero
                 d = d if w > zero else zero
                 gr = gr if w > zero else zero
@@ -131,6 +135,8 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
                 va = a1[c] - np.float32(0.5) if w > zero else zero
                 vb = b1[c] - np.float32(0.5) if w > zero else zero
                 used += w
+                n0 += tilt * (gr * gr - less * hr * hr)
+                n1 += tilt * (gc * gc - less * hc * hc)
                 s0 += w * gr * gr - v * hr * hr
                 s1 += w * gr * gc - v * hr * hc
                 s2 += w * gr * gt - v * hr * ht
@@ -143,8 +149,8 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
                 dd += w * d * d
                 ss += w * (va * va + vb * vb)
             found = sums[chunk]
-            values = (s0, s1, s2, s3, s4, s5, t0, t1, t2, dd, ss, used, held)
-            for n in range(13):
+            values = (s0, s1, s2, s3, s4, s5, t0, t1, t2, dd, ss, used, held, n0, n1)
+            for n in range(15):
                 found[n] += values[n]
 
 

@@ -48,8 +48,9 @@ class Alignment:
     #: (sections,), False for one with less than two good pairs: torn, blurred, or not of this
     #: sheet.
     aligned: Bools
-    #: Standard deviation of what is left of the quick errors along (row, col), from solutions that
-    #: leave out one sixth of the columns each (jackknife). What all columns share is not in it.
+    #: Standard deviation of what is left of the quick errors along (row, col) of the median
+    #: section, from solutions that leave out one sixth of the columns each (jackknife). What all
+    #: columns share is not in it.
     jitter_left_um: Floats
     pairs_used: int  #: Pairs of sections that were used.
     pairs_refused: int  #: Pairs that were refused.
@@ -134,7 +135,9 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     # error (Wiener).
     mean_square_rotation = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
     pose[:, 2] *= (
-        max(0.0, 1.0 - pose_variance[2] / mean_square_rotation) if mean_square_rotation > 0 else 0.0
+        max(0.0, 1.0 - float(pose_variance[:, 2].mean()) / mean_square_rotation)
+        if mean_square_rotation > 0
+        else 0.0
     )
     is_fixed = (
         _add_fixed_drift(pose, fixed, away_um, cutoff_um, aligned)
@@ -145,7 +148,9 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
         shift_um=pose[:, :2].copy(),
         rotation_rad=pose[:, 2].copy(),
         aligned=aligned,
-        jitter_left_um=np.sqrt(pose_variance[:2]),
+        # The median section: where a hole rules one run of columns, leaving that out tells the
+        # error of the others, not of all.
+        jitter_left_um=np.sqrt(np.median(pose_variance[:, :2], axis=0)),
         pairs_used=int(is_used.sum()),
         pairs_refused=int((~is_used).sum()),
         cutoff_um=cutoff_um,
@@ -160,12 +165,12 @@ def _jackknife_variance(
     components: list[Ints],
     aligned: Bools,
 ) -> Floats:
-    """Give the variance of the poses (3,), or NaN.
+    """Give the variance of the poses of aligned sections (sections, 3), or NaN.
 
     It comes from solutions that each leave out a run of columns, of the surface too.
     """
     if not aligned.any():
-        return np.full(3, np.nan)
+        return np.full((1, 3), np.nan)
     poses: list[Floats] = []
     for k in range(GROUPS):
         fewer_pairs = coarse.without(k)
@@ -178,7 +183,7 @@ def _jackknife_variance(
                 places, series.away_um, components, cutoff_um=_CUTOFF_PITCHES * series.pitch_um
             )
         )
-    return np.var(poses, axis=0)[aligned].mean(axis=0) * (GROUPS - 1)
+    return np.var(poses, axis=0)[aligned] * (GROUPS - 1)
 
 
 def _add_fixed_drift(
