@@ -15,6 +15,7 @@ _ALL = (
     "holes",
     "no_holes",
     "no_holes_layers",
+    "no_holes_scales",
     "texture_fields",
     "registration",
     "specimens",

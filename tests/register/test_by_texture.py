@@ -123,11 +123,14 @@ def test_paper_is_measured_in_um_and_what_is_no_paper_by_its_coarser_pixel():
     assert unit((0.02, 0.04), (28.0, 28.0)) == pytest.approx(0.01)
     assert unit((400.0, 260.0), (200_000.0, 300_000.0)) == pytest.approx(100.0)
     assert unit((0.04, 0.02), (400.0, 400.0)) == pytest.approx(0.01)  # a large picture of many
-    assert unit((1.0, 1.0), (200.0, 2000.0)) == pytest.approx(0.25)  # too small for waves of paper
-    for factor in (0.5, 3.0):
-        assert unit((0.02 * factor, 0.04), (28.0, 28.0)) == pytest.approx(
-            max(0.02 * factor, 0.04) / 4
-        )
+    # Too small for the waves of paper; a pixel is 4 to 8.6 units.
+    assert unit((1.0, 1.0), (200.0, 2000.0)) == pytest.approx(10 ** (-2 / 3))
+    for pixel_um in np.geomspace(0.001, 0.25, 40):
+        side_um = 500 * pixel_um
+        of_this = unit((pixel_um, 0.5 * pixel_um), (side_um, side_um))
+        assert 3.9 < pixel_um / of_this < 8.7
+        of_smaller = unit((0.01 * pixel_um, 0.005 * pixel_um), (0.01 * side_um,) * 2)
+        assert 100 * of_smaller == pytest.approx(of_this)
 
 
 @pytest.mark.ci

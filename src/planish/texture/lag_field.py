@@ -12,7 +12,14 @@ import numpy as np
 
 from planish.core.errors import SizeError
 from planish.core.typing import Bools, Floats, Pair
-from planish.texture.ncc import MARGIN, MaskedNcc, covariance_of, find_peak, within
+from planish.texture.ncc import (
+    MARGIN,
+    MaskedNcc,
+    covariance_of,
+    find_peak,
+    lost_between_pixels,
+    within,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,9 +130,9 @@ def lag_field(
         covariance, lag = np.full((2, 2), np.nan), np.full(2, np.nan)
         if peak is not None and peak.inner:
             lag = peak.summit_px[::-1] * step
-            covariance = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)[
-                ::-1, ::-1
-            ] * np.outer(step, step)
+            covariance_px = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)
+            covariance_px += lost_between_pixels(peak)
+            covariance = covariance_px[::-1, ::-1] * np.outer(step, step)
         centre_um = (np.array([col, row]) + (np.array(side_px[::-1]) - 1) / 2) * step
         tiles.append((centre_um, lag, covariance, np.nan if peak is None else peak.r, share))
     # a field has many tiles.

@@ -12,7 +12,8 @@ from planish.core.grid import Grid
 # longest wave of the search has not 4 pixels.
 _PAPER_UM = (0.3, 37.5)
 _LEAST_UM = 250.0  # root of an area; in a smaller one a texture and itself are at chance
-_PIXEL_UM = 4.0  # of paper, to which others are compared: the shortest wave has 4.5 of it
+_PIXEL_UM = 4.0  # of paper, and up to twice as much: the shortest wave has 2 to 4.5 of it
+_STEPS = 3  # of units in a decade: what is 10 or 100 times smaller has paper's numbers exactly
 
 
 def length_unit_um(first: Grid, second: Grid) -> float:
@@ -22,4 +23,6 @@ def length_unit_um(first: Grid, second: Grid) -> float:
     low_um, high_um = _PAPER_UM
     if low_um <= pixel_um <= high_um and min(areas_um2) >= _LEAST_UM**2:
         return 1.0
-    return pixel_um / _PIXEL_UM
+    # A pixel size of many digits is not quite the same after a division.
+    step = math.floor(_STEPS * math.log10(pixel_um / _PIXEL_UM) + 0.03)
+    return 10.0 ** (step / _STEPS)

@@ -15,6 +15,8 @@ from planish.texture.textures import standard
 # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
 LEAST_PAIRS = 0.2
 MARGIN = 4  # pixels of r that have to be known around the lags that are searched
+# Standard deviation in pixels below which a peak is that of features of few pixels.
+_NARROW = 1.25
 
 
 class MaskedNcc:
@@ -210,6 +212,17 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / n**2)
     covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return np.linalg.inv(peak.curvature) @ covariance @ np.linalg.inv(peak.curvature)
+
+
+def lost_between_pixels(peak: Peak) -> Floats:
+    """Covariance (2, 2) in pixels squared of what a cubic spline loses of a narrow peak.
+
+    It draws the summit towards a whole lag. By how much was measured on textures of known lag, with
+    features of 2 to 6 pixels; of wider peaks it is nothing beside the rest.
+    """
+    width = np.sqrt(-peak.r / np.diag(peak.curvature))
+    most = np.where(width < _NARROW, 0.045 * width**-2.65, 0.0)
+    return np.diag(most**2 * (np.sin(2 * np.pi * peak.summit_px) ** 2 + 0.01))
 
 
 def overlap(
