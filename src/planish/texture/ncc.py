@@ -16,7 +16,7 @@ from planish.texture.textures import standard
 LEAST_PAIRS = 0.2
 MARGIN = 4  # pixels of r that have to be known around the lags that are searched
 # Standard deviation in pixels below which a peak is that of features of few pixels.
-_NARROW = 1.25
+_NARROW = 1.2
 
 
 class MaskedNcc:
