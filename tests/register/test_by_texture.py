@@ -160,6 +160,29 @@ def test_what_is_a_hundred_times_smaller_or_larger_than_paper_is_found_as_paper_
 
 
 @pytest.mark.ci
+def test_pictures_of_a_hundredth_of_papers_size_are_linked_and_judged():
+    place, pixel_um = placed(137.0), 0.04
+    maps, seen = pair(place=place, r=0.6)
+    layers = [pl.image(m.values, pixel_um=pixel_um) for m in (maps["thickness"], seen)]
+    middle_um = 0.04 / PIXEL_UM * np.array([1060.0, 980.0])
+    options = {"by": "texture", "near": (*middle_um.tolist(), 2.0)}
+    run = pl.link(*layers, registration=options, correlate={"point_um": 1.0})
+    facts = run.results.layers[0].registration
+    assert (facts.source, facts.false_probability < 1e-5) == ("texture", True)
+    assert facts.held_out.registration == "refined (cross-fitted)"
+    assert 0.5 < facts.held_out.r < 0.65
+    assert facts.held_out.sentence.startswith(
+        "On held-out tiles, which had no part in the place, without waves above 0.01 mm"
+    )
+    (found,) = run.registrations.values()
+    size = pixel_um / PIXEL_UM
+    off_px = np.linalg.norm(found(size * CORNERS) - size * place(CORNERS), axis=1) / pixel_um
+    assert off_px.max() < NEAR_UM / PIXEL_UM
+    states = {check.name: check.state for check in run.results.checks}
+    assert states["side and specimen"] == "pass"
+
+
+@pytest.mark.ci
 def test_the_other_hand_is_found_only_where_it_is_asked_for_or_no_side_is_given():
     maps, image = pair(place=placed(40.0, mirrored=True), r=0.6)
     with pytest.raises(CannotRegister):
