@@ -44,10 +44,16 @@ def above_form(
         is_known &= np.isfinite(faces[HEIGHTS[name]])
     if not is_known.any():
         return {name: np.full(shape, np.nan) for name in names}
-    blocks = [
-        max(1, min(int(nesting_um / p), n) // _NODES) for p, n in zip(pitch_um, shape, strict=True)
-    ]
-    starts = [np.arange(0, n, b) for n, b in zip(shape, blocks, strict=True)]
+    # As wide as that of the centre surface, see planish.surface.centre.
+    width_um = 0.887 * nesting_um
+    starts: list[Ints] = []
+    lines_um: list[Floats] = []
+    reach: list[int] = []
+    for n, p in zip(shape, pitch_um, strict=True):
+        block = max(1, min(int(nesting_um / p), n) // _NODES)
+        starts.append(np.arange(0, n, block))
+        lines_um.append(np.arange(n) * p)
+        reach.append(int(np.ceil(1.5 * width_um / (block * p))))
 
     def means(fields: Sequence[Floats], mask: Bools) -> Floats:
         """Of the masked columns of each block; after them their number."""
@@ -57,10 +63,8 @@ def above_form(
         ]
         return np.stack([*(total / np.maximum(sums[-1], 1) for total in sums[:-1]), sums[-1]], -1)
 
-    lines = [np.arange(n) * p for n, p in zip(shape, pitch_um, strict=True)]
-    sheet = means(
-        [lines[0][:, None], lines[1], centre_um, *np.moveaxis(-slopes, -1, 0)], has_normal
-    )
+    fields = [lines_um[0][:, None], lines_um[1], centre_um, *np.moveaxis(-slopes, -1, 0)]
+    sheet = means(fields, has_normal)
     # A block outside the sheet has no place.
     place = np.where(sheet[..., -1:] > 0, sheet[..., :3], np.nan)
     normal = sheet[..., 3:]
@@ -70,16 +74,11 @@ def above_form(
     distance = means([faces[HEIGHTS[name]] for name in names], is_known)
     weight = distance[..., -1] * stretch
     distance = np.ascontiguousarray(distance[..., :-1])
-    # As wide as that of the centre surface, see planish.surface.centre.
-    width_um = 0.887 * nesting_um
-    reach = tuple(
-        int(np.ceil(1.5 * width_um / b / p)) for b, p in zip(blocks, pitch_um, strict=True)
-    )
 
     def regressed(height_um: Floats, shape: float) -> Floats:
         def row(i: int) -> Floats:
             matrix, right = _form_kernels.normal_equations(
-                i, place, normal, weight, height_um, reach, width_um, shape
+                i, place, normal, weight, height_um, tuple(reach), width_um, shape
             )
             full = matrix[:, :1, :1]
             terms = np.linalg.solve(matrix + (1e-9 * full + (full == 0)) * np.eye(6), right)
