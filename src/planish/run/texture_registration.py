@@ -104,13 +104,18 @@ def register_texture(
         is_bottom = place.mirrored if mirrored is None else mirrored
         layers = PlanePair.of(moving, fixed, "bottom" if is_bottom else "top", holes)
         start = in_unit(place.inverse if layers.swapped else place, layers.unit_um)
-        tiles = tiles_near(layers, start, off_um=TUNED_UM)
+        tiles = tiles_near(layers, start, off_um=TUNED_UM, strain=fit_params.scale_tolerance)
         search = None
     else:
         layers, found = find_places(moving, fixed, fit_params, mirrored, holes)
         search = found.search
         tiles = tiles_near(
-            layers, found.place, scaled=found.scaled, names=search.best.names, off_um=TUNED_UM
+            layers,
+            found.place,
+            scaled=found.scaled,
+            names=search.best.names,
+            off_um=TUNED_UM,
+            strain=fit_params.scale_tolerance,
         )
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
@@ -225,7 +230,7 @@ def _with_tiles(
     layers = PlanePair.of(moving, fixed, side, holes)
     place = known.fit.transform.similarity
     start = in_unit(place.inverse if layers.swapped else place, layers.unit_um)
-    tiles = tiles_near(layers, start)
+    tiles = tiles_near(layers, start, strain=params.scale_tolerance)
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
             f"{len(tiles.moving_um)} parts of the texture show where they lie, and {_LEAST_TILES}"

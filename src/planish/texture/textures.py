@@ -40,6 +40,19 @@ class Textures:
         """Area that is known."""
         return self.n * self.pixel_um[0] * self.pixel_um[1]
 
+    @property
+    def middle_um(self) -> Floats:
+        """The middle, ``(x, y)`` from that of the first pixel."""
+        return 0.5 * (np.array(self.known.shape) - 1)[::-1] * self.pixel_um[::-1]
+
+    def middle_part(self, share: float) -> Textures:
+        """A share of both sides, about the same middle."""
+        rows, cols = (
+            slice(k, n - k) for n in self.known.shape for k in (round(n * (1 - share) / 2),)
+        )
+        maps = {k: m[rows, cols] for k, m in self.maps.items()}
+        return replace(self, maps=maps, known=self.known[rows, cols])
+
     def with_slopes(self, name: str) -> Textures:
         """Add the slopes of a map along x and y, ``name_x`` and ``name_y``.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage, optimize
 
-from planish.core.transform import Similarity, nearest_similarity
+from planish.core.transform import NearSimilarity, Similarity, nearest_similarity
 from planish.core.typing import Bools, Floats, Pair
 from planish.register.by_texture.rotations import Names, compared
 from planish.texture.detrend import PhaseSurrogate
@@ -23,6 +23,9 @@ _LEAST_PIXELS, _MOST_PIXELS = 100, 15_000  # that both layers show; of them, use
 _REACH_UM = 25.0  # of a tile about the place of the whole
 _OF_LIGHT = 0.2  # of the shift that slopes take off, by which that may be wrong
 _TILE_Z = 7.0  # standard deviations of chance by which a tile should stand out
+
+
+Placing = Similarity | NearSimilarity
 
 
 def tuned_place(
@@ -110,22 +113,31 @@ class TilePlaces(NamedTuple):
     shared_um2: Floats
     r: float  # of the whole map at the place from which the tiles were sought
     place: Similarity  # of the whole map
+    found: float  # share of the tiles that show by themselves where they lie
+
+    def lag_um(self, place: Placing) -> float:
+        """Distance of the tiles from where a place has them, rms; 0 without tiles."""
+        lags_um = self.fixed_um - place(self.moving_um)
+        return float(np.sqrt(np.mean(np.sum(lags_um**2, axis=1)))) if len(lags_um) else 0.0
 
 
 def tile_places(
     moving: Textures,
     fixed: Textures,
     names: Names,
-    place: Similarity,
+    place: Placing,
     *,
     beside: tuple[str, ...],
     light: tuple[str, ...],
+    strain: float = 0.0,
 ) -> TilePlaces:
     """Find where tiles of a map lie in the image, near the place of the whole.
 
     Tiles share no pixel. Their side follows from how far the whole stands out from chance: each has
     to by itself. What the maps ``beside`` it and ``light``, the slopes of the face, explain is
-    taken with it: light moves no tile.
+    taken with it: light moves no tile. ``strain`` is that by which the layers may differ from the
+    place: tiles are sought as far off as it takes the corners, and none is so large that it blurs
+    them.
     """
     rows, cols = np.indices(moving.known.shape)
     pixel_um = moving.pixel_um
@@ -147,12 +159,13 @@ def tile_places(
         weights = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)[0]
         a = standard(math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1), is_valid)
         relation = replace(relation, r=math.copysign(relation.r, weights[0]))
-    reach = (max(round(_REACH_UM / pixel_um[0]), 3), max(round(_REACH_UM / pixel_um[1]), 3))
+    reach_um = _REACH_UM + 0.5 * strain * math.hypot(*(moving.known.shape * np.array(pixel_um)))
+    reach = (max(round(reach_um / pixel_um[0]), 3), max(round(reach_um / pixel_um[1]), 3))
     least_um = 2.2 * max((k + MARGIN) * p for k, p in zip(reach, pixel_um, strict=True))
     short_um = min((n // 2 * 2) * p for n, p in zip(moving.known.shape, pixel_um, strict=True))
     stands_out = abs(relation.z) / _TILE_Z
     side_um = math.sqrt(moving.n * pixel_um[0] * pixel_um[1]) / max(stands_out, 1e-9)
-    side_um = min(side_um, 0.5 * short_um)
+    side_um = min(side_um, 0.5 * short_um, _REACH_UM / max(strain, 1e-9))
     field = lag_field(
         math.copysign(1.0, relation.r) * a,
         b,
@@ -169,7 +182,15 @@ def tile_places(
         turn @ field.covariance_um2[field.distinct] @ turn.T,
         turn @ shared_um2 @ turn.T,
     )
-    return TilePlaces(at_um, place(at_um + lag_um), covariance, shared, relation.r, place)
+    return TilePlaces(
+        at_um,
+        place(at_um + lag_um),
+        covariance,
+        shared,
+        relation.r,
+        place.similarity,
+        float(np.mean(field.distinct)) if field.distinct.size else 0.0,
+    )
 
 
 def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair, *, slopes: int) -> Floats:

@@ -35,10 +35,12 @@ RIVAL = 0.85
 """Share of the best place's height from which on another place is nearly as good, as in a pattern
 that repeats."""
 _OVERLAP = 0.4  # least share of the map that lies in the image
-_NEAR_DEG, _NEAR_UM = 8.0, 150.0  # of a place, within which another one is the same
 _STEP = 3600.0  # um degrees: rotations are tried in steps of this over the size of the map
 _SCALE_STEP = 45.0  # um: scales in steps of this over the size of the map
 _CANDIDATES = 5
+_PARTED_UM = 2500.0  # side of a map of which, about a place, the middle is searched first
+# Of the rotations and scales of the middle, those that go best: the whole is tried at them.
+_KEPT = 1 / 16
 _LEAST_WINDOW = 384  # pixels of a part of the image that is transformed as a whole
 _LEAST_ROTATIONS = 20  # that show how high chance gets
 # Of the rotations, measured on unrelated fields; those beside each other are alike.
@@ -131,23 +133,32 @@ def search_place(
     ``moving``: maps of the sheet that may show in it; ``fixed``: ``image``, with pixels that are
     not larger than those of the sheet by much, or the maps of another sheet. ``mirrored``: whether
     the layers see each other mirrored; both are tried where None. ``scale_tolerance``: largest
-    deviation of the scale from 1. ``near``: search about these places alone, each by itself.
+    deviation of the scale from 1, and strain of a specimen that is not rigid. ``near``: search
+    about these places alone, each by itself.
 
-    A search in steps twice as wide finds most places in a quarter of the time; it comes first, and
-    the probability counts both. Of textures that are unrelated, the correlation at all shifts is a
-    smooth Gaussian field, whose maximum exceeds z with a probability near ``A z exp(-z**2 / 2)``
-    (Adler and Taylor 2007, chapter 14). The best of the other rotations tell A, and a factor to z
-    for fields that are not quite Gaussian.
+    A search in steps twice as wide finds most places in a quarter of the time, and about a place
+    the middle of a large map, of half its side, in a sixteenth. They come first, the middle tells
+    at which rotations and scales the whole may lie, and the probability counts all. Of textures
+    that are unrelated, the correlation at all shifts is a smooth Gaussian field, whose maximum
+    exceeds z with a probability near ``A z exp(-z**2 / 2)`` (Adler and Taylor 2007, chapter 14).
+    The best of the other rotations tell A, and a factor to z for fields that are not quite
+    Gaussian.
     """
-    scanner = _Scanner(moving, fixed, scale_tolerance)
     hands = (False, True) if mirrored is None else (mirrored,)
-    windows = near or (None,)
-    for wider in (2.0, 1.0):
-        steps = _Steps.of(scanner.size_um, scale_tolerance, wider)
-        cells = map_threads(partial(scanner.cell, steps=steps, windows=windows), steps.turns(hands))
-        found = _judged(scanner, steps, cells)
-        if found.is_sure:
-            break
+    shares = (0.5, 1.0) if near and moving.area_um2 > _PARTED_UM**2 else (1.0,)
+    found, kept, cells = None, list[Similarity](), list[list[_Peak]]()
+    for share in shares:
+        scanner = _Scanner(moving, fixed, scale_tolerance, share, is_near=bool(near))
+        for wider in (1.0,) if kept else (2.0, 1.0):
+            steps = _Steps.of(scanner.size_um, scale_tolerance, wider)
+            turns = (steps.beside(turn, kept) for turn in steps.turns(hands))
+            tried = [(turn, scales) for turn, scales in turns if scales]
+            cells = map_threads(partial(scanner.cell, windows=near or (None,)), tried)
+            found = _judged(scanner, steps, cells, looks=2 * len(shares))
+            if found.is_sure:
+                return found
+        kept = _promising(cells)
+    assert found is not None
     return found
 
 
@@ -189,6 +200,22 @@ class _Steps:
         for hand, k in product(hands, range(round(360.0 / self.deg))):
             yield Similarity(rotation_rad=math.radians(k * self.deg), mirrored=hand)
 
+    def beside(
+        self, turn: Similarity, among: Sequence[Similarity]
+    ) -> tuple[Similarity, tuple[float, ...]]:
+        """A rotation with the scales to try there: all, or those beside ``among``.
+
+        Steps of ``among`` are twice as wide.
+        """
+        if not among:
+            return turn, self.scales
+        rough = np.array([a.matrix()[1] for a in among if a.mirrored == turn.mirrored])
+        half_diagonal = math.hypot(math.radians(self.deg), self.scale)
+        scaled = np.multiply.outer(self.scales, turn.matrix()[1])
+        off = np.linalg.norm(scaled[:, None] - rough.reshape(-1, 2), axis=2)
+        is_beside = (off <= half_diagonal).any(axis=1)
+        return turn, tuple(s for s, is_near in zip(self.scales, is_beside, strict=True) if is_near)
+
     def about(self, turn: Similarity) -> Iterator[tuple[Similarity, tuple[float, ...]]]:
         """Rotations between those of the search, with scales between its own."""
         scales = tuple(turn.scale + self.scale * k / 4.0 for k in (-2, -1, 0, 1, 2))
@@ -197,15 +224,31 @@ class _Steps:
             yield replace(turn, scale=1.0, rotation_rad=rotation_rad), scales
 
 
-def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]]) -> PlaceSearch:
+def _by_null(cells: list[list[_Peak]]) -> Callable[[_Peak], float]:
+    """Heights of peaks in standard deviations of their map's null."""
     null_sd: dict[Names, float] = {}
     for names in {peak.names for peak in cells[0]}:
         peaks = [peak for cell in cells for peak in cell if peak.names == names]
         count = sum(peak.shifts for peak in peaks)
         null_sd[names] = math.sqrt(sum(peak.squares for peak in peaks) / max(count, 1)) or 1.0
 
-    def z(peak: _Peak) -> float:
-        return abs(peak.height) / null_sd[peak.names]
+    return lambda peak: abs(peak.height) / null_sd[peak.names]
+
+
+def _promising(cells: list[list[_Peak]]) -> list[Similarity]:
+    """Rotations and scales at which a map goes best with the image.
+
+    None where some of it lies beside the image: it tells nothing of more of the map then.
+    """
+    peaks = [peak for cell in cells for peak in cell if peak.height]
+    if len({peak.shifts for peak in peaks}) != 1:
+        return []
+    peaks.sort(key=_by_null(cells), reverse=True)
+    return [peak.turn for peak in peaks[: math.ceil(_KEPT * len(peaks))]]
+
+
+def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: int) -> PlaceSearch:
+    z = _by_null(cells)
 
     def candidate(peak: _Peak) -> Candidate:
         return Candidate(
@@ -214,34 +257,24 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]]) -> Place
 
     best_of_cells = sorted((max(cell, key=z) for cell in cells), key=z, reverse=True)
     best = best_of_cells[0]
-    is_best = [
-        p.turn.mirrored == best.turn.mirrored and _same_turn(p.turn, best.turn)
-        for p in best_of_cells
-    ]
-    others = np.array([z(p) for p, same in zip(best_of_cells, is_best, strict=True) if not same])
+    basin_um = scanner.basin_um(best.names)
+    others = np.array(
+        [z(p) for p in best_of_cells if scanner.turned_um(p.turn, best.turn) > basin_um]
+    )
     probability = _exceeded(z(best), others) if others.size >= _LEAST_ROTATIONS else 1.0
     finer = (
         p for turn, scales in steps.about(best.turn) for p in scanner.peaks(turn, scales, best.near)
     )
     finest = max((best, *finer), key=lambda p: z(p) if p.names == best.names else 0.0)
     candidates = [replace(candidate(finest), z=z(best))]
-    for peak in sorted((*best_of_cells[1:], *scanner.rivals(best)), key=z, reverse=True):
+    for peak in sorted((*best_of_cells[1:], *scanner.rivals(best, basin_um)), key=z, reverse=True):
         other = candidate(peak)
-        if all(_apart(other.place, c.place, scanner.middle_um) for c in candidates):
+        if all(scanner.apart_um(other.place, c.place) > basin_um for c in candidates):
             candidates.append(other)
         if len(candidates) == _CANDIDATES:
             break
-    return PlaceSearch(candidates=tuple(candidates), false_probability=min(2.0 * probability, 1.0))
-
-
-def _same_turn(a: Similarity, b: Similarity) -> bool:
-    difference = math.degrees(a.rotation_rad - b.rotation_rad)
-    return abs((difference + 180.0) % 360.0 - 180.0) < _NEAR_DEG
-
-
-def _apart(a: Similarity, b: Similarity, middle_um: Floats) -> bool:
-    is_shifted = float(np.linalg.norm(a(middle_um) - b(middle_um))) > _NEAR_UM
-    return a.mirrored != b.mirrored or not _same_turn(a, b) or is_shifted
+    probability = min(looks * probability, 1.0)
+    return PlaceSearch(candidates=tuple(candidates), false_probability=probability)
 
 
 def _exceeded(z: float, others: Floats) -> float:
@@ -288,15 +321,22 @@ class _Window(NamedTuple):
 class _Scanner:
     """Correlates maps, turned about their middle, with an image at all shifts or near a place."""
 
-    def __init__(self, moving: Textures, fixed: Textures, scale_tolerance: float) -> None:
-        self._fixed, self._names = fixed, compared(moving, fixed)
+    def __init__(
+        self,
+        moving: Textures,
+        fixed: Textures,
+        scale_tolerance: float,
+        share: float,
+        *,
+        is_near: bool,
+    ) -> None:
+        moving, self.middle_um = moving.middle_part(share), moving.middle_um
+        self._moving, self._fixed, self._names = moving, fixed, compared(moving, fixed)
+        self._strain = scale_tolerance
         # X, y.
         self._moving_px, self._fixed_px = (np.array(t.pixel_um[::-1]) for t in (moving, fixed))
         shape = np.array(moving.known.shape[::-1])
-        self._extent_um, self.middle_um = (
-            shape * self._moving_px,
-            0.5 * (shape - 1) * self._moving_px,
-        )
+        self._extent_um, self._middle_px = shape * self._moving_px, 0.5 * (shape - 1)
         self.size_um = math.sqrt(max(moving.area_um2, 1.0))
         self._splines = {
             k: np.asarray(ndimage.spline_filter(moving.maps[k]), dtype=np.float32)
@@ -308,13 +348,35 @@ class _Scanner:
         self._margin = math.ceil(0.5 * most_um / float(self._fixed_px.min())) + 2
         spans = [_spans(n, max(4 * self._margin, _LEAST_WINDOW)) for n in fixed.known.shape]
         size = spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]
-        self._whole = [
-            self._spectra(first, size) for first in product(spans[0][:-1], spans[1][:-1])
-        ]
+        parts = () if is_near else product(spans[0][:-1], spans[1][:-1])
+        self._whole = [self._spectra(first, size) for first in parts]
 
-    def cell(self, turn: Similarity, steps: _Steps, windows: Sequence[Near | None]) -> list[_Peak]:
-        """Peaks of all maps at one rotation and hand, and all scales."""
-        return [peak for near in windows for peak in self.peaks(turn, steps.scales, near)]
+    def basin_um(self, names: Names) -> float:
+        """Distance within which a place is that of the same correlation.
+
+        It is half the mean wave of the map, as a pattern that repeats is as good a whole one on;
+        and what the strain adds between two parts of the map that lie a diagonal apart, where a
+        specimen that is not rigid goes with the image at two places.
+        """
+        values = self._moving.maps[names[0]]
+        steps = [np.diff(values, axis=k) / self._moving.pixel_um[k] for k in (0, 1)]
+        slope = math.sqrt(sum(float(np.mean(s**2)) for s in steps))
+        half_wave_um = math.pi * float(np.std(values)) / (slope or math.inf)
+        return half_wave_um + self._strain * float(np.hypot(*self._extent_um))
+
+    def turned_um(self, a: Similarity, b: Similarity) -> float:
+        """Distance between two places about one middle, rms over the map."""
+        return float(np.linalg.norm((a.matrix() - b.matrix()) * self._extent_um)) / math.sqrt(12.0)
+
+    def apart_um(self, a: Similarity, b: Similarity) -> float:
+        """Distance between two places, rms over the map."""
+        return math.hypot(self.turned_um(a, b), *(a(self.middle_um) - b(self.middle_um)))
+
+    def cell(
+        self, tried: tuple[Similarity, tuple[float, ...]], windows: Sequence[Near | None]
+    ) -> list[_Peak]:
+        """Peaks of all maps at one rotation and hand, and some scales."""
+        return [peak for near in windows for peak in self.peaks(*tried, near)]
 
     def peaks(
         self, turn: Similarity, scales: tuple[float, ...], near: Near | None
@@ -323,7 +385,7 @@ class _Scanner:
         for scaled, names, values, weight, window in self._heights(turn, scales, near):
             yield self._peak(scaled, names, values * weight, weight, window, near)
 
-    def rivals(self, best: _Peak) -> Iterator[_Peak]:
+    def rivals(self, best: _Peak, basin_um: float) -> Iterator[_Peak]:
         """The highest correlation at the turn of the best one, away from it."""
         turn, scale = replace(best.turn, scale=1.0), best.turn.scale
         for scaled, names, values, weight, window in self._heights(turn, (scale,), best.near):
@@ -335,7 +397,7 @@ class _Scanner:
                     values.shape, window.first, best.at, self._fixed_px[::-1], strict=True
                 )
             )
-            far = np.hypot(rows[:, None], cols) > _NEAR_UM
+            far = np.hypot(rows[:, None], cols) > basin_um
             yield self._peak(scaled, names, values * weight * far, weight, window, best.near)
 
     def place(self, turn: Similarity, at: tuple[int, int]) -> Similarity:
@@ -438,7 +500,7 @@ class _Scanner:
         half = np.ceil(np.abs(corners).max(axis=0) / self._fixed_px).astype(int)
         # Of pixels x, y.
         to_moving = (np.linalg.inv(matrix) * self._fixed_px) / self._moving_px[:, None]
-        offset = self.middle_um / self._moving_px - to_moving @ half
+        offset = self._middle_px - to_moving @ half
         shape = (2 * int(half[1]) + 1, 2 * int(half[0]) + 1)
 
         def sampled(values: Slab, order: Literal[1, 3]) -> Slab:

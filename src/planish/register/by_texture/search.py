@@ -6,8 +6,9 @@ Both sides of a sheet are tried where its side is not given; rough places first,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from planish.core.typing import Floats, Pair
 from planish.register.by_texture.place import TilePlaces, clearest_maps, tile_places, tuned_place
 from planish.register.by_texture.planes import PlanePair, TexturedPlane, in_unit
 from planish.register.by_texture.rotations import FALSE, Names, Near, PlaceSearch, search_place
+from planish.register.fit import fit_transform
 from planish.register.params import RegistrationParams
 
 _SEARCH_UM, _FINE_UM = 20.0, 8.0  # pixels: at 36 um a weak texture is at chance
@@ -33,6 +35,10 @@ _NEAR_UM = 500.0  # of a place that was given without a radius
 # Of an image whose pixel size is hardly known: between two sizes that are tried.
 _SCALE_GUESS = 1.15
 _GUESS_TOLERANCE = 0.08
+# Where a smaller share of the tiles shows where it lies, or they lie off by more than a pixel, the
+# specimen may be no rigid one.
+_MOST_TILES = 0.75
+_LEAST_TILES = 4  # that show how it is strained
 _FEW_HOLES = 2  # that fix no place, and narrow the search
 
 
@@ -147,6 +153,8 @@ def _searched(
     )
     for guess in guesses:
         b = layers.b.scaled(guess)
+        if near:
+            b = _seen_from(b, a, near, guess)
         b_texture, b_first = b.texture(_SEARCH_UM)
         if not (a_texture.known.any() and b_texture.known.any()):
             raise CannotRegister(
@@ -179,6 +187,26 @@ def _searched(
             break
     assert best is not None
     return best
+
+
+def _seen_from(
+    b: TexturedPlane, a: TexturedPlane, near: Sequence[Near], guess: float
+) -> TexturedPlane:
+    """What of a layer a search about places looks at."""
+    fixed_um = guess * np.array([n.fixed_um for n in near])
+    arms_um = [a.corners_um - (n.moving_um or a.middle_um) for n in near]
+    arm_um = (1.0 + _GUESS_TOLERANCE) * float(np.linalg.norm(arms_um, axis=-1).max())
+    reach_um = guess * max(n.radius_um for n in near) + arm_um + _AROUND_UM
+    return _part_of(b, fixed_um.min(axis=0) - reach_um, fixed_um.max(axis=0) + reach_um)
+
+
+def _part_of(b: TexturedPlane, low_um: Floats, high_um: Floats) -> TexturedPlane:
+    part = b.part(low_um, high_um)
+    if not all(part.grid.shape):
+        raise CannotRegister(
+            "The other layer shows no texture at this place: it lies beside it. Give another place."
+        )
+    return part
 
 
 def _between_layers(place: Similarity, scaled: float, *, swapped: bool) -> Similarity:
@@ -217,6 +245,7 @@ def tiles_near(
     scaled: float = 1.0,
     names: Names | None = None,
     off_um: float = 0.0,
+    strain: float,
 ) -> TilePlaces:
     """Tune a place of the first layer in the second one, ``scaled``, by as much as it may be off.
 
@@ -225,11 +254,7 @@ def tiles_near(
     """
     a, b = layers.a, layers.b.scaled(scaled)
     seen = place(a.corners_um)
-    b = b.part(seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
-    if not all(b.grid.shape):
-        raise CannotRegister(
-            "The other layer shows no texture at this place: it lies beside it. Give another place."
-        )
+    b = _part_of(b, seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
     has_light = not b.is_sheet
     (moving, moving_first), (fixed, fixed_first) = (
         a.texture(_FINE_UM, slopes=has_light),
@@ -242,7 +267,10 @@ def tiles_near(
     beside = tuple(k for k in a.maps if has_light and k in moving.maps and k != names[0])
     if off_um:
         place = tuned_place(moving, fixed, names, place, reach_um=off_um, beside=(*beside, *light))
-    tiles = tile_places(moving, fixed, names, place, beside=beside, light=light)
+    tiles_at = partial(tile_places, moving, fixed, names, beside=beside, light=light)
+    tiles = tiles_at(place)
+    if tiles.found < _MOST_TILES or tiles.lag_um(place) > _FINE_UM:
+        tiles = max(tiles, _bent_tiles(tiles_at, place, strain), key=lambda t: len(t.moving_um))
     unit_um = layers.unit_um
     return tiles._replace(
         moving_um=unit_um * (tiles.moving_um + moving_first),
@@ -250,6 +278,24 @@ def tiles_near(
         covariance_um2=unit_um**2 * tiles.covariance_um2 / scaled**2,
         shared_um2=unit_um**2 * tiles.shared_um2 / scaled**2,
     )
+
+
+def _bent_tiles(
+    tiles_at: Callable[..., TilePlaces], place: Similarity, strain: float
+) -> TilePlaces:
+    """Tiles about where rough ones, sought as far off as a strain takes them, have the map."""
+    tiles = tiles_at(place, strain=strain)
+    if len(tiles.moving_um) < _LEAST_TILES:
+        return tiles
+    fit = fit_transform(
+        tiles.moving_um,
+        tiles.fixed_um,
+        model="auto",
+        mirrored=place.mirrored,
+        weights=tiles.covariance_um2,
+        inspect=False,
+    )
+    return tiles_at(fit.transform)
 
 
 def _undecided(found: Found, layers: PlanePair) -> Undecided:
