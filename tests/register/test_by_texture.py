@@ -16,8 +16,12 @@ from planish.core.errors import CannotRegister, InputError
 from planish.core.grid import Grid
 from planish.core.transform import Similarity, nearest_similarity
 from planish.register import RegistrationParams
-from planish.register.by_texture.rotations import _exceeded
+from planish.register.by_texture import rotations
+from planish.register.by_texture.planes import TexturedPlane
+from planish.register.by_texture.rotations import Near, _exceeded, _Scanner, search_place
+from planish.register.by_texture.search import _seen_from
 from planish.texture.length_unit import length_unit_um
+from planish.texture.textures import Textures, standard
 
 PIXEL_UM = 6.0
 SHAPE, IMAGE_SHAPE = (200, 250), (330, 360)
@@ -340,3 +344,124 @@ def test_chance_is_a_probability_however_high_it_gets():
         assert np.isfinite(p).all()
         assert p[0] > 0.9
         assert p[0] >= p[1] >= p[2] >= 0.0
+
+
+# --- specimens that are not rigid, and searches about a place -------------------------------------
+
+
+def shown(values):
+    """Textures of an image with pixels of 20 um."""
+    known = np.ones(values.shape, bool)
+    return Textures(maps={"image": standard(values, known)}, known=known, pixel_um=(20.0, 20.0))
+
+
+def waves(n, period_um):
+    """A pattern that repeats along both axes."""
+    along = np.sin(2.0 * np.pi * 20.0 * np.arange(n) / period_um)
+    return along[:, None] + along
+
+
+def test_places_that_a_strain_joins_are_one_and_others_are_not():
+    """In 8 mm, half a wave and what 3 % of the diagonal are; in 1 mm, hardly more than the wave."""
+    scanner, small = (
+        _Scanner(shown(field((n, n), 5)), shown(field((n, n), 6)), 0.03, 1.0, is_near=True)
+        for n in (400, 50)
+    )
+    best = nearest_similarity(np.eye(2), scanner.middle_um, scanner.middle_um)
+
+    def beside(right_um, turned_deg=0.0, mirrored=False):
+        turn = Similarity(rotation_rad=np.deg2rad(turned_deg), mirrored=mirrored)
+        target = scanner.middle_um + np.array([right_um, 0.0])
+        return nearest_similarity(turn.matrix(), scanner.middle_um, target)
+
+    basin_um = scanner.basin_um(("image", "image"))
+    assert scanner.apart_um(best, beside(200.0, 359.0)) < basin_um
+    for other in (beside(600.0), beside(0.0, 15.0), beside(0.0, mirrored=True)):
+        assert scanner.apart_um(best, other) > basin_um
+    joined_um = 0.03 * np.sqrt(2.0) * (8000.0 - 1000.0)
+    assert basin_um - small.basin_um(("image", "image")) == pytest.approx(joined_um, rel=0.05)
+    striped = _Scanner(shown(waves(60, 300.0)), shown(waves(60, 300.0)), 0.0, 1.0, is_near=True)
+    assert striped.basin_um(("image", "image")) == pytest.approx(150.0, rel=0.05)
+
+
+def test_a_pattern_that_repeats_has_a_rival_a_period_on_and_a_texture_has_none():
+    texture, near = field((80, 80), 7), [Near(fixed_um=(800.0, 800.0), radius_um=300.0)]
+    for image, is_sure in ((texture, True), (waves(80, 260.0), False)):
+        part = shown(image[20:60, 20:60])
+        found = search_place(part, shown(image), mirrored=False, scale_tolerance=0.03, near=near)
+        assert found.has_rival is not is_sure
+        assert found.is_sure is is_sure
+        if is_sure:
+            middle = found.best.place((390.0, 390.0))
+            assert np.linalg.norm(middle - (790.0, 790.0)) < 15.0
+
+
+def test_a_search_about_a_place_looks_at_that_place_alone_and_first_at_the_middle_of_a_map(
+    monkeypatch,
+):
+    """Counted are the pixels of the map that are turned, where nothing is found."""
+    turned, transform = [], ndimage.affine_transform
+
+    def counted(values, *args, output_shape, **options):
+        turned.append(output_shape[0] * output_shape[1])
+        return transform(values, *args, output_shape=output_shape, **options)
+
+    monkeypatch.setattr(rotations.ndimage, "affine_transform", counted)
+    moving, fixed = shown(field((30, 30), 8)), shown(field((50, 50), 9))
+    near, count = [Near(fixed_um=(500.0, 500.0), radius_um=60.0)], {}
+    for side_um in (300.0, 5000.0):
+        turned.clear()
+        monkeypatch.setattr(rotations, "_PARTED_UM", side_um)
+        found = search_place(moving, fixed, mirrored=False, scale_tolerance=0.03, near=near)
+        assert not found.is_sure
+        count[side_um] = sum(turned)
+    assert count[300.0] < 0.3 * count[5000.0]
+    layers = [
+        TexturedPlane.of(xr.DataArray(np.zeros((n, n)), dims=("y", "x"), coords=coords))
+        for n in (100, 2000)
+        for coords in ({"y": 10.0 * np.arange(n), "x": 10.0 * np.arange(n)},)
+    ]
+    about = [Near(fixed_um=(9000.0, 9000.0), radius_um=300.0)]
+    part = _seen_from(layers[1], layers[0], about, 1.0)
+    assert part.grid.x_um[0] < 9000.0 - 300.0 - 710.0
+    assert part.grid.x_um[-1] - part.grid.x_um[0] < 2.0 * (300.0 + 710.0 + 300.0)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_specimen_under_a_smooth_strain_of_2_percent_is_linked_and_followed(seed):
+    """Its parts lie up to 80 um off any similarity, more than the search of tiles reaches."""
+    shape, pixel_um, wave_um = (500, 600), 10.0, 14_000.0
+    rng = np.random.default_rng([seed, 49])
+    sheet = ndimage.gaussian_filter(rng.standard_normal(shape), 1.3)
+    phase = rng.uniform(-0.5, 0.5, 2)
+    turn = Similarity(rotation_rad=rng.uniform(-np.pi, np.pi))
+    middle = 0.5 * pixel_um * (np.array(shape[::-1]) - 1.0)
+    place = nearest_similarity(turn.matrix(), middle, middle + rng.uniform(-80.0, 80.0, 2))
+
+    def strained(points):
+        wave_number = 2.0 * np.pi / wave_um
+        return points + 0.02 / wave_number * np.cos(wave_number * points + phase)
+
+    y, x = (pixel_um * np.arange(n) for n in shape)
+    back = place.inverse(np.stack(np.meshgrid(x, y), axis=-1))
+    at = back
+    for _ in range(20):
+        at = back + at - strained(at)
+    seen = ndimage.map_coordinates(sheet, np.moveaxis(at / pixel_um, -1, 0)[::-1], order=3)
+    noise = ndimage.gaussian_filter(rng.standard_normal(shape), 1.3)
+    moving, fixed = (
+        xr.DataArray(
+            100.0 + values,
+            coords={"y": y, "x": x},
+            dims=("y", "x"),
+            attrs={"pixel_um": [pixel_um] * 2},
+        )
+        for values in (sheet, 0.6 * seen + 0.8 * noise)
+    )
+    near = (*place(strained(middle)).tolist(), 300.0)
+    found = pl.register_texture(moving, fixed, params={"near": near})
+    corners = np.stack(np.meshgrid(x[[100, 300, 500]], y[[100, 250, 400]]), axis=-1).reshape(-1, 2)
+    off_um = np.linalg.norm(found(corners) - place(strained(corners)), axis=1)
+    assert np.median(off_um) < 1.5
+    assert off_um.max() < 6.0

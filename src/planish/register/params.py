@@ -58,7 +58,7 @@ class RegistrationParams(Params):
         le=1.0,
         metavar="SHARE",
         help=(
-            "Largest deviation of the scale from 1 that the calibrations allow, such as 0.05; 1"
+            "Largest deviation of the scale from 1, by calibration or strain, such as 0.05; 1"
             " lets the pixel size be twice or half of what was given."
         ),
     )
