@@ -22,6 +22,7 @@ from planish.texture.textures import Textures, relate, standard
 _LEAST_PIXELS, _MOST_PIXELS = 100, 15_000  # that both layers show; of them, used for tuning
 _REACH_UM = 25.0  # of a tile about the place of the whole
 _OF_LIGHT = 0.2  # of the shift that slopes take off, by which that may be wrong
+_MOST_TILES = 0.75  # that lie there where a specimen is rigid
 _TILE_Z = 7.0  # standard deviations of chance by which a tile should stand out
 
 
@@ -113,12 +114,7 @@ class TilePlaces(NamedTuple):
     shared_um2: Floats
     r: float  # of the whole map at the place from which the tiles were sought
     place: Similarity  # of the whole map
-    found: float  # share of the tiles that show by themselves where they lie
-
-    def lag_um(self, place: Placing) -> float:
-        """Distance of the tiles from where a place has them, rms; 0 without tiles."""
-        lags_um = self.fixed_um - place(self.moving_um)
-        return float(np.sqrt(np.mean(np.sum(lags_um**2, axis=1)))) if len(lags_um) else 0.0
+    is_there: bool  # whether most tiles show by themselves that they lie there, to a pixel
 
 
 def tile_places(
@@ -159,7 +155,8 @@ def tile_places(
         weights = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)[0]
         a = standard(math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1), is_valid)
         relation = replace(relation, r=math.copysign(relation.r, weights[0]))
-    reach_um = _REACH_UM + 0.5 * strain * math.hypot(*(moving.known.shape * np.array(pixel_um)))
+    sides_um = [n * p for n, p in zip(moving.known.shape, pixel_um, strict=True)]
+    reach_um = _REACH_UM + min(0.5 * strain * math.hypot(*sides_um), 0.1 * min(sides_um))
     reach = (max(round(reach_um / pixel_um[0]), 3), max(round(reach_um / pixel_um[1]), 3))
     least_um = 2.2 * max((k + MARGIN) * p for k, p in zip(reach, pixel_um, strict=True))
     short_um = min((n // 2 * 2) * p for n, p in zip(moving.known.shape, pixel_um, strict=True))
@@ -177,7 +174,7 @@ def tile_places(
         unrelated=[*PhaseSurrogate(b, is_valid).draws(9, np.random.default_rng(20090501))],
     )
     at_um, lag_um = field.at_um[field.distinct], field.lag_um[field.distinct]
-    turn = place.matrix()
+    turn, off_um = place.matrix(), np.hypot(*field.lag_um.T)
     covariance, shared = (
         turn @ field.covariance_um2[field.distinct] @ turn.T,
         turn @ shared_um2 @ turn.T,
@@ -189,7 +186,7 @@ def tile_places(
         shared,
         relation.r,
         place.similarity,
-        float(np.mean(field.distinct)) if field.distinct.size else 0.0,
+        bool(np.count_nonzero(off_um <= max(pixel_um)) >= _MOST_TILES * off_um.size),
     )
 
 

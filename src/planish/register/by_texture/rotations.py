@@ -240,8 +240,9 @@ def _promising(cells: list[list[_Peak]]) -> list[Similarity]:
 
     None where some of it lies beside the image: it tells nothing of more of the map then.
     """
-    peaks = [peak for cell in cells for peak in cell if peak.height]
-    if len({peak.shifts for peak in peaks}) != 1:
+    peaks = [peak for cell in cells for peak in cell]
+    shifts = {peak.shifts for peak in peaks}
+    if len(shifts) > 1 or 0 in shifts:
         return []
     peaks.sort(key=_by_null(cells), reverse=True)
     return [peak.turn for peak in peaks[: math.ceil(_KEPT * len(peaks))]]

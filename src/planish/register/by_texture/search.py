@@ -35,9 +35,6 @@ _NEAR_UM = 500.0  # of a place that was given without a radius
 # Of an image whose pixel size is hardly known: between two sizes that are tried.
 _SCALE_GUESS = 1.15
 _GUESS_TOLERANCE = 0.08
-# Where a smaller share of the tiles shows where it lies, or they lie off by more than a pixel, the
-# specimen may be no rigid one.
-_MOST_TILES = 0.75
 _LEAST_TILES = 4  # that show how it is strained
 _FEW_HOLES = 2  # that fix no place, and narrow the search
 
@@ -269,7 +266,7 @@ def tiles_near(
         place = tuned_place(moving, fixed, names, place, reach_um=off_um, beside=(*beside, *light))
     tiles_at = partial(tile_places, moving, fixed, names, beside=beside, light=light)
     tiles = tiles_at(place)
-    if tiles.found < _MOST_TILES or tiles.lag_um(place) > _FINE_UM:
+    if not tiles.is_there:
         tiles = max(tiles, _bent_tiles(tiles_at, place, strain), key=lambda t: len(t.moving_um))
     unit_um = layers.unit_um
     return tiles._replace(
@@ -284,17 +281,20 @@ def _bent_tiles(
     tiles_at: Callable[..., TilePlaces], place: Similarity, strain: float
 ) -> TilePlaces:
     """Tiles about where rough ones, sought as far off as a strain takes them, have the map."""
-    tiles = tiles_at(place, strain=strain)
+    tiles = tiles_at(place, strain=min(strain, _GUESS_TOLERANCE))
     if len(tiles.moving_um) < _LEAST_TILES:
         return tiles
-    fit = fit_transform(
-        tiles.moving_um,
-        tiles.fixed_um,
-        model="auto",
-        mirrored=place.mirrored,
-        weights=tiles.covariance_um2,
-        inspect=False,
-    )
+    try:
+        fit = fit_transform(
+            tiles.moving_um,
+            tiles.fixed_um,
+            model="auto",
+            mirrored=place.mirrored,
+            weights=tiles.covariance_um2,
+            inspect=False,
+        )
+    except CannotRegister:  # they fold the map: chance moved them
+        return tiles_at(place)
     return tiles_at(fit.transform)
 
 
