@@ -17,6 +17,7 @@ _ALL = (
     "no_holes_layers",
     "no_holes_scales",
     "texture_fields",
+    "strained",
     "registration",
     "specimens",
     "size",
