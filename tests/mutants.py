@@ -443,6 +443,18 @@ MUTANTS = [
         "sections/test_volume.py sections/test_align.py",
     ),
     Mutant(
+        "sections/pairs.py",
+        "step[:, :2] /= np.clip(reached",
+        "step[:, :2] *= np.clip(reached",
+        "sections/test_fine.py",
+    ),
+    Mutant(
+        "run/position_error.py",
+        "sections_um2 += _sections_um2(reference",
+        "sections_um2 = _sections_um2(reference",
+        "flatten/test_neutral.py",
+    ),
+    Mutant(
         "correct/cupping.py",
         "100.0 * (1.0 - 1.0 / max(",
         "100.0 * (1.0 - max(",
