@@ -1,8 +1,9 @@
-"""A correlation is the same wherever it is stated: page, terminal, JSON, table, function."""
+"""A figure is the same wherever it is stated: page, terminal, JSON, table, function."""
 
 import csv
 import re
 
+import numpy as np
 import pytest
 
 import planish as pl
@@ -56,14 +57,18 @@ def numbers_of_terminal(out):
     return lines
 
 
+def rows_of_figures(folder):
+    with (folder / "figures.csv").open(encoding="utf-8", newline="") as file:
+        return {(row["figure"], row["statistic"]): row for row in csv.DictReader(file)}
+
+
 @pytest.mark.ci
 def test_page_terminal_json_table_and_function_state_the_same(kinds, passes):
     folder = kinds("demo")
     results, linked = Results.read(folder / "results.json"), open_run(folder).linked.load()
     page = numbers_of_page((folder / "report.html").read_text(encoding="utf-8"))
     terminal = numbers_of_terminal(passes("correlate", folder)[0])
-    with (folder / "figures.csv").open(encoding="utf-8", newline="") as file:
-        figures = {(row["figure"], row["statistic"]): row for row in csv.DictReader(file)}
+    figures = rows_of_figures(folder)
     assert len(results.correlations) == len(page) == len(terminal) > 12
     for size_um in SIZES_UM:
         rows = [row for row in results.correlations if row.point_um == size_um]
@@ -103,3 +108,47 @@ def test_page_terminal_json_table_and_function_state_the_same(kinds, passes):
                     decimals = len(line[key].partition(".")[2])
                     assert decimals >= 2
                     assert float(line[key]) == round(getattr(row, key), decimals)
+
+
+@pytest.mark.ci
+def test_evenness_uncovered_area_and_grams_are_stated_alike(passes, specimen_files, tmp_path):
+    folder = tmp_path / "run"
+    command = ("map", specimen_files[0], "--coating-density", 1.6, "--out", folder)
+    out = passes(*command, codes=(0, 4))[0]
+    run, figures = open_run(folder), rows_of_figures(folder)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    sheet, measured = run.results.layers[0].sheet, run.groups["surfaces"].load()
+    lines = [re.split(r"\s{2,}", line.strip()) for line in out.splitlines()]
+    terminal = {line[0]: line[1:] for line in lines if len(line) == 8}
+    for name, facts in sheet.properties.items():
+        values = measured[name].values[np.isfinite(measured[name].values)].astype(np.float64)
+        row = re.search(
+            rf">{re.escape(measured[name].attrs['long_name'])}[^<]*</th>(.*?)</tr>", page
+        )
+        cov = row[1].split("</td>")[3].partition(">")[2]
+        if name in ("warp", "tilt") or name.startswith(("topography", "base_surface")):
+            assert facts.coefficient_of_variation is None
+            assert (cov, terminal[name][3]) == ("–", "-")
+            assert (name, "coefficient of variation") not in figures
+            continue
+        share = values.std() / values.mean()
+        assert facts.coefficient_of_variation == pytest.approx(share)
+        stated = figures[name, "coefficient of variation"]
+        assert (float(stated["value"]), stated["units"]) == (pytest.approx(share), "1")
+        assert float(cov) == pytest.approx(100 * share, rel=0.006)
+        assert terminal[name][3] == f"{100 * share:.1f}"
+    for side in ("top", "bottom"):
+        name = f"coating_{side}"
+        coating = measured[name].values[np.isfinite(measured[name].values)]
+        share, error = sheet.uncovered_areas[name]
+        assert share == pytest.approx(np.mean(coating <= 0))
+        stated = figures[name, "uncovered area ratio"]
+        assert float(stated["value"]) == share
+        assert stated["standard_error"] == ("" if error is None else str(error))
+        assert f"Uncovered area ratio, {side} side / %" in page
+        assert f"uncovered area ratio of {name}: {100 * share:.2g}" in out
+        grams = sheet.properties[f"coat_weight_{side}"]
+        assert (grams.units, terminal[f"coat_weight_{side}"][0]) == ("g/m2", "g/m2")
+        assert grams.mean == pytest.approx(1.6 * sheet.properties[name].mean, rel=1e-5)
+        assert figures[f"coat_weight_{side}", "mean"]["units"] == "g/m2"
+        assert f"Coat weight, {side} side / g/m²" in page

@@ -75,6 +75,7 @@ EXPECTED = (
     ("*half_thickness*", "what topography was is the half thickness"),
     ("*roughness*", "roughness is that of the face itself, up to the border"),
     ("*.zarr:*._FillValue", "what is NaN is missing without being told"),
+    ("*.json:*.coefficient_of_variation", "properties have a coefficient of variation"),
     ("*.json:*.negative_control", "the pose in the scanner is called a negative control"),
     ("*.json:*.p_of_table", "Holm leaves the negative control out"),
     ("*figures.csv:*", "the negative control is called one"),

@@ -88,12 +88,23 @@ class SurfaceFacts(ResultModel):
 class PropertyFacts(ResultModel):
     """Distribution of one property over the columns."""
 
-    WITHHELD: ClassVar = ("mean", "sd", "p5", "median", "p95", "standard_error")
+    WITHHELD: ClassVar = (
+        "mean",
+        "sd",
+        "coefficient_of_variation",
+        "p5",
+        "median",
+        "p95",
+        "standard_error",
+    )
 
     units: str = Field(description="Unit of all values; 1 for a share.")
     n: int = Field(description="Columns with a value.")
     mean: Number = Field(description="Mean over the columns.")
     sd: Number = Field(description="Standard deviation over the columns.")
+    coefficient_of_variation: Number = optional(
+        "sd over mean, a share; None of what has no zero of its own, such as heights and angles."
+    )
     p5: Number = Field(description="5th percentile.")
     median: Number = Field(description="Median.")
     p95: Number = Field(description="95th percentile.")
@@ -143,6 +154,12 @@ class SheetFacts(ResultModel):
     numbers: SheetNumbers | None = Field(description="None where they are withheld.")
     flatten: FlatteningQuality = Field(description="The flattening.")
     sections: SectionFacts | None = optional("Where the volume was joined of serial sections.")
+
+    @property
+    def uncovered_areas(self) -> dict[str, tuple[float | None, float | None]]:
+        """Uncovered area ratio of each coating and its standard error, by the name of the map."""
+        thin = {} if self.numbers is None else self.numbers.thin
+        return {f"coating_{side}": facts.uncovered_area_ratio for side, facts in thin.items()}
 
 
 class ErrorShares(ResultModel):

@@ -86,6 +86,32 @@ def test_the_mean_counts_what_neighbours_share():
     )
 
 
+def test_only_what_has_a_zero_of_its_own_has_a_coefficient_of_variation():
+    rng = np.random.default_rng(0)
+    shape = 40, 50
+    drawn = {
+        "coating_top": (rng.normal(0.1, 0.01, shape), "um"),
+        "coating_bottom": (np.where(rng.random(shape) < 0.03, -0.01, 2.0), "um"),  # noise at 0
+        "topography_top": (rng.normal(0.1, 1.0, shape), "um"),
+        "fibre_angle": (rng.normal(40.0, 2.0, shape), "deg"),
+        "warp": (np.zeros(shape), "um"),
+    }
+    data = xr.Dataset(
+        {
+            name: (("y", "x"), values, {"units": units, "role": "property"})
+            for name, (values, units) in drawn.items()
+        },
+        {"y": 3.0 * np.arange(40), "x": 3.0 * np.arange(50)},
+    )
+    facts = run_facts.property_facts(data)
+    for name, (values, _) in drawn.items():
+        found = facts[name].coefficient_of_variation
+        if name.startswith("coating"):
+            assert found == pytest.approx(values.std() / values.mean())
+        else:
+            assert found is None
+
+
 def test_standard_error_of_a_pixel_beside_drawn_fields():
     """A Gaussian autocorrelation of the stated integral: the scatter of means over squares of 1 to
     12 columns."""

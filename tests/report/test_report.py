@@ -51,6 +51,28 @@ def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page, bare_page
     assert page.text("title") == "sheet.tif linked to image.png"
 
 
+def test_evenness_and_uncovered_area_stand_among_the_properties():
+    run = a_run(linked=False)
+    facts = run["results"]["layers"][0]["sheet"]
+    thin = {
+        "thinner_than_um": [0.0, 2.0],
+        "share": [0.0312, 0.05],
+        "standard_error": [0.0041, 0.01],
+        "support_um": 3.0,
+        "warning": None,
+    }
+    facts["numbers"]["thin"] = {"top": thin}
+    coating = facts["properties"]["coating_top"] | {"coefficient_of_variation": 0.1234}
+    facts["properties"] = facts["properties"] | {
+        "coating_top": coating | {"standard_error": 0.5, "support_um": 3.0}
+    }
+    text = text_of(run)
+    assert "20.02.0012.317.020.023.00.5003.00" in text
+    assert "Uncovered area ratio, top side / %12\u202f0003.12–––––0.4103.00" in text
+    facts["properties"]["coating_top"] |= {"trust": "withheld"}
+    assert "Uncovered area ratio, top side" not in text_of(run)
+
+
 def test_verdict_states_the_results_and_no_more(link_page):
     text = Page(link_page).text()
     for expected in (

@@ -139,14 +139,20 @@ def _properties(name: str, sheet: SheetFacts) -> None:
     rows: list[tuple[str, ...]] = []
     for key, p in sheet.properties.items():
         label = key if p.trust == "ok" else f"{key} ({p.trust})"
+        cov = None if p.coefficient_of_variation is None else 100 * p.coefficient_of_variation
+        percentiles = number(p.p5, 2), number(p.p95, 2), str(p.n)
         rows.append(
-            (label, p.units, *(number(v, 2) for v in (p.mean, p.sd, p.p5, p.p95)), str(p.n))
+            (label, p.units, number(p.mean, 2), number(p.sd, 2), number(cov, 1), *percentiles)
         )
     table(
         f"Properties of the {name} along its normals",
-        ("", "unit", "mean", "sd", "p5", "p95", "columns"),
+        ("", "unit", "mean", "sd", "cov %", "p5", "p95", "columns"),
         rows,
     )
+    for key, (share, error) in sheet.uncovered_areas.items():
+        if share is not None and sheet.properties[key].trust != "withheld":
+            error_text = "" if error is None else f" +- {100 * error:.2g}"
+            sentence(f"uncovered area ratio of {key}: {100 * share:.2g}{error_text} %")
     f = sheet.flatten
     sentence(
         f"flattened: {f.sentence} Edge strain {100 * (f.edge_strain_p95 or 0):.3f} % (p95); points"

@@ -139,7 +139,10 @@ class ThinFacts(ResultModel):
 
     thinner_than_um: tuple[float, ...] = Field(description="Limits of the thickness.")
     share: tuple[Number, ...] = Field(
-        description="Share of the area that is thinner, for each limit."
+        description=(
+            "Share of the area that is thinner, for each limit; at 0 the uncovered area ratio: the"
+            " share of the area without any coating."
+        )
     )
     standard_error: tuple[Number, ...] = Field(
         default=(), description="Standard error of each share, of the sheet by this field."
@@ -148,6 +151,13 @@ class ThinFacts(ResultModel):
         description="Size of the region that one value of the thickness stands for."
     )
     warning: str | None = Field(description="Set where the noise alone makes columns thin.")
+
+    @property
+    def uncovered_area_ratio(self) -> tuple[float | None, float | None]:
+        """Share of the area without any coating, with its standard error; None where not stated."""
+        share_by_um = dict(zip(self.thinner_than_um, self.share, strict=True))
+        error_by_um = dict(zip(self.thinner_than_um, self.standard_error, strict=False))
+        return share_by_um.get(0.0), error_by_um.get(0.0) or None
 
 
 class RoughnessFacts(ResultModel):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from planish.results import (
     RegistrationFacts,
     Results,
     SectionFacts,
+    SheetFacts,
     SurfaceFacts,
 )
 from planish.run.layers import Link, LinkedLayer, MappedLayer
@@ -92,11 +94,15 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
             variance = float(np.mean(np.maximum(errors**2 - common_um**2, 0.0)))
             mean_error = float(np.sqrt(variance / n_independent + common_um**2))
             mean_facts = {"n_independent": int(n_independent), "mean_standard_error": mean_error}
+        units = str(data.attrs["units"])
+        # Lengths, masses and shares are below 0 by noise alone; heights about a form are.
+        has_zero = units != "deg" and mean > 0 and p5 >= 0
         facts[str(name)] = PropertyFacts(
-            units=str(data.attrs["units"]),
+            units=units,
             n=int(values.size),
             mean=mean,
             sd=sd,
+            coefficient_of_variation=sd / mean if has_zero else None,
             p5=float(p5),
             median=float(p50),
             p95=float(p95),
@@ -295,28 +301,38 @@ def figures_text(results: Results) -> str:
     return table_text(header, [*_figure_rows(results)])
 
 
+def _text(figure: float | None) -> float | str:
+    return "" if figure is None or not is_known(figure) else figure
+
+
+def _property_rows(
+    layer: str, sheet: SheetFacts, why: Callable[[str], str]
+) -> Iterator[Sequence[Any]]:
+    """Give a row for each figure of each property; ``why`` names the checks that concern one."""
+    for name, p in sheet.properties.items():
+        trust_cells = p.n, p.trust, why(name)
+        figures = [
+            ("mean", p.mean, p.mean_standard_error, p.units),
+            ("sd", p.sd, None, p.units),
+        ]
+        if p.coefficient_of_variation is not None:
+            figures.append(("coefficient of variation", p.coefficient_of_variation, None, "1"))
+        if name in sheet.uncovered_areas and p.trust != "withheld":
+            figures.append(("uncovered area ratio", *sheet.uncovered_areas[name], "1"))
+        if p.standard_error is not None:
+            figures.append(("standard error of a column", p.standard_error, None, p.units))
+        for statistic, value, error, units in figures:
+            yield layer, name, statistic, _text(value), _text(error), units, *trust_cells
+
+
 def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
     def why(layers: Sequence[str], *figures: str) -> str:
         checks = concerned(results.checks, layers, figures)
         return "; ".join(check.name for check in checks if check.state in ("look", "fail"))
 
-    def text(figure: float | None) -> float | str:
-        return "" if figure is None or not is_known(figure) else figure
-
     for layer in results.layers:
-        for name, p in ({} if layer.sheet is None else layer.sheet.properties).items():
-            common_cells = p.units, p.n, p.trust, why((layer.name,), name)
-            yield layer.name, name, "mean", text(p.mean), text(p.mean_standard_error), *common_cells
-            yield layer.name, name, "sd", text(p.sd), "", *common_cells
-            if p.standard_error is not None:
-                yield (
-                    layer.name,
-                    name,
-                    "standard error of a column",
-                    text(p.standard_error),
-                    "",
-                    *common_cells,
-                )
+        if layer.sheet is not None:
+            yield from _property_rows(layer.name, layer.sheet, partial(why, (layer.name,)))
         r = layer.registration
         if r is not None and (e := r.expected_error) is not None:
             common_cells = "um", r.matched, e.trust, why((layer.name,), "position")
@@ -325,7 +341,7 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
                     layer.name,
                     "expected error of the position",
                     statistic,
-                    text(um),
+                    _text(um),
                     "",
                     *common_cells,
                 )
@@ -339,7 +355,7 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
             row.trust,
             why((row.a, row.b), row.a_map, row.b_map, "position", "correlation"),
         )
-        yield *first_cells, size_text, text(row.r), "", "1", row.n, *trust_cells
+        yield *first_cells, size_text, _text(row.r), "", "1", row.n, *trust_cells
         for side, limit in zip(
             ("lower", "upper"), row.interval if is_known(row.interval) else (), strict=False
         ):
