@@ -127,6 +127,42 @@ def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
 
 
 @njit(cache=True, nogil=True)
+def darkest_beyond(image, px, py, cx, cy, sign, model, beyond, width):
+    """Return the least mean grey, times sign, of the sectors just outside an outline.
+
+    They are ``width`` rays wide and reach from the radii ``model`` (n,) outwards by a share of
+    them, ``beyond``, or as far as there are data. Sectors with a ray that has none are left out;
+    NaN if all are.
+    """
+    rays = model.size
+    means = np.full(rays, np.nan)
+    for k in range(rays):
+        angle = 2 * np.pi * k / rays
+        sx, sy = np.cos(angle) / px, np.sin(angle) / py
+        # A model that bends to the other side of its centre has no length there.
+        count = max(0, int(2 * beyond * model[k] / min(px, py))) + 2
+        total, used = 0.0, 0
+        for t in range(count):
+            r = model[k] * (1.0 + beyond * t / (count - 1))
+            value = sign * sample(image, cx / px + sx * r, cy / py + sy * r)
+            if value != value:
+                break
+            total += value
+            used += 1
+        if used > 0:
+            means[k] = total / used
+    darkest = np.nan
+    for k in range(rays):
+        total = 0.0
+        for s in range(width):
+            total += means[(k + s) % rays]
+        mean = total / width
+        if mean == mean and not (mean >= darkest):
+            darkest = mean
+    return darkest
+
+
+@njit(cache=True, nogil=True)
 def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
     """Return centroids (n, 2) of what is below a level within a radius, followed until they rest.
 

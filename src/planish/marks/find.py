@@ -23,6 +23,7 @@ REASONS = {
     "too_faint": "too faint",
     "not_round": "not round or not closed",
     "no_rim": "without a sharp rim",
+    "open": "open to one side",
     "unlike": "unlike the other holes",
 }
 """Reasons why a mark is no hole, in the order of a sentence, and their words."""
@@ -70,8 +71,8 @@ def find_holes(
         what was seen and is
         not among the holes though it would be but for this: ``cut`` by the border, ``too_small``,
         ``too_large``,
-        ``too_faint``, ``not_round`` or not closed, ``no_rim`` that is sharp, ``unlike`` the other
-        holes; and as
+        ``too_faint``, ``not_round`` or not closed, ``no_rim`` that is sharp, ``open`` to one side,
+        ``unlike`` the other holes; and as
         ``not_measured`` places that might be holes: in large images at most as many are measured as
         smallest holes
         would cover the area, the strongest of each part of the image. It is 0 but for very dense
@@ -95,7 +96,8 @@ def find_holes(
     itself and half those of all rims. Two images of one hole share the rim, so it is on the safe
     side. In mottle as strong as the holes are deep, three or more floors that are flat, alike and
     darker than 97 % of the sheet stand for contrast. Holes cut by the border of the image or of the
-    data are left out, as are holes closed over more than 30 % of their rim.
+    data are left out, as are holes closed over more than 30 % of their rim, and those whose floor
+    goes on beyond a tenth of it, as in slots and in holes that run into each other.
 
     References
     ----------

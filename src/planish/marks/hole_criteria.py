@@ -82,6 +82,7 @@ def met_criteria(marks: Floats, pixel_um: Pair, radius_range: Pair) -> dict[str,
                 & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * depths)
                 & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * depths)
             ),
+            "open": ~is_open(marks),
         }
 
 
@@ -125,6 +126,14 @@ def is_round(marks: Floats, pixel_um: Pair) -> Bools:
     is_smooth = marks[:, k.ROUGHNESS] < 0.09 * radius + 0.3 * max(pixel_um)
     is_circle = (radius + half_difference) < 1.3 * (radius - half_difference)
     return is_smooth & is_circle & (marks[:, k.COVERAGE] >= 0.7)
+
+
+def is_open(marks: Floats) -> Bools:
+    """Return beyond which rims the floor goes on, as it does at the end of a slot.
+
+    It does where the grey there is no step from the floor; sheet, char and print are paler.
+    """
+    return marks[:, k.BEYOND] - marks[:, k.INSIDE] < k.LEAST_INNER * depth(marks)
 
 
 def deepest_disjoint(marks: Floats) -> Floats:
@@ -312,6 +321,7 @@ def select_resembling(marks: Floats, holes: Floats, pixel_um: Pair) -> Floats:
         floor_difference = np.abs(marks[:, k.INSIDE] - typical.floor_at(marks[:, k.OUTSIDE]))
         is_similar = (
             is_round(marks, pixel_um)
+            & ~is_open(marks)
             & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * typical.depth)
             & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * typical.depth)
             & (floor_difference < np.clip(4 * typical.floor_scatter, *LIKE_FLOORS) * typical.depth)

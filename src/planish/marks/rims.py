@@ -27,8 +27,8 @@ X, Y, RADIUS, HALF_DIFFERENCE, COV_XX, COV_YY, COV_XY, COVERAGE, STEP, INSIDE = 
 OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS, UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAVES, BURNT, ALIKE = (
     range(10, 20)
 )
-DOUBT_X, DOUBT_Y = 20, 21
-COLUMNS = 22
+DOUBT_X, DOUBT_Y, BEYOND = 20, 21, 22
+COLUMNS = 23
 
 # Least step of another edge inside the rim, share of the whole step; sd of a centre where either of
 # two closed edges may be the rim, share of what their centres are apart; the same for the floor's
@@ -43,6 +43,10 @@ USUAL, EXACT, ONE_SIDED = (0.045, 0.3), (0.0105, 0.15), 0.1
 # radius: what lies between is char.
 CLOSED, SMALLER, PART, APART = 0.9, 0.05, 0.25, 0.08
 RAYS = 96
+# How far beyond a rim it is looked at whether the floor goes on, and beyond the outline of a floor
+# (the wall of a tapered hole is around it): shares of the radius. So many rays, a tenth of all,
+# are a gap a third of the diameter wide; a circle that runs into straight sides has two or more.
+BEYOND_RIM, BEYOND_FLOOR, GAP_RAYS = 0.25, 0.5, 10
 # Cosine and sine of the angles of the rays, and of twice these.
 _COS, _SIN, _COS_2, _SIN_2 = (
     np.array([wave(order * (2 * np.pi * ray / RAYS)) for ray in range(RAYS)])
@@ -327,6 +331,11 @@ def _describe(row: Floats, picture: _Picture, sign: float, outline: _Outline) ->
     _write_outline(row, outline)
     columns = [INSIDE, UNEVENNESS, FLATNESS, OUTSIDE, TEXTURE]
     row[columns] = levels(*picture, outline.x, outline.y, sign, outline.fit[0], max(picture[1:]))
+    model = outline.fit[0] + outline.fit[3] * _COS_2 + outline.fit[4] * _SIN_2
+    reach = BEYOND_RIM if outline.steps.size else BEYOND_FLOOR
+    row[BEYOND] = kernels.darkest_beyond(
+        *picture, outline.x, outline.y, sign, model, reach, GAP_RAYS
+    )
 
 
 def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: Floats) -> None:

@@ -176,10 +176,15 @@ def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> 
     if count < 3:
         count_text = f"Only {count} hole{'s' * (count > 1)}" if count else "No hole"
         places_text = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in _centres(holes))
+        rejected: dict[str, int] = holes.attrs.get("not_taken", {})
+        open_count = rejected.get("open", 0) + rejected.get("not_round", 0)
+        open_text = ""
+        if open_count:
+            open_text = f" Not taken: {open_count} not round, or open to one side as slots are."
         raise CannotRegister(
             f"{count_text} found in the"
             f" {name or holes.attrs['layer']}{' at' * bool(count)}{places_text}; at least 3 are"
             f" needed, and 4 to notice a wrong match. Searched for round holes of {hole_um[0]:g} to"
-            f" {hole_um[1]:g} um (`hole_um`). Check the voxel and pixel sizes; if the image is a"
-            " print, give `printed=True`; or give pairs of points with `marks`."
+            f" {hole_um[1]:g} um (`hole_um`).{open_text} Check the voxel and pixel sizes;"
+            " if the image is a print, give `printed=True`; or give pairs of points with `marks`."
         )
