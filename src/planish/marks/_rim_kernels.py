@@ -131,12 +131,14 @@ def darkest_beyond(image, px, py, cx, cy, sign, model, beyond, width):
     """Return the least mean grey, times sign, of the sectors just outside an outline.
 
     They are ``width`` rays wide and reach from the radii ``model`` (n,) outwards by a share of
-    them, ``beyond``, or as far as there are data. Sectors with a ray that has none are left out;
-    NaN if all are.
+    them, ``beyond``, or as far as there are data. Sectors with a ray without a radius or without
+    data are left out; NaN if all are.
     """
     rays = model.size
     means = np.full(rays, np.nan)
     for k in range(rays):
+        if model[k] != model[k]:
+            continue
         angle = 2 * np.pi * k / rays
         sx, sy = np.cos(angle) / px, np.sin(angle) / py
         # A model that bends to the other side of its centre has no length there.

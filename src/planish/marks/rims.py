@@ -43,7 +43,7 @@ USUAL, EXACT, ONE_SIDED = (0.045, 0.3), (0.0105, 0.15), 0.1
 # radius: what lies between is char.
 CLOSED, SMALLER, PART, APART = 0.9, 0.05, 0.25, 0.08
 RAYS = 96
-# How far beyond a rim it is looked at whether the floor goes on, and beyond the outline of a floor
+# How far beyond a missing rim it is looked at whether the floor goes on, and beyond that of a floor
 # (the wall of a tapered hole is around it): shares of the radius. So many rays, a tenth of all,
 # are a gap a third of the diameter wide; a circle that runs into straight sides has two or more.
 BEYOND_RIM, BEYOND_FLOOR, GAP_RAYS = 0.25, 0.5, 10
@@ -332,6 +332,7 @@ def _describe(row: Floats, picture: _Picture, sign: float, outline: _Outline) ->
     columns = [INSIDE, UNEVENNESS, FLATNESS, OUTSIDE, TEXTURE]
     row[columns] = levels(*picture, outline.x, outline.y, sign, outline.fit[0], max(picture[1:]))
     model = outline.fit[0] + outline.fit[3] * _COS_2 + outline.fit[4] * _SIN_2
+    model[outline.weight > 0.0] = np.nan  # the rim is there
     reach = BEYOND_RIM if outline.steps.size else BEYOND_FLOOR
     row[BEYOND] = kernels.darkest_beyond(
         *picture, outline.x, outline.y, sign, model, reach, GAP_RAYS
