@@ -80,6 +80,11 @@ EXPECTED = (
     ("*.json:*.p_of_table", "Holm leaves the negative control out"),
     ("*figures.csv:*", "the negative control is called one"),
     ("*.json:*.partial.*", "maps that contain each other are named, with r of the map alone"),
+    ("*.json:*.thin.*.standard_error*", "the standard error of a thin share counts neighbours"),
+    ("*.json:*.thin.*.warning", "a thin share that rests on noise is said to"),
+    ("*:*fibre_angle*", "angles of an axis are averaged as such"),
+    ("*.json:*.period_deg", "angles of an axis say so"),
+    ("*:*porosity*", "porosity without the grey of a wall is doubtful, and states that grey"),
     ("*-info.json:run_bytes", "info counts the memory that a run reckons with"),
     ("former/*-info.json:warning", "runs of 0.2.0 are named by their format"),
     *(

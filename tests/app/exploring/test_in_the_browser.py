@@ -202,6 +202,21 @@ def chosen(data, linked, *, region=None, brush=None):
     return int(use.sum()), float(np.corrcoef(a[use], b[use])[0, 1])
 
 
+def test_angles_of_an_axis_have_no_r(opened, tmp_path):
+    run = a_run()
+    linked = run["groups"]["linked"]
+    rng = np.random.default_rng(0)
+    angle = linked["coating_top"] * 0 + rng.uniform(-90, 90, linked["coating_top"].shape)
+    attrs = {"units": "deg", "long_name": "Fibre angle", "support_um": 94.0, "period_deg": 180.0}
+    run["groups"]["linked"] = linked.assign(fibre_angle=angle.assign_attrs(attrs))
+    path = tmp_path / "explored.html"
+    explore(put(tmp_path / "run", run), path)
+    window = opened(path)
+    assert "r = " in window.status("Selection")
+    window.field("Left layer").select_option(label="Fibre angle")
+    assert window.status("Selection").endswith("; no r.")
+
+
 # Pixels in full colour: the channels of pale ones differ little.
 FULL_COLOURS = """() => {
   const c = document.getElementById("left-map");
