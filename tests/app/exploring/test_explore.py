@@ -49,10 +49,11 @@ def explored(planish, run, tmp_path):
 def test_every_value_is_that_of_the_run_to_what_the_page_states(page, linked_run):
     linked = open_run(linked_run).linked
     titles = {str(v.attrs.get("long_name", k)): k for k, v in linked.data_vars.items()}
-    assert len(page.data["maps"]) == 10
+    assert len(page.data["maps"]) == 12
     for one in page.data["maps"]:
         spec, found = page.map(one["title"])
-        data = linked[titles[one["title"]]].values.astype(float)
+        title = one["title"].removesuffix(" (negative control)")
+        data = linked[titles[title]].values.astype(float)
         np.testing.assert_array_equal(np.isnan(found), np.isnan(data))
         inside = np.isfinite(found)
         assert (
@@ -80,7 +81,7 @@ def test_leading_maps_come_first_with_the_sentence_of_the_report_and_a_picture_w
     assert image["alt"] == "Coating thickness, top side, as a picture"
     assert ("div", {"class": "desk", "id": "desk", "hidden": ""}) in page.elements
     assert (
-        "Missing are the other 9 maps, the cursor with its values, the scatter and the slices."
+        "Missing are the other 11 maps, the cursor with its values, the scatter and the slices."
         in page.words
     )
     assert "Firefox 113" in page.words
@@ -156,7 +157,7 @@ def test_the_command_says_what_it_wrote_repeats_its_bytes_and_writes_over_nothin
     path, run = tmp_path / "page.html", bytes_of(linked_run)
     out, _ = passes("explore", linked_run, "--out", path, "--json")
     told = json.loads(out)
-    assert (told["bytes"], told["maps"]) == (path.stat().st_size, 10)
+    assert (told["bytes"], told["maps"]) == (path.stat().st_size, 12)
     assert told["slices"] == len(page.data["stacks"][0]["at"])
     before = path.read_bytes()
     assert before.decode() == page.html
