@@ -4,6 +4,7 @@ pixels."""
 import base64
 import math
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +166,15 @@ def test_n_and_r_of_a_region_are_those_of_its_pixels(maps, tiles, pair, region):
     assert found["interval"][0] < found["r"] < found["interval"][1]
     # Ten pixels a side vary together: about 1 of 100 is independent, not all, and not only a few.
     assert a.size / 400 < found["n_eff"] < a.size / 10
+
+
+def test_the_pose_is_called_a_negative_control(tiles, pair):
+    a, b = pair
+    assert not any("negative control" in text for text in select(tiles, a, b)["warnings"])
+    warp = replace(a, name="warp", title="Warp")
+    assert select(tiles, warp, b)["warnings"][0] == (
+        "Warp is the pose of the sheet in the scanner: a negative control, no property."
+    )
 
 
 def test_brushed_pixels_are_counted_and_nothing_is_said_of_r(maps, tiles, pair):

@@ -12,6 +12,8 @@ from folders import refused
 from planish.core.errors import InputError
 from planish.core.facts import is_known
 from planish.series import Declared, gather, summary_of
+from planish.series.gather import FigureRow
+from planish.series.quantities import quantities_of
 from planish.series_results import Member
 from series.runs import results_of, series, two_volumes
 
@@ -22,6 +24,14 @@ def said(home, *runs, **declared):
 
 def number_of(results, what, name="coating_top"):
     return next(k for k, q in enumerate(results.quantities) if (q.map, q.what) == (name, what))
+
+
+def test_r_of_the_pose_is_called_a_negative_control():
+    rows = [FigureRow("mean", 0.0, "um", specimen="a", map="warp")]
+    pair = {"specimen": "a", "map": "warp", "other_map": "image", "at_um": 100.0}
+    rows += [FigureRow("points", 50.0, **pair), FigureRow("r", -0.4, **pair)]
+    titles = [q.title for q in quantities_of(rows, {}, Declared(headline=("warp",)))]
+    assert titles == ["mean warp", "r of warp (negative control) and the image, points of 100 um"]
 
 
 def of(results, what, **group):

@@ -19,6 +19,7 @@ from planish.app.exploring import page as page_module
 from planish.app.exploring import slices as slices_module
 from planish.core.area import overviews
 from planish.io import read_group, write_tree
+from planish.report.text import as_compared
 from planish.run import open_run
 from report.pages import HOSTILE
 from report.runs import a_run
@@ -48,7 +49,11 @@ def explored(planish, run, tmp_path):
 # --- values ---------------------------------------------------------------------------------------
 def test_every_value_is_that_of_the_run_to_what_the_page_states(page, linked_run):
     linked = open_run(linked_run).linked
-    titles = {str(v.attrs.get("long_name", k)): k for k, v in linked.data_vars.items()}
+    titles = {
+        as_compared(str(v.attrs.get("long_name", k)), str(k)): k
+        for k, v in linked.data_vars.items()
+    }
+    assert "Warp (negative control)" in [one["title"] for one in page.data["maps"]]
     assert len(page.data["maps"]) == 12
     for one in page.data["maps"]:
         spec, found = page.map(one["title"])
