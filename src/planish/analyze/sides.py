@@ -129,7 +129,7 @@ def _by_slopes_and_thickness(
     for name in heights.values():
         if name in texture.maps:
             texture = texture.with_slopes(name)
-    slopes = _faces(texture, {k: [f"{name}_{way}" for way in "xy"] for k, name in heights.items()})
+    slopes = _faces(texture, {k: [f"{heights[k]}_{way}" for way in "xy"] for k in SIDES})
     tried_text = "; ".join(
         f"coating of the {k} side {relation}" for k, relation in coatings.items()
     )
