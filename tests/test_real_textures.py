@@ -24,13 +24,13 @@ def test_images_of_one_tissue_are_linked_by_their_texture_and_one_of_another_is_
     """Light-sheet images of one epithelium, by the numbers of depth and channel; the second under
     another camera.
 
-    Their pixel counts as 4 um, since the search looks for the waves of paper. Cell walls lean, so
-    one depth shows them beside where another does.
+    Their pixel is 0.36 um, and the field 92 um wide: no paper's. Cell walls lean, so one depth shows
+    them beside where another does.
     """
     layers = tifffile.imread(
         shared_data("tissue_sheet_mesh") / "basics_example_projected.tif"
     ).astype(np.float64)
-    pixel, camera_pixel, shape = 4.0, 5.0, layers.shape[2:]
+    pixel, camera_pixel, shape = 0.36, 0.45, layers.shape[2:]
     coords = {"v": np.arange(shape[0]) * pixel, "u": np.arange(shape[1]) * pixel}
     maps = xr.Dataset({"coating_top": (("v", "u"), layers[moving])}, coords)
     maps["valid"] = maps.coating_top.notnull()
@@ -38,7 +38,7 @@ def test_images_of_one_tissue_are_linked_by_their_texture_and_one_of_another_is_
         Similarity(rotation_rad=np.deg2rad(37.0), scale=1.01),
         0.5 * pixel * (np.array(shape) - 1),
     )
-    place = nearest_similarity(turn.matrix(), middle, np.array([860.0, 760.0]))
+    place = nearest_similarity(turn.matrix(), middle, np.array([77.4, 68.4]))
     axes = [np.arange(320) * camera_pixel] * 2
     at = place.inverse(np.stack(np.meshgrid(*axes), axis=-1))[..., ::-1] / pixel
     filled = np.nan_to_num(layers[fixed], nan=float(np.nanmedian(layers[fixed])))
@@ -62,7 +62,7 @@ def test_images_of_one_tissue_are_linked_by_their_texture_and_one_of_another_is_
         {dim: np.arange(size) * camera_pixel for dim, size in other.sizes.items()}
     )
     refused(CannotRegister, "stands out by its texture", pl.register_texture, maps, other)
-    corners = np.array([[200.0, 200.0], [800.0, 200.0], [200.0, 800.0], [800.0, 800.0]])
+    corners = np.array([[18.0, 18.0], [72.0, 18.0], [18.0, 72.0], [72.0, 72.0]])
     off_pixels = np.linalg.norm(found(corners) - place(corners), axis=1) / pixel
     print(
         f"off by {off_pixels.min():.2f} to {off_pixels.max():.2f} pixels, p"
