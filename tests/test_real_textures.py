@@ -24,8 +24,8 @@ def test_images_of_one_tissue_are_linked_by_their_texture_and_one_of_another_is_
     """Light-sheet images of one epithelium, by the numbers of depth and channel; the second under
     another camera.
 
-    Their pixel is 0.36 um, and the field 92 um wide: no paper's. Cell walls lean, so one depth shows
-    them beside where another does.
+    Their pixel is 0.36 um, and the field 92 um wide: no paper's. Cell walls lean, so one depth
+    shows them beside where another does.
     """
     layers = tifffile.imread(
         shared_data("tissue_sheet_mesh") / "basics_example_projected.tif"
