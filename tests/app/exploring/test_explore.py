@@ -57,8 +57,7 @@ def test_every_value_is_that_of_the_run_to_what_the_page_states(page, linked_run
     assert len(page.data["maps"]) == 12
     for one in page.data["maps"]:
         spec, found = page.map(one["title"])
-        title = one["title"].removesuffix(" (negative control)")
-        data = linked[titles[title]].values.astype(float)
+        data = linked[titles[one["title"]]].values.astype(float)
         np.testing.assert_array_equal(np.isnan(found), np.isnan(data))
         inside = np.isfinite(found)
         assert (
