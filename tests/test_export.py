@@ -353,7 +353,7 @@ def test_a_crate_describes_the_run(linked_run, tmp_path):
             InputError,
             (
                 r"no map 'coatng_top' in the group linked. Did you mean coating_top\? It holds"
-                r" base_thickness, .*warp"
+                r" base_surface_bottom, .*warp"
             ),
         ),
         (
@@ -403,7 +403,7 @@ def test_a_crate_describes_the_run(linked_run, tmp_path):
             {"to": "png"},
             "map.png",
             StudyError,
-            "map.png holds one map, and 23 are asked for. Choose one with map=",
+            "map.png holds one map, and 25 are asked for. Choose one with map=",
         ),
         (
             {"to": "ply"},
@@ -528,7 +528,7 @@ def test_the_command_reports_what_it_made(passes, refuses, linked_run, tmp_path)
     assert files == ["sheet_to_image.txt", "image_to_sheet.txt"]
     png = ("--to", "png", "--out", tmp_path / "p.png")
     refuses(
-        "export", linked_run, *png, words="holds one map, and 23 are asked for", code=2, out=False
+        "export", linked_run, *png, words="holds one map, and 25 are asked for", code=2, out=False
     )
 
 

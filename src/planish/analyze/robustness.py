@@ -50,8 +50,8 @@ class Partial(PointsCorrelation, _Given):
     over_control: tuple[str, ...] = Field(
         default=(),
         description=(
-            "Those of `given` that contain the map, are part of it, or hold a part of it: what they"
-            " take off is the map itself."
+            "Maps whose part was taken off although they contain the map, are part of it or share a"
+            " part with it: what they take off is the map itself."
         ),
     )
 

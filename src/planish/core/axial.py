@@ -4,14 +4,18 @@ Their means and spreads are those of the doubled angles (Mardia and Jupp 2000, D
 Statistics, sections 2.2 and 2.3, doi:10.1002/9780470316979).
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import InputError
 from planish.core.typing import Floats
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def is_axial(data: Any) -> bool:
