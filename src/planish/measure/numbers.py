@@ -88,9 +88,9 @@ def thin_fraction(
     if is_biased.any():
         biased_text = ", ".join(f"{m:g}" for m in marks[is_biased > 0])
         attrs["warning"] = (
-            f"The standard error of one value is {value_se_um[is_biased > 0].max():.2g} um: the"
-            f" shares below {biased_text} um are wrong by what noise puts there or takes away."
-            " Average the map first, or compare larger thicknesses."
+            f"One value has a standard error of {value_se_um[is_biased > 0].max():.2g} um: noise"
+            f" adds to the share at {biased_text} um, or takes from it. Average the map first, or"
+            " compare larger thicknesses."
         )
     share_attrs = {"units": "1", "long_name": "Share of the area with a thinner coating"}
     variables = {
