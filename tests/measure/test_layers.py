@@ -156,7 +156,7 @@ def test_thin_fraction_of_a_ramp():
     np.testing.assert_allclose(found["marked_share"], [3 / 6002, 0.1, 0.25], atol=1e-3)
     assert found["marked_share"][0] > 0
     assert list(found["biased"].values) == [1, 1, 0]
-    assert "below 0, 2 um" in found.attrs["warning"]
+    assert "at 0, 2 um" in found.attrs["warning"]
     assert found.attrs["support_um"] == 6.0
     assert "warning" not in thin_fraction(ramp, marked_um=(2.0, 5.0)).attrs
     refused(CannotMeasure, "all values are missing", thin_fraction, ramp * np.nan)
@@ -195,7 +195,7 @@ def test_numbers_of_a_sheet_state_the_errors_of_thin_shares_and_what_noise_makes
         measured["coating_top_se"] = ramp * 0 + se_um
         numbers = sheet_numbers(measured, volume=None, params=MeasureParams())
         thin = numbers.thin["top"]
-        assert ("below 0, 2 um" in (thin.warning or "")) == is_warned
+        assert ("at 0, 2 um" in (thin.warning or "")) == is_warned
         assert len(thin.standard_error) == len(thin.share)
         # a ramp is one event, however many columns it has
         assert thin.standard_error[2] > 2 * np.sqrt(0.25 * 0.75 / ramp.size)
