@@ -146,7 +146,7 @@ def test_evenness_uncovered_area_and_grams_are_stated_alike(passes, specimen_fil
         assert float(stated["value"]) == share
         assert stated["standard_error"] == ("" if error is None else str(error))
         assert f"Uncovered area ratio, {side} side / %" in page
-        assert f"uncovered area ratio of {name}: {100 * share:.2g}" in out
+        assert f"uncovered area ratio of {name}: {100 * share:.3g}" in out
         grams = sheet.properties[f"coat_weight_{side}"]
         assert (grams.units, terminal[f"coat_weight_{side}"][0]) == ("g/m2", "g/m2")
         assert grams.mean == pytest.approx(1.6 * sheet.properties[name].mean, rel=1e-5)

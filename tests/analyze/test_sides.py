@@ -58,6 +58,8 @@ def test_the_side_that_the_image_shows_is_told_whatever_the_sign(shown, state, s
             "topography_bottom",
             "base_surface_top",
             "base_surface_bottom",
+            "half_thickness_top",
+            "half_thickness_bottom",
             "correlation",
         )
         assert check.advice == "Top and bottom are exchanged."

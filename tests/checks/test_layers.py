@@ -393,7 +393,8 @@ def test_clipping_at_any_level_in_any_type(dtype, scale, sign):
         )
         assert check.state == ("pass" if np.isinf(at) else "look"), (at, check.sentence)
         assert ("where the scale was cut off" in check.sentence) == (check.state == "look")
-    assert set(check.figures) == {"coating_top", "coating_bottom", "base_thickness", "thickness"}
+    interfaces = {"base_surface_top", "base_surface_bottom", "base_thickness"}
+    assert set(check.figures) == {"coating_top", "coating_bottom", *interfaces, "thickness"}
 
 
 def test_clipping_above_the_coating_passes_and_is_seen_in_stretched_volumes():

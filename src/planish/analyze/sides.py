@@ -27,7 +27,10 @@ Z_RELATED, Z_CLEAR = 4.5, 3.0
 
 _OF_A_SPECIMEN = (POSITION, CORRELATION)
 """Where nothing says that both show one specimen, a pixel may have no place in it."""
-_OF_SIDES = ("coating_top", "coating_bottom", *HEIGHTS, CORRELATION)
+_OF_SIDES = (
+    *("coating_top", "coating_bottom", *HEIGHTS, "half_thickness_top", "half_thickness_bottom"),
+    CORRELATION,
+)
 _NO_WORD = "nothing beside the marks says that both show one specimen"
 _ONE = "so both show one specimen"
 _EXCHANGED = "Top and bottom are exchanged."

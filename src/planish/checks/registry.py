@@ -41,7 +41,8 @@ Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, Expecte
 _ALL = (PROPERTIES, POSITION, CORRELATION)
 _BASE = ("base_thickness", "thickness")
 _THICKNESSES = ("thickness", "coating_top", "coating_bottom", "base_thickness")
-_SIDES = ("coating_top", "coating_bottom", *HEIGHTS)
+_SIDES = ("coating_top", "coating_bottom", *HEIGHTS, "half_thickness_top", "half_thickness_bottom")
+_INTERFACES = ("coating_top", "coating_bottom", "base_surface_top", "base_surface_bottom", *_BASE)
 CHECKS = (
     # planish map: from the maps of a sheet
     CheckRule("coverage", MeasuredSheet, (PROPERTIES,), sheets.coverage),
@@ -60,15 +61,8 @@ CHECKS = (
     CheckRule("slices along z", ScannedSheet, _ALL, partial(slice_order, axis="z")),
     CheckRule("slices along y", ScannedSheet, _ALL, partial(slice_order, axis="y")),
     CheckRule("slices along x", ScannedSheet, _ALL, partial(slice_order, axis="x")),
-    CheckRule(
-        "clipped grey", GreyScan, ("coating_top", "coating_bottom", *_BASE), greys.clipped_grey
-    ),
-    CheckRule(
-        "grey of the coating",
-        GreyScan,
-        ("coating_top", "coating_bottom", *_BASE),
-        greys.coating_grey,
-    ),
+    CheckRule("clipped grey", GreyScan, _INTERFACES, greys.clipped_grey),
+    CheckRule("grey of the coating", GreyScan, _INTERFACES, greys.coating_grey),
     CheckRule("porosity", GreyScan, ("porosity",), greys.porosity),
     CheckRule("filler", GreyScan, ("filler", "filler_weight"), greys.filler),
     CheckRule("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),

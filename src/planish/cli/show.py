@@ -152,7 +152,7 @@ def _properties(name: str, sheet: SheetFacts) -> None:
     for key, (share, error) in sheet.uncovered_areas.items():
         if share is not None and sheet.properties[key].trust != "withheld":
             error_text = "" if error is None else f" +- {100 * error:.2g}"
-            sentence(f"uncovered area ratio of {key}: {100 * share:.2g}{error_text} %")
+            sentence(f"uncovered area ratio of {key}: {100 * share:.3g}{error_text} %")
     f = sheet.flatten
     sentence(
         f"flattened: {f.sentence} Edge strain {100 * (f.edge_strain_p95 or 0):.3f} % (p95); points"

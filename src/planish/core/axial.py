@@ -87,6 +87,6 @@ def distribution(
         return float(values.mean()), float(values.std(ddof=ddof)), values
     total = vectors.sum()
     mean = float(angle_of(total))
-    length = np.abs(total) / np.abs(vectors).sum()
+    length = min(float(np.abs(total) / np.abs(vectors).sum()), 1.0)  # it may be rounded up
     sd = np.rad2deg(0.5 * np.sqrt(-2 * np.log(length)))
     return mean, float(sd), near_axis(values, mean)

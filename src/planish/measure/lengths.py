@@ -402,7 +402,7 @@ def roughness(sheet: Sheet, side: Side) -> Measured:
     it is below 1.
     """
     f, p = sheet.frame, sheet.params.of(RoughnessOptions)
-    _check_filters(p.s_filter_um, p.l_filter_um)
+    check_filters(p.s_filter_um, p.l_filter_um)
     above = _above_form(sheet, f"topography_{side}", p.l_filter_um)
     filter_width_um = 2 * np.sqrt(np.pi) * _sigma(p.s_filter_um)
     noise_share = np.prod([min(1.0, np.sqrt(p_um / filter_width_um)) for p_um in f.pitch_um])
@@ -415,7 +415,8 @@ def _sigma(cutoff_um: float) -> float:
     return cutoff_um * 0.4697 / np.sqrt(2 * np.pi)
 
 
-def _check_filters(s_filter_um: float, l_filter_um: float) -> None:
+def check_filters(s_filter_um: float, l_filter_um: float) -> None:
+    """Raise CannotMeasure where the S-filter is not the shorter one."""
     if not s_filter_um < l_filter_um:
         raise CannotMeasure(
             f"The S-filter ({s_filter_um:g} um) must be shorter than the L-filter ({l_filter_um:g}"
@@ -481,7 +482,7 @@ def scale_limited(
     """
     from planish.measure.form import above_form
 
-    _check_filters(s_filter_um, l_filter_um)
+    check_filters(s_filter_um, l_filter_um)
     (above,) = above_form(
         {"top": height},
         np.zeros(height.shape),

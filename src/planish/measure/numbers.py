@@ -18,7 +18,7 @@ from planish.core.tiles import Engine
 from planish.core.typing import Bools, Floats, Pair
 from planish.measure.depth_profiles import depth_profiles
 from planish.measure.form import above_form
-from planish.measure.lengths import without_short
+from planish.measure.lengths import check_filters, without_short
 from planish.measure.params import MeasureParams
 from planish.measure.rays import meet
 from planish.measure.registry import SIDES, Side
@@ -288,6 +288,7 @@ def _numbers_of_side(
 
 
 def _scale_limited_face(measured: xr.Dataset, side: Side, params: MeasureParams) -> Floats:
+    check_filters(params.s_filter_um, params.l_filter_um)
     topography, pitch_um = measured[f"topography_{side}"], pitch(measured)
     above_um = topography.values
     if topography.attrs.get("form_um") != params.l_filter_um:

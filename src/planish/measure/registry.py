@@ -112,7 +112,7 @@ def shared_parts(a: str, b: str) -> list[str]:
     of_b = _contents(b)
     shared = [name for name in _contents(a) if name in of_b]
     inner = {part for name in shared for part in _contents(name)[1:]}
-    return [name for name in shared if name not in inner]
+    return [name for name in dict.fromkeys(shared) if name not in inner]
 
 
 def _contents(name: str) -> list[str]:
