@@ -13,7 +13,9 @@ from planish.core.grid import Grid
 _PAPER_UM = (0.3, 37.5)
 _LEAST_UM = 250.0  # root of an area; in a smaller one a texture and itself are at chance
 _PIXEL_UM = 4.0  # of paper, and up to twice as much: the shortest wave has 2 to 4.5 of it
-_STEPS = 3  # of units in a decade: what is 10 or 100 times smaller has paper's numbers exactly
+_STEPS = (
+    3  # of units in a decade: with a pixel of 4 to 8.6 um on paper, a hundredth has its numbers
+)
 
 
 def length_unit_um(first: Grid, second: Grid) -> float:
