@@ -16,7 +16,7 @@ from tests.report.runs import a_run
 from planish.checks import CHECKS, HolesOnSheet, apply_checks
 from planish.cli import show
 from planish.core.checks import Check, CheckRule
-from planish.core.facts import HoleTiltFacts
+from planish.core.facts import HoleTiltFacts, SheetNumbers
 from planish.results import Results
 from planish.run import facts as run_facts
 
@@ -95,6 +95,20 @@ def test_the_table_of_figures_says_what_is_doubtful_and_why():
     error = at["expected error of the position", "median"]
     assert (error["trust"], error["value"]) == ("withheld", "")
     assert {row["trust"] for row in rows if row["figure"].startswith("r of")} == {"withheld"}
+
+
+def test_the_terminal_doubts_the_uncovered_area_where_it_doubts_the_coating(capsys):
+    found = run_with(check("look", "coating_top"))
+    layer = found.layers[0]
+    thin = {"thinner_than_um": (0.0,), "share": (0.03,), "support_um": 3.0, "warning": None}
+    numbers = {"thin": {"top": thin, "bottom": thin}, "two_sides": {}}
+    sheet = layer.sheet.model_copy(update={"numbers": SheetNumbers.model_validate(numbers)})
+    layers = (layer.model_copy(update={"sheet": sheet}), *found.layers[1:])
+    run = SimpleNamespace(results=found.model_copy(update={"layers": layers}))
+    show.finish(run, Path("run"), as_json=False)
+    out = capsys.readouterr().out
+    assert "uncovered area ratio of coating_top (doubtful): 3 %" in out
+    assert "uncovered area ratio of coating_bottom: 3 %" in out
 
 
 def test_results_of_format_2_are_read_with_their_gates_as_checks(tmp_path):

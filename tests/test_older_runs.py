@@ -96,6 +96,14 @@ def test_the_report_of_an_older_run_is_made_anew(old_run, tmp_path, passes):
     assert "Roughness about the centre surface, top side" in page
     for word in ("opography", "elative grey", "eiling", "econd opinion"):
         assert word not in page, word
+    assert "In this run of an older version it counts in Holm like the others." in page
+    assert "not count in Holm" not in page
+    before = stored(old_run)
+    for row in before["correlations"]:
+        del row["p_of_table"]
+    (old_run / "results.json").write_text(json.dumps(before), encoding="utf-8")
+    passes("report", old_run, "--out", tmp_path / "without.html")
+    assert "Holm" not in (tmp_path / "without.html").read_text(encoding="utf-8")
 
 
 def test_verbs_take_an_older_run(old_run, tmp_path, passes):

@@ -337,6 +337,11 @@ class Results(ResultModel):
         return is_this_code(self.planish, self.code)
 
     @property
+    def is_older(self) -> bool:
+        """Whether an older version made them, in an older format."""
+        return self.stored_format < FORMAT
+
+    @property
     def passed(self) -> bool:
         """Whether no check failed."""
         return self.state != "fail"

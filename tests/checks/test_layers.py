@@ -326,16 +326,43 @@ def test_porosity_without_the_grey_of_a_wall_is_doubtful_and_says_what_the_brigh
     measured = measured.assign(porosity=measured["coating_top"])
     found = of_scan("porosity", volume, measured)
     assert (found.state, found.figures) == ("look", ("porosity",))
-    assert "beyond the grey 65:" in found.sentence
+    assert "below the grey 65:" in found.sentence
     assert found.remedy == "Give it with `solid_grey`."
-    brightest, share = re.search(r"below, ([\d.]+), .* about ([\d.]+)\.", found.sentence).groups()
+    brightest, share = re.search(
+        r"stay below, ([\d.]+), .* about ([\d.]+)\.", found.sentence
+    ).groups()
     assert float(brightest) == pytest.approx(140, abs=10)  # two standard deviations of its noise
     assert float(share) == pytest.approx(0.5, abs=0.05)
     measured["porosity"].attrs["void_grey"] = 80.0
-    assert "beyond the grey 80:" in of_scan("porosity", volume, measured).sentence
+    assert "below the grey 80:" in of_scan("porosity", volume, measured).sentence
     measured["porosity"].attrs["solid_grey"] = 140.0
     found = of_scan("porosity", volume, measured)
     assert (found.state, found.sentence.endswith("is 140.")) == ("pass", True)
+
+
+def test_sizes_of_pores_are_doubted_as_porosity_is_and_a_dark_sheet_has_its_voids_above():
+    """The scan above as a negative: 255 less the grey."""
+
+    def walls(t, r, c):
+        return np.where((r // 8 + c // 8) % 2 == 0, 140.0, 40.0) + 0 * t
+
+    volume, measured = layered(extra=walls, shape=SMALL)
+    volume = volume.copy(data=255 - volume.values)
+    greys = {k: 255.0 - v for k, v in measured.attrs.items() if k.startswith("grey_")}
+    greys["grey_noise"] = measured.attrs["grey_noise"]
+    measured = measured.assign_attrs(greys | {"polarity": -1.0})
+    for names in (("pore_diameter",), ("porosity", "pore_chord", "pore_diameter")):
+        maps = measured.assign({name: measured["coating_top"].copy() for name in names})
+        found = of_scan("porosity", volume, maps)
+        assert (found.state, found.figures) == ("look", names)
+        assert "what lies above the grey 190:" in found.sentence
+        brightest, share = re.search(
+            r"stay above, ([\d.]+), .* about ([\d.]+)\.", found.sentence
+        ).groups()
+        assert float(brightest) == pytest.approx(115, abs=10)
+        assert float(share) == pytest.approx(0.5, abs=0.05)
+        maps[names[0]].attrs["solid_grey"] = 115.0
+        assert of_scan("porosity", volume, maps).state == "pass"
 
 
 def test_a_base_that_shows_no_pores_says_nothing_of_a_wall(right):

@@ -138,7 +138,8 @@ def evidence(**values):
         (
             [0.78, 0.82],
             {"attenuation_limit": 0.9},
-            "a perfect relation would show r = 0.90",
+            "a perfect relation would show r = 0.90 and no more. What light that spreads in the"
+            " paper, the blur of the lens and shading take is not in it.",
             "A second specimen",
         ),
         ([0.78, 0.82], {"attenuation_limit": 0.97}, "A second specimen", "More marks"),

@@ -73,6 +73,37 @@ def test_evenness_and_uncovered_area_stand_among_the_properties():
     assert "Uncovered area ratio, top side" not in text_of(run)
 
 
+def test_a_doubt_of_a_map_stands_at_all_numbers_that_are_made_of_it():
+    run = a_run(linked=False)
+    facts = run["results"]["layers"][0]["sheet"]
+    thin = {"thinner_than_um": [0.0], "share": [0.03], "support_um": 3.0, "warning": None}
+    rough = dict.fromkeys(("sa", "sq", "ssk", "sku", "sz", "sdq"), 1.0)
+    rough |= {"s_filter_um": 5.0, "l_filter_um": 800.0}
+    facts["numbers"] = {
+        "thin": {"top": thin, "bottom": thin},
+        "roughness": {"top": rough, "bottom": rough},
+        "two_sides": {
+            f"{name}_{number}": 0.5
+            for name in ("coating", "topography")
+            for number in ("sd_ratio", "correlation")
+        },
+        "profiles": {"depth": [0.5], "values": {"porosity": [0.4]}},
+    }
+    rows = {
+        "coating_top": ("Thin coating, top side", "Coatings of the two sides"),
+        "roughness_top": ("Roughness, top side",),
+        "topography_top": ("Roughness, top side", "Topographies of the two sides"),
+        "porosity": ("Profile of porosity, bottom to top",),
+    }
+    names = {name for names in rows.values() for name in names}
+    names |= {"Thin coating, bottom side", "Roughness, bottom side"}
+    for figure, doubted in rows.items():
+        look = {"name": "x", "state": "look", "sentence": "X.", "figures": [figure]}
+        text = text_of(run | {"results": run["results"] | {"checks": [look]}})
+        assert {name for name in names if f"{name} (doubtful)" in text} == set(doubted)
+        assert all(name in text for name in names)
+
+
 def test_verdict_states_the_results_and_no_more(link_page):
     text = Page(link_page).text()
     for expected in (

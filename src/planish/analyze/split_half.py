@@ -3,8 +3,8 @@
 These are the odd and the even rows of its columns.
 
 Columns are measured one by one, so both halves are there without measuring anything twice.
-Thicknesses and topographies are taken from the faces of each column itself: along normals, which
-cross from column to column, neighbouring rows would share their noise.
+Thicknesses and half thicknesses are taken from the faces of each column itself: along normals,
+which cross from column to column, neighbouring rows would share their noise.
 """
 
 from __future__ import annotations

@@ -230,30 +230,33 @@ def wall_grey(scan: GreyScan) -> float | None:
 
 
 def porosity(rule: CheckRule, scan: GreyScan) -> Check | None:
-    """Judge whether the grey of a wall is known that porosity rests on; None without porosity."""
+    """Judge whether the grey of a wall is known that tells voids; None without maps of them."""
     greys, measured = scan.greys, scan.measured
-    if "porosity" not in measured:
+    names = tuple(name for name in rule.figures if name in measured)
+    if not names:
         return None
-    attrs = measured["porosity"].attrs
+    attrs = measured[names[0]].attrs
     if "solid_grey" in attrs:
         return rule.check("pass", f"The grey of a wall without voids is {attrs['solid_grey']:g}.")
     level = attrs.get("void_grey", 0.5 * (greys.air + greys.base))
+    air_side = "below" if greys.polarity > 0 else "above"
     sentence = (
-        f"Porosity counts what lies beyond the grey {level:.4g}: the grey of a wall without voids"
-        " is not known, and pores that the voxels do not resolve count as wall."
+        f"Voids are what lies {air_side} the grey {level:.4g}: the grey of a wall without voids is"
+        " not known, and pores that the voxels do not resolve count as wall."
     )
     wall = wall_grey(scan)
     if wall is not None:
         share = (wall - np.nanmean(scan.core_grey)) / (wall - greys.air)
         sentence += (
-            f" With the grey that 95 % of the base stay below, {wall:.4g}, as that of a wall it is"
-            f" about {share:.2f}."
+            f" With the grey that 95 % of the base stay {air_side}, {wall:.4g}, as that of a wall"
+            f" the porosity is about {share:.2f}."
         )
     return rule.check(
         "look",
         sentence,
         advice="Read the grey in a thick fibre, or in a scan of cellulose by the same settings.",
         remedy="Give it with `solid_grey`.",
+        figures=names,
     )
 
 

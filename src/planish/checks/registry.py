@@ -40,6 +40,7 @@ from planish.results import (
 Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
 _ALL = (PROPERTIES, POSITION, CORRELATION)
 _BASE = ("base_thickness", "thickness")
+_VOIDS = ("porosity", "pore_chord", "pore_diameter")
 _THICKNESSES = ("thickness", "coating_top", "coating_bottom", "base_thickness")
 _SIDES = ("coating_top", "coating_bottom", *HEIGHTS, "half_thickness_top", "half_thickness_bottom")
 _INTERFACES = ("coating_top", "coating_bottom", "base_surface_top", "base_surface_bottom", *_BASE)
@@ -63,7 +64,7 @@ CHECKS = (
     CheckRule("slices along x", ScannedSheet, _ALL, partial(slice_order, axis="x")),
     CheckRule("clipped grey", GreyScan, _INTERFACES, greys.clipped_grey),
     CheckRule("grey of the coating", GreyScan, _INTERFACES, greys.coating_grey),
-    CheckRule("porosity", GreyScan, ("porosity",), greys.porosity),
+    CheckRule("porosity", GreyScan, _VOIDS, greys.porosity),
     CheckRule("filler", GreyScan, ("filler", "filler_weight"), greys.filler),
     CheckRule("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
     CheckRule("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),

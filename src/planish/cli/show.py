@@ -150,9 +150,11 @@ def _properties(name: str, sheet: SheetFacts) -> None:
         rows,
     )
     for key, (share, error) in sheet.uncovered_areas.items():
-        if share is not None and sheet.properties[key].trust != "withheld":
+        trust = sheet.properties[key].trust
+        if share is not None and trust != "withheld":
+            label = key if trust == "ok" else f"{key} ({trust})"
             error_text = "" if error is None else f" +- {100 * error:.2g}"
-            sentence(f"uncovered area ratio of {key}: {100 * share:.3g}{error_text} %")
+            sentence(f"uncovered area ratio of {label}: {100 * share:.3g}{error_text} %")
     f = sheet.flatten
     sentence(
         f"flattened: {f.sentence} Edge strain {100 * (f.edge_strain_p95 or 0):.3f} % (p95); points"

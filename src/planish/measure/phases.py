@@ -40,6 +40,10 @@ class Options(Params):
     )
 
 
+LEVELS = ("solid_grey", "void_grey")
+"""Options that tell voids from walls; maps of voids state them."""
+
+
 def void_level(greys: Greys, params: Options) -> float:
     """Give the level between void and solid.
 
@@ -64,7 +68,7 @@ def _solid(params: Options, greys: Greys) -> None:
     units="1",
     long_name="Porosity of the base",
     check=_solid,
-    stated=("solid_grey", "void_grey"),
+    stated=LEVELS,
     when=lambda params, _greys: params.solid_grey is not None or params.void_grey is not None,
 )
 def porosity(rays: Rays) -> Measured:

@@ -25,7 +25,7 @@ from planish.core.options import Params, option
 from planish.core.typing import Floats
 from planish.measure import phases
 from planish.measure.greys import FWHM
-from planish.measure.phases import void_level
+from planish.measure.phases import LEVELS, void_level
 from planish.measure.registry import Property, cached, ray_property
 
 if TYPE_CHECKING:
@@ -272,7 +272,12 @@ def chords(void: NDArray[np.uint8], axis: int, most: int) -> NDArray[np.int64]:
 
 
 @ray_property(
-    "pore_chord", units="um", long_name="Pore chord in the plane", halo_um=_limit, support_um=_limit
+    "pore_chord",
+    units="um",
+    long_name="Pore chord in the plane",
+    halo_um=_limit,
+    support_um=_limit,
+    stated=LEVELS,
 )
 def pore_chord(rays: Rays) -> Floats:
     """Mean in-plane length of the voids on the ray.
@@ -312,6 +317,7 @@ def distances(
     long_name="Pore diameter",
     support_um=_limit,
     halo_um=lambda params: 1.5 * params.pore_limit_um,
+    stated=LEVELS,
 )
 def pore_diameter(rays: Rays) -> Floats:
     """Diameter of the largest sphere inside the voids, at most ``pore_limit_um``.

@@ -18,6 +18,7 @@ from planish.report.colours import Array, colours_of
 from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pixel_of, reduced
 from planish.report.maps import RunMaps
 from planish.report.relation import MapPair, draw_points, largest
+from planish.report.sentences.attenuation import LEFT_OUT
 from planish.report.summary import PairKey, key_of, lead_pair, titles_of
 from planish.report.text import (
     BY_TEXTURE,
@@ -181,7 +182,7 @@ def _marks_advice(results: Results) -> str:
     if r_limits and min(r_limits) < 0.95:  # r that misplacement leaves of a perfect relation
         return (
             f"{more}, spread over the field: with the expected error of the place, a perfect"
-            f" relation would show r = {fixed(min(r_limits), 2)} and no more."
+            f" relation would show r = {fixed(min(r_limits), 2)} and no more. {LEFT_OUT}"
         )
     for layer in results.moving:
         r = layer.registration

@@ -18,6 +18,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.arrays import check_path, not_taken
+from planish.core.checks import trust_of
 from planish.core.facts import is_known
 from planish.core.files import write_whole
 from planish.core.numbers import in_words, with_article
@@ -200,6 +201,7 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] 
     )
     return {
         "layer": layer,
+        "trust": lambda *names: trust_of(run_maps.results.checks, (layer.name,), names),
         "warp_um": float(np.nanmax(height) - np.nanmin(height)),
         "slices": slices.draw_slices(sheet_data["slices"], surfaces),
         "warp": flattening.draw_flattening(

@@ -10,6 +10,7 @@ from planish.analyze.correlograms import CorrelogramProfiles
 from planish.core.facts import is_known
 from planish.core.numbers import fixed, length, percent, plain
 from planish.report.relation import largest
+from planish.report.sentences.attenuation import LEFT_OUT
 from planish.report.statement import r2_limits
 from planish.report.summary import key_of, lead_pair
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
@@ -58,10 +59,7 @@ def _limit_text(evidence: EvidenceFacts | None) -> str:
     text = f"an r of {fixed(highest, 2)} here; the rest is lost to {causes}"
     if highest > 0.99:
         text = f"an r above 0.99 here: little is lost to {causes}"
-    return (
-        f"A perfect relation would show {text}. What light that spreads in the paper, the blur of"
-        " the lens and shading take is not in it."
-    )
+    return f"A perfect relation would show {text}. {LEFT_OUT}"
 
 
 def _short_waves_text(row: CorrelationRow, evidence: EvidenceFacts | None) -> str:

@@ -14,7 +14,7 @@ from planish.core.errors import FileError
 from planish.core.facts import is_known
 from planish.core.files import check_exists
 from planish.core.lazy import ReadOnDemand
-from planish.core.older_names import FORMAT, todays_names
+from planish.core.older_names import todays_names
 from planish.io.map_groups import open_tree
 from planish.marks.regions import Regions, read_regions
 from planish.results import Results
@@ -219,7 +219,7 @@ def open_sheet(path: str | Path) -> MappedLayer:
 def study_of(folder: Path, results: Results) -> Study:
     """The study of a run folder; its maps have the names of today."""
     study = read_study(folder / RUN_TOML)
-    if results.stored_format == FORMAT:
+    if not results.is_older:
         return study
     return Study.model_validate(todays_names(study.model_dump(mode="json")))
 

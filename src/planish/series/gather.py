@@ -13,7 +13,6 @@ from planish.analyze.agreement import AgreementFacts
 from planish.core.checks import State, concerned
 from planish.core.errors import FileError, InputError
 from planish.core.facts import SIDES, RoughnessFacts, Trust, is_known
-from planish.core.older_names import FORMAT
 from planish.report.summary import key_of
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results, SheetFacts
 from planish.run.run import open_results
@@ -139,7 +138,7 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
                 member = as_judged(member, results)
                 rows += rows_of(member, results)
                 runs[member.name] = _summary(member, results)
-                run_by_age[results.stored_format < FORMAT] = member.name
+                run_by_age[results.is_older] = member.name
         judged_members.append(member)
     if len(run_by_age) > 1:
         raise InputError(

@@ -8,6 +8,11 @@ from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.core.facts import is_known
 from planish.core.numbers import count, fixed, percent, plain
 
+LEFT_OUT = (
+    "What light that spreads in the paper, the blur of the lens and shading take is not in it."
+)
+"""Of every attenuation limit."""
+
 
 def say_attenuation(_: object, evidence: EvidenceFacts, *__: object) -> Iterator[str]:
     """What a perfect relation would show."""
@@ -16,7 +21,7 @@ def say_attenuation(_: object, evidence: EvidenceFacts, *__: object) -> Iterator
         yield (
             f"A perfect relation would show r = {r} here (misplacement leaves {r}). It rests on the"
             " expected error of the registration and the texture of the map; noise lowers it"
-            " further."
+            f" further. {LEFT_OUT}"
         )
     yield from say_reliability(evidence)
 
