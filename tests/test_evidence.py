@@ -20,7 +20,7 @@ from planish.analyze import (
 from planish.analyze.compare import CorrelationRow
 from planish.core.area import area_mean
 from planish.core.errors import InputError
-from planish.measure.registry import shared_parts
+from planish.measure.registry import PARTS, registered, shared_parts
 from planish.report import summary
 from planish.report.sentences import table
 from planish.report.sentences.partial import say_over_control
@@ -280,7 +280,26 @@ def test_the_page_says_the_partial_r():
     [
         ("coating_top", "thickness", ["coating_top"]),
         ("half_thickness_top", "coating_bottom", ["coating_bottom"]),
-        ("topography_top", "thickness", ["coating_top", "base_surface_top"]),
+        ("topography_top", "thickness", ["topography_top"]),
+        ("half_thickness_bottom", "thickness", ["half_thickness_bottom"]),
+        (
+            "half_thickness_top",
+            "half_thickness_bottom",
+            ["coating_top", "coating_bottom", "base_thickness"],
+        ),
+        ("half_thickness_top", "topography_top", ["topography_top"]),
+        # the thickness cancels in it
+        ("half_thickness_difference", "thickness", ["topography_top", "topography_bottom"]),
+        ("half_thickness_difference", "half_thickness_top", ["topography_top"]),
+        (
+            "half_thickness_difference",
+            "base_thickness",
+            ["base_surface_top", "base_surface_bottom"],
+        ),
+        ("roughness_top", "topography_top", ["roughness_top"]),
+        ("fibre_anisotropy", "fibre_sin2", ["fibre_sin2"]),
+        ("fibre_cos2", "fibre_sin2", []),
+        ("ink_depth_50", "ink_depth_95", ["ink_depth_50"]),
         ("coating_difference", "coat_weight_bottom", ["coating_bottom"]),
         ("coating_top", "base_thickness", []),
         ("topography_top", "topography_bottom", []),
@@ -288,8 +307,40 @@ def test_the_page_says_the_partial_r():
     ],
 )
 def test_what_two_maps_are_both_made_up_of(a, b, shared):
-    assert sorted(shared_parts(a, b)) == sorted(shared)
-    assert sorted(shared_parts(b, a)) == sorted(shared)
+    names = {*PARTS, *(part for parts in PARTS.values() for part in parts), a, b}
+    maps = xr.Dataset(dict.fromkeys(names, (("y", "x"), np.ones((2, 2)))))
+    assert sorted(shared_parts(a, b, maps)) == sorted(shared)
+    assert sorted(shared_parts(b, a, maps)) == sorted(shared)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "shared"),
+    [
+        ("topography_top", "thickness", ["topography_top"]),
+        ("half_thickness_top", "half_thickness_bottom", ["base_thickness"]),
+        ("topography_top", "base_thickness", []),
+        ("half_thickness_top", "coat_weight_bottom", []),
+    ],
+)
+def test_parts_that_a_sheet_lacks_are_not_named(a, b, shared):
+    """A sheet without coatings, whose maps of them are empty, and some that were not measured."""
+    names = ("thickness", "base_thickness", "topography_top", "topography_bottom")
+    maps = xr.Dataset(dict.fromkeys((*names, a, b), (("y", "x"), np.ones((2, 2)))))
+    for empty in ("coating_top", "coating_bottom", "base_surface_top", "base_surface_bottom"):
+        maps[empty] = maps["thickness"] * np.nan
+    assert shared_parts(a, b, maps) == shared_parts(b, a, maps) == tuple(shared)
+
+
+def test_every_part_is_a_property_and_none_contains_itself():
+    names = {*registered()}
+    for whole, parts in PARTS.items():
+        assert {whole, *parts} <= names
+        inner, seen = [*parts], set()
+        while inner:
+            part = inner.pop()
+            assert part != whole
+            seen.add(part)
+            inner += [p for p in PARTS.get(part, ()) if p not in seen]
 
 
 def test_maps_that_contain_the_map_are_named_with_what_they_do_to_r():

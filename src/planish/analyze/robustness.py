@@ -54,6 +54,9 @@ class Partial(PointsCorrelation, _Given):
             " part with it: what they take off is the map itself."
         ),
     )
+    over_control_parts: tuple[tuple[str, ...], ...] = Field(
+        default=(), description="For each of these, the largest maps that both contain."
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -258,17 +261,23 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     )
     if "thickness" not in sheet_maps:
         return {}
-    over_control = tuple(name for name in covariates if shared_parts(pair.a[1], name))
-    partial_of = functools.partial(
-        Partial, given=covariates, point_um=point_um, over_control=over_control
-    )
     if missing_names := [name for name in covariates if name not in sheet_maps]:
         raise InputError(
             f"The sheet has no map {', '.join(missing_names)} to stand beside. Leave it out of"
             " `beside`, or measure it."
         )
+    parts: dict[str, tuple[str, ...]] = {}
     for name in covariates:
         refuse_axial(sheet_maps[name])
+        if shared := shared_parts(pair.a[1], name, sheet_maps):
+            parts[name] = shared
+    partial_of = functools.partial(
+        Partial,
+        given=covariates,
+        point_um=point_um,
+        over_control=tuple(parts),
+        over_control_parts=tuple(parts.values()),
+    )
     factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
     if min(factor) < 1 - 1e-9:
         reason = f"Points of {point_um:g} um are smaller than a pixel."

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.bands import thinned
 from planish.core.errors import CannotMeasure
 from planish.core.facts import SIDES, Side
 from planish.core.typing import Bools, Floats
@@ -33,6 +34,8 @@ from planish.measure.greys import Greys
 from planish.measure.options import Common
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from planish.measure.rays import RayFrame, Rays
 
 P = ParamSpec("P")
@@ -81,24 +84,31 @@ SUMS = (
 """Each map is the sum of the others, or their difference: given all but one, that one says nothing
 new."""
 
-PARTS: dict[str, Sequence[str]] = {
-    **{total: parts for total, *parts in reversed(SUMS)},
+_LAYERS = ("coating_top", "coating_bottom", "base_thickness")
+PARTS: dict[str, tuple[str, ...]] = {
+    "thickness": (*_LAYERS, "half_thickness_top", "half_thickness_bottom"),
     "base_thickness": ("base_surface_top", "base_surface_bottom"),
+    "coating_difference": ("coating_top", "coating_bottom"),
+    # Of waves that the centre surface follows both halves have the same.
+    "half_thickness_difference": ("topography_top", "topography_bottom"),
     "thickness_envelope": ("thickness",),
     "absorption": ("thickness",),
     "absorption_base": ("base_thickness",),
     "grammage": ("thickness",),
     "apparent_density": ("grammage",),
     "filler_weight": ("filler", "base_thickness"),
+    "fibre_anisotropy": ("fibre_cos2", "fibre_sin2"),
+    "ink_depth_90": ("ink_depth_50",),
+    "ink_depth_95": ("ink_depth_90",),
 }
-"""The maps that each map of planish's own is made up of, some of them in some waves only."""
+"""The maps that each map of planish's own contains, some of them in some waves only."""
 
 for _side in SIDES:
     PARTS.update(
         {
-            f"half_thickness_{_side}": ("thickness",),
-            f"topography_{_side}": (f"base_surface_{_side}", f"coating_{_side}"),
-            f"roughness_{_side}": (f"topography_{_side}",),
+            f"half_thickness_{_side}": (f"topography_{_side}", *_LAYERS),
+            f"topography_{_side}": (f"roughness_{_side}",),
+            f"roughness_{_side}": (f"base_surface_{_side}", f"coating_{_side}"),
             f"coating_{_side}_sum": (f"coating_{_side}",),
             f"coating_{_side}_envelope": (f"coating_{_side}",),
             f"coating_absorption_{_side}": (f"coating_{_side}",),
@@ -107,12 +117,15 @@ for _side in SIDES:
     )
 
 
-def shared_parts(a: str, b: str) -> list[str]:
-    """Return the largest maps that two maps both contain by construction; each contains itself."""
-    of_b = _contents(b)
-    shared = [name for name in _contents(a) if name in of_b]
+def shared_parts(a: str, b: str, maps: xr.Dataset) -> tuple[str, ...]:
+    """Return the largest of ``maps`` with values that two maps both contain by construction.
+
+    Each contains itself.
+    """
+    common = dict.fromkeys(name for name in _contents(a) if name in _contents(b) and name in maps)
+    shared = [name for name in common if np.isfinite(thinned(maps[name])[1][0]).any()]
     inner = {part for name in shared for part in _contents(name)[1:]}
-    return [name for name in dict.fromkeys(shared) if name not in inner]
+    return tuple(name for name in shared if name not in inner)
 
 
 def _contents(name: str) -> list[str]:

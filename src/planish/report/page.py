@@ -201,7 +201,7 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] 
     )
     return {
         "layer": layer,
-        "trust": lambda *names: trust_of(run_maps.results.checks, (layer.name,), names),
+        "trust": partial(trust_of, run_maps.results.checks, (layer.name,)),
         "warp_um": float(np.nanmax(height) - np.nanmin(height)),
         "slices": slices.draw_slices(sheet_data["slices"], surfaces),
         "warp": flattening.draw_flattening(

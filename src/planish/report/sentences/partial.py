@@ -8,7 +8,6 @@ from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.analyze.robustness import Partial
 from planish.core.facts import is_known
 from planish.core.numbers import count, fixed, limits_text, plain
-from planish.measure.registry import shared_parts
 from planish.report.sentences.wording import Wording
 
 
@@ -37,12 +36,12 @@ def say_partial(partial_r: Partial, evidence: EvidenceFacts, _: Wording) -> Iter
 def say_over_control(partial_r: Partial, map_name: str) -> str:
     """Name the given maps that hold a part of the map, and how r changes; empty without any."""
     clauses: list[str] = []
-    for name in partial_r.over_control:
-        parts = shared_parts(map_name, name)
+    controls = zip(partial_r.over_control, partial_r.over_control_parts, strict=False)
+    for name, parts in controls:
         clause = f"{map_name} and {name} both contain {' and '.join(parts)}"
-        if parts == [map_name]:
+        if parts == (map_name,):
             clause = f"{name} contains {map_name}"
-        if parts == [name]:
+        if parts == (name,):
             clause = f"{map_name} contains {name}"
         clauses.append(clause.replace("_", " "))
     if not clauses:
