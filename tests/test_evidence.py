@@ -290,7 +290,11 @@ def test_the_page_says_the_partial_r():
         ("half_thickness_top", "topography_top", ["topography_top"]),
         # the thickness cancels in it
         ("half_thickness_difference", "thickness", ["topography_top", "topography_bottom"]),
-        ("half_thickness_difference", "half_thickness_top", ["topography_top"]),
+        (
+            "half_thickness_difference",
+            "half_thickness_top",
+            ["topography_top", "coating_bottom", "base_surface_bottom"],
+        ),
         (
             "half_thickness_difference",
             "base_thickness",
