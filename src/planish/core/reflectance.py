@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 
 from planish.core.typing import Floats
 
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, Rec. ITU-R BT.709
+
 
 def layer_over(
     backing: ArrayLike, scattering: ArrayLike, absorption: ArrayLike, weight: ArrayLike

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError, VolumeError
+from planish.core.reflectance import LUMINANCE
 from planish.core.text import printable
 from planish.io.guard import quiet
 from planish.io.lazy import Values
@@ -31,7 +32,6 @@ from planish.io.sizes import Stated
 from planish.io.tiff import is_tiff, size_words
 
 ADVICE = "Save one grey volume alone, as a stack of slices."
-LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, Rec. ITU-R BT.709
 COLOURS = {"red": 0, "green": 1, "blue": 2}
 CHANNELS = ("luminance", *COLOURS)
 

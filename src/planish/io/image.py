@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError, check_choice
 from planish.core.facts import SIDES, Side
+from planish.core.reflectance import LUMINANCE
 from planish.core.typing import Pair
-from planish.io.formats import COLOURS, LUMINANCE, full_scale
+from planish.io.formats import COLOURS, full_scale
 from planish.io.guard import check_memory, size_of_file
 from planish.io.orientation import orientation_attrs, tag_orientation
 from planish.io.picture import DecodedPicture, load_picture

@@ -1,9 +1,12 @@
 from .camera import image_material as image_material
 from .camera import photograph as photograph
+from .files import write_flatbed as write_flatbed
 from .files import write_image as write_image
 from .files import write_instruments as write_instruments
 from .files import write_nodes as write_nodes
 from .files import write_truth as write_truth
+from .flatbed import FlatbedScan as FlatbedScan
+from .flatbed import scan_flatbed as scan_flatbed
 from .making import make_specimen as make_specimen
 from .making import write_specimen as write_specimen
 from .params import SIZES_UM as SIZES_UM
@@ -11,6 +14,7 @@ from .params import BurnParams as BurnParams
 from .params import CameraParams as CameraParams
 from .params import FibreParams as FibreParams
 from .params import FilmParams as FilmParams
+from .params import FlatbedParams as FlatbedParams
 from .params import PaperParams as PaperParams
 from .params import PrintParams as PrintParams
 from .params import ScannerParams as ScannerParams

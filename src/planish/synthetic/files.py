@@ -163,6 +163,19 @@ def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Pat
     return path
 
 
+def write_flatbed(specimen: Specimen, path: Path) -> Path:
+    """Write the scan of the office scanner as TIFF with its dpi."""
+    dpi = specimen.params.flatbed.dpi
+    tifffile.imwrite(
+        path,
+        specimen.flatbed.values,
+        photometric="rgb" if specimen.flatbed.values.ndim == 3 else "minisblack",
+        resolution=(dpi, dpi),
+        resolutionunit="INCH",
+    )
+    return path
+
+
 def write_nodes(specimen: Specimen, path: Path) -> None:
     """Write ``.npz`` for a sheet too large for voxels.
 

@@ -11,6 +11,7 @@ from planish.core.errors import FileError
 from planish.core.typing import Floats
 from planish.synthetic.files import (
     Instrument,
+    write_flatbed,
     write_image,
     write_instruments,
     write_nodes,
@@ -141,6 +142,8 @@ def write_specimen(
         progress(name)
         if name == "truth":
             write_truth(specimen, folder / "truth")
+        elif name == "flatbed":
+            write_flatbed(specimen, folder / "flatbed.tif")
         elif name not in _VOLUMES:
             file = "printed.ome.tif" if name == "print" else "image.ome.tif"
             write_image(specimen, folder / file, printed=name == "print")

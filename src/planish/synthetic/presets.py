@@ -248,7 +248,7 @@ def with_only(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
     return without(params, [name for name in NUISANCES if name not in kept_names])
 
 
-INSTRUMENTS = ("ct", "sections", "stack", "image", "print")
+INSTRUMENTS = ("ct", "sections", "stack", "image", "print", "flatbed")
 
 
 class SpecimenOptions(Params):
@@ -265,7 +265,7 @@ class SpecimenOptions(Params):
     instrument: tuple[str, ...] = option(
         ("ct", "sections", "image", "print"),
         metavar="|".join(INSTRUMENTS),
-        help="What is written; repeatable. All but 'stack' where not given.",
+        help="What is written; repeatable. All but 'stack' and 'flatbed' where not given.",
     )
     voxel_um: float = option(3.0, ge=0.5, help="Voxel of the scan.")
     nuisance: tuple[str, ...] | None = option(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from planish.core.labelled import labelled
 from planish.core.typing import Floats
 from planish.synthetic.camera import image_material, photograph
+from planish.synthetic.flatbed import FlatbedScan, scan_flatbed
 from planish.synthetic.instruments import Microtome, Poses, Scanner, draw_poses
 from planish.synthetic.params import SpecimenParams, Warp, stream
 from planish.synthetic.pose import CameraPose
-from planish.synthetic.sheet import DrawnSheet
+from planish.synthetic.sheet import PITCH_UM, DrawnSheet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,6 +128,23 @@ class Specimen:
     def printed(self) -> xr.DataArray:
         """Reflectance after printing, as :attr:`image`."""
         return self._photograph(printed=True)
+
+    @cached_property
+    def flatbed(self) -> FlatbedScan:
+        """The top side under an office scanner; :attr:`pose` leads to the picture it scans."""
+        p = self.params
+        off = dict.fromkeys(("shading", "vignetting", "lens_um", "noise"), 0.0)
+        even = replace(p.camera, pixel_um=PITCH_UM, bits=16, **off)
+        shape = np.array(self.image_shape) * p.camera.pixel_um / PITCH_UM
+        rows, cols = shape.astype(int).tolist()
+        seed = stream(p.seed, "camera")
+        return scan_flatbed(
+            photograph(self.sheet, self.pose, even, shape=(rows, cols), seed=seed),
+            self.sheet.at(self.sheet.faces[0], *image_material(self.pose, (rows, cols), PITCH_UM)),
+            pixel_um=PITCH_UM,
+            params=p.flatbed,
+            seed=stream(p.seed, "flatbed"),
+        )
 
     def _photograph(self, *, printed: bool) -> xr.DataArray:
         p, seed = self.params.camera, stream(self.params.seed, "camera")

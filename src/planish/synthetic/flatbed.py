@@ -1,0 +1,177 @@
+"""An office scanner that looks at the sheet's top side: a lamp and a line of sensors that move.
+
+The carriage goes along y. Lamp and sensors go with it, so the light comes from one side of the line
+that is read, and each line of the picture has an error of place of its own.
+"""
+
+from dataclasses import dataclass
+from io import BytesIO
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+from scipy import ndimage
+
+from planish.core.reflectance import LUMINANCE
+from planish.core.typing import Floats
+from planish.synthetic.params import FlatbedParams
+
+INCH_UM = 25_400.0
+_UNSHARP_PX = 1.0  # Gaussian sigma of the usual unsharp mask
+_WANDER_UM = 5000.0  # correlation length of the carriage's slow error
+_TRACK_UM = 100_000.0  # on which the slow error has its standard deviation
+_MARGIN_UM = 100.0  # of the picture around the scan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlatbedScan:
+    """A scan, and where each point of the picture it was taken of lies in it."""
+
+    values: NDArray[np.generic]  #: (rows, columns), or (rows, columns, 3): red, green, blue
+    pixel_um: float  #: as the file states it
+    lines_um: Floats  #: true place of the middle of each row, in um of the picture
+    columns_um: Floats  #: true place of the middle of each column
+
+    def place(self, points: ArrayLike) -> Floats:
+        """Carry points (..., 2), (x, y) in um of the picture, to (x, y) in um of the scan.
+
+        NaN outside the scan.
+        """
+        places = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
+        middles = self.columns_um, self.lines_um
+        scanned = [
+            np.interp(place, middle, np.arange(middle.size), left=np.nan, right=np.nan)
+            for place, middle in zip(places, middles, strict=True)
+        ]
+        return self.pixel_um * np.stack(scanned, axis=-1)
+
+
+def scan_flatbed(
+    reflectance: ArrayLike,
+    face_um: ArrayLike,
+    *,
+    pixel_um: float,
+    params: FlatbedParams,
+    seed: np.random.SeedSequence,
+) -> FlatbedScan:
+    """Scan a picture whose pixels are a few times finer than those of the scanner.
+
+    Parameters
+    ----------
+    reflectance, face_um : array-like, shape (rows, columns)
+        Reflectance (0 to 1) of the sheet in even light, and height of its face in um.
+    pixel_um : float
+        Pixel of both; pixel ``i`` has its centre at ``i * pixel_um``.
+    params : FlatbedParams
+    seed : SeedSequence
+        Of the carriage and of the noise; it is not changed.
+
+    Returns
+    -------
+    FlatbedScan
+        8 or 16 bit. JPEG has been undone again.
+    """
+    for_carriage, for_noise = (
+        np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)))
+        for k in range(2)
+    )
+    lit = np.asarray(reflectance, dtype=np.float64) * lamp(
+        face_um, pixel_um=pixel_um, params=params
+    )
+    if params.lens_um > 0:
+        lit = ndimage.gaussian_filter(lit, params.lens_um / pixel_um, mode="nearest")
+    pitch_um = INCH_UM / params.dpi
+    lines_um, columns_um = _carriage(lit.shape, pixel_um, pitch_um, params, for_carriage)
+    across = _area_means(lit.T, columns_um / pixel_um, pitch_um / pixel_um).T
+    # The lines of red and blue, brought over that of green but for a rest. The grey of all three,
+    # as their weights have it, lies where the carriage says.
+    shifts_px = params.colour_shift_px * (
+        np.array([-1.0, 0.0, 1.0]) - (LUMINANCE[2] - LUMINANCE[0])
+    )
+    channels = [
+        _area_means(across, (lines_um + shift * pitch_um) / pixel_um, pitch_um / pixel_um)
+        for shift in (shifts_px if params.colour else (0.0,))
+    ]
+    coded = 255.0 * encode(np.clip(np.stack(channels, axis=-1), 0.0, 1.0), params.gamma)
+    coded += params.noise * for_noise.standard_normal(coded.shape)
+    if params.sharpen > 0:
+        sigma = (_UNSHARP_PX, _UNSHARP_PX, 0.0)
+        coded += params.sharpen * (coded - ndimage.gaussian_filter(coded, sigma, mode="nearest"))
+    values = _stored(coded, params)
+    return FlatbedScan(
+        values=values if params.colour else values[..., 0],
+        pixel_um=pitch_um,
+        lines_um=lines_um,
+        columns_um=columns_um,
+    )
+
+
+def lamp(face_um: ArrayLike, *, pixel_um: float, params: FlatbedParams) -> Floats:
+    """Light on each place over that on a level one, by Lambert's law for small slopes.
+
+    The lamp stands at smaller y: what rises along the scan faces it. Light that enters the paper
+    leaves it some way off, so that the shading is as smooth as this way is long.
+    """
+    slope = np.gradient(np.asarray(face_um, dtype=np.float64), pixel_um, axis=0)
+    light = 1.0 + params.shading / 0.1 * slope
+    return ndimage.gaussian_filter(light, params.spread_um / pixel_um, mode="nearest")
+
+
+def encode(linear: Floats, gamma: float | str) -> Floats:
+    """Code linear grey (0 to 1) as pictures are: by the curve of sRGB, or a power."""
+    if gamma == "srgb":
+        power = 1.055 * linear ** (1 / 2.4) - 0.055
+        return np.where(linear > 0.0031308, power, 12.92 * linear)
+    return linear ** (1 / float(gamma))
+
+
+def _carriage(
+    shape: tuple[int, ...],
+    pixel_um: float,
+    pitch_um: float,
+    params: FlatbedParams,
+    rng: np.random.Generator,
+) -> tuple[Floats, Floats]:
+    """Place in the picture of the middle of each row and column of the scan, in um.
+
+    Every number is drawn whatever its size, so that one that is off does not move the others.
+    """
+    along, across, phase = rng.uniform(-1.0, 1.0, 3)
+    rows, columns = (
+        int((n * pixel_um - 2 * _MARGIN_UM) / (pitch_um * (1 + params.scale_range))) for n in shape
+    )
+    ramp_um = pitch_um * np.arange(rows)
+    jitter, white = rng.standard_normal(rows), rng.standard_normal(int(_TRACK_UM / pitch_um))
+    wander = ndimage.gaussian_filter1d(white, 0.5 * _WANDER_UM / pitch_um, mode="wrap")
+    lines_um = (
+        _MARGIN_UM
+        + ramp_um * (1 + params.scale_range * along)
+        + params.wander_um * (wander / wander.std())[:rows]
+        + params.ripple_um * np.sin(2 * np.pi * (ramp_um / params.ripple_period_um + phase))
+        + params.jitter_um * jitter
+    )
+    columns_um = _MARGIN_UM + pitch_um * np.arange(columns) * (1 + params.scale_range * across)
+    return lines_um, columns_um
+
+
+def _area_means(picture: Floats, middles: Floats, width: float) -> Floats:
+    """Means of rows between two places, both in rows; a row ends half a row from its middle."""
+    sums = np.concatenate([np.zeros((1, picture.shape[1])), np.cumsum(picture, axis=0)])
+    edges = np.stack([middles - 0.5 * width, middles + 0.5 * width]) + 0.5
+    whole = np.clip(edges.astype(int), 0, len(picture) - 1)
+    low, high = sums[whole] + (edges - whole)[..., None] * picture[whole]
+    return (high - low) / width
+
+
+def _stored(coded: Floats, params: FlatbedParams) -> NDArray[np.generic]:
+    """Grey of 0 to 255 as the file holds it, after JPEG where that is asked for."""
+    if params.bits == 16:
+        return np.clip(np.rint(257.0 * coded), 0, 65535).astype(np.uint16)
+    values = np.clip(np.rint(coded), 0, 255).astype(np.uint8)
+    if params.quality is None:
+        return values
+    file = BytesIO()
+    Image.fromarray(values if params.colour else values[..., 0]).save(
+        file, "JPEG", quality=params.quality
+    )
+    return np.asarray(Image.open(file)).reshape(values.shape)
