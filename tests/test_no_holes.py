@@ -93,7 +93,7 @@ def opened(mapped, image):
     with closing(Session.open(mapped, ImageParams(path=str(image)))) as session:
         client = Client(create_app(session, token=TOKEN, hosts=(HOST,)))
         yield session, client
-        client.app.state.applying.close()
+        client.app.state.served.applying.close()
 
 
 def test_the_app_finds_the_texture_everywhere_and_about_a_place(kinds, mapped):

@@ -3,9 +3,11 @@
 import json
 import shutil
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from app.conftest import beside
 from folders import bytes_of, disc_image, write_image
 from planish.app import Session, changes, create_app
 from planish.app import order as orders
-from planish.app.apply import Applying
+from planish.app.apply import Applying, Progress
 from planish.core.errors import FileError, SizeError
 from planish.io.params import ImageParams
 from planish.run import changed, open_run, read_study, run_study
@@ -314,7 +316,7 @@ def test_a_process_makes_the_run_says_how_far_it_is_or_why_it_is_not_made_and_se
     new = run_copy.with_name("run-2")
     with opened(run_copy) as session:
         app = create_app(session, token=TOKEN, hosts=[HOST])
-        client, stranger, applied = Client(app), Client(app, token=""), app.state.applying
+        client, stranger, applied = Client(app), Client(app, token=""), app.state.served.applying
         try:
             assert client.get("/api/apply").json() == {
                 "state": "idle",
@@ -366,15 +368,94 @@ def test_a_process_makes_the_run_says_how_far_it_is_or_why_it_is_not_made_and_se
     assert stranger.post("/api/apply/open").status == 401
     assert client.post("/api/apply/open").json() == {"run": "run-2"}
     assert client.get("/api/session").json()["run"] == "run-2"
-    with closing(app.state.session) as session:  # the new run is changed, the old one is free
+    with closing(
+        app.state.served.session
+    ) as session:  # the new run is changed, the old one is free
         assert (session.folder, session.can_undo) == (new, False)
         do(session, do="model", model="affine")
         assert client.get("/api/state").json()["model"] == "affine"
         opened(run_copy).thing.close()
     assert stranger.get(end["report"]).status == 200  # its window may be open still
-    app.state.applying.close()
+    app.state.served.applying.close()
     shutil.rmtree(new)
     assert nothing_left(run_copy)
+
+
+def test_a_window_of_the_run_before_changes_nothing_in_the_run_that_is_served(made_copy):
+    """Each write names the run that its window shows; a request in flight keeps its own run."""
+    new = Path(shutil.copytree(made_copy, made_copy.with_name("rün 2")))
+    app = create_app(Session.open(made_copy), token=TOKEN, hosts=[HOST])
+    client, before = Client(app), app.state.served
+    use = {"change": {"do": "use", "id": before.session.state.of(None)[0].id, "used": False}}
+    window = {"planish-run": made_copy.name}
+    assert client.post("/api/change", use, headers=window).status == 200
+    applying = before.applying
+    applying._begun_state, applying.reports["secret"] = before.session.state, new / "report.html"
+    applying.progress = Progress(state="done", run=str(new), report="/report/secret")
+    assert "outdated" not in client.get("/api/apply").json()
+    model = {"change": {"do": "model", "model": "similarity"}}
+    assert client.post("/api/change", model, headers=window).status == 200
+    assert client.get("/api/apply").json()["outdated"] is True
+    assert client.post("/api/undo", headers=window).status == 200
+    assert "outdated" not in client.get("/api/apply").json()  # as it stood when it was begun
+    assert client.post("/api/redo", headers=window).status == 200
+
+    with ThreadPoolExecutor(8) as pool:  # all of them ask at once, and one switches
+        opened_runs = list(pool.map(lambda _: client.post("/api/apply/open").json(), range(8)))
+    assert opened_runs == [{"run": new.name}] * 8
+    after = app.state.served
+    assert (after.session.folder, before.session.journal.path.parent.parent) == (new, made_copy)
+    session, now = client.get("/api/session").json(), client.get("/api/apply").json()
+    assert session["run"] == new.name
+    assert session["said"] == "rün 2 is open. What was changed after Apply is in run only."
+    assert (now["state"], now["report"], now["run"]) == ("idle", "/report/secret", str(new))
+    for path, body in (
+        ("change", use),
+        ("undo", {}),
+        ("redo", {}),
+        ("snap", {"id": "x"}),
+        ("apply", {}),
+        ("apply/cancel", {}),
+        ("apply/open", {}),
+        ("marks/import", {}),
+    ):
+        answer = client.post(f"/api/{path}", body, headers=window)
+        assert (answer.status, answer.json()["served"]) == (409, new.name), path
+        assert "This window shows run, and planish serves rün 2 now." in answer.json()["error"]
+    assert after.session.state is after.session.first
+    ours = {"planish-run": quote(new.name)}
+    assert client.post("/api/change", use, headers=ours).status == 200
+    assert not after.session.state.of(None)[0].used
+    # A change that was on its way to the run before is not made there any more, nor in the new one.
+    with pytest.raises(FileError, match="Nothing was changed"):
+        do(before.session, do="model", model="affine")
+    assert after.session.state.model != "affine"
+    with opened(made_copy) as session:
+        assert session.state.model == "similarity"
+    after.close()
+
+
+def test_a_request_sees_one_run_from_its_start_to_its_end(made_copy, monkeypatch):
+    new = Path(shutil.copytree(made_copy, made_copy.with_name("run-2")))
+    app = create_app(Session.open(made_copy), token=TOKEN, hosts=[HOST])
+    client, before = Client(app), app.state.served
+    before.applying.progress = Progress(state="done", run=str(new))
+    change = Session.change
+
+    def switched(session, asked, *, version=None):
+        """The change, and another run that is served before it is answered."""
+        state = change(session, asked, version=version)
+        assert client.post("/api/apply/open").json() == {"run": "run-2"}
+        return state
+
+    monkeypatch.setattr(Session, "change", switched)
+    body = {"change": {"do": "model", "model": "similarity"}}
+    answer = client.post("/api/change", body, headers={"planish-run": "run"})
+    assert (answer.status, answer.json()["model"]) == (200, "similarity")
+    after = app.state.served
+    assert (after.run, after.session.state.model) == ("run-2", after.session.first.model)
+    assert after.session.first.model != "similarity"
+    after.close()
 
 
 def test_a_cancel_leaves_nothing(run_copy):

@@ -188,3 +188,50 @@ def test_keys_alone_correct_a_mark_cancel_a_run_and_open_the_report_of_the_next(
     expect(report.value.locator("h1")).to_be_visible()
     expect(shown.page.get_by_text("This page still shows the run before.")).to_be_visible()
     shutil.rmtree(made)
+
+
+def test_a_window_that_missed_the_switch_changes_nothing_and_offers_to_reload(
+    run_copy, serve, window
+):
+    """Its news are held back; the other window has the report, and says what is not in the run."""
+    served = serve(run_copy)
+    first, other = window(served), window(served)
+    settled(first)
+    settled(other)
+    first.field("Model").select_option("similarity")
+    expect(message(first)).to_contain_text("Saved")
+    first.role("button", "Apply").click()
+    link = first.page.get_by_role("link", name="Open report of run-2")
+    expect(link).to_be_visible(timeout=APPLY_MS)
+    lacks = first.page.get_by_text("run-2 lacks what was changed since")
+    expect(lacks).to_be_hidden()
+    first.field("Model").select_option("affine")
+    expect(lacks).to_be_visible()
+    first.role("button", "Undo").click()
+    expect(lacks).to_be_hidden()
+    first.role("button", "Redo").click()
+    expect(lacks).to_be_visible()
+
+    # Without news until the page is loaded again.
+    other.page.evaluate(
+        "() => { const ask = window.fetch; window.fetch = (path, init) =>"
+        " `${path}`.endsWith('events') ? new Promise(() => {}) : ask(path, init);"
+        " ReadableStreamDefaultReader.prototype.read = () => new Promise(() => {}); }"
+    )
+    first.role("button", "Open the new run").click()
+    expect(first.page).to_have_title("run-2 – planish")
+    expect(message(first)).to_contain_text("What was changed after Apply is in run only")
+    expect(link).to_be_visible()
+    expect(first.role("button", "Open the new run")).to_be_hidden()
+    assert first.field("Model").input_value() == "similarity"
+
+    expect(other.page).to_have_title("run – planish")
+    other.field("Model").select_option("rigid")
+    expect(other.page.get_by_role("alert")).to_contain_text(
+        "This window shows run, and planish serves"
+    )
+    other.faults = [fault for fault in other.faults if "409" not in fault]
+    assert first.field("Model").input_value() == "similarity"
+    other.role("button", "Reload the page").click()
+    expect(other.page).to_have_title("run-2 – planish")
+    assert other.field("Model").input_value() == "similarity"

@@ -5,6 +5,7 @@ import base64
 import io
 import json
 import zipfile
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def served(session):
 def client(session):
     found = served(session)
     yield found
-    found.app.state.applying.close()
+    found.app.state.served.applying.close()
 
 
 def test_a_session_says_what_there_is(client, session):
@@ -119,7 +120,8 @@ def test_every_window_hears_of_a_change(client, session):
     """A line at once, one for the change, and a heartbeat each half second."""
 
     async def listen():
-        request = type("Request", (), {"app": client.app})()
+        served_run = SimpleNamespace(served=client.app.state.served)
+        request = SimpleNamespace(app=client.app, state=served_run)
         lines = (await marks_routes.get_events(request)).body_iterator
         found = [json.loads(await anext(lines))]
         session.publish()

@@ -44,7 +44,7 @@ def session(made_run, tmp_path_factory):
 def client(session):
     app = create_app(session, token=TOKEN, hosts=(HOST, "localhost:8000"))
     yield Client(app)
-    app.state.applying.close()
+    app.state.served.applying.close()
 
 
 def routes(client):

@@ -43,7 +43,7 @@ def test_a_circle_is_drawn_around_holes_alone_and_no_tile_is_snapped(session):
         f"{tiles[0]['label']} is a tile of texture and no hole",
     )
     assert client.post("/api/snap", {"id": hole["id"]}).status == 200
-    client.app.state.applying.close()
+    client.app.state.served.applying.close()
 
 
 def test_apply_writes_tiles_without_a_diameter_and_forgets_those_that_were_deleted(session):

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from planish.app.apply_worker import TARGET
+from planish.app.changes import State
 from planish.app.order import STAGING, new_run_folder, order_of
 from planish.app.session import Session
 from planish.core.errors import InputError
@@ -52,6 +53,7 @@ class Progress(ResultModel):
     message: str = ""  # what is done at this moment, or what was wrong
     run: str | None = None  # folder of the new run, when it is done
     report: str | None = None  # where its page is served
+    outdated: bool | None = None  # whether something was changed since the new run was begun
 
 
 class Busy(InputError):
@@ -66,6 +68,7 @@ class Applying:
     # Pages of runs that were made, by ticket.
     reports: dict[str, Path] = field(default_factory=dict[str, Path])
     progress: Progress = field(default_factory=Progress)  # of the run that is made
+    _begun_state: State | None = None  # what stood when it was begun
     _process: subprocess.Popen[str] | None = None
     _warm_process: subprocess.Popen[str] | None = None
     _progress_thread: threading.Thread | None = None
@@ -79,6 +82,12 @@ class Applying:
         if not self.session.read_only:
             self._clean()
             self._stop_listening = self.session.listen(self._warm_soon)
+
+    @property
+    def shown(self) -> Progress:
+        """How far the new run is, and whether it lacks what was changed since it was begun."""
+        is_outdated = self._begun_state not in (None, self.session.state)
+        return self.progress.model_copy(update={"outdated": is_outdated or None})
 
     def warm(self) -> None:
         """Start the process that the next Apply will use, which takes a second or two."""
@@ -113,6 +122,7 @@ class Applying:
                 raise Busy("A run is being made already. Wait for it, or cancel it first.")
             folder = self.session.folder.absolute()
             staging = folder / STAGING
+            self._begun_state = self.session.state
             study, file_texts = order_of(self.session, staging)
             out = new_run_folder(folder, linked=self.session.image_params is not None)
             self.warm()

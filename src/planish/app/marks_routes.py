@@ -15,15 +15,14 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from planish.app.answers import Answer
-from planish.app.apply import Applying, Busy, Progress
+from planish.app.apply import Busy, Progress
 from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Import, Layer
 from planish.app.exchange import MarkFile, exported, imported
-from planish.app.live import Live
 from planish.app.picture import PLANES, finite_or_none
-from planish.app.served import open_new_run
+from planish.app.served import Served, open_new_run, served_of
 from planish.app.session import Stale, pairs_of
 from planish.app.snap import not_snapped, snapped
-from planish.app.view_routes import required_numbers, route, session_of
+from planish.app.view_routes import required_numbers, route
 from planish.core.tables import naming_faults
 from planish.core.transform import Similarity
 from planish.core.typing import Pair
@@ -65,7 +64,8 @@ class _TextureBody(_Body):
 
 def get_session(request: Request) -> Response:
     """Give what does not change while the server runs."""
-    session = session_of(request)
+    served = served_of(request)
+    session = served.session
     marks_checks = (check for check in session.results.checks if check.name == "marks")
     limits_um = {
         name: finite_or_none(check.limit) for check in marks_checks for name in check.layers[:1]
@@ -96,7 +96,8 @@ def get_session(request: Request) -> Response:
         )
     return Answer(
         {
-            "run": session.folder.name,
+            "run": served.run,
+            "said": served.message,
             "read_only": session.read_only,
             "reason": session.reason,
             "linked": session.results.is_link,
@@ -110,12 +111,11 @@ def get_session(request: Request) -> Response:
 
 
 def _layer_name(request: Request) -> str:
-    return request.query_params.get("layer") or session_of(request).state.first_layer
+    return request.query_params.get("layer") or served_of(request).session.state.first_layer
 
 
 def _state_of(request: Request) -> dict[str, Any]:
-    live: Live = request.app.state.live
-    return live.shown(_layer_name(request))
+    return served_of(request).live.shown(_layer_name(request))
 
 
 async def get_events(request: Request) -> Response:
@@ -123,7 +123,7 @@ async def get_events(request: Request) -> Response:
 
     By the latter a lost server is noticed, and another run that is served now.
     """
-    session = session_of(request)
+    session = served_of(request).session
     new_version, loop = anyio.Event(), asyncio.get_running_loop()
 
     async def lines() -> AsyncIterator[bytes]:
@@ -134,7 +134,8 @@ async def get_events(request: Request) -> Response:
         )
         try:
             while True:
-                news = {"version": session.version, "run": session_of(request).folder.name}
+                served_now: Served = request.app.state.served
+                news = {"version": session.version, "run": served_now.run}
                 yield json.dumps(news).encode() + b"\n"
                 with anyio.move_on_after(0.5):
                     await new_version.wait()
@@ -171,7 +172,7 @@ def _changing(
 
 
 def _snap(request: Request, body: _SnapBody) -> str:
-    session = session_of(request)
+    session = served_of(request).session
     layer = body.layer or session.state.first_layer
     mark = session.state.mark(layer, body.id)
     move = snapped(session, layer, mark)
@@ -180,7 +181,7 @@ def _snap(request: Request, body: _SnapBody) -> str:
 
 
 def _import(request: Request, body: _ImportBody) -> str:
-    session = session_of(request)
+    session = served_of(request).session
     change = imported(session, body.layer or session.state.first_layer, body, body.second)
     session.change(change, version=body.version)
     return f"{len(change.marks)} pairs of marks imported."
@@ -191,7 +192,7 @@ def _find_texture(request: Request, body: _TextureBody) -> str:
 
     The tiles are about a place in the image, or where a person laid the maps.
     """
-    session = session_of(request)
+    session = served_of(request).session
     layer = body.layer or session.state.first_layer
     if session.image is None:
         raise ChangeError(
@@ -212,7 +213,7 @@ def _find_texture(request: Request, body: _TextureBody) -> str:
 
 def get_predict(request: Request) -> Response:
     """Predict where a point of one plane lies in the other."""
-    live: Live = request.app.state.live
+    live = served_of(request).live
     side = request.query_params.get("side", "")
     if side not in PLANES:
         raise ChangeError("A point is predicted of side=moving or side=fixed.")
@@ -229,14 +230,10 @@ def get_predict(request: Request) -> Response:
 def get_export(request: Request) -> Response:
     """The marks as a file."""
     layer, format_name = _layer_name(request), request.query_params.get("format", "json")
-    live: Live = request.app.state.live
-    name, content = exported(session_of(request), layer, format_name, live.fit(layer))
+    live = served_of(request).live
+    name, content = exported(served_of(request).session, layer, format_name, live.fit(layer))
     headers = {"content-disposition": f'attachment; filename="{name}"'}
     return Response(content, headers=headers, media_type="application/octet-stream")
-
-
-def _applying(request: Request) -> Applying:
-    return request.app.state.applying
 
 
 def _progress_response(progress: Progress, status: int = 200, **fields: str) -> Response:
@@ -245,7 +242,7 @@ def _progress_response(progress: Progress, status: int = 200, **fields: str) -> 
 
 def post_apply(request: Request) -> Response:
     """Begin to make a run."""
-    applying = _applying(request)
+    applying = served_of(request).applying
     try:
         return _progress_response(applying.start(), 202)
     except Busy as error:
@@ -259,7 +256,7 @@ def post_open(request: Request) -> Response:
 
 def get_report(request: Request) -> Response:
     """The page of a run that was made here: its address is a secret of its own."""
-    path = _applying(request).reports.get(request.path_params["ticket"])
+    path = served_of(request).applying.reports.get(request.path_params["ticket"])
     if path is None:
         return PlainTextResponse("There is no such report.", 404)
     # The page is one file that needs nothing else; it keeps no script, and none that got into it
@@ -279,18 +276,19 @@ ROUTES = [
     route(
         "/api/change",
         _changing(
-            _ChangeBody, lambda r, body: session_of(r).change(body.change, version=body.version)
+            _ChangeBody,
+            lambda r, body: served_of(r).session.change(body.change, version=body.version),
         ),
         "POST",
     ),
     route(
         "/api/undo",
-        _changing(_Body, lambda r, body: session_of(r).undo(version=body.version)),
+        _changing(_Body, lambda r, body: served_of(r).session.undo(version=body.version)),
         "POST",
     ),
     route(
         "/api/redo",
-        _changing(_Body, lambda r, body: session_of(r).redo(version=body.version)),
+        _changing(_Body, lambda r, body: served_of(r).session.redo(version=body.version)),
         "POST",
     ),
     route("/api/snap", _changing(_SnapBody, _snap), "POST"),
@@ -298,9 +296,11 @@ ROUTES = [
     route("/api/marks/texture", _changing(_TextureBody, _find_texture), "POST"),
     route("/api/marks/import", _changing(_ImportBody, _import), "POST"),
     route("/api/marks/export", get_export),
-    route("/api/apply", lambda r: _progress_response(_applying(r).progress)),
+    route("/api/apply", lambda r: _progress_response(served_of(r).applying.shown)),
     route("/api/apply", post_apply, "POST"),
-    route("/api/apply/cancel", lambda r: _progress_response(_applying(r).cancel()), "POST"),
+    route(
+        "/api/apply/cancel", lambda r: _progress_response(served_of(r).applying.cancel()), "POST"
+    ),
     route("/api/apply/open", post_open, "POST"),
     route("/report/{ticket}", get_report),
 ]

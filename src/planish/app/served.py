@@ -1,28 +1,41 @@
-"""Which session an app serves: that of the run it was started on, or of one that Apply made."""
+"""What an app serves: the run it was started on, or one that Apply made."""
 
 from pathlib import Path
 
 from starlette.applications import Starlette
+from starlette.requests import Request
 
 from planish.app.apply import Applying
 from planish.app.live import Live
 from planish.app.pictures import Tiles
 from planish.app.session import Session
+from planish.app.slices import SlicedSheet
 
 
-def serve_session(app: Starlette, session: Session) -> None:
-    """Serve a session; handlers find it as ``request.app.state.session``."""
-    app.state.session = session
-    app.state.live = Live(session)
-    app.state.tiles = Tiles(session.pictures)
-    app.state.sheets = {}
-    app.state.applying = Applying(session)
+class Served:
+    """A run that is served, and all that belongs to it.
+
+    A request holds one from its start to its end, whatever is served meanwhile. Its name, that of
+    the folder, says which run a page shows: all runs of an app stand side by side. ``message`` is
+    what a page that opens it says first.
+    """
+
+    def __init__(self, session: Session, applying: Applying, message: str = "") -> None:
+        self.session, self.applying, self.message = session, applying, message
+        self.live = Live(session)
+        self.tiles = Tiles(session.pictures)
+        self.sheets = dict[str, SlicedSheet]()
+        self.run = session.folder.name
+
+    def close(self) -> None:
+        """End it: no run is made any more, and others may change this one."""
+        self.applying.close()
+        self.session.close()
 
 
-def close_session(app: Starlette) -> None:
-    """End what an app serves: no run is made any more, and others may change the run."""
-    app.state.applying.close()
-    app.state.session.close()
+def served_of(request: Request) -> Served:
+    """The run that was served when a request came in."""
+    return request.state.served
 
 
 def open_new_run(app: Starlette) -> str:
@@ -35,11 +48,15 @@ def open_new_run(app: Starlette) -> str:
     FileError
         If the run cannot be opened, as where another planish has it open.
     """
-    applying: Applying = app.state.applying
-    if applying.progress.run is None:
-        return app.state.session.folder.name
-    session = Session.open(Path(applying.progress.run))
-    close_session(app)
-    serve_session(app, session)
-    app.state.applying.reports |= applying.reports
-    return session.folder.name
+    with app.state.switching:  # two windows may ask at once
+        before: Served = app.state.served
+        made = before.applying.progress
+        if made.state == "done" and made.run is not None:
+            session = Session.open(Path(made.run))
+            applying = Applying(
+                session, before.applying.reports, made.model_copy(update={"state": "idle"})
+            )
+            said = f"{session.folder.name} is open. What was changed after Apply is in"
+            app.state.served = Served(session, applying, f"{said} {before.run} only.")
+            before.close()
+        return app.state.served.run

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from importlib.resources import files
+from urllib.parse import unquote
 
 import uvicorn
 from starlette.applications import Starlette
@@ -24,7 +25,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from planish.app import marks_routes, snap, view_routes
 from planish.app.answers import Answer
-from planish.app.served import close_session, serve_session
+from planish.app.apply import Applying
+from planish.app.served import Served
 from planish.app.session import Session, Stale
 from planish.core.errors import FileError, PlanishError, ResourceError
 from planish.register.by_texture.search import Undecided
@@ -48,14 +50,15 @@ _log = logging.getLogger("planish.app")
 
 
 class Refused(Exception):
-    """A request that is not let in, with the status and the text of the answer."""
+    """A request that is not let in: status and text of the answer, and further fields of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Guard:
     """Middleware that refuses another host, a missing token, and writes that are not the page's.
 
-    421 for another host, 401 without the token, 403, 415, 413 for such writes.
+    421 for another host, 401 without the token, 403, 415, 413 for such writes; 409 for those of a
+    window that shows another run than the one that is served.
     """
 
     app: ASGIApp
@@ -89,21 +92,26 @@ class Guard:
                     headers.setdefault(name, text)
             await send(message)
 
+        # What is served may be another run before this request ends.
+        served: Served = scope["app"].state.served
+        scope.setdefault("state", {})["served"] = served
         try:
-            self._check(scope)
+            self._check(scope, served.run)
             await self.app(scope, limited, answer)
         except Exception as error:
+            more: dict[str, str] = {}
             if isinstance(error, Refused):
-                status, text = error.args
+                status, text, *fields = error.args
+                more = dict(*fields)
             else:
                 _log.exception("A fault in planish")
                 status, fault = 500, f"A fault in planish: {type(error).__name__}."
                 text = f"{fault} The terminal in which it was started says more."
             if is_started:
                 raise
-            await Answer({"error": text}, status)(scope, receive, answer)
+            await Answer({"error": text} | more, status)(scope, receive, answer)
 
-    def _check(self, scope: Scope) -> None:
+    def _check(self, scope: Scope, served_run: str) -> None:
         headers = Headers(raw=[(name.lower(), text) for name, text in scope["headers"]])
 
         def single(name: str) -> str:
@@ -133,6 +141,14 @@ class Guard:
         length = single("content-length") or "0"
         if not length.isdecimal() or len(length) > 12 or int(length) > MOST_BYTES:
             raise Refused(413, _TOO_LARGE)
+        shown_run = unquote(single("planish-run"))
+        if shown_run and shown_run != served_run:
+            raise Refused(
+                409,
+                f"This window shows {shown_run}, and planish serves {served_run} now. Nothing was"
+                f" changed in either. Reload the page to go on with {served_run}.",
+                {"served": served_run},
+            )
 
 
 def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlette:
@@ -140,7 +156,7 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
 
     Parameters
     ----------
-    session : Session; what is served; handlers find it as ``request.app.state.session``
+    session : Session; what is served first; handlers find it with ``served_of(request)``
     token : str; without it no data are given
     hosts : sequence of str; names with port under which the server is called, such as
     ``127.0.0.1:8000``
@@ -150,7 +166,8 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
         middleware=[Middleware(Guard, token=token, hosts=tuple(hosts))],
         exception_handlers={PlanishError: _error_response},
     )
-    serve_session(app, session)
+    app.state.served = Served(session, Applying(session))
+    app.state.switching = threading.Lock()
     return app
 
 
@@ -231,7 +248,7 @@ def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], No
                 with suppress(KeyboardInterrupt):
                     uvicorn.Server(config).run(sockets=[listener])
             finally:
-                close_session(app)
+                app.state.served.close()
 
 
 def _host_names(host: str) -> list[str]:

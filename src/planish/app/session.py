@@ -346,8 +346,9 @@ class Session:
         return lambda: self._listeners.discard(listener)
 
     def close(self) -> None:
-        """Let others change the run."""
-        self.journal.close()
+        """Let others change the run; a change that is being saved is saved before."""
+        with self._lock:
+            self.journal.close()
 
 
 def _image_params(run: Path, image: ImageParams | None, results: Results) -> ImageParams | None:

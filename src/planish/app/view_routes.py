@@ -32,7 +32,7 @@ from planish.app.selection import (
     profile,
     select,
 )
-from planish.app.session import Session
+from planish.app.served import served_of
 from planish.app.slices import SheetSlice, SlicedSheet, edge_of, sheets_of
 from planish.app.strain import SPACE, STRAINS, mesh_lines, sheet_run
 from planish.core.errors import InputError, PlanishError
@@ -79,7 +79,7 @@ def get_profile(request: Request) -> Response:
 
 def get_histogram(request: Request) -> Response:
     """How the values of a picture are distributed."""
-    session, picture = session_of(request), _picture(request, "id")
+    session, picture = served_of(request).session, _picture(request, "id")
     layer = picture.layer if picture.layer in session.layers else session.layers[0]
     holes = session.holes(layer)[picture.plane]
     return Answer(histogram(_tiles(request), picture, holes=holes))
@@ -119,7 +119,7 @@ async def get_selection(request: Request) -> Response:
 
 
 def _tiles(request: Request) -> Tiles:
-    return request.app.state.tiles
+    return served_of(request).tiles
 
 
 def _picture(request: Request, key: str) -> PlanePicture:
@@ -170,7 +170,7 @@ _OPENING = threading.Lock()
 def get_sheets(request: Request) -> Response:
     """The sheets whose slices can be seen; what is wrong with the others."""
     sheets: list[dict[str, Any]] = []
-    session = session_of(request)
+    session = served_of(request).session
     for name in sheets_of(session.folder, session.study):
         try:
             sheet = _open_sheet(request, name)
@@ -226,8 +226,8 @@ def get_slice(request: Request) -> Response:
 
 
 def _open_sheet(request: Request, layer: str) -> SlicedSheet:
-    app, session = request.app, session_of(request)
-    sheets: dict[str, SlicedSheet] = app.state.sheets
+    served = served_of(request)
+    session, sheets = served.session, served.sheets
     with _OPENING:
         if layer not in sheets:
             available = sheets_of(session.folder, session.study)
@@ -238,17 +238,12 @@ def _open_sheet(request: Request, layer: str) -> SlicedSheet:
         return sheets[layer]
 
 
-def session_of(request: Request) -> Session:
-    """Give the session that is served."""
-    return request.app.state.session
-
-
 def _shown_corrections(request: Request, layer: str) -> Corrections | None:
     """The corrections of a layer that are saved, and one more that is only tried.
 
     None where the run has just these.
     """
-    session = session_of(request)
+    session = served_of(request).session
     first_sheet = next(params.name for params in session.study.layers if params.volume is not None)
     saved = stretches_of(session.state.corrections, layer, first_sheet)
     points_text = request.query_params.get("points", "")
@@ -295,7 +290,7 @@ def flattening(request: Request) -> Response:
 
     Null for none.
     """
-    session, layer = session_of(request), request.query_params.get("layer", "")
+    session, layer = served_of(request).session, request.query_params.get("layer", "")
     if sheet_run(session.folder, layer) is None:
         return Answer(None)
     ids = {p.variable: p.id for p in session.pictures.on("moving", layer)}
@@ -321,7 +316,7 @@ def flattening(request: Request) -> Response:
 
 def mesh(request: Request) -> Response:
     """Lines of the mesh, each a list of (u, v) in um, and that they are every n-th."""
-    run = sheet_run(session_of(request).folder, request.query_params.get("layer", ""))
+    run = sheet_run(served_of(request).session.folder, request.query_params.get("layer", ""))
     lines, line_step = ([], 1) if run is None else mesh_lines(run)
     return Answer({"lines": lines, "every": line_step})
 

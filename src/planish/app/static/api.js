@@ -11,6 +11,11 @@ export class ApiError extends Error {
     this.status = status;
     this.body = body;
   }
+
+  /** Whether this window shows another run than the one that is served now. */
+  get ofOtherRun() {
+    return this.status === 409 && Boolean(this.body?.served);
+  }
 }
 
 /** Take the token out of the address, where it came in the fragment, and keep it for this tab. */
@@ -26,6 +31,8 @@ export function takeToken() {
 export class Api {
   constructor(token) {
     this.token = token;
+    /** Run that this window shows: a change of another one is refused. */
+    this.run = "";
   }
 
   /** `path`: below `/api/` */
@@ -48,7 +55,7 @@ export class Api {
   }
 
   post(path, body = {}) {
-    const headers = { "Content-Type": "application/json" };
+    const headers = { "Content-Type": "application/json", "Planish-Run": encodeURIComponent(this.run) };
     return this.get(path, { method: "POST", headers, body: JSON.stringify(body) });
   }
 

@@ -16,7 +16,9 @@ export function mountApply(place, app) {
   const open = button("Open the new run", () => app.api.post("apply/open").then(() => location.reload(), failed), { hidden: true });
   const link = make("a", { target: "_blank", rel: "noopener", hidden: true });
   place.replaceChildren(words, bar, link, open, cancel, apply);
-  void app.api.get("apply").then((now) => now.state !== "idle" && show(now), () => {});
+  void app.api.get("apply").then((now) => (now.state === "idle" ? paint(now) : show(now)), () => {});
+  // What is changed after Apply is not in the run that it made: the page says so.
+  app.onState(() => open.hidden || void app.api.get("apply").then(paint, () => {}));
 
   async function start() {
     app.alarm(null);
@@ -29,7 +31,7 @@ export function mountApply(place, app) {
   }
 
   function failed(error) {
-    app.alarm(error.message);
+    app.alarm(error.message, error.ofOtherRun);
   }
 
   let watching = false;
@@ -52,23 +54,34 @@ export function mountApply(place, app) {
     }
   }
 
+  /** Show how far it is, and say how it ended. */
   function show(now) {
+    paint(now);
+    if (now.state === "working") void watch();
+    else if (now.state === "failed") app.alarm(now.message ?? "Apply failed.");
+    else if (now.state === "cancelled") app.say("Apply was cancelled; nothing was written.");
+    else if (now.state === "done") app.say(now.message || `${now.run} is ready.`);
+  }
+
+  function paint(now) {
     const working = now.state === "working";
     const hadFocus = document.activeElement === cancel || document.activeElement === apply;
     bar.hidden = cancel.hidden = !working;
     apply.disabled = working || app.readOnly;
     if (typeof now.share === "number") bar.value = now.share;
     else bar.removeAttribute("value");
-    words.textContent = working ? (now.stage ?? "") : now.report ? "This page still shows the run before." : "";
-    link.hidden = open.hidden = !now.report;
+    const name = (now.run ?? "the new run").split(/[\\/]/).at(-1);
+    words.textContent = working ? (now.stage ?? "") : "";
+    if (now.state === "done") {
+      const lacks = now.outdated ? ` ${name} lacks what was changed since: apply it again.` : "";
+      words.textContent = `This page still shows the run before.${lacks}`;
+    }
+    link.hidden = !now.report;
+    open.hidden = now.state !== "done";
     if (now.report) {
       link.href = now.report;
-      link.textContent = `Open report of ${(now.run ?? "the new run").split(/[\\/]/).at(-1)}`;
+      link.textContent = `Open report of ${name}`;
     }
     if (hadFocus) (working ? cancel : now.report ? link : apply).focus();
-    if (working) void watch();
-    else if (now.state === "failed") app.alarm(now.message ?? "Apply failed.");
-    else if (now.state === "cancelled") app.say("Apply was cancelled; nothing was written.");
-    else if (now.state === "done") app.say(now.message || `${now.run} is ready.`);
   }
 }

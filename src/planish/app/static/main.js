@@ -2,7 +2,7 @@
 
 import { Api, takeToken } from "./api.js";
 import { mountApply } from "./apply.js";
-import { typeset } from "./dom.js";
+import { button, typeset } from "./dom.js";
 import { Store } from "./store.js";
 
 /** Modules of the tabs; each exports `mount(panel, app)`, called when its tab is first opened. */
@@ -20,9 +20,12 @@ const lines = {
   cursor: setter("cursor"),
   predicted: setter("predicted"),
   slicePosition: setter("slice"),
-  alarm: (text) => {
+  /** `reload`: whether a button beside the text loads the page again */
+  alarm: (text, reload = false) => {
     const place = find("alarm");
-    if (place.textContent !== typeset(text ?? "")) place.textContent = typeset(text ?? "");
+    const words = typeset(text ?? "");
+    const again = reload ? [" ", button("Reload the page", () => location.reload())] : [];
+    if (reload || place.textContent !== words) place.replaceChildren(words, ...again);
     place.hidden = !text;
   },
 };
@@ -53,11 +56,12 @@ async function start() {
     );
     return;
   }
+  api.run = session.run;
   const { cursor, predicted, slicePosition } = lines;
   const extras = { cursor, predicted, slicePosition, openTab, onTab };
   const app = Object.assign(new Store(api, session, state, lines), extras);
   nameRun(session);
-  app.say(session.read_only ? `Open read-only. ${session.reason}` : "");
+  app.say(session.read_only ? `Open read-only. ${session.reason}` : session.said);
   bindHistory(app);
   mountTabs(app);
   bindHelp();

@@ -117,7 +117,8 @@ export class Store {
   /** Say why something was not done. */
   refused(error) {
     if (error.status === 409 && error.body?.version) this.setState(error.body);
-    this.alarm(error.status === 0 && !this.readOnly ? `${error.message} The change was not saved.` : error.message);
+    const lost = error.status === 0 && !this.readOnly;
+    this.alarm(lost ? `${error.message} The change was not saved.` : error.message, error.ofOtherRun);
     for (const listener of this.listeners) listener(this.state); // a box that was ticked shows again what stands
     return null;
   }
