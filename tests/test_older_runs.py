@@ -14,10 +14,15 @@ import pytest
 import xarray as xr
 
 import planish as pl
-from planish.core.older_names import FORMAT, todays_names
+from planish.analyze.params import CorrelateParams
+from planish.core.errors import CannotMeasure, InputError
+from planish.core.older_names import FORMAT, renamed, todays_names
 from planish.exports.run_contents import map_levels
 from planish.io import read_group, write_tree
+from planish.measure import MeasureParams, check_maps
 from planish.results import Results
+from planish.run.compute import Compute
+from planish.run.preflight import check_request
 from planish.series.gather import gather
 from planish.series.members import members_of
 from planish.series_results import SeriesResults
@@ -86,6 +91,39 @@ def test_the_study_of_an_older_run_names_its_maps_as_they_are_named_today(old_ru
     study = pl.open_run(old_run).study
     assert study.layers[0].properties.maps == ("half_thickness_difference",)
     assert study.layers[0].volume.path.endswith("specimen/volume.tif")
+
+
+@pytest.mark.parametrize(
+    ("older", "todays"),
+    [
+        ("topography_top", "half_thickness_top"),
+        ("topography_bottom", "half_thickness_bottom"),
+        ("topography_difference", "half_thickness_difference"),
+        ("roughness_top", "roughness_top"),
+        ("roughness_bottom", "roughness_bottom"),
+    ],
+)
+def test_what_an_older_study_asked_for_can_be_measured_today(old_run, older, todays):
+    toml = old_run / "run.toml"
+    text = toml.read_text(encoding="utf-8")
+    toml.write_text(text.replace("maps = []", f'maps = ["{older}"]'), encoding="utf-8")
+    params = pl.open_run(old_run).study.layers[0].properties
+    assert params.maps == (todays,)
+    check_maps(params)
+
+
+def test_an_older_name_that_is_no_map_today_is_refused_with_the_name_of_today(old_run):
+    study = pl.open_run(old_run).study
+    for name, words in (
+        ("topography_difference", "Ask for half_thickness_difference in place of topography_diff"),
+        ("roughness_about_centre_top", "Ask for roughness_top in place of roughness_about_centre"),
+    ):
+        with pytest.raises(CannotMeasure, match=words):
+            check_maps(MeasureParams(maps=(name,)))
+        asked = study.model_copy(update={"correlate": CorrelateParams(headline=name)})
+        with pytest.raises(InputError, match=words):
+            check_request(asked, Compute())
+    assert renamed("thickness") == renamed("roughness_top") == ""
 
 
 @pytest.mark.ci

@@ -5,8 +5,10 @@ import pytest
 import xarray as xr
 
 from exports.contents import HISTORY
+from planish.analyze.compare import maps_to_correlate
 from planish.core.area import area_mean, common_means, halved
-from planish.core.axial import distribution, doubled, is_axial, near_axis
+from planish.core.axial import distribution, doubled, has_axes, is_axial, near_axis
+from planish.core.errors import InputError
 from planish.exports import ExportParams, Maps, writer_of
 from planish.measure import registered
 from planish.report import draw
@@ -60,6 +62,23 @@ def test_a_map_is_axial_by_its_attribute_and_older_ones_by_their_name():
     assert is_axial(xr.DataArray([1.0], name="fibre_angle_layer_1"))
     for other in (ACROSS.drop_attrs(), ACROSS.values, None, registered()["tilt"]):
         assert not is_axial(other)
+
+
+def test_angles_that_repeat_after_another_angle_are_refused():
+    """Doubled, directions of 360 degrees would cancel."""
+    other = ACROSS.assign_attrs(period_deg=360.0)
+    for work in (is_axial, lambda data: property_facts(data.to_dataset())):
+        with pytest.raises(InputError, match=r"axis has angles that repeat after 360 degrees"):
+            work(other)
+    assert [has_axes("axis", None), has_axes("fibre_angle_layer_2", None)] == [False, True]
+    assert has_axes("axis", 180.0)
+
+
+def test_maps_of_degrees_are_correlated_unless_they_hold_an_axis():
+    maps = xr.Dataset({"axis": ACROSS, "contact_angle": ACROSS.drop_attrs()})
+    maps["contact_angle"].attrs = {"units": "deg", "role": "property"}
+    maps["axis"].attrs["units"] = "degree"
+    assert maps_to_correlate(maps) == ["contact_angle"]
 
 
 @pytest.mark.parametrize("factor", [(2.0, 2.0), (1.0, 2.0), (4.0, 6.0)])

@@ -121,7 +121,8 @@ def test_no_coating_seen_leaves_a_hundredth_of_the_thickness_and_sections_their_
     # places by 5 marks, unless the stage showed it.
     walks = np.array([1.0**2 - 0.3**2, 2.0**2 - 0.4**2]) * 0.1**2 * 600 / np.sqrt(5) / 6
     for fixed, wander in (([], walks.sum()), (["col"], walks[0]), (["row", "col"], 0.0)):
-        cut = {"sections": xr.Dataset(shifts, attrs={"jitter_left_um": [0.3, 0.4], "fixed": fixed})}
+        poses_left = {"jitter_left_um": [0.3, 0.4], "jitter_estimator": "median section"}
+        cut = {"sections": xr.Dataset(shifts, attrs=poses_left | {"fixed": fixed})}
         sheet = {"surfaces": bare, "flat": flat}
         left = np.sqrt(0.5**2 + wander)
         found = errors_of(sheet | cut, fit, grid)
@@ -140,6 +141,10 @@ def test_no_coating_seen_leaves_a_hundredth_of_the_thickness_and_sections_their_
         squares = found["expected_error"].values ** 2 - found["error_sections"].values ** 2
         without = errors_of(sheet, fit, grid)["expected_error"].values
         np.testing.assert_allclose(squares, without**2, rtol=1e-4)
+    # An older map names no estimator: what it states is 1.3 times too small.
+    older = {"sections": xr.Dataset(shifts, attrs={"jitter_left_um": [0.3, 0.4], "fixed": fixed})}
+    found_older = errors_of(sheet | older, fit, grid)["error_sections"].values
+    np.testing.assert_allclose(found_older, 1.3 * 0.5 * fit.transform.scale, rtol=1e-6)
     stated = errors_of({"surfaces": surfaces, "flat": flat}, fit, grid)
     # an offset of 0.8 um against one of 4 um, of which faces state NEUTRAL["faces"]
     ratio = found["error_neutral"].values / stated["error_neutral"].values

@@ -187,3 +187,24 @@ def test_heights_along_vertical_rays_are_longer_by_the_cosine(made):
     }
     assert sq["vertical"] == pytest.approx(np.sqrt(0.5), rel=0.03)
     assert sq["vertical"] / sq["normal"] == pytest.approx(np.hypot(1, 0.5), rel=0.01)
+
+
+def test_halves_of_the_thickness_need_no_grey(made):
+    """They are those measured in the volume; of labels, and of surfaces alone, too."""
+    names = ("half_thickness_top", "half_thickness_bottom", "half_thickness_difference")
+    sheet = made(bottom=0.0, slope=(0.0, 0.3), size_um=(80.0, 100.0))
+    params = MeasureParams(maps=names)
+    in_volume = measure_properties(sheet.surfaces, volume=sheet.volume, params=params)
+    labelled = sheet.surfaces.assign_attrs(from_labels="base 1")
+    alone = measure_properties(sheet.surfaces, params=params)
+    for found in (alone, measure_properties(labelled, volume=sheet.volume, params=params)):
+        for name in names:
+            np.testing.assert_allclose(found[name], in_volume[name], atol=1e-3)
+            assert found[name].attrs == {
+                "units": "um",
+                "long_name": in_volume[name].long_name,
+                "role": "property",
+            }
+    assert measure_properties(alone, params=params).identical(alone)
+    assert "half_thickness_top" not in measure_properties(sheet.surfaces)
+    assert not {*names} & {*measure_properties(alone).data_vars}

@@ -5,8 +5,10 @@ import pytest
 from pydantic import ValidationError
 
 from folders import refused
+from planish.analyze.compare import is_property
 from planish.core.errors import CannotMeasure, ResourceError
 from planish.core.tiles import Engine
+from planish.flatten import flatten_sheet
 from planish.measure import (
     Measured,
     MeasureParams,
@@ -19,6 +21,9 @@ from planish.measure import (
     sheet_numbers,
     sheet_property,
 )
+from planish.measure.form import F_OPERATOR
+from planish.measure.registry import has_true_zero
+from planish.resample import resample_maps
 
 
 @ray_property(
@@ -102,6 +107,41 @@ def test_options_are_those_of_the_modules_with_a_rule_each_and_checked_numbers()
     refused(ValidationError, "coating_g_cm3", MeasureParams, coating_g_cm3=-1.0)
     refused(ValidationError, "pore_limit_um", MeasureParams, pore_limit_um=0.0)
     assert MeasureParams(grammage_g_m2=80.0).known() == {"grammage_g_m2": 80.0}
+
+
+def test_maps_on_other_pixels_state_all_that_they_state_on_the_columns(made):
+    sheet = made(size_um=(40.0, 60.0), blur=1.0, noise=1.0)
+    numbers = {"solid_grey": 140.0, "void_grey": 70.0, "filler_grey": 180.0}
+    params = MeasureParams(**numbers, maps=("fibre_angle", "roughness_top"))
+    measured = measure_properties(sheet.surfaces, volume=sheet.volume, params=params)
+    measured.attrs["thickness_um"] = 78.0
+    flat = flatten_sheet(measured).flat
+    maps = resample_maps(measured, flat, map_um=3.0)
+    names = [name for name, data in measured.data_vars.items() if is_property(data)]
+    assert len(names) > 12
+    for name in names:
+        assert maps[name].attrs == measured[name].attrs, name
+    for name in ("topography_top", "base_surface_bottom"):
+        assert (maps[name].form_um, maps[name].f_operator) == (800.0, F_OPERATOR)
+    assert maps["porosity"].attrs.items() >= {"solid_grey": 140.0, "void_grey": 70.0}.items()
+    assert maps["filler"].filler_grey == 180.0
+    # How columns go together holds for columns; that of a pixel is in its number.
+    assert maps["thickness_se"].attrs == {
+        key: measured["thickness_se"].attrs[key] for key in ("units", "long_name")
+    }
+
+
+def test_a_true_zero_is_what_a_property_has_by_its_kind():
+    """Heights, differences, angles, parts of a direction and curvatures have none."""
+    without = {name for name in registered() if not has_true_zero(name)}
+    assert without >= {"warp", "tilt", "fibre_angle", "fibre_cos2", "fibre_sin2"}
+    assert without >= {"coating_difference", "half_thickness_difference", "mean_curvature"}
+    heights = {"topography", "base_surface", "roughness"}
+    assert {f"{height}_{side}" for height in heights for side in ("top", "bottom")} <= without
+    assert not without & {"thickness", "coating_top", "grammage", "porosity", "half_thickness_top"}
+    assert not has_true_zero("a_map_of_others")
+    angles = {name for name, prop in registered().items() if prop.units == "deg"}
+    assert angles <= without
 
 
 @pytest.mark.filterwarnings("error::FutureWarning")

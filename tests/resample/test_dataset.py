@@ -10,9 +10,10 @@ from planish.resample import find_places, resample_dataset
 
 def test_a_dataset_takes_along_its_numbers_only():
     uv, labels = grid(12, 15, 3.0), np.arange(12 * 15).reshape(12, 15)
-    about = {"units": "um", "long_name": "Height"}
+    about = {"units": "um", "long_name": "Height", "form_um": 1000.0}
+    of_columns = {"common_um": 0.1, "patch_um2": 9.0}
     data = xr.Dataset(
-        {"height": (("y", "x"), uv[..., 0], about | {"other": 1}), "status": (("y", "x"), labels)}
+        {"height": (("y", "x"), uv[..., 0], about | of_columns), "status": (("y", "x"), labels)}
     )
     places = find_places(uv, Grid.regular((6, 5), (4.0, 4.0), (1.0, 5.0)))
     coords = {"v": 4.0 * np.arange(6), "u": 4.0 * np.arange(5)}

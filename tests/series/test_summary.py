@@ -274,29 +274,36 @@ def test_sheets_that_pair_by_a_factor_of_ones_own_are_said_to_be_the_same_sheets
         assert any(said_same) == are_the_same
 
 
-def axis_of(angle):
-    """Results whose leading map holds angles of an axis with this mean."""
+def axis_of(angle, *, is_older):
+    """Results with a map of angles of an axis with this mean; an older run states no period."""
     run = results_of(mean=angle)
-    coating = run["layers"][0]["sheet"]["properties"]["coating_top"]
-    coating |= {"units": "deg", "period_deg": 180.0}
+    properties = run["layers"][0]["sheet"]["properties"]
+    axis = properties["coating_top"] | {"units": "deg"}
+    if is_older:
+        properties["fibre_angle"] = axis
+    else:
+        properties["coating_top"] = axis | {"period_deg": 180.0}
     return run
 
 
-def test_mean_axes_are_averaged_and_compared_across_90_degrees(tmp_path):
+@pytest.mark.parametrize("is_older", [False, True])
+def test_mean_axes_are_averaged_and_compared_across_90_degrees(tmp_path, is_older):
     """Papers whose axes lie at 85 and at 95 degrees differ by 10, and not by 170."""
     rng = np.random.default_rng(0)
     near = {paper: at + rng.normal(0, 2, 6) for paper, at in (("A", 85.0), ("B", 95.0))}
     rows = [
-        ({"paper": paper, "sheet": str(s)}, axis_of((angle + 90) % 180 - 90))
+        ({"paper": paper, "sheet": str(s)}, axis_of((angle + 90) % 180 - 90, is_older=is_older))
         for paper, angles in near.items()
         for s, angle in enumerate(angles)
     ]
-    results = said(tmp_path, *rows)
+    name = "fibre_angle" if is_older else "coating_top"
+    results = said(tmp_path, *rows, headline=(name,))
+    k = number_of(results, "mean", name)
     for paper, angles in near.items():
-        group = of(results, "mean", paper=paper)
+        (group,) = (g for g in results.groups if (g.quantity, g.group) == (k, {"paper": paper}))
         assert (group.mean - angles.mean() + 90) % 180 == pytest.approx(90)
         assert group.sd == pytest.approx(angles.std(ddof=1))
-    difference = results.differences[number_of(results, "mean")]
+    difference = results.differences[k]
     assert difference.difference == pytest.approx(near["B"].mean() - near["A"].mean())
     welch = stats.ttest_ind(near["B"], near["A"], equal_var=False)
     assert difference.p == pytest.approx(welch.pvalue, rel=1e-6)

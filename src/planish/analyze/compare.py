@@ -14,6 +14,7 @@ from pydantic import Field
 from planish.analyze.agreement import LIMIT
 from planish.analyze.correlation import Correlation, PairAtSizes
 from planish.analyze.differences import holm, paired_difference
+from planish.core.axial import is_axial
 from planish.core.bands import band_of, bands, read_bands
 from planish.core.errors import MarkError
 from planish.core.facts import Interval, Trust, Value, optional
@@ -112,14 +113,12 @@ def is_property(data: xr.DataArray) -> bool:
 def maps_to_correlate(maps: xr.Dataset) -> list[str]:
     """List the maps of a layer that are correlated.
 
-    Its image, or all properties but angles and standard errors.
+    Its image, or all properties but angles of an axis and standard errors.
     """
     if "image" in maps and "thickness" not in maps:
         return ["image"]
     names = [
-        str(k)
-        for k, data in maps.data_vars.items()
-        if is_property(data) and data.attrs.get("units") != "deg"
+        str(k) for k, data in maps.data_vars.items() if is_property(data) and not is_axial(data)
     ]
     # A store gives its maps in the order of the alphabet: here they stand in one order, wherever
     # they come from.

@@ -18,10 +18,27 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+PERIOD_DEG = 180.0
+"""After which the angles of an axis repeat."""
+
+
 def is_axial(data: Any) -> bool:
-    """Whether a map holds angles of an axis: its attribute says so, of older maps the name."""
+    """Whether a map holds angles of an axis; InputError where they repeat after another angle."""
     attrs, name = getattr(data, "attrs", {}), str(getattr(data, "name", ""))
-    return "period_deg" in attrs or name.startswith("fibre_angle")
+    return has_axes(name, attrs.get("period_deg"))
+
+
+def has_axes(name: str, period_deg: float | None) -> bool:
+    """The same by a map's name and the period that it states: older maps state none."""
+    if period_deg is None:
+        return name.startswith("fibre_angle")
+    if period_deg != PERIOD_DEG:
+        raise InputError(
+            f"{name} has angles that repeat after {period_deg:g} degrees (`period_deg`). Only those"
+            f" of an axis, which repeat after {PERIOD_DEG:g}, have means here. Change the"
+            " attribute, or give the cosine and the sine as maps."
+        )
+    return True
 
 
 def refuse_axial(data: Any) -> None:
@@ -71,7 +88,7 @@ def angle_of(vectors: Any) -> Floats:
 
 def near_axis(angles_deg: Floats | float, axis_deg: Floats | float) -> Any:
     """The same directions, as angles within a quarter turn of an axis."""
-    return axis_deg + (angles_deg - axis_deg + 90.0) % 180.0 - 90.0
+    return axis_deg + (angles_deg - axis_deg + PERIOD_DEG / 2) % PERIOD_DEG - PERIOD_DEG / 2
 
 
 def distribution(

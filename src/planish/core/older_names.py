@@ -49,6 +49,25 @@ def todays_names(stored: Any) -> Any:
     return stored
 
 
+def todays_study(stored: dict[str, Any]) -> dict[str, Any]:
+    """Give a study of an older format the names of today, of maps to be measured what can be."""
+    study = todays_names(stored)
+    for layer in study["layers"]:
+        names = layer["properties"]["maps"]
+        layer["properties"]["maps"] = [_measured_today(name) for name in names]
+    return study
+
+
+def renamed(name: str) -> str:
+    """A sentence on a map that older runs have, to follow a message; none on any other."""
+    todays = _measured_today(todays_names(name))
+    return "" if todays == name else f" Ask for {todays} in place of {name}, as older runs call it."
+
+
+def _measured_today(name: str) -> str:
+    return name.replace("roughness_about_centre", "roughness")  # whose form is the face's own
+
+
 def height_map(side: str, maps: Container[object]) -> str:
     """Name of the heights of a face: its topography; of older maps, that above the centre."""
     older_name = f"half_thickness_{side}"

@@ -203,6 +203,7 @@ def difference(sheet: Sheet, name: str) -> Measured:
     long_name="Coating, top less bottom",
     check=_needs_both_coatings,
     after=("coating_top", "coating_bottom"),
+    has_true_zero=False,
 )
 def coating_difference(sheet: Sheet) -> Measured:
     """P-14: t_T - t_B on the same ray; SE: the root of the summed squares of both."""
@@ -346,7 +347,10 @@ def half_thickness(sheet: Sheet, side: Side) -> Measured:
 
 
 @sheet_property(
-    "topography_{side}", units="um", long_name=PROPERTIES["topography_top"].replace("top", "{side}")
+    "topography_{side}",
+    units="um",
+    long_name=PROPERTIES["topography_top"].replace("top", "{side}"),
+    has_true_zero=False,
 )
 def topography(sheet: Sheet, side: Side) -> Measured:
     """P-06: outward height of the face above its own form (planish.measure.form).
@@ -360,6 +364,7 @@ def topography(sheet: Sheet, side: Side) -> Measured:
     "base_surface_{side}",
     units="um",
     long_name=PROPERTIES["base_surface_top"].replace("top", "{side}"),
+    has_true_zero=False,
 )
 def base_surface(sheet: Sheet, side: Side) -> Measured:
     """The same of the interface between coating and base.
@@ -394,6 +399,7 @@ def _above_form(sheet: Sheet, name: str, nesting_um: float) -> Measured:
     units="um",
     long_name="Roughness, {side} side",
     support_um=lambda params: params.s_filter_um,
+    has_true_zero=False,
 )
 def roughness(sheet: Sheet, side: Side) -> Measured:
     """P-06: the face between S-filter and L-filter; see :func:`scale_limited`.
@@ -499,6 +505,7 @@ def scale_limited(
     units="um",
     long_name="Face above the centre surface, top less bottom",
     after=("half_thickness_top", "half_thickness_bottom"),
+    has_true_zero=False,
 )
 def half_thickness_difference(sheet: Sheet) -> Measured:
     """P-14: outward height of the top face less that of the bottom face on the same ray.
@@ -518,7 +525,12 @@ def half_thickness_difference(sheet: Sheet) -> Measured:
 
 
 @sheet_property(
-    "warp", units="um", long_name="Warp", support_um=400.0, when=lambda _params, _greys: True
+    "warp",
+    units="um",
+    long_name="Warp",
+    support_um=400.0,
+    when=lambda _params, _greys: True,
+    has_true_zero=False,
 )
 def warp(sheet: Sheet) -> Floats:
     """Height of the centre surface above the plane that fits it best, up towards the top."""
@@ -537,6 +549,7 @@ def warp(sheet: Sheet) -> Floats:
     long_name="Tilt of the sheet",
     support_um=400.0,
     when=lambda _params, _greys: True,
+    has_true_zero=False,
 )
 def tilt(sheet: Sheet) -> Floats:
     """Angle between the normal and the axis through the sheet."""
@@ -544,7 +557,13 @@ def tilt(sheet: Sheet) -> Floats:
     return np.rad2deg(np.arctan(np.hypot(slope[..., 0], slope[..., 1])))
 
 
-@sheet_property("mean_curvature", units="1/mm", long_name="Mean curvature", support_um=400.0)
+@sheet_property(
+    "mean_curvature",
+    units="1/mm",
+    long_name="Mean curvature",
+    support_um=400.0,
+    has_true_zero=False,
+)
 def mean_curvature(sheet: Sheet) -> Floats:
     """H = ((1 + p^2) t - 2 p q s + (1 + q^2) r) / (2 (1 + p^2 + q^2)^(3/2)).
 
@@ -558,7 +577,11 @@ def mean_curvature(sheet: Sheet) -> Floats:
 
 
 @sheet_property(
-    "gaussian_curvature", units="1/mm2", long_name="Gaussian curvature", support_um=400.0
+    "gaussian_curvature",
+    units="1/mm2",
+    long_name="Gaussian curvature",
+    support_um=400.0,
+    has_true_zero=False,
 )
 def gaussian_curvature(sheet: Sheet) -> Floats:
     """K = (r t - s^2) / (1 + p^2 + q^2)^2; 0 where the sheet can be laid flat without strain."""

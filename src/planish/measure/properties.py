@@ -30,14 +30,17 @@ from planish.measure.rays import CUTOFF_UM, RayFrame, Rays, meet
 from planish.measure.registry import (
     HEIGHTS,
     LENGTHS,
+    OF_FACES,
     PROPERTIES,
     SIDES,
     Measured,
     Property,
     Sheet,
     Side,
+    check_maps,
     chosen,
     face_length,
+    find_property,
     in_order,
     length_of,
 )
@@ -59,9 +62,10 @@ def measure_properties(
         ``top``, ``bottom``, ``interface_top``, ``interface_bottom``, ``centre`` and ``status``, as
         :func:`planish.surface.find_surfaces` returns them.
     volume : DataArray, dims (z, y, x), coordinates in um
-        Where they were found. Without it the properties of the faces are measured, with it all
-        further maps too: those that cost nothing, those whose numbers are given in ``params``, and
-        those that ``params.maps`` names.
+        Where they were found. Without it the properties of the faces are measured, and
+        ``half_thickness_*`` where ``params.maps`` names it; with it all further maps too: those
+        that cost nothing, those whose numbers are given in ``params``, and those that
+        ``params.maps`` names.
     params : MeasureParams
     engine : Engine
         Threads and memory; no result depends on it.
@@ -85,7 +89,7 @@ def measure_properties(
     CannotMeasure
         If no normal meets both faces, a map is unknown, or a map needs a number that is not given.
     InputError
-        If further maps of labels are asked for, or further maps without the volume; if the volume
+        If further maps in grey values are asked for of labels, or without the volume; if the volume
         or the surfaces are something else.
 
     Notes
@@ -102,19 +106,17 @@ def measure_properties(
     )
     if volume is not None:
         check_volume(volume, "pl.measure_properties(surfaces, volume={})")
-    elif params.maps:
+    elif names := [name for name in params.maps if name not in OF_FACES]:
         raise InputError(
-            f"`property={', '.join(params.maps)}`: measured in the volume, which is not given. Give"
+            f"`property={', '.join(names)}`: measured in the volume, which is not given. Give"
             " it with `volume`, or leave them out."
         )
     is_labels = "from_labels" in surfaces.attrs
-    if is_labels and params.maps:
-        raise InputError(
-            "Further maps are measured in grey values; a volume of labels has none. Leave"
-            " `property` out."
-        )
+    if is_labels:
+        check_maps(params, labels=True)
     surfaces = surfaces_of(surfaces)  # those of a run hold its maps
-    faces = _measure_faces(surfaces, params)
+    in_greys = volume is not None and not is_labels
+    faces = _measure_faces(surfaces, params, () if in_greys else params.maps)
     measured = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")
     noise_um = float("nan")
     if volume is not None and not is_labels:
@@ -132,7 +134,7 @@ def measure_properties(
 
 def surfaces_of(measured: xr.Dataset) -> xr.Dataset:
     """The surfaces that :func:`measure_properties` was given, of what it gave."""
-    names = {*PROPERTIES, *LENGTHS, *further_maps(measured)}
+    names = {*PROPERTIES, *OF_FACES, *further_maps(measured)}
     names |= {
         name for name in measured.data_vars if re.sub("_(se|status)$", "", str(name)) in names
     }
@@ -226,9 +228,14 @@ def _se_name(long_name: str) -> str:
     return f"Standard error of {long_name[0].lower()}{long_name[1:]}"
 
 
-def _measure_faces(surfaces: xr.Dataset, params: MeasureParams) -> xr.Dataset:
+def _measure_faces(
+    surfaces: xr.Dataset, params: MeasureParams, further_names: Sequence[str]
+) -> xr.Dataset:
+    """Measure what the faces alone give, and further maps that they give as well."""
+    titles = PROPERTIES | {name: find_property(name).long_name for name in further_names}
     heights, faces = meet(surfaces, "normal")
-    lengths_um = {name: face_length(faces, name) for name in PROPERTIES if name in LENGTHS}
+    lengths_um = {name: face_length(faces, name) for name in LENGTHS}
+    lengths_um["half_thickness_difference"] = faces["top"] + faces["bottom"]
     status = surfaces["status"].values.copy()
     # A column counts as measured when everything that the sheet has was measured there.
     is_whole = np.isfinite(lengths_um["thickness"])
@@ -251,7 +258,7 @@ def _measure_faces(surfaces: xr.Dataset, params: MeasureParams) -> xr.Dataset:
         faces, heights["centre"], is_valid, pitch(surfaces), names=names, nesting_um=nesting_um
     )
     variables: dict[str, xr.Variable] = {}
-    for name, long_name in PROPERTIES.items():
+    for name, long_name in titles.items():
         attrs = {"units": "um", "long_name": long_name, "role": "property"}
         if name in HEIGHTS:
             attrs |= {"form_um": nesting_um, "f_operator": F_OPERATOR}

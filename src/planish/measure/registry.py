@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.bands import thinned
-from planish.core.errors import CannotMeasure
+from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import SIDES, Side
+from planish.core.older_names import renamed
 from planish.core.typing import Bools, Floats
 from planish.measure.greys import Greys
 from planish.measure.options import Common
@@ -64,6 +65,9 @@ LENGTHS = {
 }
 """Upper and lower end of each length along a ray."""
 
+OF_FACES = ("half_thickness_top", "half_thickness_bottom", "half_thickness_difference")
+"""Further maps that the faces alone give as well, of labels too."""
+
 HEIGHTS = {
     "topography_top": "top",
     "topography_bottom": "bottom",
@@ -72,7 +76,7 @@ HEIGHTS = {
 }
 """The surface whose height above its own form a property is."""
 
-NEGATIVE_CONTROLS = ("warp",)
+NEGATIVE_CONTROLS = ("warp", "tilt")
 """Maps of the pose in the scanner, not of the paper: r with one shows no property."""
 
 SUMS = (
@@ -222,6 +226,9 @@ class Property:
     together: tuple[str, ...] = ()  #: properties that are measured with it where it is named
     attrs: dict[str, float] = field(default_factory=dict[str, float])  #: further ones of its map
     stated: tuple[str, ...] = ()  #: options that its map states where they are given
+    #: Whether 0 means none of it, as of lengths and masses: what has a coefficient of variation.
+    #: Heights about a form, differences, angles and parts of a direction have no such zero.
+    has_true_zero: bool = True
 
 
 _REGISTERED: dict[str, Property] = {}
@@ -310,20 +317,36 @@ def find_property(name: str | Property) -> Property:
     if name not in _REGISTERED:
         raise CannotMeasure(
             f"There is no property '{name}'. Choose from {', '.join(sorted(_REGISTERED))}."
+            f"{renamed(name)}"
         )
     return _REGISTERED[name]
 
 
-def check_maps(params: Common) -> None:
+def has_true_zero(name: str) -> bool:
+    """Whether a map has a coefficient of variation by its kind; nothing says so of others' maps."""
+    prop = registered().get(name)
+    return prop is not None and prop.has_true_zero
+
+
+def check_maps(params: Common, *, labels: bool = False) -> None:
     """Refuse maps that no sheet can have with these parameters, before a volume is read.
+
+    ``labels``: in which there are no grey values.
 
     Raises
     ------
     CannotMeasure
         If a map is unknown, or needs a number that is not given whether the sheet is coated or not.
+    InputError
+        If a map of labels needs grey values.
     """
     coated, uncoated = _coated_and_uncoated()
     for name in params.maps:
+        if labels and name not in OF_FACES:
+            raise InputError(
+                f"`property={name}`: measured in grey values; a volume of labels has none. Leave it"
+                " out."
+            )
         try:
             in_order([name], params, coated)
         except CannotMeasure as fault:

@@ -169,6 +169,7 @@ def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[
     "fibre_cos2",
     units="1",
     long_name="Fibre direction, cosine part",
+    has_true_zero=False,
 )
 def fibre_cos2(rays: Rays) -> Floats:
     """Anisotropy times cos(2 angle): may be averaged and interpolated, which an angle may not."""
@@ -179,6 +180,7 @@ def fibre_cos2(rays: Rays) -> Floats:
     "fibre_sin2",
     units="1",
     long_name="Fibre direction, sine part",
+    has_true_zero=False,
 )
 def fibre_sin2(rays: Rays) -> Floats:
     """Anisotropy times sin(2 angle)."""
@@ -191,6 +193,7 @@ def fibre_sin2(rays: Rays) -> Floats:
     long_name="Fibre angle",
     together=_PARTS,
     attrs={"period_deg": 180.0},
+    has_true_zero=False,
 )
 def fibre_angle(rays: Rays, **depth: float) -> Floats:
     """P-13: mean axis of the fibres, -90 to 90 degrees from the map's u axis towards its v axis.

@@ -29,6 +29,8 @@ Method = Literal["quads", "delaunay"]
 Result = TypeVar("Result")
 # Quads whose extent is known together, passed over where they touch no band of pixels.
 _SEGMENT = 32
+# How far the errors of neighbouring columns go together: a mean over a pixel holds it.
+_OF_NODES = ("common_um", "patch_um2")
 _LEAST_ROWS = 32  # of a band: below that, starting a thread takes longer than the work
 
 
@@ -332,7 +334,7 @@ def resample_dataset(
 ) -> xr.Dataset:
     """Resample every floating variable of ``data`` (rows, cols).
 
-    Units and names are set anew from the source's.
+    Each keeps its attributes, but those that hold for single nodes of the mesh only.
 
     Parameters
     ----------
@@ -347,11 +349,7 @@ def resample_dataset(
     """
     variables: dict[str, xr.Variable] = {}
     for name, variable in data.data_vars.items():
-        attrs = {
-            k: variable.attrs[k]
-            for k in ("units", "long_name", "role", "support_um", "period_deg")
-            if k in variable.attrs
-        }
+        attrs = {k: v for k, v in variable.attrs.items() if k not in _OF_NODES}
         if np.issubdtype(variable.dtype, np.floating):
             resampled = resample(summable(variable, variable.values), places)
             variables[str(name)] = xr.Variable(dims, resampled, attrs)

@@ -21,6 +21,7 @@ from planish.core.numbers import capital, with_article
 from planish.core.tables import table_text
 from planish.core.typing import Bools
 from planish.io import fingerprint
+from planish.measure.registry import has_true_zero
 from planish.register import FittedTransform
 from planish.results import (
     ExpectedError,
@@ -95,14 +96,13 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
             mean_error = float(np.sqrt(variance / n_independent + common_um**2))
             mean_facts = {"n_independent": int(n_independent), "mean_standard_error": mean_error}
         units = str(data.attrs["units"])
-        # Lengths, masses and shares are below 0 by noise alone; heights about a form are.
-        has_zero = units != "deg" and mean > 0 and p5 >= 0
+        has_cov = has_true_zero(str(name)) and mean > 0
         facts[str(name)] = PropertyFacts(
             units=units,
             n=int(values.size),
             mean=mean,
             sd=sd,
-            coefficient_of_variation=sd / mean if has_zero else None,
+            coefficient_of_variation=sd / mean if has_cov else None,
             p5=float(p5),
             median=float(p50),
             p95=float(p95),

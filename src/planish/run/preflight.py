@@ -12,6 +12,7 @@ from planish.analyze.leading_map import leading_map
 from planish.core.axial import refuse_axial
 from planish.core.errors import InputError, ResourceError
 from planish.core.memory import enough_gb
+from planish.core.older_names import renamed
 from planish.design import read_pattern
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import load_picture
@@ -40,15 +41,11 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
     for layer in study.layers:
         if layer.kind != "volume":
             continue
-        if layer.surface.labels is not None and layer.properties.maps:
-            raise InputError(
-                "Further maps are measured in grey values; a volume of labels has none. Leave"
-                " `property` out."
-            )
-        check_maps(layer.properties)
+        is_labels = layer.surface.labels is not None
+        check_maps(layer.properties, labels=is_labels)
         asked_corrections(layer)
         map_names = sorted(
-            PROPERTIES if layer.surface.labels is not None else possible_maps(layer.properties)
+            {*PROPERTIES, *layer.properties.maps} if is_labels else possible_maps(layer.properties)
         )
         correlate = study.correlate
         for word, requested in (
@@ -61,6 +58,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
                 raise InputError(
                     f"`{word}={', '.join(absent_names)}`: there will be no such map. Give some of "
                     f"{', '.join(map_names)}, or ask for it with `property` as well."
+                    + "".join(map(renamed, absent_names))
                 )
     _check_beside(study)
     _check_light(study)

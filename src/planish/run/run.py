@@ -14,7 +14,7 @@ from planish.core.errors import FileError
 from planish.core.facts import is_known
 from planish.core.files import check_exists
 from planish.core.lazy import ReadOnDemand
-from planish.core.older_names import todays_names
+from planish.core.older_names import todays_study
 from planish.io.map_groups import open_tree
 from planish.marks.regions import Regions, read_regions
 from planish.results import Results
@@ -221,7 +221,7 @@ def study_of(folder: Path, results: Results) -> Study:
     study = read_study(folder / RUN_TOML)
     if not results.is_older:
         return study
-    return Study.model_validate(todays_names(study.model_dump(mode="json")))
+    return Study.model_validate(todays_study(study.model_dump(mode="json")))
 
 
 def open_results(folder: Path) -> Results:

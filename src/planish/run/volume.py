@@ -152,6 +152,7 @@ def _join_sections(
             "cutoff_um": poses.cutoff_um,
             "missing": int(volume.attrs["sections_missing"]),
             "jitter_left_um": [float(v) for v in poses.jitter_left_um],
+            "jitter_estimator": "median section",
             "pairs_used": poses.pairs_used,
             "pairs_refused": poses.pairs_refused,
             "fixed": [

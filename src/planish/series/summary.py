@@ -13,7 +13,7 @@ import numpy as np
 
 import planish
 from planish import analyze
-from planish.core.axial import angle_of, doubled, near_axis
+from planish.core.axial import angle_of, doubled, has_axes, near_axis
 from planish.core.errors import InputError
 from planish.core.text import likely
 from planish.series.cautions import NEST, cautions_of
@@ -115,7 +115,9 @@ def _near_common_axes(rows: Sequence[FigureRow]) -> list[FigureRow]:
     axes: dict[str, list[float]] = {}
     near_rows: list[FigureRow] = []
     for row in rows:
-        if row.period_deg and row.quantity == "mean" and row.value is not None:
+        if row.quantity != "mean" or row.value is None:
+            continue
+        if has_axes(row.map, row.period_deg):
             axes.setdefault(row.map, []).append(row.value)
     for row in rows:
         if row.map in axes and row.quantity == "mean" and row.value is not None:
