@@ -374,12 +374,13 @@ def test_maps_that_contain_the_map_are_named_with_what_they_do_to_r():
 def test_the_pose_is_a_negative_control_and_counts_in_no_correction():
     maps = drawn()
     rows = [*correlate_layers("sheet", "image", maps, 100.0)]
-    maps["sheet"]["warp"] = maps["sheet"]["thickness"].copy()
+    for name in ("warp", "tilt"):
+        maps["sheet"][name] = maps["sheet"]["thickness"].copy()
     with_pose = [*correlate_layers("sheet", "image", maps, 100.0)]
     properties = [row for row in with_pose if not row.negative_control]
     assert [row.p_of_table for row in properties] == [row.p_of_table for row in rows]
     controls = [row for row in with_pose if row.negative_control]
-    assert [row.a_map for row in controls] == ["warp", "warp"]
+    assert [row.a_map for row in controls] == ["tilt", "tilt", "warp", "warp"]
     assert all(row.p_of_table == row.p for row in controls)
     # Of a run that was made before.
     stored = controls[0].model_dump(exclude={"negative_control"})

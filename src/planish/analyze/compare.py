@@ -183,10 +183,9 @@ def correlate_layers(
             table.append(
                 CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement)
             )
-    for family in {(row.point_um, row.negative_control) for row in table}:
-        row_numbers = [
-            k for k, row in enumerate(table) if (row.point_um, row.negative_control) == family
-        ]
+    families = [(row.point_um, row.a_map if row.negative_control else "") for row in table]
+    for family in set(families):
+        row_numbers = [k for k, of_row in enumerate(families) if of_row == family]
         for k, p_of_table in zip(row_numbers, holm([table[k].p for k in row_numbers]), strict=True):
             table[k] = table[k].model_copy(update={"p_of_table": p_of_table})
     yield from table

@@ -50,13 +50,15 @@ def open_new_run(app: Starlette) -> str:
     """
     with app.state.switching:  # two windows may ask at once
         before: Served = app.state.served
-        made = before.applying.progress
-        if made.state == "done" and made.run is not None:
-            session = Session.open(Path(made.run))
-            applying = Applying(
-                session, before.applying.reports, made.model_copy(update={"state": "idle"})
+        progress = before.applying.progress
+        if progress.state == "done" and progress.run is not None:
+            session = Session.open(Path(progress.run))
+            idle = progress.model_copy(update={"state": "idle"})
+            opened_text = f"{session.folder.name} is open. What was changed after Apply is in"
+            app.state.served = Served(
+                session,
+                Applying(session, before.applying.reports, idle),
+                f"{opened_text} {before.run} only.",
             )
-            said = f"{session.folder.name} is open. What was changed after Apply is in"
-            app.state.served = Served(session, applying, f"{said} {before.run} only.")
             before.close()
         return app.state.served.run
