@@ -236,7 +236,7 @@ _FACES = {
 }
 
 
-def real_paper(path, folder):
+def drawn_sheets(path, folder):
     """A slice of the first specimen of each kind of paper, with the faces found in it."""
     for name in paper.KINDS:
         volume = paper.drawn(name, 0).volume
@@ -286,7 +286,7 @@ PICTURES = {
     "first-pages": first_pages,
     "examples": gallery,
     "studies": studies,
-    "real-paper": real_paper,
+    "drawn-sheets": drawn_sheets,
 }
 
 

@@ -18,6 +18,8 @@ import numpy as np
 import specimens
 from numpy.typing import NDArray
 from scipy import ndimage
+from statements.truth import Correlations
+from statements.truth import said as said_of
 
 import planish as pl
 from planish.analyze import paired_difference
@@ -27,7 +29,15 @@ from planish.flatten import relax_grid
 from planish.marks import hole_mask
 from planish.register import fit_transform
 from planish.resample import Mesh, resample
-from planish.synthetic import SIZES_UM, BurnParams, Specimen, Warp, make_specimen
+from planish.synthetic import (
+    SIZES_UM,
+    BurnParams,
+    Specimen,
+    Warp,
+    image_material,
+    make_specimen,
+    vignette,
+)
 
 Array = NDArray[np.float64]
 
@@ -76,10 +86,17 @@ def said(size: specimens.Size, picture: Path) -> str:
         {k: np.where(use, one.coating, np.nan) for k, one in laid.items()},
         np.where(use, made.image.values, np.nan),
     )
-    r2 = {
-        k: pl.correlate(m, image, pixel_um=grid.pixel_um, point_um=POINT_UM).r2
-        for k, m in maps.items()
-    }
+    u, v = image_material(made.pose, made.image_shape, PIXEL_UM)
+    true = np.where(use, coating_of(made, u, v), np.nan)
+    light = vignette(made.image_shape, made.params.camera.vignetting)
+    size = {"pixel_um": grid.pixel_um, "point_um": POINT_UM}
+    r = {k: pl.correlate(m, image, **size).r for k, m in maps.items()}
+    lost = Correlations(
+        r["flattened"],
+        pl.correlate(true, image, **size).r,
+        pl.correlate(true, image / light, **size).r,
+    )
+    r2 = {k: one**2 for k, one in r.items()}
     draw(sheet, r2, picture)
     rows = "; ".join(
         f"{k}: r² {r2[k]:.3f} (marks miss by {one.marks_rms_um:.0f} um)" for k, one in laid.items()
@@ -88,6 +105,7 @@ def said(size: specimens.Size, picture: Path) -> str:
     return (
         f"{width:.0f} x {height:.0f} mm, {sheet.u.size} nodes, image made with r² {R2}. {rows}."
         f" Flattened less projected, and less scaled: {gains(maps, image, grid.pixel_um)}."
+        f"{said_of(lost)}"
         f" Flattening {flattening_s:.0f} s, all {time.process_time() - began:.0f} s of CPU time,"
         f" {peak_gb():.1f} GB."
     )
@@ -107,8 +125,13 @@ def sheet_of(made: Specimen) -> Sheet:
     x, y = (np.arange(0.0, n, NODES_UM) for n in made.extent_um[:2])
     columns = made.warp.columns(y, x)
     u, v = columns[..., 0], columns[..., 1]
+    return Sheet(made.warp.points(u, v), u, v, coating_of(made, u, v))
+
+
+def coating_of(made: Specimen, u: Array, v: Array) -> Array:
+    """True thickness of the top coating at material coordinates."""
     top, below = (made.sheet.at(face, u, v) for face in made.sheet.faces[:2])
-    return Sheet(made.warp.points(u, v), u, v, top - below)
+    return top - below
 
 
 def lay(made: Specimen, sheet: Sheet, uv: Array, model: str, noise: Array) -> Laid:

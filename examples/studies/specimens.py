@@ -14,6 +14,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+import tifffile
+
 from planish.synthetic import (
     FIBRE_CT,
     MICRO_CT,
@@ -23,9 +26,11 @@ from planish.synthetic import (
     CameraParams,
     PrintParams,
     SectionsParams,
+    Specimen,
     SpecimenParams,
     Warp,
     make_specimen,
+    vignette,
     write_image,
     write_instruments,
 )
@@ -205,6 +210,15 @@ STUDIES: dict[str, Callable[[Size], list[Made]]] = {
 """Studies that have specimens of their own."""
 
 
+def write_truth(specimen: Specimen, folder: Path) -> None:
+    """Write the true coating on the pixels of the image, and the share of the light of each."""
+    folder.mkdir()
+    light = vignette(specimen.image_shape, specimen.params.camera.vignetting)
+    tifffile.imwrite(folder / "light.tif", light)
+    coating = specimen.truth["coating_top"].values.astype(np.float32)
+    tifffile.imwrite(folder / "coating_top.tif", coating)
+
+
 def make(study: str, size: Size, folder: Path) -> None:
     """Write the specimens of a study that are not there yet, each into a folder of its own."""
     if study == "fig-11":
@@ -226,4 +240,5 @@ def make(study: str, size: Size, folder: Path) -> None:
             write_instruments(specimen, unready, volume="sections", image=False)
         if one.instruments == "print":
             write_image(specimen, unready / "printed.tif", printed=True)
+        write_truth(specimen, unready / "truth")
         unready.rename(place)

@@ -16,6 +16,7 @@ from planish.analyze import Lag, texture_lag
 from planish.texture import textures
 
 from .common import draw_map, extent_mm, interval, known, one_run, pitch
+from .truth import sentence
 
 THIN_UM, REACH_UM = 5.0, 100.0
 # Standard errors within which 95 % of normal points of a plane lie.
@@ -64,7 +65,7 @@ def state(folder: Path, figure: Figure) -> str:
     return (
         f"Where the coating is thinner than {THIN_UM:g} um ({100 * found.share:.1f} % of the area),"
         f" the image is {darker:.1f} % darker (95 % interval {interval((limits[0], limits[1]), 1)}"
-        f" %). {_place(lag)}"
+        f" %). {_place(lag)}{sentence([run])}"
     )
 
 

@@ -6,10 +6,12 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+import planish as pl
 from planish.analyze import difference_of_pooled_r, pooled_r
 from planish.series_results import SeriesResults
 
 from .common import cloud, fields_of, interval, runs_of
+from .truth import sentence
 
 VERDICT = {None: "no verdict", True: "they differ", False: "they are not distinguishable"}
 
@@ -25,10 +27,10 @@ def state(folder: Path, figure: Figure) -> str:
     of_r = difference_of_pooled_r(each[0][0], each[1][0], paired=True)
     pooled = [pooled_r(*one) for one in each]
 
+    of_level = {level: _by_sheet(series, runs, level) for level in levels}
     for k, ax in enumerate(figure.subplots(1, 2, sharex=True, sharey=True)):
-        for one in series.specimens:
-            if one.member.factors["treatment"] == levels[k] and one.member.name in runs:
-                cloud(ax, runs[one.member.name], f"sheet {one.member.factors['sheet']}")
+        for sheet, run in of_level[levels[k]].items():
+            cloud(ax, run, f"sheet {sheet}")
         ax.set(
             title=f"{levels[k].capitalize()}: r² = {pooled[k].mean ** 2:.2f}",
             xlabel="coating thickness / µm",
@@ -39,10 +41,21 @@ def state(folder: Path, figure: Figure) -> str:
         f"{one.mean**2:.2f} {level} (r {one.mean:.2f}, 95 % interval {interval(one.interval)})"
         for one, level in zip(pooled, levels, strict=True)
     )
+    losses = [sentence(of_level[level].values(), f", {level}") for level in levels]
     return (
         f"r² is {each_says} over {of_r2.sheets[0]} sheets. Its difference is"
         f" {of_r2.difference:+.3f} (95 % interval {interval(of_r2.interval, 3)}), that of r"
         f" {of_r.difference:+.3f} ({interval(of_r.interval, 3)}):"
         f" {VERDICT[of_r2.distinguishable]}{f' ({of_r2.reason})' if of_r2.reason else ''}. In 80 %"
         f" of cases, such a study finds a difference of r² of {of_r2.smallest_seen():.3f}."
+        f"{''.join(losses)}"
     )
+
+
+def _by_sheet(series: SeriesResults, runs: dict[str, pl.Run], level: str) -> dict[str, pl.Run]:
+    """The runs of one treatment, by their sheets."""
+    return {
+        one.member.factors["sheet"]: runs[one.member.name]
+        for one in series.specimens
+        if one.member.factors["treatment"] == level and one.member.name in runs
+    }

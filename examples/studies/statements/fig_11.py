@@ -34,6 +34,10 @@ def state(folder: Path, figure: Figure) -> str:
     )
 
     agreement = run.results.evidence[0].agreement
+    truth = Path(run.study.layers[0].volume.path).parent / "truth"
+    truth_text = ""
+    if truth.is_dir():
+        truth_text = " Both measured one sheet: the true r is 1, the true difference 0 um."
     declared = len(run.results.regions.regions) if run.results.regions else 0
     left_out = (
         f" Left out beside the holes: {declared} declared region{'s' * (declared > 1)}."
@@ -46,5 +50,6 @@ def state(folder: Path, figure: Figure) -> str:
         f" {agreement.bias:+.2f} um (95 % interval {interval(agreement.bias_interval)}); limits of"
         f" agreement {interval(agreement.limits, 1)} um (the lower one"
         f" {interval(agreement.limit_intervals[0], 1)}, the upper one"
-        f" {interval(agreement.limit_intervals[1], 1)}). {agreement.sentence or ''}{left_out}"
+        f" {interval(agreement.limit_intervals[1], 1)}). {agreement.sentence or ''}{truth_text}"
+        f"{left_out}"
     )

@@ -12,6 +12,7 @@ from planish.analyze import Fields, difference_of_pooled_r
 from planish.series_results import SeriesResults
 
 from .common import interval, runs_of
+from .truth import sentence
 
 OWN = "own"
 WAYS = {
@@ -62,7 +63,9 @@ def state(folder: Path, figure: Figure) -> str:
         f"On {name} alone, flattening changes r of the scaled projection by {alone.difference:+.3f}"
         f" (95 % interval {interval(alone.difference_interval, 3)})"
     )
-    return f"Over {len({sheet[n] for n in rows})} sheets. {'. '.join(text)}."
+    return (
+        f"Over {len({sheet[n] for n in rows})} sheets. {'. '.join(text)}.{sentence(runs.values())}"
+    )
 
 
 def _gain(before: Fields, after: Fields) -> str:

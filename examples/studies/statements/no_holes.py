@@ -18,6 +18,7 @@ from planish.series_results import SeriesResults
 from planish.texture import in_band
 
 from .common import interval, known, pitch, runs_of
+from .truth import sentence
 
 WAVES_UM = 1000.0
 """Longer waves are taken off everywhere, as they are of r that was not tuned."""
@@ -68,7 +69,7 @@ def state(folder: Path, figure: Figure) -> str:
     ]
     if pairs := [(one, other) for one in holed for other in bare if one.name == other.name]:
         text.append(_change(pairs))
-    return f"{'. '.join(text)}."
+    return f"{'. '.join(text)}.{sentence(one.run for one in (*holed, *bare))}"
 
 
 def _sheets(series: SeriesResults, folder: Path, holes: str) -> list[Sheet]:

@@ -216,13 +216,17 @@ def _expose(
     if camera.lens_um > 0:
         image = ndimage.gaussian_filter(image, camera.lens_um / camera.pixel_um, mode="nearest")
     if camera.vignetting > 0:
-        y, x = (np.linspace(-1, 1, n) * n for n in shape)
-        # 1 in the corners.
-        radius_squared = (y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)
-        image *= 1 - camera.vignetting * radius_squared.astype(np.float32)
+        image *= vignette(shape, camera.vignetting)
     image += np.float32(camera.noise) * rng.standard_normal(shape, dtype=np.float32)
     grey_levels = 2**camera.bits - 1
     return (np.rint(np.clip(image, 0, 1) * grey_levels) / grey_levels).astype(np.float32)
+
+
+def vignette(shape: tuple[int, int], loss: float) -> Field:
+    """Share of the light (y, x): 1 in the middle of an image, ``1 - loss`` in its corners."""
+    y, x = (np.linspace(-1, 1, n) * n for n in shape)
+    radius_squared = (y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)
+    return 1 - loss * radius_squared.astype(np.float32)
 
 
 def image_material(

@@ -261,6 +261,9 @@ class SpecimenOptions(Params):
     slab: bool = option(
         False, help="A base of one grey with exact faces, in place of single fibres."
     )
+    slope: float = option(
+        Warp().slope, ge=0, le=1, help="Tangent of the steepest angle of the bent sheet; 0: flat."
+    )
     seed: int = option(0, ge=0, help="Another one, another specimen.")
     instrument: tuple[str, ...] = option(
         ("ct", "sections", "image", "print"),
@@ -273,14 +276,18 @@ class SpecimenOptions(Params):
         metavar="NAME",
         help="Only these are on; repeatable. 'none': no nuisance. All are on where not given.",
     )
+    without: tuple[str, ...] = option(
+        (), metavar="NAME", help="These nuisances are off; repeatable."
+    )
 
-    @field_validator("preset", "instrument", "nuisance")
+    @field_validator("preset", "instrument", "nuisance", "without")
     @classmethod
     def _check_names(cls, value: Any, info: ValidationInfo) -> Any:
         kind, names = {
             "preset": ("paper", (*PRESETS,)),
             "instrument": ("instrument", INSTRUMENTS),
             "nuisance": ("nuisance", (*NUISANCES, "none")),
+            "without": ("nuisance", (*NUISANCES,)),
         }[str(info.field_name)]
         if unknown := [
             name
@@ -303,7 +310,10 @@ class SpecimenOptions(Params):
             size_um=SIZES_UM[self.size],
             paper=paper,
             holes=holes,
+            warp=Warp(slope=self.slope),
             scanner=replace(FIBRE_CT if paper.fibres else MICRO_CT, voxel_um=self.voxel_um),
             seed=self.seed,
         )
-        return params if self.nuisance is None else with_only(params, set(self.nuisance) - {"none"})
+        if self.nuisance is not None:
+            params = with_only(params, set(self.nuisance) - {"none"})
+        return without(params, self.without)
