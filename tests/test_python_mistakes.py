@@ -1,6 +1,7 @@
 """What is easily written wrong in Python, and the sentence that each gets: given, needed, what to
 write."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -194,6 +195,19 @@ CASES = [
         lambda: pl.write_report("page.html"),
         'pl.write_report takes a run, and None was given. Write pl.write_report("page.html", run).',
     ),
+    # --- a package is called
+    (
+        lambda: pl.measure(GREYS),
+        "pl.measure is a package, not a function. Call pl.measure_properties(...).",
+    ),
+    (
+        lambda: pl.flatten(GREYS),
+        "pl.flatten is a package, not a function. Call pl.flatten_sheet(...).",
+    ),
+    (
+        lambda: pl.map_sheet(VOLUME, property="skin"),
+        "There is no property 'skin'. Choose from absorption, ",
+    ),
     (
         lambda: pl.make_specimen("demo"),
         (
@@ -210,6 +224,14 @@ def test_a_mistake_gets_its_sentence(call, sentence):
         call()
     assert str(caught.value).startswith(sentence)
     assert "--" not in str(caught.value).replace("planish link --help", "")
+
+
+def test_a_package_that_may_be_called_by_mistake_is_imported_as_before():
+    import planish.measure as measure
+    from planish.flatten import flatten_sheet
+
+    assert sys.modules["planish.measure"] is measure is pl.measure
+    assert (measure.measure_properties, flatten_sheet) == (pl.measure_properties, pl.flatten_sheet)
 
 
 def test_what_is_no_run_is_refused(tmp_path, linked_run):

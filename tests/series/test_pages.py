@@ -106,6 +106,14 @@ def test_links_lead_to_the_runs_from_the_folder_of_the_page(written):
     ]
 
 
+def test_a_single_order_is_no_choice(tmp_path):
+    members = series(tmp_path, ({"paper": "A"}, results_of(mean=18.0, sd=2.0)))
+    text = (written_of(members, tmp_path) / "report.html").read_text(encoding="utf-8")
+    assert '<div class="order order-1">' in text
+    assert '<input type="radio" checked hidden id="order-1">' in text
+    assert ("as listed</label>" in text, "<legend>Order" in text) == (False, False)
+
+
 def test_the_table_is_written_in_every_order_and_the_style_shows_the_chosen_one(written):
     _, members, _, out = written
     text = (out / "report.html").read_text(encoding="utf-8")

@@ -27,6 +27,8 @@ def test_flat_and_tilted_faces_within_a_fraction_of_a_voxel(slope):
         error = (found[name].values - middle[0] - offset * stretch)[inside]
         assert abs(error.mean()) < 0.15
         assert np.sqrt(np.mean(error**2)) < 0.2 * VOXEL
+    for name in found.data_vars:
+        assert f"``{name}``" in str(find_surfaces.__doc__)
     assert found.attrs["grey_coating_top"] == pytest.approx(200, abs=4)
     assert found.attrs["blur_um"] == pytest.approx(2.6, abs=0.4)
 

@@ -1,6 +1,6 @@
 """Options of the correlation."""
 
-from planish.core.options import Params, option
+from planish.core.options import Names, Params, option
 
 
 class CorrelateParams(Params):
@@ -12,7 +12,7 @@ class CorrelateParams(Params):
         metavar="NAME",
         help="Map whose correlation leads; the coating of the given side, where not given.",
     )
-    beside: tuple[str, ...] = option(
+    beside: Names = option(
         (),
         metavar="NAME",
         max_length=3,

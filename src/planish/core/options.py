@@ -15,9 +15,9 @@ and functions take the model as ``params``. A field that no command shows has ``
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from planish.core.annotations import models_in
@@ -32,6 +32,14 @@ class Params(BaseModel):
 
 
 P = TypeVar("P", bound=Params)
+
+
+def _in_tuple(value: Any) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
+Names = Annotated[tuple[str, ...], BeforeValidator(_in_tuple)]
+"""Several names; one may stand without brackets."""
 
 
 def params_of(model: type[P], options: P | Mapping[str, Any] | None, call_name: str = "") -> P:

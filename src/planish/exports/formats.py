@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field
 
 from planish.core.errors import FileError, InputError
-from planish.core.options import Params, option
+from planish.core.options import Names, Params, option
 
 Holds = Literal["maps", "volume", "surface", "registration", "marks", "run"]
 
@@ -380,7 +380,7 @@ class ExportParams(Params):
     """Options of an export."""
 
     to: FormatName = option(help="Format to write (docs/export.md).")
-    maps: tuple[str, ...] = option(
+    maps: Names = option(
         (),
         cli="--map",
         metavar="NAME",

@@ -2,7 +2,7 @@
 
 from typing import Literal, TypeVar
 
-from planish.core.options import Params, option
+from planish.core.options import Names, Params, option
 
 Own = TypeVar("Own", bound=Params)
 
@@ -10,7 +10,7 @@ Own = TypeVar("Own", bound=Params)
 class Common(Params):
     """Options of all properties."""
 
-    maps: tuple[str, ...] = option(
+    maps: Names = option(
         (),
         cli="--property",
         metavar="NAME",

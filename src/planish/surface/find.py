@@ -73,7 +73,10 @@ def find_surfaces(
         ``presence_bottom``: the
         same around the centre surface and above the bottom face. Their attribute ``layer`` says
         from where to where, in
-        shares of the thickness from the centre towards the top.
+        shares of the thickness from the centre towards the top. ``centre_shorter``: how far the
+        centre surface of a shorter cut-off lies over it; ``base_middle``: how far the middle of the
+        base does, where both interfaces were found at half of the columns or more. Both in um, NaN
+        beyond the outline; they say how far the place of a column depends on that choice.
         ``status``: 0 measured, 1 no sheet, 2 rim of a hole or gap, 3 face not found, 5 the sheet
         touches another or
         itself, 6 it leaves the volume, 7 a particle sticks to it; 4 is left to the measurement.

@@ -32,14 +32,14 @@ export function labelled(label, field, unseen = "", seen = typeset(label)) {
   return make("span", { class: "field" }, name, field);
 }
 
-/** Write um as it is read. */
-export const typeset = (text) => text.replaceAll(/\bum\b/g, "µm");
+/** Write um and deg as they are read. */
+export const typeset = (text) => text.replaceAll(/\bum\b/g, "µm").replaceAll(/ ?\bdeg\b/g, "°");
 
 /** A number as it is read. */
 export const shown = (value) => (value === null ? "no value" : String(Number(value.toPrecision(5))));
 
 /** What stands behind a number; nothing where it has no unit. */
-export const withUnit = ({ units }) => (units && units !== "1" ? ` ${typeset(units)}` : "");
+export const withUnit = ({ units }) => (units && units !== "1" ? typeset(` ${units}`) : "");
 
 /** Have the browser save a file. */
 export function download(blob, name) {
