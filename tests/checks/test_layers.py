@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 from scipy import ndimage
 
-from planish.checks import CHECKS, check_scan, sheets
+from planish.checks import CHECKS, MeasuredSheet, check_scan, sheets
 from planish.checks.greys import clipping, level_jump, noise_width
 from planish.checks.scan import core_places, voxels_through
 from planish.checks.windows import window_of
@@ -363,6 +363,41 @@ def test_sizes_of_pores_are_doubted_as_porosity_is_and_a_dark_sheet_has_its_void
         assert float(share) == pytest.approx(0.5, abs=0.05)
         maps[names[0]].attrs["solid_grey"] = 115.0
         assert of_scan("porosity", volume, maps).state == "pass"
+
+
+@pytest.mark.parametrize(
+    ("size_um", "form_um", "ratio", "doubted"),
+    [
+        ((1300.0, 1800.0), 800.0, None, ()),
+        ((1300.0, 1800.0), 1200.0, 1.26, ("topography_top", "base_surface_top")),
+        ((1100.0, 1100.0), 200.0, 1.375, ("roughness_top",)),
+        ((400.0, 4800.0), 400.0, 0.92, ("roughness_top",)),
+        (
+            (1100.0, 1100.0),
+            800.0,
+            1.375,
+            ("topography_top", "base_surface_top", "roughness_top"),
+        ),
+    ],
+)
+def test_heights_of_a_small_field_are_doubted(size_um, form_um, ratio, doubted):
+    """By a nesting index of the form, and by one of 800 um of the roughness; air counts not."""
+    known = np.ones([round(um / 10) for um in size_um])
+    known = np.pad(known, 7, constant_values=np.nan)
+    axes = {axis: 10.0 * np.arange(n) for axis, n in zip("yx", known.shape, strict=True)}
+    rough = {"top": SimpleNamespace(l_filter_um=800.0), "bottom": SimpleNamespace(l_filter_um=None)}
+    facts = SimpleNamespace(
+        numbers=SimpleNamespace(form_um=form_um, roughness=rough),
+        properties=dict.fromkeys(("thickness", "topography_top", "base_surface_top")),
+    )
+    maps = xr.Dataset({"topography_top": (("y", "x"), known)}, axes)
+    found = RULES["field of the topography"](MeasuredSheet(facts, maps))
+    if ratio is None:
+        assert found is None
+        return
+    assert (found.state, found.figures) == ("look", doubted)
+    assert found.value == pytest.approx(ratio, abs=0.005)
+    assert f"of {size_um[0]:.0f} x {size_um[1]:.0f} um is small" in found.sentence
 
 
 def test_a_base_that_shows_no_pores_says_nothing_of_a_wall(right):

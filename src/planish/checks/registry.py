@@ -53,6 +53,7 @@ CHECKS = (
     CheckRule("alignment", MeasuredSheet, (PROPERTIES, POSITION), sheets.alignment),
     CheckRule("cut-off", MeasuredSheet, (POSITION,), sheets.cutoff),
     CheckRule("scale through the sheet", MeasuredSheet, _ALL, through_scale.scale_by_thickness),
+    CheckRule("field of the topography", MeasuredSheet, tuple(HEIGHTS), sheets.field_of_heights),
     CheckRule("corrections", MeasuredSheet, (PROPERTIES,), sheets.corrections),
     # planish map and link: from what a file says of its size
     CheckRule("size by dpi", SizedLayer, _ALL, sizes.size_by_dpi),

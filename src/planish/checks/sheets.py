@@ -19,6 +19,7 @@ from planish.core.grid import pitch
 from planish.core.robust import mad_sd
 from planish.core.status import Status
 from planish.core.typing import Bools, Floats, Pair
+from planish.measure.registry import HEIGHTS
 from planish.results import SheetFacts
 from planish.surface import Corrections
 
@@ -31,6 +32,9 @@ _LEAST_VOXELS = 5.0
 _BLUR_REACH = 2.5  # blurs that a face reaches into the air beside it
 _COARSE = 10  # cells across the median of what lies around a particle
 _LEAST_MM2 = 0.1  # measured
+# Sides of a square field by the nesting index, below which Sq of waves to twice the index is more
+# than 10 % too low: docs/properties.md.
+_LEAST_INDICES = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,6 +174,40 @@ def cutoff(rule: CheckRule, sheet: MeasuredSheet) -> Check:
         remedy=(
             "Choose a longer `cutoff_um`, or a smaller `rim_um` if the rims take the sheet away."
         ),
+    )
+
+
+def field_of_heights(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
+    """Judge whether the field is large enough for the form of a face; None where it is.
+
+    Beside its border a form follows long waves and takes them off. A strip counts as the square
+    that has as much border by its area.
+    """
+    numbers = sheet.facts.numbers
+    assert numbers is not None
+    topography = sheet.measured["topography_top"]
+    is_known, pitch_um = np.isfinite(topography.values), pitch(topography)
+    height_um = pitch_um[0] * np.count_nonzero(is_known.any(axis=1))
+    width_um = pitch_um[1] * np.count_nonzero(is_known.any(axis=0))
+    side_um = 2 / (1 / max(height_um, 1e-9) + 1 / max(width_um, 1e-9))
+    nesting_um = {name: numbers.form_um for name in HEIGHTS if name in sheet.facts.properties}
+    nesting_um |= {f"roughness_{side}": r.l_filter_um for side, r in numbers.roughness.items()}
+    low = {name: um for name, um in nesting_um.items() if um and side_um < _LEAST_INDICES * um}
+    if not low:
+        return None
+    index_um = max(low.values())
+    return rule.check(
+        "look",
+        value=side_um / index_um,
+        limit=_LEAST_INDICES,
+        units="nesting indices",
+        sentence=(
+            f"The measured field of {height_um:.0f} x {width_um:.0f} um is small for a nesting"
+            f" index of {index_um:g} um: long waves are taken for form, and Sq and the sd"
+            " of the topography are too low, by more than 10 % as a rule."
+        ),
+        remedy="Choose a smaller `form_um` and `l_filter_um`, or compare fields of one size only.",
+        figures=tuple(low),
     )
 
 
