@@ -183,13 +183,12 @@ def field_of_heights(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     Beside its border a form follows long waves and takes them off. A strip counts as the square
     that has as much border by its area.
     """
-    numbers = sheet.facts.numbers
-    assert numbers is not None
-    topography = sheet.measured["topography_top"]
-    is_known, pitch_um = np.isfinite(topography.values), pitch(topography)
-    height_um = pitch_um[0] * np.count_nonzero(is_known.any(axis=1))
-    width_um = pitch_um[1] * np.count_nonzero(is_known.any(axis=0))
-    side_um = 2 / (1 / max(height_um, 1e-9) + 1 / max(width_um, 1e-9))
+    if (numbers := sheet.facts.numbers) is None:
+        return None
+    is_known = np.isfinite(sheet.measured["topography_top"].values)
+    counts = [np.count_nonzero(is_known.any(axis=axis)) for axis in (1, 0)]
+    height_um, width_um = np.multiply(counts, pitch(sheet.measured))
+    side_um = 2 * height_um * width_um / max(height_um + width_um, 1e-9)
     nesting_um = {name: numbers.form_um for name in HEIGHTS if name in sheet.facts.properties}
     nesting_um |= {f"roughness_{side}": r.l_filter_um for side, r in numbers.roughness.items()}
     low = {name: um for name, um in nesting_um.items() if um and side_um < _LEAST_INDICES * um}

@@ -72,7 +72,7 @@ def map_layer(
     facts = SheetFacts(
         surfaces=surface_facts(columns),
         properties=property_facts(columns),
-        numbers=None,
+        numbers=numbers,
         flatten=flattened.quality,
         sections=None if sections is None else section_facts(sections),
     )
@@ -93,7 +93,7 @@ def map_layer(
         params=changed(params, volume=size_params),
         source=input_file(volume, v.path),
         groups=groups,
-        facts=facts.model_copy(update={"numbers": numbers}),
+        facts=facts,
         md_deg=md_deg,
         checks=(*run_checks(MeasuredSheet(facts, columns)), *scan_checks),
     )
