@@ -205,7 +205,10 @@ def field_of_heights(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
             f" index of {index_um:g} um: long waves are taken for form, and Sq and the sd"
             " of the topography are too low, by more than 10 % as a rule."
         ),
-        remedy="Choose a smaller `form_um` and `l_filter_um`, or compare fields of one size only.",
+        remedy=(
+            "Choose a smaller form_um and l_filter_um in [properties] of a study file, or compare"
+            " fields of one size only."
+        ),
         figures=tuple(low),
     )
 
