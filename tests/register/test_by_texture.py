@@ -18,9 +18,17 @@ from planish.core.transform import Similarity, nearest_similarity
 from planish.register import RegistrationParams
 from planish.register.by_texture import rotations
 from planish.register.by_texture.planes import TexturedPlane
-from planish.register.by_texture.rotations import Near, _exceeded, _Scanner, search_place
+from planish.register.by_texture.rotations import (
+    FALSE,
+    Candidate,
+    Near,
+    _exceeded,
+    _Scanner,
+    _Steps,
+    search_place,
+)
 from planish.register.by_texture.search import _seen_from
-from planish.texture.length_unit import length_unit_um
+from planish.texture.length_unit import length_unit_um, pixel_unit_um
 from planish.texture.textures import Textures, standard
 
 PIXEL_UM = 6.0
@@ -124,6 +132,8 @@ def test_paper_is_measured_in_um_and_what_is_no_paper_by_its_coarser_pixel():
         ((12.0, 21.2), (12_000.0, 200_000.0)),
     ):
         assert unit(pixels_um, sides_um) == 1.0
+    grids = [Grid.regular((600, 600), pixel_um) for pixel_um in (0.5, 0.4)]
+    assert pixel_unit_um(*grids) == pytest.approx(0.1)  # looked at where paper's shows nothing
     assert unit((0.02, 0.04), (28.0, 28.0)) == pytest.approx(0.01)
     assert unit((400.0, 260.0), (200_000.0, 300_000.0)) == pytest.approx(100.0)
     assert unit((0.04, 0.02), (400.0, 400.0)) == pytest.approx(0.01)  # a large picture of many
@@ -161,6 +171,22 @@ def test_what_is_a_hundred_times_smaller_or_larger_than_paper_is_found_as_paper_
     np.testing.assert_allclose(
         other.fit.expected_error_um(size * at), size * paper.fit.expected_error_um(at), rtol=1e-4
     )
+
+
+@pytest.mark.ci
+def test_features_of_few_pixels_are_found_where_the_waves_of_paper_are_longer():
+    """At pixels of 1.5 um the field has the size of paper, and its features have not."""
+    place = placed(137.0)
+    size = 1.5 / PIXEL_UM
+    maps, image = (
+        d.assign_coords({k: 1.5 * np.arange(n) for k, n in d.sizes.items()})
+        for d in pair(place=place, r=0.6)
+    )
+    image.attrs["pixel_um"] = [1.5, 1.5]
+    found = pl.register_texture(maps, image)
+    off_um = np.linalg.norm(found(size * CORNERS) - size * place(CORNERS), axis=1)
+    assert off_um.max() < size * NEAR_UM
+    assert found.false_probability < 1e-5
 
 
 @pytest.mark.ci
@@ -361,27 +387,41 @@ def waves(n, period_um):
     return along[:, None] + along
 
 
-def test_places_that_a_strain_joins_are_one_and_others_are_not():
-    """In 8 mm, half a wave and what 3 % of the diagonal are; in 1 mm, hardly more than the wave."""
-    scanner, small = (
-        _Scanner(shown(field((n, n), 5)), shown(field((n, n), 6)), 0.03, 1.0, is_near=True)
-        for n in (400, 50)
-    )
-    best = nearest_similarity(np.eye(2), scanner.middle_um, scanner.middle_um)
+def searched_near(image):
+    """A search of its middle, and two places in it, the second one to the right by a distance."""
+    scanner = _Scanner(shown(image), shown(image), 0.03, 1.0, is_near=True)
 
-    def beside(right_um, turned_deg=0.0, mirrored=False):
+    def at(right_um, turned_deg=0.0, mirrored=False):
         turn = Similarity(rotation_rad=np.deg2rad(turned_deg), mirrored=mirrored)
         target = scanner.middle_um + np.array([right_um, 0.0])
-        return nearest_similarity(turn.matrix(), scanner.middle_um, target)
+        place = nearest_similarity(turn.matrix(), scanner.middle_um, target)
+        return Candidate(names=("image", "image"), z=9.0, place=place)
 
-    basin_um = scanner.basin_um(("image", "image"))
-    assert scanner.apart_um(best, beside(200.0, 359.0)) < basin_um
-    for other in (beside(600.0), beside(0.0, 15.0), beside(0.0, mirrored=True)):
-        assert scanner.apart_um(best, other) > basin_um
+    return scanner, at
+
+
+def test_half_a_wave_is_that_of_the_pattern_and_the_strain_reaches_farther_in_a_larger_map():
+    names = ("image", "image")
+    large, small = (searched_near(waves(n, 300.0))[0] for n in (400, 50))
+    assert small.half_wave_um(names) == pytest.approx(150.0, rel=0.05)
     joined_um = 0.03 * np.sqrt(2.0) * (8000.0 - 1000.0)
-    assert basin_um - small.basin_um(("image", "image")) == pytest.approx(joined_um, rel=0.05)
-    striped = _Scanner(shown(waves(60, 300.0)), shown(waves(60, 300.0)), 0.0, 1.0, is_near=True)
-    assert striped.basin_um(("image", "image")) == pytest.approx(150.0, rel=0.05)
+    assert large.reach_um(names) - small.reach_um(names) == pytest.approx(joined_um, rel=0.05)
+
+
+def test_places_to_which_two_parts_of_a_map_belong_are_one_and_those_of_the_same_parts_are_two():
+    """The left half of 8 mm goes with the image where it is, the right half 160 um farther on."""
+    sheet = field((400, 400), 5)
+    parted = np.where(np.arange(400) < 200, sheet, np.roll(sheet, 8, axis=1))
+    scanner, at = searched_near(sheet)
+    strained = _Scanner(shown(sheet), shown(parted), 0.03, 1.0, is_near=True)
+    assert strained.are_one(at(0.0), at(160.0))
+    for other in (at(600.0), at(0.0, 15.0), at(0.0, mirrored=True)):
+        assert not strained.are_one(at(0.0), other)
+    assert scanner.are_one(at(0.0), at(20.0, 0.3))  # on one summit
+    scanner, at = searched_near(waves(400, 160.0))
+    assert not scanner.are_one(at(0.0), at(160.0))
+    scanner, at = searched_near(waves(400, 160.0) + 0.7 * sheet)
+    assert not scanner.are_one(at(0.0), at(160.0))
 
 
 def test_a_pattern_that_repeats_has_a_rival_a_period_on_and_a_texture_has_none():
@@ -394,6 +434,34 @@ def test_a_pattern_that_repeats_has_a_rival_a_period_on_and_a_texture_has_none()
         if is_sure:
             middle = found.best.place((390.0, 390.0))
             assert np.linalg.norm(middle - (790.0, 790.0)) < 15.0
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("radius_um", [150.0, 40.0])
+def test_wire_marks_have_rivals_about_a_given_place_also_beside_where_it_is_sought(radius_um):
+    """Marks of 120 um on 4 mm, without a symmetry: no other rotation is as good."""
+    marks = np.tile(field((6, 6), 3), (43, 43))[:256, :256]
+    image = marks + 0.5 * field(marks.shape, 11)
+    part = shown(marks[28:228, 28:228] + 0.5 * field((200, 200), 12))
+    near = [Near(fixed_um=(2550.0 + 70.0, 2550.0 - 40.0), radius_um=radius_um)]
+    found = search_place(part, shown(image), mirrored=False, scale_tolerance=0.03, near=near)
+    assert found.false_probability < FALSE
+    assert found.has_rival
+    assert not found.is_sure
+
+
+def test_what_the_middle_leaves_open_is_tried_in_the_whole_at_every_rotation_and_scale_beside_it():
+    """Where little of the middle is known its steps are wider, here four times."""
+    rough, fine = (_Steps.of(size_um, 0.03, 1.0) for size_um in (1000.0, 4000.0))
+    kept = [Similarity(rotation_rad=np.deg2rad(36.0), scale=rough.scales[0])]
+    tried = dict(fine.tried((False,), kept, rough))
+    turned = [np.rad2deg(turn.rotation_rad) for turn in tried]
+    assert min(turned) <= 36.0 - 0.4 * rough.deg
+    assert max(turned) >= 36.0 + 0.4 * rough.deg
+    assert np.diff(turned).max() < 1.01 * fine.deg
+    scales = [scale for of_turn in tried.values() for scale in of_turn]
+    assert min(scales) == fine.scales[0]
+    assert max(scales) < rough.scales[0] + 2.0 * rough.half
 
 
 def test_a_search_about_a_place_looks_at_that_place_alone_and_first_at_the_middle_of_a_map(

@@ -17,6 +17,7 @@ from pydantic import Field
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.numbers import in_ascii, to_spread
 from planish.core.typing import Floats, Pair
 from planish.texture.detrend import PhaseSurrogate
 from planish.texture.lag_field import LagField, lag_field
@@ -182,16 +183,19 @@ class Lag:
             sentence = f"{inconclusive} {_REASONS[self.reason]}."
             return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
         length, length_error = self.length_um, self.length_se_um
+        length_text, error_text, x_text, y_text = (
+            in_ascii(to_spread(um, length_error)) for um in (length, length_error, *self.lag_um)
+        )
         offset = (
-            f"y their texture the maps lie {length:.1f} ± {length_error:.1f} um apart (x"
-            f" {self.lag_um[0]:.1f}, y {self.lag_um[1]:.1f} um)"
+            f"y their texture the maps lie {length_text} ± {error_text} um apart (x {x_text}, y"
+            f" {y_text} um)"
         )
         if expected_error_um is None or not math.isfinite(expected_error_um):
             sentence = f"{inconclusive} the marks give no expected error; b{offset}."
             return Check(name=NAME, state="unknown", sentence=sentence, value=length, units="um")
         limit_um, expected = (
             self._allowed_um(expected_error_um),
-            f"expected error {expected_error_um:.1f} um",
+            f"expected error {expected_error_um:.2g} um",
         )
         judge = partial(
             Check,
@@ -307,9 +311,9 @@ def texture_lag(  # noqa: PLR0911
     least_um, most_um = 3 * max(pixel), min(sides_um) / 4
     if not least_um <= reach_um <= most_um:
         raise SizeError(
-            f"A reach of {reach_um:g} um does not fit maps of {sides_um[1]:.0f} x {sides_um[0]:.0f}"
+            f"A reach of {reach_um:g} um does not fit maps of {sides_um[1]:.3g} x {sides_um[0]:.3g}"
             f" um in pixels of {max(pixel):g} um. Take one from 3 pixels ({least_um:g} um) to a"
-            f" quarter of the shorter side ({most_um:.0f} um)."
+            f" quarter of the shorter side ({most_um:.3g} um)."
         )
     reach = int(reach_um / pixel[0] + 1e-9), int(reach_um / pixel[1] + 1e-9)
     build_lag = partial(Lag, reach_um=reach_um, pixel_um=pixel, n=texture.n)

@@ -116,8 +116,8 @@ def cross_fitted(
     guard = 2 * length
     if not math.isfinite(guard):
         raise CannotMeasure(
-            f"The guard between tiles is {guard:.0f} um, but the maps are correlated over"
-            f" {length:.0f} um: tiles would not be independent. Take a guard of at least that"
+            f"The guard between tiles is {guard:.3g} um, but the maps are correlated over"
+            f" {length:.3g} um: tiles would not be independent. Take a guard of at least that"
             " length, or take the slow variations off the maps first."
         )
     side, tuned_masks, report_masks = _checkerboard(is_valid, pixel_um, guard)
@@ -179,7 +179,7 @@ def _checkerboard(
         if min(tile_counts) >= 4 and min(map(np.sum, reported)) >= 100:
             return side, tuned, reported
     raise CannotMeasure(
-        f"Tiles of {sides_um[-1]:.0f} um with a guard of {guard_um:.0f} um leave fewer than 4 of"
+        f"Tiles of {sides_um[-1]:.3g} um with a guard of {guard_um:.3g} um leave fewer than 4 of"
         " either colour to report on: the map is too small for its texture. Report the marks-only"
         " correlation, or the refined one with a searched null."
     )

@@ -428,7 +428,7 @@ def texture_of(
         return TextureFound(None, (check,))
     if offset.distinct and check.state == "look" and set(check.figures) <= {POSITION, CORRELATION}:
         text = (
-            f"{check.sentence} Moved by {offset.length_um:.0f} um they do go together (position by"
+            f"{check.sentence} Moved by {offset.length_um:.3g} um they do go together (position by"
             " texture)."
         )
         check = check.model_copy(update={"sentence": text})

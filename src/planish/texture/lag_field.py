@@ -101,7 +101,7 @@ def lag_field(
     if any(s <= 2 * k or s > n for s, k, n in zip(side_px, wide, a.shape, strict=True)):
         raise SizeError(
             f"Tiles of {tile_um:g} um are too small for the reach, or larger than the map. Take"
-            f" sides above {2 * max(wide[0] * pixel_um[0], wide[1] * pixel_um[1]):.0f} um, or a"
+            f" sides above {2 * max(wide[0] * pixel_um[0], wide[1] * pixel_um[1]):.3g} um, or a"
             " shorter reach."
         )
     step = np.array([pixel_um[1], pixel_um[0]])

@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
+from itertools import compress, product
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -25,7 +25,7 @@ from planish.core.errors import CannotRegister
 from planish.core.threads import map_threads
 from planish.core.transform import Similarity, nearest_similarity
 from planish.core.typing import Floats, Pair
-from planish.texture.textures import Textures
+from planish.texture.textures import Textures, tile_sums
 
 BAND_UM = (18.0, 150.0)
 """Waves that a scan and an image share: shorter ones are noise, longer ones light and print."""
@@ -34,6 +34,8 @@ FALSE = 4e-4
 RIVAL = 0.85
 """Share of the best place's height from which on another place is nearly as good, as in a pattern
 that repeats."""
+# Of the heights of two places: none if other parts of the map make each, all if the same ones do.
+_AMBIGUOUS = 0.5
 _OVERLAP = 0.4  # least share of the map that lies in the image
 _STEP = 3600.0  # um degrees: rotations are tried in steps of this over the size of the map
 _SCALE_STEP = 45.0  # um: scales in steps of this over the size of the map
@@ -68,7 +70,6 @@ class Candidate:
 
     names: Names  # of the maps that lead
     z: float  # standard deviations of the map's null
-    r: float  # correlation over the pixels that both show
     place: Similarity  # from the moving layer to the fixed one, in um
 
 
@@ -146,19 +147,18 @@ def search_place(
     """
     hands = (False, True) if mirrored is None else (mirrored,)
     shares = (0.5, 1.0) if near and moving.area_um2 > _PARTED_UM**2 else (1.0,)
-    found, kept, cells = None, list[Similarity](), list[list[_Peak]]()
+    kept, steps = list[Similarity](), None
     for share in shares:
         scanner = _Scanner(moving, fixed, scale_tolerance, share, is_near=bool(near))
+        rough = steps
         for wider in (1.0,) if kept else (2.0, 1.0):
             steps = _Steps.of(scanner.size_um, scale_tolerance, wider)
-            turns = (steps.beside(turn, kept) for turn in steps.turns(hands))
-            tried = [(turn, scales) for turn, scales in turns if scales]
+            tried = [*steps.tried(hands, kept, rough)]
             cells = map_threads(partial(scanner.cell, windows=near or (None,)), tried)
             found = _judged(scanner, steps, cells, looks=2 * len(shares))
             if found.is_sure:
                 return found
-        kept = _promising(cells)
-    assert found is not None
+        kept = _promising(cells, found)
     return found
 
 
@@ -168,7 +168,6 @@ class _Peak(NamedTuple):
     turn: Similarity  # without its shift
     names: Names
     height: float  # sum of products over the root of the number of pairs
-    r: float
     at: tuple[int, int]  # pixel of the image at which the middle of the map lies
     near: Near | None
     squares: float  # sum over all shifts, and how many there are
@@ -182,6 +181,7 @@ class _Steps:
     deg: float
     scale: float
     scales: tuple[float, ...]
+    half: float  # the farthest, over the size, that a rotation and scale lies from any tried
 
     @classmethod
     def of(cls, size_um: float, scale_tolerance: float, wider: float) -> _Steps:
@@ -189,32 +189,26 @@ class _Steps:
         count = 2 * max(math.ceil(scale_tolerance / step - 0.5), 0) + 1
         most = scale_tolerance * (count - 1) / count
         scales = np.linspace(1.0 - most, 1.0 + most, count).tolist()
-        return cls(
-            deg=360.0 / math.ceil(360.0 * size_um / (wider * _STEP)),
-            scale=step,
-            scales=tuple(scales),
-        )
+        deg = 360.0 / math.ceil(360.0 * size_um / (wider * _STEP))
+        half = 0.5 * math.hypot(math.radians(deg), 2.0 * scale_tolerance / count)
+        return cls(deg=deg, scale=step, scales=tuple(scales), half=half)
 
-    def turns(self, hands: tuple[bool, ...]) -> Iterator[Similarity]:
-        """All rotations of all hands."""
-        for hand, k in product(hands, range(round(360.0 / self.deg))):
-            yield Similarity(rotation_rad=math.radians(k * self.deg), mirrored=hand)
+    def tried(
+        self, hands: tuple[bool, ...], kept: Sequence[Similarity], rough: _Steps | None
+    ) -> Iterator[tuple[Similarity, tuple[float, ...]]]:
+        """All rotations of all hands, with the scales to try there.
 
-    def beside(
-        self, turn: Similarity, among: Sequence[Similarity]
-    ) -> tuple[Similarity, tuple[float, ...]]:
-        """A rotation with the scales to try there: all, or those beside ``among``.
-
-        Steps of ``among`` are twice as wide.
+        Where some were ``kept`` of a search in ``rough`` steps, those within half a step of them.
         """
-        if not among:
-            return turn, self.scales
-        rough = np.array([a.matrix()[1] for a in among if a.mirrored == turn.mirrored])
-        half_diagonal = math.hypot(math.radians(self.deg), self.scale)
-        scaled = np.multiply.outer(self.scales, turn.matrix()[1])
-        off = np.linalg.norm(scaled[:, None] - rough.reshape(-1, 2), axis=2)
-        is_beside = (off <= half_diagonal).any(axis=1)
-        return turn, tuple(s for s, is_near in zip(self.scales, is_beside, strict=True) if is_near)
+        for hand, k in product(hands, range(round(360.0 / self.deg))):
+            turn = Similarity(rotation_rad=math.radians(k * self.deg), mirrored=hand)
+            scales = self.scales
+            if rough is not None and kept:
+                rows = np.array([t.matrix()[1] for t in kept if t.mirrored == hand]).reshape(-1, 2)
+                off = [np.linalg.norm(rows - s * turn.matrix()[1], axis=1) for s in scales]
+                scales = tuple(compress(scales, [(o <= rough.half).any() for o in off]))
+            if scales:
+                yield turn, scales
 
     def about(self, turn: Similarity) -> Iterator[tuple[Similarity, tuple[float, ...]]]:
         """Rotations between those of the search, with scales between its own."""
@@ -235,8 +229,8 @@ def _by_null(cells: list[list[_Peak]]) -> Callable[[_Peak], float]:
     return lambda peak: abs(peak.height) / null_sd[peak.names]
 
 
-def _promising(cells: list[list[_Peak]]) -> list[Similarity]:
-    """Rotations and scales at which a map goes best with the image.
+def _promising(cells: list[list[_Peak]], found: PlaceSearch) -> list[Similarity]:
+    """Rotations and scales at which a map goes best with the image, and those of all candidates.
 
     None where some of it lies beside the image: it tells nothing of more of the map then.
     """
@@ -245,37 +239,34 @@ def _promising(cells: list[list[_Peak]]) -> list[Similarity]:
     if len(shifts) > 1 or 0 in shifts:
         return []
     peaks.sort(key=_by_null(cells), reverse=True)
-    return [peak.turn for peak in peaks[: math.ceil(_KEPT * len(peaks))]]
+    best = peaks[: math.ceil(_KEPT * len(peaks))]
+    return [*(peak.turn for peak in best), *(c.place for c in found.candidates)]
 
 
 def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: int) -> PlaceSearch:
+    """The best places of all rotations, and how probable chance makes the first of them."""
     z = _by_null(cells)
-
-    def candidate(peak: _Peak) -> Candidate:
-        return Candidate(
-            names=peak.names, z=z(peak), r=peak.r, place=scanner.place(peak.turn, peak.at)
-        )
-
     best_of_cells = sorted((max(cell, key=z) for cell in cells), key=z, reverse=True)
     best = best_of_cells[0]
-    basin_um = scanner.basin_um(best.names)
+    reach_um = scanner.reach_um(best.names)
     others = np.array(
-        [z(p) for p in best_of_cells if scanner.turned_um(p.turn, best.turn) > basin_um]
+        [z(p) for p in best_of_cells if scanner.turned_um(p.turn, best.turn) > reach_um]
     )
     probability = _exceeded(z(best), others) if others.size >= _LEAST_ROTATIONS else 1.0
-    finer = (
-        p for turn, scales in steps.about(best.turn) for p in scanner.peaks(turn, scales, best.near)
-    )
-    finest = max((best, *finer), key=lambda p: z(p) if p.names == best.names else 0.0)
-    candidates = [replace(candidate(finest), z=z(best))]
-    for peak in sorted((*best_of_cells[1:], *scanner.rivals(best, basin_um)), key=z, reverse=True):
-        other = candidate(peak)
-        if all(scanner.apart_um(other.place, c.place) > basin_um for c in candidates):
+    finest = best
+    for turn, scales in steps.about(best.turn):
+        finer = [p for p in scanner.peaks(turn, scales, best.near) if p.names == best.names]
+        finest = max(finest, *finer, key=z)
+    candidates = [scanner.candidate(finest, z(best))]
+    for peak in sorted((*best_of_cells[1:], *scanner.rivals(best)), key=z, reverse=True):
+        other = scanner.candidate(peak, z(peak))
+        if not any(scanner.are_one(c, other) for c in candidates):
             candidates.append(other)
         if len(candidates) == _CANDIDATES:
             break
-    probability = min(looks * probability, 1.0)
-    return PlaceSearch(candidates=tuple(candidates), false_probability=probability)
+    return PlaceSearch(
+        candidates=tuple(candidates), false_probability=min(looks * probability, 1.0)
+    )
 
 
 def _exceeded(z: float, others: Floats) -> float:
@@ -313,10 +304,10 @@ class _Window(NamedTuple):
     """
 
     first: tuple[int, int]  # row and column of the first middle
-    size: tuple[int, int]
+    size: tuple[int, ...]
     maps: dict[str, NDArray[np.complex64]]
     known: NDArray[np.complex64]
-    shape: tuple[int, int]
+    shape: tuple[int, ...]
 
 
 class _Scanner:
@@ -333,7 +324,7 @@ class _Scanner:
     ) -> None:
         moving, self.middle_um = moving.middle_part(share), moving.middle_um
         self._moving, self._fixed, self._names = moving, fixed, compared(moving, fixed)
-        self._strain = scale_tolerance
+        self.strain = scale_tolerance
         # X, y.
         self._moving_px, self._fixed_px = (np.array(t.pixel_um[::-1]) for t in (moving, fixed))
         shape = np.array(moving.known.shape[::-1])
@@ -352,18 +343,47 @@ class _Scanner:
         parts = () if is_near else product(spans[0][:-1], spans[1][:-1])
         self._whole = [self._spectra(first, size) for first in parts]
 
-    def basin_um(self, names: Names) -> float:
-        """Distance within which a place is that of the same correlation.
-
-        It is half the mean wave of the map, as a pattern that repeats is as good a whole one on;
-        and what the strain adds between two parts of the map that lie a diagonal apart, where a
-        specimen that is not rigid goes with the image at two places.
-        """
+    def half_wave_um(self, names: Names) -> float:
+        """Half the mean wave of a map: it one up to there, one again a whole one on."""
         values = self._moving.maps[names[0]]
         steps = [np.diff(values, axis=k) / self._moving.pixel_um[k] for k in (0, 1)]
         slope = math.sqrt(sum(float(np.mean(s**2)) for s in steps))
-        half_wave_um = math.pi * float(np.std(values)) / (slope or math.inf)
-        return half_wave_um + self._strain * float(np.hypot(*self._extent_um))
+        return math.pi * float(np.std(values)) / (slope or math.inf)
+
+    def reach_um(self, names: Names) -> float:
+        """Farthest that two places lie apart to which parts of one map belong.
+
+        The strain moves two parts that lie a diagonal apart by so much.
+        """
+        return self.half_wave_um(names) + self.strain * float(np.hypot(*self._extent_um))
+
+    def are_one(self, a: Candidate, b: Candidate) -> bool:
+        """Whether two places can both be right: no part of the map goes with the image at both.
+
+        A specimen that is not rigid goes there with one part here and with another one there; a
+        pattern that repeats, with the same parts at both. The strain takes two points of a part
+        less than half a wave apart, and so far may both places have it.
+        """
+        if self.apart_um(a.place, b.place) > self.reach_um(a.names):
+            return False
+        rows, cols = np.indices(self._moving.known.shape)
+        offsets_px = np.stack([cols, rows], axis=-1) - self._middle_px
+        points = self.middle_um + offsets_px * self._moving_px
+        half_wave_um = self.half_wave_um(a.names)
+        is_apart = np.linalg.norm(a.place(points) - b.place(points), axis=-1) > half_wave_um
+        side_um = half_wave_um / max(self.strain, 1e-9)
+        parts: list[Floats] = []
+        for place, (name, seen) in ((a.place, a.names), (b.place, b.names)):
+            at_px = np.moveaxis(place(points) / self._fixed_px, -1, 0)[::-1]
+            products = self._moving.maps[name] * ndimage.map_coordinates(
+                self._fixed.maps[seen], at_px, order=1
+            )
+            parts.append(
+                tile_sums(np.stack([products, is_apart * products]), self._moving.pixel_um, side_um)
+            )
+        (a_all, a_apart), (b_all, b_apart) = parts
+        both = abs(float(np.vdot(a_apart, b_apart)))
+        return both <= _AMBIGUOUS * float(np.linalg.norm(a_all) * np.linalg.norm(b_all))
 
     def turned_um(self, a: Similarity, b: Similarity) -> float:
         """Distance between two places about one middle, rms over the map."""
@@ -384,44 +404,39 @@ class _Scanner:
     ) -> Iterator[_Peak]:
         """The highest correlation of each map at each scale."""
         for scaled, names, values, weight, window in self._heights(turn, scales, near):
-            yield self._peak(scaled, names, values * weight, weight, window, near)
+            height = values * weight
+            row, col = divmod(int(np.argmax(np.abs(height))), height.shape[1])
+            at = row + window.first[0], col + window.first[1]
+            squares, shifts = float(np.vdot(height, height)), int(np.count_nonzero(weight))
+            yield _Peak(scaled, names, float(height[row, col]), at, near, squares, shifts)
 
-    def rivals(self, best: _Peak, basin_um: float) -> Iterator[_Peak]:
-        """The highest correlation at the turn of the best one, away from it."""
-        turn, scale = replace(best.turn, scale=1.0), best.turn.scale
-        for scaled, names, values, weight, window in self._heights(turn, (scale,), best.near):
-            if names != best.names:
-                continue
-            rows, cols = (
-                (np.arange(n) + first - at) * um
-                for n, first, at, um in zip(
-                    values.shape, window.first, best.at, self._fixed_px[::-1], strict=True
-                )
-            )
-            far = np.hypot(rows[:, None], cols) > basin_um
-            yield self._peak(scaled, names, values * weight * far, weight, window, best.near)
+    def rivals(self, best: _Peak) -> Iterator[_Peak]:
+        """Summits at the turn of the best one that are nearly as high, also beside its window.
+
+        A wave beyond it lies each place that a pattern which repeats has beside one within.
+        """
+        near = best.near
+        if near is not None:
+            wave_um = 2.0 * self.half_wave_um(best.names)
+            near = replace(near, radius_um=near.radius_um + wave_um)
+        turn, scales = replace(best.turn, scale=1.0), (best.turn.scale,)
+        for _, names, values, weight, window in self._heights(turn, scales, near):
+            height = np.abs(values * weight) * (names == best.names)
+            is_high = height > RIVAL * abs(best.height)
+            is_summit = height == ndimage.maximum_filter(height, 3)
+            for at in np.argwhere(is_high & is_summit).tolist():
+                row, col = at[0] + window.first[0], at[1] + window.first[1]
+                yield best._replace(height=float(height[*at]), at=(row, col))
+
+    def candidate(self, peak: _Peak, z: float) -> Candidate:
+        """The place of a peak that is so high."""
+        return Candidate(names=peak.names, z=z, place=self.place(peak.turn, peak.at))
 
     def place(self, turn: Similarity, at: tuple[int, int]) -> Similarity:
         """Transformation that puts the middle of the map on a pixel of the image."""
         return nearest_similarity(
             turn.matrix(), self.middle_um, np.array(at[::-1]) * self._fixed_px
         )
-
-    def _peak(
-        self,
-        turn: Similarity,
-        names: Names,
-        height: Slab,
-        weight: Slab,
-        window: _Window,
-        near: Near | None,
-    ) -> _Peak:
-        row, col = divmod(int(np.argmax(np.abs(height))), height.shape[1])
-        value = float(height[row, col])
-        at = (row + window.first[0], col + window.first[1])
-        # The weight is one over the root of the number of pairs.
-        r, squares = value * float(weight[row, col]), float(np.vdot(height, height))
-        return _Peak(turn, names, value, r, at, near, squares, int(np.count_nonzero(weight)))
 
     def _heights(
         self, turn: Similarity, scales: tuple[float, ...], near: Near | None
@@ -433,27 +448,19 @@ class _Scanner:
         least_pairs, weights = max(_OVERLAP * self._most * middle_scale**2, 1.0), list[Slab]()
         for window in windows:
             pairs = self._lags(window, window.known, mask, half)
-            weights.append(
-                np.where(pairs >= least_pairs, 1.0 / np.sqrt(np.maximum(pairs, 1.0)), 0.0).astype(
-                    np.float32
-                )
-            )
+            weight = np.where(pairs >= least_pairs, 1.0 / np.sqrt(np.maximum(pairs, 1.0)), 0.0)
+            weights.append(weight.astype(np.float32))
         for scale in scales:
             scaled = replace(turn, scale=scale)
             half, sampled = self._on_image(scaled)
-            is_known = self._turned_mask(sampled)
+            # Beyond a map that is known everywhere, what is sampled is 0 already.
+            is_known = 1.0 if self._mask.all() else self._turned_mask(sampled)
             for names in self._names:
-                part = self._spectrum(
-                    sampled(self._splines[names[0]], 3) * is_known, windows[0].shape
-                )
+                turned = sampled(self._splines[names[0]], 3) * is_known
+                part = self._spectrum(turned, windows[0].shape)
                 for window, weight in zip(windows, weights, strict=True):
-                    yield (
-                        scaled,
-                        names,
-                        self._lags(window, window.maps[names[1]], part, half),
-                        weight,
-                        window,
-                    )
+                    values = self._lags(window, window.maps[names[1]], part, half)
+                    yield scaled, names, values, weight, window
 
     def _windows(self, turn: Similarity, near: Near | None) -> list[_Window]:
         """Parts of the image in which the middle of the map may lie: all, or one near a place."""
@@ -468,29 +475,17 @@ class _Scanner:
         return [self._spectra((int(first[1]), int(first[0])), (int(count[1]), int(count[0])))]
 
     def _spectra(self, first: tuple[int, int], count: tuple[int, ...]) -> _Window:
-        (rows, cols), margin = count, self._margin
-        shape = (
-            fft.next_fast_len(rows + 2 * margin, real=True),
-            fft.next_fast_len(cols + 2 * margin, real=True),
-        )
-
-        def spectrum(values: NDArray[np.generic]) -> NDArray[np.complex64]:
+        margin, sides = self._margin, zip(first, count, self._fixed.known.shape, strict=True)
+        pixels = [np.arange(max(b - margin, 0), min(b + n + margin, size)) for b, n, size in sides]
+        source = np.ix_(*pixels)
+        target = tuple(k - b + margin for k, b in zip(source, first, strict=True))
+        shape = tuple(fft.next_fast_len(n + 2 * margin, real=True) for n in count)
+        spectra: dict[str, NDArray[np.complex64]] = {}
+        for name in {"", *(fixed for _, fixed in self._names)}:
             part = np.zeros(shape, np.float32)
-            spans = [
-                (max(b - margin, 0), min(b + n + margin, size))
-                for b, n, size in zip(first, count, values.shape, strict=True)
-            ]
-            if all(low < high for low, high in spans):
-                inside = tuple(slice(low, high) for low, high in spans)
-                to = tuple(
-                    slice(low - b + margin, high - b + margin)
-                    for (low, high), b in zip(spans, first, strict=True)
-                )
-                part[to] = values[inside]
-            return np.asarray(fft.rfft2(part), dtype=np.complex64)
-
-        maps = {k: spectrum(self._fixed.maps[k]) for k in {fixed for _, fixed in self._names}}
-        return _Window(first, (rows, cols), maps, spectrum(self._fixed.known), shape)
+            part[target] = (self._fixed.maps[name] if name else self._fixed.known)[source]
+            spectra[name] = np.asarray(fft.rfft2(part), dtype=np.complex64)
+        return _Window(first, count, spectra, spectra[""], shape)
 
     def _on_image(
         self, turn: Similarity
@@ -520,7 +515,7 @@ class _Scanner:
     def _turned_mask(self, sampled: Callable[[Slab, Literal[1, 3]], Slab]) -> Slab:
         return (sampled(self._mask, 1) >= 0.5).astype(np.float32)
 
-    def _spectrum(self, part: Slab, shape: tuple[int, int]) -> NDArray[np.complex64]:
+    def _spectrum(self, part: Slab, shape: tuple[int, ...]) -> NDArray[np.complex64]:
         """Conjugate spectrum.
 
         The rows that the part does not fill need no transformation along them.

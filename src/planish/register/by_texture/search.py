@@ -16,6 +16,8 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import CannotRegister, InputError
+from planish.core.grid import Grid
+from planish.core.text import plain_numbers
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Pair
 from planish.register.by_texture.place import TilePlaces, clearest_maps, tile_places, tuned_place
@@ -23,6 +25,7 @@ from planish.register.by_texture.planes import PlanePair, TexturedPlane, in_unit
 from planish.register.by_texture.rotations import FALSE, Names, Near, PlaceSearch, search_place
 from planish.register.fit import fit_transform
 from planish.register.params import RegistrationParams
+from planish.texture.length_unit import length_unit_um, pixel_unit_um
 
 _SEARCH_UM, _FINE_UM = 20.0, 8.0  # pixels: at 36 um a weak texture is at chance
 _SEARCHED_UM = 5000.0  # of the middle of a sheet: it says enough
@@ -50,7 +53,8 @@ class FoundPlace(NamedTuple):
     def sentence(self) -> str:
         """Turn, middle and height."""
         turn_deg, (x, y) = math.degrees(self.place.rotation_rad) % 360, self.middle_um
-        return f"turned by {turn_deg:.0f} degrees about ({x:.0f}, {y:.0f}) um: {self.z:.1f}"
+        middle_text = plain_numbers(f"({x:.4g}, {y:.4g}) um")
+        return f"turned by {turn_deg:.0f} degrees about {middle_text}: {self.z:.1f}"
 
 
 class Undecided(CannotRegister):
@@ -82,17 +86,22 @@ def find_places(
 ) -> tuple[PlanePair, Found]:
     """Search by the maps of one side or of either, where holes say so first.
 
-    Stop where the place is sure; Undecided where none is.
+    Where none is sure in the unit of paper, search again in that of the pixel; the probability
+    counts both. Stop where the place is sure; Undecided where none is.
     """
     tried: list[tuple[PlanePair, Found]] = []
     sides = (False, True) if mirrored is None else (mirrored,)
-    for is_bottom in sides:
-        layers = PlanePair.of(moving, fixed, "bottom" if is_bottom else "top", holes)
+    grids = Grid.of(moving), Grid.of(fixed)
+    units_um = dict.fromkeys((length_unit_um(*grids), pixel_unit_um(*grids)))
+    for (look, unit_um), is_bottom in product(enumerate(units_um, 1), sides):
+        side = "bottom" if is_bottom else "top"
+        layers = PlanePair.of(moving, fixed, side, holes, unit_um)
         for near in _nears(layers, params, holes):
             hand = None if params.mirror else is_bottom
-            tried.append((layers, _searched(layers, params, mirrored=hand, near=near)))
-            if tried[-1][1].search.is_sure:
-                return tried[-1]
+            found = _searched(layers, params, mirrored=hand, near=near, looks=look)
+            if found.search.is_sure:
+                return layers, found
+            tried.append((layers, found))
     layers, best = min(tried, key=lambda t: t[1].search.false_probability)
     raise _undecided(best, layers)
 
@@ -133,11 +142,16 @@ def _nears(
 
 
 def _searched(
-    layers: PlanePair, params: RegistrationParams, *, mirrored: bool | None, near: Sequence[Near]
+    layers: PlanePair,
+    params: RegistrationParams,
+    *,
+    mirrored: bool | None,
+    near: Sequence[Near],
+    looks: int,
 ) -> Found:
     """Search the smaller layer in the larger one.
 
-    The second layer is tried at all sizes that the tolerance allows.
+    The second layer is tried at all sizes that the tolerance allows, in one of so many ``looks``.
     """
     half = 0.5 * _SEARCHED_UM
     a = layers.a.part(layers.a.middle_um - half, layers.a.middle_um + half)
@@ -172,7 +186,7 @@ def _searched(
                 a_texture, b_texture, mirrored=mirrored, scale_tolerance=tolerance, near=places
             )
         search = replace(
-            search, false_probability=min(len(guesses) * search.false_probability, 1.0)
+            search, false_probability=min(looks * len(guesses) * search.false_probability, 1.0)
         )
         places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
         if best is None or search.false_probability < best.search.false_probability:
@@ -313,7 +327,8 @@ def _undecided(found: Found, layers: PlanePair) -> Undecided:
         return Undecided(
             f"Two places of the sheet in the image are nearly alike. {text} A pattern that repeats,"
             " such as a screen or wire marks, looks like that: take it off the image"
-            " (`screen_um`), say about where the sheet lies (`near`), or give marks (`marks`).",
+            " (`screen_um`), or give marks (`marks`). Say about where the sheet lies (`near`) if"
+            " they are more than its period apart.",
             places,
         )
     return Undecided(
