@@ -64,12 +64,13 @@ class Pair:
     holes: tuple[xr.Dataset, xr.Dataset] | None = None
 
 
-def draw_pair(number, *, shown=None, holes=0, light=_LIGHT):
-    """Draw maps of a sheet and an image of it, or of the sheet ``shown``."""
+def draw_pair(number, *, shown=None, holes=0, light=_LIGHT, pixel_um=None):
+    """Draw maps of a sheet and an image of it, or of the sheet ``shown``; its pixel is drawn, too,
+    unless given."""
     rng = np.random.default_rng([number, 0 if shown is None else 1])
     sheet = _sheet(number % SHEETS, holes)
     specimen = sheet if shown is None else _sheet(shown % SHEETS, holes)
-    pair = _photographed(sheet, specimen, rng, light)
+    pair = _photographed(sheet, specimen, rng, light, pixel_um)
     if not holes:
         return pair
     in_image = find_holes(pair.image)
@@ -80,10 +81,11 @@ def draw_pair(number, *, shown=None, holes=0, light=_LIGHT):
     return replace(pair, holes=(in_map, in_image))
 
 
-def _photographed(sheet, specimen, rng, light):
+def _photographed(sheet, specimen, rng, light, pixel_um):
     width, height = specimen.params.size_um
+    drawn_um = float(rng.choice([2.6, 4.0, 6.0, 8.0]))
     camera = CameraParams(
-        pixel_um=float(rng.choice([2.6, 4.0, 6.0, 8.0])),
+        pixel_um=pixel_um or drawn_um,
         turn_range_deg=180.0,
         scale_range=0.02,
         nuisance_sd=0.004,

@@ -16,21 +16,17 @@ _PIXEL_UM = 4.0  # of paper, and up to twice as much: the shortest wave has 2 to
 _STEPS = 3  # of units in a decade: a hundredth of paper with such a pixel has its numbers
 
 
-def length_unit_um(first: Grid, second: Grid) -> float:
-    """Return 1 for layers of paper's size; otherwise the unit of their pixel."""
+def length_unit_um(first: Grid, second: Grid, *, by_pixel: bool = False) -> float:
+    """Return 1 for layers of paper's size; otherwise, or ``by_pixel``, a unit of their pixel.
+
+    The coarser pixel is 4 to 8.6 of it long.
+    """
+    pixel_um = max(*first.pixel_um, *second.pixel_um)
     areas_um2 = [math.prod((*grid.shape, *grid.pixel_um)) for grid in (first, second)]
     low_um, high_um = _PAPER_UM
-    if low_um <= _coarser_um(first, second) <= high_um and min(areas_um2) >= _LEAST_UM**2:
+    is_paper = low_um <= pixel_um <= high_um and min(areas_um2) >= _LEAST_UM**2
+    if is_paper and not by_pixel:
         return 1.0
-    return pixel_unit_um(first, second)
-
-
-def pixel_unit_um(first: Grid, second: Grid) -> float:
-    """Return a unit in proportion to the coarser pixel of two layers: that is 4 to 8.6 long."""
     # A pixel size of many digits is not quite the same after a division.
-    step = math.floor(_STEPS * math.log10(_coarser_um(first, second) / _PIXEL_UM) + 0.03)
+    step = math.floor(_STEPS * math.log10(pixel_um / _PIXEL_UM) + 0.03)
     return 10.0 ** (step / _STEPS)
-
-
-def _coarser_um(first: Grid, second: Grid) -> float:
-    return max(*first.pixel_um, *second.pixel_um)

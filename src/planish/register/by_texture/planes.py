@@ -161,11 +161,15 @@ class PlanePair(NamedTuple):
         fixed: xr.Dataset | xr.DataArray,
         side: Side,
         holes: tuple[xr.Dataset, xr.Dataset] | None,
-        unit_um: float | None = None,
+        *,
+        by_pixel: bool = False,
     ) -> PlanePair:
-        """Take two layers by what an image of a side may show; ``holes`` of both are masked."""
+        """Take two layers by what an image of a side may show; ``holes`` of both are masked.
+
+        ``by_pixel``: in the unit of their pixel also where they have paper's size.
+        """
         moving_holes, fixed_holes = holes or (None, None)
-        unit_um = unit_um or length_unit_um(Grid.of(moving), Grid.of(fixed))
+        unit_um = length_unit_um(Grid.of(moving), Grid.of(fixed), by_pixel=by_pixel)
         first = TexturedPlane.of(moving, side, moving_holes, unit_um)
         second = TexturedPlane.of(fixed, side, fixed_holes, unit_um)
         is_swapped = second.is_sheet and not first.is_sheet

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress, product
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,7 @@ _LEAST_WINDOW = 384  # pixels of a part of the image that is transformed as a wh
 _LEAST_ROTATIONS = 20  # that show how high chance gets
 # Of the rotations, measured on unrelated fields; those beside each other are alike.
 _INDEPENDENT = 0.25
+_KNOWN = "known pixels"
 Slab = NDArray[np.float32]
 Names = tuple[str, str]
 """A map of the moving layer, and that of the fixed one which it is compared with."""
@@ -147,7 +148,8 @@ def search_place(
     """
     hands = (False, True) if mirrored is None else (mirrored,)
     shares = (0.5, 1.0) if near and moving.area_um2 > _PARTED_UM**2 else (1.0,)
-    kept, steps = list[Similarity](), None
+    found, steps = PlaceSearch(candidates=(), false_probability=1.0), None
+    kept, cells = list[Similarity](), list[list[_Peak]]()
     for share in shares:
         scanner = _Scanner(moving, fixed, scale_tolerance, share, is_near=bool(near))
         rough = steps
@@ -283,30 +285,21 @@ def _exceeded(z: float, others: Floats) -> float:
 
     s = np.geomspace(0.8, 3.0, 67)[:, None]  # below 0.8 it is chance among few rotations
     x = np.maximum(others / s, 1.2)
-    log_sums, independent = (
-        special.logsumexp(log_rates(others / s), axis=1),
-        _INDEPENDENT * others.size,
-    )
+    log_sums = special.logsumexp(log_rates(others / s), axis=1)
+    independent = _INDEPENDENT * others.size
     log_likelihood = -_INDEPENDENT * np.sum(np.log(s) + 0.5 * x**2 - np.log(x**2 - 1.0), axis=1)
     weights = special.softmax(log_likelihood - independent * log_sums)
-    expected = (
-        (others.size + 1)
-        / _INDEPENDENT
-        * np.exp(np.minimum(log_rates(z / s[:, 0]) - log_sums, 700.0))
-    )
+    rates = np.exp(np.minimum(log_rates(z / s[:, 0]) - log_sums, 700.0))
+    expected = (others.size + 1) / _INDEPENDENT * rates
     return float(np.sum(weights * -np.expm1(-independent * np.log1p(expected))))
 
 
 class _Window(NamedTuple):
-    """Part of an image, and where the map's middle may lie in it.
-
-    Spectra of its maps and of what is known of it.
-    """
+    """Part of an image, and where the map's middle may lie in it."""
 
     first: tuple[int, int]  # row and column of the first middle
     size: tuple[int, ...]
-    maps: dict[str, NDArray[np.complex64]]
-    known: NDArray[np.complex64]
+    spectra: dict[str, NDArray[np.complex64]]  # of its maps, and of what is known of it
     shape: tuple[int, ...]
 
 
@@ -344,7 +337,7 @@ class _Scanner:
         self._whole = [self._spectra(first, size) for first in parts]
 
     def half_wave_um(self, names: Names) -> float:
-        """Half the mean wave of a map: it one up to there, one again a whole one on."""
+        """Half the mean wave of a map; a pattern that repeats is as good a whole one on."""
         values = self._moving.maps[names[0]]
         steps = [np.diff(values, axis=k) / self._moving.pixel_um[k] for k in (0, 1)]
         slope = math.sqrt(sum(float(np.mean(s**2)) for s in steps))
@@ -361,13 +354,12 @@ class _Scanner:
         """Whether two places can both be right: no part of the map goes with the image at both.
 
         A specimen that is not rigid goes there with one part here and with another one there; a
-        pattern that repeats, with the same parts at both. The strain takes two points of a part
-        less than half a wave apart, and so far may both places have it.
+        pattern that repeats, with the same parts at both. In a part, the strain takes no two points
+        more than half a wave apart; what lies closer than that in both places is at one of them.
         """
         if self.apart_um(a.place, b.place) > self.reach_um(a.names):
             return False
-        rows, cols = np.indices(self._moving.known.shape)
-        offsets_px = np.stack([cols, rows], axis=-1) - self._middle_px
+        offsets_px = np.moveaxis(np.indices(self._mask.shape)[::-1], 0, -1) - self._middle_px
         points = self.middle_um + offsets_px * self._moving_px
         half_wave_um = self.half_wave_um(a.names)
         is_apart = np.linalg.norm(a.place(points) - b.place(points), axis=-1) > half_wave_um
@@ -403,11 +395,10 @@ class _Scanner:
         self, turn: Similarity, scales: tuple[float, ...], near: Near | None
     ) -> Iterator[_Peak]:
         """The highest correlation of each map at each scale."""
-        for scaled, names, values, weight, window in self._heights(turn, scales, near):
-            height = values * weight
+        for scaled, names, height, window in self._heights(turn, scales, near):
             row, col = divmod(int(np.argmax(np.abs(height))), height.shape[1])
             at = row + window.first[0], col + window.first[1]
-            squares, shifts = float(np.vdot(height, height)), int(np.count_nonzero(weight))
+            squares, shifts = float(np.vdot(height, height)), int(np.count_nonzero(height))
             yield _Peak(scaled, names, float(height[row, col]), at, near, squares, shifts)
 
     def rivals(self, best: _Peak) -> Iterator[_Peak]:
@@ -420,8 +411,8 @@ class _Scanner:
             wave_um = 2.0 * self.half_wave_um(best.names)
             near = replace(near, radius_um=near.radius_um + wave_um)
         turn, scales = replace(best.turn, scale=1.0), (best.turn.scale,)
-        for _, names, values, weight, window in self._heights(turn, scales, near):
-            height = np.abs(values * weight) * (names == best.names)
+        for _, names, signed, window in self._heights(turn, scales, near):
+            height = np.abs(signed) * (names == best.names)
             is_high = height > RIVAL * abs(best.height)
             is_summit = height == ndimage.maximum_filter(height, 3)
             for at in np.argwhere(is_high & is_summit).tolist():
@@ -440,14 +431,14 @@ class _Scanner:
 
     def _heights(
         self, turn: Similarity, scales: tuple[float, ...], near: Near | None
-    ) -> Iterator[tuple[Similarity, Names, Slab, Slab, _Window]]:
-        """Sums of products by the pixel of the map's middle, and weights that make them heights."""
+    ) -> Iterator[tuple[Similarity, Names, Slab, _Window]]:
+        """Heights by the pixel of the map's middle: sums of products over the root of the pairs."""
         windows, middle_scale = self._windows(turn, near), 0.5 * (scales[0] + scales[-1])
         half, sampled = self._on_image(replace(turn, scale=middle_scale))
         mask = self._spectrum(self._turned_mask(sampled), windows[0].shape)
         least_pairs, weights = max(_OVERLAP * self._most * middle_scale**2, 1.0), list[Slab]()
         for window in windows:
-            pairs = self._lags(window, window.known, mask, half)
+            pairs = self._lags(window, _KNOWN, mask, half)
             weight = np.where(pairs >= least_pairs, 1.0 / np.sqrt(np.maximum(pairs, 1.0)), 0.0)
             weights.append(weight.astype(np.float32))
         for scale in scales:
@@ -456,11 +447,10 @@ class _Scanner:
             # Beyond a map that is known everywhere, what is sampled is 0 already.
             is_known = 1.0 if self._mask.all() else self._turned_mask(sampled)
             for names in self._names:
-                turned = sampled(self._splines[names[0]], 3) * is_known
+                turned = sampled(self._splines[names[0]], order=3) * is_known
                 part = self._spectrum(turned, windows[0].shape)
                 for window, weight in zip(windows, weights, strict=True):
-                    values = self._lags(window, window.maps[names[1]], part, half)
-                    yield scaled, names, values, weight, window
+                    yield scaled, names, weight * self._lags(window, names[1], part, half), window
 
     def _windows(self, turn: Similarity, near: Near | None) -> list[_Window]:
         """Parts of the image in which the middle of the map may lie: all, or one near a place."""
@@ -481,15 +471,13 @@ class _Scanner:
         target = tuple(k - b + margin for k, b in zip(source, first, strict=True))
         shape = tuple(fft.next_fast_len(n + 2 * margin, real=True) for n in count)
         spectra: dict[str, NDArray[np.complex64]] = {}
-        for name in {"", *(fixed for _, fixed in self._names)}:
+        for name, values in {**self._fixed.maps, _KNOWN: self._fixed.known}.items():
             part = np.zeros(shape, np.float32)
-            part[target] = (self._fixed.maps[name] if name else self._fixed.known)[source]
+            part[target] = values[source]
             spectra[name] = np.asarray(fft.rfft2(part), dtype=np.complex64)
-        return _Window(first, count, spectra, spectra[""], shape)
+        return _Window(first, count, spectra, shape)
 
-    def _on_image(
-        self, turn: Similarity
-    ) -> tuple[tuple[int, int], Callable[[Slab, Literal[1, 3]], Slab]]:
+    def _on_image(self, turn: Similarity) -> tuple[tuple[int, int], Callable[..., Slab]]:
         """Half the size and the sampling of a map on pixels of the image, no larger than needed."""
         matrix = turn.matrix()
         corners = np.array([*product((-0.5, 0.5), repeat=2)]) * self._extent_um @ matrix.T
@@ -497,23 +485,19 @@ class _Scanner:
         # Of pixels x, y.
         to_moving = (np.linalg.inv(matrix) * self._fixed_px) / self._moving_px[:, None]
         offset = self._middle_px - to_moving @ half
-        shape = (2 * int(half[1]) + 1, 2 * int(half[0]) + 1)
+        rows, cols = (2 * half[::-1] + 1).tolist()
+        sampled = partial(
+            ndimage.affine_transform,
+            matrix=to_moving[::-1, ::-1],
+            offset=offset[::-1],
+            output_shape=(rows, cols),
+            prefilter=False,
+            output=np.float32,
+        )
+        return (rows // 2, cols // 2), sampled
 
-        def sampled(values: Slab, order: Literal[1, 3]) -> Slab:
-            return ndimage.affine_transform(
-                values,
-                to_moving[::-1, ::-1],
-                offset[::-1],
-                output_shape=shape,
-                order=order,
-                prefilter=False,
-                output=np.float32,
-            )
-
-        return (shape[0] // 2, shape[1] // 2), sampled
-
-    def _turned_mask(self, sampled: Callable[[Slab, Literal[1, 3]], Slab]) -> Slab:
-        return (sampled(self._mask, 1) >= 0.5).astype(np.float32)
+    def _turned_mask(self, sampled: Callable[..., Slab]) -> Slab:
+        return (sampled(self._mask, order=1) >= 0.5).astype(np.float32)
 
     def _spectrum(self, part: Slab, shape: tuple[int, ...]) -> NDArray[np.complex64]:
         """Conjugate spectrum.
@@ -525,7 +509,7 @@ class _Scanner:
     def _lags(
         self,
         window: _Window,
-        image: NDArray[np.complex64],
+        name: str,
         part: NDArray[np.complex64],
         half: tuple[int, int],
     ) -> Slab:
@@ -533,7 +517,7 @@ class _Scanner:
 
         Only the rows that are needed.
         """
-        along = fft.ifft(image * part, axis=0, overwrite_x=True)
+        along = fft.ifft(window.spectra[name] * part, axis=0, overwrite_x=True)
         row, col = (self._margin - h for h in half)
         lags = fft.irfft(along[row : row + window.size[0]], window.shape[1], axis=1)
         return np.ascontiguousarray(lags[:, col : col + window.size[1]], dtype=np.float32)

@@ -16,7 +16,6 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import CannotRegister, InputError
-from planish.core.grid import Grid
 from planish.core.text import plain_numbers
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Pair
@@ -25,7 +24,6 @@ from planish.register.by_texture.planes import PlanePair, TexturedPlane, in_unit
 from planish.register.by_texture.rotations import FALSE, Names, Near, PlaceSearch, search_place
 from planish.register.fit import fit_transform
 from planish.register.params import RegistrationParams
-from planish.texture.length_unit import length_unit_um, pixel_unit_um
 
 _SEARCH_UM, _FINE_UM = 20.0, 8.0  # pixels: at 36 um a weak texture is at chance
 _SEARCHED_UM = 5000.0  # of the middle of a sheet: it says enough
@@ -91,14 +89,14 @@ def find_places(
     """
     tried: list[tuple[PlanePair, Found]] = []
     sides = (False, True) if mirrored is None else (mirrored,)
-    grids = Grid.of(moving), Grid.of(fixed)
-    units_um = dict.fromkeys((length_unit_um(*grids), pixel_unit_um(*grids)))
-    for (look, unit_um), is_bottom in product(enumerate(units_um, 1), sides):
+    for by_pixel, is_bottom in product((False, True), sides):
         side = "bottom" if is_bottom else "top"
-        layers = PlanePair.of(moving, fixed, side, holes, unit_um)
+        layers = PlanePair.of(moving, fixed, side, holes, by_pixel=by_pixel)
+        if by_pixel and layers.unit_um == tried[0][0].unit_um:
+            break
         for near in _nears(layers, params, holes):
             hand = None if params.mirror else is_bottom
-            found = _searched(layers, params, mirrored=hand, near=near, looks=look)
+            found = _searched(layers, params, mirrored=hand, near=near, looks=1 + by_pixel)
             if found.search.is_sure:
                 return layers, found
             tried.append((layers, found))
