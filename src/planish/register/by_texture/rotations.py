@@ -395,10 +395,10 @@ class _Scanner:
         self, turn: Similarity, scales: tuple[float, ...], near: Near | None
     ) -> Iterator[_Peak]:
         """The highest correlation of each map at each scale."""
-        for scaled, names, height, window in self._heights(turn, scales, near):
+        for scaled, names, height, window, shifts in self._heights(turn, scales, near):
             row, col = divmod(int(np.argmax(np.abs(height))), height.shape[1])
             at = row + window.first[0], col + window.first[1]
-            squares, shifts = float(np.vdot(height, height)), int(np.count_nonzero(height))
+            squares = float(np.vdot(height, height))
             yield _Peak(scaled, names, float(height[row, col]), at, near, squares, shifts)
 
     def rivals(self, best: _Peak) -> Iterator[_Peak]:
@@ -411,7 +411,7 @@ class _Scanner:
             wave_um = 2.0 * self.half_wave_um(best.names)
             near = replace(near, radius_um=near.radius_um + wave_um)
         turn, scales = replace(best.turn, scale=1.0), (best.turn.scale,)
-        for _, names, signed, window in self._heights(turn, scales, near):
+        for _, names, signed, window, _ in self._heights(turn, scales, near):
             height = np.abs(signed) * (names == best.names)
             is_high = height > RIVAL * abs(best.height)
             is_summit = height == ndimage.maximum_filter(height, 3)
@@ -431,8 +431,11 @@ class _Scanner:
 
     def _heights(
         self, turn: Similarity, scales: tuple[float, ...], near: Near | None
-    ) -> Iterator[tuple[Similarity, Names, Slab, _Window]]:
-        """Heights by the pixel of the map's middle: sums of products over the root of the pairs."""
+    ) -> Iterator[tuple[Similarity, Names, Slab, _Window, int]]:
+        """Heights by the pixel of the map's middle: sums of products over the root of the pairs.
+
+        With the number of pixels at which enough of the map is seen.
+        """
         windows, middle_scale = self._windows(turn, near), 0.5 * (scales[0] + scales[-1])
         half, sampled = self._on_image(replace(turn, scale=middle_scale))
         mask = self._spectrum(self._turned_mask(sampled), windows[0].shape)
@@ -450,7 +453,8 @@ class _Scanner:
                 turned = sampled(self._splines[names[0]], order=3) * is_known
                 part = self._spectrum(turned, windows[0].shape)
                 for window, weight in zip(windows, weights, strict=True):
-                    yield scaled, names, weight * self._lags(window, names[1], part, half), window
+                    height = weight * self._lags(window, names[1], part, half)
+                    yield scaled, names, height, window, int(np.count_nonzero(weight))
 
     def _windows(self, turn: Similarity, near: Near | None) -> list[_Window]:
         """Parts of the image in which the middle of the map may lie: all, or one near a place."""
