@@ -183,18 +183,19 @@ class Lag:
             sentence = f"{inconclusive} {_REASONS[self.reason]}."
             return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
         length, length_error = self.length_um, self.length_se_um
-        x_um, y_um = self.lag_um
-        offset = in_ascii(
-            f"y their texture the maps lie {to_spread(length, length_error)} ±"
-            f" {to_spread(length_error, length_error)} um apart (x"
-            f" {to_spread(x_um, length_error)}, y {to_spread(y_um, length_error)} um)"
+        length_text, error_text, x_text, y_text = (
+            in_ascii(to_spread(um, length_error)) for um in (length, length_error, *self.lag_um)
+        )
+        offset = (
+            f"y their texture the maps lie {length_text} ± {error_text} um apart (x {x_text}, y"
+            f" {y_text} um)"
         )
         if expected_error_um is None or not math.isfinite(expected_error_um):
             sentence = f"{inconclusive} the marks give no expected error; b{offset}."
             return Check(name=NAME, state="unknown", sentence=sentence, value=length, units="um")
         limit_um, expected = (
             self._allowed_um(expected_error_um),
-            f"expected error {expected_error_um:.2g} um",
+            f"expected error {to_spread(expected_error_um, expected_error_um)} um",
         )
         judge = partial(
             Check,
