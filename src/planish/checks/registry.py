@@ -40,6 +40,7 @@ from planish.results import (
 Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
 _ALL = (PROPERTIES, POSITION, CORRELATION)
 _BASE = ("base_thickness", "thickness")
+_ABOVE_FORM = (*HEIGHTS, "roughness_top", "roughness_bottom")
 _VOIDS = ("porosity", "pore_chord", "pore_diameter")
 _THICKNESSES = ("thickness", "coating_top", "coating_bottom", "base_thickness")
 _SIDES = ("coating_top", "coating_bottom", *HEIGHTS, "half_thickness_top", "half_thickness_bottom")
@@ -53,7 +54,7 @@ CHECKS = (
     CheckRule("alignment", MeasuredSheet, (PROPERTIES, POSITION), sheets.alignment),
     CheckRule("cut-off", MeasuredSheet, (POSITION,), sheets.cutoff),
     CheckRule("scale through the sheet", MeasuredSheet, _ALL, through_scale.scale_by_thickness),
-    CheckRule("field of the topography", MeasuredSheet, tuple(HEIGHTS), sheets.field_of_heights),
+    CheckRule("field of the topography", MeasuredSheet, _ABOVE_FORM, sheets.field_of_heights),
     CheckRule("corrections", MeasuredSheet, (PROPERTIES,), sheets.corrections),
     # planish map and link: from what a file says of its size
     CheckRule("size by dpi", SizedLayer, _ALL, sizes.size_by_dpi),
