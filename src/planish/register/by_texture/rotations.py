@@ -460,13 +460,13 @@ class _Scanner:
         """Parts of the image in which the middle of the map may lie: all, or one near a place."""
         if near is None:
             return self._whole
-        arm_um = (
-            np.zeros(2) if near.moving_um is None else self.middle_um - np.array(near.moving_um)
-        )
-        middle = (np.array(near.fixed_um) + turn.matrix() @ arm_um) / self._fixed_px
-        first = np.floor(middle - near.radius_um / self._fixed_px).astype(int)
-        count = np.ceil(2.0 * near.radius_um / self._fixed_px).astype(int) + 1
-        return [self._spectra((int(first[1]), int(first[0])), (int(count[1]), int(count[0])))]
+        arm_um = self.middle_um - (near.moving_um or self.middle_um)
+        middle_um = near.fixed_um + turn.matrix() @ arm_um
+        radius_px = near.radius_um / self._fixed_px[::-1]
+        first = np.floor(middle_um[::-1] / self._fixed_px[::-1] - radius_px).astype(int)
+        row, col = first.tolist()
+        rows, cols = np.ceil(2.0 * radius_px + 1.0).astype(int).tolist()
+        return [self._spectra((row, col), (rows, cols))]
 
     def _spectra(self, first: tuple[int, int], count: tuple[int, ...]) -> _Window:
         margin, sides = self._margin, zip(first, count, self._fixed.known.shape, strict=True)

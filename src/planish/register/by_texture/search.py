@@ -233,11 +233,8 @@ def _of_textures(
     near: Near, a: TexturedPlane, a_first: Floats, b_first: Floats, guess: float
 ) -> Near:
     """A rough place between layers, between their textures, whose first pixels lie elsewhere."""
-    middle = a.middle_um if near.moving_um is None else np.array(near.moving_um)
-    (ax, ay), (bx, by) = (
-        (middle - a_first).tolist(),
-        (guess * np.array(near.fixed_um) - b_first).tolist(),
-    )
+    ax, ay = ((near.moving_um or a.middle_um) - a_first).tolist()
+    bx, by = (guess * np.array(near.fixed_um) - b_first).tolist()
     return Near(fixed_um=(bx, by), radius_um=guess * near.radius_um, moving_um=(ax, ay))
 
 
@@ -265,10 +262,8 @@ def tiles_near(
     seen = place(a.corners_um)
     b = _part_of(b, seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
     has_light = not b.is_sheet
-    (moving, moving_first), (fixed, fixed_first) = (
-        a.texture(_FINE_UM, slopes=has_light),
-        b.texture(_FINE_UM),
-    )
+    moving, moving_first = a.texture(_FINE_UM, slopes=has_light)
+    fixed, fixed_first = b.texture(_FINE_UM)
     light = tuple(name for name in a.light if has_light and name in moving.maps)
     place = _moved(place, -moving_first, -fixed_first)
     names = names or clearest_maps(moving, fixed, place)
@@ -312,11 +307,10 @@ def _bent_tiles(
 
 def _undecided(found: Found, layers: PlanePair) -> Undecided:
     search, middle = found.search, (layers.b if layers.swapped else layers.a).middle_um
-    places = tuple(
-        FoundPlace(in_unit(place, 1.0 / layers.unit_um), (float(x), float(y)), candidate.z)
-        for candidate, place in zip(search.candidates, found.places, strict=True)
-        for x, y in (layers.unit_um * place(middle),)
-    )
+    places: list[FoundPlace] = []
+    for candidate, place in zip(search.candidates, found.places, strict=True):
+        x, y = (layers.unit_um * place(middle)).tolist()
+        places.append(FoundPlace(in_unit(place, 1.0 / layers.unit_um), (x, y), candidate.z))
     text = (
         "Best places, in standard deviations of chance:"
         f" {'; '.join(place.sentence for place in places[:3])}."
