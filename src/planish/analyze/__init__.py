@@ -3,10 +3,11 @@
 ``compare`` correlates layers, ``correlation`` is r with its interval, from covariances by lag.
 ``correlation_evidence`` holds QUESTIONS, a row a statistic beside r: ``curve_of_sizes`` and
 ``octaves`` (at which scale), ``robustness``, ``conley_interval``, ``curve``, ``thin_regions``,
-``attenuation`` and ``split_half`` (what could be seen), ``variograms`` and ``correlograms`` (by
-distance), ``agreement`` and ``rings`` (one quantity twice), ``kubelka_munk`` and ``light_spread``
-(light over a coating). ``compared_maps`` and ``sheet_columns`` are what these are given. ``sides``
-and ``lag`` check the registration by what the maps share, ``refinement`` improves it.
+``light_field`` (uneven light), ``attenuation`` and ``split_half`` (what could be seen),
+``variograms`` and ``correlograms`` (by distance), ``agreement`` and ``rings`` (one quantity twice),
+``kubelka_munk`` and ``light_spread`` (light over a coating). ``compared_maps`` and
+``sheet_columns`` are what these are given. ``sides`` and ``lag`` check the registration by what the
+maps share, ``refinement`` improves it.
 ``image_values`` and ``mottle`` are about images. ``sheets``, ``between_sheets``, ``pooled``
 and ``differences`` are about many sheets; ``distributions`` is what they need.
 """

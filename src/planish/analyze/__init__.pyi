@@ -47,6 +47,8 @@ from .lag import LagNumbers as LagNumbers
 from .lag import LagTile as LagTile
 from .lag import texture_lag as texture_lag
 from .leading_map import leading_map as leading_map
+from .light_field import LightField as LightField
+from .light_field import light_field as light_field
 from .light_spread import LightSpread as LightSpread
 from .light_spread import spread_light as spread_light
 from .mottle import Mottle as Mottle

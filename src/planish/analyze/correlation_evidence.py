@@ -28,6 +28,7 @@ from planish.analyze.kubelka_munk import (
     answer_density,
     answer_kubelka_munk,
 )
+from planish.analyze.light_field import LightField, answer_light_field
 from planish.analyze.light_spread import LightSpread, answer_light_spread
 from planish.analyze.octaves import Band, answer_octaves
 from planish.analyze.params import CorrelateParams
@@ -65,6 +66,9 @@ class EvidenceFacts(ResultModel):
     )
     curve: Curvature | None = optional("Whether the relation is straight or bent.")
     kubelka_munk: KubelkaMunk | None = optional("Where the study asks for it.")
+    light_field: LightField | None = optional(
+        "r without a smooth field that the map does not explain; of a sheet on an image."
+    )
     light_spread: LightSpread | None = optional("Where the study states how far light spreads.")
     density_g_cm3: Number = optional(
         "Of the coating, where the run knows it: it turns thickness into g/m2."
@@ -121,6 +125,7 @@ QUESTIONS = (
     Question(("curve",), answer_curve),
     Question(("thin",), answer_thin),
     Question(("short_waves", "short_waves_um"), answer_short_waves),
+    Question(("light_field",), answer_light_field),
     Question(("partial", "commonality"), answer_partial, option="beside"),
     Question(
         ("attenuation_limit", "reliability", "attenuation_limit_noise", "attenuation_limit_both"),

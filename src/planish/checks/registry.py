@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import xarray as xr
 
-from planish.checks import files, greys, registration, sheets, sizes, through_scale
+from planish.checks import files, greys, light, registration, sheets, sizes, through_scale
 from planish.checks.files import ImageFile
 from planish.checks.greys import SheetImage
 from planish.checks.registration import (
@@ -30,7 +30,9 @@ from planish.measure.registry import HEIGHTS
 from planish.results import (
     ComparisonRow,
     CorrelationRow,
+    EvidenceFacts,
     ExpectedError,
+    LagNumbers,
     LayerFacts,
     LinkedArea,
     PropertyFacts,
@@ -121,6 +123,8 @@ CHECKS = (
         (POSITION, CORRELATION),
         lambda _, textures: textures.position,
     ),
+    CheckRule(light.EVEN_LIGHT, EvidenceFacts, (CORRELATION,), light.even_light),
+    CheckRule("side light", LagNumbers, (CORRELATION,), light.side_light),
     CheckRule("linked area", LinkedArea, (CORRELATION,), registration.linked_area),
 )
 """Rows in the order of the results, each a :class:`planish.core.checks.CheckRule`."""

@@ -7,6 +7,7 @@ import math
 
 from planish.analyze import LagNumbers
 from planish.analyze.correlograms import CorrelogramProfiles
+from planish.checks.light import SIDE_LIGHT
 from planish.core.facts import is_known
 from planish.core.numbers import fixed, length, percent, plain
 from planish.report.relation import largest
@@ -15,10 +16,6 @@ from planish.report.statement import r2_limits
 from planish.report.summary import key_of, lead_pair
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
-# Share of what image and sheet have in common that needs the slopes. On synthetic sheets with less,
-# no displacement raises r of 100 um points by 0.005; at 0.56 to 0.71, one of 30 um raises it by
-# 0.03 to 0.1: tests/test_side_light.py.
-SIDE_LIGHT = 0.25
 _ABOVE_ERROR = 3.0  # times the expected error: a lag beyond that is more than the marks allow
 
 

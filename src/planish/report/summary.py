@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from planish.analyze import LagNumbers
+from planish.checks.light import EVEN_LIGHT
 from planish.core import numbers
 from planish.core.checks import State
 from planish.core.facts import Trust, is_known
@@ -25,8 +26,15 @@ from planish.core.numbers import (
     unit,
 )
 from planish.report.relation import largest, written_difference
+from planish.report.sentences.light_field import off_text
 from planish.report.sentences.partial import say_over_control
-from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
+from planish.report.statement import (
+    r2_interval_text,
+    r2_text,
+    r_interval_text,
+    r_sentence,
+    r_text,
+)
 from planish.report.text import as_compared, registered_by
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
@@ -294,7 +302,8 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
         else names_in_words(pixel, titles)
     )
     if pixel.trust != "ok":
-        return f"The correlation of {a} and {b} {doubt(results, pixel.trust, (pixel.a, pixel.b))}."
+        why = doubt(results, pixel.trust, (pixel.a, pixel.b))
+        return f"The correlation of {a} and {b} {why}.{_light_text(results, row)}"
     if not are_images:
         a, b = (a, "the image") if is_image else (f"{a} of {pixel.a}", f"{b} of {pixel.b}")
     points_text = f"{count(row.n)} points of {point_of(row)}"
@@ -313,6 +322,18 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     title_text = f" ({title[:1].lower()}{title[1:]})" if title else ""
     larger = "lighter" if are_images else "larger"
     return f"{capital(b)} is {comparative}{title_text} where {a} is {larger}: {limits_text}"
+
+
+def _light_text(results: Results, row: CorrelationRow) -> str:
+    """Both r where uneven light makes one doubtful; empty elsewhere, and where r is withheld."""
+    field = next((e.light_field for e in results.evidence if key_of(e) == key_of(row)), None)
+    is_asked = any(check.name == EVEN_LIGHT for check in results.checks_in("look"))
+    if field is None or row.trust != "doubtful" or not is_asked:
+        return ""
+    return (
+        f" As the image is, {r_sentence(row)}; {off_text(field)}. Which one holds"
+        " depends on the light."
+    )
 
 
 def cautions(results: Results) -> list[str]:

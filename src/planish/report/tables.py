@@ -6,10 +6,10 @@ They are column status, correlations, comparison and parameters.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
+from planish.checks.light import SIDE_LIGHT
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, fixed, in_words, interval_text, number, plain, unit
 from planish.core.status import Status
-from planish.report.reading_r import SIDE_LIGHT
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r_text
 from planish.report.summary import Titles, by_pair, headline_pair, titles_of

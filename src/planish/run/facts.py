@@ -12,9 +12,10 @@ from planish.analyze import LagNumbers
 from planish.analyze.compare import is_property
 from planish.analyze.image_values import image_facts
 from planish.analyze.leading_map import leading_map
+from planish.checks.light import EVEN_LIGHT
 from planish.core.axial import distribution, summable_of
 from planish.core.bands import read_bands, thinned
-from planish.core.checks import concerned
+from planish.core.checks import CORRELATION, POSITION, concerned, trust_of
 from planish.core.facts import InputFile, Side, is_known
 from planish.core.grid import Grid, pitch
 from planish.core.numbers import capital, with_article
@@ -24,6 +25,7 @@ from planish.io import fingerprint
 from planish.measure.registry import has_true_zero
 from planish.register import FittedTransform
 from planish.results import (
+    EvidenceFacts,
     ExpectedError,
     LayerFacts,
     LinkedArea,
@@ -368,3 +370,29 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
                 round(row.n_eff),
                 *trust_cells,
             )
+    for evidence in results.evidence:
+        yield from _light_rows(results, evidence)
+
+
+def _light_rows(results: Results, evidence: EvidenceFacts) -> Iterator[Sequence[Any]]:
+    """Give r without a smooth field in the image; a check of that field does not doubt it."""
+    field = evidence.light_field
+    if field is None:
+        return
+    layers, maps = (evidence.a, evidence.b), (evidence.a_map, evidence.b_map)
+    checks = concerned(results.checks, layers, (*maps, POSITION, CORRELATION))
+    checks = [check for check in checks if check.name != EVEN_LIGHT]
+    doubts = "; ".join(check.name for check in checks if check.state in ("look", "fail"))
+    trust = trust_of(checks, layers, (*maps, POSITION, CORRELATION))
+    figure = f"r of {' and '.join(maps)}, a quadratic field of light off"
+    size_text = f"points of {field.point_um:g} um"
+    figures = [(size_text, field.r, field.n)]
+    if is_known(field.interval):
+        n_eff = round(field.n_eff)
+        figures += [
+            (f"{size_text}, {side} 95 % limit", limit, n_eff)
+            for side, limit in zip(("lower", "upper"), field.interval, strict=True)
+        ]
+    figures.append(("share of the image's variance that the field holds", field.share, field.n))
+    for statistic, value, n in figures:
+        yield " ".join(layers), figure, statistic, _text(value), "", "1", n, trust, doubts

@@ -138,6 +138,10 @@ def _checks_of_link(overlay: Overlay, comparison: Comparison, holes: HoleSearch)
     for (a, b), texture in comparison.textures.items():
         checks = _texture_checks(overlay, a, b, texture)
         yield from run_checks(TextureChecks(*checks), a, b)
+        if texture.lag is not None:
+            yield from run_checks(texture.lag, a, b)
+    for evidence in comparison.evidence:
+        yield from run_checks(evidence, evidence.a, evidence.b)
     if comparison.area is not None:
         names = [linked.name for linked in overlay.layers]
         yield from run_checks(comparison.area, *names)

@@ -10,6 +10,7 @@ from planish.report.sentences.conley_interval import say_conley_interval
 from planish.report.sentences.correlogram import say_correlogram
 from planish.report.sentences.curve import say_curve
 from planish.report.sentences.kubelka_munk import say_kubelka_munk
+from planish.report.sentences.light_field import say_light_field
 from planish.report.sentences.light_spread import say_light_spread
 from planish.report.sentences.origins import say_origins
 from planish.report.sentences.partial import say_partial
@@ -39,6 +40,7 @@ SENTENCES = (
     QuestionText(("curve",), say_curve),
     QuestionText(("thin",), say_thin),
     QuestionText(("short_waves", "short_waves_um"), say_short_waves),
+    QuestionText(("light_field",), say_light_field),
     QuestionText(("partial", "commonality"), say_partial),
     QuestionText(
         ("attenuation_limit", "reliability", "attenuation_limit_noise", "attenuation_limit_both"),

@@ -1,0 +1,188 @@
+"""Uneven light: a smooth field in an image that the map compared with it does not explain.
+
+Fall-off and ramps are a quadratic field of x and y. Field and map are fitted to the image
+together: a field that is fitted alone also takes off the long waves that both have in common.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import Field
+from scipy import special
+
+from planish.analyze.correlation import LEAST_CLAIMED, PointsCorrelation, correlate, pearson
+from planish.core.errors import CannotMeasure
+from planish.core.facts import Interval, Value
+from planish.core.typing import Bools, Floats
+from planish.texture.covariance import Lags
+
+if TYPE_CHECKING:
+    from planish.analyze.compared_maps import ComparedMaps
+
+_TERMS = 5  # of the field, beside its mean
+_MOST_R = 1.0 - 1e-15  # of which Fisher's z is a number
+
+
+class LightField(PointsCorrelation):
+    """r with a quadratic field of x and y off the image, and how large that field is.
+
+    The long waves of the paper that look like such a field are off as well.
+    """
+
+    r_plain: Value = Field(description="r over the same points with the field left in.")
+    interval_plain: Interval = Field(description="Its 95 % interval.")
+    share: Value = Field(description="Share of the image's variance that the field holds.")
+    share_even: Value = Field(
+        description="Share that the texture of the image alone gives on average, in even light."
+    )
+    p_even: Value = Field(description="Probability of a share this large in even light.")
+    span: Value = Field(
+        description="Largest less smallest value of the field, as a share of the image's mean."
+    )
+
+    @property
+    def change(self) -> float:
+        """How much the field changes r."""
+        return abs(self.r - self.r_plain)
+
+
+def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, Floats]:
+    """Fit a multiple of a map and a quadratic field of x and y to an image.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (rows, cols)
+        Map and image over points; NaN is missing.
+    point_um : float
+        Edge of a point.
+
+    Returns
+    -------
+    LightField
+        No interval where fewer than 10 points are independent beside the terms of the field.
+    ndarray, shape (rows, cols)
+        The field, less its mean, where both are known; NaN elsewhere.
+
+    Raises
+    ------
+    CannotMeasure
+        If there are too few points, or the map is a quadratic field itself.
+
+    Notes
+    -----
+    The interval is that of the partial correlation given the field, which has the same slope and
+    the same rest. What the field shares with the map makes the slope less certain and does not
+    count in r: with v the variance of the map over that of what the field leaves of it, the limits
+    of r follow by tanh(asinh(sqrt(v) sinh z)). The terms of the field are degrees of freedom.
+
+    In even light, the coefficients of the field come of the texture of the rest, whose covariances
+    by lag give theirs; what the fit took off these is put back.
+    """
+    is_valid = np.isfinite(a) & np.isfinite(b)
+    x, y = (m[is_valid] - m[is_valid].mean() for m in (a, b))
+    if x.size < 3 * _TERMS:
+        raise CannotMeasure(f"{x.size} points are too few for a field of {_TERMS} terms.")
+    terms, _ = np.linalg.qr(_quadratic_terms(is_valid))
+    x_rest, y_rest = (m - terms @ (terms.T @ m) for m in (x, y))
+    if not float(x_rest @ x_rest) > 1e-10 * float(x @ x):
+        raise CannotMeasure("The map is a quadratic field of x and y itself.")
+    if not float(y_rest @ y_rest) > 1e-10 * float(y @ y):
+        raise CannotMeasure("The image is a quadratic field of x and y itself.")
+    slope = float(x_rest @ y_rest) / float(x_rest @ x_rest)
+    field = terms @ (terms.T @ (y - slope * x))
+    field -= field.mean()
+    partial_row = correlate(
+        _on_points(x_rest, is_valid), _on_points(y_rest, is_valid), pixel_um=point_um
+    )
+    plain_row = correlate(np.where(is_valid, a, np.nan), b, pixel_um=point_um)
+    inflation = math.sqrt(float(x @ x) / float(x_rest @ x_rest))
+    n_eff = partial_row.n_eff - _TERMS
+    widening = math.nan
+    if n_eff >= LEAST_CLAIMED and partial_row.n_eff_interval > _TERMS + 3:
+        points = partial_row.n_eff_interval - 3
+        widening = math.sqrt(points / (points - _TERMS))
+    z, *limits = (
+        math.atanh(np.clip(r, -_MOST_R, _MOST_R)) for r in (partial_row.r, *partial_row.interval)
+    )
+    low, high = (
+        math.tanh(math.asinh(inflation * math.sinh(z + widening * (limit - z)))) for limit in limits
+    )
+    share_even, p_even = _even_light(x, y, y_rest - slope * x_rest, terms, is_valid)
+    fitted = LightField(
+        point_um=point_um,
+        n=x.size,
+        r=pearson(x, y - field),
+        n_eff=n_eff,
+        interval=(low, high),
+        r_plain=plain_row.r,
+        interval_plain=plain_row.interval,
+        share=float(field @ field) / float(y @ y),
+        share_even=share_even,
+        p_even=p_even,
+        span=float(np.ptp(field)) / abs(float(b[is_valid].mean())),
+    )
+    return fitted, _on_points(field, is_valid)
+
+
+def _quadratic_terms(is_valid: Bools) -> Floats:
+    """1, x, y, x², xy and y² at the points that are valid: (points, 6)."""
+    y, x = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in is_valid.shape), indexing="ij")
+    terms = np.stack([np.ones(x.shape), x, y, x * x, x * y, y * y], axis=-1)
+    return terms[is_valid]
+
+
+def _on_points(values: Floats, is_valid: Bools, missing: float = math.nan) -> Floats:
+    points = np.full(is_valid.shape, missing)
+    points[is_valid] = values
+    return points
+
+
+def _even_light(
+    x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Bools
+) -> tuple[float, float]:
+    """Mean share of a field in even light, and the probability of one as large as that seen.
+
+    The rest's covariances by lag, and what the terms (points, 6) took off them, give the variance
+    of each coefficient. Their sum of squares is taken for a chi-square with the same mean and
+    variance (Satterthwaite 1946).
+    """
+    lags = Lags(is_valid, (1.0, 1.0))
+    own = lags.transform(_on_points(rest, is_valid, 0.0))
+    products = lags.products(own, own)
+    used = lags.until_zero(products)
+    pairs = np.maximum(np.where(used, lags.pairs, 0.0), 1e-9)
+    spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in terms.T]
+    overlaps = np.stack([np.where(used, lags.products(m, m), 0.0) for m in spectra])
+    # What a term took off the covariances depends on its own variance, which follows from them.
+    taken = np.tensordot(overlaps / pairs, overlaps, ((1, 2), (1, 2)))
+    seen = np.tensordot(overlaps, np.where(used, products, 0.0) / pairs, 2)
+    variances = np.linalg.solve(np.eye(len(taken)) - taken, seen)
+    covariance = (np.where(used, products, 0.0) + np.tensordot(variances, overlaps, 1)) / pairs
+    # The terms of a field are those that neither the mean nor the map explain.
+    others = terms - terms.mean(axis=0)
+    others -= np.outer(x, x @ others) / float(x @ x)
+    basis = np.linalg.svd(others, full_matrices=False)[0][:, :_TERMS]
+    spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in basis.T]
+    expected = np.array(
+        [[float(np.sum(lags.products(m, k) * covariance)) for k in spectra] for m in spectra]
+    )
+    mean, size = float(np.trace(expected)), float(np.sum((basis.T @ y) ** 2))
+    if not (mean > 0 and variances.min() > 0):
+        return math.nan, math.nan
+    freedom = mean**2 / float(np.sum(expected * expected))
+    tail = float(special.gammaincc(freedom / 2, freedom / 2 * size / mean))
+    return mean / float(y @ y), tail
+
+
+def answer_light_field(pair: ComparedMaps) -> dict[str, Any]:
+    """Give r with a quadratic field off the image, where a sheet is compared with an image."""
+    names = pair.a[1], pair.b[1]
+    if not pair.has_points or names.count("image") != 1:
+        return {}
+    points = dict(zip(names, pair.points, strict=True))
+    image = points.pop("image")
+    (sheet,) = points.values()
+    return {"light_field": light_field(sheet, image, point_um=pair.point_um)[0]}
