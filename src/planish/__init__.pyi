@@ -3,6 +3,7 @@ from .core.errors import PlanishError as PlanishError
 from .core.frame import Frame as Frame
 from .exports import export as export
 from .flatten import flatten_sheet as flatten_sheet
+from .io import correct_light as correct_light
 from .io import read_image as read_image
 from .io import read_volume as read_volume
 from .io.arrays import image as image

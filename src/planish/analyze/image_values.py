@@ -17,7 +17,9 @@ from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Number, ResultModel, optional
 from planish.core.typing import Array, Bools, Pair, Pixel
+from planish.io.light import LightFacts
 from planish.io.params import ImageParams
+from planish.io.tone import Gamma, linear_grey
 
 SCREEN_SIGMA_UM = 70.0
 """Standard deviation of the Gaussian: 6 of them are the 420 um of Hirn et al.
@@ -35,9 +37,11 @@ SCREEN_REACH = 3.0
 class ImageFacts(ResultModel):
     """What the values of an image are that is compared."""
 
-    quantity: Literal["grey value, uncalibrated", "reflectance"] = Field(
-        description="What the grey is taken for."
+    quantity: Literal["grey value, uncalibrated", "reflectance", "reflectance, up to a factor"] = (
+        Field(description="What the grey is taken for.")
     )
+    gamma: Gamma | None = optional("Curve or exponent that was undone, if one was given.")
+    light: LightFacts | None = optional("White and dark image, if they were given.")
     dark_grey: Number = optional("Grey of the dark reference, if it was given.")
     white_grey: Number = optional("Grey of the white reference, whose reflectance counts as 1.")
     screen_um: Number = optional("Period of the print screen that was taken off, if it was given.")
@@ -47,10 +51,14 @@ class ImageFacts(ResultModel):
     @property
     def sentence(self) -> str:
         """What a reader has to know of the values."""
-        if self.quantity == "reflectance":
+        if self.light is not None:
+            text = self.light.sentence
+        elif self.quantity == "reflectance":
             text = f"reflectance: grey {self.dark_grey:g} is 0, grey {self.white_grey:g} is 1"
         else:
             text = "grey value, uncalibrated: no dark and white reference was given"
+        if self.gamma is not None:
+            text += f"; grey was made linear first, by the curve {self.gamma}"
         if self.screen_um is not None:
             text += (
                 f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma"
@@ -60,11 +68,16 @@ class ImageFacts(ResultModel):
         return text
 
 
-def image_facts(params: ImageParams) -> ImageFacts:
+def image_facts(params: ImageParams, light: LightFacts | None = None) -> ImageFacts:
     """What the values of an image are."""
     screen_um = params.screen_um
+    quantity = "grey value, uncalibrated" if params.dark_grey is None else "reflectance"
+    if light is not None:
+        quantity = light.quantity
     return ImageFacts(
-        quantity="grey value, uncalibrated" if params.dark_grey is None else "reflectance",
+        quantity=quantity,
+        gamma=params.gamma,
+        light=light,
         dark_grey=params.dark_grey,
         white_grey=params.white_grey,
         screen_um=screen_um,
@@ -104,9 +117,9 @@ def compared_image(
         return image
     more: dict[str, object] = {}
     if params.dark_grey is not None and params.white_grey is not None:
-        values = (values - np.float32(params.dark_grey)) / np.float32(
-            params.white_grey - params.dark_grey
-        )
+        scale = image.attrs.get("full_scale")
+        dark, white = linear_grey([params.dark_grey, params.white_grey], params.gamma, scale)
+        values = (values - np.float32(dark)) / np.float32(white - dark)
         _, comma, channel = title.replace(", uncalibrated", "").partition(", ")
         title = f"Reflectance{comma}{channel}"
     if params.screen_um is not None:

@@ -32,8 +32,9 @@ from planish.core.grid import Grid
 from planish.core.labelled import variable_data
 from planish.core.lazy import LazyArray, Where
 from planish.core.memory import TILE_BYTES
-from planish.io import ImageParams
+from planish.io import ImageParams, fingerprint
 from planish.io.image import across, channel_of
+from planish.io.light import read_corrected
 from planish.io.map_store import CHUNK, overviews_of, stored_group
 from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
@@ -198,7 +199,7 @@ def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -
 
     It is as :func:`planish.read_image` reads it, with its errors.
     """
-    path, channel = Path(params.path), params.channel
+    path = Path(params.path)
     header = load_picture(path, decode=False)
     pixel_um, _ = agreed_size(
         across(header.stated),
@@ -209,12 +210,15 @@ def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -
         unusual=params.unusual_size,
     )
     _, title = channel_of(
-        header._replace(values=header.values[:1, :1]), channel, file_name=path.name
+        header._replace(values=header.values[:1, :1]), params.channel, file_name=path.name
     )
     rows, cols = header.values.shape[:2]
-    image_values = _ImageValues(path, channel, (rows, cols))
+    options = params.model_dump_json(include={"channel", "gamma", "white_exposure"})
+    hashes = [fingerprint(file) for file in (params.white, params.dark) if file is not None]
     levels = ComputedLevels(
-        image_values, cache_folder(path, "image", channel), keep_all=not is_mapped(path)
+        _ImageValues(params, (rows, cols)),
+        cache_folder(path, "image", options, *hashes),
+        keep_all=params.white is not None or not is_mapped(path),
     )
     return PlanePicture(
         plane=plane,
@@ -232,23 +236,24 @@ class _ImageValues(LazyArray):
     Decoded when a window is read for the first time, where the file is not mapped.
     """
 
-    def __init__(self, path: Path, channel: str, shape: tuple[int, int]) -> None:
-        self._path, self._channel, self.shape, self.dtype = (
-            path,
-            channel,
-            shape,
-            np.dtype(np.float32),
-        )
+    def __init__(self, params: ImageParams, shape: tuple[int, int]) -> None:
+        self._params, self.shape, self.dtype = params, shape, np.dtype(np.float32)
         self._lock = threading.Lock()
         self._decoded: DecodedPicture | None = None
+        self._corrected: NDArray[np.float32] | None = None
 
     def read(self, where: Where) -> NDArray[np.float32]:
         """Read a window."""
+        params, path = self._params, Path(self._params.path)
         with self._lock:
+            if params.white is not None:
+                if self._corrected is None:
+                    self._corrected = read_corrected(params)[0].values
+                return self._corrected[where]
             if self._decoded is None:
-                self._decoded = load_picture(self._path)
+                self._decoded = load_picture(path)
         window = self._decoded._replace(values=self._decoded.values[where])
-        return channel_of(window, self._channel, file_name=self._path.name)[0]
+        return channel_of(window, params.channel, file_name=path.name, gamma=params.gamma)[0]
 
 
 Key = tuple[str, int, int, int]

@@ -33,7 +33,8 @@ from planish.app.pictures import Pictures
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
 from planish.core.typing import Floats
-from planish.io import fingerprint, read_image
+from planish.io import fingerprint
+from planish.io.light import read_corrected
 from planish.io.map_groups import read_group
 from planish.io.params import ImageParams
 from planish.marks.exchange import MarkPlaces, holes_of, make_marks, model
@@ -210,7 +211,7 @@ class Session:
     @cached_property
     def image(self) -> xr.DataArray | None:
         """The image of a link that was refused, as the link reads it; None for a run."""
-        return self.image_params and read_image(self.image_params.path, **self.image_params.how)
+        return self.image_params and read_corrected(self.image_params)[0]
 
     def holes(self, layer: str) -> dict[Plane, xr.Dataset]:
         """All holes that were found in both planes, matched or not.

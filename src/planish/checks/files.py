@@ -7,6 +7,7 @@ import xarray as xr
 
 from planish.checks.scan import ScannedSheet
 from planish.core.checks import Check, CheckRule
+from planish.io.light import LightFacts
 from planish.io.orientation import hand_sentence
 
 
@@ -15,6 +16,7 @@ class ImageFile:
     """An image as it was read, with what its file says in its attributes."""
 
     image: xr.DataArray
+    light: LightFacts | None = None  # of its white image
 
 
 def hand_of_volume(rule: CheckRule, scan: ScannedSheet) -> Check | None:

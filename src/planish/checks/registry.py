@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import xarray as xr
 
-from planish.checks import files, greys, light, registration, sheets, sizes, through_scale
+from planish.checks import files, greys, images, light, registration, sheets, sizes, through_scale
 from planish.checks.files import ImageFile
 from planish.checks.greys import SheetImage
 from planish.checks.registration import (
@@ -84,6 +84,8 @@ CHECKS = (
     ),
     # planish link: from an image
     CheckRule("hand of the image", ImageFile, (POSITION, CORRELATION), files.hand_of_image),
+    CheckRule("white image", ImageFile, (CORRELATION,), images.white_image),
+    CheckRule("linear grey", ImageFile, (CORRELATION,), images.linear_grey),
     # planish link: from a registration
     CheckRule("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
     CheckRule("marks", JudgedRegistration, (POSITION,), registration.marks),

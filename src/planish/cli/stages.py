@@ -89,15 +89,19 @@ def _volume(
     return read_sheet_volume(params, compute, silent)[0], params, compute
 
 
-def _image(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, ImageParams]:
-    from planish.io import read_image
+def _image(
+    path: Path, values: dict[str, Any], *, is_compared: bool = False
+) -> tuple[xr.DataArray, ImageParams]:
+    from planish.io.light import read_corrected
     from planish.io.sizes import PIXEL, with_advice
 
     params = image_params(path, values)
-    image = read_image(path, **params.how)
+    image, corrected = read_corrected(params)
     if "size_doubt" in image.attrs:
         doubt_text = with_advice(image.attrs["size_doubt"], PIXEL)
         click.echo(f"look: {shown(doubt_text)}", err=True)
+    if is_compared and corrected is not None:
+        image = corrected.valid
     return image, params
 
 
@@ -225,7 +229,7 @@ def resample(
         maps = resample_maps(data, coordinates, map_um=map_um)
         _write(out, {"maps": maps}, f"{maps.sizes['u']} x {maps.sizes['v']} pixels")
         return
-    image = compared_image(*_image(reference, values))
+    image = compared_image(*_image(reference, values, is_compared=True))
     linked = resample_maps(
         data, coordinates, onto=image, registration=Registration.read(registration)
     )

@@ -6,6 +6,7 @@ from .inspection import as_text as as_text
 from .inspection import best_section as best_section
 from .inspection import middle_sections as middle_sections
 from .inspection import write_picture as write_picture
+from .light import correct_light as correct_light
 from .map_groups import read_group as read_group
 from .map_groups import read_tree as read_tree
 from .map_groups import write_tree as write_tree

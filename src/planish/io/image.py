@@ -18,6 +18,7 @@ from planish.io.guard import check_memory, size_of_file
 from planish.io.orientation import orientation_attrs, tag_orientation
 from planish.io.picture import DecodedPicture, load_picture
 from planish.io.sizes import PIXEL, Stated, agreed_size, doubt_of_size
+from planish.io.tone import Gamma, linear_grey
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,6 +36,7 @@ def read_image(
     unusual_size: bool = False,
     memory_bytes: int | None = None,
     side: Side | None = None,
+    gamma: Gamma | None = None,
 ) -> xr.DataArray:
     """Read the 2D image of a sheet.
 
@@ -55,6 +57,8 @@ def read_image(
     side : {"top", "bottom"}, optional
         Side of the sheet that it shows, which :func:`planish.find_holes` then follows; top is
         assumed where not given.
+    gamma : "srgb" or float, optional
+        Curve that the values are coded with, or its exponent; it is undone.
 
     Returns
     -------
@@ -63,8 +67,8 @@ def read_image(
         ``pixel_um`` (y, x), ``pixel_um_source``, ``channel``, ``stored_dtype``, ``full_scale``
         (largest value the file can store, None for floating point), ``orientation`` (the tag),
         ``hand`` or ``turned`` where it mirrors or turns the image, ``file_name``, ``file_bytes``,
-        ``side`` if given, and ``size_doubt``, a sentence, where the size may be nobody's
-        measurement.
+        ``camera``, ``curve`` and ``is_linear`` as the file states them, ``side`` and ``gamma`` if
+        given, and ``size_doubt``, a sentence, where the size may be nobody's measurement.
 
     Raises
     ------
@@ -79,9 +83,10 @@ def read_image(
 
     Notes
     -----
-    Values stay as stored: no gamma is undone (luminance is the weighted sum of stored values),
-    alpha is ignored, and an orientation tag turns nothing, it is only reported. In TIFF files whose
-    white is zero the values are turned round; palettes are looked up.
+    Values stay as stored where no `gamma` is given (luminance is the weighted sum of the values of
+    the colours, each without its curve), alpha is ignored, and an orientation tag turns nothing, it
+    is only reported. In TIFF files whose white is zero the values are turned round; palettes are
+    looked up.
     """
     from planish.core.arrays import check_path  # here, so that a look at a file waits for no xarray
     from planish.core.labelled import labelled
@@ -101,7 +106,7 @@ def read_image(
     )
     height, width = picture.values.shape[:2]
     check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_bytes)
-    values, long_name = pick_channel(picture, channel, file_name=path.name)
+    values, long_name = pick_channel(picture, channel, file_name=path.name, gamma=gamma)
     attrs = {
         "units": "1",
         "long_name": long_name,
@@ -114,7 +119,11 @@ def read_image(
         **picture_attrs(picture.orientation),
         "file_name": path.name,
         "file_bytes": size_of_file(path),
-    } | ({} if side is None else {"side": side})
+        "camera": picture.tone.camera or "a colour camera" * picture.in_colour,
+        "curve": picture.tone.curve,
+        "is_linear": picture.tone.is_linear,
+    }
+    attrs |= {k: v for k, v in (("side", side), ("gamma", gamma)) if v is not None}
     if doubt := doubt_of_size(stated, source):
         attrs["size_doubt"] = doubt
     return labelled(values, PIXEL.axes, size, name="image", attrs=attrs)
@@ -135,10 +144,10 @@ def across(stated: Sequence[Stated]) -> list[Stated]:
 
 
 def pick_channel(
-    picture: DecodedPicture, channel: str, *, file_name: str
+    picture: DecodedPicture, channel: str, *, file_name: str, gamma: Gamma | None = None
 ) -> tuple[NDArray[np.float32], str]:
     """Take one channel as float32, and name it; FileError where no pixel has a number."""
-    picked = channel_of(picture, channel, file_name=file_name)
+    picked = channel_of(picture, channel, file_name=file_name, gamma=gamma)
     if not np.isfinite(picked[0]).any():
         raise FileError(
             f"{file_name} has no pixel with a number in it, all are missing. Export it again."
@@ -147,9 +156,15 @@ def pick_channel(
 
 
 def channel_of(
-    picture: DecodedPicture, channel: str, *, file_name: str
+    picture: DecodedPicture, channel: str, *, file_name: str, gamma: Gamma | None = None
 ) -> tuple[NDArray[np.float32], str]:
-    """One channel as float32, of a whole picture or a window of it, and its name."""
+    """One channel as float32, of a whole picture or a window of it, and its name.
+
+    In linear grey where the curve is given that it is coded with.
+    """
+    if gamma is not None:
+        scale = full_scale(picture.values.dtype, picture.bits)
+        picture = picture._replace(values=linear_grey(picture.values, gamma, scale))
     samples = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
     n_channels, colour, channel_name = samples.shape[-1], picture.colour, channel.strip().casefold()
     if channel_name.isdecimal() and channel_name.isascii():

@@ -139,6 +139,35 @@ class ImageParams(Params):
         metavar="GREY",
         help="Grey of a white reference in the same light, likewise; its reflectance counts as 1.",
     )
+    white: str | None = option(
+        None,
+        metavar="FILE",
+        help=(
+            "Picture of a white sheet in the same light, with the image's own pixels or binned; the"
+            " image is divided by it before anything else and becomes reflectance."
+        ),
+    )
+    dark: str | None = option(
+        None,
+        metavar="FILE",
+        help="Picture without light, likewise, taken off both; black is 0 where it is not given.",
+    )
+    white_exposure: float | None = option(
+        None,
+        gt=0,
+        help=(
+            "Exposure of `white` over that of the image, 1 for the same; without it reflectance is"
+            " known up to a factor."
+        ),
+    )
+    gamma: Literal["srgb"] | Annotated[float, Field(ge=1, le=4)] | None = option(
+        None,
+        metavar="srgb|EXPONENT",
+        help=(
+            "Curve that the image and its `white` and `dark` are coded with: srgb, an exponent such"
+            " as 2.2, or 1 where grey is linear. It is undone before anything else."
+        ),
+    )
     screen_um: float | None = option(
         None,
         gt=0,
@@ -151,10 +180,19 @@ class ImageParams(Params):
     @property
     def how(self) -> dict[str, Any]:
         """Options that :func:`planish.read_image` takes."""
-        return self.model_dump(include={"pixel_um", "channel", "override_size", "unusual_size"})
+        names = {"pixel_um", "channel", "override_size", "unusual_size", "gamma"}
+        return self.model_dump(include=names)
 
     @model_validator(mode="after")
     def _references(self) -> Self:
+        if self.white is None and (self.dark or self.white_exposure):
+            raise ValueError(
+                "dark and white_exposure need white: give the picture of a white sheet"
+            )
+        if self.white is not None and self.dark_grey is not None:
+            raise ValueError(
+                "white is given, and so are dark_grey and white_grey: give pictures or single greys"
+            )
         if (self.dark_grey is None) != (self.white_grey is None):
             raise ValueError(
                 "dark_grey and white_grey belong together: give both, or neither for grey values"

@@ -30,6 +30,7 @@ from planish.io.tiff import (
     open_series,
     shape_words,
 )
+from planish.io.tone import COLOUR_SPACE, Tone, tone_of
 
 PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
     "png": PngImagePlugin.PngImageFile,
@@ -54,6 +55,7 @@ class DecodedPicture(NamedTuple):
     stated: tuple[Stated, ...]
     orientation: int  # the tag, 1 to 8; values stay as stored, whatever it says
     notes: tuple[str, ...] = ()  # what was assumed, in sentences
+    tone: Tone = Tone()  # what the file states of its grey
 
     @property
     def in_colour(self) -> bool:
@@ -132,6 +134,8 @@ def load_picture(
             values = _with_gaps(values, page, is_image=decode and not is_slice)
         stated = stated_by_tiff(tif, page, path)
         notes = notes_on_reading(tif, page, path) if is_slice else ()
+        with reading(path):
+            tone = _tone_of_page(page)
     orientation = orientation if isinstance(orientation, int) else 1
     return DecodedPicture(
         values=values,
@@ -140,7 +144,14 @@ def load_picture(
         stated=stated,
         orientation=orientation,
         notes=notes,
+        tone=tone,
     )
+
+
+def _tone_of_page(page: TiffPage) -> Tone:
+    photo: Any = page.tags.valueof(34665, default={})
+    tags = {tag: page.tags.valueof(tag) for tag in (271, 272, 34675)}
+    return tone_of(tags, photo.get("ColorSpace"), {})
 
 
 def _with_gaps(values: NDArray[Any], page: TiffPage, *, is_image: bool) -> NDArray[Any]:
@@ -197,7 +208,9 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         # Pillow decodes a PNG to look for the tag behind its pixels.
         exif = image.getexif() if decode or kind != "png" else Image.Exif()
         orientation = exif.get(274, 1)
-        writer = writer_of({305: image.info.get("Software")} | dict(exif), exif.get_ifd(34665))
+        photo = exif.get_ifd(34665)
+        writer = writer_of({305: image.info.get("Software")} | dict(exif), photo)
+        tone = tone_of(exif, photo.get(COLOUR_SPACE), image.info)
         dpi: Any = image.info.get("dpi")
         if decode:
             image.load()
@@ -234,7 +247,12 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         stated.append(stated_density("the Exif resolution", exif_density, exif_unit, writer))
     orientation = orientation if isinstance(orientation, int) else 1
     return DecodedPicture(
-        values=values, colour=colour, bits=bits, stated=tuple(stated), orientation=orientation
+        values=values,
+        colour=colour,
+        bits=bits,
+        stated=tuple(stated),
+        orientation=orientation,
+        tone=tone,
     )
 
 

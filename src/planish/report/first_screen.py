@@ -144,10 +144,10 @@ def operator_notes(results: Results) -> list[str]:
     if results.evidence and not results.evidence[0].declared:
         notes.append("The map that leads is declared with --headline.")
     images = [layer.image for layer in results.layers if layer.image is not None]
-    if any(image.quantity != "reflectance" for image in images):
+    if any(image.quantity == "grey value, uncalibrated" for image in images):
         notes.append(
-            "Reflectance in place of uncalibrated grey values: --dark-grey and --white-grey, of two"
-            " known greys."
+            "Reflectance in place of uncalibrated grey values: --white and --dark, pictures of a"
+            " white sheet and without light; or --dark-grey and --white-grey, of two known greys."
         )
     if "about" not in results.parameters:
         notes.append(

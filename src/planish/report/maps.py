@@ -316,6 +316,21 @@ def draw_outlines(
     ]
 
 
+def draw_light(light: xr.Dataset, layer: str) -> draw.Picture:
+    """Draw what an image was divided by, of pixels that count."""
+    factor = light["factor"].where(light["status"] == 0)
+    y, x = light["y"].values, light["x"].values
+    canvas, _ = draw.draw_map(factor.values, y, x, scale=limits(factor.values), label="")
+    return canvas.picture(
+        title=f"Light on {layer}",
+        caption=(
+            "White image less the dark one, over its median: what the image was divided by."
+            f" n = {draw.n_of(factor.values)} pixels of {draw.pixel_of(x)}; mask: neither saturated"
+            " nor too dark."
+        ),
+    )
+
+
 def _darkness_sentence(
     image: Array, is_outlined: NDArray[np.bool_], valid: NDArray[np.bool_]
 ) -> str:

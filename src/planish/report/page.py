@@ -23,6 +23,7 @@ from planish.core.facts import is_known
 from planish.core.files import write_whole
 from planish.core.numbers import in_words, with_article
 from planish.core.tables import table_text
+from planish.io.light import LIGHT
 from planish.marks.exchange.model import points_of
 from planish.report import (
     diagnostics,
@@ -163,6 +164,11 @@ def render_report(
             if (block := _registration_section(run_maps, layer, marks.get(layer.name)))
         ],
         pairs=[_draw_pair(run_maps, pair) for pair in pairs.values()],
+        lights=[
+            maps.draw_light(groups[name], layer.name)
+            for layer in results.layers
+            if (name := f"{LIGHT}/{layer.name}") in groups
+        ],
         evidence=[_evidence_section(run_maps, e, pairs) for e in results.evidence],
     )
     return f"{page}\n", pictures

@@ -185,7 +185,7 @@ def quantities(results: Results) -> list[str]:
         f"{capital(numbers.with_article(name))}: {typeset(image.sentence)}."
         for name, image in images
     ]
-    if any(image.quantity != "reflectance" for _, image in images):
+    if any(image.quantity == "grey value, uncalibrated" for _, image in images):
         texts.append(
             "A grey value is the brightness that the file holds: larger is lighter, in no"
             " physical unit."

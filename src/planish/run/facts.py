@@ -10,7 +10,7 @@ import xarray as xr
 
 from planish.analyze import LagNumbers
 from planish.analyze.compare import is_property
-from planish.analyze.image_values import image_facts
+from planish.analyze.image_values import ImageFacts, image_facts
 from planish.analyze.leading_map import leading_map
 from planish.checks.light import EVEN_LIGHT
 from planish.core.axial import distribution, summable_of
@@ -156,9 +156,15 @@ def layer_facts(
         headline=leading_map(maps, side, headline),
         share_of_reference=pixels / shown.size,
         sheet=layer.facts,
-        image=None if layer.params.image is None else image_facts(layer.params.image),
+        image=_image_facts(layer),
         registration=None if link is None else _registration_facts(layer, link, maps, lag),
     )
+
+
+def _image_facts(layer: MappedLayer) -> ImageFacts | None:
+    if layer.params.image is None:
+        return None
+    return image_facts(layer.params.image, layer.corrected and layer.corrected.facts)
 
 
 def _registration_facts(

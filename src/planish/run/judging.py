@@ -26,6 +26,7 @@ from planish.checks import (
 from planish.core.bands import thinned
 from planish.core.checks import Check
 from planish.core.source_hash import hash_sources
+from planish.io.light import LIGHT
 from planish.results import LayerFacts, Results
 from planish.run.compare import Comparison
 from planish.run.holes import HoleSearch
@@ -96,6 +97,9 @@ def _groups_of_link(
         groups = {f"layers/{name}": maps for name, maps in overlay.maps.items()}
     if comparison.refined is not None:
         groups["refined"] = comparison.refined
+    for linked in overlay.layers:
+        if linked.layer.corrected is not None:
+            groups[f"{LIGHT}/{linked.name}"] = linked.layer.corrected.light
     return groups | overlay.store.overviews()
 
 

@@ -10,6 +10,7 @@ import xarray as xr
 from planish.core.checks import Check
 from planish.core.facts import InputFile, Side
 from planish.core.grid import Grid
+from planish.io.light import CorrectedImage
 from planish.register import Chain
 from planish.results import SheetFacts
 from planish.run.registration import Registration
@@ -29,6 +30,7 @@ class MappedLayer:
     # Machine direction, deg clockwise on screen from the x axis, if it was given.
     md_deg: float | None = None
     image: xr.DataArray | None = None
+    corrected: CorrectedImage | None = None  # of an image with a white one
     # An image as it is compared; holes are found in the image itself.
     compared: xr.DataArray | None = None
     # Of a sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u),

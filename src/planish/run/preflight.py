@@ -27,6 +27,8 @@ from planish.run.study import Study
 # a folder, all linked maps are held; beside an image, its values as compared and, while a screen is
 # taken off, two means and their weights.
 _REFINED_BYTES, _HELD_BYTES, _COMPARED_BYTES = 120, 130, 24
+# White and dark, each with its error and the means that are tried, and what they make of the image.
+_LIGHT_BYTES = 64
 
 
 def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regions | None:
@@ -68,9 +70,11 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
     for layer in study.layers:
         if layer.image is not None:
             rows, cols = load_picture(Path(layer.path), decode=False).values.shape[:2]
-            is_changed = layer.image.dark_grey is not None or layer.image.screen_um is not None
+            options = layer.image
+            is_changed = bool(options.dark_grey is not None or options.screen_um or options.white)
             bytes_per_pixel = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
             bytes_per_pixel += _HELD_BYTES * held + _COMPARED_BYTES * is_changed
+            bytes_per_pixel += _LIGHT_BYTES * (options.white is not None)
             if (needed_bytes := bytes_per_pixel * rows * cols + LINK_BYTES) > compute.memory:
                 raise ResourceError(
                     f"The {layer.name} of {rows * cols / 1e6:.0f} million pixels takes"
@@ -132,12 +136,19 @@ def _check_light(study: Study) -> None:
             f"{names_text}: {correlate.headline} leads, which is no coating. Leave `headline` out,"
             " or name a coating."
         )
-    if correlate.kubelka_munk is not None and reference is not None and reference.dark_grey is None:
-        raise InputError(
-            "`kubelka_munk` needs reflectance, and the image holds uncalibrated grey"
-            " values. Give `dark_grey` and `white_grey`, the grey of a dark and of a white"
-            " reference, or leave it out."
-        )
+    if correlate.kubelka_munk is not None and reference is not None:
+        if reference.white is not None and reference.white_exposure is None:
+            raise InputError(
+                "`kubelka_munk` needs reflectance, and its level is not known. Give"
+                " `white_exposure`, 1 where image and `white` were exposed alike, or leave"
+                " `kubelka_munk` out."
+            )
+        if reference.white is None and reference.dark_grey is None:
+            raise InputError(
+                "`kubelka_munk` needs reflectance, and the image holds uncalibrated grey"
+                " values. Give `dark_grey` and `white_grey`, the grey of a dark and of a white"
+                " reference, or leave it out."
+            )
     images = [layer.image for layer in study.layers if layer.image is not None]
     if study.registration.refine is not None and any(
         image.screen_um is not None for image in images

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from planish.analyze.image_values import compared_image
 from planish.checks import ImageFile, run_checks
-from planish.io import read_image
+from planish.io.light import read_corrected
 from planish.io.sizes import PIXEL, with_advice
 from planish.marks.regions import Regions
 from planish.run.compute import Progress
@@ -75,13 +75,14 @@ def _read_run(params: GivenLayer, study: Study) -> MappedLayer:
 
 def _read_image(params: GivenLayer) -> MappedLayer:
     assert params.image is not None
-    image = read_image(params.path, **params.image.how)
+    image, corrected = read_corrected(params.image)
     pixel_um = tuple(float(v) for v in image.attrs["pixel_um"])
     return MappedLayer(
-        checks=tuple(run_checks(ImageFile(image=image))),
+        checks=tuple(run_checks(ImageFile(image=image, light=corrected and corrected.facts))),
         params=changed(params, image={"pixel_um": pixel_um}),
         source=input_file(image, params.path),
         image=image,
+        corrected=corrected,
         md_deg=params.image.md_deg,
     )
 
@@ -107,4 +108,5 @@ def _as_compared(layer: MappedLayer, regions: Regions | None) -> MappedLayer:
     is_compared = None
     if regions is not None and params.screen_um is not None:
         is_compared = ~regions.inside(layer.grid)
-    return replace(layer, compared=compared_image(layer.image, params, mask=is_compared))
+    image = layer.image if layer.corrected is None else layer.corrected.valid
+    return replace(layer, compared=compared_image(image, params, mask=is_compared))

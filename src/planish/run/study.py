@@ -78,6 +78,8 @@ MAP_SECTIONS, LINK_SECTIONS = (
 )
 """Sections of the mapping of a volume, and of a link."""
 
+_PATHS = {"path", "run", "marks", "design", "regions", "corrections", "white", "dark"}
+
 
 class GivenLayer(Params):
     """One layer: a volume that is mapped first, a run that is there, or an image."""
@@ -393,9 +395,7 @@ def with_paths(params: P, change: Callable[[str], str | None]) -> P:
     """Change all paths of a study: those of the files that it reads."""
     update: dict[str, Any] = {}
     for name, value in params:
-        if name in {"path", "run", "marks", "design", "regions", "corrections"} and isinstance(
-            value, str
-        ):
+        if name in _PATHS and isinstance(value, str):
             update[name] = change(value)
         elif isinstance(value, Params):
             update[name] = with_paths(value, change)

@@ -1,7 +1,7 @@
 from .camera import image_material as image_material
 from .camera import photograph as photograph
-from .files import write_flatbed as write_flatbed
 from .camera import vignette as vignette
+from .files import write_flatbed as write_flatbed
 from .files import write_image as write_image
 from .files import write_instruments as write_instruments
 from .files import write_nodes as write_nodes

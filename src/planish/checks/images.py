@@ -1,0 +1,64 @@
+"""Checks of an image's grey: what its white image says, and whether grey is linear."""
+
+from planish.checks.files import ImageFile
+from planish.core.checks import Check, CheckRule
+from planish.core.text import and_join
+
+LOST = 0.01  # share of the pixels without a grey, as of an image that is clipped
+TEXTURE = 0.1  # variance of a white's texture over the image's: r would be 5 % weaker
+LIGHTEST = 1.2  # no paper reflects more than a white sheet of 85 % by so much
+
+
+def white_image(rule: CheckRule, file: ImageFile) -> Check | None:
+    """Judge whether white and dark image fit the image and left enough of it."""
+    light = file.light
+    if light is None:
+        return None
+    lost_texts = {
+        "saturated": "of the image are saturated",
+        "white_saturated": "of the white image are saturated",
+        "too_dark": "have too little light in the white image",
+    }
+    texts = [
+        f"{100 * light.shares[state]:.2g} % of the pixels {text}"
+        for state, text in lost_texts.items()
+        if light.shares[state] > LOST
+    ]
+    if light.texture > TEXTURE:
+        texts.append(
+            "the white image has a texture of its own,"
+            f" {100 * light.texture**0.5:.0f} % of the contrast of the image"
+        )
+    if light.exposure is not None and light.median > LIGHTEST:
+        texts.append(f"the image is {light.median:.3g} times as light as the white sheet")
+    if not texts:
+        return rule.check("pass", f"The white image fits: {light.sentence}.")
+    return rule.check(
+        "look",
+        f"White and dark image: {and_join(texts)}.",
+        advice=(
+            "Take the white image again: a plain white sheet, out of focus or the mean of several"
+            " places, light and exposure as for the image, and nothing at the end of the scale."
+        ),
+    )
+
+
+def linear_grey(rule: CheckRule, file: ImageFile) -> Check | None:
+    """Judge whether grey that is taken as linear is coded with a curve, by what the file says."""
+    attrs = file.image.attrs
+    curve, gamma, is_linear = attrs.get("curve"), attrs.get("gamma"), attrs.get("is_linear")
+    if is_linear and gamma not in (None, 1):
+        sentence = f"Grey was decoded by {gamma}, and the file says that it is linear: {curve}."
+        return rule.check("look", sentence, remedy="Leave `gamma` out.")
+    if gamma is not None:
+        return rule.check("pass", f"Grey was made linear by the curve given, {gamma}.")
+    is_camera = attrs.get("camera") and attrs["stored_dtype"] == "uint8"
+    if is_linear or not (curve or is_camera):
+        return None
+    reason = f"it is coded: {curve}" if curve else f"it comes from {attrs['camera']}, in 8 bits"
+    return rule.check(
+        "look",
+        f"The image's grey was taken as linear, and by its file {reason}.",
+        advice="Contrast is then too large in dark parts and too small in light ones.",
+        remedy="Give `gamma=srgb` for a photograph, or `gamma=1` where its grey is linear.",
+    )
