@@ -274,7 +274,8 @@ def tiles_near(
     tiles_at = partial(tile_places, moving, fixed, names, beside=beside, light=light)
     tiles = tiles_at(place)
     if not tiles.is_there:
-        tiles = max(tiles, _bent_tiles(tiles_at, place, strain), key=lambda t: len(t.moving_um))
+        # Chance may have moved the tiles of a weak pair; then the map goes worse with the image.
+        tiles = max(tiles, _bent_tiles(tiles_at, place, strain), key=lambda t: abs(t.r))
     unit_um = layers.unit_um
     return tiles._replace(
         moving_um=unit_um * (tiles.moving_um + moving_first),
