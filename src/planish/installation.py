@@ -15,17 +15,23 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from importlib import metadata
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from packaging.requirements import Requirement
 
 import planish
+from planish import exports
 from planish.core.checks import Check
+from planish.core.errors import PlanishError
 from planish.core.files import longest_path
 from planish.core.memory import FREE_SHARE
+from planish.core.plugins import GROUPS, Kind, find_plugin, plugins
 from planish.core.threads import available
+from planish.io.formats import FORMATS, PICTURES, TIFF
 from planish.io.guard import default_memory_limit
+from planish.measure import registered
 
 EXTRAS = {
     "formats": "reads packed MHA and MHD, and files of instruments for topography",
@@ -95,6 +101,8 @@ def check_installation() -> Iterator[Check]:
             yield _check("long paths", short_text, state="unknown")
     for extra, purpose in EXTRAS.items():
         yield _extra(extra, purpose)
+    if any(map(plugins, GROUPS)):
+        yield _packages()
 
 
 def _check(name: str, sentence: str, *, advice: str = "", state: Any = None, **more: Any) -> Check:
@@ -301,6 +309,29 @@ def _console() -> Check:
     texts = f"texts of other programs {locale.getpreferredencoding(do_setlocale=False)}"
     utf8 = f"UTF-8 mode {'on' if sys.flags.utf8_mode else 'off'}"
     return _check("console", f"{streams}; {files}, {texts}; {utf8}; {terminal}.")
+
+
+def _packages() -> Check:
+    """What other packages add; each is imported."""
+    endings = [end for form in (*FORMATS, *PICTURES, TIFF) for end in form.suffixes]
+    own_names: dict[Kind, set[str]] = {
+        "property": set(registered()),
+        "format": {end[1:] for end in endings},
+        "export": set(exports.FORMATS),
+    }
+    faults, names = list[str](), list[str]()
+    for plugin in chain.from_iterable(map(plugins, GROUPS)):
+        names.append(f"{plugin.package} {plugin.version} ({plugin.kind} {plugin.name})")
+        if plugin.name in own_names[plugin.kind]:
+            faults.append(f"{plugin} is not used: planish has that name itself.")
+            continue
+        try:
+            find_plugin(plugin.kind, plugin.name)
+            plugin.load(object)
+        except PlanishError as error:
+            faults.append(error.text)
+    advice = " ".join(dict.fromkeys(faults))
+    return _check("packages", f"{', '.join(names)}.", advice=advice)
 
 
 def _extra(extra: str, purpose: str) -> Check:

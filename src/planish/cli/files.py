@@ -18,7 +18,7 @@ from planish.cli.options import (
     verb,
     with_commands,
 )
-from planish.core.errors import FileError
+from planish.core.errors import FileError, PlanishError
 from planish.correct.params import CorrectParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.run.compute import Compute, engine
@@ -191,10 +191,19 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
 def properties() -> None:
     """List the maps that --property takes: name, unit and what they show."""
     from planish.cli.console import table
-    from planish.measure import registered
+    from planish.core.plugins import plugins
+    from planish.measure import find_property, registered
 
-    table(
-        "Properties",
-        ("name", "unit", ""),
-        [(p.name, p.units, p.long_name) for p in registered().values()],
-    )
+    rows = [(p.name, p.units, p.long_name) for p in registered().values()]
+    own_names = {name for name, _, _ in rows}
+    for plugin in plugins("property"):
+        if plugin.name in own_names:
+            continue
+        try:
+            prop = find_property(plugin.name)
+        except PlanishError as error:
+            rows.append((plugin.name, "", error.text))
+        else:
+            title = f"{prop.long_name} (package {plugin.package} {plugin.version})"
+            rows.append((prop.name, prop.units, title))
+    table("Properties", ("name", "unit", ""), rows)

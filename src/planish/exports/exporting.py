@@ -13,6 +13,7 @@ from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.files import new_file
 from planish.core.grid import Grid
 from planish.core.options import params_of
+from planish.core.plugins import faults_named
 from planish.core.threads import limit_threads
 from planish.exports import run_contents
 from planish.exports.content import Maps
@@ -20,6 +21,7 @@ from planish.exports.formats import (
     FORMATS,
     ExportFormat,
     ExportParams,
+    find_format,
     formats_with,
     is_file,
     writer_of,
@@ -74,7 +76,9 @@ class ExportRequest:
             content = replace(
                 content, scales={name: run_contents.scale_of(group, name) for name in content.names}
             )
-        writer_of(self.params.to)(content, path, history, self.params)
+        write = writer_of(self.params.to)
+        with faults_named(f"The export {self.params.to!r}", write.__module__):
+            write(content, path, history, self.params)
 
 
 class OutputFile(NamedTuple):
@@ -323,11 +327,11 @@ def export(  # noqa: C901, PLR0912
     for name in dict.fromkeys(
         name for file_format in FORMATS.values() for name in file_format.options
     ):
-        if name in params.model_fields_set and name not in FORMATS[params.to].options:
+        if name in params.model_fields_set and name not in find_format(params.to).options:
             raise StudyError(f"`{name}` is for {formats_with(name)}, and `to` says {params.to}.")
     if params.depth_um is not None and params.group != STRAIGHTENED:
         raise StudyError(f"`depth_um` is for `group={STRAIGHTENED}`.")
-    file_format, compute, out = FORMATS[params.to], compute or Compute(), Path(out)
+    file_format, compute, out = find_format(params.to), compute or Compute(), Path(out)
     is_single_file = is_file(params.to, out)
     refuse_existing(out)
     writer_of(params.to)

@@ -21,6 +21,7 @@ from pydantic import Field
 
 from planish.core.errors import FileError, InputError
 from planish.core.options import Names, Params, option
+from planish.core.plugins import find_plugin, plugins
 
 Holds = Literal["maps", "volume", "surface", "registration", "marks", "run"]
 
@@ -30,7 +31,8 @@ class ExportFormat:
     """A format of an export."""
 
     title: str  #: its name in messages and documents
-    writer: str  #: ``module:function`` of this package
+    #: ``module:function`` of this package; of another one the function itself.
+    writer: str | Callable[..., None]
     #: the first is what is meant where nothing else is asked for.
     holds: tuple[Holds, ...] = ("maps",)
     #: ends of the names of its files, the usual one first; none: it is always a folder.
@@ -312,12 +314,19 @@ def formats_with(option: str) -> str:
     return ", ".join(name for name, form in FORMATS.items() if option in form.options)
 
 
+def find_format(name: str) -> ExportFormat:
+    """Row of a format; that of another package is added to the table when it is first asked for."""
+    if name not in FORMATS and (plugin := find_plugin("export", name)):
+        FORMATS[name] = plugin.load(ExportFormat)
+    return FORMATS[name]
+
+
 def writer_of(name: str) -> Callable[..., Any]:
     """Import the function that writes a format.
 
     InputError where it needs a library that is not installed.
     """
-    form = FORMATS[name]
+    form = find_format(name)
     if form.needs is not None:
         try:
             importlib.import_module(form.needs)
@@ -326,6 +335,8 @@ def writer_of(name: str) -> Callable[..., Any]:
                 f"{form.title} needs the library {form.needs}, which is not installed. Run: pip"
                 ' install "planish[export]"'
             ) from error
+    if not isinstance(form.writer, str):
+        return form.writer
     module, _, function = form.writer.partition(":")
     return getattr(importlib.import_module(f"planish.exports.{module}"), function)
 
@@ -335,7 +346,7 @@ def is_file(name: str, out: Path) -> bool:
 
     FileError where it ends as other files do.
     """
-    form, low = FORMATS[name], out.name.lower()
+    form, low = find_format(name), out.name.lower()
     endings = [
         (end, other) for other in FORMATS for end in FORMATS[other].suffixes if low.endswith(end)
     ]
@@ -371,7 +382,7 @@ def formats_table() -> str:
 if TYPE_CHECKING:
     FormatName = str
 else:
-    FormatName = Literal[tuple(FORMATS)]
+    FormatName = Literal[tuple({**FORMATS, **{plugin.name: None for plugin in plugins("export")}})]
 
 Length = Annotated[float, Field(ge=0)]
 

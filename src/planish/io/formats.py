@@ -16,13 +16,14 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import FunctionType, MappingProxyType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError, VolumeError
+from planish.core.plugins import Plugin, faults_named, find_plugin
 from planish.core.reflectance import LUMINANCE
 from planish.core.text import printable
 from planish.io.guard import quiet
@@ -49,6 +50,7 @@ class VolumeFormat(NamedTuple):
     marker_files: tuple[str, ...] = ()
     has_parts: bool = False  # whether ``path:part`` chooses one volume of several
     starts: Starts = ()  # by which its files are known; none where they may begin with any bytes
+    plugin: Plugin | None = None  # of another package, which reads it
 
 
 HEAD_BYTES = 512  # the longest header by which a kind of file is known ends within them
@@ -158,7 +160,8 @@ def exists(path: Path) -> bool:
 def format_of(place: Place) -> VolumeFormat:
     """Find the format by the name, or for folders by what lies in them.
 
-    Everything else is an image file.
+    A file that none of them has may be of a format that another package reads. Everything else is
+    an image file.
     """
     path = place.path
     name, is_folder = path.name.lower(), path.is_dir()
@@ -169,6 +172,11 @@ def format_of(place: Place) -> VolumeFormat:
         candidates += [
             f for f in FORMATS if any((path / marker).is_file() for marker in f.marker_files)
         ]
+    ending = path.suffix.lower()
+    if not candidates and not is_folder and ending not in (*TIFF.suffixes, *PICTURE_SUFFIXES, ""):
+        plugin = find_plugin("format", ending[1:])
+        if plugin is not None:
+            candidates.append(VolumeFormat(plugin.name, plugin.package, (ending,), plugin=plugin))
     file_format = (*candidates, SLICES if is_folder else TIFF)[0]
     if place.part and not file_format.has_parts:
         raise FileError(
@@ -197,8 +205,17 @@ def is_slice_name(name: str) -> bool:
 
 def loader(file_format: VolumeFormat) -> Callable[..., LoadedVolume]:
     """Import the module of a format and return its function ``load``."""
-    module: Any = importlib.import_module(f"planish.io.{file_format.module}")
-    return module.load
+    plugin = file_format.plugin
+    if plugin is None:
+        module: Any = importlib.import_module(f"planish.io.{file_format.module}")
+        return module.load
+    load: Callable[..., LoadedVolume] = plugin.load(FunctionType)
+
+    def named_load(*arguments: object) -> LoadedVolume:
+        with faults_named(str(plugin), plugin.entry.module):
+            return load(*arguments)
+
+    return named_load
 
 
 def extra(module: str, path: Path) -> ModuleType:

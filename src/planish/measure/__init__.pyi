@@ -17,7 +17,9 @@ from .registry import Measured as Measured
 from .registry import Property as Property
 from .registry import Sheet as Sheet
 from .registry import check_maps as check_maps
+from .registry import find_property as find_property
 from .registry import possible_maps as possible_maps
+from .registry import property_names as property_names
 from .registry import ray_property as ray_property
 from .registry import registered as registered
 from .registry import sheet_property as sheet_property

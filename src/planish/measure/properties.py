@@ -19,6 +19,7 @@ from planish.core.errors import CannotMeasure, InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.options import params_of
+from planish.core.plugins import faults_named
 from planish.core.status import FIRST_OWN, Status, status_flags
 from planish.core.threads import count_threads, map_threads
 from planish.core.tiles import Engine
@@ -438,7 +439,8 @@ def _halo(prop: Property, frame: RayFrame) -> int:
 
 
 def _measured(prop: Property, rays_or_sheet: Rays | Sheet) -> Measured:
-    answer = prop.function(rays_or_sheet)
+    with faults_named(f"The property {prop.name!r}", prop.function.__module__):
+        answer = prop.function(rays_or_sheet)
     if not isinstance(answer, Measured):
         answer = Measured(values=np.asarray(answer))
     shape = (

@@ -30,6 +30,7 @@ from planish.core.bands import thinned
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import SIDES, Side
 from planish.core.older_names import renamed
+from planish.core.plugins import find_plugin, plugins
 from planish.core.typing import Bools, Floats
 from planish.measure.greys import Greys
 from planish.measure.options import Common
@@ -285,7 +286,9 @@ def _add(added: Property) -> Property:
         added.function.__qualname__,
     ):
         raise CannotMeasure(
-            f"There is a property '{added.name}' already ({old.long_name}). Choose another name."
+            f"There is a property '{added.name}' already ({old.long_name}), of the module"
+            f" {old.function.__module__}; {added.function.__module__} gives it as well. Choose"
+            " another name."
         )
     _REGISTERED[added.name] = added
     return added
@@ -307,17 +310,24 @@ def registered() -> dict[str, Property]:
     return dict(_REGISTERED)
 
 
+def property_names() -> list[str]:
+    """Return the names of all properties; modules of other packages are not imported."""
+    return sorted({*registered(), *(plugin.name for plugin in plugins("property"))})
+
+
 def find_property(name: str | Property) -> Property:
-    """Return a property by name.
+    """Return a property by name, of another package where planish has none.
 
     CannotMeasure if there is none: the message lists those there are.
     """
     if isinstance(name, Property):
         return name
+    if name not in _REGISTERED and (plugin := find_plugin("property", name)):
+        plugin.load(Property)
     if name not in _REGISTERED:
         raise CannotMeasure(
-            f"There is no property '{name}'. Choose from {', '.join(sorted(_REGISTERED))}."
-            f"{renamed(name)}"
+            f"There is no property '{name}'. Choose from {', '.join(property_names())}."
+            f"{renamed(name)} A package of your own can add one."
         )
     return _REGISTERED[name]
 

@@ -15,6 +15,7 @@ from planish.core.text import quoted
 from planish.run.array_layers import inputs_folder
 from planish.run.compute import Compute, run_key
 from planish.run.layers import MappedLayer
+from planish.run.packages import with_packages
 from planish.run.run import is_run, open_results, open_sheet
 from planish.run.sheet import asked_corrections, made_corrections
 from planish.run.study import RUN_TOML, Study, changed, read_study, to_dict
@@ -59,7 +60,9 @@ class CachedMaps(NamedTuple):
                 str(compute.memory_bytes),
                 *filter(None, [asked_corrections(layer)]),
             ]
-            request_key = run_key(to_dict(Study(layers=(mapping_params,))), input_hashes)
+            request_key = run_key(
+                to_dict(with_packages(Study(layers=(mapping_params,)))), input_hashes
+            )
             path, k = out.with_name(f"{name}-map"), 1
             while path.exists() and _request(path)[:1] != [request_key]:
                 k += 1
@@ -91,12 +94,12 @@ def sheets_of(
     """
     ready_sheets, similar_sheets = dict[str, MappedLayer](), dict[str, MappedLayer]()
     try:
-        results, old_layers = (
-            open_results(old),
-            {layer.name: layer for layer in read_study(old / RUN_TOML).layers},
-        )
+        results, old_study = open_results(old), read_study(old / RUN_TOML)
     except PlanishError:
         return ready_sheets, similar_sheets
+    if old_study.packages != study.packages:
+        return ready_sheets, similar_sheets
+    old_layers = {layer.name: layer for layer in old_study.layers}
     sources = {layer.name: layer.source.sha256 for layer in results.layers}
     is_own_map = len(results.layers) == 1 or [layer.kind for layer in results.layers] == [
         "sheet",

@@ -32,6 +32,7 @@ from planish.run.compare import Comparison
 from planish.run.holes import HoleSearch
 from planish.run.layers import Link, LinkedLayer, MappedLayer
 from planish.run.overlay import LINKED, Overlay
+from planish.run.packages import with_packages
 from planish.run.regions import region_facts
 from planish.run.run import Run
 from planish.run.study import Study, changed, to_dict, with_paths
@@ -43,6 +44,7 @@ def judge_sheet(study: Study, sheet: MappedLayer) -> Run:
     """The run of one mapped sheet, with its checks applied to its numbers."""
     assert sheet.facts is not None
     study = changed(study, layers=(sheet.params,), correlate={"regions": None})
+    study = with_packages(study)
     facts = LayerFacts(
         name=sheet.name,
         kind="sheet",
@@ -58,7 +60,7 @@ def judge_sheet(study: Study, sheet: MappedLayer) -> Run:
 def judge_link(study: Study, overlay: Overlay, comparison: Comparison, holes: HoleSearch) -> Run:
     """The run of linked layers, with its checks applied to its numbers."""
     layers = [linked.layer for linked in overlay.layers]
-    study = changed(study, layers=tuple(layer.params for layer in layers))
+    study = with_packages(changed(study, layers=tuple(layer.params for layer in layers)))
     regions = overlay.mask.regions
     results = _results(
         study,
@@ -116,7 +118,7 @@ def _results(
         code=hash_sources() if by_this_code else "",
         layers=tuple(layers),
         checks=tuple(checks),
-        versions={name: version(name) for name in _LIBRARIES},
+        versions={name: version(name) for name in _LIBRARIES} | study.packages,
         # Paths say where files lie and not what was done.
         parameters=to_dict(with_paths(study, lambda _: None)),
         **fields,

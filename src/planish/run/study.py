@@ -138,6 +138,13 @@ class Study(Params):
         default=False,
         description="Register each layer to the next one, and carry it on from there.",
     )
+    packages: dict[str, str] = Field(
+        default={},
+        description=(
+            "Packages beside planish whose properties or formats are named here, and their"
+            " versions; a run writes them."
+        ),
+    )
     about: AboutParams = AboutParams()
     holes: HoleParams = HoleParams()
     registration: RegistrationParams = RegistrationParams()
@@ -382,8 +389,9 @@ def to_dict(study: Study) -> dict[str, Any]:
     They hold nothing that is not given, and nothing about mapping where nothing is mapped.
     """
     data = study.model_dump(mode="json", exclude_none=True)
-    if not data["about"]:
-        del data["about"]
+    for name in ("about", "packages"):
+        if not data[name]:
+            del data[name]
     for layer, values in zip(study.layers, data["layers"], strict=True):
         if layer.kind != "volume":
             for name in MAP_SECTIONS:

@@ -17,6 +17,7 @@ from planish.run.cached_maps import CachedMaps, next_step, sheets_of
 from planish.run.compute import Compute, Progress, return_memory, run_key
 from planish.run.judging import judge_sheet
 from planish.run.layers import MappedLayer
+from planish.run.packages import check_packages, with_packages
 from planish.run.preflight import check_request
 from planish.run.save import save_run
 from planish.run.study import Study, changed, to_dict
@@ -81,6 +82,8 @@ def open_workspace(
 
     ``old`` is a run of which stages are taken whose volume and parameters are the same.
     """
+    check_packages(study)
+    study = with_packages(study)
     # What is free changes while a run works, and the width of its columns must not.
     fixed_compute = changed(compute, memory_bytes=compute.memory)
     return_memory(fixed_compute)

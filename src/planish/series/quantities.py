@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from planish.core.errors import InputError
 from planish.core.numbers import in_words
 from planish.core.text import likely
-from planish.measure import registered
+from planish.measure import property_names, registered
 from planish.report.text import as_compared
 from planish.series.declared import Declared
 from planish.series.gather import FigureRow, RunSummary
@@ -23,11 +23,11 @@ Pair = tuple[str, str, str, str]
 
 def check_maps_known(declared: Declared) -> None:
     """Raise InputError for a map that no sheet can have, before anything is linked."""
+    names = property_names()
     for name in maps_of(declared):
-        if name not in registered():
+        if name not in names:
             raise InputError(
-                f"There is no map {name}; there are"
-                f" {', '.join(sorted(registered()))}.{likely(name, registered())}"
+                f"There is no map {name}; there are {', '.join(names)}.{likely(name, names)}"
             )
 
 
