@@ -149,18 +149,18 @@ def search_place(
     hands = (False, True) if mirrored is None else (mirrored,)
     shares = (0.5, 1.0) if near and moving.area_um2 > _PARTED_UM**2 else (1.0,)
     found, steps = PlaceSearch(candidates=(), false_probability=1.0), None
-    kept, cells = list[Similarity](), list[list[_Peak]]()
+    promising, cells = list[Similarity](), list[list[_Peak]]()
     for share in shares:
         scanner = _Scanner(moving, fixed, scale_tolerance, share, is_near=bool(near))
         rough = steps
-        for wider in (1.0,) if kept else (2.0, 1.0):
+        for wider in (1.0,) if promising else (2.0, 1.0):
             steps = _Steps.of(scanner.size_um, scale_tolerance, wider)
-            tried = [*steps.tried(hands, kept, rough)]
+            tried = [*steps.tried(hands, promising, rough)]
             cells = map_threads(partial(scanner.cell, windows=near or (None,)), tried)
             found = _judged(scanner, steps, cells, looks=2 * len(shares))
             if found.is_sure:
                 return found
-        kept = _promising(cells, found)
+        promising = _promising(cells, found)
     return found
 
 
@@ -196,17 +196,17 @@ class _Steps:
         return cls(deg=deg, scale=step, scales=tuple(scales), half=half)
 
     def tried(
-        self, hands: tuple[bool, ...], kept: Sequence[Similarity], rough: _Steps | None
+        self, hands: tuple[bool, ...], among: Sequence[Similarity], rough: _Steps | None
     ) -> Iterator[tuple[Similarity, tuple[float, ...]]]:
         """All rotations of all hands, with the scales to try there.
 
-        Where some were ``kept`` of a search in ``rough`` steps, those within half a step of them.
+        Where some are ``among`` the best after ``rough`` steps, those within half a step of them.
         """
         for hand, k in product(hands, range(round(360.0 / self.deg))):
             turn = Similarity(rotation_rad=math.radians(k * self.deg), mirrored=hand)
             scales = self.scales
-            if rough is not None and kept:
-                rows = np.array([t.matrix()[1] for t in kept if t.mirrored == hand]).reshape(-1, 2)
+            if rough is not None and among:
+                rows = np.array([t.matrix()[1] for t in among if t.mirrored == hand]).reshape(-1, 2)
                 off = [np.linalg.norm(rows - s * turn.matrix()[1], axis=1) for s in scales]
                 scales = tuple(compress(scales, [(o <= rough.half).any() for o in off]))
             if scales:
@@ -365,10 +365,10 @@ class _Scanner:
         is_apart = np.linalg.norm(a.place(points) - b.place(points), axis=-1) > half_wave_um
         side_um = half_wave_um / max(self.strain, 1e-9)
         parts: list[Floats] = []
-        for place, (name, seen) in ((a.place, a.names), (b.place, b.names)):
+        for place, (name, image_name) in ((a.place, a.names), (b.place, b.names)):
             at_px = np.moveaxis(place(points) / self._fixed_px, -1, 0)[::-1]
             products = self._moving.maps[name] * ndimage.map_coordinates(
-                self._fixed.maps[seen], at_px, order=1
+                self._fixed.maps[image_name], at_px, order=1
             )
             parts.append(
                 tile_sums(np.stack([products, is_apart * products]), self._moving.pixel_um, side_um)
