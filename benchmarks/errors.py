@@ -31,7 +31,14 @@ from planish.register import Chain, fit_transform
 from planish.resample import find_places, resample
 from planish.run import link
 from planish.run.position_error import PositionErrors
-from planish.synthetic import DEMO, CameraParams, SectionsParams, make_specimen, write_instruments
+from planish.synthetic import (
+    DEMO,
+    CameraParams,
+    SectionsParams,
+    Warp,
+    make_specimen,
+    write_instruments,
+)
 from planish.synthetic.pose import draw_pose
 from planish.validate import pair_errors
 from planish.validate.errors import PAIR
@@ -110,7 +117,9 @@ def pair(holes, seed):
         DEMO,
         seed=seed,
         size_um=(1500.0, 1200.0),
+        scanner=replace(DEMO.scanner, voxel_um=3.0),
         holes=replace(DEMO.holes, count=_HOLES[holes]),
+        warp=Warp(wavelength_um=2000.0),
         sections=SectionsParams(pixel_um=3.0, section_um=6.0),
     )
     specimen = make_specimen(params)

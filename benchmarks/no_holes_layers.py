@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from planish.run import link
-from planish.synthetic import DEMO, SectionsParams, make_specimen, write_instruments
+from planish.synthetic import DEMO, SectionsParams, Warp, make_specimen, write_instruments
 from planish.validate import pair_errors
 from planish.validate.errors import PAIR, Comparison
 
@@ -39,8 +39,10 @@ def _measured(seed, folder):
         DEMO,
         seed=seed,
         size_um=(1500.0, 1200.0),
+        scanner=replace(DEMO.scanner, voxel_um=3.0),
         holes=replace(DEMO.holes, count=0),
-        camera=replace(DEMO.camera, turn_range_deg=180.0),
+        warp=Warp(wavelength_um=2000.0),
+        camera=replace(DEMO.camera, pixel_um=4.0, vignetting=0.04, turn_range_deg=180.0),
         sections=SectionsParams(pixel_um=3.0, section_um=6.0),
     )
     specimen = make_specimen(params)

@@ -23,6 +23,7 @@ from tests import console
 
 import planish as pl
 from benchmarks import paper
+from benchmarks.app import opened
 from benchmarks.evidence import field
 from benchmarks.shared import planish as command_of
 
@@ -139,6 +140,38 @@ def shot(page, path, width, height):
         ]
         subprocess.run(command, check=True, capture_output=True)
     stored(path, path.parent, 128)
+
+
+_REST_MS = 3000  # until all tiles of a tab are drawn
+_REGION_UM = "608.6, 428.5, 1774.6, 1235"
+
+
+def app(path, folder):
+    """The four tabs of the app, with the run of the demo."""
+    planish("demo", "--out", "demo", folder=folder)
+    with opened(folder / "demo" / "run") as (page, url, _):
+        page.goto(url)
+        page.get_by_role("cell", name="hole 3", exact=True).click()
+        shot_of_tab(page, path, "marks")
+        page.get_by_role("tab", name="Surfaces", exact=True).click()
+        shot_of_tab(page, path, "surfaces")
+        page.get_by_role("tab", name="Maps", exact=True).click()
+        page.get_by_text(re.compile("Scatter of [0-9]+ points")).wait_for()
+        region = page.get_by_label("Region, um", exact=True)
+        region.fill(_REGION_UM)
+        region.press("Enter")
+        page.get_by_text(re.compile("n_eff [0-9.]+ [(]")).wait_for()
+        shot_of_tab(page, path, "maps")
+        page.get_by_role("tab", name="Flattening", exact=True).click()
+        shot_of_tab(page, path, "flattening")
+
+
+def shot_of_tab(page, path, tab):
+    """Take a picture of a page that a browser drives."""
+    page.wait_for_timeout(_REST_MS)
+    picture = path.with_name(f"app-{tab}.png")
+    page.screenshot(path=picture)
+    stored(picture, picture.parent, 128)
 
 
 def first_pages(path, folder):
@@ -284,6 +317,7 @@ PICTURES = {
     "linked": linked,
     "tutorial-page": tutorial,
     "first-pages": first_pages,
+    "app": app,
     "examples": gallery,
     "studies": studies,
     "drawn-sheets": drawn_sheets,

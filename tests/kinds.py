@@ -93,12 +93,15 @@ SPECIMENS: dict[str, SpecimenParams] = {
         sections=SectionsParams(pixel_um=3.0, section_um=4.0, missing=0.03),
     ),
     "scan": replace(SMALL, size_um=(1000.0, 760.0)),
+    # Through a lens that darkens the corners.
     "no-holes": replace(
         DEMO,
         seed=5,
         size_um=(1500.0, 1200.0),
+        scanner=replace(DEMO.scanner, voxel_um=3.0),
         holes=replace(DEMO.holes, count=0),
-        camera=replace(DEMO.camera, turn_range_deg=180.0),
+        warp=Warp(wavelength_um=2000.0),
+        camera=replace(DEMO.camera, pixel_um=4.0, vignetting=0.04, turn_range_deg=180.0),
     ),
     "uncoated": UNCOATED,
     "resin": IN_RESIN,

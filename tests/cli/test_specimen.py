@@ -1,12 +1,14 @@
 """``planish specimen``: files that any program can read, and a link from each of them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import tifffile
 
 from planish.io import read_image, read_volume
+from planish.synthetic import SpecimenOptions
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +61,19 @@ def test_a_specimen_too_large_for_voxels(passes, tmp_path, monkeypatch):
     assert not (tmp_path / "large" / "scan").exists()
 
 
+def test_single_nuisances_are_switched_off_and_the_sheet_is_bent():
+    usual = SpecimenOptions().params()
+    even = SpecimenOptions(without=("shading", "vignetting"), slope=0.6).params()
+    assert usual.camera.shading > 0
+    assert usual.camera.vignetting > 0
+    camera = replace(usual.camera, shading=0.0, vignetting=0.0)
+    assert even == replace(usual, camera=camera, warp=replace(usual.warp, slope=0.6))
+
+
 def test_wrong_names_are_told(refuses, passes):
     refuses("specimen", "--preset", "newsprint", words="wfc135", code=2)
     refuses("specimen", "--nuisance", "dust", words="dust", code=2)
+    refuses("specimen", "--without", "none", words="none", code=2)
     out, _ = passes("specimen", "--list")
     assert "wfc135-calendered" in out
     assert "knife" in out

@@ -38,8 +38,8 @@ def make_specimen(
     Parameters
     ----------
     params : SpecimenParams, optional
-        Paper, holes, warp, instruments and seed; the specimen of the demo where not given (1.8 x
-        1.3 mm, six holes). The same parameters give the same bytes on any number of threads.
+        Paper, holes, warp, instruments and seed; the specimen of the demo where not given (2.4 x
+        1.8 mm, six holes). The same parameters give the same bytes on any number of threads.
     folder : path, optional
         Folder to make, for ``volume.tif``, ``image.tif`` and ``truth/``; nothing is written where
         not given.
