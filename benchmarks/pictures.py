@@ -47,10 +47,17 @@ def stored(drawn, folder, colours=200):
         )
 
 
+def demo(folder):
+    """The folder of the demo, which several pictures share."""
+    demo_folder = folder.parent / "demo"
+    if not demo_folder.exists():
+        planish("demo", "--out", "demo", folder=folder.parent)
+    return demo_folder
+
+
 def linked(path, folder):
     """The image of the demo's specimen, and its coating on the same pixels."""
-    planish("demo", "--out", "demo", folder=folder)
-    maps = pl.open_run(folder / "demo" / "run").linked
+    maps = pl.open_run(demo(folder) / "run").linked
     valid = maps.valid.to_numpy()
     y, x = (maps[name].to_numpy() / 1000.0 for name in ("y", "x"))
     rows, cols = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
@@ -148,8 +155,7 @@ _REGION_UM = "608.6, 428.5, 1774.6, 1235"
 
 def app(path, folder):
     """The four tabs of the app, with the run of the demo."""
-    planish("demo", "--out", "demo", folder=folder)
-    with opened(folder / "demo" / "run") as (page, url, _):
+    with opened(demo(folder) / "run") as (page, url, _):
         page.goto(url)
         page.get_by_role("cell", name="hole 3", exact=True).click()
         shot_of_tab(page, path, "marks")
@@ -174,19 +180,25 @@ def shot_of_tab(page, path, tab):
     stored(picture, picture.parent, 128)
 
 
+def first_of_demo(path, folder):
+    """The first pages of two reports: of the demo, and of its scan with an image of another
+    sheet."""
+    shot(demo(folder) / "run" / "report.html", path, 1280, 900)
+    specimen = demo(folder) / "specimen"
+    with_noise_alone(specimen / "image.tif", folder / "unrelated.tif")
+    planish("link", specimen / "volume.tif", "unrelated.tif", "--out", "run", folder=folder)
+    shot(folder / "run" / "report.html", path.with_name("first-unrelated.png"), 1280, 900)
+
+
 def first_pages(path, folder):
-    """The first pages of six reports: what a reader meets when all is well, and when it is not."""
-    planish("demo", "--out", "demo", folder=folder)
+    """The first pages of four other reports."""
     specimen = ["ct", "sections", "image"]
     which = [word for name in specimen for word in ("--instrument", name)]
     planish(
         "specimen", "--preset", "wfc118", "--seed", "3", *which, "--out", "sheet", folder=folder
     )
-    volume = "demo/specimen/volume.tif"
-    with_noise_alone(folder / "demo" / "specimen" / "image.tif", folder / "unrelated.tif")
     overexposed(folder / "sheet" / "image.ome.tif", folder / "overexposed.tif")
     runs = {
-        "demo": ["link", volume, "demo/specimen/image.tif"],
         "sections": [
             "link",
             "sheet/sections",
@@ -197,7 +209,6 @@ def first_pages(path, folder):
             "13GB",
         ],
         "two-volumes": ["link", "sheet/scan", "run-sections", "--through", "y"],
-        "unrelated": ["link", volume, "unrelated.tif"],
         "overexposed": ["link", "sheet/scan", "overexposed.tif", "--through", "y"],
     }
     cell = IMAGES.parents[2] / "shared" / "data" / "battery_sector_right"
@@ -316,8 +327,9 @@ def studies(path, folder):
 PICTURES = {
     "linked": linked,
     "tutorial-page": tutorial,
-    "first-pages": first_pages,
     "app": app,
+    "first-demo": first_of_demo,
+    "first-pages": first_pages,
     "examples": gallery,
     "studies": studies,
     "drawn-sheets": drawn_sheets,
@@ -326,9 +338,10 @@ PICTURES = {
 
 def main(*names):
     """Make the pictures that are named."""
-    for name in names or PICTURES:
-        with tempfile.TemporaryDirectory() as folder:
-            path = IMAGES / f"{name}.png"
-            PICTURES[name](path, Path(folder))
-        print(f"{name}: done")
+    with tempfile.TemporaryDirectory() as shared:
+        for name in names or PICTURES:
+            folder = Path(shared) / name
+            folder.mkdir()
+            PICTURES[name](IMAGES / f"{name}.png", folder)
+            print(f"{name}: done")
     return 0

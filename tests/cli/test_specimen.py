@@ -61,13 +61,13 @@ def test_a_specimen_too_large_for_voxels(passes, tmp_path, monkeypatch):
     assert not (tmp_path / "large" / "scan").exists()
 
 
-def test_single_nuisances_are_switched_off_and_the_sheet_is_bent():
+def test_single_nuisances_are_switched_off():
     usual = SpecimenOptions().params()
-    even = SpecimenOptions(without=("shading", "vignetting"), slope=0.6).params()
+    even = SpecimenOptions(without=("shading", "vignetting")).params()
     assert usual.camera.shading > 0
     assert usual.camera.vignetting > 0
     camera = replace(usual.camera, shading=0.0, vignetting=0.0)
-    assert even == replace(usual, camera=camera, warp=replace(usual.warp, slope=0.6))
+    assert even == replace(usual, camera=camera)
 
 
 def test_wrong_names_are_told(refuses, passes):

@@ -261,9 +261,6 @@ class SpecimenOptions(Params):
     slab: bool = option(
         False, help="A base of one grey with exact faces, in place of single fibres."
     )
-    slope: float = option(
-        Warp().slope, ge=0, le=1, help="Tangent of the steepest angle of the bent sheet; 0: flat."
-    )
     seed: int = option(0, ge=0, help="Another one, another specimen.")
     instrument: tuple[str, ...] = option(
         ("ct", "sections", "image", "print"),
@@ -310,7 +307,6 @@ class SpecimenOptions(Params):
             size_um=SIZES_UM[self.size],
             paper=paper,
             holes=holes,
-            warp=Warp(slope=self.slope),
             scanner=replace(FIBRE_CT if paper.fibres else MICRO_CT, voxel_um=self.voxel_um),
             seed=self.seed,
         )
