@@ -31,6 +31,7 @@ _ALL = (
     "right",
     "through_scale",
     "errors",
+    "gains",
     "evidence",
     "uneven",
     "fuzz",
