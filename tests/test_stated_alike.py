@@ -13,7 +13,7 @@ from planish.report.statement import p_text
 from planish.results import Results
 from planish.run import open_run
 
-SIZES_UM = (4.0, 100.0)
+SIZES_UM = (5.0, 100.0)
 
 
 def numbers_of_page(text):
