@@ -104,7 +104,7 @@ def test_the_terminal_doubts_the_uncovered_area_where_it_doubts_the_coating(caps
     numbers = {"thin": {"top": thin, "bottom": thin}, "two_sides": {}}
     sheet = layer.sheet.model_copy(update={"numbers": SheetNumbers.model_validate(numbers)})
     layers = (layer.model_copy(update={"sheet": sheet}), *found.layers[1:])
-    run = SimpleNamespace(results=found.model_copy(update={"layers": layers}))
+    run = SimpleNamespace(results=found.model_copy(update={"layers": layers}), groups={})
     show.finish(run, Path("run"), as_json=False)
     out = capsys.readouterr().out
     assert "uncovered area ratio of coating_top (doubtful): 3 %" in out

@@ -1,7 +1,10 @@
 """A figure is the same wherever it is stated: page, terminal, JSON, table, function."""
 
 import csv
+import html
+import io
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +12,19 @@ import pytest
 import planish as pl
 from planish.analyze import holm
 from planish.analyze.compare import CELLS
+from planish.app.exploring import page as exploring
+from planish.app.exploring.maps import maps_of
+from planish.checks import apply_checks
+from planish.cli.show import finish
+from planish.core.checks import Check
+from planish.core.numbers import in_ascii
+from planish.report.page import render_report
+from planish.report.relation import largest
 from planish.report.statement import p_text
+from planish.report.summary import check_summary, lead_pair
 from planish.results import Results
 from planish.run import open_run
+from planish.run.facts import figures_text
 
 SIZES_UM = (5.0, 100.0)
 
@@ -60,6 +73,79 @@ def numbers_of_terminal(out):
 def rows_of_figures(folder):
     with (folder / "figures.csv").open(encoding="utf-8", newline="") as file:
         return {(row["figure"], row["statistic"]): row for row in csv.DictReader(file)}
+
+
+def lead_of(page):
+    """Give the sentence that a page leads with, in the letters of a terminal."""
+    return in_ascii(html.unescape(re.search(r'<p class="lead">(.*?)</p>', page)[1]))
+
+
+def states_alike(run, page, printed, figures):
+    """Whether page, terminal, `explore`, JSON and table give the figure that leads, and its
+    trust."""
+    lead = lead_of(page)
+    explored = exploring.render(run.results, maps_of(run), (), ("Maps.",))
+    checks = check_summary(run.results)
+    row = largest(lead_pair(run.results))
+    lines = printed.splitlines()
+    start = lines.index(lead)
+    assert lead_of(explored) == lead
+    assert lines[-1] == checks
+    assert checks in page
+    assert len(lines[start:]) == 5, "the sentence, three numbers, the checks, and nothing behind"
+    stated = figures[f"r of {row.a_map} and {row.b_map}", f"points of {row.point_um:g} um"]
+    assert (stated["trust"], int(stated["n"])) == (row.trust, row.n)
+    found = re.search(
+        r"r = (\S+) with a 95 % interval of (\S+) to (\S+), over ([\d ]+) points of .*?,"
+        r" ([\d ]+) of them independent",
+        lead,
+    )
+    if row.trust != "ok":
+        names = "; ".join(c.name for c in run.results.checks if c.state in ("look", "fail"))
+        assert (found, stated["checks"]) == (None, names)
+        assert f" is {row.trust} ({names.replace('; ', ', ')})" in lead
+        return
+    r, low, high, n, n_eff = (float(text.replace(" ", "")) for text in found.groups())
+    decimals = len(found[1].partition(".")[2])
+    limits = [
+        float(figures[stated["figure"], f"{stated['statistic']}, {side} 95 % limit"]["value"])
+        for side in ("lower", "upper")
+    ]
+    assert (r, low, high) == tuple(round(v, decimals) for v in (row.r, *row.interval))
+    assert (float(stated["value"]), *limits) == (row.r, *row.interval)
+    assert (n, n_eff) == (row.n, round(row.n_eff))
+    numbers = next(line for line in lines[start:] if line.startswith("r, points of"))
+    assert numbers.startswith(f"r, points of {row.point_um:g} um: {found[1]} (95 %: {found[2]} to")
+    assert f"{found[5]} independent points of {found[4]};" in numbers
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(
+    "kind",
+    (
+        *("upright", "laid", "bottom", "sections", "scan", "no-holes", "uncoated", "resin"),
+        *("demo", "volumes", "images"),
+    ),
+)
+def test_the_terminal_ends_with_the_answer_of_page_json_explore_and_table(kinds, kind):
+    folder = kinds(kind)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    printed = folder.with_name("printed.txt").read_text(encoding="utf-8")
+    states_alike(open_run(folder), page, printed, rows_of_figures(folder))
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("state", ["look", "fail"])
+def test_what_a_check_doubts_or_withholds_is_so_everywhere(kinds, state, capsys):
+    run = open_run(kinds("upright"))
+    check = Check(name="place", state=state, sentence="It is off.", figures=("position",))
+    judged = apply_checks(run.results.model_copy(update={"checks": (*run.results.checks, check)}))
+    run = replace(run, results=judged)
+    finish(run, kinds("upright"), as_json=False)
+    page = render_report(run.groups, {}, judged)[0]
+    rows = csv.DictReader(io.StringIO(figures_text(judged)))
+    figures = {(row["figure"], row["statistic"]): row for row in rows}
+    states_alike(run, page, capsys.readouterr().out, figures)
 
 
 @pytest.mark.ci

@@ -116,7 +116,7 @@ def test_what_is_no_terminal_gets_plain_lines(capsys):
 def test_narrow_terminals_keep_units_beside_their_numbers(linked_run, monkeypatch, capsys, width):
     monkeypatch.setattr(console, "width", lambda **_: width)
     results = open_results(linked_run)
-    show.finish(SimpleNamespace(results=results), Path("run"), as_json=False)
+    show.finish(SimpleNamespace(results=results, groups={}), Path("run"), as_json=False)
     out, err = capsys.readouterr()
     lines = [*out.splitlines(), *err.splitlines()]
     assert max(len(line.rstrip()) for line in lines) <= width

@@ -14,7 +14,7 @@ from rich import progress as rich
 from planish.cli.console import animated, console, letters, sentence, shown, table, warn
 from planish.core.facts import is_known
 from planish.core.memory import enough_gb
-from planish.core.numbers import NONE
+from planish.core.numbers import NONE, in_ascii
 from planish.core.older_names import FORMAT
 from planish.core.text import quoted
 from planish.core.tiles import tiles_told
@@ -105,11 +105,11 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int: 
                     "Points that are larger than what both show have no correlation and are left"
                     " out."
                 )
-            names, prop = (
-                {r.registration for r in results.comparison},
-                results.comparison[0].property,
+            row, registrations = results.comparison[0], {r.registration for r in results.comparison}
+            title = (
+                f"Effect of flattening: {results.reference.name} against {row.property} by"
+                f" {len(registrations)} registrations, where all have values"
             )
-            title = f"{results.reference.name} against {prop}, where all {len(names)} have values"
             correlations(title, [(r.registration, r) for r in results.comparison if r.n])
         elif results.correlations:
             pairs = [(f"{r.a} {r.a_map} / {r.b} {r.b_map}", r) for r in results.correlations if r.n]
@@ -127,7 +127,20 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int: 
                 else check.name
             )
             warn(f"{state}: {name}: {check.text}")
+    if not as_json:
+        _answer(run)
     return exit_code(results, strict=strict)
+
+
+def _answer(run: Run) -> None:
+    """Print what the page begins with: its sentence, its numbers, and what the checks say."""
+    from planish.report.maps import RunMaps
+    from planish.report.summary import check_summary, summarise
+
+    lead, figures = summarise(run.results, RunMaps(run.results, run.groups).titles)
+    numbers = [f"{f.label}: {f.value} {f.unit}".rstrip() + f" ({f.note})" for f in figures]
+    for text in (lead, *numbers, check_summary(run.results)):
+        sentence(in_ascii(text))
 
 
 def exit_code(results: Results, *, strict: bool = False) -> int:
