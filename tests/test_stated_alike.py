@@ -122,10 +122,10 @@ def states_alike(run, page, printed, figures):
 @pytest.mark.ci
 @pytest.mark.parametrize(
     "kind",
-    (
+    [
         *("upright", "laid", "bottom", "sections", "scan", "no-holes", "uncoated", "resin"),
         *("demo", "volumes", "images"),
-    ),
+    ],
 )
 def test_the_terminal_ends_with_the_answer_of_page_json_explore_and_table(kinds, kind):
     folder = kinds(kind)
