@@ -12,8 +12,9 @@ import xarray as xr
 from pydantic import Field
 
 from planish.analyze.agreement import LIMIT
-from planish.analyze.correlation import Correlation, PairAtSizes
+from planish.analyze.correlation import Correlation, PairAtSizes, PairSums
 from planish.analyze.differences import holm, paired_difference
+from planish.analyze.light_field import without_light
 from planish.core.axial import is_axial
 from planish.core.bands import band_of, bands, read_bands
 from planish.core.errors import MarkError
@@ -129,12 +130,17 @@ def maps_to_correlate(maps: xr.Dataset) -> list[str]:
 
 
 def correlate_layers(
-    a: str, b: str, maps: dict[str, xr.Dataset], point_um: float
+    a: str,
+    b: str,
+    maps: dict[str, xr.Dataset],
+    point_um: float,
+    *,
+    light_off: bool = False,
 ) -> Iterator[CorrelationRow]:
     """Correlate two layers point by point, per pixel and over larger points.
 
     Two sheets: the same properties, with their differences. A sheet and an image: every property
-    with the image.
+    with the image; ``light_off``: a smooth field was taken off that.
     """
     layers = maps[a], maps[b]
     names = [maps_to_correlate(data) for data in layers]
@@ -166,7 +172,7 @@ def correlate_layers(
         map_threads(PairAtSizes.add, sums, repeat(rows.start), *maps_of_pairs)
     table: list[CorrelationRow] = []
     for sums_of_pair, pair in zip(sums, pairs, strict=True):
-        correlations = [*sums_of_pair.sizes()]
+        correlations = _sizes(sums_of_pair, light_off=light_off)
         if not correlations[0][0].n:
             continue
         for row, pair_sums in correlations:
@@ -189,6 +195,14 @@ def correlate_layers(
         for k, p_of_table in zip(row_numbers, holm([table[k].p for k in row_numbers]), strict=True):
             table[k] = table[k].model_copy(update={"p_of_table": p_of_table})
     yield from table
+
+
+def _sizes(sums: PairAtSizes, *, light_off: bool) -> list[tuple[Correlation, PairSums]]:
+    """The correlations of all sizes with their sums, as sure as a field of light leaves them."""
+    (pixel, pixel_sums), (points, point_sums) = sums.sizes()
+    if light_off:
+        pixel, points = without_light(pixel, points, *sums.points())
+    return [(pixel, pixel_sums), (points, point_sums)]
 
 
 class _Variant(NamedTuple):
@@ -220,6 +234,7 @@ def comparison_rows(
     name: str,
     point_um: float,
     away: Callable[[Grid], Bools],
+    light_off: bool = False,
 ) -> Iterator[ComparisonRow]:
     """Yield the headline correlation by the registrations the paper compares and by the run's.
 
@@ -245,7 +260,7 @@ def comparison_rows(
     of_run = [*zip((row.r for row, _ in sums[-1].sizes()), maps_of_run, strict=True)]
     for variant, variant_sums in zip(variants, sums, strict=True):
         for (row, _), variant_maps, (run_r, run_maps) in zip(
-            variant_sums.sizes(),
+            _sizes(variant_sums, light_off=light_off),
             (variant_sums.cells()[0], variant_sums.points()),
             of_run,
             strict=True,

@@ -7,16 +7,26 @@ together: a field that is fitted alone also takes off the long waves that both h
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import Field
 from scipy import special
 
-from planish.analyze.correlation import LEAST_CLAIMED, PointsCorrelation, correlate, pearson
+from planish.analyze.correlation import (
+    LEAST_CLAIMED,
+    Correlation,
+    PointsCorrelation,
+    correlate,
+    pearson,
+)
+from planish.analyze.distributions import student_tail
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, Value
-from planish.core.typing import Bools, Floats
+from planish.core.grid import Grid
+from planish.core.typing import Bools, Floats, Pair
 from planish.texture.covariance import Lags
 
 if TYPE_CHECKING:
@@ -42,11 +52,30 @@ class LightField(PointsCorrelation):
     span: Value = Field(
         description="Largest less smallest value of the field, as a share of the image's mean."
     )
+    declared: bool = Field(
+        default=False,
+        description="Whether r without the field leads, as the study declared.",
+    )
 
     @property
     def change(self) -> float:
         """How much the field changes r."""
         return abs(self.r - self.r_plain)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FittedLight:
+    """A quadratic field of light over an image, less its mean over the points it was fitted to."""
+
+    weights: Floats  # of 1, x, y, x², xy and y²
+    middle_um: Pair  # along y and x, of the points
+    half_um: Pair
+
+    def on(self, grid: Grid) -> Floats:
+        """Its values (rows, cols) on some pixels."""
+        places = zip((grid.y_um, grid.x_um), self.middle_um, self.half_um, strict=True)
+        y, x = ((um - middle) / half for um, middle, half in places)
+        return _terms_of(y, x) @ self.weights
 
 
 def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, Floats]:
@@ -104,12 +133,9 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     if n_eff >= LEAST_CLAIMED and partial_row.n_eff_interval > _TERMS + 3:
         points = partial_row.n_eff_interval - 3
         widening = math.sqrt(points / (points - _TERMS))
-    z, *limits = (
-        math.atanh(np.clip(r, -_MOST_R, _MOST_R)) for r in (partial_row.r, *partial_row.interval)
-    )
-    low, high = (
-        math.tanh(math.asinh(inflation * math.sinh(z + widening * (limit - z)))) for limit in limits
-    )
+    z = _z(partial_row.r)
+    limits = [z + widening * (_z(limit) - z) for limit in partial_row.interval]
+    low, high = (math.tanh(math.asinh(inflation * math.sinh(limit))) for limit in limits)
     share_even, p_even = _even_light(x, y, y_rest - slope * x_rest, terms, is_valid)
     fitted = LightField(
         point_um=point_um,
@@ -127,11 +153,37 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     return fitted, _on_points(field, is_valid)
 
 
+def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> FittedLight:
+    """Fit the field to a map and an image over points, which begin with the pixels of a grid.
+
+    CannotMeasure as of :func:`light_field`.
+    """
+    _, field = light_field(a, b, point_um=point_um)
+    is_valid = np.isfinite(field)
+    terms = _quadratic_terms(is_valid)
+    weights = np.linalg.lstsq(terms, field[is_valid], rcond=None)[0]
+    half_um = [(n - 1) / 2 * point_um for n in field.shape]
+    begins_um = (
+        um[0] - size / 2 for um, size in zip((grid.y_um, grid.x_um), grid.pixel_um, strict=True)
+    )
+    middle_um = [
+        begin + half + point_um / 2 for begin, half in zip(begins_um, half_um, strict=True)
+    ]
+    return FittedLight(
+        weights=weights,
+        middle_um=(middle_um[0], middle_um[1]),
+        half_um=(half_um[0], half_um[1]),
+    )
+
+
 def _quadratic_terms(is_valid: Bools) -> Floats:
     """1, x, y, x², xy and y² at the points that are valid: (points, 6)."""
-    y, x = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in is_valid.shape), indexing="ij")
-    terms = np.stack([np.ones(x.shape), x, y, x * x, x * y, y * y], axis=-1)
-    return terms[is_valid]
+    return _terms_of(*(np.linspace(-1.0, 1.0, n) for n in is_valid.shape))[is_valid]
+
+
+def _terms_of(y: Floats, x: Floats) -> Floats:
+    y, x = np.meshgrid(y, x, indexing="ij")
+    return np.stack([np.ones(x.shape), x, y, x * x, x * y, y * y], axis=-1)
 
 
 def _on_points(values: Floats, is_valid: Bools, missing: float = math.nan) -> Floats:
@@ -177,6 +229,49 @@ def _even_light(
     return mean / float(y @ y), tail
 
 
+def without_light(
+    pixel: Correlation, points: Correlation, a: Floats, b: Floats
+) -> tuple[Correlation, Correlation]:
+    """Widen the intervals of r with an image that a field was taken off, by what that made unsure.
+
+    ``a`` and ``b`` are map and image over the points.
+    """
+    try:
+        field, _ = light_field(a, b, point_um=points.point_um)
+    except CannotMeasure:
+        return pixel, points
+    limits = zip(field.interval, points.interval, strict=True)
+    ratios = [
+        (_z(limit) - _z(field.r)) / (_z(plain_limit) - _z(points.r))
+        for limit, plain_limit in limits
+    ]
+    return _widened(pixel, ratios), _widened(points, ratios)
+
+
+def _widened(row: Correlation, ratios: Sequence[float]) -> Correlation:
+    z = _z(row.r)
+    low, high = (
+        math.tanh(z + ratio * (_z(limit) - z))
+        for ratio, limit in zip(ratios, row.interval, strict=True)
+    )
+    ratio, n_eff = sum(ratios) / 2, row.n_eff - _TERMS
+    p = math.nan
+    if n_eff >= LEAST_CLAIMED:
+        t = abs(row.r) * math.sqrt((n_eff - 2) / (1 - row.r**2)) / ratio
+        p = 2 * student_tail(t, n_eff - 2)
+    changes = {
+        "n_eff": n_eff,
+        "interval": (low, high),
+        "p": p,
+        "n_eff_interval": (row.n_eff_interval - 3) / ratio**2 + 3,
+    }
+    return row.model_copy(update=changes)
+
+
+def _z(r: float) -> float:
+    return math.atanh(np.clip(r, -_MOST_R, _MOST_R))
+
+
 def answer_light_field(pair: ComparedMaps) -> dict[str, Any]:
     """Give r with a quadratic field off the image, where a sheet is compared with an image."""
     names = pair.a[1], pair.b[1]
@@ -185,4 +280,15 @@ def answer_light_field(pair: ComparedMaps) -> dict[str, Any]:
     points = dict(zip(names, pair.points, strict=True))
     image = points.pop("image")
     (sheet,) = points.values()
-    return {"light_field": light_field(sheet, image, point_um=pair.point_um)[0]}
+    light = pair.light
+    if light is None:
+        return {"light_field": light_field(sheet, image, point_um=pair.point_um)[0]}
+    origin_um = [
+        k + (pair.point_um - size) / 2
+        for k, size in zip(pair.grid.origin_um, pair.grid.pixel_um[::-1], strict=True)
+    ]
+    grid = Grid.regular(
+        (image.shape[0], image.shape[1]), pair.point_um, (origin_um[0], origin_um[1])
+    )
+    field, _ = light_field(sheet, image + light.on(grid), point_um=pair.point_um)
+    return {"light_field": field.model_copy(update={"declared": True})}

@@ -1,5 +1,7 @@
 """Options of the correlation."""
 
+from typing import Literal
+
 from planish.core.options import Names, Params, option
 
 
@@ -47,6 +49,15 @@ class CorrelateParams(Params):
         help=(
             "Also correlate the coating blurred as light is that spreads in paper: length over"
             " which an exponential falls to 1/e."
+        ),
+    )
+    light: Literal["quadratic"] | None = option(
+        None,
+        metavar="FIELD",
+        help=(
+            "Take a smooth field of light off the image, fitted together with the map that leads:"
+            " quadratic in x and y. Long waves of the paper's own go as well, so declare it before"
+            " you look at r; without it, r without the field is stated beside."
         ),
     )
     mottle: bool = option(

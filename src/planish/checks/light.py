@@ -34,6 +34,16 @@ def even_light(rule: CheckRule, evidence: EvidenceFacts) -> Check | None:
         f"{fixed(r, decimals)} ({limits_text(limits, decimals)})"
         for r, limits in ((field.r, field.interval), (field.r_plain, field.interval_plain))
     ]
+    if field.declared:
+        return rule.check(
+            "pass",
+            in_ascii(
+                f"{text} and was taken off, as declared: r over points of {field.point_um:g} um is"
+                f" {r_texts[0]}; with it left in, {r_texts[1]}."
+            ),
+            value=field.change,
+            units="r",
+        )
     sentence = in_ascii(
         f"{text}; the grey changes by {100 * field.span:.2g} % along it. With it off, r over points"
         f" of {field.point_um:g} um is {r_texts[0]}; with it left in, {r_texts[1]}."
@@ -51,6 +61,7 @@ def even_light(rule: CheckRule, evidence: EvidenceFacts) -> Check | None:
             "Take the image in even light, or divide it by one of a white sheet. Without the field"
             " r lacks the long waves that are the paper's own, too."
         ),
+        remedy="`light=quadratic` leads with r without the field; declare it before you look at r.",
     )
 
 

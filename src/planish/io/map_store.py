@@ -70,8 +70,9 @@ class StoredMaps:
     def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
         """Add a tile of all maps of a group, and of its overviews.
 
-        The first one says which maps there are.
+        The first one says which maps there are; a later one may replace some of them.
         """
+        self._cache.forget()
         if self.path is None:
             self._add(name, grid, tile, maps)
             return
@@ -244,6 +245,11 @@ class PartCache:
 
     def __init__(self, room_bytes: int) -> None:
         self._room, self._parts = room_bytes, dict[Any, NDArray[Any]]()
+
+    def forget(self) -> None:
+        """Read all parts anew, as what they are read from is written."""
+        self._room += sum(values.nbytes for values in self._parts.values())
+        self._parts.clear()
 
     def part(self, path: Path, array: Any, where: Where) -> NDArray[Any]:
         """A part of an array of the store at ``path``, which the caller may write to."""

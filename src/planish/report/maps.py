@@ -18,7 +18,7 @@ from planish.core.numbers import count, in_words, length, number, percent, plain
 from planish.report import draw
 from planish.report.colours import Array, Scale, colours_of, limits, partner_of
 from planish.report.registration import ARROW, EDGE, ground_of
-from planish.report.text import HOLES, label_of, left_out, registered_by, title_of, unit_of
+from planish.report.text import HOLES, label_of, left_out, stated_of, title_of, unit_of
 from planish.results import LayerFacts, PropertyFacts, Results
 
 _BESIDE = 162.0  # pixels to the right of a map for the distribution, the colour bar and its numbers
@@ -50,7 +50,7 @@ class RunMaps:
     @property
     def registered(self) -> str:
         """What the maps were registered by."""
-        return registered_by(self.results)
+        return stated_of(self.results)
 
     @cached_property
     def linked(self) -> dict[str, xr.Dataset]:

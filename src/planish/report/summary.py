@@ -35,7 +35,7 @@ from planish.report.statement import (
     r_sentence,
     r_text,
 )
-from planish.report.text import as_compared, registered_by
+from planish.report.text import LIGHT_OFF, as_compared, stated_of
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
@@ -190,6 +190,11 @@ def quantities(results: Results) -> list[str]:
             "A grey value is the brightness that the file holds: larger is lighter, in no"
             " physical unit."
         )
+    if results.parameters.get("correlate", {}).get("light") is not None:
+        texts.append(
+            f"{capital(LIGHT_OFF)}: it was fitted together with the map that leads. Long waves of"
+            " the paper that look like it are off as well."
+        )
     return texts
 
 
@@ -310,11 +315,9 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     if is_known(row.n_eff):
         points_text += f", {count(round(row.n_eff))} of them independent"
     if not is_known(row.interval):
-        return f"No statement on {a} and {b} is possible: {points_text} ({registered_by(results)})."
+        return f"No statement on {a} and {b} is possible: {points_text} ({stated_of(results)})."
     interval = f"a 95 % interval of {r_interval_text(row)}"
-    limits_text = (
-        f"r = {r_text(row)} with {interval}, over {points_text} ({registered_by(results)})."
-    )
+    limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({stated_of(results)})."
     if not row.direction:
         return f"It is not certain that {b} is related to {a}: {limits_text}"
     comparative = (("lighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
@@ -435,7 +438,7 @@ def _r_figure(results: Results, row: CorrelationRow | None, label: str) -> KeyFi
         )
     if is_known(row.n_eff):
         note_text += f"; {count(round(row.n_eff))} independent points of {count(row.n)}"
-    return KeyFigure(r_text(row), "", label, f"{note_text}; {registered_by(results)}")
+    return KeyFigure(r_text(row), "", label, f"{note_text}; {stated_of(results)}")
 
 
 def lag_verdict(

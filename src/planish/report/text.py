@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 REGISTERED = "registration: marks only"
 BY_TEXTURE = "registration: the texture of both maps"
 BY_BOTH = "registration: marks and the texture of both maps"
+LIGHT_OFF = "a quadratic field of light taken off the image, as declared"
 HOLES = "holes and rims"  # what the mask of valid pixels leaves out where no regions were declared
 
 
@@ -30,6 +31,13 @@ def registered_by(results: Results) -> str:
     if "texture" in sources:
         return BY_TEXTURE
     return BY_BOTH if "both" in sources else REGISTERED
+
+
+def stated_of(results: Results) -> str:
+    """Say what registered the maps and, where it was declared, that a field of light is off."""
+    if results.parameters.get("correlate", {}).get("light") is None:
+        return registered_by(results)
+    return f"{registered_by(results)}; {LIGHT_OFF}"
 
 
 def template(package: str, name: str) -> Template:

@@ -66,7 +66,10 @@ def compare_layers(study: Study, overlay: Overlay, progress: Progress) -> Compar
     progress("correlate", f"{len(pairs)} pairs of layers")
     correlations: list[CorrelationRow] = []
     for a, b in pairs:
-        correlations += correlate_layers(a.name, b.name, overlay.maps, study.correlate.point_um)
+        is_light_off = overlay.light is not None and b is overlay.reference
+        correlations += correlate_layers(
+            a.name, b.name, overlay.maps, study.correlate.point_um, light_off=is_light_off
+        )
     textures = {
         (a.name, b.name): _texture_of_pair(a, b)
         for a, b in pairs
@@ -188,6 +191,7 @@ def _evidence(
             params=study.correlate,
             columns=columns,
             md_deg=md_deg,
+            light=overlay.light,
         )
         for layer in moving
         if layer.headline in overlay.maps[layer.name]
@@ -240,6 +244,7 @@ def _compare_registrations(
         name=headline,
         point_um=study.correlate.point_um,
         away=overlay.mask,
+        light_off=overlay.light is not None,
     )
     return tuple(rows)
 

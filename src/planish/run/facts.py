@@ -289,6 +289,9 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
     )
 
 
+_LIGHT_OFF = "a quadratic field of light off"  # beside an r in ``figures.csv``
+
+
 def figures_text(results: Results) -> str:
     """Text of ``figures.csv``: a row for every figure that the page leads with.
 
@@ -353,9 +356,12 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
                     "",
                     *common_cells,
                 )
+    is_light_off = results.parameters.get("correlate", {}).get("light") is not None
+    light_text = f", {_LIGHT_OFF}" if is_light_off else ""
     for row in results.correlations:
         figure_name, size_text = (
-            f"r of {row.a_map} and {row.b_map}{', negative control' * row.negative_control}",
+            f"r of {row.a_map} and {row.b_map}{', negative control' * row.negative_control}"
+            f"{light_text}",
             f"points of {row.point_um:g} um",
         )
         first_cells = f"{row.a} {row.b}", figure_name
@@ -381,24 +387,32 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
 
 
 def _light_rows(results: Results, evidence: EvidenceFacts) -> Iterator[Sequence[Any]]:
-    """Give r without a smooth field in the image; a check of that field does not doubt it."""
+    """Give the r that does not lead: without a smooth field in the image, or with it.
+
+    A check of that field does not doubt it.
+    """
     field = evidence.light_field
     if field is None:
         return
     layers, maps = (evidence.a, evidence.b), (evidence.a_map, evidence.b_map)
-    checks = concerned(results.checks, layers, (*maps, POSITION, CORRELATION))
-    checks = [check for check in checks if check.name != EVEN_LIGHT]
+    concerned_figures = (*maps, POSITION, CORRELATION)
+    checks = [
+        check
+        for check in concerned(results.checks, layers, concerned_figures)
+        if check.name != EVEN_LIGHT
+    ]
     doubts = "; ".join(check.name for check in checks if check.state in ("look", "fail"))
-    trust = trust_of(checks, layers, (*maps, POSITION, CORRELATION))
-    figure = f"r of {' and '.join(maps)}, a quadratic field of light off"
+    trust = trust_of(checks, layers, concerned_figures)
+    r, interval, words, n_eff = field.r, field.interval, _LIGHT_OFF, field.n_eff
+    if field.declared:
+        r, interval, words, n_eff = field.r_plain, field.interval_plain, "light left in", field.n
     size_text = f"points of {field.point_um:g} um"
-    figures = [(size_text, field.r, field.n)]
-    if is_known(field.interval):
-        n_eff = round(field.n_eff)
-        figures += [
-            (f"{size_text}, {side} 95 % limit", limit, n_eff)
-            for side, limit in zip(("lower", "upper"), field.interval, strict=True)
-        ]
+    figures: list[tuple[str, float, float]] = [(size_text, r, field.n)]
+    if is_known(interval):
+        figures.append((f"{size_text}, lower 95 % limit", interval[0], n_eff))
+        figures.append((f"{size_text}, upper 95 % limit", interval[1], n_eff))
     figures.append(("share of the image's variance that the field holds", field.share, field.n))
     for statistic, value, n in figures:
-        yield " ".join(layers), figure, statistic, _text(value), "", "1", n, trust, doubts
+        figure = f"r of {' and '.join(maps)}, {words}"
+        cells = statistic, _text(value), "", "1", round(n)
+        yield " ".join(layers), figure, *cells, trust, doubts

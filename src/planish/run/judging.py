@@ -241,7 +241,11 @@ def _image_checks(overlay: Overlay) -> Iterator[Check]:
     valid_maps = [maps["valid"] for maps in overlay.maps.values()]
     for linked in overlay.layers:
         if linked.kind == "image":
-            _, (grey, *valid) = thinned(linked.maps["image"], *valid_maps)
+            image = linked.maps["image"]
+            is_light_off = overlay.light is not None and linked is overlay.reference
+            if is_light_off and isinstance(linked.layer.shown, xr.DataArray):
+                image = linked.layer.shown  # whose scale has the ends of the camera's
+            _, (grey, *valid) = thinned(image, *valid_maps)
             yield from run_checks(SheetImage(grey[np.logical_and.reduce(valid)]), linked.name)
 
 

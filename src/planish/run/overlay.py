@@ -4,12 +4,15 @@ What is near a hole is masked.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 
 from planish.analyze.image_values import reach_um
+from planish.analyze.leading_map import leading_map
+from planish.analyze.light_field import FittedLight, fit_light
+from planish.core.area import common_means
 from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import CannotRegister, InputError, MarkError
 from planish.core.grid import Grid, check_same_grid
@@ -107,6 +110,7 @@ class Overlay:
     layers: tuple[LinkedLayer, ...]
     mask: ValidMask
     store: StoredMaps  # that holds the maps
+    light: FittedLight | None = None  # that was taken off the image of the reference
 
     @property
     def reference(self) -> LinkedLayer:
@@ -143,10 +147,40 @@ def overlay_layers(
     mask = ValidMask(_circles_of_links(layers, links), regions)
     chains = {name: link.chain for name, link in links.items()}
     sources = {layer.name: (layer.shown, chains.get(layer.name)) for layer in layers}
+    if study.correlate.light is not None and isinstance(reference.shown, xr.DataArray):
+        image = reference.shown
+        title = f"{image.attrs.get('long_name', 'Image')}, smooth light off"
+        sources[reference.name] = (image.assign_attrs(long_name=title), None)
     joint_group = LINKED if study.is_sheet_on_image else None
     maps = resample_layers(sources, mask, reference.grid, store, joint_group=joint_group)
     linked = [LinkedLayer(layer, links.get(layer.name), maps[layer.name]) for layer in layers]
     return Overlay(tuple(linked), mask, store)
+
+
+def take_light_off(study: Study, overlay: Overlay) -> Overlay:
+    """Take a field of light off the reference's image, fitted with the map of the sheet that leads.
+
+    Raises
+    ------
+    CannotMeasure
+        If there are too few points for the field.
+    """
+    sheet = next(linked for linked in overlay.layers if linked.kind == "sheet")
+    reference, grid = overlay.reference, overlay.grid
+    name = leading_map(sheet.maps, reference.layer.side, study.correlate.headline)
+    point_um, pixel_um = study.correlate.point_um, grid.pixel_um
+    points = common_means(
+        (sheet.maps[name], reference.maps["image"]),
+        (max(point_um / pixel_um[0], 1.0), max(point_um / pixel_um[1], 1.0)),
+        masks=(sheet.maps["valid"], reference.maps["valid"]),
+    )
+    light = fit_light(points[0], points[1], grid, point_um)
+    group = LINKED if study.is_sheet_on_image else f"layers/{reference.name}"
+    for tile in map_tiles(grid.shape):
+        image = reference.maps[["image"]].isel(y=tile.rows, x=tile.cols).load()
+        field = light.on(grid.part(tile.rows, tile.cols)).astype(np.float32)
+        overlay.store.add(group, grid, tile, image.assign(image=image["image"] - field))
+    return replace(overlay, light=light)
 
 
 def _circles_of_links(layers: Sequence[MappedLayer], links: Mapping[str, Link]) -> Floats:

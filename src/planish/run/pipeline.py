@@ -11,7 +11,7 @@ from planish.run.compare import compare_layers
 from planish.run.compute import Compute, Progress, silent
 from planish.run.judging import judge_link, judge_sheet
 from planish.run.mapping import map_layers
-from planish.run.overlay import overlay_layers
+from planish.run.overlay import overlay_layers, take_light_off
 from planish.run.reading import read_inputs
 from planish.run.registering import register_layers
 from planish.run.run import Run
@@ -60,6 +60,8 @@ def run_study(
             if study.is_link:
                 layers, links = register_layers(study, layers, inputs.holes, progress)
                 overlay = overlay_layers(study, layers, links, inputs.regions, work.store, progress)
+                if study.correlate.light is not None:
+                    overlay = take_light_off(study, overlay)
                 comparison = compare_layers(study, overlay, progress)
                 run = judge_link(study, overlay, comparison, inputs.holes)
             else:

@@ -125,6 +125,11 @@ def _check_light(study: Study) -> None:
         "`kubelka_munk`": correlate.kubelka_munk,
         "`light_spread_um`": correlate.light_spread_um,
     }
+    if correlate.light is not None and (reference is None or not sheets):
+        raise InputError(
+            "`light`: no image stands last, off which a field of light could be taken together with"
+            " a map of a sheet. Link a volume or a run to an image, or leave it out."
+        )
     names_text = " and ".join(name for name, option in options.items() if option is not None)
     if names_text and (reference is None or not sheets):
         raise InputError(
