@@ -34,6 +34,7 @@ _ALL = (
     "gains",
     "evidence",
     "uneven",
+    "even_light",
     "fuzz",
     "app",
     "faces",

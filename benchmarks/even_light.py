@@ -3,21 +3,27 @@ image of a white sheet.
 
 ``python -m benchmarks even_light [IMAGES [SIDE]]``
 
-True coatings of 20 drawn sheets of 8 x 7 mm and drawn images of 2 to 4 mm of them, in a light that
-falls off by 0 to 25 % in the corners and along a ramp of 0 to 20 %; of every part there is an image
-in even light as well. What does not come of the coating is drawn anew in each image; the true r of
-a sheet is the mean over 100 parts in even light. The white and the dark image have a noise of 1 %.
+True coatings of 20 drawn sheets of 5.6 x 4.8 mm and drawn images of 2 to 3 mm of them, in a light
+that falls off by 0 to 25 % in the corners and along a ramp of 0 to 20 %; of every part there is an
+image in even light as well. What does not come of the coating is drawn anew in each image; the true
+r of a sheet is the mean over 100 parts in even light. White and dark image have a noise of 1 %.
 In SIDE images light from one side makes 0 to 80 % of what image and sheet share.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
+from planish import correct_light, image
+from planish.analyze import Correlation, LightField, correlate, light_field, texture_lag
+from planish.checks import run_checks
+from planish.checks.light import SIDE_LIGHT
 from planish.core.area import area_mean
+from planish.results import EvidenceFacts
 from planish.synthetic import (
     PRESETS,
     BurnParams,
@@ -27,6 +33,8 @@ from planish.synthetic import (
     image_material,
     make_specimen,
 )
+from planish.texture import textures
+from planish.texture.detrend import in_band
 
 _SHEETS, _POINT_UM, _PIXEL_UM, _REDRAWN = 20, 100.0, 10.0, 100
 _PAPERS = ("wfc90", "wfc118", "wfc135", "board")
@@ -34,7 +42,7 @@ _NOISE, _REFERENCE_NOISE, _DARK = 0.005, 0.01, 0.02
 
 
 class Sheet:
-    """True coating, reflectance and slope of a sheet on pixels of an image; NaN near holes.
+    """True coating, reflectance and face of a sheet on pixels of an image; NaN near holes.
 
     ``size`` is that of an image of it in pixels, ``spread`` that of what is not the coating's.
     """
@@ -53,9 +61,9 @@ class Sheet:
             backing=str(rng.choice(["pile", "black"])),
         )
         params = SpecimenParams(
-            size_um=(8000.0, 7000.0),
+            size_um=(5600.0, 4800.0),
             paper=PRESETS[_PAPERS[number % len(_PAPERS)]][1].as_slab(),
-            holes=BurnParams(pattern="irregular", count=30),
+            holes=BurnParams(pattern="irregular", count=16),
             warp=Warp(bump_um=0.0),
             camera=camera,
             seed=number,
@@ -66,8 +74,8 @@ class Sheet:
         is_used = made.sheet.at(made.sheet.rim_um[0], u, v) > 100.0
         self.coating = np.where(is_used, np.maximum(top - below, 0.0), np.nan)
         self.reflectance = np.where(is_used, made.image.values, np.nan)
-        self.slope = np.gradient(top, _PIXEL_UM, axis=1)
-        self.size = tuple(rng.integers(200, 400, 2))
+        self.top = top
+        self.size = tuple(rng.integers(200, 300, 2))
         x, y = (points(m) for m in (self.coating, self.reflectance))
         is_valid = np.isfinite(x) & np.isfinite(y)
         own_r = float(np.corrcoef(x[is_valid], y[is_valid])[0, 1])
@@ -109,8 +117,129 @@ def exposed(rng, image, lit, noise):
 
 
 def divided(rng, taken, lit):
-    """The image by a white and a dark one that are as noisy as single pictures are."""
+    """Points of the image by a white and a dark one, which are as noisy as single pictures are."""
     white, dark = (
         exposed(rng, np.full(lit.shape, grey), lit, _REFERENCE_NOISE) for grey in (0.9, 0.0)
     )
-    return (taken - dark) / (white - dark)
+    picture = image(np.nan_to_num(taken, nan=_DARK), pixel_um=_PIXEL_UM)
+    corrected = correct_light(picture, white=white, dark=dark, exposure=1.0).image.values
+    return points(np.where(np.isfinite(taken), corrected, np.nan))
+
+
+def asks(field):
+    """Whether the check of even light asks for a look."""
+    names = {"a": "sheet", "a_map": "coating_top", "b": "image", "b_map": "image"}
+    (check,) = run_checks(EvidenceFacts(**names, declared=False, light_field=field))
+    return check.state == "look"
+
+
+class Drawn(NamedTuple):
+    """An image and what was said of it; r of its sheet, as it is and with a field off."""
+
+    true: tuple[float, float]
+    even: LightField
+    uneven: LightField
+    divided: Correlation
+
+
+def drawn(number, count, redrawn=_REDRAWN):
+    """So many images of a sheet."""
+    sheet, rng = Sheet(number), np.random.default_rng([51, number])
+    z = []
+    for _ in range(redrawn):
+        x, even = sheet.photographed(rng)
+        field = light_field(x, points(even), point_um=_POINT_UM)[0]
+        z.append((math.atanh(field.r_plain), math.atanh(field.r)))
+    true = tuple(np.tanh(np.mean(z, axis=0)).tolist())
+    for _ in range(count):
+        x, even = sheet.photographed(rng)
+        lit = light(rng, even.shape, rng.uniform(0.0, 0.25), rng.uniform(0.0, 0.2))
+        fields = []
+        for lamp in (np.ones(even.shape), lit):
+            taken = exposed(rng, even, lamp, _NOISE)
+            fields.append(light_field(x, points(taken), point_um=_POINT_UM)[0])
+        yield Drawn(true, *fields, correlate(x, divided(rng, taken, lit), pixel_um=_POINT_UM))
+
+
+def holds(intervals, values):
+    """Share of the intervals that hold a value."""
+    return float(np.mean([a <= v <= b for (a, b), v in zip(intervals, values, strict=True)]))
+
+
+def uneven(count):
+    """Print what was said of so many images; the number of goals that were missed."""
+    rows = [row for k in range(_SHEETS) for row in drawn(k, max(1, count // _SHEETS))]
+    plain, off = ([row.true[k] for row in rows] for k in (0, 1))
+    is_off = np.array([abs(row.uneven.r_plain - row.even.r_plain) > 0.03 for row in rows])
+    looks, alarms = (
+        np.array([asks(f) for f in fields])
+        for fields in ([r.uneven for r in rows], [r.even for r in rows])
+    )
+    moved = np.median([abs(row.divided.r - row.even.r_plain) for row in rows])
+    lost = np.median([abs(row.uneven.r_plain - row.even.r_plain) for row in rows])
+    back = np.median([abs(row.uneven.r - row.even.r) for row in rows])
+    covered = {
+        "even light": holds([row.even.interval_plain for row in rows], plain),
+        "uneven light": holds([row.uneven.interval_plain for row in rows], plain),
+        "divided by white and dark": holds([row.divided.interval for row in rows], plain),
+        "field off, even light": holds([row.even.interval for row in rows], off),
+        "field off, uneven light": holds([row.uneven.interval for row in rows], off),
+    }
+    print(
+        f"{len(rows)} images; r moves by (median): light {lost:.3f}, divided {moved:.4f},"
+        f" field off {back:.4f}"
+    )
+    print("intervals hold the true r: " + ", ".join(f"{k} {v:.3f}" for k, v in covered.items()))
+    others = looks[~is_off].mean() if not is_off.all() else 0.0
+    print(
+        f"a look in {looks[is_off].mean():.3f} of {is_off.sum()} whose r is off by more than .03,"
+        f" in {others:.3f} of the others in uneven light, in {alarms.mean():.3f} in even light"
+    )
+    held = [covered[k] for k in ("divided by white and dark", "field off, uneven light")]
+    missed = [moved > 0.01, looks[is_off].mean() < 0.9, alarms.mean() > 0.05]
+    return sum([*missed, *(not 0.92 <= v <= 0.98 for v in held)])
+
+
+def side(count):
+    """Print in how many images light from one side is seen; the number of goals missed."""
+    pixel, found = (_PIXEL_UM, _PIXEL_UM), []
+    for number in range(count):
+        if number % 2 == 0:
+            sheet = Sheet(number // 2)
+        rng = np.random.default_rng([52, number])
+        part = sheet.part(rng)
+        coating, top = sheet.coating[part], sheet.top[part]
+        slope = np.gradient(top, _PIXEL_UM, axis=1)
+        is_used = np.isfinite(coating)
+        share = 0.8 * (number + 0.5) / count
+        c, g = (
+            in_band(np.nan_to_num(m), is_used, pixel, (15.0, 250.0))[is_used]
+            for m in (coating, slope)
+        )
+        g_rest = g - c * (c @ g) / (c @ c)
+        # Of what is shared, the slopes' own part is to be ``share``; the rest is the coating's.
+        strength = math.sqrt(share / (1 - share) * (c @ c) / (g_rest @ g_rest))
+        shared = coating + strength * (slope - (c @ g) / (c @ c) * coating)
+        texture = ndimage.gaussian_filter(rng.standard_normal(coating.shape), 20 / _PIXEL_UM)
+        seen = shared + 1.5 * np.std(coating[is_used]) / texture.std() * texture
+        maps = {"coating": coating, "face": top, "image": seen}
+        known = {k: np.where(is_used, m, np.nan) for k, m in maps.items()}
+        texture_maps = textures(known, is_used, pixel).with_slopes("face")
+        lag = texture_lag(
+            texture_maps, ["coating", "face_x", "face_y"], "image", slopes=2, reach_um=150.0
+        )
+        (check,) = run_checks(lag.numbers("coating_top")) or [None]
+        found.append((share, lag.light, check is not None and check.state == "look"))
+    shares, stated, looks = np.array(found).T
+    above, below = looks[shares > SIDE_LIGHT], looks[shares < SIDE_LIGHT / 2]
+    print(
+        f"light from one side: a look in {above.mean():.3f} of {above.size} above"
+        f" {SIDE_LIGHT:g}, in {int(below.sum())} of {below.size} below half of it; stated less true"
+        f" {np.nanmean(stated - shares):+.3f} ± {np.nanstd(stated - shares):.3f}"
+    )
+    return int(above.mean() < 0.95) + int(below.any())
+
+
+def main(images=200, sides=40):
+    """Print what was seen and what r was; the number of goals missed."""
+    return uneven(images) + side(sides)

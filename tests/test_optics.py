@@ -202,6 +202,7 @@ def test_mottle_is_of_valid_pixels_and_says_why_there_is_none():
             {"light_spread_um": 80, "headline": "thickness"},
             "which is no coating",
         ),
+        (["volume", "volume"], {"light": "quadratic"}, "light: no image stands last"),
         (["volume", "volume"], {"mottle": True}, "no layer is an image"),
         (["volume", "image"], {"error_ratio": 1.0}, "two measurements of one quantity"),
     ],

@@ -4,10 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from analyze.fields import related_maps
 from planish.analyze import correlate, light_field
+from planish.analyze.light_field import fit_light, without_light
 from planish.core.errors import CannotMeasure
+from planish.core.grid import Grid
 
 SHAPE, POINT_UM = (24, 32), 100.0
 
@@ -115,3 +118,40 @@ def test_long_waves_alone_have_no_interval_with_the_field_left_in():
     found, _ = light_field(a, b, point_um=POINT_UM)
     assert math.isnan(found.interval_plain[0])
     assert math.isfinite(found.r)
+
+
+def test_the_fitted_field_is_the_same_on_points_and_on_pixels():
+    a, b = related_maps(10, SHAPE, 2.0, 0.5)
+    b = b + quadratic(SHAPE)
+    a[:4, :7] = np.nan
+    pixels = Grid.regular((SHAPE[0] * 5 + 3, SHAPE[1] * 4), (20.0, 25.0), (300.0, -50.0))
+    light = fit_light(a, b, pixels, POINT_UM)
+    _, field = light_field(a, b, point_um=POINT_UM)
+    # Middles of the points, which begin with the border of the first pixel.
+    points = Grid.regular(SHAPE, POINT_UM, (300.0 - 12.5 + 50.0, -50.0 - 10.0 + 50.0))
+    on_points = light.on(points)
+    is_valid = np.isfinite(field)
+    np.testing.assert_allclose(on_points[is_valid], field[is_valid], atol=1e-10)
+    part = light.on(pixels.part(slice(10, 30), slice(7, 9)))
+    np.testing.assert_allclose(part, light.on(pixels)[10:30, 7:9], atol=1e-12)
+
+
+def test_r_of_an_image_without_its_field_has_the_interval_that_the_field_leaves():
+    a, b = related_maps(11, SHAPE, 2.0, 0.5)
+    a = a + 0.7 * quadratic(SHAPE)
+    found, field = light_field(a, b + 2.0 * quadratic(SHAPE), point_um=POINT_UM)
+    image = b + 2.0 * quadratic(SHAPE) - field
+    plain = correlate(a, image, pixel_um=POINT_UM)
+    pixel, points = without_light(plain, plain, a, image)
+    assert pixel == points
+    assert points.r == pytest.approx(found.r)
+    assert points.interval == pytest.approx(found.interval, abs=1e-9)
+    assert points.n_eff == pytest.approx(found.n_eff)
+    # p is that of the partial correlation given the field.
+    y, x = (k.ravel() * 1.0 for k in np.indices(SHAPE))
+    terms = np.stack([np.ones(x.size), x, y, x * x, x * y, y * y], axis=1)
+    rests = [m.ravel() - terms @ np.linalg.lstsq(terms, m.ravel())[0] for m in (a, image)]
+    r, free = np.corrcoef(*rests)[0, 1], points.n_eff - 2
+    assert points.p == pytest.approx(2 * stats.t.sf(r * math.sqrt(free / (1 - r * r)), free))
+    no_field = correlate(quadratic(SHAPE), image, pixel_um=POINT_UM)
+    assert without_light(no_field, no_field, quadratic(SHAPE), image) == (no_field, no_field)

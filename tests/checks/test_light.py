@@ -88,6 +88,14 @@ def test_too_few_points_are_said():
     assert "too few points are independent" in found.sentence
 
 
+def test_light_that_was_taken_off_as_declared_passes():
+    evidence = evidence_of(fall_off(SHAPE, 0.1))
+    field = evidence.light_field.model_copy(update={"declared": True})
+    found = checks_of(evidence.model_copy(update={"light_field": field}))["even light"]
+    assert found.state == "pass"
+    assert "was taken off, as declared" in found.sentence
+
+
 def test_two_sheets_have_no_light():
     both = (("volume", "coating_top"), ("volume", "thickness"))
     assert "even light" not in checks_of(evidence_of(1.0, pair=both))

@@ -24,7 +24,7 @@ from planish.analyze.correlation import (
 )
 from planish.analyze.distributions import student_tail
 from planish.core.errors import CannotMeasure
-from planish.core.facts import Interval, Value
+from planish.core.facts import Interval, Unsaved, Value, optional
 from planish.core.grid import Grid
 from planish.core.typing import Bools, Floats, Pair
 from planish.texture.covariance import Lags
@@ -51,6 +51,9 @@ class LightField(PointsCorrelation):
     p_even: Value = Field(description="Probability of a share this large in even light.")
     span: Value = Field(
         description="Largest less smallest value of the field, as a share of the image's mean."
+    )
+    inflation: Unsaved = optional(
+        "Standard deviation of the map over that of what the field leaves of it."
     )
     declared: bool = Field(
         default=False,
@@ -143,6 +146,7 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
         r=pearson(x, y - field),
         n_eff=n_eff,
         interval=(low, high),
+        inflation=inflation,
         r_plain=plain_row.r,
         interval_plain=plain_row.interval,
         share=float(field @ field) / float(y @ y),
@@ -170,7 +174,7 @@ def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> FittedLight:
         begin + half + point_um / 2 for begin, half in zip(begins_um, half_um, strict=True)
     ]
     return FittedLight(
-        weights=weights,
+        weights=np.asarray(weights, dtype=np.float64),
         middle_um=(middle_um[0], middle_um[1]),
         half_um=(half_um[0], half_um[1]),
     )
@@ -245,27 +249,33 @@ def without_light(
         (_z(limit) - _z(field.r)) / (_z(plain_limit) - _z(points.r))
         for limit, plain_limit in limits
     ]
-    return _widened(pixel, ratios), _widened(points, ratios)
+    share = field.n_eff / points.n_eff
+    return (
+        _widened(pixel, ratios, share, field.inflation),
+        _widened(points, ratios, share, field.inflation),
+    )
 
 
-def _widened(row: Correlation, ratios: Sequence[float]) -> Correlation:
-    z = _z(row.r)
+def _widened(
+    row: Correlation, ratios: Sequence[float], share: float, inflation: float
+) -> Correlation:
+    """A row with its limits ``ratios`` times as far in z, and that share of its points."""
+    z, n_eff, p = _z(row.r), share * row.n_eff, math.nan
     low, high = (
         math.tanh(z + ratio * (_z(limit) - z))
         for ratio, limit in zip(ratios, row.interval, strict=True)
     )
-    ratio, n_eff = sum(ratios) / 2, row.n_eff - _TERMS
-    p = math.nan
     if n_eff >= LEAST_CLAIMED:
-        t = abs(row.r) * math.sqrt((n_eff - 2) / (1 - row.r**2)) / ratio
-        p = 2 * student_tail(t, n_eff - 2)
-    changes = {
-        "n_eff": n_eff,
-        "interval": (low, high),
-        "p": p,
-        "n_eff_interval": (row.n_eff_interval - 3) / ratio**2 + 3,
-    }
-    return row.model_copy(update=changes)
+        p = 2 * student_tail(abs(math.sinh(z)) / inflation * math.sqrt(n_eff - 2), n_eff - 2)
+    n_eff_interval = (row.n_eff_interval - 3) / (sum(ratios) / 2) ** 2 + 3
+    return row.model_copy(
+        update={
+            "n_eff": n_eff,
+            "interval": (low, high),
+            "p": p,
+            "n_eff_interval": n_eff_interval,
+        }
+    )
 
 
 def _z(r: float) -> float:

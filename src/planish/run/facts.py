@@ -403,16 +403,17 @@ def _light_rows(results: Results, evidence: EvidenceFacts) -> Iterator[Sequence[
     ]
     doubts = "; ".join(check.name for check in checks if check.state in ("look", "fail"))
     trust = trust_of(checks, layers, concerned_figures)
+    n = field.n or 0
     r, interval, words, n_eff = field.r, field.interval, _LIGHT_OFF, field.n_eff
     if field.declared:
-        r, interval, words, n_eff = field.r_plain, field.interval_plain, "light left in", field.n
+        r, interval, words, n_eff = field.r_plain, field.interval_plain, "light left in", n
     size_text = f"points of {field.point_um:g} um"
-    figures: list[tuple[str, float, float]] = [(size_text, r, field.n)]
+    figures: list[tuple[str, float, float]] = [(size_text, r, n)]
     if is_known(interval):
         figures.append((f"{size_text}, lower 95 % limit", interval[0], n_eff))
         figures.append((f"{size_text}, upper 95 % limit", interval[1], n_eff))
-    figures.append(("share of the image's variance that the field holds", field.share, field.n))
-    for statistic, value, n in figures:
+    figures.append(("share of the image's variance that the field holds", field.share, n))
+    for statistic, value, points in figures:
         figure = f"r of {' and '.join(maps)}, {words}"
-        cells = statistic, _text(value), "", "1", round(n)
+        cells = statistic, _text(value), "", "1", round(points)
         yield " ".join(layers), figure, *cells, trust, doubts
