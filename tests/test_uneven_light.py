@@ -72,7 +72,7 @@ def test_uneven_light_is_a_look_and_both_r_are_said(lit):
     field = evidence.light_field
     assert field.r == pytest.approx(even.evidence[0].light_field.r, abs=0.03)
     assert not field.declared
-    page = Page((lit["uneven"] / "report.html").read_text(encoding="utf-8")).text
+    page = Page((lit["uneven"] / "report.html").read_text(encoding="utf-8")).text()
     for text in (
         f"{field.r:.2f}",
         f"{field.r_plain:.2f}",
@@ -106,7 +106,7 @@ def test_the_declared_field_is_off_everywhere(lit):
     assert own.r == pytest.approx(row.r, abs=0.03)
     at_points = min(evidence.sizes, key=lambda size: abs(size.point_um - 100.0))
     assert at_points.r == pytest.approx(row.r, abs=0.05)
-    page = Page((lit["declared"] / "report.html").read_text(encoding="utf-8")).text
+    page = Page((lit["declared"] / "report.html").read_text(encoding="utf-8")).text()
     assert "a quadratic field of light taken off the image, as declared" in page
     rows = figures_of(lit["declared"])
     name = "r of coating_top and image, a quadratic field of light off"
