@@ -92,6 +92,7 @@ MAP_DOORS = {
     },
     "ring_correlation": both(statistics.ring_correlation, **PIXEL),
     "conley_interval": both(statistics.conley_interval, **PIXEL),
+    "light_field": both(statistics.light_field, point_um=4.0),
     "size_curve": both(statistics.size_curve, **PIXEL),
     "split_reliability": {
         "first": lambda value: statistics.split_reliability(value, MAP.values, **PIXEL),

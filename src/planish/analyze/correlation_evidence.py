@@ -66,9 +66,6 @@ class EvidenceFacts(ResultModel):
     )
     curve: Curvature | None = optional("Whether the relation is straight or bent.")
     kubelka_munk: KubelkaMunk | None = optional("Where the study asks for it.")
-    light_field: LightField | None = optional(
-        "r without a smooth field that the map does not explain; of a sheet on an image."
-    )
     light_spread: LightSpread | None = optional("Where the study states how far light spreads.")
     density_g_cm3: Number = optional(
         "Of the coating, where the run knows it: it turns thickness into g/m2."
@@ -78,6 +75,9 @@ class EvidenceFacts(ResultModel):
     )
     short_waves: SizeRow | None = optional("Without waves above short_waves_um.")
     short_waves_um: Number = optional("Longest wave that was left in for short_waves.")
+    light_field: LightField | None = optional(
+        "r without a smooth field that the map does not explain; of a sheet on an image."
+    )
     attenuation_limit: Number = optional(
         "The r that a perfect relation would show, by misplacement alone."
     )

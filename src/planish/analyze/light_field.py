@@ -21,6 +21,7 @@ from planish.analyze.correlation import (
     PointsCorrelation,
     correlate,
     pearson,
+    valid_pixels,
 )
 from planish.analyze.distributions import student_tail
 from planish.core.errors import CannotMeasure
@@ -100,8 +101,10 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
 
     Raises
     ------
+    InputError, SizeError
+        As :func:`planish.correlate`.
     CannotMeasure
-        If there are too few points, or the map is a quadratic field itself.
+        If there are too few points, or map or image are a quadratic field themselves.
 
     Notes
     -----
@@ -113,23 +116,27 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     In even light, the coefficients of the field come of the texture of the rest, whose covariances
     by lag give theirs; what the fit took off these is put back.
     """
-    is_valid = np.isfinite(a) & np.isfinite(b)
+    is_valid, _ = valid_pixels(a, b, point_um)
+    a, b = (np.where(is_valid, m, np.nan).astype(np.float64) for m in (a, b))
     x, y = (m[is_valid] - m[is_valid].mean() for m in (a, b))
     if x.size < 3 * _TERMS:
-        raise CannotMeasure(f"{x.size} points are too few for a field of {_TERMS} terms.")
+        raise CannotMeasure(
+            f"{x.size} points are too few for a field of {_TERMS} terms. Take smaller points or a"
+            " larger field."
+        )
     terms, _ = np.linalg.qr(_quadratic_terms(is_valid))
     x_rest, y_rest = (m - terms @ (terms.T @ m) for m in (x, y))
     if not float(x_rest @ x_rest) > 1e-10 * float(x @ x):
-        raise CannotMeasure("The map is a quadratic field of x and y itself.")
+        raise CannotMeasure("The map is a quadratic field of x and y itself. Look at it.")
     if not float(y_rest @ y_rest) > 1e-10 * float(y @ y):
-        raise CannotMeasure("The image is a quadratic field of x and y itself.")
+        raise CannotMeasure("The image is a quadratic field of x and y itself. Look at it.")
     slope = float(x_rest @ y_rest) / float(x_rest @ x_rest)
     field = terms @ (terms.T @ (y - slope * x))
     field -= field.mean()
     partial_row = correlate(
         _on_points(x_rest, is_valid), _on_points(y_rest, is_valid), pixel_um=point_um
     )
-    plain_row = correlate(np.where(is_valid, a, np.nan), b, pixel_um=point_um)
+    plain_row = correlate(a, b, pixel_um=point_um)
     inflation = math.sqrt(float(x @ x) / float(x_rest @ x_rest))
     n_eff = partial_row.n_eff - _TERMS
     widening = math.nan
