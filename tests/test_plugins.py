@@ -16,6 +16,7 @@ import console
 from planish import installation
 from planish.core import plugins
 from planish.core.errors import CannotMeasure, InputError
+from planish.core.source_hash import find_commit, hash_sources
 from planish.io import read_volume
 from planish.io.formats import find_place, format_of
 from planish.measure import find_property, property_names
@@ -74,6 +75,7 @@ def test_the_package_of_the_page_is_installed_linked_repeated_exported_and_shown
     np.testing.assert_allclose(surfaces["relative_thickness"].values, expected, rtol=1e-5)
     assert run.results.versions["planish-lab"] == "0.1"
     assert run.study.packages == {"planish-lab": "0.1"}
+    assert (run.results.commit, run.results.code) == (find_commit(), hash_sources())
     page = (tmp_path / "run/report.html").read_text(encoding="utf-8")
     assert "Thickness over its mean" in page
     assert "planish-lab" in page

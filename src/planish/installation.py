@@ -28,6 +28,8 @@ from planish.core.errors import PlanishError
 from planish.core.files import longest_path
 from planish.core.memory import FREE_SHARE
 from planish.core.plugins import GROUPS, Kind, find_plugin, plugins
+from planish.core.source_hash import PACKAGE, find_commit, hash_sources, report_to
+from planish.core.text import without_folders
 from planish.core.threads import available
 from planish.io.formats import FORMATS, PICTURES, TIFF
 from planish.io.guard import default_memory_limit
@@ -58,7 +60,40 @@ def describe_installation() -> dict[str, str]:
         "planish": planish.__version__,
         "python": f"{platform.python_version()} ({platform.python_implementation()}, {bits} bit)",
         "system": f"{platform.system()} {platform.release()} ({platform.machine()})",
+        "source": f"commit {find_commit()}" if find_commit() else f"sources {hash_sources()}",
+        "report": f"Report faults {report_to()}.",
     }
+
+
+def report_text() -> str:
+    """What is handed on with a report: versions, settings, checks, the last fault; no folders."""
+    settings = [
+        f"{name}={value}"
+        for name, value in sorted(os.environ.items())
+        if name.startswith(("PLANISH_", "NUMBA_", "OMP_", "OPENBLAS_", "LANG", "LC_", "TMP"))
+    ]
+    checks = [
+        f"{check.state} {check.name}: {check.sentence} {check.advice}".rstrip()
+        for check in check_installation()
+    ]
+    sections = {
+        "Installation": describe_installation().values(),
+        "Settings": settings or ["none"],
+        "Checks": checks,
+        "Last fault": [_last_fault()],
+    }
+    lines = [f"# {name}\n" + "\n".join(texts) for name, texts in sections.items()]
+    text = "\n\n".join(lines).replace(f"{PACKAGE.parent}{os.sep}", "")
+    return f"{without_folders(text)}\n"
+
+
+def _last_fault() -> str:
+    """Text of the newest log of a fault that may be read."""
+    logs = Path(tempfile.gettempdir()).glob("planish-*.log")
+    for log in sorted(logs, key=lambda path: path.stat().st_mtime, reverse=True):
+        if os.access(log, os.R_OK):
+            return log.read_text(encoding="utf-8", errors="replace").rstrip()
+    return "none"
 
 
 def check_installation() -> Iterator[Check]:

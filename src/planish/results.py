@@ -302,6 +302,13 @@ class Results(ResultModel):
     code: str = Field(
         default="", description="Hash of the program's sources; empty where not all is of one code."
     )
+    commit: str = Field(
+        default="",
+        description=(
+            "Commit of the checkout that ran, with + where files of the program differ from it;"
+            " empty where there is none."
+        ),
+    )
     versions: dict[str, str] = Field(
         description="Versions of the libraries that numbers depend on."
     )

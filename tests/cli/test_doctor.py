@@ -141,3 +141,32 @@ def test_no_place_for_compiled_kernels_is_a_message(refuses, monkeypatch):
     assert (found.state, found.sentence) == ("fail", installation.NO_CACHE)
     monkeypatch.setattr("planish.io.describe", nowhere)
     refuses("info", "volume.tif", words="NUMBA_CACHE_DIR", out=False)
+
+
+def test_a_report_is_one_file_without_folders(planish, monkeypatch, tmp_path):
+    monkeypatch.setattr(installation.tempfile, "gettempdir", lambda: str(tmp_path))
+    log = tmp_path / "planish-x.log"
+    home = "/home/anna maria/scans"
+    log.write_text(
+        f'planish 0.3.0\n  File "{home}/lib/site-packages/x.py", line 3\n'
+        f"ValueError: {home}/volume.tif and C:\\data\\image.tif are odd\n"
+    )
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/srv/anna/cache")
+    file = tmp_path / "report.txt"
+    code, out, _ = planish("doctor", "--report", file)
+    assert code == 0
+    assert "Report faults to whoever runs this installation." in out
+    text = file.read_text(encoding="utf-8")
+    assert [line for line in text.splitlines() if line.startswith("# ")] == [
+        "# Installation",
+        "# Settings",
+        "# Checks",
+        "# Last fault",
+    ]
+    assert "NUMBA_CACHE_DIR=cache" in text
+    assert re.search(r"^pass libraries: .*numpy \d", text, re.MULTILINE)
+    assert re.search(r"^(commit|sources) [0-9a-f]{16}", text, re.MULTILINE)
+    assert 'File "x.py", line 3\nValueError: volume.tif and image.tif are odd' in text
+    assert "anna" not in text
+    assert str(Path.home()) not in text
+    assert planish("doctor", "--report", file)[0] == 3  # nothing is written over

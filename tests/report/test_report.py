@@ -51,6 +51,16 @@ def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page, bare_page
     assert page.text("title") == "sheet.tif linked to image.png"
 
 
+def test_the_page_names_the_source_that_made_it():
+    run = a_run(linked=False)
+    run["results"] |= {"code": "c0de" * 4, "versions": {"numpy": "2.4.6", "planish-lab": "0.1"}}
+    assert f"Sources{'c0de' * 4}" in text_of(run)
+    run["results"]["commit"] = "5eed+"
+    text = text_of(run)
+    assert "Commit5eed+" in text
+    assert "planish-lab0.1" in text
+
+
 def test_evenness_and_uncovered_area_stand_among_the_properties():
     run = a_run(linked=False)
     facts = run["results"]["layers"][0]["sheet"]

@@ -121,7 +121,7 @@ def test_a_job_never_raises(tmp_path, specimen, monkeypatch):
     assert jobs.do(job).state == "refused"  # eight pixels are no sheet
     for error, words in (
         (MemoryError(), "memory"),
-        (ZeroDivisionError("x"), "fault of planish: ZeroDivisionError"),
+        (ZeroDivisionError("x"), "fault in planish: ZeroDivisionError"),
     ):
 
         def fails(*_, error=error, **__):

@@ -106,6 +106,17 @@ def test_links_lead_to_the_runs_from_the_folder_of_the_page(written):
     ]
 
 
+def test_a_page_that_is_handed_on_has_no_folders_of_the_machine(tmp_path):
+    members = series(tmp_path, ({"paper": "A"}, results_of(mean=18.0, sd=2.0)))
+    message = "/home/anna/scans/b.tif does not exist. Check the name and the folder."
+    members.append(Member(name="b", factors={}, state="refused", message=message))
+    out = written_of(members, tmp_path)
+    for name in FILES:
+        text = (out / name).read_text(encoding="utf-8")
+        assert "anna" not in text, name
+    assert "b.tif does not exist. Check the name" in (out / "report.html").read_text("utf-8")
+
+
 def test_a_single_order_is_no_choice(tmp_path):
     members = series(tmp_path, ({"paper": "A"}, results_of(mean=18.0, sd=2.0)))
     text = (written_of(members, tmp_path) / "report.html").read_text(encoding="utf-8")

@@ -174,6 +174,8 @@ def _as_planish_error(error: Exception) -> PlanishError:
         log.write("".join(traceback.format_exception(error)))
     return PlanishError(
         fault.text.replace(
-            "Please report it", f"The details are in {Path(log.name)}; please report them"
+            "Please report it",
+            f"The details are in {Path(log.name)}, and 'planish doctor --report FILE' writes them"
+            " and the installation into one file to hand on. Please report it",
         )
     )

@@ -16,27 +16,39 @@ from click.shell_completion import (
 )
 
 from planish.cli.console import print_json, sentence
-from planish.cli.options import verb
+from planish.cli.options import PATH, verb
 from planish.core.errors import FileError
+from planish.core.files import write_whole
 
 _STATE_TEXTS = {"pass": "ok", "unknown": "note", "look": "look", "fail": "PROBLEM"}
 
 
-@verb("planish doctor", "planish doctor --json > doctor.json")
+@verb("planish doctor", "planish doctor --json > doctor.json", "planish doctor --report report.txt")
 @click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON.")
-def doctor(as_json: bool) -> int:
+@click.option(
+    "--report",
+    type=PATH,
+    metavar="FILE",
+    help="Write versions, settings, checks and the last fault into a file to hand on.",
+)
+def doctor(as_json: bool, report: Path | None) -> int:
     """Check the installation: versions, compile cache, memory, disks, console, extras.
 
     The text can be mailed as it is: it holds no names of folders, but for one that cannot be
     written. The exit code is 0 where all is well, and 4 otherwise.
     """
-    from planish.installation import check_installation, describe_installation
+    from planish.installation import check_installation, describe_installation, report_text
 
+    if report is not None:
+        write_whole(report, report_text().encode())
+        click.echo(f"{report}: written. {describe_installation()['report']}")
+        return 0
     versions = describe_installation()
     if not as_json:
         click.echo(
             f"planish {versions['planish']}, Python {versions['python']}, {versions['system']}"
         )
+        click.echo(f"From {versions['source']}. {versions['report']}")
     checks = list(check_installation())
     faulty = [check for check in checks if check.state in ("look", "fail")]
     if as_json:

@@ -9,5 +9,6 @@ wrong in a file of them. ``facts`` and ``checks`` are what results are made of; 
 a value is missing. ``area``, ``bands``, ``lazy`` and ``tiles`` keep large data out of the memory,
 ``memory`` reckons what a run takes, ``threads`` how many may work. ``robust`` holds statistics that
 outliers and gaps do not spoil. ``files``, ``tables``, ``text`` and ``matlab`` read and write;
-``jit`` compiles kernels, ``source_hash`` tells results of this code from others.
+``jit`` compiles kernels, ``source_hash`` tells results of this code from others and whom to tell of
+a fault, ``plugins`` finds what other packages add.
 """

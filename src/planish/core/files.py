@@ -19,6 +19,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from planish.core.errors import FileError, PlanishError, ResourceError
+from planish.core.source_hash import report_to
 
 _DEVICES = {
     *("con", "prn", "aux", "nul", "conin$", "conout$"),
@@ -187,7 +188,7 @@ def as_sentence(error: Exception, written_path: str, remedy: str) -> PlanishErro
         return write_failure(error, Path(error.filename or written_path))
     return PlanishError(
         f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. Please"
-        " report it."
+        f" report it {report_to()}."
     )
 
 

@@ -8,6 +8,9 @@ from unicodedata import category
 
 MOST_NAMES = 8  # names or numbers written out in a message
 _POWER = re.compile(r"(?<![\w.])-?\d(?:\.\d+)?e[+-]\d\d\b")
+_FOLDERS = re.compile(
+    r"(?<![\w./:])(?:~|[A-Za-z]:)?[/\\]{1,2}(?=\S)(?:(?:(?!\.\w{1,5}\s)[^/\\\n\"'<>|:;,])+[/\\]+)+"
+)
 _MINUS_ZERO = re.compile(r"(?<![\w.])-(?=0(?:\.0+)?(?![\w.]\w|\w))")
 
 
@@ -33,6 +36,17 @@ def printable(text: str) -> str:
     # Control characters, and halves of pairs, which stand for bytes that are no UTF-8.
     unprintable = (c for c in text if category(c) in ("Cc", "Cs") and c not in "\n\t")
     return text.translate({ord(c): c.encode("unicode_escape").decode() for c in unprintable})
+
+
+def without_folders(text: str) -> str:
+    r"""Leave the names of files in a text, and take the folders of whole paths off them.
+
+    A folder's name may hold blanks; what stands behind the end of a file's name is text again.
+
+    >>> without_folders(r"/home/Anna Maria/scan.tif is like C:\data\x.tif, not like a/b.tif.")
+    'scan.tif is like x.tif, not like a/b.tif.'
+    """
+    return _FOLDERS.sub("", text)
 
 
 def quoted(path: str) -> str:

@@ -25,7 +25,7 @@ from planish.checks import (
 )
 from planish.core.bands import thinned
 from planish.core.checks import Check
-from planish.core.source_hash import hash_sources
+from planish.core.source_hash import find_commit, hash_sources
 from planish.io.light import LIGHT
 from planish.results import LayerFacts, Results
 from planish.run.compare import Comparison
@@ -116,6 +116,7 @@ def _results(
     results = Results(
         planish=__version__,
         code=hash_sources() if by_this_code else "",
+        commit=find_commit() if by_this_code else "",
         layers=tuple(layers),
         checks=tuple(checks),
         versions={name: version(name) for name in _LIBRARIES} | study.packages,

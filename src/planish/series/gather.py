@@ -13,6 +13,7 @@ from planish.analyze.agreement import AgreementFacts
 from planish.core.checks import State, concerned
 from planish.core.errors import FileError, InputError
 from planish.core.facts import SIDES, RoughnessFacts, Trust, is_known
+from planish.core.text import without_folders
 from planish.report.summary import key_of
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results, SheetFacts
 from planish.run.run import open_results
@@ -132,14 +133,16 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
             try:
                 results = open_results(folder)
             except FileError as error:
-                words = in_study_words(error.text).replace(str(folder), str(member.run))
+                words = in_study_words(error.text)
                 member = member.model_copy(update={"state": "damaged", "message": words})
             else:
                 member = as_judged(member, results)
                 rows += rows_of(member, results)
                 runs[member.name] = _summary(member, results)
                 run_by_age[results.is_older] = member.name
-        judged_members.append(member)
+        # A page is handed on: of whole paths, names are left.
+        message = without_folders(member.message)
+        judged_members.append(member.model_copy(update={"message": message}))
     if len(run_by_age) > 1:
         raise InputError(
             f"The results of {run_by_age[True]} have an older format than those of"

@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError
 
 from planish.core.errors import FileError, PlanishError, ResourceError
 from planish.core.facts import ResultModel
-from planish.core.files import write_whole, writing
+from planish.core.files import as_sentence, write_whole, writing
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold
 from planish.io import find_place
 from planish.io.hashes import files_of
@@ -243,9 +243,7 @@ def do(job: Job) -> Note:
     except MemoryError:
         outcome["message"] = "The memory is used up. Give fewer jobs, or more memory."
     except Exception as error:  # noqa: BLE001  one specimen stops no other
-        outcome["message"] = (
-            f"A fault of planish: {type(error).__name__}: {error}. Please report it."
-        )
+        outcome["message"] = as_sentence(error, str(job.folder), "").text
     return job.note.model_copy(update={**outcome, "seconds": round(time.perf_counter() - begin, 1)})
 
 
