@@ -55,7 +55,7 @@ def faults_named(owner: str, module: str) -> Generator[None]:
     """Raise InputError that names the owner, where code of another package fails."""
     try:
         yield
-    except (PlanishError, MemoryError):
+    except (PlanishError, MemoryError, OSError):
         raise
     except Exception as error:
         if module.startswith("planish."):
