@@ -298,12 +298,13 @@ def _check_pictures(pictures: dict[str, Grey]) -> None:
 def _saturated(source: Any, values: Grey) -> Grey:
     """1 where a pixel is at the end of the scale, of the file or of a camera with fewer bits.
 
-    Such a scale ends where ten pixels have the largest value, and three times as many as the last
-    64th of the range below it, or the last grey.
+    Such a scale ends where ten pixels have the largest value, and three times as many as the rest
+    of the last 64th of the range, if that holds a grey.
     """
     full_scale = getattr(source, "attrs", {}).get("full_scale")
-    highest, lowest = float(np.nanmax(values)), float(np.nanmin(values))
+    highest = float(np.nanmax(values))
+    last_part = (highest - float(np.nanmin(values))) / 64
     at_end = values == highest
-    near = np.count_nonzero(values >= highest - max(1, (highest - lowest) / 64))
-    is_spike = highest > lowest and np.count_nonzero(at_end) >= max(10, 0.75 * near)
+    near = np.count_nonzero(values >= highest - last_part)
+    is_spike = last_part >= 1 and np.count_nonzero(at_end) >= max(10, 0.75 * near)
     return (at_end & (is_spike or highest == full_scale)).astype(np.float32)
