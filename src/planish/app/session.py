@@ -45,7 +45,7 @@ from planish.run import Registration, find_holes
 from planish.run.cached_maps import noted_study
 from planish.run.regions import REGIONS
 from planish.run.run import MAPS, marks_file, open_results, study_of
-from planish.run.study import EDITS, Study
+from planish.run.study import EDITS, Study, with_paths
 
 _UNDO, _REDO = b'{"do": "undo"}', b'{"do": "redo"}'
 
@@ -370,7 +370,8 @@ def _image_params(run: Path, image: ImageParams | None, results: Results) -> Ima
         )
     if not path.is_file():
         raise FileError(f"{path} is not a file. Give the image of the sheet.")
-    options = image.model_dump(exclude_unset=True) | {"path": str(path.resolve())}
+    image = with_paths(image, lambda file: str(Path(file).resolve()))
+    options = image.model_dump(exclude_unset=True)
     recorded = noted_study(run)
     if recorded is not None:
         for layer in recorded.layers:

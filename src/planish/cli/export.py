@@ -113,7 +113,7 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     is_flag=True,
     help="Serve to other machines, over a connection that is not encrypted.",
 )
-@options(ImageParams, "Image", only=("pixel_um", "channel", "side"))
+@options(ImageParams, "Image", without=("md_deg", "dark_grey", "white_grey", "screen_um"))
 @image_size_options
 @json_option
 def view(

@@ -226,17 +226,20 @@ def smooth(values: Grey) -> tuple[Grey, Grey, float]:
     noise = _noise_variance(values)
     mean_noise = _noise_variance(_mean(values, 9), lag=32) / _squared_weights(9)
     n_correlated = max(1.0, mean_noise / noise) if noise > 0 else 1.0  # pixels with common noise
-    smoothed, error = values, np.full_like(values, noise)
+    smoothed = values
+    error = least_error = np.full_like(values, noise)
     for width in _WIDTHS:
         if 2 * width > min(values.shape):
             break
         mean = _mean(values, width)
         own_share = min(1.0, n_correlated / width**2)  # of a pixel's noise in its mean
         loss = _mean((values - mean) ** 2, _WINDOW) + noise * (2 * own_share - 1)
-        loss = np.maximum(loss, noise * n_correlated * _squared_weights(width))
-        smoothed = np.where(loss < error, mean, smoothed)
+        mean_error = noise * n_correlated * _squared_weights(width)
+        is_better = loss < error
+        smoothed = np.where(is_better, mean, smoothed)
+        least_error = np.where(is_better, mean_error, least_error)
         error = np.minimum(loss, error)
-    return smoothed, error, noise
+    return smoothed, np.maximum(error, least_error), noise
 
 
 def _mean(values: Grey, width: int) -> Grey:
