@@ -39,7 +39,7 @@ export const typeset = (text) => text.replaceAll(/\bum\b/g, "µm").replaceAll(/ 
 export const shown = (value) => (value === null ? "no value" : String(Number(value.toPrecision(5))));
 
 /** What stands behind a number; nothing where it has no unit. */
-export const withUnit = ({ units }) => (units && units !== "1" ? typeset(` ${units}`) : "");
+export const withUnit = ({ units }) => (units && units !== "1" ? typeset(` ${units}`).replace(" °", "°") : "");
 
 /** Have the browser save a file. */
 export function download(blob, name) {
