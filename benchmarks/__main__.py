@@ -35,6 +35,7 @@ _ALL = (
     "evidence",
     "uneven",
     "even_light",
+    "scanner",
     "fuzz",
     "app",
     "faces",

@@ -8,7 +8,7 @@ import pytest
 import planish as pl
 from planish.core.reflectance import LUMINANCE
 from planish.io import read_image
-from planish.synthetic import DEMO, FlatbedParams, make_specimen, scan_flatbed, write_flatbed
+from planish.synthetic import FlatbedParams, scan_flatbed, write_flatbed
 from planish.synthetic.flatbed import encode, lamp
 
 FINE_UM, SHAPE = 2.0, (700, 800)
@@ -70,16 +70,6 @@ def test_light_from_one_side_shows_slopes_along_the_scan_only():
     np.testing.assert_allclose(ramp, 1.04, rtol=1e-12)
     across = lamp(0.05 * X_UM, pixel_um=FINE_UM, params=replace(PLAIN, shading=0.08))
     np.testing.assert_allclose(across, 1.0, rtol=1e-12)
-
-
-def test_shading_is_as_smooth_as_light_spreads_in_the_paper():
-    length_um, spread_um = 280.0, 30.0  # five waves of the height: no border within
-    k = 2 * np.pi / length_um
-    params = replace(PLAIN, shading=0.1, spread_um=spread_um)
-    light = lamp(2.0 * np.sin(k * Y_UM), pixel_um=FINE_UM, params=params)
-    slope = 2.0 * k * np.cos(k * Y_UM) * np.exp(-0.5 * (k * spread_um) ** 2)
-    inside = slice(100, -100)
-    np.testing.assert_allclose((light - 1)[inside], slope[inside], atol=2e-4)
 
 
 def test_light_multiplies_the_reflectance():
@@ -190,16 +180,19 @@ def test_ranges_hold_the_defaults():
             assert limits[0] <= value <= limits[1]
 
 
-@pytest.mark.ci
-def test_a_specimen_is_scanned_and_written_with_its_resolution(tmp_path):
-    params = replace(DEMO, flatbed=replace(PLAIN, dpi=2400.0))
-    specimen = make_specimen(params)
-    image = read_image(write_flatbed(specimen, tmp_path / "flatbed.tif"))
+def on_glass(specimen, path, params):
+    """Scan a specimen, and read what was written."""
+    scanned = replace(specimen, params=replace(specimen.params, flatbed=params))
+    return scanned, read_image(write_flatbed(scanned, path))
+
+
+def test_holes_lie_where_they_are_scanned(kinds, tmp_path):
+    params = replace(PLAIN, dpi=2400.0, colour=True)
+    specimen, image = on_glass(kinds.specimen("demo"), tmp_path / "flatbed.tif", params)
     assert image.attrs["pixel_um"] == pytest.approx([25.4 / 2.4] * 2)
     holes = pl.find_holes(image)
     true = specimen.flatbed.place(specimen.pose(specimen.sheet.holes))
-    off = [
-        np.linalg.norm(true - [x, y], axis=1).min() for x, y in zip(holes.x, holes.y, strict=True)
-    ]
-    assert holes.sizes["mark"] == len(true)
+    places = np.stack([holes["x"].values, holes["y"].values], axis=1)
+    off = [np.linalg.norm(true - place, axis=1).min() for place in places]
+    assert len(places) == len(true)
     assert np.median(off) < 2.0  # rims are rough by 4 um
