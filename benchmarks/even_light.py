@@ -142,9 +142,9 @@ class Drawn(NamedTuple):
     divided: Correlation
 
 
-def drawn(number, count, redrawn=_REDRAWN):
+def drawn(sheet, number, count, redrawn=_REDRAWN):
     """So many images of a sheet."""
-    sheet, rng = Sheet(number), np.random.default_rng([51, number])
+    rng = np.random.default_rng([51, number])
     z = []
     for _ in range(redrawn):
         x, even = sheet.photographed(rng)
@@ -166,9 +166,8 @@ def holds(intervals, values):
     return float(np.mean([a <= v <= b for (a, b), v in zip(intervals, values, strict=True)]))
 
 
-def uneven(count):
-    """Print what was said of so many images; the number of goals that were missed."""
-    rows = [row for k in range(_SHEETS) for row in drawn(k, max(1, count // _SHEETS))]
+def uneven(rows):
+    """Print what was said of images; the number of goals that were missed."""
     plain, off = ([row.true[k] for row in rows] for k in (0, 1))
     is_off = np.array([abs(row.uneven.r_plain - row.even.r_plain) > 0.03 for row in rows])
     looks, alarms = (
@@ -200,37 +199,41 @@ def uneven(count):
     return sum([*missed, *(not 0.92 <= v <= 0.98 for v in held)])
 
 
-def side(count):
+def side_lit(sheet, number, share):
+    """The share that the slopes of a sheet are said to have in an image, and whether it is a look.
+
+    Of what image and sheet have in common in waves of 15 to 250 um, ``share`` is the slopes' own.
+    """
+    rng, pixel = np.random.default_rng([52, number]), (_PIXEL_UM, _PIXEL_UM)
+    part = sheet.part(rng)
+    coating, top = sheet.coating[part], sheet.top[part]
+    slope = np.gradient(top, _PIXEL_UM, axis=1)
+    is_used = np.isfinite(coating)
+    c, g = (
+        in_band(np.nan_to_num(m), is_used, pixel, (15.0, 250.0))[is_used] for m in (coating, slope)
+    )
+    common = (c @ g) / (c @ c)
+    rest = g - common * c
+    strength = math.sqrt(share / (1 - share) * (c @ c) / (rest @ rest))
+    shared = coating + strength * (slope - common * coating)
+    texture = ndimage.gaussian_filter(rng.standard_normal(coating.shape), 20 / _PIXEL_UM)
+    seen = shared + 1.5 * np.std(coating[is_used]) / texture.std() * texture
+    maps = {"coating": coating, "face": top, "image": seen}
+    known = {k: np.where(is_used, m, np.nan) for k, m in maps.items()}
+    lag = texture_lag(
+        textures(known, is_used, pixel).with_slopes("face"),
+        ["coating", "face_x", "face_y"],
+        "image",
+        slopes=2,
+        reach_um=150.0,
+    )
+    states = [check.state for check in run_checks(lag.numbers("coating_top"))]
+    return share, lag.light, states == ["look"]
+
+
+def side(rows):
     """Print in how many images light from one side is seen; the number of goals missed."""
-    pixel, found = (_PIXEL_UM, _PIXEL_UM), []
-    for number in range(count):
-        if number % 2 == 0:
-            sheet = Sheet(number // 2)
-        rng = np.random.default_rng([52, number])
-        part = sheet.part(rng)
-        coating, top = sheet.coating[part], sheet.top[part]
-        slope = np.gradient(top, _PIXEL_UM, axis=1)
-        is_used = np.isfinite(coating)
-        share = 0.8 * (number + 0.5) / count
-        c, g = (
-            in_band(np.nan_to_num(m), is_used, pixel, (15.0, 250.0))[is_used]
-            for m in (coating, slope)
-        )
-        g_rest = g - c * (c @ g) / (c @ c)
-        # Of what is shared, the slopes' own part is to be ``share``; the rest is the coating's.
-        strength = math.sqrt(share / (1 - share) * (c @ c) / (g_rest @ g_rest))
-        shared = coating + strength * (slope - (c @ g) / (c @ c) * coating)
-        texture = ndimage.gaussian_filter(rng.standard_normal(coating.shape), 20 / _PIXEL_UM)
-        seen = shared + 1.5 * np.std(coating[is_used]) / texture.std() * texture
-        maps = {"coating": coating, "face": top, "image": seen}
-        known = {k: np.where(is_used, m, np.nan) for k, m in maps.items()}
-        texture_maps = textures(known, is_used, pixel).with_slopes("face")
-        lag = texture_lag(
-            texture_maps, ["coating", "face_x", "face_y"], "image", slopes=2, reach_um=150.0
-        )
-        (check,) = run_checks(lag.numbers("coating_top")) or [None]
-        found.append((share, lag.light, check is not None and check.state == "look"))
-    shares, stated, looks = np.array(found).T
+    shares, stated, looks = np.array(rows).T
     above, below = looks[shares > SIDE_LIGHT], looks[shares < SIDE_LIGHT / 2]
     print(
         f"light from one side: a look in {above.mean():.3f} of {above.size} above"
@@ -240,6 +243,18 @@ def side(count):
     return int(above.mean() < 0.95) + int(below.any())
 
 
+def of_sheet(number, images, sides):
+    """What was said of the images of a sheet in uneven light, and in light from one side."""
+    sheet, count = Sheet(number), _SHEETS * sides
+    numbers = [number + _SHEETS * k for k in range(sides)]
+    lit = [side_lit(sheet, k, 0.8 * (k + 0.5) / count) for k in numbers]
+    return list(drawn(sheet, number, images)), lit
+
+
 def main(images=200, sides=40):
     """Print what was seen and what r was; the number of goals missed."""
-    return uneven(images) + side(sides)
+    of_sheets = [
+        of_sheet(k, max(1, images // _SHEETS), max(1, sides // _SHEETS)) for k in range(_SHEETS)
+    ]
+    rows = [row for drawn_rows, _ in of_sheets for row in drawn_rows]
+    return uneven(rows) + side([row for _, lit in of_sheets for row in lit])

@@ -74,9 +74,10 @@ def test_a_weak_fall_off_that_does_not_move_r_passes():
 
 
 def test_long_waves_of_the_paper_move_r_and_are_no_light():
-    """Texture as long as a sixth of the side gives such a field by itself."""
-    evidence = evidence_of(1.0, length=20.0)
-    assert evidence.light_field.share > 0.15
+    """Texture as long as a tenth of the side gives such a field by itself."""
+    evidence = evidence_of(1.0, length=12.0)
+    assert evidence.light_field.share > 0.08
+    assert 0.001 < evidence.light_field.p_even < 0.01
     assert checks_of(evidence)["even light"].state == "pass"
 
 

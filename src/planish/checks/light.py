@@ -15,8 +15,10 @@ EVEN_LIGHT = "even light"
 SIDE_LIGHT = 0.25
 # Of the width of an interval of 95 %, four standard errors: a bias of one leaves 83 % instead.
 _MOVED = 0.25
-# Texture alone gives a field that is larger in 1 of 20 images in even light.
-_BY_CHANCE = 0.05
+# Texture alone gives a larger field in 1 of 1000 images in even light; where its range is a twelfth
+# to an eighth of the shorter side, in 60 to 130, as waves longer than the field show in no
+# covariance (docs/evidence.md). Few of these move r as well.
+_BY_CHANCE = 0.001
 
 
 def even_light(rule: CheckRule, evidence: EvidenceFacts) -> Check | None:
