@@ -44,7 +44,6 @@ def even_light(rule: CheckRule, evidence: EvidenceFacts) -> Check | None:
                 f" {r_texts[0]}; with it left in, {r_texts[1]}."
             ),
             value=field.change,
-            units="r",
         )
     sentence = in_ascii(
         f"{text}; the grey changes by {100 * field.span:.2g} % along it. With it off, r over points"
@@ -53,11 +52,10 @@ def even_light(rule: CheckRule, evidence: EvidenceFacts) -> Check | None:
     low, high = field.interval_plain
     limit = _MOVED * (high - low)
     if field.p_even > _BY_CHANCE:
-        return rule.check("pass", sentence, value=field.change, limit=limit, units="r")
+        return rule.check("pass", sentence, value=field.change, limit=limit)
     return rule.at_most(
         field.change,
         look=limit,
-        units="r",
         sentence=sentence,
         advice=(
             "Take the image in even light, or divide it by one of a white sheet. Without the field"
