@@ -59,7 +59,7 @@ def test_every_option_stands_in_it_with_its_default(draft):
         "coating",
         "void",
     }
-    examples |= {"channel", "corrections", "white", "dark", "gamma"}
+    examples |= {"channel", "corrections", "white", "dark", "gamma", "light"}
 
     def taken(match):
         try:
