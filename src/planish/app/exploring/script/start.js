@@ -38,14 +38,14 @@ function tellCursor() {
   const parts = [`${x} ${place(xOf(state.col))}, ${y} ${place(yOf(state.row))} µm`];
   data.maps.forEach((map, k) => {
     const value = written(map, map.codes[i]), cell = map.row.lastChild;
-    cell.firstChild.nodeValue = `${value} `;
+    cell.firstChild.nodeValue = map.units === "°" ? value : `${value} `;
     map.row.className = k === state.left || k === state.right ? "shown" : "";
   });
   for (const side of sides) {
     const map = shown(side), valid = data.groups[map.group].valid?.codes, value = written(map, map.codes[i]);
     const beside = map.codes[i] && valid && !valid[i] ? ", does not count here" : "";
     const doubt = map.trust === "ok" ? "" : `, ${map.trust} (${map.why.join(", ")})`;
-    const measure = map.codes[i] ? `${value} ${map.units}`.trim() : "no value";
+    const measure = map.codes[i] ? `${value} ${map.units}`.trim().replace(" °", "°") : "no value";
     at(`${side}-value`).textContent = `${map.codes[i] ? measure : "No value here"}${beside}${doubt}`;
     parts.push(`${named(map)} ${measure}${beside}${doubt}`);
   }
