@@ -55,10 +55,20 @@ def test_a_sheet_and_its_image_in_either_order():
     far = layer(image=200 - 20 * np.roll(field(0), 16, axis=1) + 10 * field(9))
     lost, displaced = texture_of(sheet, far, ("sheet", "photo")).checks
     assert (lost.state, displaced.state) == ("look", "look")
-    assert lost.sentence.endswith("Moved by 81 um they do go together (position by texture).")
+    assert lost.sentence.endswith("Moved by 81.1 um they do go together (position by texture).")
     turned = texture_of(sheet, image, ("sheet", "photo"), side="bottom")
     # The lag is that of the face that goes with it.
     assert [check.state for check in turned.checks] == ["fail", "look"]
+
+
+def test_an_image_in_transmitted_light_lies_by_the_thickness_and_not_by_slopes():
+    """With the coating alone, slopes stood for the base: 0.73 of R2, and a lag of 20 um."""
+    sheet = a_sheet()
+    image = layer(image=np.exp(-0.01 * sheet["thickness"].values) + 0.01 * field(9, sigma=1.0))
+    lag, (side, position) = texture_of(sheet, image, ("sheet", "radiograph"))
+    assert (side.state, position.state, lag.property) == ("unknown", "pass", "thickness")
+    assert lag.length_um < 1.0
+    assert lag.light < 0.05
 
 
 def test_the_texture_of_a_small_sheet_is_that_of_paper_in_its_own_unit():

@@ -387,9 +387,10 @@ def texture_of(
         # from one side.
         face = face or side
         heights = height_map(face, texture.maps)
-        source_maps = [f"coating_{face}"] if face in coated else ["thickness"]
+        is_of_coating = face in coated and not _goes_through(texture, f"coating_{face}")
+        source_maps = [f"coating_{face}"] if is_of_coating else ["thickness"]
         if heights in texture.maps:
-            source_maps += [] if face in coated else [heights]
+            source_maps += [] if is_of_coating else [heights]
             texture, slope_names = (
                 texture.with_slopes(heights),
                 (f"{heights}_x", f"{heights}_y"),
@@ -435,6 +436,22 @@ def texture_of(
     return TextureFound(
         offset.numbers(source_maps[0], expected_um), (check, offset.check(expected_um))
     )
+
+
+def _goes_through(texture: Textures, coating: str) -> bool:
+    """Whether an image goes with the thickness clearly better than with a coating.
+
+    In transmitted light or a radiograph it does. With the coating alone, slopes of the face would
+    stand for the heights that the coating lacks, and move the peak.
+    """
+    names = coating, "thickness", "image"
+    if not all(name in texture.maps for name in names):
+        return False
+    of_coating, of_thickness = (
+        relate(texture.maps[name], texture.maps["image"], texture.known, texture.pixel_um)
+        for name in names[:2]
+    )
+    return _stands_out(of_thickness, of_coating)
 
 
 def _maps_of(layer: xr.Dataset, valid: Bools) -> dict[str, xr.DataArray]:
