@@ -188,7 +188,10 @@ def test_page_terminal_json_table_and_function_state_the_same(kinds, passes):
             assert float(figures[figure, f"points of {size_um:g} um"]["value"]) == row.r
             for line in (page[title, size_um], terminal[name, size_um]):
                 assert line["n_eff"] == f"{row.n_eff:.0f}"
-                assert line["interval"] == " to ".join(f"{end:.2f}" for end in row.interval)
+                ends = line["interval"].split(" to ")
+                assert [len(end.partition(".")[2]) for end in ends] == [2, 2]
+                # As numbers: 0.00 is -0.00.
+                assert [float(end) for end in ends] == [round(end, 2) for end in row.interval]
                 assert line["p"] == p_text(row.p_of_table)
                 for key in ("r", "r2", "rho"):
                     decimals = len(line[key].partition(".")[2])
