@@ -177,8 +177,8 @@ def test_of_a_large_volume_some_slices_are_seen_and_that_is_said(tmp_path, monke
 def test_what_a_run_needs_grows_with_the_columns(tmp_path):
     small = describe(write_volume(tmp_path / "v.tif", noise((9, 40, 50))))
     large = describe(write_volume(tmp_path / "w.tif", noise((9, 80, 100))))
-    # As measured.
-    assert large["run_seconds"] - small["run_seconds"] == pytest.approx(36.5e-6 * 6000, rel=0.05)
+    # 20e-6 were measured, and 1.3 times as much is said.
+    assert large["run_seconds"] - small["run_seconds"] == pytest.approx(28.1e-6 * 6000, rel=0.05)
     assert large["run_bytes"] > small["run_bytes"] > 1e8
 
 

@@ -5,6 +5,7 @@
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -459,6 +460,11 @@ def _stated(
     return Correlation(**fields, warnings=tuple(warnings))
 
 
+@lru_cache(maxsize=4)  # the maps of a layer have one mask, at each point size
+def _lags_of(mask_bytes: bytes, shape: tuple[int, int], pitch_um: Pair) -> Lags:
+    return Lags(np.frombuffer(mask_bytes, dtype=bool).reshape(shape), pitch_um)
+
+
 def _certainty(
     r: float, sums: PairSums, cells: list[Floats], pitch_um: Pair, warnings: list[str]
 ) -> dict[str, float | Pair]:
@@ -468,7 +474,7 @@ def _certainty(
         warnings.append("The maps are too small to tell how many points are independent.")
         return {}
     x, y = (np.where(is_valid, m, 0.0) for m in cells)
-    pair = PairCovariances(x, y, Lags(is_valid, pitch_um))
+    pair = PairCovariances(x, y, _lags_of(is_valid.tobytes(), is_valid.shape, pitch_um))
     n_eff = pair.n_eff(sums.n, sums.variances)
     if not n_eff >= LEAST_CLAIMED:
         points_text = f"{n_eff:.0f}" if n_eff >= 1 else "No"

@@ -12,6 +12,7 @@ import click
 from rich import progress as rich
 
 from planish.cli.console import animated, console, letters, sentence, shown, table, warn
+from planish.core.durations import slowness
 from planish.core.facts import is_known
 from planish.core.memory import enough_gb
 from planish.core.numbers import NONE, in_ascii
@@ -310,7 +311,7 @@ def run_lines(facts: dict[str, Any]) -> list[str]:
 
 def fact_lines(facts: dict[str, Any]) -> list[str]:  # noqa: C901
     """Write the facts of ``planish info`` for a reader."""
-    axes = ", ".join(facts["dims"])
+    axes, pace = ", ".join(facts["dims"]), slowness()
     shape = " x ".join(map(str, facts["shape"]))
     size = f"{facts['bytes'] / 1e6:.1f} MB"
     lines = [f"{facts['file_name']}: {facts['kind']}, {shape} ({axes}), {facts['dtype']}, {size}"]
@@ -339,16 +340,18 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:  # noqa: C901
         option = "" if facts["through"] == "z" else f": planish map --through {facts['through']}"
         lines.append(f"sheet: across {facts['through']}, along which the grey changes most{option}")
     if "link_bytes" in facts:
-        memory, time = f"{enough_gb(facts['link_bytes'])} GB", duration(facts["link_seconds"])
+        memory, time = (
+            f"{enough_gb(facts['link_bytes'])} GB",
+            duration(pace * facts["link_seconds"]),
+        )
         lines.append(
             f"planish link: about {memory} of memory, and {time} after the volume was mapped"
         )
     if "run_bytes" in facts:
-        memory, seconds = f"{enough_gb(facts['run_bytes'])} GB", facts["run_seconds"]
+        memory, seconds = f"{enough_gb(facts['run_bytes'])} GB", pace * facts["run_seconds"]
         lines.append(
-            f"planish map: {memory} of memory, or less with wider columns; {duration(seconds)} to"
-            f" {duration(2 * seconds)} on two processors, and some minutes more the first time, to"
-            " compile"
+            f"planish map: {memory} of memory, or less with wider columns; about"
+            f" {duration(seconds)}, and some minutes more the first time, to compile"
         )
     for name, value in (facts.get("metadata") or {}).items():
         text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value  # type: ignore[reportUnknownVariableType]

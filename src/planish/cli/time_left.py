@@ -8,22 +8,27 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, WRITE_SECONDS, Seconds
+from planish.core.durations import (
+    LINK_SECONDS,
+    READ_SECONDS,
+    SHEET_SECONDS,
+    WRITE,
+    Seconds,
+    slowness,
+)
 from planish.core.errors import PlanishError
 from planish.run.study import GivenLayer, Study
 
 # Its name, or that of a step of tiles within it, and its expected seconds.
 Stage = tuple[str, float]
 Clock = Callable[[], float]
-# Seconds of the first imports, by those where times are right.
-_SLOWNESS = time.process_time() / 0.5
 
 
 class TimeLeft:
-    """Follows a run through its expected stages; ``slowness`` is a first guess of their scale."""
+    """Follows a run through its expected stages; ``guess`` is a first one of their scale."""
 
     def __init__(
-        self, stages: Sequence[Stage], clock: Clock = time.monotonic, slowness: float = _SLOWNESS
+        self, stages: Sequence[Stage], clock: Clock = time.monotonic, guess: float | None = None
     ) -> None:
         self._names, self._seconds, self._clock = (
             [n for n, _ in stages],
@@ -32,7 +37,7 @@ class TimeLeft:
         )
         self._total, self._at, self._share = sum(self._seconds), -1, 0.0
         self._start = self._entered = clock()
-        self._rate = self._guess = slowness
+        self._rate = self._guess = slowness() if guess is None else guess
 
     def enter(self, name: str, share: float = 0.0) -> None:
         """A stage begins, or so much of its tiles is done.
@@ -90,15 +95,17 @@ def expected_stages(study: Study) -> list[Stage]:
     The sizes are read from the headers of the files.
     """
     sizes = [_millions(layer) for layer in study.layers]
-    stages: list[Stage] = [("read", 0.5) for layer in study.layers if layer.kind != "volume"]
+    stages: list[Stage] = [
+        ("read", READ_SECONDS) for layer in study.layers if layer.kind != "volume"
+    ]
     for layer, millions in zip(study.layers, sizes, strict=True):
         if layer.kind == "volume":
             stages += _timed(SHEET_SECONDS, millions)
     if len(study.layers) > 1:
-        stages += [("register", 1.0 + 0.7 * millions) for millions in sizes[1:-1]]
+        for millions in sizes[1:-1]:
+            stages.append(_timed(LINK_SECONDS, millions)[0])
         stages += _timed(LINK_SECONDS, sizes[-1])
-    write, each = WRITE_SECONDS
-    return [*stages, ("write", write + 4.0 * (len(study.layers) > 1) + each * min(sizes))]
+    return stages + _timed(WRITE, sizes[-1])
 
 
 def _timed(seconds: Seconds, millions: float) -> list[Stage]:

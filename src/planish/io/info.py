@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from planish.core.durations import map_seconds
+from planish.core.durations import link_seconds, map_seconds
 from planish.core.errors import FileError, InputError, ResourceError, SizeError
 from planish.core.frame import likely_through
 from planish.core.memory import (
@@ -97,7 +97,8 @@ def describe(
         axis that seems to run through the sheet; None where the grey does not tell), ``run_bytes``
         and ``run_seconds`` (memory with which ``planish map`` measures single voxels, and its time,
         roughly), ``metadata`` (what a log states, and choices made). For images ``link_bytes`` and
-        ``link_seconds``: memory of ``planish link``, and what it takes after the volume.
+        ``link_seconds``: memory and time of ``planish link`` with a sheet that was mapped. Times
+        are those of the machine of :mod:`planish.core.durations`.
 
     Raises
     ------
@@ -291,7 +292,7 @@ def _describe_image(
         "colour": picture.colour,
         "channels": full_values.shape[2] if full_values.ndim == 3 else 1,
         "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
-        "link_seconds": 2.5e-6 * math.prod(shape),
+        "link_seconds": link_seconds(math.prod(shape)),
         **size_facts,
     }
 

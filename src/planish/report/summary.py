@@ -4,14 +4,14 @@ What the image-based check of a registration means.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 from planish.analyze import LagNumbers
 from planish.checks.light import EVEN_LIGHT
 from planish.core import numbers
-from planish.core.checks import State
-from planish.core.facts import Trust, is_known
+from planish.core.checks import CORRELATION, POSITION, State, concerned
+from planish.core.facts import is_known
 from planish.core.numbers import (
     NONE,
     capital,
@@ -93,15 +93,12 @@ def check_summary(results: Results) -> str:
     return f"Of {total} checks, {'; '.join(part for part in clauses if part)}."
 
 
-def doubt(results: Results, trust: Trust, layers: Sequence[str]) -> str:
-    """Say why a figure of some layers is kept out of the headline."""
-    state: State = "fail" if trust == "withheld" else "look"
-    checks = (
-        c
-        for c in results.checks_in(state)
-        if c.figures and (not c.layers or set(c.layers) & set(layers))
-    )
-    return f"is {trust} ({', '.join(dict.fromkeys(check.name for check in checks))})"
+def doubt(results: Results, row: CorrelationRow) -> str:
+    """Say why the correlation of two maps is kept out of the headline."""
+    state: State = "fail" if row.trust == "withheld" else "look"
+    figures = row.a_map, row.b_map, POSITION, CORRELATION
+    checks = concerned(results.checks_in(state), (row.a, row.b), figures)
+    return f"is {row.trust} ({', '.join(dict.fromkeys(check.name for check in checks))})"
 
 
 def key_of(pair: CorrelationRow | EvidenceFacts) -> PairKey:
@@ -307,7 +304,7 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
         else names_in_words(pixel, titles)
     )
     if pixel.trust != "ok":
-        why = doubt(results, pixel.trust, (pixel.a, pixel.b))
+        why = doubt(results, pixel)
         return f"The correlation of {a} and {b} {why}.{_light_text(results, row)}"
     if not are_images:
         a, b = (a, "the image") if is_image else (f"{a} of {pixel.a}", f"{b} of {pixel.b}")

@@ -72,11 +72,10 @@ class PositionErrors:
     ) -> None:
         self._lattice = Lattice(grid)
         places = self._lattice.places
-        self._shares = {
-            "marks": np.asarray(chain.expected_error_um(chain.inverse(places)), dtype=np.float64)
-        }
+        uv = chain.inverse(places)
+        self._shares = {"marks": np.asarray(chain.expected_error_um(uv), dtype=np.float64)}
         if sheet is not None:
-            self._shares |= _moved(sheet, chain, places)
+            self._shares |= _moved(sheet, chain, uv)
         # Poses of layers in between move marks only: a place goes over the link before and the link
         # after as if they were right.
         sections_um2 = 0.0
@@ -181,8 +180,8 @@ def _sections_um2(groups: Mapping[str, xr.Dataset], *, marks: int) -> float:
     return square_um2
 
 
-def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dict[str, Floats]:
-    """Give what other surfaces move at places (rows, cols, 2) of the reference, in um.
+def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, uv: Floats) -> dict[str, Floats]:
+    """Give what other surfaces move at places (rows, cols, 2) of the sheet, in um of the reference.
 
     They are registered to the same marks.
     """
@@ -226,7 +225,7 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dic
         )
         return np.stack([bilinear(fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
 
-    fit, uv = chain.fits[0], chain.inverse(places)
+    fit, linked_places = chain.fits[0], chain(uv)
     errors_um: dict[str, Floats] = {}
     for name, scale in (("neutral", error_factor), ("smoothing", 1.0)):
         shifted_places = fit.refitted(fit.moving + moves_of(name, fit.moving))(
@@ -234,5 +233,5 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dic
         )
         for link in chain.fits[1:]:
             shifted_places = link(shifted_places)
-        errors_um[name] = scale * filled(np.linalg.norm(shifted_places - chain(uv), axis=-1))
+        errors_um[name] = scale * filled(np.linalg.norm(shifted_places - linked_places, axis=-1))
     return errors_um
