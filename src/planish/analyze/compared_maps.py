@@ -8,8 +8,8 @@ from typing import Any
 
 import xarray as xr
 
-from planish.analyze.light_field import FittedLight
 from planish.analyze.params import CorrelateParams
+from planish.analyze.quadratic_field import QuadraticField
 from planish.analyze.sheet_columns import SheetColumns
 from planish.core.area import area_mean
 from planish.core.grid import Grid
@@ -34,7 +34,7 @@ class ComparedMaps:
     # Those of each sheet.
     columns: Mapping[str, SheetColumns] = field(default_factory=dict[str, SheetColumns])
     md_deg: float | None = None  # machine direction on the reference
-    light: FittedLight | None = None  # that was taken off the image
+    light: QuadraticField | None = None  # that was taken off the image
     # Means over the larger points, straight from the pixels, where both are sheets and the maps of
     # one quantity.
     repeated_points: list[Floats] | None = None

@@ -28,10 +28,11 @@ from planish.analyze.kubelka_munk import (
     answer_density,
     answer_kubelka_munk,
 )
-from planish.analyze.light_field import FittedLight, LightField, answer_light_field
+from planish.analyze.light_field import LightField, answer_light_field
 from planish.analyze.light_spread import LightSpread, answer_light_spread
 from planish.analyze.octaves import Band, answer_octaves
 from planish.analyze.params import CorrelateParams
+from planish.analyze.quadratic_field import QuadraticField
 from planish.analyze.robustness import (
     Partial,
     answer_origins,
@@ -156,7 +157,7 @@ def correlation_diagnostics(
     params: CorrelateParams,
     columns: Mapping[str, SheetColumns] | None = None,
     md_deg: float | None = None,
-    light: FittedLight | None = None,
+    light: QuadraticField | None = None,
 ) -> EvidenceFacts | None:
     """Answer every question of two maps.
 
@@ -169,7 +170,7 @@ def correlation_diagnostics(
     params : CorrelateParams
     columns : mapping of str to SheetColumns, optional; those of each sheet, for its reliability
     md_deg : float, optional; machine direction on the reference
-    light : FittedLight, optional; the field that was taken off the image
+    light : QuadraticField, optional; the field that was taken off the image
 
     Returns
     -------

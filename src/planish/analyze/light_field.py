@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,10 +23,11 @@ from planish.analyze.correlation import (
     valid_pixels,
 )
 from planish.analyze.distributions import student_tail
+from planish.analyze.quadratic_field import QuadraticField, terms_of_points
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, Unsaved, Value, optional
 from planish.core.grid import Grid
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats
 from planish.texture.covariance import Lags
 
 if TYPE_CHECKING:
@@ -65,21 +65,6 @@ class LightField(PointsCorrelation):
     def change(self) -> float:
         """How much the field changes r."""
         return abs(self.r - self.r_plain)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FittedLight:
-    """A quadratic field of light over an image, less its mean over the points it was fitted to."""
-
-    weights: Floats  # of 1, x, y, x², xy and y²
-    middle_um: Pair  # along y and x, of the points
-    half_um: Pair
-
-    def on(self, grid: Grid) -> Floats:
-        """Its values (rows, cols) on some pixels."""
-        places = zip((grid.y_um, grid.x_um), self.middle_um, self.half_um, strict=True)
-        y, x = ((um - middle) / half for um, middle, half in places)
-        return _terms_of(y, x) @ self.weights
 
 
 def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, Floats]:
@@ -124,7 +109,7 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
             f"{x.size} points are too few for a field of {_TERMS} terms. Take smaller points or a"
             " larger field."
         )
-    terms, _ = np.linalg.qr(_quadratic_terms(is_valid))
+    terms, _ = np.linalg.qr(terms_of_points(is_valid))
     x_rest, y_rest = (m - terms @ (terms.T @ m) for m in (x, y))
     if not float(x_rest @ x_rest) > 1e-10 * float(x @ x):
         raise CannotMeasure("The map is a quadratic field of x and y itself. Look at it.")
@@ -164,14 +149,14 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     return fitted, _on_points(field, is_valid)
 
 
-def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> FittedLight:
+def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> QuadraticField:
     """Fit the field to a map and an image over points, which begin with the pixels of a grid.
 
     CannotMeasure as of :func:`light_field`.
     """
     _, field = light_field(a, b, point_um=point_um)
     is_valid = np.isfinite(field)
-    terms = _quadratic_terms(is_valid)
+    terms = terms_of_points(is_valid)
     weights = np.linalg.lstsq(terms, field[is_valid], rcond=None)[0]
     half_um = [(n - 1) / 2 * point_um for n in field.shape]
     begins_um = (
@@ -180,21 +165,11 @@ def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> FittedLight:
     middle_um = [
         begin + half + point_um / 2 for begin, half in zip(begins_um, half_um, strict=True)
     ]
-    return FittedLight(
+    return QuadraticField(
         weights=np.asarray(weights, dtype=np.float64),
         middle_um=(middle_um[0], middle_um[1]),
         half_um=(half_um[0], half_um[1]),
     )
-
-
-def _quadratic_terms(is_valid: Bools) -> Floats:
-    """1, x, y, x², xy and y² at the points that are valid: (points, 6)."""
-    return _terms_of(*(np.linspace(-1.0, 1.0, n) for n in is_valid.shape))[is_valid]
-
-
-def _terms_of(y: Floats, x: Floats) -> Floats:
-    y, x = np.meshgrid(y, x, indexing="ij")
-    return np.stack([np.ones(x.shape), x, y, x * x, x * y, y * y], axis=-1)
 
 
 def _on_points(values: Floats, is_valid: Bools, missing: float = math.nan) -> Floats:
@@ -213,21 +188,21 @@ def _even_light(
     variance (Satterthwaite 1946).
     """
     lags = Lags(is_valid, (1.0, 1.0))
-    own = lags.transform(_on_points(rest, is_valid, 0.0))
-    products = lags.products(own, own)
+    spectrum = lags.transform(_on_points(rest, is_valid, 0.0))
+    products = lags.products(spectrum, spectrum)
     used = lags.until_zero(products)
     pairs = np.maximum(np.where(used, lags.pairs, 0.0), 1e-9)
     spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in terms.T]
     overlaps = np.stack([np.where(used, lags.products(m, m), 0.0) for m in spectra])
     # What a term took off the covariances depends on its own variance, which follows from them.
-    taken = np.tensordot(overlaps / pairs, overlaps, ((1, 2), (1, 2)))
-    seen = np.tensordot(overlaps, np.where(used, products, 0.0) / pairs, 2)
-    variances = np.linalg.solve(np.eye(len(taken)) - taken, seen)
+    taken_off = np.tensordot(overlaps / pairs, overlaps, ((1, 2), (1, 2)))
+    of_rest = np.tensordot(overlaps, np.where(used, products, 0.0) / pairs, 2)
+    variances = np.linalg.solve(np.eye(len(taken_off)) - taken_off, of_rest)
     covariance = (np.where(used, products, 0.0) + np.tensordot(variances, overlaps, 1)) / pairs
     # The terms of a field are those that neither the mean nor the map explain.
-    others = terms - terms.mean(axis=0)
-    others -= np.outer(x, x @ others) / float(x @ x)
-    basis = np.linalg.svd(others, full_matrices=False)[0][:, :_TERMS]
+    field_terms = terms - terms.mean(axis=0)
+    field_terms -= np.outer(x, x @ field_terms) / float(x @ x)
+    basis = np.linalg.svd(field_terms, full_matrices=False)[0][:, :_TERMS]
     spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in basis.T]
     expected = np.array(
         [[float(np.sum(lags.products(m, k) * covariance)) for k in spectra] for m in spectra]

@@ -71,12 +71,12 @@ def plugins(kind: Kind) -> tuple[Plugin, ...]:
     """What the installed packages add of one kind; nothing of theirs is imported."""
     from importlib.metadata import entry_points  # here, so that other commands wait for none of it
 
-    found = [
+    plugins_of_group = [
         Plugin(kind, entry.name, entry.dist.name, entry.dist.version, entry)
         for entry in entry_points(group=GROUPS[kind])
         if entry.dist is not None
     ]
-    return tuple(sorted(found, key=lambda plugin: plugin[:4]))
+    return tuple(sorted(plugins_of_group, key=lambda plugin: plugin[:4]))
 
 
 def find_plugin(kind: Kind, name: str) -> Plugin | None:

@@ -263,8 +263,8 @@ def _noise_variance(values: Grey, lag: int = _LAG) -> float:
     n_rows, n_cols = (length // _BLOCK for length in mixed.shape)
     blocks = mixed[: n_rows * _BLOCK, : n_cols * _BLOCK].reshape(n_rows, _BLOCK, n_cols, _BLOCK)
     variances = (blocks**2).mean((1, 3))
-    known = variances[np.isfinite(variances)]
-    return float(np.median(known)) / 4 if known.size else 0.0
+    finite = variances[np.isfinite(variances)]
+    return float(np.median(finite)) / 4 if finite.size else 0.0
 
 
 def resized(values: Grey, shape: tuple[int, ...]) -> Grey:

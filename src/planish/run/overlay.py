@@ -11,7 +11,8 @@ import xarray as xr
 
 from planish.analyze.image_values import reach_um
 from planish.analyze.leading_map import leading_map
-from planish.analyze.light_field import FittedLight, fit_light
+from planish.analyze.light_field import fit_light
+from planish.analyze.quadratic_field import QuadraticField
 from planish.core.area import common_means
 from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import CannotRegister, InputError, MarkError
@@ -110,7 +111,7 @@ class Overlay:
     layers: tuple[LinkedLayer, ...]
     mask: ValidMask
     store: StoredMaps  # that holds the maps
-    light: FittedLight | None = None  # that was taken off the image of the reference
+    light: QuadraticField | None = None  # that was taken off the image of the reference
 
     @property
     def reference(self) -> LinkedLayer:

@@ -148,7 +148,7 @@ def search_place(
     """
     hands = (False, True) if mirrored is None else (mirrored,)
     shares = (0.5, 1.0) if near and moving.area_um2 > _PARTED_UM**2 else (1.0,)
-    found, steps = PlaceSearch(candidates=(), false_probability=1.0), None
+    search, steps = PlaceSearch(candidates=(), false_probability=1.0), None
     promising, cells = list[Similarity](), list[list[_Peak]]()
     for share in shares:
         scanner = _Scanner(moving, fixed, scale_tolerance, share, is_near=bool(near))
@@ -157,11 +157,11 @@ def search_place(
             steps = _Steps.of(scanner.size_um, scale_tolerance, wider)
             tried = [*steps.tried(hands, promising, rough)]
             cells = map_threads(partial(scanner.cell, windows=near or (None,)), tried)
-            found = _judged(scanner, steps, cells, looks=2 * len(shares))
-            if found.is_sure:
-                return found
-        promising = _promising(cells, found)
-    return found
+            search = _judged(scanner, steps, cells, looks=2 * len(shares))
+            if search.is_sure:
+                return search
+        promising = _promising(cells, search)
+    return search
 
 
 class _Peak(NamedTuple):
@@ -231,7 +231,7 @@ def _by_null(cells: list[list[_Peak]]) -> Callable[[_Peak], float]:
     return lambda peak: abs(peak.height) / null_sd[peak.names]
 
 
-def _promising(cells: list[list[_Peak]], found: PlaceSearch) -> list[Similarity]:
+def _promising(cells: list[list[_Peak]], search: PlaceSearch) -> list[Similarity]:
     """Rotations and scales at which a map goes best with the image, and those of all candidates.
 
     None where some of it lies beside the image: it tells nothing of more of the map then.
@@ -242,7 +242,7 @@ def _promising(cells: list[list[_Peak]], found: PlaceSearch) -> list[Similarity]
         return []
     peaks.sort(key=_by_null(cells), reverse=True)
     best = peaks[: math.ceil(_KEPT * len(peaks))]
-    return [*(peak.turn for peak in best), *(c.place for c in found.candidates)]
+    return [*(peak.turn for peak in best), *(c.place for c in search.candidates)]
 
 
 def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: int) -> PlaceSearch:
@@ -374,8 +374,8 @@ class _Scanner:
                 tile_sums(np.stack([products, is_apart * products]), self._moving.pixel_um, side_um)
             )
         (a_all, a_apart), (b_all, b_apart) = parts
-        both = abs(float(np.vdot(a_apart, b_apart)))
-        return both <= _AMBIGUOUS * float(np.linalg.norm(a_all) * np.linalg.norm(b_all))
+        shared = abs(float(np.vdot(a_apart, b_apart)))
+        return shared <= _AMBIGUOUS * float(np.linalg.norm(a_all) * np.linalg.norm(b_all))
 
     def turned_um(self, a: Similarity, b: Similarity) -> float:
         """Distance between two places about one middle, rms over the map."""
