@@ -163,6 +163,7 @@ VOLUME_DOORS = {
     "link": {"layers": lambda value: pl.link(value, "image.tif")},
 }
 IMAGE_DOORS = {
+    "correct_light": {"image": lambda value: pl.correct_light(value, white=MAP.values + 300)},
     "find_holes": {"shown": pl.find_holes},
     "register_texture": {
         "moving": lambda value: pl.register_texture(value, MAP),

@@ -18,7 +18,11 @@ from planish.core.frame import Frame
 RNG = np.random.default_rng(7)
 GREYS = RNG.integers(0, 200, (12, 30, 40)).astype(np.uint8)
 IMAGE = RNG.integers(0, 60_000, (30, 40)).astype(np.uint16)
-OF_A_FILE = {"file_name", "file_bytes", "voxel_um_source", "pixel_um_source"}
+OF_A_FILE = {"file_name", "file_bytes", "voxel_um_source", "pixel_um_source"} | {
+    "camera",
+    "curve",
+    "is_linear",
+}
 
 
 def without_file(array):
