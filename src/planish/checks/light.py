@@ -61,7 +61,10 @@ def even_light(rule: CheckRule, evidence: EvidenceFacts) -> Check | None:
             "Take the image in even light, or divide it by one of a white sheet. Without the field"
             " r lacks the long waves that are the paper's own, too."
         ),
-        remedy="`light=quadratic` leads with r without the field; declare it before you look at r.",
+        remedy=(
+            "`white` and `dark` take the pictures that divide the light off. `light=quadratic` leads"
+            " with r without the field; declare it before you look at r."
+        ),
     )
 
 
