@@ -62,8 +62,8 @@ def even_light(rule: CheckRule, evidence: EvidenceFacts) -> Check | None:
             " r lacks the long waves that are the paper's own, too."
         ),
         remedy=(
-            "`white` and `dark` take the pictures that divide the light off. `light=quadratic` leads"
-            " with r without the field; declare it before you look at r."
+            "`white` and `dark` take the pictures that divide the light off. `light=quadratic`"
+            " leads with r without the field; declare it before you look at r."
         ),
     )
 
