@@ -52,7 +52,11 @@ def test_link_the_stages_and_a_notebook_give_the_same_bytes(passes, kinds, tmp_p
     run = pl.open_run(folder)
     linked, registration, rows = by_hand(files, side)
     same_bytes(linked, run.linked)
-    assert rows == run.results.correlations
+    # Only a run makes the checks that doubt a row.
+    expected = tuple(row.model_copy(update={"trust": "ok"}) for row in run.results.correlations)
+    assert rows == expected
+    doubtful = {row.a_map for row in run.results.correlations if row.trust != "ok"}
+    assert all(name.startswith(("topography", "base_surface")) for name in doubtful)
     registration.save(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == (folder / "marks.json").read_bytes()
     lies, seen = ("--through", "y", "--top", "low"), ("--image-side", side)
@@ -83,9 +87,7 @@ def test_link_the_stages_and_a_notebook_give_the_same_bytes(passes, kinds, tmp_p
     for name in ("marks.json", "marks.csv"):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
     out, _ = passes("correlate", tmp_path / "linked.zarr", "--json")
-    assert json.loads(out) == [
-        json.loads(row.model_dump_json()) for row in run.results.correlations
-    ]
+    assert json.loads(out) == [json.loads(row.model_dump_json()) for row in expected]
 
 
 def test_the_stages_take_the_groups_of_a_run(passes, refuses, linked_run, specimen_files, tmp_path):
