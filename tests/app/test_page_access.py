@@ -205,6 +205,12 @@ def test_a_window_that_missed_the_switch_changes_nothing_and_offers_to_reload(
     expect(link).to_be_visible(timeout=APPLY_MS)
     lacks = first.page.get_by_text("run-2 lacks what was changed since")
     expect(lacks).to_be_hidden()
+    # Without news, but for the next one, until the page is loaded again.
+    other.page.evaluate(
+        "() => { const ask = window.fetch; window.fetch = (path, init) =>"
+        " `${path}`.endsWith('events') ? new Promise(() => {}) : ask(path, init);"
+        " ReadableStreamDefaultReader.prototype.read = () => new Promise(() => {}); }"
+    )
     first.field("Model").select_option("affine")
     expect(lacks).to_be_visible()
     first.role("button", "Undo").click()
@@ -212,12 +218,6 @@ def test_a_window_that_missed_the_switch_changes_nothing_and_offers_to_reload(
     first.role("button", "Redo").click()
     expect(lacks).to_be_visible()
 
-    # Without news until the page is loaded again.
-    other.page.evaluate(
-        "() => { const ask = window.fetch; window.fetch = (path, init) =>"
-        " `${path}`.endsWith('events') ? new Promise(() => {}) : ask(path, init);"
-        " ReadableStreamDefaultReader.prototype.read = () => new Promise(() => {}); }"
-    )
     first.role("button", "Open the new run").click()
     expect(first.page).to_have_title("run-2 – planish")
     expect(message(first)).to_contain_text("What was changed after Apply is in run only")

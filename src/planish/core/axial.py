@@ -34,7 +34,7 @@ def has_axes(name: str, period_deg: float | None) -> bool:
         return name.startswith("fibre_angle")
     if period_deg != PERIOD_DEG:
         raise InputError(
-            f"{name} has angles that repeat after {period_deg:g} degrees (`period_deg`). Only those"
+            f"{name} has angles that repeat after {period_deg:g} degrees. Only those"
             f" of an axis, which repeat after {PERIOD_DEG:g}, have means here. Change the"
             " attribute, or give the cosine and the sine as maps."
         )

@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.bands import thinned
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import SIDES, Side
 from planish.core.older_names import renamed
@@ -128,6 +127,8 @@ def shared_parts(a: str, b: str, maps: xr.Dataset) -> tuple[str, ...]:
     Each contains itself.
     """
     common = dict.fromkeys(name for name in _contents(a) if name in _contents(b) and name in maps)
+    from planish.core.bands import thinned  # here, so that help waits for no xarray
+
     shared = [name for name in common if np.isfinite(thinned(maps[name])[1][0]).any()]
     inner = {part for name in shared for part in _contents(name)[1:]}
     return tuple(name for name in shared if name not in inner)
