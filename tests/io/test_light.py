@@ -132,6 +132,24 @@ def test_pictures_that_cannot_be_white_and_dark_are_refused():
             source.attrs["full_scale"] = 65535
         with pytest.raises(InputError, match=message):
             correct_light(image, **(pictures | {"white": source}))
+    empty = np.full(SHAPE, np.nan)
+    with pytest.raises(InputError, match="dark image has no pixel with a number"):
+        correct_light(image, white=white, dark=empty)
+    for exposure in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="Give a number above 0"):
+            correct_light(image, white=white, exposure=exposure)
+
+
+@pytest.mark.parametrize("missing", [np.nan, np.inf])
+def test_where_white_or_dark_is_missing_the_image_is_not_measured(missing):
+    reflectance, image, white, dark = drawn()
+    white[:, :100] = missing
+    dark[:40] = missing
+    corrected = correct_light(image, white=white, dark=dark, exposure=1.0)
+    is_known = np.isfinite(white) & np.isfinite(dark)
+    assert np.array_equal(np.isfinite(corrected.valid.values), is_known)
+    assert corrected.facts.shares["missing"] == pytest.approx(1 - is_known.mean())
+    assert error_of(corrected, reflectance) < 0.003
 
 
 def checks_of(image, facts=None):

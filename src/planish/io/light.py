@@ -15,6 +15,7 @@ C. M. Stein, Ann. Stat. 9, 1135 (1981), doi:10.1214/aos/1176345632.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -130,7 +131,8 @@ def correct_light(
     Raises
     ------
     InputError
-        If shapes differ, a picture is given twice, or the white is not lighter than the dark.
+        If shapes differ, a picture is given twice or has no numbers, the white is not lighter than
+        the dark, or the exposure is no number above 0.
 
     Notes
     -----
@@ -144,6 +146,16 @@ def correct_light(
     if dark is not None:
         dark_grey = np.array(values_of(dark, "dark"), np.float32)
     _check_pictures({"image": grey, "white": white_grey, "dark": dark_grey})
+    if exposure is not None and not 0 < exposure < math.inf:
+        raise InputError(
+            f"The exposure of the white image is {exposure:g} times that of the image. Give a"
+            " number above 0, or leave it out: reflectance is known up to a factor then."
+        )
+    is_missing = np.isnan(grey)
+    for picture in (white_grey, dark_grey):
+        is_unknown = ~np.isfinite(picture)
+        picture[is_unknown] = np.nan
+        is_missing |= resized(is_unknown.astype(np.float32), grey.shape) > 0
     field, field_error, field_noise = smooth(white_grey)
     zero, zero_error, zero_noise = smooth(dark_grey)
     zero = resized(zero, grey.shape)
@@ -160,11 +172,11 @@ def correct_light(
     status[_saturated(image, grey) > 0] = SATURATED
     status[is_white_saturated] = WHITE_SATURATED
     status[signal <= _DARKEST * np.sqrt(field_noise + zero_noise)] = TOO_DARK
-    status[np.isnan(grey)] = MISSING
+    status[is_missing] = MISSING
     if not (status == MEASURED).any():
         raise InputError(
-            "No pixel is left: the white image is saturated or dark at all of them. Take it again,"
-            " exposed so that its lightest part stays below the end of the scale."
+            "No pixel is left: the white image is saturated, dark or missing at all of them. Take"
+            " it again, exposed so that its lightest part stays below the end of the scale."
         )
     signal[status > SATURATED] = np.nan
     reflectance = (grey - zero) / signal
@@ -281,6 +293,8 @@ def _check_pictures(pictures: dict[str, Grey]) -> None:
     rows, cols = image.shape
     for name in ("white", "dark"):
         picture = pictures[name]
+        if not np.isfinite(picture).any():
+            raise InputError(f"The {name} image has no pixel with a number in it. Export it again.")
         shape_text = " x ".join(map(str, picture.shape))
         # Binning may drop a part of a pixel along each side.
         is_alike = picture.ndim == 2 and 2 <= len(picture) <= rows
