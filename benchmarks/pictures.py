@@ -194,9 +194,9 @@ def first_pages(path, folder):
     """The first pages of four other reports."""
     specimen = ["ct", "sections", "image"]
     which = [word for name in specimen for word in ("--instrument", name)]
-    planish(
-        "specimen", "--preset", "wfc118", "--seed", "3", *which, "--out", "sheet", folder=folder
-    )
+    preset = ["--preset", "wfc118", "--seed", "3"]
+    even = ["--without", "shading", "--without", "vignetting"]
+    planish("specimen", *preset, *which, *even, "--out", "sheet", folder=folder)
     overexposed(folder / "sheet" / "image.ome.tif", folder / "overexposed.tif")
     runs = {
         "sections": [
@@ -211,7 +211,8 @@ def first_pages(path, folder):
         "two-volumes": ["link", "sheet/scan", "run-sections", "--through", "y"],
         "overexposed": ["link", "sheet/scan", "overexposed.tif", "--through", "y"],
     }
-    cell = IMAGES.parents[2] / "shared" / "data" / "battery_sector_right"
+    measured = Path(os.environ.get("PLANISH_DATA") or IMAGES.parents[2] / "shared" / "data")
+    cell = measured / "battery_sector_right"
     if cell.exists():
         runs["wall"] = [
             "map",
@@ -311,7 +312,7 @@ def drawn_sheets(path, folder):
         stored(drawn, path.parent)
 
 
-STUDIES = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "design", "large")
+STUDIES = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "no-holes", "large")
 """Of full specimens, as docs/studies.md shows them."""
 
 

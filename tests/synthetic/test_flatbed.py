@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import planish as pl
+from planish.cli import main
 from planish.core.reflectance import LUMINANCE
 from planish.io import read_image
 from planish.synthetic import FlatbedParams, scan_flatbed, write_flatbed
@@ -196,3 +197,41 @@ def test_holes_lie_where_they_are_scanned(kinds, tmp_path):
     off = [np.linalg.norm(true - place, axis=1).min() for place in places]
     assert len(places) == len(true)
     assert np.median(off) < 2.0  # rims are rough by 4 um
+
+
+def test_a_scan_is_linked_by_its_holes_to_the_mapped_sheet(kinds, tmp_path):
+    # All traits of a good scanner, in light that is nearly even and at 16 bits.
+    params = FlatbedParams(
+        dpi=2400.0,
+        shading=0.003,
+        lens_um=12.0,
+        colour=True,
+        colour_shift_px=0.2,
+        gamma="srgb",
+        noise=0.3,
+        sharpen=0.0,
+        bits=16,
+        quality=None,
+        scale_range=0.003,
+        wander_um=4.0,
+        ripple_um=1.0,
+        ripple_period_um=1000.0,
+        jitter_um=0.5,
+    )
+    path, folder = tmp_path / "flatbed.tif", tmp_path / "run"
+    specimen, _ = on_glass(kinds.specimen("demo"), path, params)
+    with pytest.raises(SystemExit) as end:
+        main(["link", str(kinds("demo")), str(path), "--gamma", "srgb", "--out", str(folder)])
+    assert end.value.code == 0
+    run = pl.open_run(folder)
+    (grey,) = (one for one in run.results.checks if one.name == "linear grey")
+    assert (grey.state, "srgb" in grey.sentence) == ("pass", True)
+    inner = slice(2, -2, 3)  # at the edge, what a pixel shows may lie outside the scan
+    pixels = run.linked.isel(x=inner, y=inner).stack(pixel=("y", "x"))
+    pixels = pixels.isel(pixel=np.flatnonzero(pixels["valid"].values))
+    volume = np.stack([pixels[f"volume_{axis}"].values for axis in "xyz"], axis=-1)
+    true = specimen.flatbed.place(specimen.pose(specimen.warp.material(volume)[..., :2]))
+    off = np.hypot(*(true - np.stack([pixels["x"].values, pixels["y"].values], axis=-1)).T)
+    assert off.size > 2000
+    assert np.median(off) < 2.0  # 1.2 um, a tenth of a pixel
+    assert np.sqrt(np.mean(off**2)) < 3.0 * np.sqrt(np.mean(pixels["expected_error"].values ** 2))
