@@ -78,7 +78,7 @@ def test_what_moves_the_largest_r_is_named(light, lag_um, says, says_not):
 
 
 @pytest.mark.parametrize(
-    ("r", "said"), [(0.95, "longer ones, such as uneven light, lower it"), (0.8, "")]
+    ("r", "said"), [(0.95, "longer ones, of the sheet or of its light, lower it"), (0.8, "")]
 )
 def test_long_waves_that_change_r_are_named(r, said):
     run = with_lag(0.05, (0.0, 0.2))

@@ -73,7 +73,7 @@ def _short_waves_text(row: CorrelationRow, evidence: EvidenceFacts | None) -> st
     change = "lower" if abs(short_r) > abs(row.r) else "raise"
     return (
         f"Waves below {plain(round(evidence.short_waves_um, -1))} alone have r ="
-        f" {fixed(short_r, 2)}: longer ones, such as uneven light, {change} it."
+        f" {fixed(short_r, 2)}: longer ones, of the sheet or of its light, {change} it."
     )
 
 

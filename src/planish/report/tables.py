@@ -68,27 +68,29 @@ def comparison(results: Results) -> list[PairLine]:
 
 
 def comparison_sentence(results: Results) -> str:
-    """State what flattening changed at the largest points, with the interval of the difference."""
+    """State what flattening changed over the largest points and over the pixels."""
     rows = [row for row in results.comparison if row.n and is_known(row.r)]
-    size = max((row.point_um for row in rows), default=None)
-    rows = [row for row in rows if row.point_um == size]
-    flat_rows = [row for row in rows if row.registration.startswith("flattened")]
-    projected_rows = [row for row in rows if not row.registration.startswith("flattened")]
-    if not flat_rows or not projected_rows:
+    if not rows:
         return ""
-    best = max(projected_rows, key=lambda row: row.r2)
+    sizes = {row.point_um for row in rows}
+    pairs = [_flat_and_projected(rows, size) for size in (max(sizes), min(sizes))]
+    flat, projected = pairs[0]
+    if flat is None or projected is None:
+        return ""
     text = (
-        f"Over points of {plain(best.point_um)}, r is {r_text(flat_rows[-1])} flattened and"
-        f" {r_text(best)} by the better projection ({best.registration})"
+        f"Over points of {plain(projected.point_um)}, r is {r_text(flat)} flattened and"
+        f" {r_text(projected)} by the better projection ({projected.registration})"
     )
-    if not is_known(best.difference_interval):
+    if not is_known(projected.difference_interval):
         return f"{text}; it is not known whether they differ."
-    low, high = best.difference_interval
+    low, high = projected.difference_interval
     verdict = "not distinguishable" if low <= 0 <= high else "distinguishable"
-    text += (
-        f": {verdict}; r changes by {fixed(best.difference, 3)} (95 %:"
-        f" {interval_text((low, high), 3)})."
-    )
+    text += f". The two r are {verdict}: r changes by {_change_text(projected)}."
+    of_pixels = pairs[1][1]
+    if len(sizes) > 1 and of_pixels is not None and is_known(of_pixels.difference_interval):
+        text += (
+            f" At the pixel, {plain(of_pixels.point_um)}, it changes by {_change_text(of_pixels)}."
+        )
     # Slopes brighten one side of a thick place, and a shift can raise r.
     lag = next(
         (layer.registration.lag for layer in results.layers if layer.registration is not None), None
@@ -101,6 +103,22 @@ def comparison_sentence(results: Results) -> str:
             " Judge the registration by its marks."
         )
     return text
+
+
+def _flat_and_projected(
+    rows: list[ComparisonRow], point_um: float
+) -> tuple[ComparisonRow | None, ComparisonRow | None]:
+    """Return the run's own registration and the better projection, at points of one size."""
+    rows = [row for row in rows if row.point_um == point_um]
+    flat_rows = [row for row in rows if row.registration.startswith("flattened")]
+    projected_rows = [row for row in rows if not row.registration.startswith("flattened")]
+    flat = flat_rows[-1] if flat_rows else None
+    return flat, max(projected_rows, key=lambda row: row.r2, default=None)
+
+
+def _change_text(row: ComparisonRow) -> str:
+    """Return how much larger r is with the run's own registration than in a row."""
+    return f"{fixed(row.difference, 3)} (95 %: {interval_text(row.difference_interval, 3)})"
 
 
 def correlations(results: Results, titles: Titles) -> list[PairLine]:
