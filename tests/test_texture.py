@@ -1,5 +1,9 @@
 """What layers of a link say by their own texture."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -107,3 +111,28 @@ def test_layers_without_a_valid_pixel_in_common_are_inconclusive(other):
     ).checks
     assert [check.state for check in checks] == ["unknown"] * len(checks)
     assert "inconclusive" in checks[0].sentence
+
+
+SCRIPT = """
+import numpy as np
+from planish.texture.textures import relate, unexplained
+for seed in range(4):
+    a, b = np.random.default_rng(seed).standard_normal((2, 240, 300))
+    relation = relate(a, a + b, np.ones(a.shape, bool), (5.0, 5.0))
+    print(relation, relation.r.hex(), float(np.sum(unexplained(a, b))).hex())
+"""
+
+
+@pytest.mark.ci
+def test_a_relation_is_the_same_on_any_number_of_threads_of_numpy():
+    texts = [
+        subprocess.run(
+            [sys.executable, "-c", SCRIPT],
+            env=os.environ | {"OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for threads in ("1", "2", "3")
+    ]
+    assert texts[0] == texts[1] == texts[2]

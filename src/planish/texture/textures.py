@@ -191,7 +191,7 @@ def relate(
     sd_whole = float(np.std((b if of is None else of)[is_valid]))
     share = float(np.std(b[is_valid])) / sd_whole if sd_whole > 0 else 0.0
     a, b = standard(a, is_valid), standard(b, is_valid)
-    r = float(np.vdot(a, b)) / n
+    r = float(np.sum(a * b)) / n
     unexplained_share = math.sqrt(max(1.0 - r * r, 0.0))
     sd, part_se = (
         _scatter(a, b, r, n, pixel_um),
@@ -207,7 +207,7 @@ def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: Pair) -> float:
     power[:, 1 : (size[1] + 1) // 2] *= 2.0  # waves that run the other way
     alike = float(np.sum(power)) / (size[0] * size[1] * n)
     parts = tile_sums(a * b - 0.5 * r * (a * a + b * b), pixel_um)
-    return math.sqrt(max(alike, float(np.vdot(parts, parts)), 0.0)) / n
+    return math.sqrt(max(alike, float(np.sum(parts**2)), 0.0)) / n
 
 
 def standard(values: Floats, is_valid: Bools) -> Floats:
@@ -224,12 +224,10 @@ def standard(values: Floats, is_valid: Bools) -> Floats:
 
 def unexplained(values: Floats, explaining: Floats) -> Floats:
     """What a texture does not share with another one: the residual of least squares."""
-    sum_of_squares = float(np.vdot(explaining, explaining))
-    return (
-        values - float(np.vdot(values, explaining)) / sum_of_squares * explaining
-        if sum_of_squares > 0
-        else values
-    )
+    sum_of_squares = float(np.sum(explaining**2))
+    if not sum_of_squares > 0:
+        return values
+    return values - float(np.sum(values * explaining)) / sum_of_squares * explaining
 
 
 def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:
