@@ -5,16 +5,19 @@ failed; 5 memory or disk used up; 130 interrupted.
 """
 
 import ast
+import atexit
 import gc
 import json
 import logging
 import os
 import sys
 import tempfile
+import threading
 import traceback
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import click
 
@@ -154,7 +157,23 @@ def main(args: list[str] | None = None) -> None:
         click.echo(f"planish: {shown(fault.text)}", err=True)
         if "--json" in arguments:
             click.echo(json.dumps({"error": in_terminal_words(fault.text), "exit_code": code}))
-    sys.exit(code if isinstance(code, int) else 0)
+    status = code if isinstance(code, int) else 0
+    if args is None:
+        _end_process(status)
+    sys.exit(status)
+
+
+def _end_process(status: int) -> None:
+    """End the process as Python does, but free no module and no array one by one.
+
+    That takes most of a second. Where a stream cannot be flushed nothing is done: Python says so.
+    """
+    with suppress(OSError, ValueError):
+        cast("Any", threading)._shutdown()
+        cast("Any", atexit)._run_exitfuncs()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
 
 
 def _as_planish_error(error: Exception) -> PlanishError:

@@ -5,10 +5,12 @@ That is templates with their filters, titles and units of maps.
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
 
 from planish.core import numbers
 from planish.core.facts import is_known
+from planish.core.source_hash import hash_sources
 from planish.measure.registry import NEGATIVE_CONTROLS
 
 if TYPE_CHECKING:
@@ -42,11 +44,19 @@ def stated_of(results: Results) -> str:
 
 def template(package: str, name: str) -> Template:
     """Return a template of a package, which may use those of the report and its filters."""
+    import jinja2
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
+    from planish.core.jit import cache_folder
+
+    # What is compiled of a template depends on the environment that is made here.
+    folder = cache_folder(os.environ.get("NUMBA_CACHE_DIR", ""))
+    file_format = f"{jinja2.__version__}-{hash_sources('text.py')}-%s"
+    compiled = jinja2.FileSystemBytecodeCache(folder, file_format) if folder else None
     loader = ChoiceLoader([PackageLoader(package), PackageLoader("planish.report")])
     environment = Environment(
         loader=loader,
+        bytecode_cache=compiled,
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
