@@ -40,6 +40,16 @@ def test_a_loop_says_how_quick_the_machine_is(monkeypatch):
     assert durations.slowness() == pytest.approx(0.2 / durations.LOOP_SECONDS)
 
 
+def test_on_windows_the_loop_is_timed_by_a_clock_of_fine_steps(monkeypatch):
+    times = iter([0.0, 0.03, 1.0, 1.02, 2.0, 2.05])
+    with monkeypatch.context() as patch:
+        patch.setattr(durations.os, "name", "nt")
+        patch.setattr(durations.time, "thread_time", lambda: 0.015625)  # its steps are too long
+        patch.setattr(durations.time, "perf_counter", lambda: next(times))
+        slowness = durations.slowness()
+    assert slowness == pytest.approx(0.02 / durations.LOOP_SECONDS)
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("pixel_um", [10.0, 7.0, 5.0, 2.5, 1.5])
 def test_a_link_takes_what_is_promised_within_a_factor_of_two(kinds, tmp_path, pixel_um):

@@ -178,6 +178,18 @@ def mine(sheet):
     assert "The format 'tif' of the package first-lab 2.0 is not used: planish has" in advice
 
 
+def test_doctor_says_where_an_entry_is_of_the_wrong_kind(installed):
+    entries = "[planish.properties]\nskin = odd_one:skin\n[planish.exports]\nodd = odd_one:skin\n"
+    installed("odd-one", "def skin(sheet):\n    return 1.0\n", entries)
+    advice = installation._packages().advice
+    assert (
+        "The property 'skin' of the package odd-one 2.0 is function, needed is Property." in advice
+    )
+    assert (
+        "The export 'odd' of the package odd-one 2.0 is function, needed is ExportFormat" in advice
+    )
+
+
 def test_the_page_names_what_the_package_has():
     text = next(step.text for step in console.steps(PAGE) if step.name == "pyproject.toml")
     groups = tomllib.loads(text)["project"]["entry-points"]

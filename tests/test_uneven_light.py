@@ -2,6 +2,7 @@
 was declared leads."""
 
 import csv
+import io
 import json
 
 import numpy as np
@@ -12,6 +13,7 @@ from folders import write_image
 from planish.cli import main
 from planish.results import Results
 from planish.run import open_run
+from planish.run.facts import figures_text
 from report.pages import Page
 
 
@@ -120,3 +122,23 @@ def test_the_declared_field_is_off_everywhere(lit):
         == "quadratic"
     )
     assert "smooth light off" in open_run(lit["declared"]).linked["image"].attrs["long_name"]
+
+
+@pytest.mark.ci
+def test_only_an_r_with_the_image_is_said_to_be_without_its_light(kinds):
+    results = open_run(kinds("chain")).results
+    declared = results.model_copy(update={"parameters": {"correlate": {"light": "quadratic"}}})
+    lines = csv.DictReader(io.StringIO(figures_text(declared)))
+    names = [layer.name for layer in results.layers]
+    off = {row["layers"] for row in lines if row["figure"].endswith("light off")}
+    assert off == {f"{names[0]} {names[2]}", f"{names[1]} {names[2]}"}
+
+
+@pytest.mark.ci
+def test_points_smaller_than_pixels_hold_no_field(lit, kinds, planish):
+    image, run = lit["even"].parent / "even.tif", kinds("upright")
+    out = lit["even"].parent / "refused"
+    options = ("--light", "quadratic", "--point-um", "1", "--out", out)
+    code, _, err = planish("link", run, image, *options)
+    assert code == 2
+    assert "points of 1 um are smaller than the image's pixels" in " ".join(err.split())

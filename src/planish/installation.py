@@ -13,10 +13,11 @@ import shutil
 import struct
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 from packaging.requirements import Requirement
@@ -33,7 +34,7 @@ from planish.core.text import without_folders
 from planish.core.threads import available
 from planish.io.formats import FORMATS, PICTURES, TIFF
 from planish.io.guard import default_memory_limit
-from planish.measure import registered
+from planish.measure import Property, registered
 
 EXTRAS = {
     "formats": "reads packed MHA and MHD, and files of instruments for topography",
@@ -90,10 +91,11 @@ def report_text() -> str:
 def _last_fault() -> str:
     """Text of the newest log of a fault that may be read."""
     logs = Path(tempfile.gettempdir()).glob("planish-*.log")
-    for log in sorted(logs, key=lambda path: path.stat().st_mtime, reverse=True):
-        if os.access(log, os.R_OK):
-            return log.read_text(encoding="utf-8", errors="replace").rstrip()
-    return "none"
+    readable_logs = [log for log in logs if os.access(log, os.R_OK)]
+    if not readable_logs:
+        return "none"
+    newest = max(readable_logs, key=lambda log: log.stat().st_mtime)
+    return newest.read_text(encoding="utf-8", errors="replace").rstrip()
 
 
 def check_installation() -> Iterator[Check]:
@@ -349,20 +351,21 @@ def _console() -> Check:
 def _packages() -> Check:
     """What other packages add; each is imported."""
     endings = [end for form in (*FORMATS, *PICTURES, TIFF) for end in form.suffixes]
-    own_names: dict[Kind, set[str]] = {
-        "property": set(registered()),
-        "format": {end[1:] for end in endings},
-        "export": set(exports.FORMATS),
+    planish_kinds: dict[Kind, tuple[type, Iterable[str]]] = {
+        "property": (Property, registered()),
+        "format": (FunctionType, {end[1:] for end in endings}),
+        "export": (exports.ExportFormat, exports.FORMATS),
     }
     faults, names = list[str](), list[str]()
     for plugin in chain.from_iterable(map(plugins, GROUPS)):
         names.append(f"{plugin.package} {plugin.version} ({plugin.kind} {plugin.name})")
-        if plugin.name in own_names[plugin.kind]:
+        expected, planish_names = planish_kinds[plugin.kind]
+        if plugin.name in planish_names:
             faults.append(f"{plugin} is not used: planish has that name itself.")
             continue
         try:
             find_plugin(plugin.kind, plugin.name)
-            plugin.load(object)
+            plugin.load(expected)
         except PlanishError as error:
             faults.append(error.text)
     advice = " ".join(dict.fromkeys(faults))

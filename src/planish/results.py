@@ -344,6 +344,11 @@ class Results(ResultModel):
         return is_this_code(self.planish, self.code)
 
     @property
+    def is_light_off(self) -> bool:
+        """Whether a field of light was taken off the image, as the study declared."""
+        return self.parameters.get("correlate", {}).get("light") is not None
+
+    @property
     def is_older(self) -> bool:
         """Whether an older version made them, in an older format."""
         return self.stored_format < FORMAT

@@ -8,7 +8,9 @@ from scipy import stats
 
 from analyze.fields import related_maps
 from planish.analyze import correlate, light_field
+from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.analyze.light_field import fit_light, without_light
+from planish.checks import run_checks
 from planish.core.errors import CannotMeasure
 from planish.core.grid import Grid
 
@@ -106,10 +108,26 @@ def test_texture_alone_gives_the_share_that_is_stated():
 
 def test_what_cannot_be_fitted_is_said():
     a, b = related_maps(7, (3, 4), 1.0, 0.5)
-    with pytest.raises(CannotMeasure, match="12 points are too few for a field of 5 terms"):
+    with pytest.raises(CannotMeasure, match="12 points, 3 along the shorter side, are too few"):
+        light_field(a, b, point_um=POINT_UM)
+    a, b = related_maps(7, (2, 40), 1.0, 0.5)
+    with pytest.raises(CannotMeasure, match="80 points, 2 along the shorter side, are too few"):
         light_field(a, b, point_um=POINT_UM)
     with pytest.raises(CannotMeasure, match="is a quadratic field"):
         light_field(quadratic(SHAPE), related_maps(8, SHAPE, 1.0, 0.5)[1], point_um=POINT_UM)
+
+
+def test_an_image_of_mean_0_has_no_share_that_its_grey_changes_by():
+    a, _ = related_maps(9, SHAPE, 1.0, 0.5)
+    image = np.tile([[1.0, -1.0]], (SHAPE[0], SHAPE[1] // 2))
+    found, _ = light_field(a, image, point_um=POINT_UM)
+    assert math.isnan(found.span)
+    evidence = EvidenceFacts(
+        a="s", a_map="m", b="i", b_map="image", declared=False, light_field=found
+    )
+    (check,) = run_checks(evidence)
+    assert "With it off, r over points of 100 um is" in check.sentence
+    assert "nan" not in check.sentence
 
 
 def test_long_waves_alone_have_no_interval_with_the_field_left_in():

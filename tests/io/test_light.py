@@ -109,7 +109,8 @@ def test_the_exposure_gives_the_level():
     plain = correct_light(image, white=twice, dark=dark)
     assert plain.facts.exposure is None
     assert plain.image.attrs["long_name"] == "Reflectance, up to a factor"
-    assert "levels mean nothing" in plain.facts.model_copy(update={"files": {"w": ""}}).sentence
+    assert "levels mean nothing" in plain.facts.sentence
+    assert "both less dark, without light" in plain.facts.sentence
     known = correct_light(image, white=twice, dark=dark, exposure=2.0)
     assert known.facts.quantity == "reflectance"
     assert error_of(known, reflectance) < 0.0025
@@ -123,6 +124,9 @@ def test_pictures_that_cannot_be_white_and_dark_are_refused():
         ({"white": np.tile(white, (2, 2))}, "Crop and bin"),
         ({"white": image.values}, "white and image are the same picture"),
         ({"white": white, "dark": white}, "dark and white are the same picture"),
+        ({"white": white, "dark": image.values}, "dark and image are the same picture"),
+        ({"white": white, "dark": np.zeros(5)}, "dark image has 5 pixels, the image 240 x 320"),
+        ({"white": white, "dark": np.float32(0)}, "dark image has 1 pixels"),
         ({"white": dark, "dark": white}, "is not lighter than the dark one"),
         ({"white": np.full(SHAPE, 65535.0), "dark": np.full(SHAPE, 65000.0)}, "No pixel is left"),
     ):
@@ -138,6 +142,28 @@ def test_pictures_that_cannot_be_white_and_dark_are_refused():
     for exposure in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="Give a number above 0"):
             correct_light(image, white=white, exposure=exposure)
+
+
+def test_an_image_that_is_mostly_black_is_divided_like_any_other():
+    _, image, white, dark = drawn()
+    whole = correct_light(image, white=white, dark=dark)
+    image.values[:180] = dark[:180]
+    corrected = correct_light(image, white=white, dark=dark)
+    np.testing.assert_allclose(corrected.image.values[180:], whole.image.values[180:])
+    black = image.copy(data=np.where(np.arange(SHAPE[0])[:, None] < 180, 0, image.values))
+    facts = correct_light(black, white=white).facts
+    assert facts.median == 0
+    assert facts.sentence.endswith("the light falls off by 25 %")
+
+
+def test_the_contrast_of_a_white_is_measured_without_what_the_camera_gives_in_the_dark():
+    _, image, _, dark = drawn()
+    _, other, _, _ = drawn(seed=9)
+    texture = correct_light(image, white=other.values, dark=dark).facts.texture
+    offset = 20000.0
+    lifted = image.copy(data=image.values + np.float32(offset))
+    shifted = correct_light(lifted, white=other.values + offset, dark=dark + offset).facts.texture
+    assert shifted == pytest.approx(texture, rel=0.01)
 
 
 @pytest.mark.parametrize("missing", [np.nan, np.inf])
@@ -160,8 +186,7 @@ def checks_of(image, facts=None):
 def test_a_white_that_is_no_white_sheet_is_a_look():
     _, image, white, dark = drawn()
     fits = correct_light(image, white=white, dark=dark, exposure=1.0).facts
-    named = fits.model_copy(update={"files": {"white.tif": "", "dark.tif": ""}})
-    assert checks_of(image, named)["white image"].state == "pass"
+    assert checks_of(image, fits)["white image"].state == "pass"
     _, other, _, _ = drawn(seed=9)
     specimen = correct_light(image, white=other.values, dark=dark).facts
     assert specimen.texture > 0.3
@@ -170,7 +195,7 @@ def test_a_white_that_is_no_white_sheet_is_a_look():
     look = checks_of(image, shorter.facts)["white image"]
     assert (look.state, look.figures) == ("look", ("correlation",))
     assert "times as light as the white sheet" in look.sentence
-    lost = named.model_copy(update={"shares": dict.fromkeys(STATES, 0.02)})
+    lost = fits.model_copy(update={"shares": dict.fromkeys(STATES, 0.02)})
     sentence = checks_of(image, lost)["white image"].sentence
     assert sentence.count("2 % of the pixels") + sentence.count("2 % have") == 3
 
@@ -264,3 +289,13 @@ def test_files_are_read_corrected_and_named(tmp_path):
     assert found.attrs["long_name"] == "Reflectance"
     assert float(np.sqrt(np.mean((found.values - reflectance) ** 2))) < 0.0025
     assert read_corrected(params.model_copy(update={"white": None}))[1] is None
+    # Of one name in two folders.
+    for name in ("white", "dark"):
+        (tmp_path / name).mkdir()
+        (tmp_path / f"{name}.tif").rename(tmp_path / name / "0001.tif")
+    paths = {name: str(tmp_path / name / "0001.tif") for name in ("white", "dark")}
+    _, alike = read_corrected(params.model_copy(update=paths))
+    assert alike is not None
+    assert "both less 0001.tif, without light" in alike.facts.sentence
+    assert alike.facts.hashes == corrected.facts.hashes
+    assert len({*alike.facts.hashes}) == 2

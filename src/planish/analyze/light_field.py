@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from planish.analyze.correlation import (
     valid_pixels,
 )
 from planish.analyze.distributions import student_tail
-from planish.analyze.quadratic_field import QuadraticField, terms_of_points
+from planish.analyze.quadratic_field import QuadraticField, points_of, terms_of_points
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, Unsaved, Value, optional
 from planish.core.grid import Grid
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
 
 _TERMS = 5  # of the field, beside its mean
+_LEAST_SIDE = 3  # points that a quadratic term needs along an axis
 _MOST_R = 1.0 - 1e-15  # of which Fisher's z is a number
 
 
@@ -104,17 +106,18 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     is_valid, _ = valid_pixels(a, b, point_um)
     a, b = (np.where(is_valid, m, np.nan).astype(np.float64) for m in (a, b))
     x, y = (m[is_valid] - m[is_valid].mean() for m in (a, b))
-    if x.size < 3 * _TERMS:
+    side = min(np.count_nonzero(is_valid.any(axis=axis)) for axis in (0, 1))
+    if x.size < 3 * _TERMS or side < _LEAST_SIDE:
         raise CannotMeasure(
-            f"{x.size} points are too few for a field of {_TERMS} terms. Take smaller points or a"
-            " larger field."
+            f"{x.size} points, {side} along the shorter side, are too few for a field of {_TERMS}"
+            f" terms; {3 * _TERMS} and {_LEAST_SIDE} are needed. Take smaller points or a larger"
+            " field."
         )
     terms, _ = np.linalg.qr(terms_of_points(is_valid))
     x_rest, y_rest = (m - terms @ (terms.T @ m) for m in (x, y))
-    if not float(x_rest @ x_rest) > 1e-10 * float(x @ x):
-        raise CannotMeasure("The map is a quadratic field of x and y itself. Look at it.")
-    if not float(y_rest @ y_rest) > 1e-10 * float(y @ y):
-        raise CannotMeasure("The image is a quadratic field of x and y itself. Look at it.")
+    for name, values, rest in (("map", x, x_rest), ("image", y, y_rest)):
+        if not float(rest @ rest) > 1e-10 * float(values @ values):
+            raise CannotMeasure(f"The {name} is a quadratic field of x and y itself. Look at it.")
     slope = float(x_rest @ y_rest) / float(x_rest @ x_rest)
     field = terms @ (terms.T @ (y - slope * x))
     field -= field.mean()
@@ -131,6 +134,7 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     z = _z(partial_row.r)
     limits = [z + widening * (_z(limit) - z) for limit in partial_row.interval]
     low, high = (math.tanh(math.asinh(inflation * math.sinh(limit))) for limit in limits)
+    mean_grey = abs(float(b[is_valid].mean()))
     share_even, p_even = _even_light(x, y, y_rest - slope * x_rest, terms, is_valid)
     fitted = LightField(
         point_um=point_um,
@@ -144,7 +148,7 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
         share=float(field @ field) / float(y @ y),
         share_even=share_even,
         p_even=p_even,
-        span=float(np.ptp(field)) / abs(float(b[is_valid].mean())),
+        span=float(np.ptp(field)) / mean_grey if mean_grey > 0 else math.nan,
     )
     return fitted, _on_points(field, is_valid)
 
@@ -156,19 +160,9 @@ def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> QuadraticFie
     """
     _, field = light_field(a, b, point_um=point_um)
     is_valid = np.isfinite(field)
-    terms = terms_of_points(is_valid)
-    weights = np.linalg.lstsq(terms, field[is_valid], rcond=None)[0]
-    half_um = [(n - 1) / 2 * point_um for n in field.shape]
-    begins_um = (
-        um[0] - size / 2 for um, size in zip((grid.y_um, grid.x_um), grid.pixel_um, strict=True)
-    )
-    middle_um = [
-        begin + half + point_um / 2 for begin, half in zip(begins_um, half_um, strict=True)
-    ]
+    weights = np.linalg.lstsq(terms_of_points(is_valid), field[is_valid], rcond=None)[0]
     return QuadraticField(
-        weights=np.asarray(weights, dtype=np.float64),
-        middle_um=(middle_um[0], middle_um[1]),
-        half_um=(half_um[0], half_um[1]),
+        weights=np.asarray(weights, dtype=np.float64), points=points_of(grid, a.shape, point_um)
     )
 
 
@@ -204,10 +198,9 @@ def _even_light(
     field_terms -= np.outer(x, x @ field_terms) / float(x @ x)
     basis = np.linalg.svd(field_terms, full_matrices=False)[0][:, :_TERMS]
     spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in basis.T]
-    expected = np.array(
-        [[float(np.sum(lags.products(m, k) * covariance)) for k in spectra] for m in spectra]
-    )
-    mean, size = float(np.trace(expected)), float(np.sum((basis.T @ y) ** 2))
+    pairs_of_terms = product(spectra, spectra)
+    expected = np.array([np.sum(lags.products(m, k) * covariance) for m, k in pairs_of_terms])
+    mean, size = float(np.sum(expected[:: _TERMS + 1])), float(np.sum((basis.T @ y) ** 2))
     if not (mean > 0 and variances.min() > 0):
         return math.nan, math.nan
     freedom = mean**2 / float(np.sum(expected * expected))
@@ -273,14 +266,7 @@ def answer_light_field(pair: ComparedMaps) -> dict[str, Any]:
     image = points.pop("image")
     (sheet,) = points.values()
     light = pair.light
-    if light is None:
-        return {"light_field": light_field(sheet, image, point_um=pair.point_um)[0]}
-    origin_um = [
-        k + (pair.point_um - size) / 2
-        for k, size in zip(pair.grid.origin_um, pair.grid.pixel_um[::-1], strict=True)
-    ]
-    grid = Grid.regular(
-        (image.shape[0], image.shape[1]), pair.point_um, (origin_um[0], origin_um[1])
-    )
-    field, _ = light_field(sheet, image + light.on(grid), point_um=pair.point_um)
-    return {"light_field": field.model_copy(update={"declared": True})}
+    if light is not None:
+        image = image + light.on(points_of(pair.grid, image.shape, pair.point_um))
+    field, _ = light_field(sheet, image, point_um=pair.point_um)
+    return {"light_field": field.model_copy(update={"declared": light is not None})}

@@ -39,8 +39,8 @@ class CorrelateParams(Params):
         metavar="K/S",
         help=(
             "Fit the curve of Kubelka and Munk to the reflectance over the coating that leads, with"
-            " this ratio of absorption to scattering (0.002 for a white coating); needs `dark_grey`"
-            " and `white_grey`."
+            " this ratio of absorption to scattering (0.002 for a white coating); needs"
+            " reflectance, by `white` with `white_exposure` or by `dark_grey` and `white_grey`."
         ),
     )
     light_spread_um: float | None = option(

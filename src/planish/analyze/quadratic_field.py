@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planish.core.grid import Grid
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -15,14 +15,21 @@ class QuadraticField:
     """A quadratic field over an image, less its mean over the points it was fitted to."""
 
     weights: Floats  # of 1, x, y, x², xy and y²
-    middle_um: Pair  # along y and x, of the points
-    half_um: Pair
+    points: Grid  # along which x and y run from -1 to 1
 
     def on(self, grid: Grid) -> Floats:
         """Its values (rows, cols) on some pixels."""
-        places = zip((grid.y_um, grid.x_um), self.middle_um, self.half_um, strict=True)
-        y, x = ((um - middle) / half for um, middle, half in places)
+        axes = (grid.y_um, self.points.y_um), (grid.x_um, self.points.x_um)
+        y, x = (2 * (um - ends[0]) / np.ptp(ends) - 1 for um, ends in axes)
         return _terms_of(y, x) @ self.weights
+
+
+def points_of(grid: Grid, shape: tuple[int, ...], point_um: float) -> Grid:
+    """So many points (rows, cols), which begin with the pixels of a grid."""
+    x_um, y_um = grid.origin_um
+    row_um, col_um = grid.pixel_um
+    origin_um = x_um + (point_um - col_um) / 2, y_um + (point_um - row_um) / 2
+    return Grid.regular((shape[0], shape[1]), point_um, origin_um)
 
 
 def terms_of_points(is_valid: Bools) -> Floats:

@@ -383,18 +383,7 @@ def texture_of(
         check, face = image_of_sheet(
             texture, coated=coated, side=side, is_given=is_given, image=names[1]
         )
-        # An image of a face follows its coating, or thickness and height, and slopes under light
-        # from one side.
-        face = face or side
-        heights = height_map(face, texture.maps)
-        is_of_coating = face in coated and not _goes_through(texture, f"coating_{face}")
-        source_maps = [f"coating_{face}"] if is_of_coating else ["thickness"]
-        if heights in texture.maps:
-            source_maps += [] if is_of_coating else [heights]
-            texture, slope_names = (
-                texture.with_slopes(heights),
-                (f"{heights}_x", f"{heights}_y"),
-            )
+        texture, source_maps, slope_names = _shown_of(texture, face or side, coated)
     elif coated_sides:
         check = two_sheets(texture, names, coated=coated)
         source_maps = [next((f"coating_{k}" for k in coated), "thickness")]
@@ -402,17 +391,7 @@ def texture_of(
     else:
         check, source_maps, target_map = two_images(texture, names), ["image"], "other image"
     if any("reach_um" in d["image"].attrs for d in (a, b) if "image" in d):
-        screen_text = "was taken off with the screen."
-        # The texture that would show the side is gone: that none goes is no evidence.
-        if check.state == "look":
-            text = (
-                "Side and specimen: inconclusive, because the fine texture that would show it"
-                f" {screen_text}"
-            )
-            check = Check(name=NAME, state="unknown", sentence=text)
-        text = f"Image-based check: not made, because the fine texture that it aligns {screen_text}"
-        moved = Check(name=lag.NAME, state="unknown", figures=(POSITION,), sentence=text)
-        return TextureFound(None, (check, moved))
+        return _without_screen(check)
     error_map = next((d["expected_error"] for d in (a, b) if "expected_error" in d), None)
     expected_um = None if error_map is None else rms_of(error_map, valid)
     short = min(n * um for n, um in zip(texture.known.shape, texture.pixel_um, strict=True))
@@ -436,6 +415,38 @@ def texture_of(
     return TextureFound(
         offset.numbers(source_maps[0], expected_um), (check, offset.check(expected_um))
     )
+
+
+def _shown_of(
+    texture: Textures, face: Side, coated: Iterable[Side]
+) -> tuple[Textures, list[str], tuple[str, ...]]:
+    """The maps that an image of a face follows, and the slopes that it shows under side light.
+
+    It follows the coating, or thickness and height; the slopes are added to the texture.
+    """
+    heights, coating = height_map(face, texture.maps), f"coating_{face}"
+    is_of_coating = face in coated and not _goes_through(texture, coating)
+    source_maps = [coating] if is_of_coating else ["thickness"]
+    if heights not in texture.maps:
+        return texture, source_maps, ()
+    if not is_of_coating:
+        source_maps.append(heights)
+    return texture.with_slopes(heights), source_maps, (f"{heights}_x", f"{heights}_y")
+
+
+def _without_screen(check: Check) -> TextureFound:
+    """What is left to say of an image whose fine texture went with its print screen."""
+    screen_text = "was taken off with the screen."
+    # The texture that would show the side is gone: that none goes is no evidence.
+    if check.state == "look":
+        text = (
+            "Side and specimen: inconclusive, because the fine texture that would show it"
+            f" {screen_text}"
+        )
+        check = Check(name=NAME, state="unknown", sentence=text)
+    text = f"Image-based check: not made, because the fine texture that it aligns {screen_text}"
+    moved = Check(name=lag.NAME, state="unknown", figures=(POSITION,), sentence=text)
+    return TextureFound(None, (check, moved))
 
 
 def _goes_through(texture: Textures, coating: str) -> bool:

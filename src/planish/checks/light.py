@@ -36,19 +36,15 @@ def even_light(rule: CheckRule, evidence: EvidenceFacts) -> Check | None:
         f"{fixed(r, decimals)} ({limits_text(limits, decimals)})"
         for r, limits in ((field.r, field.interval), (field.r_plain, field.interval_plain))
     ]
-    if field.declared:
-        return rule.check(
-            "pass",
-            in_ascii(
-                f"{text} and was taken off, as declared: r over points of {field.point_um:g} um is"
-                f" {r_texts[0]}; with it left in, {r_texts[1]}."
-            ),
-            value=field.change,
-        )
-    sentence = in_ascii(
-        f"{text}; the grey changes by {100 * field.span:.2g} % along it. With it off, r over points"
-        f" of {field.point_um:g} um is {r_texts[0]}; with it left in, {r_texts[1]}."
+    r_text = (
+        f"r over points of {field.point_um:g} um is {r_texts[0]}; with it left in, {r_texts[1]}."
     )
+    if field.declared:
+        sentence = in_ascii(f"{text} and was taken off, as declared: {r_text}")
+        return rule.check("pass", sentence, value=field.change)
+    if is_known(field.span):
+        text += f"; the grey changes by {100 * field.span:.2g} % along it"
+    sentence = in_ascii(f"{text}. With it off, {r_text}")
     low, high = field.interval_plain
     limit = _MOVED * (high - low)
     if field.p_even > _BY_CHANCE:

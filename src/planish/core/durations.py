@@ -7,6 +7,7 @@ machine ran the loop of :func:`slowness` in :data:`LOOP_SECONDS`. By the clock t
 little less: most of a small run is not shared.
 """
 
+import os
 import time
 from collections.abc import Mapping
 
@@ -52,11 +53,13 @@ def _sum(n: int, *tables: Seconds) -> float:
 
 def slowness() -> float:
     """Time that this machine takes now for a plain loop, in times of that of the table's."""
+    # Windows counts processor time in steps of 15 ms.
+    seconds = time.perf_counter if os.name == "nt" else time.thread_time
     found: list[float] = []
     for _ in range(3):
-        start = time.thread_time()
+        start = seconds()
         total = 0
         for i in range(_LOOPS):
             total += i * i
-        found.append(time.thread_time() - start)
+        found.append(seconds() - start)
     return min(found) / LOOP_SECONDS

@@ -16,8 +16,9 @@ C. M. Stein, Ann. Stat. 9, 1135 (1981), doi:10.1214/aos/1176345632.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
+from itertools import combinations
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -54,9 +55,8 @@ Grey = NDArray[np.float32]
 class LightFacts(ResultModel):
     """White and dark image, and what they did to an image."""
 
-    files: dict[str, str] = Field(
-        default={}, description="Hash of the white and of the dark image, by their names."
-    )
+    files: tuple[str, ...] = Field(description="Name of the white image, and of the dark one.")
+    hashes: tuple[str, ...] = Field(default=(), description="Their hashes, where they were read.")
     exposure: Number = optional(
         "Exposure of the white image over that of the image; null where not known: reflectance is"
         " then known up to a factor."
@@ -86,10 +86,11 @@ class LightFacts(ResultModel):
             text += "; their exposures are not known, so that levels mean nothing, and r is right"
         elif self.exposure != 1:
             text += f", exposed {self.exposure:.3g} times as long as the image"
-        return (
-            f"{text}; the light falls off by {100 * self.fall_off:.0f} %, and noise of the white"
-            f" image adds {100 * self.standard_error / self.median:.2f} % to a grey"
-        )
+        text += f"; the light falls off by {100 * self.fall_off:.0f} %"
+        if self.median > 0:
+            noise_text = f"{100 * self.standard_error / self.median:.2f} %"
+            text += f", and noise of the white image adds {noise_text} to a grey"
+        return text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,11 +142,11 @@ def correct_light(
     """
     check_image(image, "pl.correct_light({}, white=white)")
     grey = np.asarray(image.values)
-    white_grey = np.array(values_of(white, "white"), np.float32)
-    dark_grey = np.zeros((2, 2), np.float32)
-    if dark is not None:
-        dark_grey = np.array(values_of(dark, "dark"), np.float32)
-    _check_pictures({"image": grey, "white": white_grey, "dark": dark_grey})
+    sources = {"white": white} if dark is None else {"white": white, "dark": dark}
+    pictures = {name: np.array(values_of(m, name), np.float32) for name, m in sources.items()}
+    _check_pictures(grey, pictures)
+    white_grey = pictures["white"]
+    dark_grey = pictures.get("dark", np.zeros((2, 2), np.float32))
     if exposure is not None and not 0 < exposure < math.inf:
         raise InputError(
             f"The exposure of the white image is {exposure:g} times that of the image. Give a"
@@ -188,13 +189,18 @@ def correct_light(
     is_valid = status == MEASURED
     lowest, highest = np.nanpercentile(signal, [1, 99])
     lag = _LAG * round(grey.shape[0] / white_grey.shape[0])
-    contrast = _noise_variance(grey, lag) / float(np.nanmedian(grey)) ** 2
+    contrast = _noise_variance(signal, lag) / level**2
+    variance_of_image = _noise_variance(grey, lag)
+    texture = 0.0
+    if variance_of_image > 0:
+        texture = contrast / variance_of_image * float(np.nanmedian(grey - zero)) ** 2
     counts = np.bincount(status.ravel(), minlength=len(STATES))
     facts = LightFacts(
+        files=tuple(getattr(m, "attrs", {}).get("file_name", k) for k, m in sources.items()),
         exposure=exposure,
         fall_off=1 - lowest / highest,
         standard_error=(exposure or 1.0) * float(np.sqrt(variance[is_valid].mean())),
-        texture=_noise_variance(signal, lag) / level**2 / contrast if contrast > 0 else 0.0,
+        texture=texture,
         median=float(np.median(reflectance[is_valid])),
         shares=dict(zip(STATES, (counts / grey.size).tolist(), strict=True)),
     )
@@ -224,8 +230,8 @@ def read_corrected(params: ImageParams) -> tuple[xr.DataArray, CorrectedImage | 
         **dict(zip(("white", "dark"), pictures, strict=False)),
         exposure=params.white_exposure,
     )
-    files = {Path(path).name: fingerprint(path) for path in paths}
-    facts = corrected.facts.model_copy(update={"files": files})
+    hashes = tuple(map(fingerprint, paths))
+    facts = corrected.facts.model_copy(update={"hashes": hashes})
     return corrected.image, replace(corrected, facts=facts)
 
 
@@ -287,25 +293,24 @@ def resized(values: Grey, shape: tuple[int, ...]) -> Grey:
     return ndimage.zoom(values, steps, order=1, mode="nearest", grid_mode=True)
 
 
-def _check_pictures(pictures: dict[str, Grey]) -> None:
+def _check_pictures(image: Grey, pictures: Mapping[str, Grey]) -> None:
     """Raise InputError for shapes that do not fit, and for a picture that is given twice."""
-    image = pictures["image"]
     rows, cols = image.shape
-    for name in ("white", "dark"):
-        picture = pictures[name]
+    for name, picture in pictures.items():
         if not np.isfinite(picture).any():
             raise InputError(f"The {name} image has no pixel with a number in it. Export it again.")
         shape_text = " x ".join(map(str, picture.shape))
         # Binning may drop a part of a pixel along each side.
         is_alike = picture.ndim == 2 and 2 <= len(picture) <= rows
         is_alike = is_alike and abs(picture.shape[1] - cols * len(picture) / rows) <= 1
-        if not is_alike and picture.any():
+        if not is_alike:
             raise InputError(
-                f"The {name} image has {shape_text} pixels, the image {rows} x {cols}. Needed is"
-                " the same field of view, in as many pixels or binned. Crop and bin all alike."
+                f"The {name} image has {shape_text or 1} pixels, the image {rows} x {cols}. Needed"
+                " is the same field of view, in as many pixels or binned. Crop and bin all alike."
             )
-    for name, other in (("white", "image"), ("dark", "image"), ("dark", "white")):
-        if np.array_equal(pictures[name], pictures[other], equal_nan=True):
+    named_pictures = reversed([("image", image), *pictures.items()])
+    for (name, picture), (other, other_picture) in combinations(named_pictures, 2):
+        if np.array_equal(picture, other_picture, equal_nan=True):
             raise InputError(
                 f"{name} and {other} are the same picture. Give a picture of a white sheet as"
                 " `white` and one without light as `dark`."

@@ -187,7 +187,7 @@ def quantities(results: Results) -> list[str]:
             "A grey value is the brightness that the file holds: larger is lighter, in no"
             " physical unit."
         )
-    if results.parameters.get("correlate", {}).get("light") is not None:
+    if results.is_light_off:
         texts.append(
             f"{capital(LIGHT_OFF)}: it was fitted together with the map that leads. Long waves of"
             " the paper that look like it are off as well."

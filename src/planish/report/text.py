@@ -37,9 +37,8 @@ def registered_by(results: Results) -> str:
 
 def stated_of(results: Results) -> str:
     """Say what registered the maps and, where it was declared, that a field of light is off."""
-    if results.parameters.get("correlate", {}).get("light") is None:
-        return registered_by(results)
-    return f"{registered_by(results)}; {LIGHT_OFF}"
+    light_text = f"; {LIGHT_OFF}" if results.is_light_off else ""
+    return registered_by(results) + light_text
 
 
 def template(package: str, name: str) -> Template:

@@ -1,7 +1,7 @@
 """Results of the stages, put into the models of ``results.json``."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -15,8 +15,8 @@ from planish.analyze.leading_map import leading_map
 from planish.checks.light import EVEN_LIGHT
 from planish.core.axial import distribution, summable_of
 from planish.core.bands import read_bands, thinned
-from planish.core.checks import CORRELATION, POSITION, concerned, trust_of
-from planish.core.facts import InputFile, Side, is_known
+from planish.core.checks import CORRELATION, POSITION, Check, concerned, trust_of
+from planish.core.facts import InputFile, Interval, Side, is_known
 from planish.core.grid import Grid, pitch
 from planish.core.numbers import capital, with_article
 from planish.core.tables import table_text
@@ -25,6 +25,7 @@ from planish.io import fingerprint
 from planish.measure.registry import has_true_zero
 from planish.register import FittedTransform
 from planish.results import (
+    CorrelationRow,
     EvidenceFacts,
     ExpectedError,
     LayerFacts,
@@ -337,16 +338,14 @@ def _property_rows(
 
 
 def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
-    def why(layers: Sequence[str], *figures: str) -> str:
-        checks = concerned(results.checks, layers, figures)
-        return "; ".join(check.name for check in checks if check.state in ("look", "fail"))
-
     for layer in results.layers:
         if layer.sheet is not None:
-            yield from _property_rows(layer.name, layer.sheet, partial(why, (layer.name,)))
+            yield from _property_rows(
+                layer.name, layer.sheet, partial(_why, results, (layer.name,))
+            )
         r = layer.registration
         if r is not None and (e := r.expected_error) is not None:
-            common_cells = "um", r.matched, e.trust, why((layer.name,), "position")
+            common_cells = "um", r.matched, e.trust, _why(results, (layer.name,), POSITION)
             for statistic, um in (("median", e.median_um), ("largest", e.largest_um)):
                 yield (
                     layer.name,
@@ -356,34 +355,42 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
                     "",
                     *common_cells,
                 )
-    is_light_off = results.parameters.get("correlate", {}).get("light") is not None
-    light_text = f", {_LIGHT_OFF}" if is_light_off else ""
     for row in results.correlations:
-        figure_name, size_text = (
-            f"r of {row.a_map} and {row.b_map}{', negative control' * row.negative_control}"
-            f"{light_text}",
-            f"points of {row.point_um:g} um",
-        )
-        first_cells = f"{row.a} {row.b}", figure_name
-        trust_cells = (
-            row.trust,
-            why((row.a, row.b), row.a_map, row.b_map, "position", "correlation"),
-        )
-        yield *first_cells, size_text, _text(row.r), "", "1", row.n, *trust_cells
-        for side, limit in zip(
-            ("lower", "upper"), row.interval if is_known(row.interval) else (), strict=False
-        ):
-            yield (
-                *first_cells,
-                f"{size_text}, {side} 95 % limit",
-                limit,
-                "",
-                "1",
-                round(row.n_eff),
-                *trust_cells,
-            )
+        yield from _r_rows(results, row)
     for evidence in results.evidence:
         yield from _light_rows(results, evidence)
+
+
+def _r_rows(results: Results, row: CorrelationRow) -> Iterator[Sequence[Any]]:
+    """Give a row for an r, and one for each limit of its interval."""
+    figure_name = f"r of {row.a_map} and {row.b_map}"
+    if row.negative_control:
+        figure_name += ", negative control"
+    if results.is_light_off and results.reference.name in (row.a, row.b):
+        figure_name += f", {_LIGHT_OFF}"
+    layers, figures = (row.a, row.b), (row.a_map, row.b_map, POSITION, CORRELATION)
+    for cells in _r_cells(row.point_um, row.r, row.interval, row.n, row.n_eff):
+        yield " ".join(layers), figure_name, *cells, row.trust, _why(results, layers, *figures)
+
+
+def _why(results: Results, layers: Sequence[str], *figures: str) -> str:
+    return _doubts(concerned(results.checks, layers, figures))
+
+
+def _doubts(checks: Iterable[Check]) -> str:
+    """Names of the checks that make a figure doubtful or withhold it."""
+    return "; ".join(check.name for check in checks if check.state in ("look", "fail"))
+
+
+def _r_cells(
+    point_um: float, r: float, interval: Interval, n: int, n_eff: float
+) -> Iterator[tuple[Any, ...]]:
+    """Cells from the statistic to n of an r, and of the limits of its interval."""
+    text = f"points of {point_um:g} um"
+    yield text, _text(r), "", "1", n
+    if is_known(interval):
+        for side, limit in zip(("lower", "upper"), interval, strict=True):
+            yield f"{text}, {side} 95 % limit", limit, "", "1", round(n_eff)
 
 
 def _light_rows(results: Results, evidence: EvidenceFacts) -> Iterator[Sequence[Any]]:
@@ -401,19 +408,13 @@ def _light_rows(results: Results, evidence: EvidenceFacts) -> Iterator[Sequence[
         for check in concerned(results.checks, layers, concerned_figures)
         if check.name != EVEN_LIGHT
     ]
-    doubts = "; ".join(check.name for check in checks if check.state in ("look", "fail"))
-    trust = trust_of(checks, layers, concerned_figures)
+    trust_cells = trust_of(checks, layers, concerned_figures), _doubts(checks)
     n = field.n or 0
-    r, interval, words, n_eff = field.r, field.interval, _LIGHT_OFF, field.n_eff
+    words, r = _LIGHT_OFF, (field.r, field.interval, n, field.n_eff)
     if field.declared:
-        r, interval, words, n_eff = field.r_plain, field.interval_plain, "light left in", n
-    size_text = f"points of {field.point_um:g} um"
-    figures: list[tuple[str, float, float]] = [(size_text, r, n)]
-    if is_known(interval):
-        figures.append((f"{size_text}, lower 95 % limit", interval[0], n_eff))
-        figures.append((f"{size_text}, upper 95 % limit", interval[1], n_eff))
-    figures.append(("share of the image's variance that the field holds", field.share, n))
-    for statistic, value, points in figures:
-        figure = f"r of {' and '.join(maps)}, {words}"
-        cells = statistic, _text(value), "", "1", round(points)
-        yield " ".join(layers), figure, *cells, trust, doubts
+        words, r = "light left in", (field.r_plain, field.interval_plain, n, n)
+    figure_cells = " ".join(layers), f"r of {' and '.join(maps)}, {words}"
+    for cells in _r_cells(field.point_um, *r):
+        yield *figure_cells, *cells, *trust_cells
+    share_cells = "share of the image's variance that the field holds", _text(field.share)
+    yield *figure_cells, *share_cells, "", "1", n, *trust_cells

@@ -165,14 +165,22 @@ def take_light_off(study: Study, overlay: Overlay) -> Overlay:
     ------
     CannotMeasure
         If there are too few points for the field.
+    InputError
+        If a point is smaller than a pixel.
     """
     sheet = next(linked for linked in overlay.layers if linked.kind == "sheet")
     reference, grid = overlay.reference, overlay.grid
     name = leading_map(sheet.maps, reference.layer.side, study.correlate.headline)
-    point_um, pixel_um = study.correlate.point_um, grid.pixel_um
+    point_um, (row_um, col_um) = study.correlate.point_um, grid.pixel_um
+    if point_um < max(row_um, col_um):
+        raise InputError(
+            f"`light`: points of {point_um:g} um are smaller than the image's pixels of"
+            f" {max(row_um, col_um):g} um, over which no field is fitted. Give larger ones with"
+            " `point_um`, or leave it out."
+        )
     points = common_means(
         (sheet.maps[name], reference.maps["image"]),
-        (max(point_um / pixel_um[0], 1.0), max(point_um / pixel_um[1], 1.0)),
+        (point_um / row_um, point_um / col_um),
         masks=(sheet.maps["valid"], reference.maps["valid"]),
     )
     light = fit_light(points[0], points[1], grid, point_um)

@@ -15,6 +15,7 @@ from planish.core.memory import enough_gb
 from planish.core.older_names import renamed
 from planish.design import read_pattern
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
+from planish.io.params import ImageParams
 from planish.io.picture import load_picture
 from planish.marks.regions import Regions, read_regions
 from planish.measure import PROPERTIES, check_maps, possible_maps, registered
@@ -117,24 +118,32 @@ def _check_beside(study: Study) -> None:
             )
 
 
+def _check_reflectance(image: ImageParams) -> None:
+    """Raise InputError where an image holds no reflectance, as `kubelka_munk` needs it."""
+    if image.white is not None and image.white_exposure is None:
+        raise InputError(
+            "`kubelka_munk` needs reflectance, and its level is not known. Give `white_exposure`,"
+            " 1 where image and `white` were exposed alike, or leave `kubelka_munk` out."
+        )
+    if image.white is None and image.dark_grey is None:
+        raise InputError(
+            "`kubelka_munk` needs reflectance, and the image holds uncalibrated grey values. Give"
+            " `white` and `dark`, pictures of a white sheet and without light, with"
+            " `white_exposure`; or `dark_grey` and `white_grey`, two known greys; or leave it out."
+        )
+
+
 def _check_light(study: Study) -> None:
     """Raise InputError where an option needs an image, references or volumes the study lacks."""
     correlate, reference = study.correlate, study.layers[-1].image
     sheets = [layer for layer in study.layers if layer.kind != "image"]
-    options = {
-        "`kubelka_munk`": correlate.kubelka_munk,
-        "`light_spread_um`": correlate.light_spread_um,
-    }
-    if correlate.light is not None and (reference is None or not sheets):
+    options = {"kubelka_munk": correlate.kubelka_munk, "light_spread_um": correlate.light_spread_um}
+    names_text = " and ".join(f"`{name}`" for name, value in options.items() if value is not None)
+    of_image = names_text or "`light`" * (correlate.light is not None)
+    if of_image and (reference is None or not sheets):
         raise InputError(
-            "`light`: no image stands last, off which a field of light could be taken together with"
-            " a map of a sheet. Link a volume or a run to an image, or leave it out."
-        )
-    names_text = " and ".join(name for name, option in options.items() if option is not None)
-    if names_text and (reference is None or not sheets):
-        raise InputError(
-            f"{names_text}: no image stands last, to which the coating of a sheet is compared. Link"
-            " a volume or a run to an image, or leave it out."
+            f"{of_image}: no image stands last, to which a map of a sheet is compared. Link a"
+            " volume or a run to an image, or leave it out."
         )
     if names_text and correlate.headline is not None and not correlate.headline.startswith("coat"):
         raise InputError(
@@ -142,18 +151,7 @@ def _check_light(study: Study) -> None:
             " or name a coating."
         )
     if correlate.kubelka_munk is not None and reference is not None:
-        if reference.white is not None and reference.white_exposure is None:
-            raise InputError(
-                "`kubelka_munk` needs reflectance, and its level is not known. Give"
-                " `white_exposure`, 1 where image and `white` were exposed alike, or leave"
-                " `kubelka_munk` out."
-            )
-        if reference.white is None and reference.dark_grey is None:
-            raise InputError(
-                "`kubelka_munk` needs reflectance, and the image holds uncalibrated grey"
-                " values. Give `dark_grey` and `white_grey`, the grey of a dark and of a white"
-                " reference, or leave it out."
-            )
+        _check_reflectance(reference)
     images = [layer.image for layer in study.layers if layer.image is not None]
     if study.registration.refine is not None and any(
         image.screen_um is not None for image in images
