@@ -135,10 +135,9 @@ def test_only_an_r_with_the_image_is_said_to_be_without_its_light(kinds):
 
 
 @pytest.mark.ci
-def test_points_smaller_than_pixels_hold_no_field(lit, kinds, planish):
-    image, run = lit["even"].parent / "even.tif", kinds("upright")
-    out = lit["even"].parent / "refused"
-    options = ("--light", "quadratic", "--point-um", "1", "--out", out)
-    code, _, err = planish("link", run, image, *options)
-    assert code == 2
+def test_points_smaller_than_pixels_hold_no_field(kinds, planish, tmp_path):
+    options = ("--light", "quadratic", "--point-um", "1", "--out", tmp_path / "refused")
+    code, _, err = planish("link", kinds("upright"), kinds.small.image, *options)
+    assert code == 3
     assert "points of 1 um are smaller than the image's pixels" in " ".join(err.split())
+    assert not (tmp_path / "refused").exists()

@@ -18,8 +18,9 @@ from folders import refused
 from planish.app import Session, changes
 from planish.app import journal as module
 from planish.app.journal import InUse, Journal
-from planish.app.session import Stale
+from planish.app.session import Stale, image_key
 from planish.core.errors import FileError, ResourceError
+from planish.io import ImageParams, fingerprint
 
 
 @pytest.fixture
@@ -34,6 +35,26 @@ def change(session, **values):
 def standing(session):
     now = session.state
     return [now.marks, now.model, now.corrections, now.regions]
+
+
+def test_an_image_is_known_by_its_bytes_and_as_older_versions_knew_it(tmp_path):
+    for folder in ("here", "there"):
+        (tmp_path / folder).mkdir()
+        for name in ("image", "white"):
+            (tmp_path / folder / f"{name}.tif").write_bytes(name.encode())
+    here, there = (tmp_path / folder / "image.tif" for folder in ("here", "there"))
+    plain = image_key(ImageParams(path=str(here), dark_grey=1.0, white_grey=2.0))
+    fields = dict.fromkeys(("pixel_um", "side", "md_deg", "screen_um"))
+    fields |= {"channel": "luminance", "override_size": False, "unusual_size": False}
+    sha256, text = plain.split(" ", 1)
+    assert sha256 == fingerprint(here)
+    assert json.loads(text) == fields | {"dark_grey": 1.0, "white_grey": 2.0}
+    keys = [
+        image_key(ImageParams(path=str(path), white=str(path.with_name("white.tif")), gamma=gamma))
+        for path, gamma in ((here, 2.2), (there, 2.2), (there, None))
+    ]
+    assert keys[0] == keys[1] != keys[2]
+    assert fingerprint(there.with_name("white.tif")) in keys[2]
 
 
 def test_nothing_is_written_before_the_first_change(path):

@@ -88,11 +88,9 @@ class Session:
         params = _image_params(run, image, results)
         subject, journal_name = fingerprint(run / "results.json"), "journal.jsonl"
         if params is not None:
-            image_key = (
-                f"{fingerprint(Path(params.path))} {params.model_dump_json(exclude={'path'})}"
-            )
-            subject += f" {image_key}"
-            journal_name = f"journal-{sha256(image_key.encode()).hexdigest()[:12]}.jsonl"
+            key = image_key(params)
+            subject += f" {key}"
+            journal_name = f"journal-{sha256(key.encode()).hexdigest()[:12]}.jsonl"
         names = [layer.name for layer in results.moving]
         registrations = {
             moving: Registration.read(run / marks_file(results, moving)) for moving in names
@@ -350,6 +348,17 @@ class Session:
         """Let others change the run; a change that is being saved is saved before."""
         with self._lock:
             self.journal.close()
+
+
+def image_key(params: ImageParams) -> str:
+    """What tells the image of a refused link from others, wherever its files lie.
+
+    Without white image and curve it is that of versions which knew neither.
+    """
+    files = filter(None, (params.path, params.white, params.dark))
+    left_out = {"path", "white", "dark"}
+    left_out |= {name for name in ("white_exposure", "gamma") if getattr(params, name) is None}
+    return " ".join([*map(fingerprint, files), params.model_dump_json(exclude=left_out)])
 
 
 def _image_params(run: Path, image: ImageParams | None, results: Results) -> ImageParams | None:
