@@ -26,6 +26,7 @@ from benchmarks import paper
 from benchmarks.app import opened
 from benchmarks.evidence import field
 from benchmarks.shared import planish as command_of
+from benchmarks.shared import succeeded
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -36,7 +37,7 @@ _MISSING = "#d4d6d8"  # as on the page of a run
 
 def planish(*arguments, folder):
     """Run the program in a folder."""
-    subprocess.run(command_of(*arguments), cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    succeeded(command_of(*arguments), cwd=folder)
 
 
 def stored(drawn, folder, colours=200):

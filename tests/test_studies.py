@@ -122,7 +122,7 @@ def test_no_interval_is_written_as_none():
 def test_the_loss_of_r2_is_parted_on_the_points_of_the_run(make, kinds, tmp_path):
     truth = importlib.import_module("statements.truth")
     specimen, run = kinds.specimen("upright"), pl.open_run(kinds("upright"))
-    image_params = SimpleNamespace(path=str(tmp_path / "image.tif"))
+    image_params = SimpleNamespace(path=str(tmp_path / "image.tif"), white=None)
     study = SimpleNamespace(layers=[SimpleNamespace(image=image_params)])
     given = SimpleNamespace(study=study, groups=run.groups, results=run.results)
     assert truth.sentence([given]) == ""  # nobody knows the truth
@@ -141,10 +141,27 @@ def test_the_loss_of_r2_is_parted_on_the_points_of_the_run(make, kinds, tmp_path
     assert abs(r[1] - r[0]) > 5e-3
     assert found.measured == common_row(run).r
 
+    # Of a run with a white image, the light is put on again.
+    image_params.white = "white.tif"
+    put_on = truth.with_truth(given)
+    assert (put_on.measured, put_on.true) == found[:2]
+    darker = specimen.image.values * specimens_light(make, specimen)
+    expected = pl.correlate(coating, darker, pixel_um=5.0, point_um=100.0).r
+    assert put_on.in_other_light == pytest.approx(expected, abs=2e-3)
+    assert "true coating without the white image: the white image changes" in truth.sentence(
+        [given]
+    )
+    image_params.white = None
+
     # Where the measured map is the truth, nothing is lost to the measurement.
     tifffile.imwrite(tmp_path / "truth" / "coating_top.tif", linked.coating_top.values)
     assert truth.with_truth(given).true == pytest.approx(found.measured, abs=1e-6)
     assert truth.sentence([given]).endswith("the measurement by +0.000.")
+
+
+def specimens_light(make, specimen):
+    """Share of the light that the lens leaves."""
+    return make.specimens.vignette(specimen.image_shape, specimen.params.camera.vignetting)
 
 
 def common_row(run):
@@ -187,8 +204,8 @@ STATED = {
 }
 LOST = re.compile(
     rf"On the same points.*, r² is {NUMBER} as measured, {NUMBER} of the true coating, and {NUMBER}"
-    rf" of the true coating in even light: uneven light changes it by {NUMBER}, the measurement by"
-    rf" {NUMBER}\."
+    rf" of the true coating (in even light: uneven light|without the white image: the white image)"
+    rf" changes it by {NUMBER}, the measurement by {NUMBER}\."
 )
 GAINED = {
     "flattening": rf"Projection: r² {NUMBER}, flattened {NUMBER}",

@@ -42,6 +42,9 @@ DIFFUSE = CameraParams(shading=0.003)
 """The microscope with diffuse light; the usual one of planish's specimens has light from one side,
 too."""
 
+WHITE_GREY, WHITE_NOISE = 62_000.0, 0.01
+"""Picture of a white sheet: grey in the middle, and noise as a share of it."""
+
 LIGHT_VARIES = 0.05
 """Standard deviation of Fisher's z between sheets that the images are made with."""
 
@@ -219,6 +222,14 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
     tifffile.imwrite(folder / "coating_top.tif", coating)
 
 
+def write_white(specimen: Specimen, path: Path) -> None:
+    """Write the picture of a white sheet under the same lens; without light the grey is 0."""
+    light = vignette(specimen.image_shape, specimen.params.camera.vignetting)
+    noise = np.random.default_rng([specimen.params.seed, 0]).standard_normal(light.shape)
+    grey = WHITE_GREY * light * (1.0 + WHITE_NOISE * noise)
+    tifffile.imwrite(path, np.clip(np.rint(grey), 0, 65535).astype(np.uint16))
+
+
 def make(study: str, size: Size, folder: Path) -> None:
     """Write the specimens of a study that are not there yet, each into a folder of its own."""
     if study == "fig-11":
@@ -240,5 +251,7 @@ def make(study: str, size: Size, folder: Path) -> None:
             write_instruments(specimen, unready, volume="sections", image=False)
         if one.instruments == "print":
             write_image(specimen, unready / "printed.tif", printed=True)
+        if study == "fig-07":
+            write_white(specimen, unready / "white.tif")
         write_truth(specimen, unready / "truth")
         unready.rename(place)
