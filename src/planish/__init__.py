@@ -46,10 +46,10 @@ class _Step(ModuleType):
         raise InputError(f"pl.{name} is a package, not a function. Call pl.{_STEPS[name]}(...).")
 
 
-class _Planish(type(sys.modules[__name__])):
+class _Planish(ModuleType):
     def __setattr__(self, name: str, value: object) -> None:
-        if name in _STEPS and isinstance(value, ModuleType):
-            value.__class__ = type("Step", (_Step, type(value)), {})
+        if name in _STEPS:
+            value.__class__ = _Step
         super().__setattr__(name, value)
 
 

@@ -224,6 +224,13 @@ def test_curves_are_undone():
         linear_grey(255 * share ** (1 / 1.8), 1.8, 255), 255 * share, atol=1e-3
     )
     assert linear_grey(3.0, None, None) == 3.0
+    # Whole numbers with a sign: what is below 0 stays there.
+    np.testing.assert_allclose(linear_grey([-50, 50], 2.0, 100), [-25, 25], rtol=1e-6)
+    for gamma in ("gamut", 0, -2.2, 5.0, float("nan")):
+        with pytest.raises(
+            InputError, match=r"is no curve\. Give srgb, or an exponent from 1 to 4"
+        ):
+            linear_grey(share, gamma, 255)
     with pytest.raises(InputError, match="real numbers have no white"):
         linear_grey(share, 2.2, None)
 

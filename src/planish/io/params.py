@@ -7,6 +7,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from planish.core.frame import Frame
 from planish.core.options import Params, option
 
+HIGHEST_GAMMA = 4.0  # those of cameras and screens are 1.8 to 2.6
+
 Size = Annotated[float, Field(gt=0)]
 
 
@@ -160,7 +162,7 @@ class ImageParams(Params):
             " known up to a factor."
         ),
     )
-    gamma: Literal["srgb"] | Annotated[float, Field(ge=1, le=4)] | None = option(
+    gamma: Literal["srgb"] | Annotated[float, Field(ge=1, le=HIGHEST_GAMMA)] | None = option(
         None,
         metavar="srgb|EXPONENT",
         help=(

@@ -15,6 +15,7 @@ import numpy as np
 from PIL import ImageCms
 
 from planish.core.errors import InputError
+from planish.io.params import HIGHEST_GAMMA
 
 Gamma = Literal["srgb"] | float
 COLOUR_SPACE = 40961  # tag of Exif; 1 is sRGB
@@ -59,10 +60,16 @@ def _profile_name(profile: bytes) -> str:
 def linear_grey(values: Any, gamma: Gamma | None, full_scale: int | None) -> Any:
     """Undo the curve that values are coded with; they stay on their scale.
 
-    InputError where the scale has no end.
+    InputError where the scale has no end, or `gamma` is neither a curve nor an exponent.
     """
     if gamma is None or gamma == 1:
         return values
+    is_exponent = isinstance(gamma, int | float) and 1 <= gamma <= HIGHEST_GAMMA
+    if gamma != "srgb" and not is_exponent:
+        raise InputError(
+            f"`gamma={gamma}` is no curve. Give srgb, or an exponent from 1 to"
+            f" {HIGHEST_GAMMA:g}, such as 2.2."
+        )
     if full_scale is None:
         raise InputError(
             "`gamma` is for pictures in whole numbers; real numbers have no white that their curve"
@@ -73,5 +80,5 @@ def linear_grey(values: Any, gamma: Gamma | None, full_scale: int | None) -> Any
         toe = share / np.float32(12.92)
         share = np.where(share <= 0.04045, toe, ((share + 0.055) / 1.055) ** 2.4)
     else:
-        share = share**gamma
+        share = np.sign(share) * np.abs(share) ** gamma
     return share * np.float32(full_scale)

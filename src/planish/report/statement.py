@@ -1,5 +1,6 @@
 """How a correlation is written, with its interval and the figures that the interval allows."""
 
+from planish.analyze.light_field import LightField
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, count, decimals_of_r, fixed, interval_text, number
 from planish.results import ComparisonRow, CorrelationRow
@@ -29,12 +30,12 @@ def r2_interval_text(row: Row | None) -> str:
     return NONE if row is None else interval_text(limits, decimals_of_r(limits))
 
 
-def r_text(row: Row | None) -> str:
+def r_text(row: Row | LightField | None) -> str:
     """Write r with two decimals, three where the interval is narrow."""
     return NONE if row is None else fixed(row.r, decimals_of_r(row.interval))
 
 
-def r_interval_text(row: Row | None) -> str:
+def r_interval_text(row: Row | LightField | None) -> str:
     """Write the interval of r."""
     return NONE if row is None else interval_text(row.interval, decimals_of_r(row.interval))
 
@@ -44,7 +45,7 @@ def rho_text(row: Row | None) -> str:
     return NONE if row is None else fixed(row.rho, decimals_of_r(row.interval))
 
 
-def r_sentence(row: Row) -> str:
+def r_sentence(row: Row | LightField) -> str:
     """Write ``r = `` with its interval, where it has one."""
     limits_text = f" (95 %: {r_interval_text(row)})" if is_known(row.interval) else ""
     return f"r = {r_text(row)}{limits_text}"
