@@ -19,7 +19,6 @@ from zarr.codecs import (
     BytesCodec,
     Crc32cCodec,
     ShardingCodec,
-    ShardingCodecIndexLocation,
     ZstdCodec,
 )
 
@@ -40,7 +39,7 @@ def is_plain(array: zarr.Array[Any]) -> bool:
     kinds = ([type(codec) for codec in part] for part in (sharding.codecs, sharding.index_codecs))
     return (
         [*kinds] == [[BytesCodec, ZstdCodec], [BytesCodec, Crc32cCodec]]
-        and sharding.index_location is ShardingCodecIndexLocation.end
+        and sharding.to_dict()["configuration"]["index_location"] == "end"
         and all(
             part[0] in (BytesCodec(endian=None), BytesCodec(endian="little"))
             for part in (sharding.codecs, sharding.index_codecs)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -372,7 +372,7 @@ def _plain(value: Any) -> Any:
 
 
 def _read(value: Any, hint: Any) -> Any:
-    if get_origin(hint) is np.ndarray:
+    if hint == Floats:
         return np.array(value, dtype=np.float64)
     if isinstance(value, list):
         return tuple(_read(v, None) for v in value)  # pyright: ignore[reportUnknownVariableType]
