@@ -21,7 +21,6 @@ from scipy import ndimage
 from planish import correct_light, image
 from planish.analyze import Correlation, LightField, correlate, light_field, texture_lag
 from planish.checks import run_checks
-from planish.checks.light import SIDE_LIGHT
 from planish.core.area import area_mean
 from planish.results import EvidenceFacts
 from planish.synthetic import (
@@ -39,6 +38,8 @@ from planish.texture.detrend import in_band
 _SHEETS, _POINT_UM, _PIXEL_UM, _REDRAWN = 20, 100.0, 10.0, 100
 _PAPERS = ("wfc90", "wfc118", "wfc135", "board")
 _NOISE, _REFERENCE_NOISE, _DARK = 0.005, 0.01, 0.02
+_SIDE_LIGHT = 0.25
+"""True share of the slopes above which the check is to ask for a look."""
 
 
 class Sheet:
@@ -234,11 +235,11 @@ def side_lit(sheet, number, share):
 def side(rows):
     """Print in how many images light from one side is seen; the number of goals missed."""
     shares, stated, looks = np.array(rows).T
-    above, below = looks[shares > SIDE_LIGHT], looks[shares < SIDE_LIGHT / 2]
+    above, below = looks[shares > _SIDE_LIGHT], looks[shares < _SIDE_LIGHT / 2]
     print(
         f"light from one side: a look in {above.mean():.3f} of {above.size} above"
-        f" {SIDE_LIGHT:g}, in {int(below.sum())} of {below.size} below half of it; stated less true"
-        f" {np.nanmean(stated - shares):+.3f} ± {np.nanstd(stated - shares):.3f}"
+        f" {_SIDE_LIGHT:g}, in {int(below.sum())} of {below.size} below half of it; stated less"
+        f" true {np.nanmean(stated - shares):+.3f} ± {np.nanstd(stated - shares):.3f}"
     )
     return int(above.mean() < 0.95) + int(below.any())
 
