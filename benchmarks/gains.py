@@ -4,8 +4,8 @@
 
 The specimens of the demo (seed 1 is the demo's own) and of the tutorial (3 is its own), in even,
 diffuse light, each linked once; 1 to 6 and 3 to 8 where no seed is given. Printed is what the page
-of each run says of points of 100 um, and the change of r at the pixel with its interval. 1 where
-the gain of the demo or of the tutorial may be 0.
+of each run says of points of 100 um and of the pixel. 1 where the gain of the demo or of the
+tutorial over points may be 0.
 """
 
 from __future__ import annotations
@@ -52,16 +52,6 @@ def said(what, folder):
     results = pl.open_run(folder).results
     projected = [one for one in results.comparison if one.registration.startswith("projection")]
     largest = max(one.point_um for one in projected)
-    pixel = best(one for one in projected if one.point_um < largest)
-    low, high = pixel.difference_interval
-    print(
-        f"{what}: {comparison_sentence(results)} At the pixel by {pixel.difference:.3f} ({low:.3f}"
-        f" to {high:.3f}).",
-        flush=True,
-    )
-    return best(one for one in projected if one.point_um == largest).difference_interval[0]
-
-
-def best(rows):
-    """The better projection: the one with the larger r2."""
-    return max(rows, key=lambda row: row.r2)
+    better = max((one for one in projected if one.point_um == largest), key=lambda row: row.r2)
+    print(f"{what}: {comparison_sentence(results)}", flush=True)
+    return better.difference_interval[0]
