@@ -69,8 +69,9 @@ def said(r: Correlations, of: str = "", *, has_white: bool = False) -> str:
     other, cause = "in even light", "uneven light"
     if has_white:
         other, cause = "without the white image", "the white image"
+    by_light, by_measurement = (round(d, 3) + 0.0 for d in (true - in_other_light, measured - true))
     return (
         f" On the same points{of}, r² is {measured:.3f} as measured, {true:.3f} of the true"
         f" coating, and {in_other_light:.3f} of the true coating {other}: {cause} changes"
-        f" it by {true - in_other_light:+.3f}, the measurement by {measured - true:+.3f}."
+        f" it by {by_light:+.3f}, the measurement by {by_measurement:+.3f}."
     )
