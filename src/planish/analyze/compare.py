@@ -257,10 +257,11 @@ def comparison_rows(
         compared = [np.where(valid, m, np.nan) for m in placed]
         map_threads(PairAtSizes.add, sums, repeat(rows.start), compared, repeat(image))
     maps_of_run = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
-    of_run = [*zip((row.r for row, _ in sums[-1].sizes()), maps_of_run, strict=True)]
-    for variant, variant_sums in zip(variants, sums, strict=True):
+    sizes = [_sizes(variant_sums, light_off=light_off) for variant_sums in sums]
+    of_run = [*zip((row.r for row, _ in sizes[-1]), maps_of_run, strict=True)]
+    for variant, variant_sums, variant_sizes in zip(variants, sums, sizes, strict=True):
         for (row, _), variant_maps, (run_r, run_maps) in zip(
-            _sizes(variant_sums, light_off=light_off),
+            variant_sizes,
             (variant_sums.cells()[0], variant_sums.points()),
             of_run,
             strict=True,

@@ -39,7 +39,7 @@ def write_chunks(store: Path, array: zarr.Array[Any], where: Where, values: NDAr
     Where a chunk holds more than that, what was written before stays.
     """
     for file, within, source in _chunks(store, array, where):
-        chunk = _unpacked(file, array)
+        chunk = np.require(_unpacked(file, array), requirements="W")
         chunk[within] = values[source]
         packed = _BLOSC.encode(chunk)
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -58,13 +58,14 @@ def read_chunks(store: Path, array: zarr.Array[Any], where: Where) -> NDArray[An
 
 
 def _unpacked(file: Path, array: zarr.Array[Any]) -> NDArray[Any]:
-    chunk = np.full(array.chunks, array.fill_value, array.dtype)
-    if file.is_file():
-        raw = file.read_bytes()
-        if crc32c(raw[:-4]) != int.from_bytes(raw[-4:], "little"):
-            raise ValueError(f"the chunk {file.name} of {array.path} is damaged")
-        chunk[...] = np.frombuffer(_BLOSC.decode(raw[:-4]), array.dtype).reshape(array.chunks)
-    return chunk
+    """What a file holds, which cannot be written to; where there is none, missing values."""
+    if not file.is_file():
+        return np.full(array.chunks, array.fill_value, array.dtype)
+    raw = file.read_bytes()
+    packed = raw[:-4]
+    if crc32c(packed) != int.from_bytes(raw[-4:], "little"):
+        raise ValueError(f"the chunk {file.name} of {array.path} is damaged")
+    return np.frombuffer(_BLOSC.decode(packed), array.dtype).reshape(array.chunks)
 
 
 def _chunks(store: Path, array: zarr.Array[Any], where: Where) -> list[tuple[Path, Where, Where]]:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import fft
 
 from planish.core.typing import Array, Bools, Complexes, Floats, Pair
+from planish.texture.spectra import padded_spectrum
 
 
 class Lags:
@@ -40,7 +41,7 @@ class Lags:
 
     def transform(self, values: Floats) -> Complexes:
         """Fourier transform of a map that is 0 where it is not known."""
-        return np.asarray(fft.rfft2(values, self._size))
+        return padded_spectrum(values, self._size)
 
     def own_products(self, values: Array) -> Floats:
         """Sums of products of a map (rows, cols), less its mean, with itself."""

@@ -9,7 +9,8 @@ import numpy as np
 from scipy import fft, special
 
 from planish.core.typing import Bools, Complexes, Floats, Pair
-from planish.texture.ncc import LEAST_PAIRS, Peak, cropped, overlap
+from planish.texture.ncc import LEAST_PAIRS, Peak, overlap
+from planish.texture.spectra import lags_within, padded_spectrum
 from planish.texture.textures import tile_sums
 
 
@@ -104,10 +105,10 @@ class LagSearch:
         return self._g[:, lag_px[0] + self._wide[0], lag_px[1] + self._wide[1]]
 
     def _transform(self, values: Floats) -> Complexes:
-        return np.asarray(fft.rfft2(values, self._size), dtype=np.complex128)
+        return padded_spectrum(values, self._size)
 
     def _lags(self, spectrum: Complexes | Floats) -> Floats:
-        return cropped(np.asarray(fft.irfft2(spectrum, self._size), dtype=np.float64), self._wide)
+        return lags_within(spectrum, self._size, self._wide)
 
 
 def _chi2_limit(k: int, reach: tuple[int, int], root: float) -> float:

@@ -10,6 +10,7 @@ from scipy import fft, ndimage
 from scipy.interpolate import RectBivariateSpline
 
 from planish.core.typing import Bools, Complexes, Floats
+from planish.texture.spectra import lags_within, padded_spectrum
 from planish.texture.textures import standard
 
 # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
@@ -25,7 +26,7 @@ class MaskedNcc:
     At the lag ``l``, r is that of the pairs ``a[p], b[p + l]`` where both are known: sums, squares
     and products over these pairs are correlations of maps and masks, so mean and variance are of
     the overlap (Padfield 2012, IEEE Trans. Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402).
-    The maps are padded by ``reach``: no wrap.
+    Where the map that stays is known within ``reach`` of a border, the maps are padded: no wrap.
     """
 
     def __init__(
@@ -33,7 +34,8 @@ class MaskedNcc:
     ) -> None:
         self._reach = reach
         self._shape = tuple(
-            fft.next_fast_len(n + r, real=True) for n, r in zip(a.shape, reach, strict=True)
+            fft.next_fast_len(_unwrapped(a_valid.any(axis=1 - k), r), real=True)
+            for k, r in enumerate(reach)
         )
         self._b_valid = b_valid
         a = standard(a, a_valid)
@@ -62,16 +64,18 @@ class MaskedNcc:
         return np.where(is_valid, np.clip(product / spread, -1.0, 1.0), np.nan)
 
     def _transform(self, values: Floats) -> Complexes:
-        return np.asarray(fft.rfft2(values, self._shape), dtype=np.complex128)
+        return padded_spectrum(values, self._shape)
 
     def _lags(self, spectrum: Complexes) -> Floats:
-        return cropped(np.asarray(fft.irfft2(spectrum, self._shape), dtype=np.float64), self._reach)
+        return lags_within(spectrum, self._shape, self._reach)
 
 
-def cropped(circular: Floats, reach: tuple[int, int]) -> Floats:
-    """Lags ``-reach ... reach`` of a circular correlation whose lag 0 is the first element."""
-    rows, cols = (np.arange(-r, r + 1) for r in reach)
-    return circular[np.ix_(rows % circular.shape[0], cols % circular.shape[1])]
+def _unwrapped(is_known: Bools, reach: int) -> int:
+    """Places along an axis at which no lag within reach brings known ones around to others."""
+    known = np.flatnonzero(is_known)
+    if not known.size:
+        return is_known.size
+    return max(is_known.size + max(reach - int(known[0]), 0), int(known[-1]) + reach + 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,13 +191,12 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     v = np.where(is_valid, v - v.sum(axis=(1, 2), keepdims=True) / n, 0.0)
     reach = (max(u.shape[0] // 4, 1), max(u.shape[1] // 4, 1))
     shape = tuple(fft.next_fast_len(m + k, real=True) for m, k in zip(u.shape, reach, strict=True))
-    mask_hat, u_hat = fft.rfft2(is_valid.astype(np.float64), shape), fft.rfft2(u, shape)
-    v_hat = [fft.rfft2(s, shape) for s in v]
+    mask_hat = padded_spectrum(is_valid.astype(np.float64), shape)
+    u_hat = padded_spectrum(u, shape)
+    v_hat = [padded_spectrum(s, shape) for s in v]
 
     def lags(first: Complexes, second: Complexes) -> Floats:
-        return cropped(
-            np.asarray(fft.irfft2(np.conj(first) * second, shape), dtype=np.float64), reach
-        )
+        return lags_within(np.conj(first) * second, shape, reach)
 
     pairs = np.maximum(np.rint(lags(mask_hat, mask_hat)), 1.0)
     r_u = lags(u_hat, u_hat) / pairs

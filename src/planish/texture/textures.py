@@ -13,6 +13,7 @@ from planish.core.area import common_means
 from planish.core.bands import Rows
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.typing import Bools, Floats, Ints, Pair
+from planish.texture.spectra import padded_spectrum
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
 MOST_PIXELS = 300_000
@@ -203,7 +204,7 @@ def relate(
 def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: Pair) -> float:
     """Standard deviation of r of unrelated textures like these two; 0 where they are not known."""
     size = [fft.next_fast_len(k, real=True) for k in a.shape]
-    power = np.abs(np.asarray(fft.rfft2(a, size)) * np.asarray(fft.rfft2(b, size))) ** 2
+    power = np.abs(padded_spectrum(a, size) * padded_spectrum(b, size)) ** 2
     power[:, 1 : (size[1] + 1) // 2] *= 2.0  # waves that run the other way
     alike = float(np.sum(power)) / (size[0] * size[1] * n)
     parts = tile_sums(a * b - 0.5 * r * (a * a + b * b), pixel_um)
