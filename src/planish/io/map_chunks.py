@@ -33,12 +33,12 @@ def is_ours(array: zarr.Array[Any]) -> bool:
     )
 
 
-def write_chunks(store: Path, array: zarr.Array[Any], where: Where, values: NDArray[Any]) -> None:
-    """Write a part of an array.
+def write_chunks(folder: Path, array: zarr.Array[Any], where: Where, values: NDArray[Any]) -> None:
+    """Write a part of an array like ``array`` into its folder.
 
     Where a chunk holds more than that, what was written before stays.
     """
-    for file, within, source in _chunks(store, array, where):
+    for file, within, source in _chunks(folder, array, where):
         chunk = np.require(_unpacked(file, array), requirements="W")
         chunk[within] = values[source]
         packed = _BLOSC.encode(chunk)
@@ -46,13 +46,13 @@ def write_chunks(store: Path, array: zarr.Array[Any], where: Where, values: NDAr
         file.write_bytes(packed + crc32c(packed).to_bytes(4, "little"))
 
 
-def read_chunks(store: Path, array: zarr.Array[Any], where: Where) -> NDArray[Any]:
-    """Read a part of an array that :func:`is_ours`.
+def read_chunks(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[Any]:
+    """Read a part of an array that :func:`is_ours` from its folder.
 
     ValueError, RuntimeError or OSError where it is damaged.
     """
     values = np.empty([w.stop - w.start for w in where], array.dtype)
-    for file, within, target in _chunks(store, array, where):
+    for file, within, target in _chunks(folder, array, where):
         values[target] = _unpacked(file, array)[within]
     return values
 
@@ -68,7 +68,7 @@ def _unpacked(file: Path, array: zarr.Array[Any]) -> NDArray[Any]:
     return np.frombuffer(_BLOSC.decode(packed), array.dtype).reshape(array.chunks)
 
 
-def _chunks(store: Path, array: zarr.Array[Any], where: Where) -> list[tuple[Path, Where, Where]]:
+def _chunks(folder: Path, array: zarr.Array[Any], where: Where) -> list[tuple[Path, Where, Where]]:
     """Give the files of the chunks of a part.
 
     Also the places of the part within each, and the places of each within the part.
@@ -87,5 +87,5 @@ def _chunks(store: Path, array: zarr.Array[Any], where: Where) -> list[tuple[Pat
         target = tuple(
             slice(a - w.start, b - w.start) for (a, b), w in zip(ends, where, strict=True)
         )
-        chunks.append((store / array.path / array.metadata.encode_chunk_key(index), within, target))
+        chunks.append((folder / array.metadata.encode_chunk_key(index), within, target))
     return chunks

@@ -23,6 +23,7 @@ from planish.io.map_store import (
     ROOT,
     create_array,
     is_large,
+    json_attrs,
     open_group,
     overviews_of,
     readable,
@@ -41,26 +42,42 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     for name, data in groups.items():
         group = open_group(path, name, data)
 
-        def write(key: str, data: xr.Dataset = data, group: zarr.Group = group) -> None:
-            variable = data.variables[key]
+        made = dict[Any, zarr.Array[Any]]()
+
+        def write(
+            key: str,
+            data: xr.Dataset = data,
+            group: zarr.Group = group,
+            made: dict[Any, zarr.Array[Any]] = made,
+        ) -> None:
+            variable, folder = data.variables[key].copy(deep=False), path / group.path / key
             coords = [
                 k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}
             ]
-            named = {
-                "coordinates": " ".join(k for k in coords if {*data[k].dims} <= {*variable.dims})
-            }
-            array = create_array(
-                group, key, variable, variable.shape, **named if named["coordinates"] else {}
-            )
-            if is_ours(array):
-                write_chunks(
-                    path, array, tuple(slice(0, n) for n in variable.shape), variable.values
-                )
-            else:  # text
-                array[...] = variable.values
+            if named := " ".join(k for k in coords if {*data[k].dims} <= {*variable.dims}):
+                variable.attrs["coordinates"] = named
+            kind = variable.dims, variable.shape, variable.dtype
+            if kind in made:
+                _copy_metadata(path / made[kind].path, folder, variable.attrs)
+            else:
+                array = create_array(group, key, variable, variable.shape)
+                if not is_ours(array):  # text
+                    array[...] = variable.values
+                    return
+                made[kind] = array
+            where = tuple(slice(0, n) for n in variable.shape)
+            write_chunks(folder, made[kind], where, variable.values)
 
         map_threads(write, map(str, data.variables))
     _consolidate(path)
+
+
+def _copy_metadata(source: Path, folder: Path, attrs: Mapping[Any, Any]) -> None:
+    """Make an array like another one but for its attributes; zarr takes longer than its chunks."""
+    metadata = json.loads((source / _METADATA).read_text(encoding="utf-8"))
+    text = json.dumps(metadata | {"attributes": json_attrs(attrs)}, indent=2)
+    folder.mkdir()
+    (folder / _METADATA).write_text(text, encoding="utf-8", newline="\n")
 
 
 def _consolidate(path: Path) -> None:

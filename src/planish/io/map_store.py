@@ -100,7 +100,7 @@ class StoredMaps:
                 maps[map_name].values,
             )
             if self.path is not None and name in self.stored:
-                write_chunks(self.path, array, where, values)
+                write_chunks(self.path / array.path, array, where, values)
             else:
                 array[where] = values
 
@@ -146,12 +146,12 @@ class StoredMaps:
 def open_group(path: Path, name: str, data: xr.Dataset) -> zarr.Group:
     """Open or make a group of a store, with the attributes of a dataset."""
     group = zarr.open_group(path, mode="a", attributes=ROOT).require_group(name)
-    group.attrs.update(_json_attrs(data.attrs))
+    group.attrs.update(json_attrs(data.attrs))
     return group
 
 
 def create_array(
-    group: zarr.Group, key: str, like: xr.Variable, shape: tuple[int, ...], **attrs: str
+    group: zarr.Group, key: str, like: xr.Variable, shape: tuple[int, ...]
 ) -> zarr.Array[Any]:
     """Make an array of a group, of the type, dimensions and attributes of a variable."""
     dtype, fill_value = (
@@ -168,7 +168,7 @@ def create_array(
         config={"write_empty_chunks": True},
         chunks=tuple(min(n, CHUNK) for n in shape) if len(shape) > 1 else "auto",
         dimension_names=[str(dim) for dim in like.dims],
-        attributes=_json_attrs({**like.attrs, **attrs}),
+        attributes=json_attrs(like.attrs),
     )
 
 
@@ -257,7 +257,8 @@ class PartCache:
         if key in self._parts:
             return self._parts[key].copy()
         are_slices = is_ours(array) and all(s.step == 1 for s in where)
-        values = read_chunks(path, array, where) if are_slices else np.asarray(array[where])
+        folder = path / array.path
+        values = read_chunks(folder, array, where) if are_slices else np.asarray(array[where])
         if values.nbytes <= self._room:
             self._room -= values.nbytes
             self._parts[key] = values.copy()
@@ -284,7 +285,8 @@ def readable(path: Path) -> Generator[None]:
         ) from error
 
 
-def _json_attrs(attrs: Mapping[Any, Any]) -> dict[str, Any]:
+def json_attrs(attrs: Mapping[Any, Any]) -> dict[str, Any]:
+    """Attributes as a store holds them."""
     return {
         str(k): v.tolist() if isinstance(v, np.ndarray | np.generic) else v
         for k, v in attrs.items()

@@ -381,8 +381,9 @@ def _write_outline(row: Floats, outline: _Outline) -> None:
 
 
 def _median(values: Floats) -> float:
-    finite = values[~np.isnan(values)]
-    return float(np.median(finite)) if finite.size else np.nan
+    finite = np.sort(values[~np.isnan(values)])  # numpy's own takes ten times as long for so few
+    count = finite.size
+    return float(0.5 * (finite[(count - 1) // 2] + finite[count // 2])) if count else np.nan
 
 
 def _sum(values: Floats) -> float:

@@ -34,8 +34,7 @@ class MaskedNcc:
     ) -> None:
         self._reach = reach
         self._shape = tuple(
-            fft.next_fast_len(_unwrapped(a_valid.any(axis=1 - k), r), real=True)
-            for k, r in enumerate(reach)
+            fft.next_fast_len(_unwrapped(a_valid, k, r), real=True) for k, r in enumerate(reach)
         )
         self._b_valid = b_valid
         a = standard(a, a_valid)
@@ -70,12 +69,12 @@ class MaskedNcc:
         return lags_within(spectrum, self._shape, self._reach)
 
 
-def _unwrapped(is_known: Bools, reach: int) -> int:
+def _unwrapped(is_known: Bools, axis: int, reach: int) -> int:
     """Places along an axis at which no lag within reach brings known ones around to others."""
-    known = np.flatnonzero(is_known)
+    length, known = is_known.shape[axis], np.flatnonzero(is_known.any(axis=1 - axis))
     if not known.size:
-        return is_known.size
-    return max(is_known.size + max(reach - int(known[0]), 0), int(known[-1]) + reach + 1)
+        return length
+    return max(length + max(reach - int(known[0]), 0), int(known[-1]) + reach + 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
