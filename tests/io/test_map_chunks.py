@@ -31,7 +31,7 @@ def test_the_files_are_those_of_zarr(tmp_path, values):
     made(tmp_path / "zarr", dtype=values.dtype)[:] = values
     ours = made(tmp_path / "ours", dtype=values.dtype)
     assert is_ours(ours)
-    write_chunks(tmp_path / "ours", ours, WHOLE, values)
+    write_chunks(tmp_path / "ours" / "map", ours, WHOLE, values)
     sides = tmp_path / "zarr", tmp_path / "ours"
     files = [
         {p.relative_to(side): p.read_bytes() for p in side.rglob("*") if p.is_file()}
@@ -48,13 +48,13 @@ def test_the_files_are_those_of_zarr(tmp_path, values):
 def test_parts_are_written_and_read_wherever_they_lie(tmp_path, where):
     values = np.random.default_rng(1).normal(size=(700, 530)).astype(np.float32)
     array = made(tmp_path / "a")
-    write_chunks(tmp_path / "a", array, where, values[where])
+    write_chunks(tmp_path / "a" / "map", array, where, values[where])
     np.testing.assert_array_equal(array[where], values[where])
     # The rest is missing.
-    np.testing.assert_array_equal(read_chunks(tmp_path / "a", array, WHOLE), array[:])
+    np.testing.assert_array_equal(read_chunks(tmp_path / "a" / "map", array, WHOLE), array[:])
     rest = (slice(0, 700), slice(0, 100))  # beside and over it: what was there stays
-    write_chunks(tmp_path / "a", array, rest, values[rest])
-    np.testing.assert_array_equal(read_chunks(tmp_path / "a", array, where), values[where])
+    write_chunks(tmp_path / "a" / "map", array, rest, values[rest])
+    np.testing.assert_array_equal(read_chunks(tmp_path / "a" / "map", array, where), values[where])
 
 
 def test_a_damaged_chunk_is_told(tmp_path):
@@ -65,14 +65,14 @@ def test_a_damaged_chunk_is_told(tmp_path):
     raw[len(raw) // 2] ^= 1
     file.write_bytes(raw)
     with pytest.raises(ValueError, match="chunk 0 of map is damaged"):
-        read_chunks(tmp_path / "a", array, WHOLE)
-    read_chunks(tmp_path / "a", array, (slice(0, 256), slice(0, 200)))  # another chunk
+        read_chunks(tmp_path / "a" / "map", array, WHOLE)
+    read_chunks(tmp_path / "a" / "map", array, (slice(0, 256), slice(0, 200)))  # another chunk
     smaller = made(tmp_path / "b", chunks=(128, 200))
     smaller[:] = 1.0
     for content in (b"", b"\0" * 4, (tmp_path / "b" / "map" / "c" / "0" / "0").read_bytes()):
         file.write_bytes(content)  # nothing, nothing with its sum, and a chunk of another size
         with pytest.raises((ValueError, RuntimeError)):
-            read_chunks(tmp_path / "a", array, WHOLE)
+            read_chunks(tmp_path / "a" / "map", array, WHOLE)
 
 
 def test_what_is_packed_otherwise_is_left_to_zarr(tmp_path):
