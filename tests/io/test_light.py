@@ -8,6 +8,7 @@ from scipy import ndimage
 
 import planish as pl
 from folders import write_image
+from planish.analyze.image_values import image_facts
 from planish.checks import ImageFile, run_checks
 from planish.core.errors import InputError
 from planish.io import ImageParams, correct_light, read_image
@@ -242,6 +243,12 @@ def grey_image(tmp_path, name, mode="L", **how):
     return path
 
 
+def test_values_say_which_curve_was_undone():
+    for gamma, words in ((1, "grey is linear, as given"), ("srgb", "by the curve srgb")):
+        sentence = image_facts(ImageParams(path="i.tif", gamma=gamma)).sentence
+        assert sentence.endswith(words)
+
+
 def test_what_a_file_states_of_its_grey_is_named(tmp_path):
     gamma, linear = PngImagePlugin.PngInfo(), PngImagePlugin.PngInfo()
     gamma.add(b"gAMA", (45455).to_bytes(4))
@@ -263,6 +270,8 @@ def test_what_a_file_states_of_its_grey_is_named(tmp_path):
         if state == "look":
             decoded = checks_of(read_image(path, pixel_um=2.0, gamma="srgb"))["linear grey"]
             assert decoded.state == "pass"
+            linear_image = read_image(path, pixel_um=2.0, gamma=1)
+            assert checks_of(linear_image)["linear grey"].sentence == "Grey is linear, as given."
     twice = checks_of(read_image(tmp_path / "linear.png", pixel_um=2.0, gamma=2.2))["linear grey"]
     assert (twice.state, twice.remedy) == ("look", "Leave `gamma` out.")
 

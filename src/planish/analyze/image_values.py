@@ -57,7 +57,9 @@ class ImageFacts(ResultModel):
             text = f"reflectance: grey {self.dark_grey:g} is 0, grey {self.white_grey:g} is 1"
         else:
             text = "grey value, uncalibrated: no dark and white reference was given"
-        if self.gamma is not None:
+        if self.gamma == 1:
+            text += "; grey is linear, as given"
+        elif self.gamma is not None:
             text += f"; grey was made linear first, by the curve {self.gamma}"
         if self.screen_um is not None:
             text += (

@@ -50,6 +50,8 @@ def linear_grey(rule: CheckRule, file: ImageFile) -> Check | None:
     if is_linear and gamma not in (None, 1):
         sentence = f"Grey was decoded by {gamma}, and the file says that it is linear: {curve}."
         return rule.check("look", sentence, remedy="Leave `gamma` out.")
+    if gamma == 1:
+        return rule.check("pass", "Grey is linear, as given.")
     if gamma is not None:
         return rule.check("pass", f"Grey was made linear by the curve given, {gamma}.")
     is_camera = attrs.get("camera") and attrs["stored_dtype"] == "uint8"

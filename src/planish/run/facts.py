@@ -341,11 +341,11 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
     for layer in results.layers:
         if layer.sheet is not None:
             yield from _property_rows(
-                layer.name, layer.sheet, partial(_why, results, (layer.name,))
+                layer.name, layer.sheet, partial(_why, results.checks, (layer.name,))
             )
         r = layer.registration
         if r is not None and (e := r.expected_error) is not None:
-            common_cells = "um", r.matched, e.trust, _why(results, (layer.name,), POSITION)
+            common_cells = "um", r.matched, e.trust, _why(results.checks, (layer.name,), POSITION)
             for statistic, um in (("median", e.median_um), ("largest", e.largest_um)):
                 yield (
                     layer.name,
@@ -370,16 +370,19 @@ def _r_rows(results: Results, row: CorrelationRow) -> Iterator[Sequence[Any]]:
         figure_name += f", {_LIGHT_OFF}"
     layers, figures = (row.a, row.b), (row.a_map, row.b_map, POSITION, CORRELATION)
     for cells in _r_cells(row.point_um, row.r, row.interval, row.n, row.n_eff):
-        yield " ".join(layers), figure_name, *cells, row.trust, _why(results, layers, *figures)
+        yield (
+            " ".join(layers),
+            figure_name,
+            *cells,
+            row.trust,
+            _why(results.checks, layers, *figures),
+        )
 
 
-def _why(results: Results, layers: Sequence[str], *figures: str) -> str:
-    return _doubts(concerned(results.checks, layers, figures))
-
-
-def _doubts(checks: Iterable[Check]) -> str:
+def _why(checks: Iterable[Check], layers: Sequence[str], *figures: str) -> str:
     """Names of the checks that make a figure doubtful or withhold it."""
-    return "; ".join(check.name for check in checks if check.state in ("look", "fail"))
+    asked = (check for check in checks if check.state in ("look", "fail"))
+    return "; ".join(check.name for check in concerned(asked, layers, figures))
 
 
 def _r_cells(
@@ -402,13 +405,9 @@ def _light_rows(results: Results, evidence: EvidenceFacts) -> Iterator[Sequence[
     if field is None:
         return
     layers, maps = (evidence.a, evidence.b), (evidence.a_map, evidence.b_map)
-    concerned_figures = (*maps, POSITION, CORRELATION)
-    checks = [
-        check
-        for check in concerned(results.checks, layers, concerned_figures)
-        if check.name != EVEN_LIGHT
-    ]
-    trust_cells = trust_of(checks, layers, concerned_figures), _doubts(checks)
+    figures = *maps, POSITION, CORRELATION
+    checks = [check for check in results.checks if check.name != EVEN_LIGHT]
+    trust_cells = trust_of(checks, layers, figures), _why(checks, layers, *figures)
     n = field.n or 0
     words, r = _LIGHT_OFF, (field.r, field.interval, n, field.n_eff)
     if field.declared:
