@@ -375,8 +375,8 @@ def texture_of(
     except SizeError as error:
         text = f"Specimen and position by texture: inconclusive. {error.text}"
         return TextureFound(None, (Check(name=NAME, state="unknown", sentence=text),))
-    coated_sides = [_coated(d) for d in (a, b) if "thickness" in d]
-    coated: list[Side] = [k for k in SIDES if all(k in sides for sides in coated_sides)]
+    sheets = [d for d in (a, b) if "thickness" in d]
+    coated = _coated_in_all(sheets)
     slope_names: tuple[str, ...] = ()
     if one_sheet:
         target_map = "image"
@@ -384,7 +384,7 @@ def texture_of(
             texture, coated=coated, side=side, is_given=is_given, image=names[1]
         )
         texture, source_maps, slope_names = _shown_of(texture, face or side, coated)
-    elif coated_sides:
+    elif sheets:
         check = two_sheets(texture, names, coated=coated)
         source_maps = [next((f"coating_{k}" for k in coated), "thickness")]
         target_map = f"other {source_maps[0]}"
@@ -406,15 +406,19 @@ def texture_of(
         ).scaled(unit_um)
     except SizeError:
         return TextureFound(None, (check,))
-    if offset.distinct and check.state == "look" and set(check.figures) <= {POSITION, CORRELATION}:
-        text = (
-            f"{check.sentence} Moved by {offset.length_um:.3g} um they do go together (position by"
-            " texture)."
-        )
-        check = check.model_copy(update={"sentence": text})
+    if offset.distinct:
+        check = _moved(check, offset.length_um)
     return TextureFound(
         offset.numbers(source_maps[0], expected_um), (check, offset.check(expected_um))
     )
+
+
+def _moved(check: Check, length_um: float) -> Check:
+    """Say of maps that do not go together where they lie that they do when they are moved."""
+    if check.state != "look" or not set(check.figures) <= {POSITION, CORRELATION}:
+        return check
+    text = f"Moved by {length_um:.3g} um they do go together (position by texture)."
+    return check.model_copy(update={"sentence": f"{check.sentence} {text}"})
 
 
 def _shown_of(
@@ -519,6 +523,11 @@ def holes_and_texture(apart_um: float, expected_um: float) -> Check:
     return judged.model_copy(
         update={"state": "look", "sentence": text, "advice": advice, "remedy": remedy}
     )
+
+
+def _coated_in_all(sheets: Iterable[xr.Dataset]) -> list[Side]:
+    coated_sides = [_coated(sheet) for sheet in sheets]
+    return [side for side in SIDES if all(side in sides for sides in coated_sides)]
 
 
 def _coated(sheet: xr.Dataset) -> list[Side]:
