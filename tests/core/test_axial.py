@@ -10,7 +10,7 @@ from planish.core.area import area_mean, common_means, halved
 from planish.core.axial import distribution, doubled, has_axes, is_axial, near_axis
 from planish.core.errors import InputError
 from planish.exports import ExportParams, Maps, writer_of
-from planish.measure import registered
+from planish.measure import registered, sheet_property
 from planish.report import draw
 from planish.report.colours import CYCLIC, Scale, colours_in_steps, colours_of
 from planish.run.facts import property_facts
@@ -139,3 +139,11 @@ def test_figures_tables_and_pictures_show_the_axis(tmp_path):
         writer_of(to)(maps, tmp_path / to, HISTORY, ExportParams(to=to, point_um=4.0))
     table = np.loadtxt(tmp_path / "csv", delimiter=",", comments="#", skiprows=2)
     assert apart(table[:, 2], 90).max() < 1e-3
+
+
+def test_a_property_whose_angles_repeat_otherwise_is_refused_before_it_is_measured():
+    with pytest.raises(InputError, match="heading has angles that repeat after 360 degrees"):
+        sheet_property("heading", units="deg", long_name="Heading", attrs={"period_deg": 360.0})(
+            lambda sheet: sheet.frame.top
+        )
+    assert "heading" not in registered()

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.axial import has_axes
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import SIDES, Side
 from planish.core.older_names import renamed
@@ -280,6 +281,7 @@ def _add(added: Property) -> Property:
         raise CannotMeasure(
             f"'{added.name}' is no name of a property: use letters, digits and underscores."
         )
+    has_axes(added.name, added.attrs.get("period_deg"))  # which refuses other periods
     old = _REGISTERED.get(added.name)
     # The same function again is a module that was loaded twice, as in a notebook.
     if old is not None and (old.function.__module__, old.function.__qualname__) != (
