@@ -223,14 +223,10 @@ def read_corrected(params: ImageParams) -> tuple[xr.DataArray, CorrectedImage | 
         return image, None
     # Their own sizes say nothing: they show the field of view of the image.
     how: dict[str, Any] = params.how | {"pixel_um": (1.0, 1.0), "override_size": True}
-    paths = [path for path in (params.white, params.dark) if path is not None]
-    pictures = [read_image(path, **how) for path in paths]
-    corrected = correct_light(
-        image,
-        **dict(zip(("white", "dark"), pictures, strict=False)),
-        exposure=params.white_exposure,
-    )
-    hashes = tuple(map(fingerprint, paths))
+    white = read_image(params.white, **how)
+    dark = None if params.dark is None else read_image(params.dark, **how)
+    corrected = correct_light(image, white=white, dark=dark, exposure=params.white_exposure)
+    hashes = tuple(map(fingerprint, filter(None, (params.white, params.dark))))
     facts = corrected.facts.model_copy(update={"hashes": hashes})
     return corrected.image, replace(corrected, facts=facts)
 
