@@ -296,6 +296,27 @@ def test_sheets_and_images_are_registered_there_and_back(kind):
     assert apart(pl.register_texture(fixed, moving), place.inverse, place(CORNERS)) < NEAR_UM
 
 
+def test_slopes_in_light_that_spreads_in_paper_move_no_map():
+    """Thickness and height share their long waves, and the light shows no others of the slopes."""
+    rng = np.random.default_rng(1)
+    long, short, rough = (
+        standard(ndimage.gaussian_filter(rng.standard_normal(SHAPE), sigma), np.ones(SHAPE, bool))
+        for sigma in (5.0, 2.0, 2.0)
+    )
+    right = Similarity(shift_um=(300.0, 300.0))
+    maps, image = pair(place=right, r=0.0)
+    thickness, height_um = long + 0.5 * short, 2.0 * (long + rough)
+    light = ndimage.gaussian_filter(np.gradient(height_um, axis=0), 45.0 / PIXEL_UM)
+    rows, cols = (slice(50, 50 + n) for n in SHAPE)
+    image.values[rows, cols] += 2.0 * thickness + 15.0 * light / light.std()
+    maps["thickness"] = (("v", "u"), 80.0 + 5.0 * thickness)
+    maps["topography_top"] = (("v", "u"), height_um)
+    found = pl.register_texture(maps, image, place=right)
+    errors_um = np.linalg.norm(found(CORNERS) - right(CORNERS), axis=1)
+    print(errors_um.round(1), found.fit.expected_error_um(CORNERS).round(1))
+    assert (errors_um < np.minimum(2.0 * found.fit.expected_error_um(CORNERS), 15.0)).all()
+
+
 @pytest.mark.ci
 def test_holes_are_no_texture():
     """Burnt holes are far darker than the texture, and stand in the image alone: the maps know

@@ -17,6 +17,7 @@ SEED = np.random.SeedSequence(3)
 PITCH_UM = 25_400.0 / 1200.0
 PLAIN = FlatbedParams(
     shading=0.0,
+    spread_um=0.0,
     lens_um=0.0,
     colour=False,
     colour_shift_px=0.0,
@@ -71,6 +72,16 @@ def test_light_from_one_side_shows_slopes_along_the_scan_only():
     np.testing.assert_allclose(ramp, 1.04, rtol=1e-12)
     across = lamp(0.05 * X_UM, pixel_um=FINE_UM, params=replace(PLAIN, shading=0.08))
     np.testing.assert_allclose(across, 1.0, rtol=1e-12)
+
+
+def test_shading_is_as_smooth_as_light_spreads_in_the_paper():
+    length_um, spread_um = 280.0, 30.0  # five waves of the height: no border within
+    k = 2 * np.pi / length_um
+    params = replace(PLAIN, shading=0.1, spread_um=spread_um)
+    light = lamp(2.0 * np.sin(k * Y_UM), pixel_um=FINE_UM, params=params)
+    slope = 2.0 * k * np.cos(k * Y_UM) * np.exp(-0.5 * (k * spread_um) ** 2)
+    inside = slice(100, -100)
+    np.testing.assert_allclose((light - 1)[inside], slope[inside], atol=2e-4)
 
 
 def test_light_multiplies_the_reflectance():

@@ -109,10 +109,12 @@ def scan_flatbed(
 def lamp(face_um: ArrayLike, *, pixel_um: float, params: FlatbedParams) -> Floats:
     """Light on each place over that on a level one, by Lambert's law for small slopes.
 
-    The lamp stands at smaller y: what rises along the scan faces it.
+    The lamp stands at smaller y: what rises along the scan faces it. Light that enters the paper
+    leaves it some way off, so that the shading is as smooth as this way is long.
     """
     slope = np.gradient(np.asarray(face_um, dtype=np.float64), pixel_um, axis=0)
-    return 1.0 + params.shading / 0.1 * slope
+    light = 1.0 + params.shading / 0.1 * slope
+    return ndimage.gaussian_filter(light, params.spread_um / pixel_um, mode="nearest")
 
 
 def encode(linear: Floats, gamma: float | str) -> Floats:

@@ -381,16 +381,18 @@ class CameraParams(Strict):
 class FlatbedParams(Strict):
     """A scan of the top side by an office scanner.
 
-    Lambert's law on paper: Hansson and Johansson (Opt. Eng. 39, 2555, 2000). Light spreads in the
-    paper before it leaves it, with what it shows of slopes and of coating: both are left sharp, as
-    in :class:`CameraParams`. Optics: Simcoe (ASP Conf. Ser. 410, 111, 2009), 600 to 1200 dpi
-    whatever is stated. Carriage: Boron (IAPRS 31 B1, 1996), 7 um rms along the scan, 3 um when each
-    line is corrected; Vicente et al. (A&A 471, 1077, 2007), 3 um.
+    Lambert's law on paper: Hansson and Johansson (Opt. Eng. 39, 2555, 2000); light that spreads in
+    it: Coppel et al. (Opt. Express 19, 25181, 2011). Optics: Simcoe (ASP Conf. Ser. 410, 111,
+    2009), 600 to 1200 dpi whatever is stated. Carriage: Boron (IAPRS 31 B1, 1996), 7 um rms along
+    the scan, 3 um when each line is corrected; Vicente et al. (A&A 471, 1077, 2007), 3 um.
     """
 
     dpi: float = drawn(1200.0, of=(1200.0, 2400.0))  # pixels an inch, each the mean of its area
     # Of the light, per 0.1 of slope along the scan; 0.1 where all light comes at 45 degrees.
     shading: float = drawn(0.03, 0.0, 0.1)
+    # Gaussian sigma of the way of light in the paper: half of the contrast is left at waves of 0.15
+    # to 0.35 mm.
+    spread_um: float = drawn(45.0, 28.0, 65.0)
     # Gaussian sigma: a tenth of the contrast is left at 21 to 43 pairs of lines a mm.
     lens_um: float = drawn(12.0, 8.0, 16.0)
     colour: bool = drawn(True, of=(True, False))

@@ -71,6 +71,13 @@ class Textures:
         maps = {k: standard(m, is_valid) for k, m in (self.maps | slopes).items()}
         return replace(self, maps=maps, known=is_valid)
 
+    def halved(self, *names: str) -> Textures:
+        """The halves of some maps in their place, each with its number behind the name."""
+        maps = {k: m for k, m in self.maps.items() if k not in names}
+        for name in names:
+            maps |= {f"{name}_{k}": half for k, half in enumerate(self.halves(name))}
+        return replace(self, maps=maps)
+
     def halves(self, name: str) -> list[Floats]:
         """The waves of a map above and below 60 um, each of standard deviation 1.
 

@@ -84,19 +84,37 @@ def tuned_place(
     return placed(found.x)
 
 
+def shifted_place(
+    moving: Textures,
+    fixed: Textures,
+    names: Names,
+    place: Similarity,
+    *,
+    reach_um: float,
+    beside: tuple[str, ...],
+) -> Similarity:
+    """Shift a place to where a map, with those ``beside`` it, explains most of the image.
+
+    A map goes with its own slopes a quarter of a wave off. Where those are much of what an image
+    shows, it is found there, and cannot climb back.
+    """
+    seen, is_valid = _seen(moving, fixed, names[1], place)
+    shown = np.stack([standard(moving.maps[k], is_valid) for k in (names[0], *beside)])
+    rows, cols = (round(reach_um / p) for p in moving.pixel_um)
+    search = LagSearch(shown, seen, is_valid, (rows + MARGIN, cols + MARGIN))
+    peak = find_peak(search.share, within((rows, cols)))
+    if peak is None:
+        return place
+    lag_um = np.multiply(peak.lag_px, moving.pixel_um)[::-1]
+    return nearest_similarity(place.matrix(), np.zeros(2), place(lag_um))
+
+
 def clearest_maps(moving: Textures, fixed: Textures, place: Similarity) -> Names:
     """The maps that go together most clearly at a place."""
-    rows, cols = np.indices(moving.known.shape)
-    points = place(np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=-1))
 
     def z(names: Names) -> float:
-        seen, is_known = _Sampled(fixed, names[1])(points)
-        is_valid = moving.known & is_known
-        return abs(
-            relate(
-                moving.maps[names[0]], np.where(is_valid, seen, 0.0), is_valid, moving.pixel_um
-            ).z
-        )
+        seen, is_valid = _seen(moving, fixed, names[1], place)
+        return abs(relate(moving.maps[names[0]], seen, is_valid, moving.pixel_um).z)
 
     return max(compared(moving, fixed), key=z)
 
@@ -135,16 +153,9 @@ def tile_places(
     place: tiles are sought as far off as it takes the corners, and none is so large that it blurs
     them.
     """
-    rows, cols = np.indices(moving.known.shape)
     pixel_um = moving.pixel_um
-    grey, is_known = _Sampled(fixed, names[1])(
-        place(np.stack([cols * pixel_um[1], rows * pixel_um[0]], axis=-1))
-    )
-    is_valid = moving.known & is_known
-    a, b = (
-        standard(moving.maps[names[0]], is_valid),
-        standard(np.where(is_valid, grey, 0.0), is_valid),
-    )
+    b, is_valid = _seen(moving, fixed, names[1], place)
+    a = standard(moving.maps[names[0]], is_valid)
     relation = relate(a, b, is_valid, pixel_um)
     shared_um2 = np.zeros((2, 2))
     if beside or light:
@@ -213,6 +224,15 @@ def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair, *, slo
     taken_off = _OF_LIGHT * (with_slopes.summit_px - without.summit_px)
     covariance = search.covariance(with_slopes, pixel_um) + np.outer(taken_off, taken_off)
     return covariance[::-1, ::-1] * np.outer(pixel_um[::-1], pixel_um[::-1])
+
+
+def _seen(moving: Textures, fixed: Textures, name: str, place: Placing) -> tuple[Floats, Bools]:
+    """What a map of the fixed layer shows on the pixels of the moving one, and where both do."""
+    rows, cols = np.indices(moving.known.shape)
+    points = np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=-1)
+    seen, is_known = _Sampled(fixed, name)(place(points))
+    is_valid = moving.known & is_known
+    return standard(np.where(is_valid, seen, 0.0), is_valid), is_valid
 
 
 class _Sampled:

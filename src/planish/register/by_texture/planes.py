@@ -116,7 +116,7 @@ class TexturedPlane:
         )
 
     def texture(self, pixel_um: float, *, slopes: bool = False) -> tuple[Textures, Floats]:
-        """Textures on pixels of about a size, with the slopes of its face.
+        """Textures on pixels of about a size, with the slopes of its face, in halves by wavelength.
 
         ``(x, y)`` of the middle of the first.
         """
@@ -139,7 +139,8 @@ class TexturedPlane:
         first = [0.5 * (c - p) for c, p in zip(coarse_um, self.grid.pixel_um, strict=True)]
         found = textures(shown, is_known, coarse_um, band_um=BAND_UM, most_pixels=np.inf)
         for name in faces.keys() & found.maps.keys():
-            found = found.with_slopes(name)
+            # Light spreads in paper: an image shows short waves of slopes less than long ones.
+            found = found.with_slopes(name).halved(f"{name}_x", f"{name}_y")
         return found, np.array(self.grid.origin_um) + first[::-1]
 
 

@@ -19,9 +19,22 @@ from planish.core.errors import CannotRegister, InputError
 from planish.core.text import plain_numbers
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Pair
-from planish.register.by_texture.place import TilePlaces, clearest_maps, tile_places, tuned_place
+from planish.register.by_texture.place import (
+    TilePlaces,
+    clearest_maps,
+    shifted_place,
+    tile_places,
+    tuned_place,
+)
 from planish.register.by_texture.planes import PlanePair, TexturedPlane, in_unit
-from planish.register.by_texture.rotations import FALSE, Names, Near, PlaceSearch, search_place
+from planish.register.by_texture.rotations import (
+    BAND_UM,
+    FALSE,
+    Names,
+    Near,
+    PlaceSearch,
+    search_place,
+)
 from planish.register.fit import fit_transform
 from planish.register.params import RegistrationParams
 
@@ -264,13 +277,17 @@ def tiles_near(
     has_light = not b.is_sheet
     moving, moving_first = a.texture(_FINE_UM, slopes=has_light)
     fixed, fixed_first = b.texture(_FINE_UM)
-    light = tuple(name for name in a.light if has_light and name in moving.maps)
+    light = tuple(name for name in moving.maps if name.rpartition("_")[0] in a.light)
     place = _moved(place, -moving_first, -fixed_first)
     names = names or clearest_maps(moving, fixed, place)
     # Two sheets are compared map by map; an image shows the other maps, too.
     beside = tuple(k for k in a.maps if has_light and k in moving.maps and k != names[0])
+    with_light = (*beside, *light)
+    if off_um and light:
+        reach_um = off_um + BAND_UM[1] / 4
+        place = shifted_place(moving, fixed, names, place, reach_um=reach_um, beside=with_light)
     if off_um:
-        place = tuned_place(moving, fixed, names, place, reach_um=off_um, beside=(*beside, *light))
+        place = tuned_place(moving, fixed, names, place, reach_um=off_um, beside=with_light)
     tiles_at = partial(tile_places, moving, fixed, names, beside=beside, light=light)
     tiles = tiles_at(place)
     if not tiles.is_there:
