@@ -40,36 +40,30 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     """
     zarr.open_group(path, mode="a", attributes=ROOT)
     for name, data in groups.items():
-        group = open_group(path, name, data)
-
-        made = dict[Any, zarr.Array[Any]]()
-
-        def write(
-            key: str,
-            data: xr.Dataset = data,
-            group: zarr.Group = group,
-            made: dict[Any, zarr.Array[Any]] = made,
-        ) -> None:
-            variable, folder = data.variables[key].copy(deep=False), path / group.path / key
-            coords = [
-                k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}
-            ]
-            if named := " ".join(k for k in coords if {*data[k].dims} <= {*variable.dims}):
-                variable.attrs["coordinates"] = named
-            kind = variable.dims, variable.shape, variable.dtype
-            if kind in made:
-                _copy_metadata(path / made[kind].path, folder, variable.attrs)
-            else:
-                array = create_array(group, key, variable, variable.shape)
-                if not is_ours(array):  # text
-                    array[...] = variable.values
-                    return
-                made[kind] = array
-            where = tuple(slice(0, n) for n in variable.shape)
-            write_chunks(folder, made[kind], where, variable.values)
-
+        write = partial(_write_array, path, open_group(path, name, data), data, {})
         map_threads(write, map(str, data.variables))
     _consolidate(path)
+
+
+def _write_array(
+    path: Path, group: zarr.Group, data: xr.Dataset, made: dict[Any, zarr.Array[Any]], key: str
+) -> None:
+    """Write a variable; ``made`` has one array of each kind, by dimensions, shape and type."""
+    variable, folder = data.variables[key].copy(deep=False), path / group.path / key
+    coords = [k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}]
+    if named := " ".join(k for k in coords if {*data[k].dims} <= {*variable.dims}):
+        variable.attrs["coordinates"] = named
+    kind = variable.dims, variable.shape, variable.dtype
+    if kind in made:
+        _copy_metadata(path / made[kind].path, folder, variable.attrs)
+    else:
+        array = create_array(group, key, variable, variable.shape)
+        if not is_ours(array):  # text
+            array[...] = variable.values
+            return
+        made[kind] = array
+    where = tuple(slice(0, n) for n in variable.shape)
+    write_chunks(folder, made[kind], where, variable.values)
 
 
 def _copy_metadata(source: Path, folder: Path, attrs: Mapping[Any, Any]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import fft
 
 from planish.core.typing import Array, Bools, Complexes, Floats, Pair
-from planish.texture.spectra import padded_spectrum
+from planish.texture.spectra import padded_shape, padded_spectrum
 
 
 class Lags:
@@ -24,9 +24,7 @@ class Lags:
     def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
         self.is_valid, self.pixel_um, self.n = is_valid, pixel_um, int(np.count_nonzero(is_valid))
         reach = [int(0.5 * k) for k in is_valid.shape]  # longer lags have too few pairs of points
-        self._size = [
-            fft.next_fast_len(k + m, real=True) for k, m in zip(is_valid.shape, reach, strict=True)
-        ]
+        self._size = padded_shape(is_valid.shape, reach)
         self.lag_um = [
             fft.fftfreq(k, 1.0 / k) * p for k, p in zip(self._size, pixel_um, strict=True)
         ]

@@ -10,7 +10,7 @@ from scipy import fft, special
 
 from planish.core.typing import Bools, Complexes, Floats, Pair
 from planish.texture.ncc import LEAST_PAIRS, Peak, overlap
-from planish.texture.spectra import lags_within, padded_spectrum
+from planish.texture.spectra import lags_within, padded_shape, padded_spectrum
 from planish.texture.textures import tile_sums
 
 
@@ -25,11 +25,12 @@ class LagSearch:
 
     def __init__(self, x: Floats, y: Floats, is_valid: Bools, wide: tuple[int, int]) -> None:
         self._x, self._y, self._is_valid, self._wide = x, y, is_valid, wide
-        self._size = [
-            fft.next_fast_len(n + m, real=True) for n, m in zip(y.shape, wide, strict=True)
-        ]
-        mask, self._y_hat = self._transform(is_valid.astype(np.float64)), self._transform(y)
-        self._x_hat = np.stack([self._transform(m) for m in x])
+        self._size = padded_shape(y.shape, wide)
+        mask, self._y_hat = (
+            padded_spectrum(is_valid.astype(np.float64), self._size),
+            padded_spectrum(y, self._size),
+        )
+        self._x_hat = np.stack([padded_spectrum(m, self._size) for m in x])
         pairs = np.rint(self._lags(np.abs(mask) ** 2))
         self._pairs = np.maximum(pairs, 1.0)
         enough = pairs >= LEAST_PAIRS * pairs.max()
@@ -103,9 +104,6 @@ class LagSearch:
 
     def _products_at(self, lag_px: tuple[int, int]) -> Floats:
         return self._g[:, lag_px[0] + self._wide[0], lag_px[1] + self._wide[1]]
-
-    def _transform(self, values: Floats) -> Complexes:
-        return padded_spectrum(values, self._size)
 
     def _lags(self, spectrum: Complexes | Floats) -> Floats:
         return lags_within(spectrum, self._size, self._wide)

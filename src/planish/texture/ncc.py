@@ -6,11 +6,11 @@ Where between the pixels the peak lies, and how well known it is.
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import fft, ndimage
+from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
 from planish.core.typing import Bools, Complexes, Floats
-from planish.texture.spectra import lags_within, padded_spectrum
+from planish.texture.spectra import lags_within, padded_shape, padded_spectrum
 from planish.texture.textures import standard
 
 # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
@@ -26,26 +26,27 @@ class MaskedNcc:
     At the lag ``l``, r is that of the pairs ``a[p], b[p + l]`` where both are known: sums, squares
     and products over these pairs are correlations of maps and masks, so mean and variance are of
     the overlap (Padfield 2012, IEEE Trans. Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402).
-    Where the map that stays is known within ``reach`` of a border, the maps are padded: no wrap.
+    The maps are padded by ``reach``: no wrap.
     """
 
     def __init__(
         self, a: Floats, *, a_valid: Bools, b_valid: Bools, reach: tuple[int, int]
     ) -> None:
         self._reach = reach
-        self._shape = tuple(
-            fft.next_fast_len(_unwrapped(a_valid, k, r), real=True) for k, r in enumerate(reach)
-        )
+        self._shape = padded_shape(a.shape, reach)
         self._b_valid = b_valid
         a = standard(a, a_valid)
-        self._mask_a = np.conj(self._transform(a_valid.astype(np.float64)))
-        self._a = np.conj(self._transform(a))
-        mask_b = self._transform(b_valid.astype(np.float64))
+        self._mask_a = np.conj(padded_spectrum(a_valid.astype(np.float64), self._shape))
+        self._a = np.conj(padded_spectrum(a, self._shape))
+        mask_b = padded_spectrum(b_valid.astype(np.float64), self._shape)
         self.pairs: Floats = np.rint(self._lags(self._mask_a * mask_b))
         enough = self.pairs >= max(LEAST_PAIRS * float(self.pairs.max()), 3.0)
         self._n = np.where(enough, self.pairs, np.nan)
         self._sum_a = self._lags(self._a * mask_b)
-        self._var_a = self._lags(np.conj(self._transform(a**2)) * mask_b) - self._sum_a**2 / self._n
+        self._var_a = (
+            self._lags(np.conj(padded_spectrum(a**2, self._shape)) * mask_b)
+            - self._sum_a**2 / self._n
+        )
 
     def __call__(self, b: Floats) -> Floats:
         """Return r at all lags, ``(2 reach + 1, 2 reach + 1)``, lag 0 in the middle.
@@ -53,28 +54,17 @@ class MaskedNcc:
         NaN where few pairs are left.
         """
         b = standard(b, self._b_valid)
-        b_hat = self._transform(b)
+        b_hat = padded_spectrum(b, self._shape)
         sum_b = self._lags(self._mask_a * b_hat)
-        var_b = self._lags(self._mask_a * self._transform(b**2)) - sum_b**2 / self._n
+        var_b = self._lags(self._mask_a * padded_spectrum(b**2, self._shape)) - sum_b**2 / self._n
         product = self._lags(self._a * b_hat) - self._sum_a * sum_b / self._n
         least = 1e-9 * self._n
         is_valid = (self._var_a > least) & (var_b > least)
         spread = np.sqrt(np.where(is_valid, self._var_a, 1.0) * np.where(is_valid, var_b, 1.0))
         return np.where(is_valid, np.clip(product / spread, -1.0, 1.0), np.nan)
 
-    def _transform(self, values: Floats) -> Complexes:
-        return padded_spectrum(values, self._shape)
-
     def _lags(self, spectrum: Complexes) -> Floats:
         return lags_within(spectrum, self._shape, self._reach)
-
-
-def _unwrapped(is_known: Bools, axis: int, reach: int) -> int:
-    """Places along an axis at which no lag within reach brings known ones around to others."""
-    length, known = is_known.shape[axis], np.flatnonzero(is_known.any(axis=1 - axis))
-    if not known.size:
-        return length
-    return max(length + max(reach - int(known[0]), 0), int(known[-1]) + reach + 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,7 +179,7 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     v = np.where(is_valid, slopes / float(b[b_slices][is_valid].std()), 0.0)
     v = np.where(is_valid, v - v.sum(axis=(1, 2), keepdims=True) / n, 0.0)
     reach = (max(u.shape[0] // 4, 1), max(u.shape[1] // 4, 1))
-    shape = tuple(fft.next_fast_len(m + k, real=True) for m, k in zip(u.shape, reach, strict=True))
+    shape = padded_shape(u.shape, reach)
     mask_hat = padded_spectrum(is_valid.astype(np.float64), shape)
     u_hat = padded_spectrum(u, shape)
     v_hat = [padded_spectrum(s, shape) for s in v]

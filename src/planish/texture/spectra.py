@@ -1,11 +1,16 @@
 """Spectra of maps that are padded by zeros, and the lags that products of spectra give."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy import fft
 
 from planish.core.typing import Array, Complexes, Floats
+
+
+def padded_shape(shape: Iterable[int], reach: Iterable[int]) -> tuple[int, ...]:
+    """Shape at which lags within ``reach`` do not wrap, and that is transformed quickly."""
+    return tuple(fft.next_fast_len(n + r, real=True) for n, r in zip(shape, reach, strict=True))
 
 
 def padded_spectrum(values: Array, shape: Sequence[int]) -> Complexes:
@@ -14,9 +19,7 @@ def padded_spectrum(values: Array, shape: Sequence[int]) -> Complexes:
     return np.asarray(fft.fft(along_rows, shape[0], axis=0, overwrite_x=True))
 
 
-def lags_within(
-    spectrum: Complexes | Floats, shape: Sequence[int], reach: tuple[int, int]
-) -> Floats:
+def lags_within(spectrum: Array, shape: Sequence[int], reach: Sequence[int]) -> Floats:
     """Lags ``-reach ... reach`` of the circular correlation with a spectrum of ``fft.rfft2``.
 
     Rows of other lags are not transformed back.

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import fft, ndimage
+from scipy import ndimage
 
 from planish.core.area import common_means
 from planish.core.bands import Rows
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.typing import Bools, Floats, Ints, Pair
-from planish.texture.spectra import padded_spectrum
+from planish.texture.spectra import padded_shape, padded_spectrum
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
 MOST_PIXELS = 300_000
@@ -210,7 +210,7 @@ def relate(
 
 def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: Pair) -> float:
     """Standard deviation of r of unrelated textures like these two; 0 where they are not known."""
-    size = [fft.next_fast_len(k, real=True) for k in a.shape]
+    size = padded_shape(a.shape, (0, 0))
     power = np.abs(padded_spectrum(a, size) * padded_spectrum(b, size)) ** 2
     power[:, 1 : (size[1] + 1) // 2] *= 2.0  # waves that run the other way
     alike = float(np.sum(power)) / (size[0] * size[1] * n)
@@ -223,11 +223,12 @@ def standard(values: Floats, is_valid: Bools) -> Floats:
 
     0 elsewhere and of a constant.
     """
-    inside = values[is_valid]
-    sd = float(inside.std()) if inside.size else 0.0
-    if not sd > 0:
-        return np.zeros(values.shape)
-    return np.where(is_valid, (values - inside.mean()) / sd, 0.0)
+    out, inside = np.zeros(values.shape), values[is_valid]
+    centred = inside - inside.mean() if inside.size else inside
+    sd = math.sqrt(np.square(centred).mean()) if inside.size else 0.0
+    if sd > 0:
+        out[is_valid] = centred / sd
+    return out
 
 
 def unexplained(values: Floats, explaining: Floats) -> Floats:
