@@ -16,6 +16,7 @@ from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Floats, Pixel
+from planish.texture.spectra import padded_shape, padded_spectrum
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
@@ -77,16 +78,17 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
         )
     if not is_valid.any():
         raise CannotMeasure("No pixel of the map is known and counts. Look at the mask.")
-    shape = [  # padded by ten widths: what wraps around has fallen to 5e-5
-        fft.next_fast_len(n + min(math.ceil(10.0 * width_um / p), n), real=True)
-        for n, p in zip(values.shape, pixel, strict=True)
-    ]
+    # Padded by ten widths: what wraps around has fallen to 5e-5.
+    reach = (
+        min(math.ceil(10.0 * width_um / p), n) for n, p in zip(values.shape, pixel, strict=True)
+    )
+    shape = padded_shape(values.shape, reach)
     square = fft.fftfreq(shape[0], pixel[0])[:, None] ** 2 + fft.rfftfreq(shape[1], pixel[1]) ** 2
     transfer = (1.0 + (2 * math.pi * width_um) ** 2 * square) ** -1.5
     mean = float(np.mean(values[is_valid], dtype=np.float64))
     rows, cols = values.shape
     blurred, weight = (
-        np.asarray(fft.irfft2(np.asarray(fft.rfft2(m, shape)) * transfer, shape))[:rows, :cols]
+        np.asarray(fft.irfft2(padded_spectrum(m, shape) * transfer, shape))[:rows, :cols]
         for m in (np.where(is_valid, values - mean, 0.0), is_valid.astype(np.float64))
     )
     return np.where(is_valid, mean + blurred / np.where(is_valid, weight, 1.0), np.nan)

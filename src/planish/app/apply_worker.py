@@ -67,11 +67,11 @@ def _warm_up() -> None:
 
     from planish.core.area import halved_values
     from planish.flatten import relax_grid
-    from planish.report.page import report_template
+    from planish.report.text import template
     from planish.run import run_study
 
     assert callable(run_study)  # it is loaded when it is asked for
-    report_template()
+    template("planish.report", "report.html.j2")
     # Compiled code is read from the disk when it is used first.
     x, y = np.meshgrid(np.arange(16.0), np.arange(16.0))
     relax_grid(np.dstack([x, y, 0.01 * x * y]))

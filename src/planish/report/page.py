@@ -8,10 +8,10 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping
-from functools import cache, partial
+from functools import partial
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -43,9 +43,6 @@ from planish.report.relation import MapPair, draw_pair
 from planish.report.sentences.table import Section, sentences
 from planish.report.sentences.wording import Wording
 from planish.results import EvidenceFacts, LayerFacts, RegistrationFacts, Results
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 FIGURES = "figures"
 """Folder of the figures in a run, or beside a page."""
@@ -142,7 +139,7 @@ def render_report(
 
     sheets = [sheet for layer in results.layers if (sheet := _sheet_section(run_maps, layer))]
     pairs = _map_pairs(run_maps)
-    page = report_template().render(
+    page = text.template("planish.report", "report.html.j2").render(
         results=results,
         layers=results.layers,
         reference=results.reference,
@@ -172,15 +169,6 @@ def render_report(
         evidence=[_evidence_section(run_maps, e, pairs) for e in results.evidence],
     )
     return f"{page}\n", pictures
-
-
-@cache
-def report_template() -> Template:
-    """The template of the page, which takes a second to compile together with its parts."""
-    template = text.template("planish.report", "report.html.j2")
-    for part in ("parts.html.j2", "style.css"):
-        template.environment.get_template(part)
-    return template
 
 
 def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] | None:

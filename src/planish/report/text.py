@@ -6,6 +6,7 @@ That is templates with their filters, titles and units of maps.
 from __future__ import annotations
 
 import os
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from planish.core import numbers
@@ -41,6 +42,7 @@ def stated_of(results: Results) -> str:
     return registered_by(results) + light_text
 
 
+@cache
 def template(package: str, name: str) -> Template:
     """Return a template of a package, which may use those of the report and its filters."""
     import jinja2
