@@ -46,24 +46,28 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
 
 def _write_array(
-    path: Path, group: zarr.Group, data: xr.Dataset, made: dict[Any, zarr.Array[Any]], key: str
+    path: Path,
+    group: zarr.Group,
+    data: xr.Dataset,
+    first_arrays: dict[Any, zarr.Array[Any]],
+    key: str,
 ) -> None:
-    """Write a variable; ``made`` has one array of each kind, by dimensions, shape and type."""
+    """Write a variable; ``first_arrays`` has one of each kind, by dimensions, shape and type."""
     variable, folder = data.variables[key].copy(deep=False), path / group.path / key
     coords = [k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}]
     if named := " ".join(k for k in coords if {*data[k].dims} <= {*variable.dims}):
         variable.attrs["coordinates"] = named
     kind = variable.dims, variable.shape, variable.dtype
-    if kind in made:
-        _copy_metadata(path / made[kind].path, folder, variable.attrs)
+    if kind in first_arrays:
+        _copy_metadata(path / first_arrays[kind].path, folder, variable.attrs)
     else:
         array = create_array(group, key, variable, variable.shape)
         if not is_ours(array):  # text
             array[...] = variable.values
             return
-        made[kind] = array
+        first_arrays[kind] = array
     where = tuple(slice(0, n) for n in variable.shape)
-    write_chunks(folder, made[kind], where, variable.values)
+    write_chunks(folder, first_arrays[kind], where, variable.values)
 
 
 def _copy_metadata(source: Path, folder: Path, attrs: Mapping[Any, Any]) -> None:
