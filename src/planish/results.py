@@ -169,8 +169,9 @@ class ErrorShares(ResultModel):
     neutral_um: Number = optional("Which surface stays unstrained where the sheet is bent.")
     smoothing_um: Number = optional("Smoothing of the centre surface, and its bridges over holes.")
     sections_um: Number = optional("What is left of the poses of serial sections.")
+    lines_um: Number = optional("Uneven motion of the carriage of an office scanner.")
     rms_um: float = Field(description="Root mean square of the whole.")
-    largest: Literal["marks", "neutral", "smoothing", "sections"] = Field(
+    largest: Literal["marks", "neutral", "smoothing", "sections", "lines"] = Field(
         description="The share that is largest."
     )
     sentence: str = Field(description="The same in words, with what would lower it.")

@@ -70,6 +70,8 @@ def test_the_tags_say_what_wrote_it(tmp_path, name, dpi, tags, words):
         assert pytest.approx(25400 / dpi, rel=1e-4) == facts["size_um"][0]
     assert re.search(words, doubts)
     assert bool(words) == bool(doubts)
+    is_scan = tags == SCANNER or "VueScan 9" in tags.values()
+    assert read_image(tmp_path / name).attrs["is_scan"] == is_scan
 
 
 def test_whole_pixels_per_cm_and_inches_of_imagej_are_the_same_default(tmp_path):

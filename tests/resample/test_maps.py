@@ -120,6 +120,12 @@ def test_an_image_on_a_reference_and_its_expected_error():
     error = position_error.PositionErrors(None, way, grid).on(grid, found.values)["expected_error"]
     np.testing.assert_array_equal(np.isfinite(error.values), known)
     np.testing.assert_allclose(error.values[known], (1 + 0.01 * points[..., 0])[known], rtol=1e-6)
+    scanned = position_error.PositionErrors(None, way, grid, is_scan=True).on(grid, found.values)
+    lines_um = position_error._LINES_UM
+    np.testing.assert_allclose(scanned["error_lines"].values[known], lines_um)
+    np.testing.assert_allclose(
+        scanned["expected_error"].values[known], np.hypot(error.values[known], lines_um), rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

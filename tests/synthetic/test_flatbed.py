@@ -202,6 +202,7 @@ def test_holes_lie_where_they_are_scanned(kinds, tmp_path):
     params = replace(PLAIN, dpi=2400.0, colour=True)
     specimen, image = on_glass(kinds.specimen("demo"), tmp_path / "flatbed.tif", params)
     assert image.attrs["pixel_um"] == pytest.approx([25.4 / 2.4] * 2)
+    assert image.attrs["is_scan"]
     holes = pl.find_holes(image)
     true = specimen.flatbed.place(specimen.pose(specimen.sheet.holes))
     places = np.stack([holes["x"].values, holes["y"].values], axis=1)

@@ -122,6 +122,7 @@ def read_image(
         "camera": picture.tone.camera or "a colour camera" * picture.in_colour,
         "curve": picture.tone.curve,
         "is_linear": picture.tone.is_linear,
+        "is_scan": picture.tone.is_scan,
     }
     attrs |= {k: v for k, v in (("side", side), ("gamma", gamma)) if v is not None}
     if doubt := doubt_of_size(stated, source):

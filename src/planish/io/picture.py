@@ -150,7 +150,7 @@ def load_picture(
 
 def _tone_of_page(page: TiffPage) -> Tone:
     photo: Any = page.tags.valueof(34665, default={})
-    tags = {tag: page.tags.valueof(tag) for tag in (271, 272, 34675)}
+    tags = {tag: page.tags.valueof(tag) for tag in (271, 272, 305, 34675)}
     return tone_of(tags, photo.get("ColorSpace"), {})
 
 

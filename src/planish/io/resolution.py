@@ -25,6 +25,11 @@ class Writer(NamedTuple):
     name: str = ""  # maker, model and program
     is_camera: bool = False  # with an exposure or an aperture
 
+    @property
+    def is_scanner(self) -> bool:
+        """Whether it is a flat-bed scanner or a program of one, by its name."""
+        return any(word in self.name.casefold() for word in SCANNERS)
+
 
 def writer_of(tags: Mapping[int, Any], photo_tags: Iterable[Any]) -> Writer:
     """Read what wrote a picture from its tags and from those that Exif has of a photograph."""
@@ -55,7 +60,7 @@ def reason_of_none(per_unit: float | None, unit: str) -> str:
 
 def doubt_of(pixel_um: float, writer: Writer) -> str:
     """Say why a size from a resolution may be nobody's measurement; nothing where it is one."""
-    if any(word in writer.name.casefold() for word in SCANNERS):
+    if writer.is_scanner:
         return ""
     origin_text = f"{pixel_um:.4g} um a pixel is {25400.0 / pixel_um:.4g} dpi"
     by_text = f" ({writer.name})" if writer.name else ""

@@ -16,6 +16,7 @@ from PIL import ImageCms
 
 from planish.core.errors import InputError
 from planish.io.params import HIGHEST_GAMMA
+from planish.io.resolution import writer_of
 
 Gamma = Literal["srgb"] | float
 COLOUR_SPACE = 40961  # tag of Exif; 1 is sRGB
@@ -27,6 +28,7 @@ class Tone(NamedTuple):
     camera: str = ""  # maker and model
     curve: str = ""  # of its grey, in words; empty where none is stated
     is_linear: bool = False  # that curve, by its exponent or the name of its profile
+    is_scan: bool = False  # by the name of what wrote it
 
 
 def tone_of(tags: Mapping[int, Any], colour_space: Any, info: Mapping[Any, Any]) -> Tone:
@@ -48,7 +50,8 @@ def tone_of(tags: Mapping[int, Any], colour_space: Any, info: Mapping[Any, Any])
         curve = "sRGB, as JPEG has it"
     is_linear = "linear" in curve.casefold() or curve.startswith("an exponent of 1,")
     names = [str(tags[tag]).strip("\0 ") for tag in (271, 272) if tags.get(tag)]
-    return Tone(" ".join(dict.fromkeys(names)), curve, is_linear)
+    camera, is_scan = " ".join(dict.fromkeys(names)), writer_of(tags, ()).is_scanner
+    return Tone(camera, curve, is_linear, is_scan)
 
 
 def _profile_name(profile: bytes) -> str:

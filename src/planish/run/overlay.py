@@ -88,6 +88,7 @@ def _on_tiles(
         chain,
         grid,
         None if isinstance(reference, xr.DataArray) else reference,
+        is_scan=any(getattr(of, "attrs", {}).get("is_scan") for of in (layer_data, reference)),
     )
     sheet = (
         None if is_image else SheetOnto(layer_data["surfaces"], layer_data["flat"], transform=chain)

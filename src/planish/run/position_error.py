@@ -38,6 +38,9 @@ _WANDER = 0.1
 # True over stated error of what is left, of older maps: they state the mean over the sections
 # without Newton's step and no ``jitter_estimator`` (1.2-2.1 on ten drawn specimens).
 _OLDER_JITTER = 1.3
+# By which an office scanner puts lines off a smooth course within 2 mm, rms: 0.1 to 2 um of drawn
+# ones (:class:`planish.synthetic.FlatbedParams`). Marks and tiles average it.
+_LINES_UM = 1.0
 _SHARES = {  # their words, and what would lower them
     "marks": ("marks and model", "more marks, spread over the field"),
     "neutral": (
@@ -52,6 +55,7 @@ _SHARES = {  # their words, and what would lower them
         "poses of the sections",
         "a volume in place of sections, or sections with more in common",
     ),
+    "lines": ("lines of the scan", "a scanner with a steadier carriage"),
 }
 
 
@@ -60,7 +64,7 @@ class PositionErrors:
 
     ``sheet`` holds ``surfaces``, ``flat`` and, of serial sections, ``sections``; None for an image
     that was moved. ``chain`` goes from its map to the reference, of which ``reference`` holds the
-    same where it is a sheet.
+    same where it is a sheet. ``is_scan``: an office scanner took one of both.
     """
 
     def __init__(
@@ -69,6 +73,8 @@ class PositionErrors:
         chain: Chain,
         grid: Grid,
         reference: Mapping[str, xr.Dataset] | None = None,
+        *,
+        is_scan: bool = False,
     ) -> None:
         self._lattice = Lattice(grid)
         places = self._lattice.places
@@ -86,6 +92,8 @@ class PositionErrors:
             sections_um2 += _sections_um2(reference, marks=len(chain.fits[-1].moving))
         if sections_um2 != 0:
             self._shares["sections"] = np.full(places.shape[:2], np.sqrt(sections_um2))
+        if is_scan:
+            self._shares["lines"] = np.full(places.shape[:2], _LINES_UM)
         self._whole = set(self._shares) == {"marks"} and sheet is None
 
     def on(self, part: Grid, layer_values: Floats) -> dict[str, xr.DataArray]:
@@ -94,8 +102,8 @@ class PositionErrors:
         They are ``expected_error``, and shares of it.
 
         ``layer_values`` (y, x) is finite where a pixel shows the layer. The shares of a sheet are
-        ``error_marks``, ``error_neutral``, ``error_smoothing`` and ``error_sections`` where they
-        exist.
+        ``error_marks``, ``error_neutral``, ``error_smoothing``, ``error_sections`` and
+        ``error_lines`` where they exist.
         """
         is_shown = np.isfinite(layer_values)
         shares = {

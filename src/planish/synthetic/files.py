@@ -164,7 +164,7 @@ def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Pat
 
 
 def write_flatbed(specimen: Specimen, path: Path) -> Path:
-    """Write the scan of the office scanner as TIFF with its dpi."""
+    """Write the scan of the office scanner as TIFF with its dpi and a name that says so."""
     dpi = specimen.params.flatbed.dpi
     tifffile.imwrite(
         path,
@@ -172,6 +172,7 @@ def write_flatbed(specimen: Specimen, path: Path) -> Path:
         photometric="rgb" if specimen.flatbed.values.ndim == 3 else "minisblack",
         resolution=(dpi, dpi),
         resolutionunit="INCH",
+        software="planish flatbed scanner",
     )
     return path
 
