@@ -62,20 +62,9 @@ SHEETS = {
 }
 """Of the sheet in resin one hole of five is not seen; places by serial sections err as those do."""
 
-# Some specimens are smaller than the wave of their form, and their lens darkens its corners.
-SMALL, UNEVEN = "field of the topography", "even light"
-LOOKS = {
-    "upright": (SMALL,),
-    "laid": (SMALL,),
-    "bottom": (SMALL,),
-    "scan": (SMALL, UNEVEN),
-    "sections": (SMALL,),
-    "no-holes": (UNEVEN,),
-    "uncoated": (SMALL,),
-    "resin": (SMALL, UNEVEN),
-    "volumes": (SMALL, SMALL),
-    "chain": (SMALL,),
-}
+# The lens of some darkens their corners.
+UNEVEN = "even light"
+LOOKS = {"scan": (UNEVEN,), "no-holes": (UNEVEN,), "resin": (UNEVEN,)}
 OTHERS = {
     "volumes": (
         "Coating thickness (top side) of second is larger where coating thickness (top side) of"

@@ -213,18 +213,14 @@ def test_evenness_uncovered_area_and_grams_are_stated_alike(passes, specimen_fil
     terminal = {line[0]: line[1:] for line in lines if len(line) == 8}
     for name, facts in sheet.properties.items():
         values = measured[name].values[np.isfinite(measured[name].values)].astype(np.float64)
-        # The field is below 1.5 nesting indices: what rests on a form is doubtful, everywhere.
-        trust = "doubtful" if name.startswith(("topography", "base_surface")) else "ok"
-        mark = "" if trust == "ok" else f" ({trust})"
-        page_mark = "" if trust == "ok" else re.escape(f" <em>({trust})</em>")
         row = re.search(
-            rf">{re.escape(measured[name].attrs['long_name'])}[^<]*{page_mark}</th>(.*?)</tr>", page
+            rf">{re.escape(measured[name].attrs['long_name'])}[^<]*</th>(.*?)</tr>", page
         )
         cov = row[1].split("</td>")[3].partition(">")[2]
-        assert (facts.trust, figures[name, "sd"]["trust"]) == (trust, trust)
+        assert (facts.trust, figures[name, "sd"]["trust"]) == ("ok", "ok")
         if name in ("warp", "tilt") or name.startswith(("topography", "base_surface")):
             assert facts.coefficient_of_variation is None
-            assert (cov, terminal[name + mark][3]) == ("–", "-")
+            assert (cov, terminal[name][3]) == ("–", "-")
             assert (name, "coefficient of variation") not in figures
             continue
         share = values.std() / values.mean()

@@ -335,10 +335,6 @@ def _photograph(fields, burnt, uv, pixel, rng):
     u, v = uv[..., 0], uv[..., 1]
     coating = fields.thickness("coating_top", u, v)
     light = 0.62 + 0.012 * (coating - coating.mean()) + 0.012 * fields.at(fields.tint, u, v)
-    y, x = (np.linspace(-1, 1, n) for n in u.shape)
-    light = light * (
-        1 + 0.03 * rng.uniform(-1, 1) * x[None, :] + 0.03 * rng.uniform(-1, 1) * y[:, None]
-    )
     whole = _away(burnt, u, v, pixel)
     image = ndimage.gaussian_filter(0.12 + (light - 0.12) * whole, 0.7)
     return np.clip(image + 0.006 * rng.standard_normal(u.shape), 0, 1)
