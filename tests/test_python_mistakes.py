@@ -2,6 +2,7 @@
 write."""
 
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -277,3 +278,9 @@ def test_maps_without_a_value_and_words_of_the_command_line(linked_run, tmp_path
     assert found.warnings == ("Only 0 points are valid in both maps.",)
     files = pl.export(linked_run, tmp_path / "map.csv", to="csv", map=["coating_top"])
     assert [path.name for path in files] == ["map.csv"]
+
+
+def test_a_function_named_as_its_module_stays_a_function():
+    assert import_module("planish.measure.depth_profiles").depth_profiles is (
+        pl.measure.depth_profiles
+    )

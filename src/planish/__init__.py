@@ -48,8 +48,9 @@ class _Step(ModuleType):
 
 class _Planish(ModuleType):
     def __setattr__(self, name: str, value: object) -> None:
-        if name in _STEPS:
-            value.__class__ = _Step
+        if name in _STEPS and not isinstance(value, _Step):
+            # Of its own class, which may keep functions from modules of their name.
+            value.__class__ = type("_Step", (_Step, type(value)), {})
         super().__setattr__(name, value)
 
 
