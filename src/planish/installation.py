@@ -106,8 +106,8 @@ def check_installation() -> Iterator[Check]:
     Names of folders are not in it, but for a folder that cannot be written.
     """
     version, bits = platform.python_version(), struct.calcsize("P") * 8
-    is_supported = bits == 64 and (3, 11) <= sys.version_info[:2] <= (3, 13)
-    advice = "" if is_supported else "Needed is a 64-bit Python from 3.11 to 3.13."
+    is_supported = bits == 64 and (3, 11) <= sys.version_info[:2] <= (3, 14)
+    advice = "" if is_supported else "Needed is a 64-bit Python from 3.11 to 3.14."
     yield _check(
         "Python", f"{version}, {bits} bit.", state="pass" if is_supported else "fail", advice=advice
     )
