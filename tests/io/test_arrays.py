@@ -22,6 +22,7 @@ OF_A_FILE = {"file_name", "file_bytes", "voxel_um_source", "pixel_um_source"} | 
     "camera",
     "curve",
     "is_linear",
+    "is_scan",
 }
 
 

@@ -67,8 +67,8 @@ def read_image(
         ``pixel_um`` (y, x), ``pixel_um_source``, ``channel``, ``stored_dtype``, ``full_scale``
         (largest value the file can store, None for floating point), ``orientation`` (the tag),
         ``hand`` or ``turned`` where it mirrors or turns the image, ``file_name``, ``file_bytes``,
-        ``camera``, ``curve`` and ``is_linear`` as the file states them, ``side`` and ``gamma`` if
-        given, and ``size_doubt``, a sentence, where the size may be nobody's measurement.
+        ``camera``, ``curve``, ``is_linear`` and ``is_scan`` as the file states them, ``side`` and
+        ``gamma`` if given, and ``size_doubt``, a sentence, where the size may be nobody's measurement.
 
     Raises
     ------
