@@ -190,7 +190,11 @@ def test_mottle_is_of_valid_pixels_and_says_why_there_is_none():
 @pytest.mark.parametrize(
     ("layers", "correlate", "said"),
     [
-        (["volume", "image"], {"kubelka_munk": 0.002}, "or dark_grey= and white_grey=, two known greys"),
+        (
+            ["volume", "image"],
+            {"kubelka_munk": 0.002},
+            "or dark_grey= and white_grey=, two known greys",
+        ),
         (
             ["image", "image"],
             {"kubelka_munk": 0.002, "light_spread_um": 80},

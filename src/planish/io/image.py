@@ -68,7 +68,7 @@ def read_image(
         (largest value the file can store, None for floating point), ``orientation`` (the tag),
         ``hand`` or ``turned`` where it mirrors or turns the image, ``file_name``, ``file_bytes``,
         ``camera``, ``curve``, ``is_linear`` and ``is_scan`` as the file states them, ``side`` and
-        ``gamma`` if given, and ``size_doubt``, a sentence, where the size may be nobody's measurement.
+        ``gamma`` if given; ``size_doubt``, a sentence, where the size may be nobody's measure.
 
     Raises
     ------
