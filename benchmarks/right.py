@@ -7,7 +7,7 @@ Right specimens of two makers and two instruments, and real volumes.
 Goal: no check fails, each looks in at most 5 %, at least 80 % of the runs have neither. Half of the
 sheets are laid fibre by fibre: coated, uncoated, on film, in resin, as a volume and as sections.
 Drawn are the paper, slopes to 60 degrees, 4 to 30 holes, the voxel, the scanner's artefacts, a
-stack or slices across the sheet or serial sections. The light is even over the field.
+stack or slices across the sheet or serial sections. The light is even and diffuse.
 """
 
 from __future__ import annotations
