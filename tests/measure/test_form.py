@@ -100,6 +100,7 @@ def test_a_face_has_its_height_flat_and_bent(rise, length, angle):
         assert half.mean() == pytest.approx(HALF_UM, abs=1.0)
 
 
+@pytest.mark.ci
 def test_the_form_is_that_of_the_centre_surface_and_halves_its_nesting_index():
     y, x = np.mgrid[:104, :120] * 25.0
     for length, share in ((400.0, 1.0), (800.0, 0.5)):
