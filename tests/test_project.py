@@ -15,6 +15,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from benchmarks import report
 
 import mutants
 import planish
@@ -112,6 +113,19 @@ def test_locks_hold_names_versions_and_hashes_only(name):
     assert [
         text for text in read(f"requirements/{name}").splitlines() if not line.fullmatch(text)
     ] == []
+
+
+def test_the_report_takes_what_a_benchmark_prints():
+    """A table where its part is one, else all; other parts stay."""
+    page = "<!-- a 1 -->\n| x |\n|---|\n<!-- end -->\n\n<!-- b -->\n```\nold\n```\n<!-- end -->\n"
+    printed = "\nseed 1\n| x |\n|---|\n| 2 |\n"
+    assert report.renewed(page, "a 1", printed) == page.replace("|---|\n", "|---|\n| 2 |\n")
+    assert report.renewed(page, "b", "\nnew\n") == page.replace("old", "new")
+    parts = report.PARTS.findall(report.PAGE.read_text(encoding="utf-8"))
+    names = {part[0].split()[0] for part in parts}
+    assert names <= {path.stem for path in (ROOT / "benchmarks").iterdir()}
+    assert len(parts) == 7
+    assert report.main("none") == 1
 
 
 @pytest.mark.ci

@@ -159,7 +159,7 @@ def shown(rows):
     """Print a line a kind, and the totals; 1 where a goal is missed."""
     missed = []
     total = silent = 0
-    lines = [("kind", "runs", "wrong", "silent", "worst error", "said by"), ("---",) * 6]
+    lines = []
     for name, kind in KINDS.items():
         own = [row for row in rows if row["kind"] == name]
         if not own:
@@ -181,13 +181,16 @@ def shown(rows):
         total, silent = total + len(own), silent + len(quiet)
         if len(quiet) > 0.2 * len(own) or said["crash"]:
             missed.append(name)
+    print(
+        "| What was wrong | Runs | Wrong | Silent | Largest error (stated) / um | What was said |"
+    )
+    print("|---|---:|---:|---:|---|---|")
     for row in lines:
         print(f"| {' | '.join(row)} |")
     if total:
         share = 100 - 100 * silent / total
         print(
-            f"\n{total} runs of {len(lines) - 2} kinds; silent {silent}, {share:.1f} % are not"
-            " silent"
+            f"\n{total} runs of {len(lines)} kinds; silent {silent}, {share:.1f} % are not silent"
         )
         print(f"silent in more than one of five: {', '.join(missed) or 'none'}")
         grave = [r for r in rows if KINDS[r["kind"]].grave and r.get("wrong")]

@@ -57,7 +57,7 @@ TERMS = {
 }
 # Pages that speak of other programs, in the words of these, or lead from the words of readers to
 # ours.
-THEIRS = {"words.md", "marks-files.md", "other-tools.md", "paper.md", "marks-from-bigwarp.md"}
+THEIRS = {"words.md", "marks-files.md", "other-tools.md", "paper.md", "marks-from-imagej.md"}
 
 
 def read(path):
