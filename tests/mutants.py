@@ -332,8 +332,8 @@ MUTANTS = [
     # register
     Mutant(
         "register/similarity.py",
-        "angle, shift_um = float(np.angle(alpha))",
-        "angle, shift_um = -float(np.angle(alpha))",
+        "angle = float(np.angle(alpha))",
+        "angle = -float(np.angle(alpha))",
         "register/test_models.py",
     ),
     Mutant(

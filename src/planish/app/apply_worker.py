@@ -91,7 +91,8 @@ def _make_run(order: Mapping[str, Any], send: Any) -> None:
     def progress(stage: str, detail: str) -> None:
         send({"state": "working", "stage": stage, "message": f"{stage}: {detail}"})
 
-    out, staging = Path(order["out"]), Path(order["staging"])
+    out = Path(order["out"])
+    staging = Path(order["staging"])
     outcome, ignored_errors = {"state": "done"}, () if order["files"] else (PlanishError,)
     try:
         with suppress(*ignored_errors), writing(staging):

@@ -64,12 +64,11 @@ def imported(
         marks = read_any(*paths, **pixels, volume=LayerPixels())
     moving, fixed = pair_of_layers(marks, name=file.name)
     if moving == "volume":
-        store, is_sheet = (
-            layer_run(session.folder, layer) / MAPS,
-            session.results.layer(layer).sheet is not None,
-        )
+        store = layer_run(session.folder, layer) / MAPS
+        is_sheet = session.results.layer(layer).sheet is not None
         groups = {group: read_group(store, group) for group in ("surfaces", "flat") if is_sheet}
-        marks, moving = volume_to_map(marks, layer, groups), "moving"
+        marks = volume_to_map(marks, layer, groups)
+        moving = "moving"
     pairs = pairs_of(marks, moving, fixed, label=lambda name: checked_label(str(name)))
     return Import(layer=layer, marks=pairs)
 
@@ -81,7 +80,8 @@ def exported(session: Session, layer: str, format_name: str, fitted: Fitted) -> 
     """
     if format_name not in TARGETS:
         raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")
-    marks, row_of = session.state.of(layer), {mark.id: k for k, mark in enumerate(fitted.pairs)}
+    marks = session.state.of(layer)
+    row_of = {mark.id: k for k, mark in enumerate(fitted.pairs)}
     rows = np.array([row_of.get(mark.id, len(row_of)) for mark in marks], dtype=np.intp)
     errors_um = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
     dataset = dataset_of(
@@ -90,10 +90,8 @@ def exported(session: Session, layer: str, format_name: str, fitted: Fitted) -> 
         # What the shown fit leaves.
         results={name: np.append(um, np.nan)[rows] for name, um in errors_um.items()},
     )
-    suffix, files = (
-        next(iter(FORMATS[format_name].suffixes), ".csv"),
-        marks_bytes(dataset, format_name),
-    )
+    suffix = next(iter(FORMATS[format_name].suffixes), ".csv")
+    files = marks_bytes(dataset, format_name)
     if len(files) == 1:
         return f"marks{suffix}", files[""]
     buffer = io.BytesIO()

@@ -48,7 +48,8 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
     is_outlier = np.zeros(n, dtype=np.bool_)
     if n < LEAST:
         return is_outlier
-    z, w = as_complex(moving, mirrored), as_complex(fixed, False)
+    z = as_complex(moving, mirrored)
+    w = as_complex(fixed, False)
     inliers = _best_inliers(z, w, n - n // 3)
     for _ in range(n):
         # How far each mark lies off a fit to the inliers, over its own error in units of theirs;
@@ -106,7 +107,8 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
 
 
 def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
-    z_mean, w_mean = z[inliers].mean(), w[inliers].mean()
+    z_mean = z[inliers].mean()
+    w_mean = w[inliers].mean()
     z_centred = z[inliers] - z_mean
     factor = np.sum(z_centred.conj() * (w[inliers] - w_mean)) / max(
         float(np.sum(np.abs(z_centred) ** 2)), 1e-300
@@ -180,10 +182,8 @@ class Fitted:
             )
         else:
             moving, fixed = (_points(used_marks, plane) for plane in PLANES)
-            (transform, error_text), expected_error = (
-                _from_few_pairs(moving, fixed, self.mirrored),
-                None,
-            )
+            transform, error_text = _from_few_pairs(moving, fixed, self.mirrored)
+            expected_error = None
         if transform is None:
             return None
         point = np.array(point_um)
@@ -227,7 +227,8 @@ def fitted(
         moving[is_used], fixed[is_used], is_mirrored, tolerance_um=params.tolerance_um
     )
     nans = np.full(len(pairs), np.nan)
-    coincident, error_text = _coincidence_warnings(pairs, where), ""
+    coincident = _coincidence_warnings(pairs, where)
+    error_text = ""
     warnings = [*coincident]
     if (n_used := int(is_used.sum())) < 3:
         needed_text = "a registration needs 3, far apart, and more to say how good it is."
@@ -264,7 +265,8 @@ def fitted(
             fit = _least_squares(moving[is_used], fixed[is_used], "similarity", mirrored)
         except PlanishError:
             return replace(unfitted, error=error_text)
-    residual_um, leave_one_out_um = np.linalg.norm(fixed - fit(moving), axis=1), nans.copy()
+    residual_um = np.linalg.norm(fixed - fit(moving), axis=1)
+    leave_one_out_um = nans.copy()
     leave_one_out_um[is_used], leave_one_out_um[~is_used] = (
         fit.leave_one_out_um,
         residual_um[~is_used],

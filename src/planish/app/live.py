@@ -42,7 +42,8 @@ class Live:
         It is that of a similarity as long as that of another model is not ready.
         """
         state = self.session.state
-        marks, model = state.of(layer), state.model
+        marks = state.of(layer)
+        model = state.model
         with self._lock:
             current = self._current(layer, marks, model)
             if current is not None:
@@ -68,7 +69,8 @@ class Live:
 
     def _fitted(self, layer: str, marks: tuple[Mark, ...], model: str, *, quick: bool) -> Fitted:
         params = self.session.study.registration
-        mirrored, where = self.session.mirrored(layer), self.session.where(layer)
+        mirrored = self.session.mirrored(layer)
+        where = self.session.where(layer)
         return fitted(marks, model, mirrored=mirrored, params=params, quick=quick, where=where)
 
     def _work(self) -> None:

@@ -124,7 +124,8 @@ async def get_events(request: Request) -> Response:
     By the latter a lost server is noticed, and another run that is served now.
     """
     session = served_of(request).session
-    new_version, loop = anyio.Event(), asyncio.get_running_loop()
+    new_version = anyio.Event()
+    loop = asyncio.get_running_loop()
 
     async def lines() -> AsyncIterator[bytes]:
         nonlocal new_version
@@ -217,7 +218,8 @@ def get_predict(request: Request) -> Response:
     side = request.query_params.get("side", "")
     if side not in PLANES:
         raise ChangeError("A point is predicted of side=moving or side=fixed.")
-    (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
+    (x,) = required_numbers(request, "x", 1)
+    (y,) = required_numbers(request, "y", 1)
     if max(abs(x), abs(y)) > FARTHEST_UM:
         raise ChangeError(f"({x:g}, {y:g}) is not a place in um.")
     prediction = live.fit(_layer_name(request)).predicted(side, (x, y))
@@ -229,7 +231,8 @@ def get_predict(request: Request) -> Response:
 
 def get_export(request: Request) -> Response:
     """The marks as a file."""
-    layer, format_name = _layer_name(request), request.query_params.get("format", "json")
+    layer = _layer_name(request)
+    format_name = request.query_params.get("format", "json")
     live = served_of(request).live
     name, content = exported(served_of(request).session, layer, format_name, live.fit(layer))
     headers = {"content-disposition": f'attachment; filename="{name}"'}

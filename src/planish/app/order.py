@@ -30,8 +30,11 @@ STAGING = f"{EDITS}/.apply"
 def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
     """Give the study of a session's new run, and texts by name of its files in ``staging``."""
     study, holes = _original_run(session)
-    original, state, file_texts = session.first, session.state, dict[str, str]()
-    default_diameter_um, is_only_layer = float(np.mean(study.holes.hole_um)), len(state.marks) == 1
+    original = session.first
+    state = session.state
+    file_texts = dict[str, str]()
+    default_diameter_um = float(np.mean(study.holes.hole_um))
+    is_only_layer = len(state.marks) == 1
     for name, marks in state.marks.items():
         if marks == original.marks[name]:
             continue
@@ -79,7 +82,8 @@ def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
         return session.study, {
             layer: registration.marks for layer, registration in session.registrations.items()
         }
-    sheet, study = session.study.layers[0], noted_study(session.folder) or session.study
+    sheet = session.study.layers[0]
+    study = noted_study(session.folder) or session.study
     image_name = next((layer.name for layer in study.layers if layer.image is not None), "image")
     image = GivenLayer(name=image_name, image=session.image_params)
     holes = session.holes(sheet.name)
@@ -111,10 +115,8 @@ def all_marks(
     dataset = dataset_of(marks, about=run_marks.attrs.get("layers", {}))
     labels = [mark.label for mark in marks]
     for side in PLANES:
-        dataset, used_labels = (
-            with_holes(dataset, run_marks, side, usual_um=default_diameter_um),
-            {*labels},
-        )
+        dataset = with_holes(dataset, run_marks, side, usual_um=default_diameter_um)
+        used_labels = {*labels}
         free_labels = (
             name for k in itertools.count(1) if (name := f"{side} {k}") not in used_labels
         )

@@ -125,7 +125,8 @@ class PlanePicture:
         values = np.concatenate([self._coarse, self._sample])
         if self.full.dtype == np.bool_ or values.size == 0:
             return Codes(0.0, 1.0)
-        low, high = float(values.min()), float(values.max())
+        low = float(values.min())
+        high = float(values.max())
         span = max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-30)
         margin = 0.0 if len(self.levels) == 1 else 2.0 * span
         return Codes.between(low - margin, low + span + margin)
@@ -138,7 +139,8 @@ class PlanePicture:
             return 0.0, 1.0
         low, high = map(float, np.percentile(values, [2, 98]))
         if self.around_zero:
-            low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
+            high = max(abs(low), abs(high))
+            low = -high
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
     @cached_property
@@ -220,7 +222,9 @@ class ComputedLevels:
     def __init__(
         self, values: xr.DataArray | LazyArray, folder: Path, *, keep_all: bool = False
     ) -> None:
-        self._values, self._folder, self.dtype = values, folder, np.dtype(values.dtype)
+        self._values = values
+        self._folder = folder
+        self.dtype = np.dtype(values.dtype)
         rows, cols = values.shape
         self._shapes = [
             (-(-rows >> k), -(-cols >> k)) for k in range(overview_count((rows, cols)) + 1)

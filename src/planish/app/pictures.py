@@ -237,14 +237,17 @@ class _ImageValues(LazyArray):
     """
 
     def __init__(self, params: ImageParams, shape: tuple[int, int]) -> None:
-        self._params, self.shape, self.dtype = params, shape, np.dtype(np.float32)
+        self._params = params
+        self.shape = shape
+        self.dtype = np.dtype(np.float32)
         self._lock = threading.Lock()
         self._decoded: DecodedPicture | None = None
         self._corrected: NDArray[np.float32] | None = None
 
     def read(self, where: Where) -> NDArray[np.float32]:
         """Read a window."""
-        params, path = self._params, Path(self._params.path)
+        params = self._params
+        path = Path(self._params.path)
         with self._lock:
             if params.white is not None:
                 if self._corrected is None:
@@ -264,11 +267,9 @@ class Tiles:
 
     def __init__(self, pictures: Pictures, *, most_bytes: int = TILE_BYTES) -> None:
         self.pictures, self._most_bytes = pictures, most_bytes
-        self._lock, self._blocks, self._held_bytes = (
-            threading.Lock(),
-            OrderedDict[Key, Future[NDArray[Any]]](),
-            0,
-        )
+        self._lock = threading.Lock()
+        self._blocks = OrderedDict[Key, Future[NDArray[Any]]]()
+        self._held_bytes = 0
         self.read_bytes = 0
 
     def tile(self, id: str, level: int, row: int, col: int) -> bytes:
@@ -361,7 +362,8 @@ class Tiles:
 
 
 def _overlap(window: slice, k: int, length: int) -> tuple[slice, slice]:
-    start, stop = max(window.start, k * CHUNK), min(window.stop, k * CHUNK + length)
+    start = max(window.start, k * CHUNK)
+    stop = min(window.stop, k * CHUNK + length)
     return slice(start - window.start, stop - window.start), slice(
         start - k * CHUNK, stop - k * CHUNK
     )

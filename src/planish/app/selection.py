@@ -116,7 +116,8 @@ def profile(
     rows, cols, is_inside = _pixels(grid_picture, points_um, level)
     lines: list[dict[str, Any]] = []
     for picture in pictures:
-        values, at = np.full(distances_um.size, np.nan), (level, rows[is_inside], cols[is_inside])
+        values = np.full(distances_um.size, np.nan)
+        at = (level, rows[is_inside], cols[is_inside])
         values[is_inside] = tiles.values_at(picture, *at)
         for mask in tiles.pictures.valid_of(picture):
             values[is_inside] = np.where(tiles.values_at(mask, *at), values[is_inside], np.nan)
@@ -170,10 +171,8 @@ class Rectangle:
         """Rows and columns of a level of a picture; InputError where it holds none of them."""
         pixels = picture.levels[level]
         (y, x), (dy, dx) = (pixels[dim].values for dim in pixels.dims), picture.grid.pixel_um
-        rows, cols = (
-            _pixels_between(y, self.y0, self.y1, dy),
-            _pixels_between(x, self.x0, self.x1, dx),
-        )
+        rows = _pixels_between(y, self.y0, self.y1, dy)
+        cols = _pixels_between(x, self.x0, self.x1, dx)
         if rows.start >= rows.stop or cols.start >= cols.stop:
             raise InputError(
                 "No pixel lies in this region. Give x0, y0, x1, y1 in um, within the map."
@@ -285,7 +284,8 @@ def select(
     Of picked values, and of angles of an axis, nothing is said of r: ``r``, ``n_eff`` and
     ``interval`` are None. Stopped once ``stop`` is set.
     """
-    stop, pixel_um = stop or threading.Event(), a.grid.pixel_um
+    stop = stop or threading.Event()
+    pixel_um = a.grid.pixel_um
     window: Window = (slice(None), slice(None)) if region is None else region.on(a)
     x, y = (computed(p.full[window], partial(_read_until, stop, p.full[window])) for p in (a, b))
     masks = [p.full[window] for p in tiles.pictures.valid_of(a, b)]

@@ -105,7 +105,8 @@ class Guard:
                 more = dict(*fields)
             else:
                 _log.exception("A fault in planish")
-                status, fault = 500, f"A fault in planish: {type(error).__name__}."
+                status = 500
+                fault = f"A fault in planish: {type(error).__name__}."
                 text = f"{fault} The terminal in which it was started says more."
             if is_started:
                 raise

@@ -86,7 +86,8 @@ class Session:
         results = open_results(run)
         study = study_of(run, results)
         params = _image_params(run, image, results)
-        subject, journal_name = fingerprint(run / "results.json"), "journal.jsonl"
+        subject = fingerprint(run / "results.json")
+        journal_name = "journal.jsonl"
         if params is not None:
             key = image_key(params)
             subject += f" {key}"
@@ -230,7 +231,8 @@ class Session:
             "moving": read_group(self.folder / MAPS, "maps"),
             "fixed": self.image,
         }
-        params, side = self.study.holes, self.side_of("image")
+        params = self.study.holes
+        side = self.side_of("image")
         return {
             plane: find_holes(data, params=params, side=side) for plane, data in sources.items()
         }
@@ -391,7 +393,8 @@ def _image_params(run: Path, image: ImageParams | None, results: Results) -> Ima
 
 def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     """Give the ends of a file's marks in a plane, with all that is known of them."""
-    places, ends = model.places_of(marks, plane), list[End | None]()
+    places = model.places_of(marks, plane)
+    ends = list[End | None]()
     for k, (position_um, source) in enumerate(zip(places.um.tolist(), places.source, strict=True)):
         fields: dict[str, Any] = dict(zip("xy", position_um, strict=False)) | {"source": source}
         fields |= {

@@ -145,9 +145,13 @@ class SlicedSheet:
     ) -> SheetSlice:
         lines, contours = lines or {}, contours or {}
         if codes is None:
-            pixels, scale, offset = values.astype(np.uint16), 1.0, 0.0
+            pixels = values.astype(np.uint16)
+            scale = 1.0
+            offset = 0.0
         else:
-            pixels, scale, offset = codes.of(values), codes.scale, codes.offset - codes.scale
+            pixels = codes.of(values)
+            scale = codes.scale
+            offset = codes.offset - codes.scale
         normal = self.frame.rows if direction == "straight" else direction
         slices_um = self._columns_um(normal) if direction == "straight" else self.voxels_um(normal)
         facts = SliceFacts(
@@ -199,9 +203,11 @@ class SlicedSheet:
         frame = self.frame
         axis: Axis = frame.cols if direction == frame.rows else frame.rows
         depth_um = self.voxels_um(frame.through)
-        cols, planes = _window(self.voxels_um(axis), near_um[0]), _window(depth_um, near_um[1])
+        cols = _window(self.voxels_um(axis), near_um[0])
+        planes = _window(depth_um, near_um[1])
         box = {frame.through: planes, axis: cols, direction: slice(index, index + 1)}
-        values, depth_um = read_box(self.volume, box)[..., 0], depth_um[planes]
+        values = read_box(self.volume, box)[..., 0]
+        depth_um = depth_um[planes]
         if frame.top == "high":
             values, depth_um = values[::-1], depth_um[::-1]
         profile_index = min(index // self.step, self._columns_um(direction).size - 1)
@@ -294,7 +300,8 @@ class SlicedSheet:
             getattr(frame, direction): lines[f"normal_{direction}"]
             for direction in ("rows", "cols", "through")
         }
-        row_um, cols_um = self._columns_um(frame.rows)[index], self._columns_um(frame.cols)[window]
+        row_um = self._columns_um(frame.rows)[index]
+        cols_um = self._columns_um(frame.cols)[window]
         centre_um = {
             frame.rows: np.full(centre.shape, row_um),
             frame.cols: cols_um,

@@ -117,7 +117,8 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
 
     The lines are (u, v) in um and end where the sheet does.
     """
-    flat, strain = stored_group(run / MAPS, "flat"), read_group(run / MAPS, "strain")
+    flat = stored_group(run / MAPS, "flat")
+    strain = read_group(run / MAPS, "strain")
     n_rows, n_cols = strain.sizes["row"], strain.sizes["col"]
     line_step = 1
     while 2 * (n_rows // line_step + 1) * (n_cols // line_step + 1) > MOST_POINTS:
@@ -126,7 +127,8 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
     # middle.
     nodes: list[NDArray[np.intp]] = []
     for axis in ("y", "x"):
-        columns_um, cells_um = np.asarray(flat[axis].values), np.asarray(strain[axis].values)
+        columns_um = np.asarray(flat[axis].values)
+        cells_um = np.asarray(strain[axis].values)
         cell_pitch_um = (cells_um[-1] - cells_um[0]) / max(cells_um.size - 1, 1)
         nodes_um = (
             cells_um[0]

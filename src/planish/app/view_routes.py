@@ -46,14 +46,16 @@ _ONE_PASS = anyio.CapacityLimiter(1)
 
 def get_tile(request: Request) -> Response:
     """One tile of a picture."""
-    address, tiles = request.path_params, _tiles(request)
+    address = request.path_params
+    tiles = _tiles(request)
     codes = tiles.tile(address["id"], address["level"], address["row"], address["col"])
     return Response(codes, media_type="application/octet-stream")
 
 
 def get_cursor(request: Request) -> Response:
     """All values at a point."""
-    (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
+    (x,) = required_numbers(request, "x", 1)
+    (y,) = required_numbers(request, "y", 1)
     return Answer(cursor(_tiles(request), _picture(request, "id"), x, y))
 
 
@@ -79,7 +81,8 @@ def get_profile(request: Request) -> Response:
 
 def get_histogram(request: Request) -> Response:
     """How the values of a picture are distributed."""
-    session, picture = served_of(request).session, _picture(request, "id")
+    session = served_of(request).session
+    picture = _picture(request, "id")
     layer = picture.layer if picture.layer in session.layers else session.layers[0]
     holes = session.holes(layer)[picture.plane]
     return Answer(histogram(_tiles(request), picture, holes=holes))
@@ -87,7 +90,9 @@ def get_histogram(request: Request) -> Response:
 
 async def get_selection(request: Request) -> Response:
     """Pixels of a region or of brushes at full resolution; given up where the page goes away."""
-    (a, b), region, tiles = _picture_pair(request), _region(request), _tiles(request)
+    a, b = _picture_pair(request)
+    region = _region(request)
+    tiles = _tiles(request)
     brushes: list[Brush] = []
     for key, picture in (("brush_a", a), ("brush_b", b)):
         if limits := _numbers(request, key, 2):
@@ -127,7 +132,8 @@ def _picture(request: Request, key: str) -> PlanePicture:
 
 
 def _picture_pair(request: Request) -> tuple[PlanePicture, PlanePicture]:
-    a, b = _picture(request, "a"), _picture(request, "b")
+    a = _picture(request, "a")
+    b = _picture(request, "b")
     if b not in _tiles(request).pictures.on_same_pixels(a):
         raise InputError(
             f"{a.name} and {b.name} do not lie on the same pixels. Choose two layers of one plane."
@@ -206,10 +212,8 @@ def get_sheets(request: Request) -> Response:
 
 def get_slice(request: Request) -> Response:
     """One slice: its facts as JSON, pixels of 16 bits, and lines of 32-bit floats."""
-    sheet, direction = (
-        _open_sheet(request, request.path_params["layer"]),
-        request.path_params["direction"],
-    )
+    sheet = _open_sheet(request, request.path_params["layer"])
+    direction = request.path_params["direction"]
     if direction not in ("z", "y", "x", "straight"):
         raise InputError("Slices run across z, y or x, or are straight.")
     across_um, down_um = (next(iter(_numbers(request, key, 1)), None) for key in ("across", "down"))
@@ -290,7 +294,8 @@ def flattening(request: Request) -> Response:
 
     Null for none.
     """
-    session, layer = served_of(request).session, request.query_params.get("layer", "")
+    session = served_of(request).session
+    layer = request.query_params.get("layer", "")
     if sheet_run(session.folder, layer) is None:
         return Answer(None)
     ids = {p.variable: p.id for p in session.pictures.on("moving", layer)}

@@ -221,10 +221,8 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
             f" of {', '.join(surface_names)} with `map`, or give a folder."
         )
     columns = surfaces[[*surface_names, *maps]]
-    (rows, cols), (row_step, col_step) = (
-        (columns.sizes["y"], columns.sizes["x"]),
-        steps_of(columns, params.mesh_um),
-    )
+    rows, cols = (columns.sizes["y"], columns.sizes["x"])
+    row_step, col_step = steps_of(columns, params.mesh_um)
     n_nodes = -(-rows // row_step) * -(-cols // col_step)
     _check_size(
         request,
@@ -255,7 +253,8 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
             f"{request.out.name} holds one registration, and there are {len(layers)}. Choose one of"
             f" {names} with `group`, or give a folder."
         )
-    file_format, files = request.file_format, list[OutputFile]()
+    file_format = request.file_format
+    files = list[OutputFile]()
     for layer in layers:
         pair = run_contents.transforms_of(request.run, layer)
         if "marks" in file_format.holds:
@@ -331,7 +330,9 @@ def export(  # noqa: C901, PLR0912
             raise StudyError(f"`{name}` is for {formats_with(name)}, and `to` says {params.to}.")
     if params.depth_um is not None and params.group != STRAIGHTENED:
         raise StudyError(f"`depth_um` is for `group={STRAIGHTENED}`.")
-    file_format, compute, out = find_format(params.to), compute or Compute(), Path(out)
+    file_format = find_format(params.to)
+    compute = compute or Compute()
+    out = Path(out)
     is_single_file = is_file(params.to, out)
     refuse_existing(out)
     writer_of(params.to)

@@ -52,10 +52,8 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
                     {"flag_values": np.array([0, 1], np.uint8), "flag_meanings": "false true"}
                 )
             elif "flag_values" in attrs:
-                flag_values, flag_meanings = (
-                    np.asarray(attrs["flag_values"]).astype(dtype),
-                    str(attrs["flag_meanings"]),
-                )
+                flag_values = np.asarray(attrs["flag_values"]).astype(dtype)
+                flag_meanings = str(attrs["flag_meanings"])
                 dataset.attrs.update({"flag_values": flag_values, "flag_meanings": flag_meanings})
         file.attrs.update(
             {

@@ -346,7 +346,8 @@ def is_file(name: str, out: Path) -> bool:
 
     FileError where it ends as other files do.
     """
-    form, low = find_format(name), out.name.lower()
+    form = find_format(name)
+    low = out.name.lower()
     endings = [
         (end, other) for other in FORMATS for end in FORMATS[other].suffixes if low.endswith(end)
     ]

@@ -96,7 +96,8 @@ def chosen_version(maps: Maps, params: ExportParams) -> str:
 
 def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
     """Write a map chunk by chunk, turned: MATLAB's first index runs fastest."""
-    dtype, (rows, cols) = plain_type(maps.data[name].dtype), maps.shape
+    dtype = plain_type(maps.data[name].dtype)
+    rows, cols = maps.shape
     # As many columns in each chunk: what reaches beyond the map is written, too.
     chunk = (-(-cols // -(-cols // _CHUNK)), min(_CHUNK, rows))
     dataset = file.create_dataset(
@@ -116,7 +117,8 @@ def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
 
 def _turned(band: NDArray[Any], chunk: tuple[int, int], first_col: int) -> NDArray[Any]:
     """A chunk of a band (rows, cols) as (cols, rows), with zeros beyond the map."""
-    columns, chunk_values = band[:, first_col : first_col + chunk[0]].T, np.zeros(chunk, band.dtype)
+    columns = band[:, first_col : first_col + chunk[0]].T
+    chunk_values = np.zeros(chunk, band.dtype)
     chunk_values[: columns.shape[0], : columns.shape[1]] = columns
     return chunk_values
 

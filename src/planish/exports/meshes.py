@@ -89,12 +89,11 @@ def write_obj(surface: Surface, path: Path, history: ExportHistory, params: Expo
     Colours stand behind the nodes as numbers from 0 to 1 (MeshLab, Blender).
     """
     mesh = mesh_of(surface, params)
-    node_values, node_format = mesh.points.astype(np.float64), "v %.9g %.9g %.9g"
+    node_values = mesh.points.astype(np.float64)
+    node_format = "v %.9g %.9g %.9g"
     if mesh.colours is not None:
-        node_values, node_format = (
-            np.column_stack([node_values, mesh.colours / 255.0]),
-            f"{node_format} %.4f %.4f %.4f",
-        )
+        node_values = np.column_stack([node_values, mesh.colours / 255.0])
+        node_format = f"{node_format} %.4f %.4f %.4f"
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(f"# {mesh.description}\n# {history.json()}\no {surface.name}\n")
         for table, row_format in ((node_values, node_format), (mesh.quads + 1, "f %d %d %d %d")):
@@ -245,7 +244,8 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
             f"; colour: {colour_map} from {scale.low:.6g} to"
             f" {scale.high:.6g}{f' {units}' if units != '1' else ''}"
         )
-    points, quads = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(quads)
+    points = np.ascontiguousarray(points, np.float32)
+    quads = np.ascontiguousarray(quads)
     return SurfaceMesh(points, quads, maps, colours, about)
 
 

@@ -89,7 +89,8 @@ def _figure(maps: Maps, pixels: NDArray[np.float32], reduction: float, scale: Sc
     pixel_aspect = dy_um / dx_um
     # A map whose longer side has fewer pixels is drawn larger, by a whole number.
     magnification = max(1, math.ceil(1000 / max(rows * pixel_aspect, cols)))
-    width_px, height_px = cols * magnification, round(rows * pixel_aspect * magnification)
+    width_px = cols * magnification
+    height_px = round(rows * pixel_aspect * magnification)
     size_px = (_LEFT + max(width_px, 420) + _RIGHT, _TOP + max(height_px, 300) + _BELOW)
     figure = Figure(figsize=(size_px[0] / _DPI, size_px[1] / _DPI), dpi=_DPI, facecolor="white")
 

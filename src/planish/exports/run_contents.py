@@ -243,7 +243,8 @@ def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
     transform = fit.transform
     centre = np.zeros(2) if isinstance(transform, Similarity) else np.array(transform.source)
     (a, b), (c, d) = transform.matrix().tolist()
-    (x, y), (target_x, target_y) = centre.tolist(), transform(centre).tolist()
+    x, y = centre.tolist()
+    target_x, target_y = transform(centre).tolist()
     affine = Affine(linear=((a, b), (c, d)), source=(x, y), target=(target_x, target_y))
     is_affine = isinstance(transform, Similarity | Affine)
     moving, fixed = (
@@ -302,7 +303,8 @@ def checked_names(requested: Sequence[str], names: Sequence[str], place_text: st
 
 
 def _grid_around(marks: np.ndarray) -> Grid:
-    low_um, high_um = marks.min(axis=0), marks.max(axis=0)
+    low_um = marks.min(axis=0)
+    high_um = marks.max(axis=0)
     extent_um = float((high_um - low_um).max())
     # How far a layer whose pixels are not known may reach beyond its marks.
     margin_um = 0.3 * extent_um

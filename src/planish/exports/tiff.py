@@ -91,7 +91,8 @@ def write_ome(
     }
     for axis, pitch in zip("XYZ", stack.pixel_um[::-1], strict=False):
         metadata |= {f"PhysicalSize{axis}": pitch, f"PhysicalSize{axis}Unit": "µm"}
-    first_um, n_planes = stack.origin_um, stack.shape[0] if len(stack.shape) > 2 else 1
+    first_um = stack.origin_um
+    n_planes = stack.shape[0] if len(stack.shape) > 2 else 1
     positions = {"PositionX": [first_um[-1]] * n_planes, "PositionY": [first_um[-2]] * n_planes}
     if isinstance(content, Maps):
         metadata["Channel"] = {"Name": stack.labels}
@@ -125,7 +126,8 @@ class _Stack:
         """Lay out the planes of maps or of a volume."""
         dtype = np.dtype(np.float32)
         if isinstance(content, Maps):
-            names, has_channels = content.names, len(content.names) > 1
+            names = content.names
+            has_channels = len(content.names) > 1
             if not has_channels and content.data[names[0]].dtype.kind in "bu":
                 dtype = np.dtype(np.uint8)
             return cls(

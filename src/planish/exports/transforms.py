@@ -349,12 +349,10 @@ def write_nrrd(
         blocks: Iterable[NDArray[Any]] = [field.vectors * UNITS[unit]]
     else:
         (name,) = content.names
-        title, dtype, components, shape = (
-            content.titles[name],
-            plain_type(content.data[name].dtype),
-            [],
-            content.shape,
-        )
+        title = content.titles[name]
+        dtype = plain_type(content.data[name].dtype)
+        components = []
+        shape = content.shape
         (y, x), (dy_um, dx_um) = content.origin_um, content.pixel_um
         key_values = {"value_unit": content.units[name], "planish": history.json(**content.facts())}
         blocks = (band for _, band in content.bands(name))

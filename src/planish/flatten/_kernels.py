@@ -39,7 +39,8 @@ _TINY = np.float32(1e-30)
 _FAINT = np.float32(1e-12)
 # Kinds of start of ``smooth``, and the first row; numbers written in a call are types: the callee
 # is compiled again.
-_NEW, _CORRECTED = np.int64(0), np.int64(1)
+_NEW = np.int64(0)
+_CORRECTED = np.int64(1)
 _FIRST = np.int64(1)
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 _SUMS = {**_SETTINGS, "fastmath": {"contract", "nsz", "reassoc"}}
@@ -52,7 +53,11 @@ _INNER_SUMS = {**_SUMS, "forceinline": True}
 @njit(**_INNER)
 def _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n):
     """Set t to k d.(du) / |d|^2 for the springs within row i and between the rows i and i + 1."""
-    xa, ya, xb, yb, s = x[i], y[i], x[i + 1], y[i + 1], min(i, stiff.shape[1] - 1)
+    xa = x[i]
+    ya = y[i]
+    xb = x[i + 1]
+    yb = y[i + 1]
+    s = min(i, stiff.shape[1] - 1)
     k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
     for j in range(n):
         dx, dy = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
@@ -135,11 +140,16 @@ def forces(xy, rest, stiff, force, sums, n, r0, r1):
     width = xy.shape[2]
     # Pulls of the springs to the right, down, down right, and (from the right neighbour) down left;
     # and what the row above has passed on. In arrays of their own, see _INNER.
-    hx, hy = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    vx, vy = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    dx, dy = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    sx, sy = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    px, py = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    hx = np.zeros(width, np.float32)
+    hy = np.zeros(width, np.float32)
+    vx = np.zeros(width, np.float32)
+    vy = np.zeros(width, np.float32)
+    dx = np.zeros(width, np.float32)
+    dy = np.zeros(width, np.float32)
+    sx = np.zeros(width, np.float32)
+    sy = np.zeros(width, np.float32)
+    px = np.zeros(width, np.float32)
+    py = np.zeros(width, np.float32)
     for i in range(r0 - 1, r1):
         xa, ya, xb, yb = x[i], y[i], x[i + 1], y[i + 1]
         l0, l1, l2, l3 = rest[0, i], rest[1, i], rest[2, i], rest[3, i]
@@ -187,7 +197,11 @@ def prepare(near, stiff, ease, n, r0, r1):
     b = np.zeros((8, near.shape[2]), dtype=np.float32)
     t0, t1, t2, t3, p1, p2, p3, out = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
     for i in range(r0 - 1, r1):
-        xb, yb, xc, yc, s = x[i], y[i], x[i + 1], y[i + 1], min(i, stiff.shape[1] - 1)
+        xb = x[i]
+        yb = y[i]
+        xc = x[i + 1]
+        yc = y[i + 1]
+        s = min(i, stiff.shape[1] - 1)
         k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
         for j in range(n + 1):  # stiffness over squared length
             dx, dy = xb[j + 1] - xb[j], yb[j + 1] - yb[j]
@@ -309,7 +323,8 @@ def restrict(near, stiff, force, move, coarse_force, n, coarse_n, r0, r1):
     width = near.shape[2]
     b = np.zeros((12, width), dtype=np.float32)
     t0, t1, t2, t3, p1, p2, p3, gx, gy = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8]
-    sum_x, sum_y = np.zeros(width + 2, np.float32), np.zeros(width + 2, np.float32)
+    sum_x = np.zeros(width + 2, np.float32)
+    sum_y = np.zeros(width + 2, np.float32)
     rows = near.shape[1] - 2
     # Fine rows of the coarse row r0 - 1 + 1: from the odd one above it to the odd one below.
     start = max(1, 2 * (r0 - 1))

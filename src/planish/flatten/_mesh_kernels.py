@@ -69,8 +69,12 @@ def _bend(a, b, c, out, n):
         ux, uy, uz = ax[j] - x, ay[j] - y, az[j] - z
         dx, dy, dz = cx[j] - x, cy[j] - y, cz[j] - z
         # Tangents, one-sided where a neighbour is missing.
-        px, py, pz = _minus(rx, lx, rx, lx), _minus(ry, ly, rx, lx), _minus(rz, lz, rx, lx)
-        qx, qy, qz = _minus(dx, ux, dx, ux), _minus(dy, uy, dx, ux), _minus(dz, uz, dx, ux)
+        px = _minus(rx, lx, rx, lx)
+        py = _minus(ry, ly, rx, lx)
+        pz = _minus(rz, lz, rx, lx)
+        qx = _minus(dx, ux, dx, ux)
+        qy = _minus(dy, uy, dx, ux)
+        qz = _minus(dz, uz, dx, ux)
         nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
         unit = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-300)
         nx, ny, nz = nx * unit, ny * unit, nz * unit
@@ -167,11 +171,9 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
     n = points.shape[1]
     # Row i of the padded arrays is row i - 1 of the points, and its springs lead to row i of them.
     # Rings of rows: the points up to i + 2, their bends up to i + 1, and the mended bends up to i.
-    rows, bends, mended = (
-        np.empty((8, 3, n + 2)),
-        np.full((4, 4, n + 2), np.nan),
-        np.empty((2, 4, n + 2)),
-    )
+    rows = np.empty((8, 3, n + 2))
+    bends = np.full((4, 4, n + 2), np.nan)
+    mended = np.empty((2, 4, n + 2))
     p = q = mended[0]
     for i in range(r0 - 5, r1):
         _load(points, scale, i + 2, rows[(i + 2) % 8], n)
@@ -201,7 +203,8 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
 
 @njit(**_INNER)
 def _lines(rest, stiff, family, i, total, length, n):
-    long, k = rest[family, i], stiff[family, min(i, stiff.shape[1] - 1)]
+    long = rest[family, i]
+    k = stiff[family, min(i, stiff.shape[1] - 1)]
     for j in range(1, n + 1):
         total[j] += k[j] if long[j] > 0.0 else 0.0
         length[j] += k[j] * long[j]
@@ -276,7 +279,10 @@ def _line(coarse, i, line, coarse_n, gaps):
         for j in range(1, coarse_n + 1):
             line[j] = b[j]
         return
-    a, b, c, d = coarse[max(up - 1, 0)], coarse[up], coarse[up + 1], coarse[min(up + 2, last + 1)]
+    a = coarse[max(up - 1, 0)]
+    b = coarse[up]
+    c = coarse[up + 1]
+    d = coarse[min(up + 2, last + 1)]
     if gaps or up < 2 or up + 2 > last:
         for j in range(1, coarse_n + 1):
             line[j] = _between(a[j], b[j], c[j], d[j])

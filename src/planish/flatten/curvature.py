@@ -13,7 +13,8 @@ from planish.flatten.distortion import node_blocks
 
 # Views of the nodes: corners a, b, c and a, c, d of all cells, counted around the cell from the
 # upper left.
-_LOW, _HIGH = slice(-1), slice(1, None)
+_LOW = slice(-1)
+_HIGH = slice(1, None)
 _HALVES = (
     ((_LOW, _LOW), (_LOW, _HIGH), (_HIGH, _HIGH)),
     ((_LOW, _LOW), (_HIGH, _HIGH), (_HIGH, _LOW)),

@@ -86,10 +86,8 @@ class Network(NamedTuple):
         values = block[:, :, None] * np.array([1.0, 1.0, -1.0, -1.0])[:, None]
         ends = np.stack([self.first, self.second, self.first, self.second])
         other_ends = np.stack([self.first, self.second, self.second, self.first])
-        row, col = (
-            2 * ends + np.arange(2)[:, None, None, None],
-            2 * other_ends + np.arange(2)[:, None, None],
-        )
+        row = 2 * ends + np.arange(2)[:, None, None, None]
+        col = 2 * other_ends + np.arange(2)[:, None, None]
         indices = (np.broadcast_to(k, values.shape).ravel() for k in (row, col))
         size = 2 * len(uv)
         stiffness = sparse.coo_array((values.ravel(), tuple(indices)), (size, size))
@@ -98,7 +96,8 @@ class Network(NamedTuple):
     def full_matrix(self, uv: Floats, *, exact: bool) -> Floats:
         """As ``matrix``, of a small network and without ties."""
         d, transverse_share = self._directions(uv, exact)
-        incidence, spring_indices = np.zeros((len(self.rest), len(uv))), np.arange(len(self.rest))
+        incidence = np.zeros((len(self.rest), len(uv)))
+        spring_indices = np.arange(len(self.rest))
         incidence[spring_indices, self.first], incidence[spring_indices, self.second] = -1.0, 1.0
         along = (d[:, None, :] * incidence[:, :, None]).reshape(len(self.rest), -1)
         stiffness = along.T @ ((self.stiff * (1 - transverse_share))[:, None] * along)
@@ -172,7 +171,8 @@ def relax_exactly(network: Network, uv: Floats, *, tolerance: float = 1e-10) -> 
         move = StiffnessSolver(network, uv, exact=True)(network.forces(uv))
         if not np.isfinite(move).all():
             return uv
-        share, largest_move = 1.0, float(np.abs(move).max())
+        share = 1.0
+        largest_move = float(np.abs(move).max())
         while (trial_energy := network.energy(uv + share * move)) > energy:
             share *= 0.5
             if share < 1e-4:

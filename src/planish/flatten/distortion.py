@@ -151,7 +151,8 @@ def trace_lines(
     follows the sheet there and back.
     """
     is_cell = np.pad(whole_cells(points, uv), 1)
-    origin, goals = start.on(uv), end.on(points)
+    origin = start.on(uv)
+    goals = end.on(points)
     vector = end.on(uv) - origin
     flat_um = np.hypot(*vector.T)
     space_um = np.full(flat_um.size, np.nan)
@@ -393,11 +394,10 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
         # singular values from the parts that turn and scale alike and those that do not.
         j11, j21 = au / side, av / side
         j12, j22 = (du - au * g12 / g11) / height, (dv - av * g12 / g11) / height
-        conformal, anticonformal = (
-            np.hypot(j11 + j22, j21 - j12) / 2,
-            np.hypot(j11 - j22, j21 + j12) / 2,
-        )
-        high, low = conformal + anticonformal, np.abs(conformal - anticonformal)
+        conformal = np.hypot(j11 + j22, j21 - j12) / 2
+        anticonformal = np.hypot(j11 - j22, j21 + j12) / 2
+        high = conformal + anticonformal
+        low = np.abs(conformal - anticonformal)
         area = au * dv - av * du
         return {
             "stretch_max": high,
@@ -414,7 +414,8 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
 
 
 def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
-    across, down = np.diff(nodes, axis=1), np.diff(nodes, axis=0)
+    across = np.diff(nodes, axis=1)
+    down = np.diff(nodes, axis=0)
     return 0.5 * (across[:-1] + across[1:]), 0.5 * (down[:, :-1] + down[:, 1:])
 
 
@@ -443,13 +444,15 @@ def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float
     a, b = points[..., :2][is_node], uv[is_node]
     if len(a) < 3:
         return np.nan, np.nan, np.nan, np.zeros(len(a))
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    a = a - a.mean(axis=0)
+    b = b - b.mean(axis=0)
     scatter, cross = a.T @ a, b.T @ a
     scale = float(
         np.hypot(cross[0, 0] + cross[1, 1], cross[1, 0] - cross[0, 1]) / np.trace(scatter)
     )
     rotation = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
-    cos, sin = np.cos(rotation), np.sin(rotation)
+    cos = np.cos(rotation)
+    sin = np.sin(rotation)
     residuals = np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)
     if np.linalg.cond(scatter) > 1e12:  # a sheet on edge: its projection is a line
         return scale, np.nan, np.nan, residuals

@@ -129,7 +129,8 @@ def halve(level: Level, team: Team) -> Level:
     The last may lie one row or column beyond the fine mesh.
     """
     rows, cols = level.rows // 2 + 1, level.cols // 2 + 1
-    rest, stiff = padded(4, rows, cols, np.float64), padded(4, rows, cols, np.float32)
+    rest = padded(4, rows, cols, np.float64)
+    stiff = padded(4, rows, cols, np.float32)
     parts = team.parts(rows, cols)
     team.run(coarsen, parts, level.rest, level.stiff, rest, stiff, level.cols, cols)
     return Level(rows, cols, parts, rest, stiff)
@@ -172,7 +173,8 @@ def make_springs(
     """
     rows, cols = points.shape[:2]
     parts = team.parts(rows, cols)
-    lengths, spring_counts = padded(4, rows, cols, np.float64), np.zeros((rows + 2, 2))
+    lengths = padded(4, rows, cols, np.float64)
+    spring_counts = np.zeros((rows + 2, 2))
     team.run(rest_lengths, parts, points, 1 / pitch, rest == "arc", lengths, spring_counts)
     springs, n_straight = spring_counts.sum(axis=0)
     if springs == 0:

@@ -203,7 +203,8 @@ class Multigrid:
                 self.rate = float(np.clip(max(ratios), 0.01, 0.95))
             # Excess of energy and, as its square root, distance from the minimum: the steps to
             # come, summed.
-            excess_energy, root_rate = gain * self.rate / (1 - self.rate), np.sqrt(self.rate)
+            excess_energy = gain * self.rate / (1 - self.rate)
+            root_rate = np.sqrt(self.rate)
             distance = np.sqrt(square_move / count) * (root_rate / (1 - root_rate))
             if excess_energy <= tolerance * energy or distance <= _STILL:
                 return (

@@ -292,7 +292,8 @@ def _handedness(points: Floats) -> float:
     """
     rows, cols = (max(1, (n - 1) // 20) for n in points.shape[:2])
     flat = points[::rows, ::cols, :2]
-    across, down = np.diff(flat, axis=1)[:-1], np.diff(flat, axis=0)[:, :-1]
+    across = np.diff(flat, axis=1)[:-1]
+    down = np.diff(flat, axis=0)[:, :-1]
     area = np.nansum(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])
     return -1.0 if area < 0 else 1.0
 
@@ -326,7 +327,8 @@ def _relaxation(
     level.inside(level.xy)[:] = np.where(
         np.isfinite(relaxation.uv), relaxation.uv, 10 * GONE
     ).transpose(2, 0, 1)
-    n_nodes, motion = int(np.isfinite(relaxation.uv[..., 0]).sum()), relaxation.history
+    n_nodes = int(np.isfinite(relaxation.uv[..., 0]).sum())
+    motion = relaxation.history
     moves = zip(motion.energy, motion.mean_speed * motion.dt, strict=True)
     return (
         relaxation.steps,
@@ -344,7 +346,8 @@ def _lay_on_projection(level: Level, points: Floats, pitch: float, team: Team) -
         if n_nodes
         else 0.0
     )
-    cos, sin = float(np.cos(angle)), float(np.sin(angle))
+    cos = float(np.cos(angle))
+    sin = float(np.sin(angle))
     n_nodes = max(n_nodes, 1.0)
     shift = (p - cos * u + sin * v) / n_nodes, (q - sin * u - cos * v) / n_nodes
     team.run(lay_down, level.parts, level.xy, cos, sin, *shift, pitch, level.cols)

@@ -191,10 +191,14 @@ def _motion(  # noqa: C901
     )
     opposite_pairs = ((right, left), (left, right), (below, above), (above, below))
     weights = np.stack([mask * side * (1.0 - 0.5 * opposite) for side, opposite in opposite_pairs])
-    nodes, period = np.count_nonzero(mask), 2.0 * (max(mask.shape) - 2)
-    v, next_v, f = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
+    nodes = np.count_nonzero(mask)
+    period = 2.0 * (max(mask.shape) - 2)
+    v = np.zeros_like(x)
+    next_v = np.zeros_like(x)
+    f = np.zeros_like(x)
     energy, largest_force = set_force(x, *springs, f)
-    dt, c = p.fixed_dt, max(p.c_min, np.sqrt(mix(v, 0.0, f, 1.0, weights, next_v)[0] / p.b))
+    dt = p.fixed_dt
+    c = max(p.c_min, np.sqrt(mix(v, 0.0, f, 1.0, weights, next_v)[0] / p.b))
     if p.control == "fixed":
         c = p.fixed_c
     gradient = time = calm_time = 0.0

@@ -207,7 +207,8 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
         int(np.clip(round(wanted_um / step_um), 1, max(1, (n - 1) // 2)))
         for step_um, n in zip(pitch_um, centre.shape, strict=True)
     )
-    rows, cols = _mesh_indices(y.size, row_step), _mesh_indices(x.size, col_step)
+    rows = _mesh_indices(y.size, row_step)
+    cols = _mesh_indices(x.size, col_step)
     mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
     height = np.where(is_sheet, centre, np.nan)[np.ix_(rows, cols)]
     points = np.stack([mesh_x, mesh_y, height], axis=-1)

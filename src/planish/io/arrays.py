@@ -76,7 +76,8 @@ def volume(
     >>> float(sheet.x[-1]), sheet.attrs["through"]
     (88.5, 'y')
     """
-    frame, raster = Frame(through=through, top=top), _array(array, VOLUME)
+    frame = Frame(through=through, top=top)
+    raster = _array(array, VOLUME)
     stored_data: Any = raster.variable._data  # pyright: ignore  `values` would read them
     dtype = supported_type(raster.dtype).newbyteorder("=")
     values: NDArray[Any] | LazyArray
@@ -183,10 +184,8 @@ def _array(array: Any, kind: ArrayKind) -> xr.DataArray:
         raster.encoding |= (
             {"chunks": stored_data.chunks} if isinstance(stored_data, LazyArray) else {}
         )
-    dims, has_colour = (
-        [str(name) for name in raster.dims],
-        kind is IMAGE and raster.shape[2:] in ((3,), (4,)),
-    )
+    dims = [str(name) for name in raster.dims]
+    has_colour = kind is IMAGE and raster.shape[2:] in ((3,), (4,))
     if set(kind.axes) < set(dims) or sorted(dims) == sorted(kind.axes):
         raster = raster.transpose(*kind.axes, ...)
     # Names of no axis.

@@ -51,7 +51,8 @@ def _load_nifti(path: Path) -> LoadedVolume:
     fields, header_bytes = _nifti_header(unpacked_head(path, LONGEST_NIFTI), path)
     with reading(path):
         extents = tuple(int(n) for n in fields.get_data_shape())
-        dtype, offset = np.dtype(fields.get_data_dtype()), int(fields.get_data_offset())
+        dtype = np.dtype(fields.get_data_dtype())
+        offset = int(fields.get_data_offset())
         slope, intercept = fields.get_slope_inter()
         unit_name, time_name = map(str, fields.get_xyzt_units())
         unit = {"meter": "m", "micron": "um", "unknown": ""}.get(unit_name, unit_name)
@@ -132,7 +133,8 @@ def _load_mrc(path: Path) -> LoadedVolume:
     letters = tuple(MRC_AXES.get(int(fields[name]), "") for name in ("mapc", "mapr", "maps"))
     naming = AxisNames("mapc, mapr and maps", letters)
     axes = axes_of(extents, path, [naming] if any(letters) else [])
-    offset, dtype = HEADER_BYTES + extended_bytes, _type_of(fields, path)
+    offset = HEADER_BYTES + extended_bytes
+    dtype = _type_of(fields, path)
     stated = _stated(fields, letters, axes.header_axes)
     header = _header_of(path, axes, dtype, offset, [stated])
     return header.volume(values_behind(header))
@@ -158,7 +160,8 @@ def _type_of(fields: Any, path: Path) -> np.dtype[Any]:
     """
     from mrcfile import utils
 
-    mode, byte_order = int(fields["mode"]), fields.dtype["nx"].byteorder
+    mode = int(fields["mode"])
+    byte_order = fields.dtype["nx"].byteorder
     try:
         dtype = np.dtype(utils.dtype_from_mode(mode))
     except ValueError:

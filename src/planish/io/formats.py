@@ -164,7 +164,8 @@ def format_of(place: Place) -> VolumeFormat:
     an image file.
     """
     path = place.path
-    name, is_folder = path.name.lower(), path.is_dir()
+    name = path.name.lower()
+    is_folder = path.is_dir()
     candidates = [
         f for f in FORMATS if name.endswith(f.suffixes) and is_folder == bool(f.marker_files)
     ]

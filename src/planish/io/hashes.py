@@ -63,7 +63,8 @@ class ShardLists:
     """The lists of shards that are whole."""
 
     def __init__(self, folder: Path, ome: str) -> None:
-        self.folder, self.prefix = folder.absolute(), "c/" if ome == "0.5" else ""
+        self.folder = folder.absolute()
+        self.prefix = "c/" if ome == "0.5" else ""
         self.listed = set(_read_checksums(folder))
 
     def names(self, level: Array, where: Where) -> list[str]:
@@ -155,7 +156,8 @@ def files_of(place: Place) -> list[Path]:
 
     Errors as of :func:`fingerprint`.
     """
-    path, file_format = place.path, format_of(place)
+    path = place.path
+    file_format = format_of(place)
     # Sections have gaps that are none: their counter says where each one lies, and is part of what
     # was measured.
     if is_section_folder(path):

@@ -79,7 +79,9 @@ def link_of(group: Any, name: str) -> Any:
 
 def find_dataset(path: Path, name: str) -> tuple[Path, str]:
     """Follow a path through groups and links."""
-    current_file, group_path, remaining_names = path, "", _words(name)
+    current_file = path
+    group_path = ""
+    remaining_names = _words(name)
     for _ in range(MOST_LINKS):
         with opened(current_file) as file:
             while remaining_names:
@@ -97,7 +99,8 @@ def find_dataset(path: Path, name: str) -> tuple[Path, str]:
                 return current_file, group_path
         is_external = isinstance(link, h5py.ExternalLink)
         base_names = [] if is_external or link.path.startswith("/") else _words(group_path)
-        group_path, remaining_names = "", [*base_names, *_words(link.path), *remaining_names]
+        group_path = ""
+        remaining_names = [*base_names, *_words(link.path), *remaining_names]
         if is_external:
             current_file = referenced_file(
                 path.parent, link.filename, path, base_folder=current_file.parent
@@ -176,7 +179,8 @@ def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Read the data set that was chosen, that NeXus names, or the only one with three axes."""
-    path, wanted = place.path, place.part.strip("/")
+    path = place.path
+    wanted = place.part.strip("/")
     if not wanted:
         with opened(path) as file:
             wanted = _default_dataset(file, path) or ""
@@ -216,7 +220,8 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
     Refuse one without values.
     """
     check_storage(dataset, path)
-    chunks, shape = dataset.chunks, tuple(int(n) for n in dataset.shape)
+    chunks = dataset.chunks
+    shape = tuple(int(n) for n in dataset.shape)
     array = FileArray(
         path, shape, dataset.dtype.newbyteorder("="), partial(_read_part, path, dataset.name, shape)
     )

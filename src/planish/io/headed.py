@@ -84,11 +84,9 @@ def packing_of(path: Path) -> str:
 
 def values_behind(header: Header) -> Values:
     """Map values, or leave them to be unpacked."""
-    data_file, needed_bytes, file_bytes = (
-        header.data,
-        header.needed_bytes,
-        size_of_file(header.data),
-    )
+    data_file = header.data
+    needed_bytes = header.needed_bytes
+    file_bytes = size_of_file(header.data)
     offset = max(file_bytes - needed_bytes, 0) if header.offset < 0 else header.offset
     stored_bytes = file_bytes - offset
     if header.packing:

@@ -66,7 +66,8 @@ PACKINGS = {"raw": "", "gzip": "deflate", "gz": "deflate", "bzip2": "bzip2", "bz
 
 def load(place: Place, _channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Map the values, or leave them to be unpacked."""
-    path, suffix = place.path, place.path.suffix.lower()
+    path = place.path
+    suffix = place.path.suffix.lower()
     readers = {
         ".nrrd": _nrrd_header,
         ".nhdr": _nrrd_header,
@@ -144,7 +145,8 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     ]
     contents_text = f"{' and '.join(sample_texts)} in each voxel" if sample_texts else ""
     axes = axes_of(extents, path, _names_by_nrrd(fields, kinds), contents_text=contents_text)
-    dtype, endian = _type_of(str(fields.get("type", "")).strip(), path), fields.get("endian")
+    dtype = _type_of(str(fields.get("type", "")).strip(), path)
+    endian = fields.get("endian")
     if dtype.itemsize > 1 and endian not in ("little", "big"):
         raise damaged(path, "its header does not state the byte order (endian)")
     encoding = str(fields.get("encoding", "")).casefold()
@@ -197,7 +199,8 @@ def _oriented_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Or
 def _stated_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Stated]:
     """Voxel size along z, y, x: the lengths of the space directions, and the spacings."""
     stated: list[Stated] = []
-    directions, spacings = fields.get("space directions"), fields.get("spacings")
+    directions = fields.get("space directions")
+    spacings = fields.get("spacings")
     if directions is not None:
         lengths = [
             None if v is None else float(np.linalg.norm(np.asarray(v, float))) for v in directions
@@ -254,7 +257,8 @@ def _meta_header(head: bytes, path: Path) -> Header:  # noqa: C901
     dtype = _type_of(fields.get("elementtype", ""), path)
     if not switched("binarydata", "True"):
         raise FileError(f"{path.name} has its values written as text. Save it with binary values.")
-    is_local, skip_text = data_name.casefold() == "local", fields.get("headersize", "0")
+    is_local = data_name.casefold() == "local"
+    skip_text = fields.get("headersize", "0")
     if skip_text != "0" and (is_local or skip_text != "-1"):
         raise FileError(
             f"{path.name} skips {skip_text} bytes before its values (HeaderSize). Save it again"
@@ -381,7 +385,8 @@ def _raw_header(path: Path) -> Header:
     data_file = referenced_file(header_file.parent, data_name, header_file)
     faults = [f"unknown key {key!r}" for key in fields if key not in KEYS]
     shape, dtype, byte_order = (fields.get(key) for key in ("shape", "dtype", "byte_order"))
-    offset, voxel_um = fields.get("offset", 0), fields.get("voxel_um")
+    offset = fields.get("offset", 0)
+    voxel_um = fields.get("voxel_um")
     if not (
         isinstance(shape, list) and len(shape) == 3 and all(type(n) is int and n > 0 for n in shape)
     ):

@@ -167,7 +167,9 @@ def channel_of(
         scale = full_scale(picture.values.dtype, picture.bits)
         picture = picture._replace(values=linear_grey(picture.values, gamma, scale))
     samples = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
-    n_channels, colour, channel_name = samples.shape[-1], picture.colour, channel.strip().casefold()
+    n_channels = samples.shape[-1]
+    colour = picture.colour
+    channel_name = channel.strip().casefold()
     if channel_name.isdecimal() and channel_name.isascii():
         if int(channel_name) >= n_channels:
             count_text, range_text = (

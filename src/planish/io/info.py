@@ -129,25 +129,19 @@ def describe(
     # What can be read of the values only by decoding more than that, is not.
     most_bytes = memory_bytes if values else None
     if is_section_folder(place.path):
-        kind, sections = (
-            "sections",
-            open_sections(place.path, channel=channel, memory_bytes=memory_bytes),
-        )
+        kind = "sections"
+        sections = open_sections(place.path, channel=channel, memory_bytes=memory_bytes)
         facts = _describe_sections(
             sections, partial(sections.agreed_size, voxel_um, **options), warnings
         )
     elif is_image(place):
         find_size = partial(agreed_size, asked=PIXEL, user_um=pixel_um, **named_options)
-        kind, facts = (
-            "image",
-            _describe_image(place.path, find_size, most_bytes, value_facts, warnings),
-        )
+        kind = "image"
+        facts = _describe_image(place.path, find_size, most_bytes, value_facts, warnings)
     else:
         find_size = partial(agreed_size, asked=VOXEL, user_um=voxel_um, **named_options)
-        kind, facts = (
-            "volume",
-            _describe_volume(place, find_size, channel, most_bytes, value_facts, warnings),
-        )
+        kind = "volume"
+        facts = _describe_volume(place, find_size, channel, most_bytes, value_facts, warnings)
     return {"kind": kind, "file_name": place.path.name, **facts, "warnings": warnings}
 
 
@@ -170,7 +164,8 @@ def _describe_volume(
     is_read = loaded is not None
     # Of what does not fit into the memory, the values are not read.
     loaded = loaded or open_volume(place, channel=channel)
-    grey_values, file_format = unmapped(loaded.values), format_of(place)
+    grey_values = unmapped(loaded.values)
+    file_format = format_of(place)
     warnings += loaded.attrs.get("doubts", [])
     warnings += filter(None, [hand_sentence(loaded.attrs, "volume")])
     facts = value_facts(
@@ -191,7 +186,8 @@ def _describe_volume(
             f" {100 * facts['saturated_share']:.3g} % are 255). 16 bits lose nothing."
         )
     # How a volume is held; memory and time of ``planish map`` for a sheet across the shortest axis.
-    values, n_columns = loaded.values, math.prod(grey_values.shape) // min(grey_values.shape)
+    values = loaded.values
+    n_columns = math.prod(grey_values.shape) // min(grey_values.shape)
     storage_text, whole_bytes = "decoded in memory", values.nbytes
     if isinstance(values, np.memmap):
         storage_text, whole_bytes = "mapped from its file", 0
@@ -336,9 +332,11 @@ def _size_facts(
         usual_range = None
     if usual_range is not None:
         elements, (least, most) = usual_range
-        shortest, longest = min(size), max(size)
+        shortest = min(size)
+        longest = max(size)
         if shortest < least or longest > most:
-            edges_text, range_text = " x ".join(f"{v:g}" for v in size), f"{least:g} to {most:g} um"
+            edges_text = " x ".join(f"{v:g}" for v in size)
+            range_text = f"{least:g} to {most:g} um"
             warnings.append(
                 f"{elements} of {edges_text} um are unusual for paper ({range_text}). Is the unit"
                 " right?"

@@ -99,7 +99,9 @@ def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _
     stride = max(
         1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim))
     )
-    seen, samples, digests = _Seen(), list[NDArray[Any]](), set[bytes]()
+    seen = _Seen()
+    samples = list[NDArray[Any]]()
+    digests = set[bytes]()
     for index, number in enumerate(plane_numbers):
         plane = np.asarray(values[number])
         finite_values = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
@@ -107,8 +109,10 @@ def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _
         seen.n_finite += finite_values.size
         plane_low = plane_high = math.nan
         if finite_values.size:
-            plane_low, plane_high = float(finite_values.min()), float(finite_values.max())
-            seen.low, seen.high = min(seen.low, plane_low), max(seen.high, plane_high)
+            plane_low = float(finite_values.min())
+            plane_high = float(finite_values.max())
+            seen.low = min(seen.low, plane_low)
+            seen.high = max(seen.high, plane_high)
         if full_scale is not None:
             seen.n_saturated += int(np.count_nonzero(plane == full_scale))
             seen.n_bottom += int(np.count_nonzero(plane == 0))

@@ -109,7 +109,8 @@ class StoredArray(FileArray):
         stored_dtype: np.dtype[Any],
     ) -> None:
         self.planes, self.shape, self.stored_dtype = planes, shape, stored_dtype
-        self.path, self.dtype = planes[0][0], stored_dtype.newbyteorder("=")
+        self.path = planes[0][0]
+        self.dtype = stored_dtype.newbyteorder("=")
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read whole rows, plane by plane, and keep a part of them."""
@@ -212,8 +213,12 @@ class ViewArray(FileArray):
         change: Change = np.asarray,
         dtype: np.dtype[Any] | None = None,
     ) -> None:
-        self.inner, self.order, self.change, self.path = inner, tuple(order), change, inner.path
-        self.shape, self.dtype = tuple(inner.shape[axis] for axis in order), dtype or inner.dtype
+        self.inner = inner
+        self.order = tuple(order)
+        self.change = change
+        self.path = inner.path
+        self.shape = tuple(inner.shape[axis] for axis in order)
+        self.dtype = dtype or inner.dtype
         self.chunks = None if inner.chunks is None else tuple(inner.chunks[axis] for axis in order)
         self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
 

@@ -53,7 +53,8 @@ def _write_array(
     key: str,
 ) -> None:
     """Write a variable; ``first_arrays`` has one of each kind, by dimensions, shape and type."""
-    variable, folder = data.variables[key].copy(deep=False), path / group.path / key
+    variable = data.variables[key].copy(deep=False)
+    folder = path / group.path / key
     coords = [k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}]
     if named := " ".join(k for k in coords if {*data[k].dims} <= {*variable.dims}):
         variable.attrs["coordinates"] = named

@@ -244,7 +244,8 @@ class PartCache:
     """Parts of arrays of a store that were read, as long as there is room for them."""
 
     def __init__(self, room_bytes: int) -> None:
-        self._room, self._parts = room_bytes, dict[Any, NDArray[Any]]()
+        self._room = room_bytes
+        self._parts = dict[Any, NDArray[Any]]()
 
     def forget(self) -> None:
         """Read all parts anew, as what they are read from is written."""

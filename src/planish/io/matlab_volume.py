@@ -22,7 +22,8 @@ from planish.io.sizes import stated_in
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Read the variable that was chosen, or the only one with three axes."""
-    path, name = place.path, place.part.strip("/")
+    path = place.path
+    name = place.part.strip("/")
     size_of_file(path)
     with reading(path), path.open("rb") as file:
         first_bytes = file.read(520)
@@ -45,7 +46,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
             variable = variables[name or only_volume(volumes, path.name)]
             # The voxel size, one number or z, y, x: no habit of MATLAB, but it can be saved beside
             # the volume.
-            size, sizes = variables.get("voxel_um"), list[float]()
+            size = variables.get("voxel_um")
+            sizes = list[float]()
             if size is not None and size.real and size.count in (1, 3):
                 sizes = np.broadcast_to(np.ravel(matlab.values(file, size)), 3).tolist()
     if variable.kind not in matlab.NUMBERS:

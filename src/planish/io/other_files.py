@@ -71,11 +71,13 @@ def check_kind(path: Path, *, takes_text: bool) -> None:
 def refusal(path: Path) -> FileError:
     """Give the error for a file that no reader takes: what it is, and the way on."""
     head = head_of(path, HEAD_BYTES)
-    kind, origin = _kind_by_bytes(head), "first bytes"
+    kind = _kind_by_bytes(head)
+    origin = "first bytes"
     file_format = format_by_bytes(head)
     # What packs or holds others says less than the name.
     if kind in (None, _TEXT, _ARCHIVES) and path.suffix.lower() in _BY_NAME:
-        kind, origin = _BY_NAME[path.suffix.lower()], "name"
+        kind = _BY_NAME[path.suffix.lower()]
+        origin = "name"
     elif file_format is not None:
         new_name = path.with_suffix(file_format.suffixes[0]).name
         return FileError(
@@ -171,7 +173,8 @@ def _counted(files: Sequence[Path]) -> list[str]:
     """Count the files of each suffix: ``5 DICOM files (.dcm)``, the most first."""
     texts: list[str] = []
     for group in _by_suffix(files):
-        suffix, n = _suffix(group[0]), len(group)
+        suffix = _suffix(group[0])
+        n = len(group)
         suffix_text = f" ({suffix})" if suffix else " without a suffix"
         texts.append(f"{n} {_noun(group[0])}{'s' if n > 1 else ''}{suffix_text}")
     return texts

@@ -120,9 +120,11 @@ def load_picture(
             if is_looked_up and not (is_slice and tif.is_imagej):
                 # Palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey
                 # stays grey.
-                colormap, bits = np.asarray(page.colormap), 16
+                colormap = np.asarray(page.colormap)
+                bits = 16
                 if np.all(colormap % 257 == 0):
-                    colormap, bits = (colormap // 257).astype(np.uint8), 8
+                    colormap = (colormap // 257).astype(np.uint8)
+                    bits = 8
                 colour = "grey" if (colormap == colormap[0]).all() else "rgb"
                 entry = values.astype(np.intp)
                 values = (

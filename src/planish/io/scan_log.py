@@ -78,7 +78,8 @@ class Log:
     """A log, and the slices that it names; what it does not state is None."""
 
     def __init__(self, path: Path, slices: list[Path]) -> None:
-        self.name, self.stem = path.name, path.stem.casefold()
+        self.name = path.name
+        self.stem = path.stem.casefold()
         self.sections = _log_sections(path)
         self.keys = self.sections.get("reconstruction", {})
         self.prefix = self.sections.get("file name convention", {}).get("filename prefix") or None

@@ -187,7 +187,8 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
     # Here, so that a look at a file waits for no reader of slices.
     from planish.io.slice_volume import load_pictures
 
-    kind, channel = _kind_of_sections(table), check_channel(channel)
+    kind = _kind_of_sections(table)
+    channel = check_channel(channel)
     values, picture = load_pictures(
         files, channel=channel, memory_bytes=memory_bytes, photographs=True
     )

@@ -102,7 +102,8 @@ def stated_in(
     for axis in order:
         length = lengths[axis] if axis < len(lengths) else None
         unit = units[axis] if axis < len(units) else ""
-        size, unit_length = _number(length), unit_um(unit)
+        size = _number(length)
+        unit_length = unit_um(unit)
         sizes.append(None if size is None or unit_length is None else size * unit_length)
         written.append("" if length is None else f"{length:g} {unit}")
         if length is not None and size is None:
@@ -143,7 +144,8 @@ def agreed_size(
                 axis for axis, um in zip(asked.axes, merged_size, strict=True) if um is None
             )
             notes_text = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
-            only_text, axes_text = "", ",".join(asked.axes).upper()
+            only_text = ""
+            axes_text = ",".join(asked.axes).upper()
             give_text = f"it with `{asked.word}=SIZE` (or {axes_text})"
             if statements:
                 only_text = f" along {missing_axes}: {asked.statements(statements)} only"

@@ -69,12 +69,14 @@ def load_pictures(
     of sections are compared with each other several times, so they are only left there where they
     do not fit.
     """
-    folder, limit = files[0].parent, memory_limit(memory_bytes)
+    folder = files[0].parent
+    limit = memory_limit(memory_bytes)
     load_one = partial(load_picture, is_slice=not photographs)
     first = load_one(files[0], memory_bytes=limit)
     colour_attrs(channel, folder, in_colour=first.in_colour)
     grey = _grey_values(first, files[0], channel)
-    dtype, shape = supported_type(grey.dtype), (len(files), *grey.shape)
+    dtype = supported_type(grey.dtype)
+    shape = (len(files), *grey.shape)
     header = _slice_header(files[0])
     eager_bytes = limit if photographs or header.offset is None else min(limit, EAGER_BYTES)
     if math.prod(shape) * dtype.itemsize <= eager_bytes:

@@ -84,10 +84,8 @@ def open_series(
                         f" {shape_words(first_series)} from page 1 on, {shape_words(odd_series)} at"
                         f" page {odd_page}. {advice}"
                     )
-                shape, slice_pages = (
-                    (len(full_series), *first_series.shape),
-                    [s.pages[0] for s in full_series],
-                )
+                shape = (len(full_series), *first_series.shape)
+                slice_pages = [s.pages[0] for s in full_series]
                 series = TiffPageSeries(
                     slice_pages, shape, first_series.dtype, "IYX", kind="uniform"
                 )
@@ -163,13 +161,15 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
 
     A cut file of ImageJ still has its table.
     """
-    first, n_pages = tif.pages.first, len(tif.pages)
+    first = tif.pages.first
+    n_pages = len(tif.pages)
     for tag in re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or ""):
         sizes = {
             k: int(n) for k, n in re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)
         }
         n_planes = math.prod(sizes.get(k, 1) for k in "ZCT")
-        n_rows, n_columns = sizes.get("Y", 1), sizes.get("X", 1)
+        n_rows = sizes.get("Y", 1)
+        n_columns = sizes.get("X", 1)
         if (
             n_planes > MOST_PAGES
             or n_rows > 10 * first.imagelength
@@ -211,7 +211,8 @@ def describes_other_images(tif: TiffFile) -> bool:
     stack with fewer pages than images, some are lost.
     """
     first: Any = tif.pages.first
-    n_pages, n_images = len(tif.pages), _described_images(tif)
+    n_pages = len(tif.pages)
+    n_images = _described_images(tif)
     if n_images == 1 or not first.dataoffsets or first.samplesperpixel > 1:
         return False
     if n_pages > 1:
@@ -247,7 +248,8 @@ def _declared_series(tif: TiffFile) -> list[TiffPageSeries]:
 
 
 def _check_data(series: TiffPageSeries, path: Path) -> None:  # noqa: C901, PLR0912
-    file_bytes, frame = size_of_file(path), series.keyframe
+    file_bytes = size_of_file(path)
+    frame = series.keyframe
     for name in LAYOUT_NUMBERS:  # damaged tags may have any type
         number: Any = getattr(frame, name)
         if not isinstance(number, int):
@@ -265,7 +267,9 @@ def _check_data(series: TiffPageSeries, path: Path) -> None:  # noqa: C901, PLR0
     n_pixels = len(pages) * math.prod(frame.shape)
     if n_pixels != series.size and offset is None:
         raise damaged(path, f"{series.size} pixels are declared, its pages hold {n_pixels}")
-    n_segments, needed_bytes, total_bytes = math.prod(frame.chunked), 0, 0
+    n_segments = math.prod(frame.chunked)
+    needed_bytes = 0
+    total_bytes = 0
     # Bytes that the strips of a page must have.
     if frame.compression == 1 and not frame.is_subsampled:
         n_samples, n_planes = (

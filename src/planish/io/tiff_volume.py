@@ -138,7 +138,8 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> tuple[str, tuple[str, ..
 
     Slices, y and x, and the samples of a stack in colour.
     """
-    axes, shape = long_axes(series), shape_words(series)
+    axes = long_axes(series)
+    shape = shape_words(series)
     axis_lengths = dict(zip(series.axes, series.shape, strict=True))
     grey_axes = axes.replace("S", "")
     # The samples of a pixel may be red, green and blue, with or without further ones.
@@ -187,7 +188,8 @@ class TiffPages(PagedArray):
         self._decode: Any = key.decode
         self._across = -(-key.imagewidth // key.tilewidth) if key.is_tiled else 1
         strip_rows = key.tilelength if key.is_tiled else min(key.rowsperstrip, key.imagelength)
-        shape, dtype = (len(pages), *key.shape), np.dtype(key.dtype).newbyteorder("=")
+        shape = (len(pages), *key.shape)
+        dtype = np.dtype(key.dtype).newbyteorder("=")
         super().__init__(path, shape, dtype, strip_rows, self._decoded_rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -210,7 +212,8 @@ class TiffPages(PagedArray):
                 )
                 if segment is None:
                     raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
-                height, width = min(height, stop - y), min(width, self.shape[2] - x)
+                height = min(height, stop - y)
+                width = min(width, self.shape[2] - x)
                 pixels[y - start : y - start + height, x : x + width] = segment[0, :height, :width]
         return values
 

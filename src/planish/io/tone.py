@@ -50,7 +50,8 @@ def tone_of(tags: Mapping[int, Any], colour_space: Any, info: Mapping[Any, Any])
         curve = "sRGB, as JPEG has it"
     is_linear = "linear" in curve.casefold() or curve.startswith("an exponent of 1,")
     names = [str(tags[tag]).strip("\0 ") for tag in (271, 272) if tags.get(tag)]
-    camera, is_scan = " ".join(dict.fromkeys(names)), writer_of(tags, ()).is_scanner
+    camera = " ".join(dict.fromkeys(names))
+    is_scan = writer_of(tags, ()).is_scanner
     return Tone(camera, curve, is_linear, is_scan)
 
 

@@ -147,7 +147,8 @@ def _check_contents(place: Place) -> None:
 
     Pictures and TIFF files are known by their first bytes alone, and raw values may begin with any.
     """
-    path, file_format = place.path, format_of(place)
+    path = place.path
+    file_format = format_of(place)
     if not file_format.starts:
         return
     head = head_of(path, HEAD_BYTES)
@@ -172,7 +173,8 @@ def load_volume(
 
     Errors as those of :func:`read_volume`.
     """
-    path, loaded = place.path, open_volume(place, channel=channel, memory_bytes=memory_bytes)
+    path = place.path
+    loaded = open_volume(place, channel=channel, memory_bytes=memory_bytes)
     shape = loaded.values.shape
     if 0 in shape or math.prod(shape) > 2**50:  # No scan has more; a larger number is damage.
         raise damaged(path, f"it declares {size_words(shape)} voxels, which no volume has")

@@ -213,7 +213,8 @@ def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
     example = (
         f" Choose one as {path.name}:{members[0]}." if members else " Export it again as OME-Zarr."
     )
-    members_text, node_text = ", ".join(members[:8]) or "nothing", name or "its root"
+    members_text = ", ".join(members[:8]) or "nothing"
+    node_text = name or "its root"
     raise VolumeError(
         f"{path.name} has no multiscale image at {node_text}; it holds {members_text}.{example}"
     )

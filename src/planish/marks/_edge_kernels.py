@@ -20,7 +20,8 @@ def sample(image, x, y):
     rows, columns = image.shape
     if x < 0.0 or y < 0.0 or x > columns - 1 or y > rows - 1:
         return np.nan
-    j, i = min(int(x), columns - 2), min(int(y), rows - 2)
+    j = min(int(x), columns - 2)
+    i = min(int(y), rows - 2)
     u, v = x - j, y - i
     return (image[i, j] * (1 - u) + image[i, j + 1] * u) * (1 - v) + (
         image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
@@ -40,7 +41,8 @@ def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):  
     radii = np.full(rays, np.nan)
     for k in range(rays):
         angle = 2 * np.pi * k / rays
-        sx, sy = np.cos(angle) * dt / px, np.sin(angle) * dt / py
+        sx = np.cos(angle) * dt / px
+        sy = np.sin(angle) * dt / py
         sums[0] = 0.0
         last = count
         for t in range(count):
@@ -96,7 +98,9 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):  # 
     They lie within ``search`` of the model.
     """
     rays = model.shape[0]
-    radii, steps, far_steps = (np.full(rays, np.nan), np.full(rays, np.nan), np.full(rays, np.nan))
+    radii = np.full(rays, np.nan)
+    steps = np.full(rays, np.nan)
+    far_steps = np.full(rays, np.nan)
     nears = np.full(rays, np.nan)
     gap = max(4.0, 0.9 * pixel)  # from the edge to where the plateaus begin
     # Over which a plateau is averaged; well under the width of the char.
@@ -105,7 +109,8 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):  # 
     for k in range(rays):
         angle = 2 * np.pi * k / rays
         x0, y0 = cx / px, cy / py
-        sx, sy = np.cos(angle) / px, np.sin(angle) / py
+        sx = np.cos(angle) / px
+        sy = np.sin(angle) / py
         start = max(0.0, model[k] - search - reach * dt)
         # A model that bends to the other side of its centre has no edge there.
         count = max(0, int((model[k] + search + reach * dt - start) / dt) + 2)
@@ -174,7 +179,8 @@ def first_crossings(image, px, py, cx, cy, sign, level, reach, dt, rays):
     count = int(reach / dt) + 1
     for k in range(rays):
         angle = 2 * np.pi * k / rays
-        sx, sy = np.cos(angle) / px, np.sin(angle) / py
+        sx = np.cos(angle) / px
+        sy = np.sin(angle) / py
         before = sign * sample(image, cx / px, cy / py)
         for t in range(1, count):
             after = sign * sample(image, cx / px + sx * t * dt, cy / py + sy * t * dt)
@@ -191,11 +197,13 @@ def first_crossings(image, px, py, cx, cy, sign, level, reach, dt, rays):
 def levels(image, px, py, cx, cy, sign, radius, pixel):
     """Give inside level, its spread, flatness, outside level and texture around a fitted circle."""
     rays, rings = 32, 8
-    core, wall = np.empty(rays * rings), np.empty(rays)
+    core = np.empty(rays * rings)
+    wall = np.empty(rays)
     outside = np.empty(rays * rings)
     for k in range(rays):
         angle = 2 * np.pi * (k + 0.5) / rays
-        sx, sy = np.cos(angle) / px, np.sin(angle) / py
+        sx = np.cos(angle) / px
+        sy = np.sin(angle) / py
         for s in range(rings):
             # Equal areas: radii go with the square root.
             r = 0.65 * radius * np.sqrt((s + 0.5) / rings)
@@ -233,7 +241,8 @@ def fit_outline(radii, order, least_scale):  # noqa: C901, PLR0912
     are there.
     """
     n, terms = radii.shape[0], 2 * order + 1
-    weight, error = np.zeros(n), np.empty(n)
+    weight = np.zeros(n)
+    error = np.empty(n)
     coefficients = np.zeros(terms)
     inverse = np.zeros((terms, terms))
     if 3 * np.sum(np.isfinite(radii)) < n:

@@ -27,7 +27,8 @@ def polar_rises(image, px, py, cx, cy, sign, dt, count, reach, rays):
     sums = np.empty(count + 1)
     for k in range(rays):
         angle = 2 * np.pi * k / rays
-        sx, sy = np.cos(angle) * dt / px, np.sin(angle) * dt / py
+        sx = np.cos(angle) * dt / px
+        sy = np.sin(angle) * dt / py
         sums[0] = 0.0
         for t in range(count):
             sums[t + 1] = sums[t] + sign * sample(image, cx / px + sx * t, cy / py + sy * t)
@@ -81,7 +82,8 @@ def closed_path(worth, first, last):
 
     By dynamic programming, with both radii included.
     """
-    rays, count = worth.shape[0], min(last, worth.shape[1] - 1) + 1 - first
+    rays = worth.shape[0]
+    count = min(last, worth.shape[1] - 1) + 1 - first
     worth = worth[:, first : first + count]
     best = worth[0].copy()
     came = np.zeros((2 * rays, count), np.int64)
@@ -112,8 +114,10 @@ def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
     Its centre where that is nothing.
     """
     total, tx, ty = 0, 0.0, 0.0
-    i0, i1 = max(int((cy - radius) / py) + 1, 0), min(int((cy + radius) / py) + 1, image.shape[0])
-    j0, j1 = max(int((cx - radius) / px) + 1, 0), min(int((cx + radius) / px) + 1, image.shape[1])
+    i0 = max(int((cy - radius) / py) + 1, 0)
+    i1 = min(int((cy + radius) / py) + 1, image.shape[0])
+    j0 = max(int((cx - radius) / px) + 1, 0)
+    j1 = min(int((cx + radius) / px) + 1, image.shape[1])
     for i in range(i0, i1):
         for j in range(j0, j1):
             if (
@@ -140,7 +144,8 @@ def darkest_beyond(image, px, py, cx, cy, sign, model, beyond, width):
         if model[k] != model[k]:
             continue
         angle = 2 * np.pi * k / rays
-        sx, sy = np.cos(angle) / px, np.sin(angle) / py
+        sx = np.cos(angle) / px
+        sy = np.sin(angle) / py
         # A model that bends to the other side of its centre has no length there.
         count = max(0, int(2 * beyond * model[k] / min(px, py))) + 2
         total, used = 0.0, 0
@@ -175,14 +180,10 @@ def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
         x, y = xs[h], ys[h]
         for _turn in range(6):
             total, tx, ty = 0, 0.0, 0.0
-            i0, i1 = (
-                max(int((y - radius) / py) + 1, 0),
-                min(int((y + radius) / py) + 1, image.shape[0]),
-            )
-            j0, j1 = (
-                max(int((x - radius) / px) + 1, 0),
-                min(int((x + radius) / px) + 1, image.shape[1]),
-            )
+            i0 = max(int((y - radius) / py) + 1, 0)
+            i1 = min(int((y + radius) / py) + 1, image.shape[0])
+            j0 = max(int((x - radius) / px) + 1, 0)
+            j1 = min(int((x + radius) / px) + 1, image.shape[1])
             for i in range(i0, i1):
                 for j in range(j0, j1):
                     if sign * image[i, j] < level and np.hypot(j * px - x, i * py - y) <= radius:

@@ -162,7 +162,8 @@ def _quantile(values: Image, finite_counts: Ints, quantile: float) -> Image:
 
 def outside(raster: Raster, circles: Floats) -> Raster:
     """Give the image without circles ``x, y, radius`` (um), NaN there."""
-    image, (row_um, col_um) = raster.image.copy(), raster.pixel_um
+    image = raster.image.copy()
+    row_um, col_um = raster.pixel_um
     for x, y, radius in circles:
         i0, i1 = (max(0, int((y + side * radius) / row_um) + (side > 0)) for side in (-1, 1))
         j0, j1 = (max(0, int((x + side * radius) / col_um) + (side > 0)) for side in (-1, 1))

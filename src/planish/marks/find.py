@@ -129,7 +129,9 @@ def find_holes(
     # magnified picture.
     magnification = float(USUAL_UM / np.sqrt(low * high))
     magnification = 1.0 if 0.5 <= magnification <= 2.0 else magnification
-    sign, holes, counts = signs[0], np.empty((0, k.COLUMNS)), dict.fromkeys(REASONS, 0)
+    sign = signs[0]
+    holes = np.empty((0, k.COLUMNS))
+    counts = dict.fromkeys(REASONS, 0)
     may_hold_hole = min(n * step for n, step in zip(grey.shape, pixel_size, strict=True)) > low
     if may_hold_hole and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
         magnified_raster = Raster(

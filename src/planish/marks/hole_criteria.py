@@ -58,7 +58,9 @@ def met_criteria(marks: Floats, pixel_um: Pair, radius_range: Pair) -> dict[str,
 
     ``radius_range`` in um.
     """
-    radius, rim_steps, depths = marks[:, k.RADIUS], marks[:, k.STEP], depth(marks)
+    radius = marks[:, k.RADIUS]
+    rim_steps = marks[:, k.STEP]
+    depths = depth(marks)
     with np.errstate(invalid="ignore"):
         # Step over +-10 um across the rim as a share of that over +-25 um: a gentle slope makes
         # less. Char so narrow that its outer edge comes within the wider distance makes less, too;
@@ -103,10 +105,8 @@ def share_floor(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
     disjoint = marks[is_like][best_rims(marks[is_like])]
     if len(disjoint) < LEAST_OTHERS:
         return np.zeros(len(marks), bool)
-    floors, tolerance = (
-        np.sort(disjoint[:, k.INSIDE]),
-        LIKE_FLOORS[0] * float(np.median(depth(disjoint))),
-    )
+    floors = np.sort(disjoint[:, k.INSIDE])
+    tolerance = LIKE_FLOORS[0] * float(np.median(depth(disjoint)))
     is_shared = floors[LEAST_OTHERS - 1 :] - floors[: 1 - LEAST_OTHERS] < tolerance
     level = floors[int(np.argmax(is_shared)) + LEAST_OTHERS // 2] if is_shared.any() else np.nan
     return is_like & (np.abs(marks[:, k.INSIDE] - level) < tolerance)
@@ -170,7 +170,8 @@ def greedy_disjoint(order: Ints, pairs: Ints) -> list[int]:
     ``pairs`` (m, 2) are neighbours.
     """
     points, neighbours = pairs[np.argsort(pairs[:, 0], kind="stable")].T
-    starts, stops = np.searchsorted(points, order), np.searchsorted(points, order, "right")
+    starts = np.searchsorted(points, order)
+    stops = np.searchsorted(points, order, "right")
     excluded: set[int] = set()
     disjoint: list[int] = []
     for point, start, stop in zip(order.tolist(), starts, stops, strict=True):
@@ -233,16 +234,15 @@ def typical_hole(marks: Floats) -> TypicalHole:
     depths = depth(marks)
     # The deeper half: what is less deep may be ink or dirt.
     deep_marks = marks[depths >= np.median(depths)]
-    floor_levels, sheet_levels, deep_depths = (
-        deep_marks[:, k.INSIDE],
-        deep_marks[:, k.OUTSIDE],
-        depth(deep_marks),
-    )
+    floor_levels = deep_marks[:, k.INSIDE]
+    sheet_levels = deep_marks[:, k.OUTSIDE]
+    deep_depths = depth(deep_marks)
     sheet_level = float(np.median(sheet_levels))
     # Uneven light brightens floors with the sheet, and print does not: the slope counts if it
     # explains the floors.
     clear_marks = marks[depths >= 0.7 * np.median(depths)]
-    slope, scatter = 0.0, mad_sd(floor_levels)
+    slope = 0.0
+    scatter = mad_sd(floor_levels)
     fitted_slope = _slope(clear_marks[:, k.OUTSIDE], clear_marks[:, k.INSIDE])
     fitted_scatter = mad_sd(floor_levels - fitted_slope * sheet_levels)
     if fitted_scatter < 0.5 * scatter:
@@ -251,10 +251,8 @@ def typical_hole(marks: Floats) -> TypicalHole:
     burnt_share, rim_share = (
         float(np.nanmedian(deep_marks[:, column] / deep_depths)) for column in (k.BURNT, k.STEP)
     )
-    scatter, radius = (
-        scatter / (sheet_level - floor_level),
-        float(np.median(deep_marks[:, k.RADIUS])),
-    )
+    scatter = scatter / (sheet_level - floor_level)
+    radius = float(np.median(deep_marks[:, k.RADIUS]))
     return TypicalHole(floor_level, sheet_level, slope, scatter, radius, burnt_share, rim_share)
 
 
@@ -275,7 +273,8 @@ def drop_unlike(marks: Floats, sign: float) -> Floats:
     """Drop marks much fainter, smaller or larger than the rest, or unlike them in two ways."""
     if len(marks) < LEAST_OTHERS:
         return marks
-    typical, depths = typical_hole(marks), depth(marks)
+    typical = typical_hole(marks)
+    depths = depth(marks)
     expected_depths = np.maximum(
         marks[:, k.OUTSIDE] - typical.floor_at(marks[:, k.OUTSIDE]), depths
     )
@@ -337,9 +336,11 @@ def merge_floors(marks: Floats, floors: Floats) -> Floats:
 
     Where one lies on a mark, the clearly better of the two stays.
     """
-    is_retained, is_added = np.ones(len(marks), bool), np.zeros(len(floors), bool)
+    is_retained = np.ones(len(marks), bool)
+    is_added = np.zeros(len(floors), bool)
     overlaps = _overlapping(floors, marks)
-    floor_qualities, qualities = quality(floors) - BETTER, quality(marks)
+    floor_qualities = quality(floors) - BETTER
+    qualities = quality(marks)
     for i in range(len(floors)):
         overlapped = overlaps[slice(*np.searchsorted(overlaps[:, 0], (i, i + 1))), 1]
         overlapped = overlapped[is_retained[overlapped]]

@@ -128,10 +128,8 @@ def without_dots(
         np.where(has_data, coarse_greys, np.median(coarse_greys[has_data])), 1.0
     )
     counts, grey_edges = np.histogram(smooth[has_data], 256)
-    counts_below, sums_below = (
-        np.cumsum(counts),
-        np.cumsum(counts * (0.5 * (grey_edges[1:] + grey_edges[:-1]))),
-    )
+    counts_below = np.cumsum(counts)
+    sums_below = np.cumsum(counts * (0.5 * (grey_edges[1:] + grey_edges[:-1])))
     weight = counts_below[:-1] * (counts_below[-1] - counts_below[:-1])
     difference = sums_below[-1] * counts_below[:-1] / counts_below[-1] - sums_below[:-1]
     class_variance = difference**2 / np.maximum(weight, 1)

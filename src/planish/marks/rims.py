@@ -92,9 +92,12 @@ def measure_rims(
     the rim is from the sheet around (the last column is left to others). Lengths in um. NaN rows
     where there is no hole.
     """
-    picture, pixel, (low, high) = _picture(raster), max(raster.pixel_um), radius_range
+    picture = _picture(raster)
+    pixel = max(raster.pixel_um)
+    low, high = radius_range
     holes = np.full((len(positions), COLUMNS), np.nan)
-    dt, near = max(0.5 * pixel, 0.5), max(1.2 * pixel, 6.0)
+    dt = max(0.5 * pixel, 0.5)
+    near = max(1.2 * pixel, 6.0)
     for hole, position, least, contrast in zip(holes, positions, *thresholds, strict=True):
         circle = _circle(picture, position, sign, radius_range, float(least), float(contrast))
         if circle is None:
@@ -111,7 +114,8 @@ def measure_rims(
         if closed is not None and closed.fit[0] > 0.5 * low and _is_inside(closed, rim):
             rim = closed
         _describe(hole, picture, sign, rim)
-        hole[STEP], hole[FAR_STEP] = _median(rim.steps), _median(rim.far_steps)
+        hole[STEP] = _median(rim.steps)
+        hole[FAR_STEP] = _median(rim.far_steps)
         hole[BURNT] = hole[OUTSIDE] - _median(rim.nears)
         _set_doubt(hole, picture, sign, (rim.x, rim.y), rim.steps)
         if around == 0.0:
@@ -150,10 +154,13 @@ def measure_floors(
     step from the floor to the sheet, that with the roundest outline is taken. Returns ``(n,
     COLUMNS)`` as `measure_rims` does, without steps at the rim.
     """
-    picture, pixel = _picture(raster), max(raster.pixel_um)
-    holes, row = np.full((len(positions), COLUMNS), np.nan), np.empty(COLUMNS)
+    picture = _picture(raster)
+    pixel = max(raster.pixel_um)
+    holes = np.full((len(positions), COLUMNS), np.nan)
+    row = np.empty(COLUMNS)
     for hole, position in zip(holes, positions, strict=True):
-        least, model = np.inf, np.empty(0)
+        least = np.inf
+        model = np.empty(0)
         for share in shares:
             outline = _floor_outline(picture, position, sign, radius, floor + share * depth)
             if outline is None:
@@ -166,7 +173,8 @@ def measure_floors(
                 least, hole[:] = roughness, row
                 model = outline.fit[0] + outline.fit[3] * _COS_2 + outline.fit[4] * _SIN_2
         if least < np.inf:
-            centre, search = (hole[X], hole[Y]), max(1.2 * pixel, 6.0)
+            centre = (hole[X], hole[Y])
+            search = max(1.2 * pixel, 6.0)
             _, steps, _, nears = half_level_edges(
                 *picture, *centre, sign, model, search, max(0.5 * pixel, 0.5), pixel
             )
@@ -183,8 +191,10 @@ def _floor_outline(
     picture: _Picture, position: Floats, sign: float, radius: float, level: float
 ) -> _Outline | None:
     """Outline of what is below a level; None where it lies elsewhere."""
-    pixel, (x, y) = max(picture[1:]), position
-    dt, (cx, cy) = max(0.25 * pixel, 0.5), position
+    pixel = max(picture[1:])
+    x, y = position
+    dt = max(0.25 * pixel, 0.5)
+    cx, cy = position
     for turn in range(6):
         radii = first_crossings(*picture, cx, cy, sign, level, 1.6 * radius, dt, RAYS)
         fit, weight, _, inverse = fit_outline(radii, 1 if turn < 2 else 2, 0.3 + 0.1 * pixel)
@@ -208,13 +218,19 @@ def _circle(
 
     None if there is none.
     """
-    pixel, (low, high), (cx, cy) = max(picture[1:]), radius_range, position
-    window, dt, radius, scale = max(14.0, 1.4 * pixel), max(0.7 * pixel, 2.5), np.nan, 0.0
+    pixel = max(picture[1:])
+    low, high = radius_range
+    cx, cy = position
+    window = max(14.0, 1.4 * pixel)
+    dt = max(0.7 * pixel, 2.5)
+    radius = np.nan
+    scale = 0.0
     for turn in range(4):
         rays = 36 if turn == 0 else 64
         radii, _ = innermost_edges(*picture, cx, cy, sign, 0.5 * low, 1.25 * high, dt, window, rays)
         fit, weight, scale, _ = fit_outline(radii, 1, 0.5)
-        radius, shift = float(fit[0]), math.hypot(fit[1], fit[2])
+        radius = float(fit[0])
+        shift = math.hypot(fit[1], fit[2])
         is_found = np.count_nonzero(weight > 0.0) >= 0.5 * rays and scale <= 0.3 * radius
         if not (is_found and 0.6 * low < radius < 1.4 * high and shift <= radius):
             return None
@@ -252,7 +268,10 @@ def _refined(
     Steps below a ``share`` of the median are left out. With ``follow`` what was found is followed,
     so that a rough rim needs no wide search, in which lies another edge.
     """
-    pixel, (cx, cy), radius, outline = max(picture[1:]), centre, float(np.mean(model)), None
+    pixel = max(picture[1:])
+    cx, cy = centre
+    radius = float(np.mean(model))
+    outline = None
     for _turn in range(3):
         radii, steps, far_steps, nears = half_level_edges(
             *picture, cx, cy, sign, model, search, dt, pixel
@@ -299,7 +318,8 @@ def _closed_rims(
         *picture, *centre, sign, radius, inside, max(3 * spread, 0.1 * total)
     )
     count = int((radius + math.hypot(x - centre[0], y - centre[1]) + 0.3 * radius) / dt) + 2 * reach
-    band, first = max(1, round(1.5 * pixel / dt)), max(reach, int(0.5 * low / dt))
+    band = max(1, round(1.5 * pixel / dt))
+    first = max(reach, int(0.5 * low / dt))
     rises = kernels.polar_rises(*picture, x, y, sign, dt, count, reach, RAYS)
     # Not beyond the circle of the innermost strong edges: a hole that is half closed has char all
     # the way round.
@@ -353,7 +373,8 @@ def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: 
         kernels.floor_middle(*picture, *centre, sign, radius, row[INSIDE], tolerance), centre
     )
     from_other = np.subtract(other, centre)
-    distance, is_known = math.hypot(*from_floor), ~np.isnan(steps)
+    distance = math.hypot(*from_floor)
+    is_known = ~np.isnan(steps)
     wave = math.hypot(*(_sum(np.where(is_known, steps * part, 0.0)) for part in (_COS, _SIN)))
     is_uneven = 2 * wave > ONE_SIDED * max(np.count_nonzero(is_known), 1) * total
     share, pixels = EXACT if is_uneven else USUAL
@@ -377,7 +398,8 @@ def _write_outline(row: Floats, outline: _Outline) -> None:
     # As if the rays were independent; the waves' own variance is put in once all holes are known.
     row[[COV_XX, COV_YY, COV_XY]] = RAYS / 2 * outline.inverse[[1, 2, 1], [1, 2, 2]]
     used = np.count_nonzero(is_used)
-    row[COVERAGE], row[ROUGHNESS] = used / RAYS, math.sqrt(_sum(error**2) / max(1, used))
+    row[COVERAGE] = used / RAYS
+    row[ROUGHNESS] = math.sqrt(_sum(error**2) / max(1, used))
 
 
 def _median(values: Floats) -> float:

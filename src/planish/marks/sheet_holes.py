@@ -112,7 +112,8 @@ def find_sheet_holes(
         # A tapered hole is narrower, or wider, on the other side than what was asked for.
         diameter_range = (low, high) if layer == side else (low / 1.4, high * 1.4)
         layers[layer], holes[layer] = _search(share, grid.pixel_um, diameter_range)
-    centres, diameters = _xy(holes[side]), holes[side]["diameter"].values
+    centres = _xy(holes[side])
+    diameters = holes[side]["diameter"].values
     hole_count = len(centres)
     partner_rows = {
         layer: np.arange(hole_count) if layer == side else np.full(hole_count, -1)
@@ -122,7 +123,8 @@ def find_sheet_holes(
         # From one layer to another a hole moves by less than half its diameter: one that is more
         # oblique is not round.
         partner_rows[layer] = _partners(centres, _xy(holes[layer]), 0.5 * diameters)
-    states, unpaired_count = np.full(hole_count, UNCLEAR, dtype=np.uint8), 0
+    states = np.full(hole_count, UNCLEAR, dtype=np.uint8)
+    unpaired_count = 0
     if other in layers:
         unpaired_count = holes[other].sizes["mark"] - int(
             np.count_nonzero(partner_rows[other] >= 0)
@@ -187,7 +189,8 @@ def _other_side(
     partners: xr.Dataset,
     partner_rows: Ints,
 ) -> NDArray[np.uint8]:
-    is_through, centres = partner_rows >= 0, _xy(holes)
+    is_through = partner_rows >= 0
+    centres = _xy(holes)
     states = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
     # Where the other side should show a hole: as far from this one as with the partners.
     offset = np.zeros(2)

@@ -47,7 +47,8 @@ def count_near(a, b, base, first, start, target, raster, share):
                 y = ai * a[s].real + ar * a[s].imag + bi
                 # The raster's border is empty, so what falls outside may be counted there; a branch
                 # would be slower.
-                x, y = min(max(x, 0.0), last_x), min(max(y, 0.0), last_y)
+                x = min(max(x, 0.0), last_x)
+                y = min(max(y, 0.0), last_y)
                 count += int(flat[np.uint64(int(y) * columns + int(x))])
                 if s - count >= spare:
                     break

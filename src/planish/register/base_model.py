@@ -71,7 +71,8 @@ class ParametricModel(Model):
         if len(pairs) <= self.least:
             return np.full((len(pairs), 2), np.nan)
         if not self.linear:
-            errors, rows = np.full((len(pairs), 2), np.nan), np.arange(len(pairs))
+            errors = np.full((len(pairs), 2), np.nan)
+            rows = np.arange(len(pairs))
             for k in rows:
                 with suppress(CannotRegister, MarkError):
                     reduced_fit = self.fit(pairs.take(rows != k), transform.mirrored)

@@ -115,15 +115,19 @@ class _Inverse:
         from scipy.spatial import KDTree
 
         nodes = bent.nodes * bent.size + np.array(bent.source)
-        low, high = nodes.min(axis=0), nodes.max(axis=0)
-        self.bent, self.around = bent, float(np.max(high - low))
+        low = nodes.min(axis=0)
+        high = nodes.max(axis=0)
+        self.bent = bent
+        self.around = float(np.max(high - low))
         self.low, self.high = low - self.around, high + self.around
         # The inverse begins at the nearest image of a grid that reaches one extent of the marks
         # beyond them.
         axes = [np.linspace(a, b, 49) for a, b in zip(self.low, self.high, strict=True)]
         self.grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        self.images, self.slopes = bent(self.grid), bent.jacobian(self.grid)
-        self.tree, self.largest = KDTree(self.images), float(np.abs(self.images).max())
+        self.images = bent(self.grid)
+        self.slopes = bent.jacobian(self.grid)
+        self.tree = KDTree(self.images)
+        self.largest = float(np.abs(self.images).max())
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` back, in um; NaN where there is none."""

@@ -121,7 +121,8 @@ class DeviationField:
         By shift, scale and turn, and by the affine deviation.
         """
         x, y = (-scaled[:, 0] if self.mirrored else scaled[:, 0]), scaled[:, 1]
-        ones, zeros = np.ones(len(scaled)), np.zeros(len(scaled))
+        ones = np.ones(len(scaled))
+        zeros = np.zeros(len(scaled))
         rows = [[ones, zeros, x, -y, x, y], [zeros, ones, y, x, -y, x]]
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
@@ -176,7 +177,8 @@ class DeviationField:
 
         Their shapes are (3, 2) and (kernels, n, 2).
         """
-        plane_coefficients, kernel_coefficients = np.zeros(6), dict[int, Floats]()
+        plane_coefficients = np.zeros(6)
+        kernel_coefficients = dict[int, Floats]()
         for k, kernel_fit in self._kernel_fits.items():
             probabilities = self.mixture[k]
             plane_coefficients += np.einsum("ag,agp->p", probabilities, kernel_fit.coefficients)
@@ -298,8 +300,11 @@ class DeviationField:
                 / self.mark_variance
             )
             return errors, -0.5 * misfit_shares
-        n, tail_exponent = len(self._pairs), 0.5 * self.freedom - 1.0
-        errors, log_shares, log_chances = np.zeros((n, 2)), list[Floats](), list[Floats]()
+        n = len(self._pairs)
+        tail_exponent = 0.5 * self.freedom - 1.0
+        errors = np.zeros((n, 2))
+        log_shares = list[Floats]()
+        log_chances = list[Floats]()
         for k, kernel_fit in self._kernel_fits.items():
             fit_errors, determinants, misfit_shares = self._missed(kernel_fit)
             errors += np.einsum("ag,agni->ni", self.mixture[k], fit_errors)
@@ -381,13 +386,12 @@ def _grouped_pairs(pairs: Pairs, group: Ints) -> Pairs:
 
     Any affine map keeps the mean place.
     """
-    group_count, weights = int(group.max()) + 1, pairs.weights
+    group_count = int(group.max()) + 1
+    weights = pairs.weights
     share = weights / np.bincount(group, weights)[group]
-    moving, fixed, covariances = (
-        np.zeros((group_count, 2)),
-        np.zeros((group_count, 2)),
-        np.zeros((group_count, 2, 2)),
-    )
+    moving = np.zeros((group_count, 2))
+    fixed = np.zeros((group_count, 2))
+    covariances = np.zeros((group_count, 2, 2))
     np.add.at(moving, group, share[:, None] * pairs.moving)
     np.add.at(fixed, group, share[:, None] * pairs.fixed)
     np.add.at(covariances, group, inverse_of(pairs.information) * (share**2)[:, None, None])

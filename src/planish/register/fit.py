@@ -108,7 +108,8 @@ def fit_transform(
             " parameters."
         )
     mirrored = choose_hand(used_pairs, mirrored)
-    robust_weights, field = np.ones(len(pairs)), None
+    robust_weights = np.ones(len(pairs))
+    field = None
     if robust:
         robust_weights[is_used], field = agreeing(used_pairs, mirrored)
     elif inspect or model in ("auto", AVERAGED.name):
@@ -162,7 +163,8 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
         and len(removed) < max(1, n // 4) + extra
         and len(removed) - wrong_count < hidden + extra
     ):
-        remaining_rows, chance = np.flatnonzero(is_right), field.left_out()[1]
+        remaining_rows = np.flatnonzero(is_right)
+        chance = field.left_out()[1]
         # The more marks were taken out without need, the more choices there were.
         limit = np.log(_CHANCE) - (1 + len(removed) - wrong_count) * np.log(remaining_rows.size)
         # Among many marks a few wrong ones accuse no right ones: all that stand out at once.
@@ -175,7 +177,8 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
         is_right[removed] = False
         field = DeviationField(pairs.take(is_right), mirrored)
         if chance.min() < limit:
-            wrong_count, best_field = len(removed), field
+            wrong_count = len(removed)
+            best_field = field
     is_right[:] = True
     is_right[removed[:wrong_count]] = False
     if n > _MANY:

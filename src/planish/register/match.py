@@ -112,7 +112,8 @@ def match_marks(
     limits = (scale_tolerance, tolerance_um)
     choice = choose(source, target, *limits, hands=(False, True) if mirror else (False,))
     mirror_choice = BestMatch() if mirror else choose(source, target, *limits, hands=(True,))
-    count, smaller_count = len(choice.pairs), min(len(source), len(target))
+    count = len(choice.pairs)
+    smaller_count = min(len(source), len(target))
     if mirror_choice.log_chance < min(choice.log_chance - 1.0, ACCEPTED):
         raise WrongHand(
             f"{sides_text}: {count} match, but {len(mirror_choice.pairs)} match if one side is"
@@ -263,7 +264,8 @@ def match_by_design(
     )
     pairs = np.stack([first_match.pairs[i, 1], second_match.pairs[j, 1]], axis=1)
     order = np.argsort(pairs[:, 0])
-    pairs, shared_holes = np.ascontiguousarray(pairs[order]), shared_holes[order]
+    pairs = np.ascontiguousarray(pairs[order])
+    shared_holes = shared_holes[order]
     mirrored = first_match.mirrored != second_match.mirrored
     # From so many marks on both sides on, they alone give the transformation; with fewer, the
     # design helps.
@@ -329,10 +331,8 @@ def _choose_hands(
 def _fit_on_design(
     choice: BestMatch, points: Floats, holes: Floats, scale_tolerance: float, name: str
 ) -> tuple[Similarity, str]:
-    sides_text, count = (
-        f"{len(points)} marks of the {name} and {len(holes)} designed holes",
-        len(choice.pairs),
-    )
+    sides_text = f"{len(points)} marks of the {name} and {len(holes)} designed holes"
+    count = len(choice.pairs)
     if count < choice.needed_count:
         raise CannotRegister(
             f"{sides_text}: the design does not match the marks: {max(2, len(choice.pairs))} agree"

@@ -147,12 +147,10 @@ def _rival(
 
 def _inside(points: Complexes, field_points: Complexes, border: float) -> Bools:
     """Mask of the points in the rectangle around others, widened by a share of its longer side."""
-    x0, x1, y0, y1 = (
-        field_points.real.min(),
-        field_points.real.max(),
-        field_points.imag.min(),
-        field_points.imag.max(),
-    )
+    x0 = field_points.real.min()
+    x1 = field_points.real.max()
+    y0 = field_points.imag.min()
+    y1 = field_points.imag.max()
     margin = border * max(x1 - x0, y1 - y0)
     inside_x = (points.real >= x0 - margin) & (points.real <= x1 + margin)
     return inside_x & (points.imag >= y0 - margin) & (points.imag <= y1 + margin)
@@ -174,7 +172,8 @@ def self_likeness(
     other, or no marks. On each side, a symmetric pattern that lost some marks looks like one
     without symmetry; together they give it away.
     """
-    count, n_common = len(points), len(points) - sum(alone_counts)
+    count = len(points)
+    n_common = len(points) - sum(alone_counts)
     if count < 4:
         return None
     # Scales up to 1 % off: under those a pattern may repeat itself.
@@ -187,10 +186,8 @@ def self_likeness(
         return None
     log_evidence = _log_evidence(symmetries, points, count - n_common, tolerance_um)
     is_met = symmetries.squares <= (REACH * tolerance_um) ** 2
-    n_met, n_common_met = (
-        np.count_nonzero(is_met, axis=1),
-        np.count_nonzero(is_met[:, :n_common], axis=1),
-    )
+    n_met = np.count_nonzero(is_met, axis=1)
+    n_common_met = np.count_nonzero(is_met[:, :n_common], axis=1)
     missing_share = min(0.9, 0.1 + _LOST_OF_ALONE * (count - n_common + 1.0) / (count + 2.0))
     lost_share = float(
         np.prod([_LOST_OF_ALONE * (c + 1.0) / (n_common + c + 2.0) for c in alone_counts])

@@ -76,7 +76,8 @@ def search(
     tests = len(seeds) * len(hands)
     reach = REACH * tolerance_um
     wide_reach = reach + 0.5 * STRETCH * float(np.hypot(np.ptp(b.real), np.ptp(b.imag)))
-    raster, cells = _raster(b, wide_reach), _cells(b, wide_reach)
+    raster = _raster(b, wide_reach)
+    cells = _cells(b, wide_reach)
     reaches = np.array([wide_reach, 0.5 * (wide_reach + reach), reach, reach, reach])
     # Localisation error that the stretch is weighed against, as a share of the tolerance.
     ridge = (0.16 * tolerance_um / (0.5 * STRETCH)) ** 2
@@ -220,14 +221,17 @@ def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np
 
     Its border is 0.
     """
-    x0, x1 = b.real.min() - reach, b.real.max() + reach
-    y0, y1 = b.imag.min() - reach, b.imag.max() + reach
+    x0 = b.real.min() - reach
+    x1 = b.real.max() + reach
+    y0 = b.imag.min() - reach
+    y1 = b.imag.max() + reach
     size = float(
         max(
             reach / 3.0, np.sqrt((x1 - x0) * (y1 - y0) / 1_500_000), max(x1 - x0, y1 - y0) / 20000.0
         )
     )
-    x0, y0 = float(x0 - 2.0 * size), float(y0 - 2.0 * size)
+    x0 = float(x0 - 2.0 * size)
+    y0 = float(y0 - 2.0 * size)
     near = np.zeros((int((y1 - y0) / size) + 3, int((x1 - x0) / size) + 3), np.uint8)
     steps = np.arange(-int(reach / size) - 2, int(reach / size) + 3)
     column, row = (
@@ -250,7 +254,10 @@ def _cells(
 
     It is ``x0, y0, size, rows, columns``, then ``start`` and ``index``.
     """
-    x0, x1, y0, y1 = b.real.min(), b.real.max(), b.imag.min(), b.imag.max()
+    x0 = b.real.min()
+    x1 = b.real.max()
+    y0 = b.imag.min()
+    y1 = b.imag.max()
     # Never more than about a million cells, however large the field.
     size = float(
         max(
@@ -259,8 +266,10 @@ def _cells(
             max(x1 - x0, y1 - y0) / 1e5,
         )
     )
-    x0, y0 = float(x0 - 2 * size), float(y0 - 2 * size)
-    columns, rows = int((x1 - x0) / size) + 3, int((y1 - y0) / size) + 3
+    x0 = float(x0 - 2 * size)
+    y0 = float(y0 - 2 * size)
+    columns = int((x1 - x0) / size) + 3
+    rows = int((y1 - y0) / size) + 3
     near = np.arange(-1, 2)
     column, row = (
         ((p - p0) / size).astype(np.intp)[:, None, None] for p, p0 in ((b.real, x0), (b.imag, y0))

@@ -268,7 +268,8 @@ def _assess(
             f"The refinement strains the map by up to {100 * strain:.1f} %. Paper strains by"
             " 0.1-0.5 %: look at the lags of tiles before you believe it."
         )
-    rms, largest = float(np.sqrt(np.mean(moved_um**2))), float(moved_um.max())
+    rms = float(np.sqrt(np.mean(moved_um**2)))
+    largest = float(moved_um.max())
     model_words = {"affine": "affine", "bspline": "B-spline"}[options.model]
     return Refined(
         transform=transform,

@@ -94,7 +94,8 @@ class FittedTransform:
         of a spline and the probabilities of an averaged map stay as they are in the fit to all
         marks. A mark that is left out of the fit is missed by its residual.
         """
-        missed, used = self.residuals_um.copy(), self.weights > 0
+        missed = self.residuals_um.copy()
+        used = self.weights > 0
         missed[used] = MODELS[self.model].left_out(
             self._pairs.take(used), self.transform, self.field
         )
@@ -110,10 +111,8 @@ class FittedTransform:
 
         ``labels`` (n,) are those of all marks; "agree to" is the leave-one-out error, rms.
         """
-        excluded, used_count = (
-            np.flatnonzero(self.robust_weights == 0),
-            np.count_nonzero(self.weights > 0),
-        )
+        excluded = np.flatnonzero(self.robust_weights == 0)
+        used_count = np.count_nonzero(self.weights > 0)
         rms = self.leave_one_out_rms_um
         sentence = (
             f"{used_count} of {used_count + excluded.size}" if excluded.size else f"{used_count}"
@@ -210,7 +209,8 @@ class FittedTransform:
         MarkError
             If the shape is another one or a place is not finite.
         """
-        places, used = points_of(moving, "moving marks"), self.weights > 0
+        places = points_of(moving, "moving marks")
+        used = self.weights > 0
         if places.shape != self.moving.shape or not np.isfinite(places[used]).all():
             raise MarkError(
                 f"{len(places)} places given for {len(self.moving)} marks, or some not finite. Give"

@@ -32,8 +32,11 @@ class RigidModel(ParametricModel):
         z_mean, middle, product, square = _sums(pairs, mirrored)
         turn = product / abs(product)
         if not pairs.isotropic:
-            z, w = as_complex(pairs.moving, mirrored), as_complex(pairs.fixed, False)
-            whitening, size, last_length = pairs.whitening(), float(np.sqrt(square)), np.inf
+            z = as_complex(pairs.moving, mirrored)
+            w = as_complex(pairs.fixed, False)
+            whitening = pairs.whitening()
+            size = float(np.sqrt(square))
+            last_length = np.inf
             for _ in range(_STEPS):
                 turned = turn * (z - z_mean)
                 error = w - middle - turned
@@ -74,7 +77,8 @@ class SimilarityModel(ParametricModel):
             z_mean, w_mean, product, square = _sums(pairs, mirrored)
             alpha = product / square
             beta = w_mean - alpha * z_mean
-            angle, shift_um = float(np.angle(alpha)), (beta.real, beta.imag)
+            angle = float(np.angle(alpha))
+            shift_um = (beta.real, beta.imag)
             return Similarity(
                 scale=abs(alpha), rotation_rad=angle, shift_um=shift_um, mirrored=mirrored
             )
@@ -138,10 +142,12 @@ def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, floa
     Both sides are taken as complex numbers.
     """
     share = pairs.share
-    z, w = as_complex(pairs.moving, mirrored), as_complex(pairs.fixed, False)
+    z = as_complex(pairs.moving, mirrored)
+    w = as_complex(pairs.fixed, False)
     z_mean, w_mean = share @ z, share @ w
     zc, wc = z - z_mean, w - w_mean
-    product, square = np.sum(share * zc.conj() * wc), np.sum(share * (zc.real**2 + zc.imag**2))
+    product = np.sum(share * zc.conj() * wc)
+    square = np.sum(share * (zc.real**2 + zc.imag**2))
     _refuse_no_rotation(product, square)
     return complex(z_mean), complex(w_mean), complex(product), float(square)
 
@@ -223,7 +229,8 @@ class ProjectiveModel(ParametricModel):
                 whitening, self.design(transform, (middle, size), pairs.moving), error, self.name
             )
             # Shortened until the error does not rise.
-            start_cost, h = cost(transform), np.array(transform.homography)
+            start_cost = cost(transform)
+            h = np.array(transform.homography)
             trials = (build(h + np.append(step / 2**k, 0.0).reshape(3, 3)) for k in range(12))
             cost_limit = start_cost * (1 + 1e-9) + 1e-300
             transform = next(

@@ -132,7 +132,8 @@ class Smoothing:
         """
         # The share of each eigenvector that the spline leaves in the residuals, times a factor that
         # keeps the numbers near 1 also for an interpolating spline, which leaves nothing.
-        smoothing, residual_shares = smoothing_um2 / self.size**2, np.ones_like(self.eigenvalues)
+        smoothing = smoothing_um2 / self.size**2
+        residual_shares = np.ones_like(self.eigenvalues)
         if np.isfinite(smoothing):
             residual_shares = (float(np.median(self.eigenvalues)) + smoothing) / (
                 self.eigenvalues + smoothing
@@ -157,14 +158,16 @@ class Smoothing:
         logs = np.linspace(np.log(1e-9 * top), np.log(1e3 * top), 33)
         costs = np.array([cost(float(np.exp(v))) for v in logs])
         best = int(np.flatnonzero(costs <= costs.min() * (1 + 1e-9))[-1])
-        chosen, least = float(np.exp(logs[best])), float(costs[best])
+        chosen = float(np.exp(logs[best]))
+        least = float(costs[best])
         if 0 < best < len(logs) - 1:
             bracket = (float(logs[best - 1]), float(logs[best + 1]))
             optimum = minimize_scalar(
                 lambda v: cost(float(np.exp(v))), bounds=bracket, method="bounded"
             )
             if float(optimum.fun) < least:
-                chosen, least = float(np.exp(optimum.x)), float(optimum.fun)
+                chosen = float(np.exp(optimum.x))
+                least = float(optimum.fun)
         if cost(np.inf) <= least * (1 + 1e-9):
             return np.inf
         return 0.0 if cost(0.0) < least * (1 - 1e-6) else chosen

@@ -100,7 +100,8 @@ def find_through_scale(
     fine_scales = np.unique(np.concatenate([fine_scales, np.linspace(*bracket, _STEPS)]))
     designs = _centred(spline(fine_scales**2), mirrored) / spread
     misfit = _solved(designs, target, precision)[1]
-    best, one_index = int(np.argmin(misfit)), int(np.searchsorted(fine_scales, 1.0))
+    best = int(np.argmin(misfit))
+    one_index = int(np.searchsorted(fine_scales, 1.0))
     limit = float(special.fdtri(1, 2 * rows.size - 5, 1 - CHANCE))
     t_factor = float(np.sqrt(limit) / special.ndtri(1 - CHANCE / 2))
     source = (spline(1.0) - spline(1.0).mean(axis=0)) / spread
@@ -161,10 +162,8 @@ def _solved(
     whitened = np.linalg.cholesky(precision).T @ np.concatenate(
         [rows, target.reshape(-1, 1)], axis=1
     )
-    columns, white_target = (
-        np.moveaxis(whitened[:, :-1].reshape(2 * n, m, p), 1, 0),
-        whitened[:, -1],
-    )
+    columns = np.moveaxis(whitened[:, :-1].reshape(2 * n, m, p), 1, 0)
+    white_target = whitened[:, -1]
     projections = white_target @ columns
     normal = columns.transpose(0, 2, 1) @ columns
     parameters = np.asarray(
@@ -186,7 +185,8 @@ def _precisions(
     """
     n = len(pairs)
     information = pairs.information / np.mean(pairs.weights)
-    noise, precision = block_diag(*inverse_of(information)), block_diag(*information)
+    noise = block_diag(*inverse_of(information))
+    precision = block_diag(*information)
     free, misfit = _free_columns(designs, target, precision)
     # Standard deviation of either part of a shear of the paper: a stretch of 0.14 %, rms.
     shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * 0.0005

@@ -116,7 +116,8 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
                             ):
                                 continue
                         inverse = 1.0 / area
-                        wb, wc = max(nb * inverse, 0.0), max(nc * inverse, 0.0)
+                        wb = max(nb * inverse, 0.0)
+                        wc = max(nc * inverse, 0.0)
                         if wb + wc > 1.0:
                             wb, wc = wb / (wb + wc), wc / (wb + wc)
                         if triangle[y, x] < 0:
@@ -142,7 +143,8 @@ def _corners(number, corners, cols):
             np.int64(corners[number, 1]),
             np.int64(corners[number, 2]),
         )
-    node, half = np.int64(number) >> 1, np.int64(number) & 1
+    node = np.int64(number) >> 1
+    half = np.int64(number) & 1
     return node, node + 1 + half * cols, node + 1 + cols - half
 
 
@@ -228,12 +230,15 @@ def interpolate(image, nodes, down, across, least, out):
             u0, u1, u2, u3 = across[c, 0], across[c, 1], across[c, 2], across[c, 3]
             x = x0 * u0 + x1 * u1 + x2 * u2 + x3 * u3
             y = y0 * u0 + y1 * u1 + y2 * u2 + y3 * u3
-            left, top = int(np.floor(x)), int(np.floor(y))
+            left = int(np.floor(x))
+            top = int(np.floor(y))
             fx, fy = x - left, y - top
             total, share = 0.0, 0.0
             if left >= 0 and top >= 0 and left < width - 1 and top < height - 1:
-                a, b = np.float64(image[top, left]), np.float64(image[top, left + 1])
-                e, f = np.float64(image[top + 1, left]), np.float64(image[top + 1, left + 1])
+                a = np.float64(image[top, left])
+                b = np.float64(image[top, left + 1])
+                e = np.float64(image[top + 1, left])
+                f = np.float64(image[top + 1, left + 1])
                 total = (a * (1.0 - fx) + b * fx) * (1.0 - fy) + (e * (1.0 - fx) + f * fx) * fy
                 if np.isfinite(total):
                     out[r, c] = total
@@ -261,10 +266,13 @@ def _under(sums, x0, y0, x1, y1):
     dx, dy = x1 - x0, y1 - y0
     if dx == 0.0:
         return 0.0
-    c, r = int(x0), int(y0)
-    cols, rows = abs(int(x1) - c), abs(int(y1) - r)
+    c = int(x0)
+    r = int(y0)
+    cols = abs(int(x1) - c)
+    rows = abs(int(y1) - r)
     # Shares of the line at which it enters the next column, and the next row.
-    step_x, step_y = abs(1.0 / dx), abs(1.0 / dy)
+    step_x = abs(1.0 / dx)
+    step_y = abs(1.0 / dy)
     to_c, next_x = (1, (c + 1 - x0) * step_x) if dx > 0.0 else (-1, (x0 - c) * step_x)
     to_r, next_y = (1, (r + 1 - y0) * step_y) if dy > 0.0 else (-1, (y0 - r) * step_y)
     total, now = 0.0, 0.0

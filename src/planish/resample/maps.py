@@ -62,8 +62,11 @@ def resample_maps(
     """
     if onto is not None:
         return SheetOnto(surfaces, flat, transform=transform).on(onto)
-    uv, step, names = _flat_coordinates(flat), pitch(surfaces), _variable_names(surfaces)
-    pixel, layers = map_um or float(np.sqrt(step[0] * step[1])), names[2]
+    uv = _flat_coordinates(flat)
+    step = pitch(surfaces)
+    names = _variable_names(surfaces)
+    pixel = map_um or float(np.sqrt(step[0] * step[1]))
+    layers = names[2]
     grid = covering_grid(uv, pixel)
     places = find_places(uv, grid, least_um=min(step))
     column_fields = _on_columns(surfaces, flat, names, ("projected_u", "projected_v"))
@@ -96,17 +99,21 @@ class SheetOnto:
     """
 
     def __init__(self, surfaces: xr.Dataset, flat: xr.Dataset, *, transform: Any = None) -> None:
-        uv, self._surfaces, self._similarity = _flat_coordinates(flat), surfaces, Similarity()
+        uv = _flat_coordinates(flat)
+        self._surfaces = surfaces
+        self._similarity = Similarity()
         self._names = *_variable_names(surfaces)[:2], list[str]()
         self._columns = _on_columns(surfaces, flat, self._names, ("u", "v"))
         if transform is not None:
-            uv, self._similarity = transform(uv), transform.similarity
+            uv = transform(uv)
+            self._similarity = transform.similarity
         self._mesh = Mesh.of(uv, least_um=min(pitch(surfaces)) * self._similarity.scale)
 
     def on(self, part: Grid) -> xr.Dataset:
         """The maps on some pixels of the reference."""
         (rows, cols), places = self._mesh.under(part)
-        column_fields, coords = self._columns.isel(y=rows, x=cols), {"y": part.y_um, "x": part.x_um}
+        column_fields = self._columns.isel(y=rows, x=cols)
+        coords = {"y": part.y_um, "x": part.x_um}
         maps = resample_dataset(column_fields, places, dims=("y", "x"), coords=coords)
         pixel = float(np.sqrt(part.pixel_um[0] * part.pixel_um[1])) / self._similarity.scale
         return _as_stored(maps, self._surfaces, self._names, pixel, self._similarity)
@@ -261,7 +268,8 @@ def _on_columns(
     fields = surfaces[[*names[0], *names[1], *names[2]]].assign(
         {name: flat[name] for name in coordinates}
     )
-    frame, is_flattened = Frame.of(surfaces), np.isfinite(flat["u"].values)
+    frame = Frame.of(surfaces)
+    is_flattened = np.isfinite(flat["u"].values)
     positions = {
         frame.rows: surfaces["y"].values[:, None],
         frame.cols: surfaces["x"].values[None, :],

@@ -120,12 +120,11 @@ def find_places(
     # The first sub-pixel's centre lies half a pixel less half a sub-pixel before the pixel's.
     first = origin[0] - 0.5 * (pixel[1] - step[0]), origin[1] - 0.5 * (pixel[0] - step[1])
     size, mesh = (shape[0] * fine, shape[1] * fine), (uv.shape[0], uv.shape[1])
-    uv, corners, overlaps = (
-        np.ascontiguousarray(uv, dtype=np.float64),
-        np.empty((0, 3), dtype=np.int32),
-        0,
-    )
-    triangle, weight = np.empty(size, np.int32), np.empty((2, *size))
+    uv = np.ascontiguousarray(uv, dtype=np.float64)
+    corners = np.empty((0, 3), dtype=np.int32)
+    overlaps = 0
+    triangle = np.empty(size, np.int32)
+    weight = np.empty((2, *size))
     if method == "delaunay":
         corners = _locate_in_delaunay(uv, first, step, triangle, weight)
     else:
@@ -173,7 +172,8 @@ class Mesh:
         low, high = map(
             np.stack, zip(*(_extents(uv[..., k], 0.0, 1.0) for k in range(2)), strict=True)
         )
-        low, high = np.minimum(low[:, :-1], low[:, 1:]), np.maximum(high[:, :-1], high[:, 1:])
+        low = np.minimum(low[:, :-1], low[:, 1:])
+        high = np.maximum(high[:, :-1], high[:, 1:])
         return cls(uv=uv, least_um=least_um, _low=low, _high=high)
 
     def under(self, grid: Grid) -> tuple[tuple[slice, slice], Places]:
@@ -210,7 +210,8 @@ def covering_grid(uv: Floats, pixel_um: float) -> Grid:
         raise SurfaceError(
             "No node of the mesh has flat coordinates. Check the surface and how it was flattened."
         )
-    low, high = np.floor(points.min(axis=0) / pixel_um), np.ceil(points.max(axis=0) / pixel_um)
+    low = np.floor(points.min(axis=0) / pixel_um)
+    high = np.ceil(points.max(axis=0) / pixel_um)
     size = (high - low).astype(int) + 1
     return Grid.regular(
         (int(size[1]), int(size[0])), pixel_um, (float(low[0] * pixel_um), float(low[1] * pixel_um))
@@ -363,7 +364,8 @@ def _sampled(field: NDArray[Any], places: Places, share: Floats) -> Floats:
             f"The field has the shape {field.shape}, the mesh {places.mesh}. Give a field on the"
             " nodes of that mesh."
         )
-    nodes, p = np.ascontiguousarray(field, dtype=np.float64).reshape(-1), places
+    nodes = np.ascontiguousarray(field, dtype=np.float64).reshape(-1)
+    p = places
     out = np.empty(p.shape)
 
     def band(begin: int, end: int) -> None:

@@ -135,7 +135,8 @@ def warp_image(
     points_um = points_um[np.isfinite(points_um).all(axis=-1)]
     where_text = "nowhere"
     if len(points_um):
-        (a, b), (c, d) = points_um.min(axis=0), points_um.max(axis=0)
+        a, b = points_um.min(axis=0)
+        c, d = points_um.max(axis=0)
         where_text = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
     height_um, width_um = size[0] * pixel_um[0], size[1] * pixel_um[1]
     raise CannotRegister(
@@ -184,7 +185,8 @@ def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[
             " first, then take means."
         )
     part = np.full((high - low)[::-1], np.nan, dtype=image.dtype)
-    first, last = np.maximum(low, 0), np.minimum(high, image.shape[::-1])
+    first = np.maximum(low, 0)
+    last = np.minimum(high, image.shape[::-1])
     if np.all(last > first):
         (c0, r0), (c1, r1), (x, y) = first, last, first - low
         part[y : y + r1 - r0, x : x + c1 - c0] = image[r0:r1, c0:c1]
@@ -238,14 +240,16 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
         return mapping(np.stack(np.broadcast_arrays(x[:, None, :], y[:, :, None]), axis=-1))
 
     while len(bounds):
-        nodes, tests = places_at(_NODES), places_at(_TEST)
+        nodes = places_at(_NODES)
+        tests = places_at(_TEST)
         is_defined = np.concatenate(
             [np.isfinite(a).all(axis=-1).reshape(len(a), -1) for a in (nodes, tests)], axis=1
         )
         is_finite = is_defined.all(axis=1)
         error = np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1).max(axis=(1, 2))
         error = np.where(is_finite, error, np.inf)
-        low, high = nodes.min(axis=(1, 2)), nodes.max(axis=(1, 2))
+        low = nodes.min(axis=(1, 2))
+        high = nodes.max(axis=(1, 2))
         # a patch that is further away from the source shows nothing of it.
         margin = (2 * error + 2.0)[:, None]
         is_outside = np.any(
@@ -275,7 +279,8 @@ def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
 
     The values, (..., p, q, 2), are those at shares (p,) of the height and (q,) of the width.
     """
-    down, across = _weights(v), _weights(u)
+    down = _weights(v)
+    across = _weights(u)
     return np.moveaxis(down @ np.moveaxis(nodes, -1, -3) @ across.T, -3, -1)
 
 

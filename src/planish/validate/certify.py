@@ -130,7 +130,8 @@ class Certificate:
 
     def lines(self) -> dict[str, LedgerLine]:
         """Every figure that a specimen has or a limit names, in the order of the line."""
-        limits, lines = self.scenario.limits, dict[str, LedgerLine]()
+        limits = self.scenario.limits
+        lines = dict[str, LedgerLine]()
         names = {name for entry in self.judged for name in entry.values} | limits.keys()
         for name, figure in FIGURES.items():
             if name in names:
@@ -169,7 +170,8 @@ def run_scenario(
     Certificate
         A seed on which the program refuses is an entry with its message, no error.
     """
-    seed_list, entries = seed_numbers(scenario, seeds), list[Entry]()
+    seed_list = seed_numbers(scenario, seeds)
+    entries = list[Entry]()
     for k, seed in enumerate(seed_list):
         progress(scenario.name, f"seed {seed}, {k + 1} of {len(seed_list)}")
         if scenario.kind == "mesh":
@@ -241,7 +243,8 @@ def run_specimen(
             return Entry(
                 seed=seed, values=in_order(pair_errors(specimens, run)), failed=failed, looks=looks
             )
-        comparison, pictures = Comparison(*specimens[0], run), ()
+        comparison = Comparison(*specimens[0], run)
+        pictures = ()
         if draw and "linked" in run.groups:
             from planish.validate.example import draw_example  # which loads all that draws
 
@@ -314,7 +317,8 @@ def sensitivity(
         raise InputError(
             f"The scenario {scenario.name} has no nuisances. Give one that runs the whole line."
         )
-    names, seed_list = scenario.active, seed_numbers(scenario, seeds)
+    names = scenario.active
+    seed_list = seed_numbers(scenario, seeds)
     if not names:
         raise InputError(
             f"No nuisance of the scenario {scenario.name} is on. Give one with nuisances, such as"

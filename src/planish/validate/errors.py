@@ -42,8 +42,10 @@ def section_errors(comparison: Comparison) -> Values:
 
     A shift and a shear of the whole stack are no errors.
     """
-    sections, surfaces = comparison.groups.get("sections"), comparison.surfaces
-    frame, sections_um = Frame.of(surfaces), np.asarray(surfaces["y"].values, dtype=np.float64)
+    sections = comparison.groups.get("sections")
+    surfaces = comparison.surfaces
+    frame = Frame.of(surfaces)
+    sections_um = np.asarray(surfaces["y"].values, dtype=np.float64)
     # Through z, a section shows the sheet from above, and its pose has other axes.
     if sections is None or frame.through == "z" or sections_um.size < 4:
         return {}
@@ -77,7 +79,8 @@ def section_errors(comparison: Comparison) -> Values:
 def surface_errors(comparison: Comparison) -> Values:
     """Heights of the four faces at the measured columns, along the true normals."""
     surfaces, sheet = comparison.surfaces, comparison.specimen.sheet
-    values, all_errors = Values(), list[Floats]()
+    values = Values()
+    all_errors = list[Floats]()
     for face, field in zip(FACES, sheet.faces, strict=True):
         heights = np.where(
             comparison.measured, comparison.at_columns(surfaces[face].values), np.nan
@@ -216,10 +219,8 @@ def pixel_errors(comparison: Comparison) -> Values:
     """
     values: Values = {}
     for name in THICKNESSES:
-        linked_um, true_um = (
-            comparison.linked_values(name),
-            comparison.pixel_thickness(name, *comparison.true_uv),
-        )
+        linked_um = comparison.linked_values(name)
+        true_um = comparison.pixel_thickness(name, *comparison.true_uv)
         values |= bias_rmse_p95(f"pixel_{name}", linked_um - true_um)
         if name != "coating_top":
             continue
@@ -340,7 +341,8 @@ def registration_errors(comparison: Comparison) -> Values:
     expected_rms = rms(
         comparison.linked["expected_error"].values[comparison.valid].astype(np.float64)
     )
-    true_rms, scale = rms(errors_um), None
+    true_rms = rms(errors_um)
+    scale = None
     uv = np.stack([coordinate[comparison.valid] for coordinate in comparison.true_uv], axis=1)
     if len(uv) >= 3:  # of the similarity that is nearest to the true pose over the valid pixels
         uv = uv[:: max(1, len(uv) // FITTED)]
@@ -397,7 +399,8 @@ def resampling_errors(comparison: Comparison) -> Values:
     name = "coating_top" if np.isfinite(linked["coating_top"].values).any() else "thickness"
     height, width = surfaces["centre"].shape
     max_rows = min(height, max(2, 1_500_000 // width))
-    rows, cols = np.arange(max_rows) + (height - max_rows) // 2, np.arange(width)
+    rows = np.arange(max_rows) + (height - max_rows) // 2
+    cols = np.arange(width)
     centre = np.asarray(surfaces["centre"].values[rows], dtype=np.float64)
     u, v, _ = np.moveaxis(comparison.material_at(comparison.places(centre, rows, cols)), -1, 0)
     fit = comparison.fit
@@ -418,10 +421,8 @@ def statistic_errors(comparison: Comparison) -> Values:
 
     Both are taken over the same pixels and the run's points.
     """
-    image, pixel = (
-        np.asarray(comparison.linked["image"].values, dtype=np.float64),
-        pitch(comparison.linked),
-    )
+    image = np.asarray(comparison.linked["image"].values, dtype=np.float64)
+    pixel = pitch(comparison.linked)
     measured_map = comparison.linked_values(comparison.headline)
     true_map = comparison.pixel_thickness(comparison.headline, *comparison.true_uv)
     true_map[~np.isfinite(measured_map)] = np.nan
@@ -464,10 +465,8 @@ def pair_errors(specimens: Sequence[tuple[Specimen, InstrumentFiles]], run: Run)
             layer_maps["coating_top"].values[valid] - true_um
         )
     distances_um = np.hypot(*(materials[0] - materials[1])[..., :2].T)
-    values["pair_median"], values["pair_p95"] = (
-        percentile(distances_um, 50),
-        percentile(distances_um, 95),
-    )
+    values["pair_median"] = percentile(distances_um, 50)
+    values["pair_p95"] = percentile(distances_um, 95)
     values["pair_rms"] = rms(distances_um)
     values["pair_predicted_rms"] = rms(maps[0]["expected_error"].values[valid].astype(np.float64))
     rows = [row for row in run.results.correlations if row.a_map == "coating_top"]

@@ -126,6 +126,7 @@ def size_errors(uv: Floats, flat: Floats) -> Floats:
 def node_error(uv: Floats, flat: Floats) -> float:
     """Largest distance of a node from its place after the best turn and shift, in pitches."""
     a, b = (places[..., 0] + 1j * places[..., 1] for places in (uv, flat))
-    a, b = a - a.mean(), b - b.mean()
+    a = a - a.mean()
+    b = b - b.mean()
     turn = np.vdot(a, b)
     return float(np.abs(a * turn / abs(turn) - b).max())

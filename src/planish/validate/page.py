@@ -63,7 +63,8 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
     bounds = [] if bound is None else [bound]
     if bound and min(seed_values) < 0:
         bounds.append(-bound)
-    low, high = min(0.0, *seed_values, *bounds), max(0.0, *seed_values, *bounds)
+    low = min(0.0, *seed_values, *bounds)
+    high = max(0.0, *seed_values, *bounds)
     span = (high - low) or 1.0
 
     def tick(value: float, top: float, style: str) -> str:

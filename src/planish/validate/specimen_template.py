@@ -67,7 +67,8 @@ class SpecimenTemplate:
     """Specimens like a real run: parameters, and where each of them comes from."""
 
     def __init__(self, run: Run) -> None:
-        self.run, self.params = run, SpecimenParams()
+        self.run = run
+        self.params = SpecimenParams()
         # Options of the run that do not belong to its files, for the runs on the specimens.
         self.study: dict[str, dict[str, Any]] = {}
         self.derived: list[str] = []  # sentences, as those assumed
@@ -166,10 +167,8 @@ class SpecimenTemplate:
             self.derived.append(
                 f"Coating on the {side} side: {f'{coating.mean:.3g} um' if coating else 'none'}."
             )
-        top, base = (
-            thicknesses.get("coating_top"),
-            thicknesses.get("base_thickness") or thicknesses["thickness"],
-        )
+        top = thicknesses.get("coating_top")
+        base = thicknesses.get("base_thickness") or thicknesses["thickness"]
         self.change("paper", coating_sd_um=top.sd if top else 0.0, base_um=base.mean)
         self.derived.append(f"Base paper of {base.mean:.3g} um.")
         self.assumed.append(
@@ -246,10 +245,8 @@ class SpecimenTemplate:
                 " made."
             )
             return
-        pixel_um, turn_deg = (
-            float(np.sqrt(np.prod(results.reference.source.size_um))),
-            registration.rotation_deg,
-        )
+        pixel_um = float(np.sqrt(np.prod(results.reference.source.size_um)))
+        turn_deg = registration.rotation_deg
         scale_range = abs(registration.scale - 1.0)
         self.derived.append(f"Image pixels of {pixel_um:.3g} um, turned by {turn_deg:.1f} degrees.")
         self.change(
@@ -280,14 +277,16 @@ class SpecimenTemplate:
         most_holes = max(
             _LEAST_HOLES, int((width - 2 * _BORDER_UM) * (height - 2 * _BORDER_UM) / _HOLE_UM2)
         )
-        diameters_um, hole_um = np.empty(0), self.run.study.holes.hole_um
+        diameters_um = np.empty(0)
+        hole_um = self.run.study.holes.hole_um
         if (linked := self.run.groups.get("linked")) is not None:
             holes = find_holes(
                 np.asarray(linked["image"].values), pixel_um=pitch(linked), diameter_um=hole_um
             )
             diameters_um = np.asarray(holes["diameter"].values, dtype=np.float64)
         if diameters_um.size > 1:
-            median_um, sd_um = float(np.median(diameters_um)), float(diameters_um.std(ddof=1))
+            median_um = float(np.median(diameters_um))
+            sd_um = float(diameters_um.std(ddof=1))
             self.change("holes", diameter_um=median_um, diameter_sd_um=sd_um)
             self.derived.append(
                 f"{diameters_um.size} holes of {median_um:.0f} um, as the image shows them."

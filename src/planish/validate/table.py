@@ -223,7 +223,8 @@ def verdict(certificate: Certificate) -> str:
         )
     if not means:
         return "The program gave no result on specimens like these."
-    sentences, length_texts = list[str](), {name: length(mean, 2) for name, mean in means.items()}
+    sentences = list[str]()
+    length_texts = {name: length(mean, 2) for name, mean in means.items()}
     if {"tre_median", "pair_median"} & means.keys():
         sentences.append(_VERDICTS[certificate.scenario.kind].format_map(length_texts))
     clauses = [
@@ -243,7 +244,8 @@ def verdict(certificate: Certificate) -> str:
 
 def summary(certificate: Certificate) -> str:
     """Count the specimens that came through and the limits that are met, in sentences."""
-    entries, n = certificate.entries, len(certificate.entries)
+    entries = certificate.entries
+    n = len(certificate.entries)
     limits_met = [line.met for line in certificate.lines().values() if line.met is not None]
     noun = "deformation" if certificate.scenario.kind == "mesh" else "specimen"
     refused, failed = (
@@ -270,10 +272,8 @@ def summary(certificate: Certificate) -> str:
 
 def limit_sentence(line: LedgerLine) -> str:
     """Write one limit and whether it is met."""
-    title_text, required_text = (
-        f"{STAGES[line.figure.stage]}, {line.figure.title}",
-        limit_text(line),
-    )
+    title_text = f"{STAGES[line.figure.stage]}, {line.figure.title}"
+    required_text = limit_text(line)
     if line.worst is None:
         return f"{title_text}: could not be measured; {required_text} is required."
     return (
@@ -316,7 +316,9 @@ def row_sentence(row: NuisanceRow) -> str:
 
 def sum_sentence(stage: str, table: Sensitivity) -> str:
     """Say whether the errors of single nuisances add up to that of all together."""
-    ratio, title, names = table.ratio[stage], STAGES[stage], table.together.get(stage)
+    ratio = table.ratio[stage]
+    title = STAGES[stage]
+    names = table.together.get(stage)
     if ratio is None:
         return f"{title}: all nuisances together add next to nothing."
     if not math.isfinite(ratio):

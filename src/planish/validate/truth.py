@@ -162,7 +162,8 @@ class Comparison:
         A pixel is an area: at 12 um it shows the mean of fibres of 20 to 35 um. One of 4 um is
         taken as a point.
         """
-        truth, axis_offsets = self.specimen.truth, list[Floats]()
+        truth = self.specimen.truth
+        axis_offsets = list[Floats]()
         for step in pitch(truth):
             # Of a pixel that counts as a point: the sheet holds little below.
             n = max(1, round(step / 4.0))

@@ -97,7 +97,8 @@ def packed(values: NDArray[Any], *, bits: int = 8) -> Packed:
 def _range(finite: Floats) -> tuple[float, float]:
     if not finite.size:
         return 0.0, 1.0
-    minimum, maximum = float(finite.min()), float(finite.max())
+    minimum = float(finite.min())
+    maximum = float(finite.max())
     # Single values far off would take the digits: of them 0.05 % may lie beyond either end.
     low, high = map(float, np.percentile(finite, [0.05, 99.95]))
     if high > low and maximum - minimum > 1.5 * (high - low):
@@ -133,7 +134,8 @@ def _deflated(codes: Codes, order: int) -> bytes:
     # Small differences of either sign have a high byte of 0, and all high bytes stand together.
     signed = differences.view(np.int16)
     zigzag = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
-    low_bytes, high_bytes = (zigzag & 255).astype(np.uint8), (zigzag >> 8).astype(np.uint8)
+    low_bytes = (zigzag & 255).astype(np.uint8)
+    high_bytes = (zigzag >> 8).astype(np.uint8)
     return zlib.compress(low_bytes.tobytes() + high_bytes.tobytes(), _ZLIB_LEVEL)
 
 

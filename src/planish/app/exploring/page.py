@@ -201,7 +201,8 @@ def explore(
     keeps, and says so. No page is larger than 12 MB: maps are averaged and slices left out where
     they would take more.
     """
-    compute, out = compute or Compute(), Path(out)
+    compute = compute or Compute()
+    out = Path(out)
     refuse_existing(out)
     opened = open_run(run)
     refuse_inside(out, [run])
@@ -209,7 +210,8 @@ def explore(
         progress("maps", str(run))
         maps = maps_of(opened)
         sheets = dict.fromkeys(group.sheet for group in maps.groups if group.sheet)
-        letters, layers = BUDGET // max(len(sheets), 1), map(opened.results.layer, sheets)
+        letters = BUDGET // max(len(sheets), 1)
+        layers = map(opened.results.layer, sheets)
         stacks = list(
             filter(None, (stack_of(opened, layer, letters, compute, progress) for layer in layers))
         )

@@ -203,7 +203,8 @@ def _read_greys(
     greys = np.zeros((rows.size, planes.stop - planes.start, n_cols), np.uint8)
     row_step = int(rows[1] - rows[0]) if rows.size > 1 else 1
     for block in _blocks(volume, frame, rows, planes):
-        is_in_block, block_planes = np.ones(rows.size, bool), block
+        is_in_block = np.ones(rows.size, bool)
+        block_planes = block
         if frame.rows == "z":
             is_in_block, block_planes = (rows >= block.start) & (rows < block.stop), planes
         if not is_in_block.any():
@@ -257,7 +258,8 @@ def _greys(values: NDArray[Any], scale: Scale) -> NDArray[np.uint8]:
 def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     """Cut every slice to the sheet in it, all to the same height, and pack it."""
     x_um, heights_um = slices[0].x, slices[0].heights
-    dx_um, dz_um = _pitch(x_um), abs(_pitch(heights_um))
+    dx_um = _pitch(x_um)
+    dz_um = abs(_pitch(heights_um))
     margin_um = _margin_um(
         np.stack([np.abs(cut.lines["top"] - cut.lines["bottom"]) for cut in slices])
     )
@@ -274,7 +276,8 @@ def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     image_format, pictures = _pictures(
         [cut.grey[k : k + n_rows] for cut, k in zip(slices, top_rows, strict=True)]
     )
-    point_step, step_um = max(1, math.ceil(x_um.size / _MAX_POINTS)), dz_um / 16
+    point_step = max(1, math.ceil(x_um.size / _MAX_POINTS))
+    step_um = dz_um / 16
     lines = {
         name: packed(
             np.round(np.stack([cut.lines[name][::point_step] for cut in slices]) / step_um)

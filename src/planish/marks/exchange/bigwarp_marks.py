@@ -34,7 +34,8 @@ def read(content: Content) -> list[PointList]:
     """Read the moving and target points."""
     name = content.name
     rows = _rows_of_json(content.json, name) if content.json else content.rows.rows
-    first, width = rows[0].line, len(rows[0].cells)
+    first = rows[0].line
+    width = len(rows[0].cells)
     if width not in (6, 8):
         hint = f" ({DECIMAL_COMMAS})" if width > 8 and content.rows.delimiter == "," else ""
         raise MarkError(

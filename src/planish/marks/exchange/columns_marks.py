@@ -137,7 +137,8 @@ def _point_list(
             f" {', '.join(table.header)[:120]}). Give one unit to all of them."
         )
     columns = [table.header[headings.index(heading)] for heading in choice]
-    points, heading = table.numbers(columns), choice[0]
+    points = table.numbers(columns)
+    heading = choice[0]
     unit, is_stated = layout.unit, layout.stated and layout.unit is not None
     if heading.unit:
         unit, is_stated = "um", True

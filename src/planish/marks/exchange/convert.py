@@ -110,7 +110,8 @@ def read_any(
                 layers[side] |= layer_pixels.about()
         if list(layers) == ["marks"]:
             layers["marks"] |= moving.about() | fixed.about()
-        marks, stated = marks.assign_attrs(layers=layers, from_first_pixel=[]), ("um", True)
+        marks = marks.assign_attrs(layers=layers, from_first_pixel=[])
+        stated = ("um", True)
     else:
         lists: list[PointList] = []
         for content, reading in zip(contents, readings, strict=True):
@@ -186,7 +187,8 @@ def write_any(
     ``json`` keeps all; ``bigwarp`` and ``slicer`` keep labels, marks that are not used and marks of
     one layer only; ``csv``, ``elastix`` and ``matlab`` hold the pairs in use.
     """
-    place, name = Path(path), to or target_of(path)
+    place = Path(path)
+    name = to or target_of(path)
     parts = marks_bytes(marks, name, moving=moving, fixed=fixed, unit=unit, swap=swap)
     files = {
         place.with_name(f"{place.stem}{end}{place.suffix}") if end else place: content
@@ -224,7 +226,8 @@ def marks_bytes(
         return module_of(to).write(marks, {})
     # Marks as the other program expects them, and positions by role or by the name of the only
     # layer.
-    names, overrides = layer_names(marks), [moving, fixed]
+    names = layer_names(marks)
+    overrides = [moving, fixed]
     single = len(names) == 1 and mark_format.single
     sides = names if single else list(model.pair_of_layers(marks, name="This set of marks"))
     if mark_format.pairs_only:
@@ -236,13 +239,13 @@ def marks_bytes(
         overrides = [moving if moving.pixel_um else fixed]
     file_points: list[Floats] = []
     for layer, override, role in zip(sides, overrides, ("moving", "fixed"), strict=False):
-        about, points = about_layer(marks, layer), model.points_of(marks, layer)
-        pixel, first = about.get("pixel_um"), about.get("origin_um", {"x": 0.0, "y": 0.0})
+        about = about_layer(marks, layer)
+        points = model.points_of(marks, layer)
+        pixel = about.get("pixel_um")
+        first = about.get("origin_um", {"x": 0.0, "y": 0.0})
         pixel_um = override.pixel_um or (pixel and (pixel["y"], pixel["x"]))
-        layer_pixels, file_text = (
-            LayerPixels(pixel_um, (first["x"], first["y"])),
-            f"The file for {mark_format.title}",
-        )
+        layer_pixels = LayerPixels(pixel_um, (first["x"], first["y"]))
+        file_text = f"The file for {mark_format.title}"
         origin, factor = layer_pixels.frame(
             unit or mark_format.unit, points.shape[1], file_text, role
         )

@@ -56,7 +56,8 @@ class Content:
 def read_content(path: str | Path) -> Content:
     """Read a file, whatever its format."""
     place = Path(path)
-    name, data = place.name, read_bytes(place, what="file of marks")
+    name = place.name
+    data = read_bytes(place, what="file of marks")
     if data.startswith(SELECTIONS):
         return Content(name=name, data=data)
     # Version 4 of MATLAB has no heading that says what it is.

@@ -167,7 +167,8 @@ def places_of(marks: xr.Dataset, layer: str) -> MarkPlaces:
     extras = {
         name: marks[f"{layer}_{name}"].values for name in EXTRAS if f"{layer}_{name}" in marks
     }
-    points, source_name = points_of(marks, layer), f"{layer}_source"
+    points = points_of(marks, layer)
+    source_name = f"{layer}_source"
     source = (
         marks[source_name].values.tolist() if source_name in marks else ["imported"] * len(points)
     )
@@ -244,7 +245,9 @@ def join_holes(
     ``pairs`` is (k, 2: rows of moving and fixed).
     """
     rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
-    names, layers, about = [*labels], dict[str, MarkPlaces](), dict[str, dict[str, Any]]()
+    names = [*labels]
+    layers = dict[str, MarkPlaces]()
+    about = dict[str, dict[str, Any]]()
     sides = {"moving": moving, "fixed": fixed}
     for k, (side, holes) in enumerate(sides.items()):
         single_rows = np.setdiff1d(np.arange(holes.sizes["mark"]), rows[:, k])
@@ -410,7 +413,8 @@ def _check_layer(marks: xr.Dataset, layer: str) -> None:
 
 def check_marks(marks: xr.Dataset, name: str) -> None:
     """Refuse marks that are not unique or lie at no finite position."""
-    labels, used = labels_of(marks), used_of(marks)
+    labels = labels_of(marks)
+    used = used_of(marks)
     if not labels:
         raise MarkError(f"{name} holds no mark. Set marks in both layers and save them again.")
     faults = [
@@ -464,7 +468,9 @@ def _misfit(  # noqa: PLR0911
         np.array([about[key][axis] for axis in "xy"], dtype=np.float64)
         for key in ("pixel_um", "size_px", "origin_um")
     )
-    size, span, placed = pixel * count, np.ptp(points, axis=0), points - origin
+    size = pixel * count
+    span = np.ptp(points, axis=0)
+    placed = points - origin
     spans = f"{_size(span)}, the layer {_size(size)}"
     numbers = placed / 1000 if assumed == "mm" else placed
     reaches_far = (np.ptp(numbers, axis=0) / count).max() > 0.25
@@ -474,7 +480,8 @@ def _misfit(  # noqa: PLR0911
             f" over the layer: they look like pixels. {_remedy('pixel', stated)} If they are"
             f" {assumed}, give `unit={assumed}` there."
         )
-    is_inside, pixels_fit = _inside(placed, size), _inside(points, count).all()
+    is_inside = _inside(placed, size)
+    pixels_fit = _inside(points, count).all()
     are_halves = bool(np.all(points * 2 == np.round(points * 2)))
     # Places clicked on pixels and then turned into um are multiples of the pixel.
     are_pixels = bool(np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6))

@@ -24,7 +24,8 @@ def looks_like(content: Content) -> bool:
 
 def read(content: Content) -> list[PointList]:
     """Read the points of all selections as one list."""
-    name, faults = content.name, list[str]()
+    name = content.name
+    faults = list[str]()
     points: list[Floats] = []
     labels: list[str] = []
     slices: set[int] = set()

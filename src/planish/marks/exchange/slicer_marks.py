@@ -53,7 +53,8 @@ def read(content: Content) -> list[PointList]:
 
 def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     """Write one list for each layer, in mm."""
-    labels, used = labels_of(marks), used_of(marks).tolist()
+    labels = labels_of(marks)
+    used = used_of(marks).tolist()
     markups: list[dict[str, Any]] = []
     for role, places in points.items():
         controls: list[dict[str, Any]] = []

@@ -209,7 +209,8 @@ def _features(data: bytes, name: str) -> tuple[dict[str, Any], list[Any]]:
     root = _object(content)
     if isinstance(content, list):  # as older versions of QuPath write them
         root = {"type": "FeatureCollection", "features": content}
-    kind, features = root.get("type"), root.get("features")
+    kind = root.get("type")
+    features = root.get("features")
     if kind in ("Polygon", "MultiPolygon"):
         return root, [{"geometry": root}]
     if kind == "Feature":
@@ -223,11 +224,10 @@ def _features(data: bytes, name: str) -> tuple[dict[str, Any], list[Any]]:
 
 
 def _region(feature: object, default_name: str) -> Region:
-    geometry, properties = (
-        _object(_object(feature).get("geometry")),
-        _object(feature).get("properties"),
-    )
-    geometry_type, coordinates = geometry.get("type"), geometry.get("coordinates")
+    geometry = _object(_object(feature).get("geometry"))
+    properties = _object(feature).get("properties")
+    geometry_type = geometry.get("type")
+    coordinates = geometry.get("coordinates")
     if geometry_type not in ("Polygon", "MultiPolygon"):
         type_text = repr(geometry_type[:40]) if isinstance(geometry_type, str) else "none"
         raise ValueError(f"its geometry is {type_text}; a Polygon or MultiPolygon is needed")

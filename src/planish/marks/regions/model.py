@@ -46,7 +46,8 @@ class Region:
         from planish.marks.regions._kernels import flip_crossings
 
         points = np.concatenate([ring for rings in self.polygons for ring in rings])
-        (left, upper), (right, lower) = points.min(axis=0), points.max(axis=0)
+        left, upper = points.min(axis=0)
+        right, lower = points.max(axis=0)
         rows = slice(*np.searchsorted(grid.y_um, (upper, lower)))
         cols = slice(*np.searchsorted(grid.x_um, (left, right)))
         y, x = grid.y_um[rows], grid.x_um[cols]
@@ -77,7 +78,8 @@ class Regions:
         if not self.in_pixels:
             return self
         down, across = grid.pixel_um
-        pixel_um, origin = np.array([across, down]), np.array(grid.origin_um)
+        pixel_um = np.array([across, down])
+        origin = np.array(grid.origin_um)
         regions_um: list[Region] = []
         for region in self.declared:
             polygons = (
@@ -145,7 +147,9 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
 
 
 def _inside(ring: Ring, place: Floats) -> bool:
-    (x, y), (xa, ya), (xb, yb) = place, ring.T, np.roll(ring, -1, axis=0).T
+    x, y = place
+    xa, ya = ring.T
+    xb, yb = np.roll(ring, -1, axis=0).T
     crossed = (ya <= y) != (yb <= y)
     crossing_x = xa[crossed] + (y - ya[crossed]) * (xb - xa)[crossed] / (yb - ya)[crossed]
     return bool(np.count_nonzero(crossing_x > x) % 2)

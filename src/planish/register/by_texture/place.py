@@ -48,7 +48,8 @@ def tuned_place(
     rows, cols = rows[::every], cols[::every]
     points = np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=1)
     maps = np.stack([moving.maps[k][rows, cols] for k in (names[0], *beside)])
-    middle, image = points.mean(axis=0), _Sampled(fixed, names[1])
+    middle = points.mean(axis=0)
+    image = _Sampled(fixed, names[1])
     arm_um = float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1))))
 
     def placed(p: Floats) -> Similarity:
@@ -185,7 +186,8 @@ def tile_places(
         unrelated=[*PhaseSurrogate(b, is_valid).draws(9, np.random.default_rng(20090501))],
     )
     at_um, lag_um = field.at_um[field.distinct], field.lag_um[field.distinct]
-    turn, off_um = place.matrix(), np.hypot(*field.lag_um.T)
+    turn = place.matrix()
+    off_um = np.hypot(*field.lag_um.T)
     covariance, shared = (
         turn @ field.covariance_um2[field.distinct] @ turn.T,
         turn @ shared_um2 @ turn.T,
@@ -216,7 +218,8 @@ def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair, *, slo
         search = LagSearch(maps, seen, is_valid, (reach[0] + MARGIN, reach[1] + MARGIN))
         return search, find_peak(search.share, within(reach))
 
-    (search, with_slopes), (_, without) = peak(shown), peak(shown[:-slopes])
+    search, with_slopes = peak(shown)
+    _, without = peak(shown[:-slopes])
     if with_slopes is None or without is None or not with_slopes.inner:
         return np.diag([(0.5 * k * p) ** 2 for k, p in zip(reach, pixel_um, strict=True)])[
             ::-1, ::-1

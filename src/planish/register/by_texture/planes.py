@@ -46,7 +46,8 @@ class TexturedPlane:
         InputError for none. The plane's lengths are in units of ``unit_um``.
         """
         if isinstance(layer, xr.DataArray):
-            grid, valid = Grid.of(layer), None
+            grid = Grid.of(layer)
+            valid = None
             if holes is not None and holes.sizes["mark"]:
                 centres_um = np.stack([holes["x"].values, holes["y"].values], axis=1)
                 valid = ~hole_mask(

@@ -148,8 +148,10 @@ def search_place(
     """
     hands = (False, True) if mirrored is None else (mirrored,)
     shares = (0.5, 1.0) if near and moving.area_um2 > _PARTED_UM**2 else (1.0,)
-    search, steps = PlaceSearch(candidates=(), false_probability=1.0), None
-    promising, cells = list[Similarity](), list[list[_Peak]]()
+    search = PlaceSearch(candidates=(), false_probability=1.0)
+    steps = None
+    promising = list[Similarity]()
+    cells = list[list[_Peak]]()
     for share in shares:
         scanner = _Scanner(moving, fixed, scale_tolerance, share, is_near=bool(near))
         rough = steps
@@ -315,8 +317,11 @@ class _Scanner:
         *,
         is_near: bool,
     ) -> None:
-        moving, self.middle_um = moving.middle_part(share), moving.middle_um
-        self._moving, self._fixed, self._names = moving, fixed, compared(moving, fixed)
+        self.middle_um = moving.middle_um
+        moving = moving.middle_part(share)
+        self._moving = moving
+        self._fixed = fixed
+        self._names = compared(moving, fixed)
         self.strain = scale_tolerance
         # X, y.
         self._moving_px, self._fixed_px = (np.array(t.pixel_um[::-1]) for t in (moving, fixed))
@@ -410,7 +415,8 @@ class _Scanner:
         if near is not None:
             wave_um = 2.0 * self.half_wave_um(best.names)
             near = replace(near, radius_um=near.radius_um + wave_um)
-        turn, scales = replace(best.turn, scale=1.0), (best.turn.scale,)
+        turn = replace(best.turn, scale=1.0)
+        scales = (best.turn.scale,)
         for _, names, signed, window, _ in self._heights(turn, scales, near):
             height = np.abs(signed) * (names == best.names)
             is_high = height > RIVAL * abs(best.height)
@@ -436,10 +442,12 @@ class _Scanner:
 
         With the number of pixels at which enough of the map is seen.
         """
-        windows, middle_scale = self._windows(turn, near), 0.5 * (scales[0] + scales[-1])
+        windows = self._windows(turn, near)
+        middle_scale = 0.5 * (scales[0] + scales[-1])
         half, sampled = self._on_image(replace(turn, scale=middle_scale))
         mask = self._spectrum(self._turned_mask(sampled), windows[0].shape)
-        least_pairs, weights = max(_OVERLAP * self._most * middle_scale**2, 1.0), list[Slab]()
+        least_pairs = max(_OVERLAP * self._most * middle_scale**2, 1.0)
+        weights = list[Slab]()
         for window in windows:
             pairs = self._lags(window, _KNOWN, mask, half)
             weight = np.where(pairs >= least_pairs, 1.0 / np.sqrt(np.maximum(pairs, 1.0)), 0.0)
@@ -469,7 +477,8 @@ class _Scanner:
         return [self._spectra((row, col), (rows, cols))]
 
     def _spectra(self, first: tuple[int, int], count: tuple[int, ...]) -> _Window:
-        margin, sides = self._margin, zip(first, count, self._fixed.known.shape, strict=True)
+        margin = self._margin
+        sides = zip(first, count, self._fixed.known.shape, strict=True)
         pixels = [np.arange(max(b - margin, 0), min(b + n + margin, size)) for b, n, size in sides]
         source = np.ix_(*pixels)
         target = tuple(k - b + margin for k, b in zip(source, first, strict=True))

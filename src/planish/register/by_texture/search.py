@@ -63,7 +63,8 @@ class FoundPlace(NamedTuple):
     @property
     def sentence(self) -> str:
         """Turn, middle and height."""
-        turn_deg, (x, y) = math.degrees(self.place.rotation_rad) % 360, self.middle_um
+        turn_deg = math.degrees(self.place.rotation_rad) % 360
+        x, y = self.middle_um
         middle_text = plain_numbers(f"({x:.4g}, {y:.4g}) um")
         return f"turned by {turn_deg:.0f} degrees about {middle_text}: {self.z:.1f}"
 
@@ -166,7 +167,8 @@ def _searched(
     """
     half = 0.5 * _SEARCHED_UM
     a = layers.a.part(layers.a.middle_um - half, layers.a.middle_um + half)
-    (a_texture, a_first), best = a.texture(_SEARCH_UM), None
+    a_texture, a_first = a.texture(_SEARCH_UM)
+    best = None
     tolerance = min(params.scale_tolerance, _GUESS_TOLERANCE)
     beyond = math.log((1.0 + params.scale_tolerance) / (1.0 + _GUESS_TOLERANCE))
     count = max(math.ceil(beyond / math.log(_SCALE_GUESS)), 0)
@@ -271,7 +273,8 @@ def tiles_near(
     Tiles are then found there. ``place`` and ``off_um`` are in the unit of the layers; places and
     covariances of the tiles are in um, in the second layer as it is.
     """
-    a, b = layers.a, layers.b.scaled(scaled)
+    a = layers.a
+    b = layers.b.scaled(scaled)
     seen = place(a.corners_um)
     b = _part_of(b, seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
     has_light = not b.is_sheet
