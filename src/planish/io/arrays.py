@@ -164,6 +164,18 @@ def _lazy(source: Any, dtype: np.dtype[Any]) -> LazyArray:
     return array
 
 
+def _unnamed(array: Any) -> xr.DataArray:
+    """An array of another library, not read, whose axes have no names."""
+    data = array
+    if not isinstance(array, np.ndarray):
+        data = _lazy(array, array.dtype.newbyteorder("="))
+    dims = [f"dim_{k}" for k in range(len(array.shape))]
+    raster = xr.DataArray(xr.Variable(dims, variable_data(data)))
+    if data is not array:
+        raster.encoding["chunks"] = data.chunks
+    return raster
+
+
 def _read_part(source: Any, dtype: np.dtype[Any], where: Where) -> NDArray[Any]:
     return np.asarray(source[where], dtype)
 
@@ -173,17 +185,7 @@ def _array(array: Any, kind: ArrayKind) -> xr.DataArray:
     if not isinstance(getattr(array, "dtype", None), np.dtype):
         raise not_taken(array, "an array", conversion_call(array, kind), f"pl.{kind.name}(")
     check_numbers(array, f"The {kind.name}")
-    raster: Any = array
-    if not isinstance(array, xr.DataArray):
-        stored_data = (
-            array if isinstance(array, np.ndarray) else _lazy(array, array.dtype.newbyteorder("="))
-        )
-        raster = xr.DataArray(
-            xr.Variable([f"dim_{k}" for k in range(len(array.shape))], variable_data(stored_data))
-        )
-        raster.encoding |= (
-            {"chunks": stored_data.chunks} if isinstance(stored_data, LazyArray) else {}
-        )
+    raster = array if isinstance(array, xr.DataArray) else _unnamed(array)
     dims = [str(name) for name in raster.dims]
     has_colour = kind is IMAGE and raster.shape[2:] in ((3,), (4,))
     if set(kind.axes) < set(dims) or sorted(dims) == sorted(kind.axes):
@@ -215,18 +217,16 @@ def _labelled(
     They begin where they did.
     """
     steps = {axis: None if override else step_um(raster, axis) for axis in kind.axes}
-    # Without a unit they may count voxels: they have to fit a size that is given, and are none by
-    # themselves.
-    unitless = [
-        axis
-        for axis, step in steps.items()
-        if step is not None and "units" not in raster[axis].attrs
-    ]
-    stated_um = tuple(
-        None if size_um is None and axis in unitless else step for axis, step in steps.items()
-    )
-    note = "coordinates without a unit" if unitless else ""
-    stated = [Stated("its coordinate grid", stated_um, note)]
+    stated_um = dict(steps)
+    note = ""
+    for axis, step in steps.items():
+        # Without a unit they may count voxels: they have to fit a size that is given, and are none
+        # by themselves.
+        if step is not None and "units" not in raster[axis].attrs:
+            note = "coordinates without a unit"
+            if size_um is None:
+                stated_um[axis] = None
+    stated = [Stated("its coordinate grid", tuple(stated_um.values()), note)]
     # A size that is given stands in place of that of the array this one was cut out of.
     if size_um is None and kind.size_attribute in raster.attrs:
         attribute_um = tuple(raster.attrs[kind.size_attribute])
@@ -240,9 +240,9 @@ def _labelled(
     file_name = Path(path).name if path else str(raster.name or "array")
     attrs = {"file_name": file_name, "file_bytes": raster.nbytes, **attrs, "units": "1"}
     attrs |= {kind.size_attribute: list(size), f"{kind.size_attribute}_source": source}
-    coords = {
-        axis: (axis, raster[axis].values.astype(np.float64), {"units": "um"})
-        for axis, step in steps.items()
-        if step is not None and raster[axis].values[0] != 0
-    }
-    return labelled(values, kind.axes, size, name=kind.name, attrs=attrs).assign_coords(coords)
+    sized = labelled(values, kind.axes, size, name=kind.name, attrs=attrs)
+    for axis, step in steps.items():
+        if step is not None and raster[axis].values[0] != 0:
+            axis_um = raster[axis].values.astype(np.float64)
+            sized = sized.assign_coords({axis: (axis, axis_um, {"units": "um"})})
+    return sized

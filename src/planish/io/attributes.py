@@ -8,13 +8,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
-from planish.io.axes import AxisNames, letter_of
+from planish.io.axes import AxisNames, extended_axes, letter_of
 from planish.io.orientation import Orientation, orientation_by_steps
 from planish.io.sizes import Stated, bare_unit, stated_in
 
@@ -43,6 +43,7 @@ SIZE_NAME = re.compile(
     r"(?:_([zyx]))?(?:_(.*))?"
 )
 COORDINATE_TOLERANCE = 0.01  # by which the steps of an axis may differ
+T = TypeVar("T")
 
 
 class Coordinates(NamedTuple):
@@ -78,9 +79,9 @@ def names_by_attributes(
                 f"The attribute {key} is {', '.join(words)}, which may begin with the fastest or"
                 " the slowest axis. Name the axes in an attribute axes, slowest first."
             )
-        names = _names_of_all(words, shape)
+        names = _on_axes(words, shape, "") if words else None
         if names is not None:
-            namings.append(AxisNames(f"the attribute {key}", names))
+            namings.append(AxisNames(f"the attribute {key}", tuple(names)))
         elif words and is_own:
             raise VolumeError(
                 f"The attribute {key} names {len(words)} axes ({', '.join(words)}), the array has"
@@ -95,17 +96,17 @@ def _is_usual(words: Sequence[str]) -> bool:
     return letters == sorted(letters, reverse=True)
 
 
-def _names_of_all(words: Sequence[str], shape: Sequence[int]) -> tuple[str, ...] | None:
-    """One name for each axis, or each longer than 1; None where the count does not fit."""
-    if len(words) == len(shape):
-        return tuple(words)
-    long_axes = [axis for axis, n in enumerate(shape) if n > 1]
-    if not words or len(words) != len(long_axes):
+def _on_axes(values: Sequence[T], shape: Sequence[int], default: T) -> list[T] | None:
+    """One value for each axis, or each longer than 1; None where the count does not fit."""
+    if len(values) == len(shape):
+        return [*values]
+    long_axes = extended_axes(shape)
+    if len(values) != len(long_axes):
         return None
-    names = [""] * len(shape)
-    for axis, word in zip(long_axes, words, strict=True):
-        names[axis] = word
-    return tuple(names)
+    on_axes = [default] * len(shape)
+    for axis, value in zip(long_axes, values, strict=True):
+        on_axes[axis] = value
+    return on_axes
 
 
 def names_by_indices(attrs: Mapping[str, Any], shape: Sequence[int]) -> list[AxisNames]:
@@ -183,31 +184,39 @@ def sizes_by_attributes(
     keys = {str(key).casefold(): str(key) for key in attrs}
     stated: list[Stated] = []
     for folded_key, key in keys.items():
-        if folded_key == "axistags":
-            stated += _stated_by_tags(attrs[key], f"the attribute {key}", shape, order)
+        source = f"the attribute {key}"
         size_name = SIZE_NAME.fullmatch(folded_key)
+        if folded_key == "axistags":
+            stated += _stated_by_tags(attrs[key], source, shape, order)
         if size_name is None or "unit" in folded_key:
             continue
-        quantity, unit = size_name[2], size_name[4] or ""
-        axis = "z" if size_name[1] == "slice" else size_name[1] or size_name[3] or ""
         lengths = _lengths_along(attrs[key], shape)
-        if lengths is None or (quantity == "voxel" and unit != "um"):
+        prefix, quantity, suffix, unit = size_name.groups(default="")
+        axis = "z" if prefix == "slice" else prefix or suffix
+        # Of a voxel a unit has to be written; steps are those of one axis.
+        is_size = unit == "um" if quantity == "voxel" else quantity != "step" or axis
+        if lengths is None or not is_size:
             continue
-        if quantity == "step" and not axis:
-            continue
-        if not unit:
-            unit_keys = (f"{quantity}_units", f"{quantity}_unit", "units", "unit")
-            unit = next((word_of(attrs[keys[k]]) for k in unit_keys if k in keys), "")
-        source = f"the attribute {key}"
+        unit = unit or _unit_beside(attrs, keys, quantity)
         if not unit.strip():
             unit = bare_unit([length for length in lengths if length is not None])
-            source += f" ({unit}; no unit is written, in another one no scan of paper)" * bool(unit)
+            if unit:
+                source += f" ({unit}; no unit is written, in another one no scan of paper)"
+        units = [unit] * max(len(shape), 3)
         if axis:
             along = [lengths[0] if letter == axis else None for letter in "zyx"]
-            stated.append(stated_in(source, along, [unit] * 3))
+            stated.append(stated_in(source, along, units))
         else:
-            stated.append(stated_in(source, lengths, [unit] * len(lengths), order))
+            stated.append(stated_in(source, lengths, units, order))
     return stated
+
+
+def _unit_beside(attrs: Mapping[str, Any], keys: Mapping[str, str], quantity: str) -> str:
+    """Unit of a size in an attribute of its own; empty where there is none."""
+    for name in (f"{quantity}_units", f"{quantity}_unit", "units", "unit"):
+        if name in keys:
+            return word_of(attrs[keys[name]])
+    return ""
 
 
 def _stated_by_tags(
@@ -228,18 +237,12 @@ def _stated_by_tags(
 def _lengths_along(raw_value: Any, shape: Sequence[int]) -> list[float | None] | None:
     """Lengths along the stored axes; None where a value is no number, or the count does not fit."""
     numbers = np.ravel(np.asarray(raw_value))
-    long_axes = [axis for axis, n in enumerate(shape) if n > 1]
     if numbers.dtype.kind not in "uif":
         return None
-    if numbers.size == 1:
-        return [float(numbers[0]) for _ in shape]
-    if numbers.size not in (len(shape), len(long_axes)):
-        return None
-    axes = range(len(shape)) if numbers.size == len(shape) else long_axes
-    lengths: list[float | None] = [None] * len(shape)
-    for axis, number in zip(axes, numbers, strict=True):
-        lengths[axis] = float(number)
-    return lengths
+    lengths = list[float | None](numbers.astype(np.float64).tolist())
+    if len(lengths) == 1:
+        return lengths * len(shape)
+    return _on_axes(lengths, shape, None)
 
 
 def stated_by_coordinates(
@@ -249,18 +252,22 @@ def stated_by_coordinates(
 
     They have to be evenly spaced; where they fall, the axis runs the other way.
     """
-    steps = [None if axis is None else _step_of(axis.values) for axis in along]
-    uneven_names = [axis.name for axis, step in zip(along, steps, strict=True) if axis and not step]
-    if not uneven_names and not any(steps):
+    steps: list[float | None] = [None] * len(along)
+    units = [""] * len(along)
+    notes: list[str] = []
+    for i, axis in enumerate(along):
+        if axis is not None:
+            steps[i] = _step_of(axis.values)
+            units[i] = axis.unit
+            if steps[i] is None:
+                notes.append(f"{axis.name} is not evenly spaced")
+    if not notes and not any(steps):
         return [], []
     source = "the spacing of its coordinates"
     lengths = [None if step is None else abs(step) for step in steps]
-    units = ["" if axis is None else axis.unit for axis in along]
     stated = stated_in(source, lengths, units, order)
-    notes = [*(f"{name} is not evenly spaced" for name in uneven_names), stated.note]
-    orientation = orientation_by_steps(source, [steps[axis] for axis in order])
-    stated = stated._replace(note=", ".join(filter(None, notes)))
-    return [stated], [] if orientation is None else [orientation]
+    stated = stated._replace(note=", ".join(filter(None, [*notes, stated.note])))
+    return [stated], orientation_by_steps(source, [steps[axis] for axis in order])
 
 
 def _step_of(coordinates: NDArray[Any]) -> float | None:

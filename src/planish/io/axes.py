@@ -8,7 +8,7 @@ taken as it is stored, slowest axis first: z, y, x. Names that are there are fol
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from planish.core.errors import VolumeError
@@ -79,6 +79,11 @@ def letter_of(name: str) -> str | None:
     return letters.pop() if len(letters) == 1 else None
 
 
+def extended_axes(shape: Sequence[int]) -> list[int]:
+    """Axes along which an array has more than one value."""
+    return [axis for axis, n in enumerate(shape) if n > 1]
+
+
 def place_axes(
     shape: Sequence[int],
     namings: Sequence[AxisNames],
@@ -96,7 +101,7 @@ def place_axes(
         If not three axes are longer than 1, if a name is unknown, if two conventions contradict
         each other, or if the axes are not z, y and x.
     """
-    long_axes = [axis for axis, n in enumerate(shape) if n > 1]
+    long_axes = extended_axes(shape)
     telling = _telling_namings(namings, long_axes, subject)
     if not telling:
         if len(long_axes) != 3:
@@ -110,30 +115,34 @@ def place_axes(
             f"{subject}: its axes are {naming}; which of them are z, y and x is not known. Name"
             " them z, y and x, in the order in which they are stored."
         )
-    notes: tuple[str, ...] = ()
+    notes: list[str] = []
     counts = {letter: shape[axis] for letter, axis in zip(letters, long_axes, strict=True)}
-    further_letters = [letter for letter in letters if letter in MEANINGS]
-    is_like_slices = further_letters == ["t"] or counts.get("c", 0) >= LEAST_SLICES
-    if "z" not in letters and len(further_letters) == 1 and is_like_slices:
-        notes = (slices_note(counts[further_letters[0]], further_letters[0]),)
-        letters = ["z" if letter in MEANINGS else letter for letter in letters]
-    elif further_letters:
+    further = [letter for letter in letters if letter in MEANINGS]
+    if "z" not in letters and _are_slices(further, counts):
+        letter = further[0]
+        notes.append(slices_note(counts[letter], letter))
+        letters[letters.index(letter)] = "z"
+    elif further:
         labels_text = f" ({channel_labels})" if channel_labels else ""
-        texts = [f"{counts[letter]} {MEANINGS[letter]}" for letter in further_letters]
-        all_names = ", ".join(naming.all_names)
+        content_text = and_join(f"{counts[letter]} {MEANINGS[letter]}" for letter in further)
         raise VolumeError(
-            f"{subject} has {and_join(texts)}{labels_text}: {size_words(shape)} ({all_names})."
-            f" {ADVICE}"
+            f"{subject} has {content_text}{labels_text}: {size_words(shape)}"
+            f" ({', '.join(naming.all_names)}). {ADVICE}"
         )
     if sorted(letters) != ["x", "y", "z"]:
         raise VolumeError(
             f"{subject} is no volume with the axes z, y and x: its axes are {naming}. {ADVICE}"
         )
-    order = tuple(long_axes[letters.index(letter)] for letter in "zyx")
-    if list(order) != long_axes:
+    order = [long_axes[letters.index(letter)] for letter in "zyx"]
+    if order != long_axes:
         stored_text = f"Its axes are stored as {', '.join(letters)} ({naming.source})"
-        notes = (*notes, f"{stored_text}, and read as z, y, x.")
-    return PlacedAxes(order, notes)
+        notes.append(f"{stored_text}, and read as z, y, x.")
+    return PlacedAxes(tuple(order), tuple(notes))
+
+
+def _are_slices(further: list[str], counts: Mapping[str, int]) -> bool:
+    """True if one axis of time points or of many channels may hold the slices."""
+    return further == ["t"] or (further == ["c"] and counts["c"] >= LEAST_SLICES)
 
 
 class _Naming(NamedTuple):
@@ -175,13 +184,13 @@ def _filled(letters: Sequence[str | None]) -> list[str] | None:
     An axis without a name is the letter that is left, or in its usual place.
     """
     named = [letter for letter in letters if letter]
-    left_letters = [letter for letter in "zyx" if letter not in named]
+    free_letters = [letter for letter in "zyx" if letter not in named]
     if set(named) & set(MEANINGS):
-        left_letters = left_letters[1:]
+        free_letters = free_letters[1:]
     n_missing = len(letters) - len(named)
-    if None in letters or n_missing > len(left_letters):
+    if None in letters or n_missing > len(free_letters):
         return None
-    remaining = iter(left_letters)
+    remaining = iter(free_letters)
     filled = [letter or next(remaining) for letter in letters]
     places = ["z" if letter in MEANINGS else letter for letter in filled]
     return filled if n_missing < 2 or places == ["z", "y", "x"] else None

@@ -123,6 +123,7 @@ IMOD_STAMP, IMOD_AT = 1146047817, 40
 
 
 def _load_mrc(path: Path) -> LoadedVolume:
+    """Values of an MRC file, whose axes may be stored in any order."""
     fields = _mrc_header(unpacked_head(path, HEADER_BYTES), path)
     extents = tuple(int(fields[name]) for name in ("nx", "ny", "nz"))
     extended_bytes = int(fields["nsymbt"])

@@ -89,6 +89,7 @@ FORMATS = (  # The first line that fits is taken, so longer suffixes stand befor
         starts=[(0, b"MATLAB 5.0 MAT"), (0, b"MATLAB 7.3 MAT"), HDF5_START],
     ),
 )
+_PART_SUFFIXES = tuple(suffix for f in FORMATS if f.has_parts for suffix in f.suffixes)
 TIFF = VolumeFormat("TIFF", "tiff_volume", (".tif", ".tiff", ".btf", ".tf8"))
 SLICES = VolumeFormat("folder of slices", "slice_volume")
 PICTURES = (
@@ -138,15 +139,15 @@ def find_place(path: str | Path) -> Place:
             f"The name {printable(text)} holds what is no text. Results hold names: give it"
             " another."
         )
-    if not exists(Path(text)):
-        for colon in range(len(text) - 1, 0, -1):
-            path_text = text[:colon]
-            if text[colon] != ":" or (colon == 1 and path_text.isalpha()):
-                continue
-            suffixes = tuple(s for f in FORMATS if f.has_parts for s in f.suffixes)
-            if exists(Path(path_text)) or path_text.lower().endswith(suffixes):
-                return Place(path=Path(path_text), part=text[colon + 1 :].replace(os.sep, "/"))
-    return Place(path=Path(text))
+    if exists(Path(text)):
+        return Place(Path(text))
+    path_text = text.rpartition(":")[0]
+    while path_text and not (len(path_text) == 1 and path_text.isalpha()):
+        if exists(Path(path_text)) or path_text.lower().endswith(_PART_SUFFIXES):
+            part = text[len(path_text) + 1 :]
+            return Place(Path(path_text), part.replace(os.sep, "/"))
+        path_text = path_text.rpartition(":")[0]
+    return Place(Path(text))
 
 
 def exists(path: Path) -> bool:
@@ -163,28 +164,33 @@ def format_of(place: Place) -> VolumeFormat:
     A file that none of them has may be of a format that another package reads. Everything else is
     an image file.
     """
-    path = place.path
-    name = path.name.lower()
-    is_folder = path.is_dir()
-    candidates = [
-        f for f in FORMATS if name.endswith(f.suffixes) and is_folder == bool(f.marker_files)
-    ]
-    if is_folder:
-        candidates += [
-            f for f in FORMATS if any((path / marker).is_file() for marker in f.marker_files)
-        ]
-    ending = path.suffix.lower()
-    if not candidates and not is_folder and ending not in (*TIFF.suffixes, *PICTURE_SUFFIXES, ""):
-        plugin = find_plugin("format", ending[1:])
-        if plugin is not None:
-            candidates.append(VolumeFormat(plugin.name, plugin.package, (ending,), plugin=plugin))
-    file_format = (*candidates, SLICES if is_folder else TIFF)[0]
+    file_format = _format_of(place.path)
     if place.part and not file_format.has_parts:
         raise FileError(
-            f"{path.name} is {file_format.name}, in which {place.part!r} chooses nothing. Leave out"
-            f" ':{place.part}'."
+            f"{place.path.name} is {file_format.name}, in which {place.part!r} chooses nothing."
+            f" Leave out ':{place.part}'."
         )
     return file_format
+
+
+def _format_of(path: Path) -> VolumeFormat:
+    """Format by the end of a name, then by the files of a folder, then that of a plugin."""
+    is_folder = path.is_dir()
+    for file_format in FORMATS:
+        is_of_kind = is_folder == bool(file_format.marker_files)
+        if is_of_kind and path.name.lower().endswith(file_format.suffixes):
+            return file_format
+    if is_folder:
+        for file_format in FORMATS:
+            if any((path / marker).is_file() for marker in file_format.marker_files):
+                return file_format
+        return SLICES
+    ending = path.suffix.lower()
+    if ending not in (*TIFF.suffixes, *PICTURE_SUFFIXES, ""):
+        plugin = find_plugin("format", ending[1:])
+        if plugin is not None:
+            return VolumeFormat(plugin.name, plugin.package, (ending,), plugin=plugin)
+    return TIFF
 
 
 def format_by_bytes(head: bytes) -> VolumeFormat | None:
@@ -366,21 +372,20 @@ def check_chunks(
     wrong shape.
     """
     grid = tuple(-(-n // c) for n, c in zip(shape, chunk, strict=True))
+    expected = [range(n) for n in grid]
     stored = [
-        p
-        for p in positions
-        if len(p) == len(grid) and all(0 <= i < n for i, n in zip(p, grid, strict=True))
+        p for p in positions if len(p) == len(grid) and all(map(range.__contains__, expected, p))
     ]
     total = math.prod(grid)
     loss = f"{total - len(stored)} of its {total} chunks are not stored"
     names = "tczyx"[-len(grid) :] if len(grid) <= 5 else range(len(grid))
     for axis, (n, c) in enumerate(zip(grid, chunk, strict=True)):
-        stored_indices = {position[axis] for position in stored}
-        if len(stored_indices) < n:
-            missing = c * next(p for p in range(n) if p not in stored_indices)
+        missing_indices = set(range(n)) - {position[axis] for position in stored}
+        if missing_indices:
+            first = c * min(missing_indices)
             raise FileError(
-                f"{name} has no values for {names[axis]} {missing} to"
-                f" {min(missing + c, shape[axis]) - 1}: {loss}. It is cut off, or its shape is"
+                f"{name} has no values for {names[axis]} {first} to"
+                f" {min(first + c, shape[axis]) - 1}: {loss}. It is cut off, or its shape is"
                 " wrong: copy or export it again."
             )
     if len(stored) == total:

@@ -28,7 +28,7 @@ from planish.io.attributes import (
     stated_by_coordinates,
     word_of,
 )
-from planish.io.axes import AxisNames, place_axes
+from planish.io.axes import AxisNames, extended_axes, place_axes
 from planish.io.formats import (
     LoadedVolume,
     Place,
@@ -168,7 +168,7 @@ def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
     def note_volume(name: str, member: Any) -> bool | None:
         if isinstance(member, h5py.Dataset) and member.dtype.kind in "buif":
             shape = tuple(int(n) for n in member.shape or ())
-            if sum(n > 1 for n in shape) == 3:
+            if len(extended_axes(shape)) == 3:
                 volumes.append((f"/{name}", shape, str(member.dtype)))
         return True if next(visit_count) > 20_000 else None
 

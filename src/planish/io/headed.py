@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.memory import PACKED_BYTES, UNPACKED_BYTES
-from planish.io.axes import AxisNames, place_axes
+from planish.io.axes import AxisNames, extended_axes, place_axes
 from planish.io.formats import ADVICE, LoadedVolume
 from planish.io.guard import check_blown_up, head_of, reading, size_of_file
 from planish.io.lazy import Values, WholeArray, mapped, reordered
@@ -161,21 +161,20 @@ def axes_of(
         As :func:`planish.io.axes.place_axes`, and where a voxel holds more than a grey value
         (``contents_text``).
     """
-    long_axes = tuple(axis for axis, n in enumerate(extents) if n > 1)
+    slowest_first = extents[::-1]
+    stored_axes = extended_axes(slowest_first)
     is_named = any(naming.names for naming in namings)
-    if contents_text or (len(long_axes) != 3 and not is_named):
+    if contents_text or (len(stored_axes) != 3 and not is_named):
         fault_text = f"has {contents_text}" if contents_text else "is no volume"
         raise VolumeError(
             f"{path.name} {fault_text}: {size_words(extents)} (fastest axis first). {ADVICE}"
         )
-    slowest_first = extents[::-1]
     stored_namings = [naming._replace(names=naming.names[::-1]) for naming in namings]
     placed = place_axes(slowest_first, stored_namings, path.name)
-    stored_axes = [axis for axis, n in enumerate(slowest_first) if n > 1]
     return StoredAxes(
         shape=tuple(slowest_first[axis] for axis in stored_axes),
         header_axes=tuple(len(extents) - 1 - axis for axis in placed.order),
-        order=tuple(stored_axes.index(axis) for axis in placed.order),
+        order=tuple(map(stored_axes.index, placed.order)),
         notes=placed.notes,
     )
 

@@ -6,7 +6,7 @@ Compressed values of a MetaImage that do not fit into the memory are read in par
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -67,17 +67,16 @@ PACKINGS = {"raw": "", "gzip": "deflate", "gz": "deflate", "bzip2": "bzip2", "bz
 def load(place: Place, _channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Map the values, or leave them to be unpacked."""
     path = place.path
-    suffix = place.path.suffix.lower()
-    readers = {
-        ".nrrd": _nrrd_header,
-        ".nhdr": _nrrd_header,
-        ".mha": _meta_header,
-        ".mhd": _meta_header,
-    }
-    header = readers[suffix](head_of(path, 2**20), path) if suffix in readers else _raw_header(path)
+    suffix = path.suffix.lower()
+    is_meta = suffix in (".mha", ".mhd")
+    if is_meta:
+        header = _meta_header(head_of(path, 2**20), path)
+    elif suffix in (".nrrd", ".nhdr"):
+        header = _nrrd_header(head_of(path, 2**20), path)
+    else:
+        header = _raw_header(path)
     values: Values = values_behind(header)
-    too_large = header.needed_bytes > memory_limit(memory_bytes)
-    if header.packing and suffix in (".mha", ".mhd") and too_large:
+    if header.packing and is_meta and header.needed_bytes > memory_limit(memory_bytes):
         # SimpleITK reads on behind the end of values that are shorter than declared.
         for _ in unpacked_parts(header):
             pass
@@ -112,43 +111,40 @@ def _text_of(line: bytes) -> str:
         return line.decode("cp1252", errors="replace")
 
 
+def _nrrd_lines(head: bytes) -> Iterator[bytes]:
+    """Lines of the header of an NRRD file, up to an empty one or to a list of files."""
+    for line in BytesIO(head):
+        yield line
+        is_list = re.fullmatch(rb"data ?file:=? *LIST\b.*", line.strip(), re.IGNORECASE)
+        if is_list or not line.strip():
+            return
+
+
+def _either(fields: Mapping[str, Any], name: str, default: object) -> Any:
+    """Value of a field whose name is written with or without its space."""
+    return fields.get(name, fields.get(name.replace(" ", ""), default))
+
+
 def _nrrd_header(head: bytes, path: Path) -> Header:
+    """Header of an NRRD file, whose values lie behind it or in one other file."""
     import nrrd  # pyright: ignore[reportMissingTypeStubs]
 
     if not head.startswith(b"NRRD"):
         raise FileError(f"{path.name} is no NRRD file. Check its name, or export it again.")
-    header_lines: list[str] = []
-    header_bytes = 0
-    for line in BytesIO(head):
-        # pynrrd would drop what is not ASCII, as in file names.
-        header_lines.append(_text_of(line))
-        header_bytes += len(line)
-        is_list = re.fullmatch(rb"data ?file:=? *LIST\b.*", line.strip(), re.IGNORECASE)
-        # Names of files follow a list of them to the end.
-        if is_list or not line.strip():
-            break
+    header_lines = list(_nrrd_lines(head))
     with reading(path):
-        fields: Mapping[str, Any] = nrrd.read_header(header_lines)
+        # pynrrd would drop what is not ASCII, as in file names.
+        fields: Mapping[str, Any] = nrrd.read_header([_text_of(line) for line in header_lines])
         extents = tuple(int(n) for n in np.atleast_1d(fields.get("sizes", ())))
-        line_skip, byte_skip = (
-            int(fields.get(f"{u} skip", fields.get(f"{u}skip", 0))) for u in ("line", "byte")
-        )
-    kinds = fields.get("kinds") or [""] * len(extents)
-    if not extents or len(extents) != fields.get("dimension") or len(kinds) != len(extents):
-        raise damaged(
-            path, f"its sizes are {fields.get('sizes')}, its dimension is {fields.get('dimension')}"
-        )
-    sample_texts = [
-        f"{n} of kind {kind!r}"
-        for n, kind in zip(extents, kinds, strict=True)
-        if n > 1 and kind not in (*SPATIAL_KINDS, "time")
-    ]
-    contents_text = f"{' and '.join(sample_texts)} in each voxel" if sample_texts else ""
-    axes = axes_of(extents, path, _names_by_nrrd(fields, kinds), contents_text=contents_text)
+        line_skip = int(_either(fields, "line skip", 0))
+        byte_skip = int(_either(fields, "byte skip", 0))
+    axes = _nrrd_axes(fields, extents, path)
     dtype = _type_of(str(fields.get("type", "")).strip(), path)
-    endian = fields.get("endian")
-    if dtype.itemsize > 1 and endian not in ("little", "big"):
-        raise damaged(path, "its header does not state the byte order (endian)")
+    if dtype.itemsize > 1:
+        endian = fields.get("endian")
+        if endian not in ("little", "big"):
+            raise damaged(path, "its header does not state the byte order (endian)")
+        dtype = dtype.newbyteorder(endian)
     encoding = str(fields.get("encoding", "")).casefold()
     if line_skip != 0 or byte_skip < -1 or (byte_skip and encoding != "raw"):
         raise FileError(
@@ -158,17 +154,36 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
         raise FileError(
             f"{path.name} has the encoding {encoding!r}. Save it with the encoding raw or gzip."
         )
-    data_name = fields.get("data file", fields.get("datafile"))
+    data_name = _either(fields, "data file", None)
+    data_file = path
+    header_bytes = sum(map(len, header_lines))
+    if data_name is not None:
+        data_file = _data_file(str(data_name), path)
+        header_bytes = 0
     return Header(
         path=path,
-        data=path if data_name is None else _data_file(str(data_name), path),
+        data=data_file,
         axes=axes,
-        stored_dtype=dtype.newbyteorder(">" if endian == "big" else "<"),
-        offset=-1 if byte_skip == -1 else byte_skip + (header_bytes if data_name is None else 0),
+        stored_dtype=dtype,
+        offset=-1 if byte_skip == -1 else byte_skip + header_bytes,
         packing=PACKINGS[encoding],
         stated=_stated_by_nrrd(fields, axes.header_axes),
         orientations=_oriented_by_nrrd(fields, axes.header_axes),
     )
+
+
+def _nrrd_axes(fields: Mapping[str, Any], extents: tuple[int, ...], path: Path) -> StoredAxes:
+    """Axes of an NRRD file, each of space or time."""
+    kinds = fields.get("kinds") or [""] * len(extents)
+    dimension = fields.get("dimension")
+    if not extents or len(extents) != dimension or len(kinds) != len(extents):
+        raise damaged(path, f"its sizes are {fields.get('sizes')}, its dimension is {dimension}")
+    sample_texts: list[str] = []
+    for n, kind in zip(extents, kinds, strict=True):
+        if n > 1 and kind not in (*SPATIAL_KINDS, "time"):
+            sample_texts.append(f"{n} of kind {kind!r}")
+    contents_text = f"{' and '.join(sample_texts)} in each voxel" if sample_texts else ""
+    return axes_of(extents, path, _names_by_nrrd(fields, kinds), contents_text=contents_text)
 
 
 def _names_by_nrrd(fields: Mapping[str, Any], kinds: Sequence[str]) -> list[AxisNames]:
@@ -183,13 +198,15 @@ def _oriented_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Or
     """Where the axes run by the space directions, in a right-handed space."""
     space = str(fields.get("space", "")).strip().casefold()
     directions = fields.get("space directions")
-    rows = [None if directions is None else directions[axis] for axis in axes]
+    if directions is None:
+        return []
+    rows = [directions[axis] for axis in axes]
     if any(row is None or len(row) != 3 or not np.isfinite(row).all() for row in rows):
         return []
-    words = SPACES.get(space, space).split("-")
+    words = SPACES.get(space, space).split("-")[:3]
     basis = np.eye(3)
-    if all(word in ANATOMICAL for word in words[:3]) and len(words) >= 3:
-        basis = np.array([ANATOMICAL[word] for word in words[:3]])
+    if len(words) == 3 and all(word in ANATOMICAL for word in words):
+        basis = np.array([ANATOMICAL[word] for word in words])
     elif space == "3d-left-handed":
         basis = np.diag([1.0, 1.0, -1.0])
     source = f"the NRRD space directions ({space or 'no space written; a right-handed one'})"
@@ -200,7 +217,6 @@ def _stated_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Stat
     """Voxel size along z, y, x: the lengths of the space directions, and the spacings."""
     stated: list[Stated] = []
     directions = fields.get("space directions")
-    spacings = fields.get("spacings")
     if directions is not None:
         lengths = [
             None if v is None else float(np.linalg.norm(np.asarray(v, float))) for v in directions
@@ -213,16 +229,18 @@ def _stated_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Stat
         elif not unit_names and "-" in str(fields.get("space", "")):
             unit = "mm"
             unit_text = " (no unit written; mm, as programs for anatomical spaces have it)"
-        stated.append(
-            stated_in(f"the NRRD space directions{unit_text}", lengths, [unit] * len(lengths), axes)
-        )
+        source = f"the NRRD space directions{unit_text}"
+        stated.append(stated_in(source, lengths, [unit] * len(lengths), axes))
+    spacings = fields.get("spacings")
     if spacings is not None:
-        units = [str(u) for u in np.atleast_1d(fields.get("units", [""] * len(spacings)))]
-        stated.append(stated_in("the NRRD spacings", [float(v) for v in spacings], units, axes))
+        units = [str(u) for u in np.atleast_1d(fields.get("units", ()))]
+        lengths = np.asarray(spacings, np.float64).tolist()
+        stated.append(stated_in("the NRRD spacings", lengths, units, axes))
     return stated
 
 
-def _meta_header(head: bytes, path: Path) -> Header:  # noqa: C901
+def _meta_fields(head: bytes, path: Path) -> tuple[dict[str, str], int]:
+    """Fields of the header of a MetaImage, by their names in small letters, and its length."""
     fields: dict[str, str] = {}
     header_bytes = 0
     for line in BytesIO(head):
@@ -232,31 +250,24 @@ def _meta_header(head: bytes, path: Path) -> Header:  # noqa: C901
         header_bytes += len(line)
         fields.setdefault(key.casefold(), field_text)
         if "elementdatafile" in fields:
-            break
-    data_name = fields.get("elementdatafile")
-    if data_name is None:
-        raise FileError(
-            f"{path.name} is no MetaImage: the line ElementDataFile is missing. Export it again."
-        )
+            return fields, header_bytes
+    raise FileError(
+        f"{path.name} is no MetaImage: the line ElementDataFile is missing. Export it again."
+    )
 
-    def switched(key: str, default: str) -> bool:
-        return fields.get(key, default).casefold() in {"true", "t", "1"}
 
-    words = fields.get("dimsize", "").split()
-    is_whole = all(word.isascii() and word.isdecimal() and len(word) < 16 for word in words)
-    if not is_whole or str(len(words)) != fields.get("ndims", ""):
-        raise damaged(
-            path,
-            f"its sizes are {fields.get('dimsize', '')[:40]!r}, its dimension is"
-            f" {fields.get('ndims')}",
-        )
-    extents = tuple(int(word) for word in words)
-    channels = fields.get("elementnumberofchannels", "1")
-    contents_text = f"{channels} channels" if channels != "1" else ""
-    axes = axes_of(extents, path, contents_text=contents_text)
+def _switched(field_text: str) -> bool:
+    return field_text.casefold() in {"true", "t", "1"}
+
+
+def _meta_header(head: bytes, path: Path) -> Header:
+    """Header of a MetaImage, whose values lie behind it or in one other file."""
+    fields, header_bytes = _meta_fields(head, path)
+    axes = _meta_axes(fields, path)
     dtype = _type_of(fields.get("elementtype", ""), path)
-    if not switched("binarydata", "True"):
+    if not _switched(fields.get("binarydata", "True")):
         raise FileError(f"{path.name} has its values written as text. Save it with binary values.")
+    data_name = fields["elementdatafile"]
     is_local = data_name.casefold() == "local"
     skip_text = fields.get("headersize", "0")
     if skip_text != "0" and (is_local or skip_text != "-1"):
@@ -264,35 +275,53 @@ def _meta_header(head: bytes, path: Path) -> Header:  # noqa: C901
             f"{path.name} skips {skip_text} bytes before its values (HeaderSize). Save it again"
             " without."
         )
-    is_packed = switched("compresseddata", "False")
-    is_big_endian = switched("binarydatabyteordermsb", fields.get("elementbyteordermsb", "False"))
-    offset = header_bytes if is_local else 0
+    is_packed = _switched(fields.get("compresseddata", "False"))
+    msb_text = fields.get("binarydatabyteordermsb", fields.get("elementbyteordermsb", "False"))
+    data_file = path
+    offset = header_bytes
+    if not is_local:
+        data_file = _data_file(data_name, path)
+        offset = 0
     if skip_text == "-1" and not is_packed:
         offset = -1
+    return Header(
+        path=path,
+        stated=_stated_by_meta(fields, axes, path),
+        data=data_file,
+        axes=axes,
+        stored_dtype=dtype.newbyteorder(">" if _switched(msb_text) else "<"),
+        offset=offset,
+        packing="deflate" if is_packed else "",
+        orientations=_oriented_by_meta(fields, axes.header_axes, path),
+    )
+
+
+def _meta_axes(fields: Mapping[str, str], path: Path) -> StoredAxes:
+    """Axes of a MetaImage, which has no names for them."""
+    size_text = fields.get("dimsize", "")
+    dimension = fields.get("ndims")
+    words = size_text.split()
+    is_whole = all(word.isascii() and word.isdecimal() and len(word) < 16 for word in words)
+    if not is_whole or str(len(words)) != (dimension or ""):
+        raise damaged(path, f"its sizes are {size_text[:40]!r}, its dimension is {dimension}")
+    channels = fields.get("elementnumberofchannels", "1")
+    contents_text = f"{channels} channels" if channels != "1" else ""
+    return axes_of(tuple(int(word) for word in words), path, contents_text=contents_text)
+
+
+def _stated_by_meta(fields: Mapping[str, str], axes: StoredAxes, path: Path) -> list[Stated]:
+    """Voxel size along z, y, x: the spacing, and the size of an element."""
     unit = fields.get("distanceunits", "")
     stated: list[Stated] = []
     for key in ("ElementSpacing", "ElementSize"):
-        if words := fields.get(key.casefold(), "").split():
+        words = fields.get(key.casefold(), "").split()
+        if words:
             source = f"the MetaImage {key} ({unit or 'no unit written; mm, as ITK has it'})"
             with reading(path):
-                stated.append(
-                    stated_in(
-                        source,
-                        [float(w) for w in words],
-                        [unit or "mm"] * len(extents),
-                        axes.header_axes,
-                    )
-                )
-    return Header(
-        path=path,
-        data=path if is_local else _data_file(data_name, path),
-        axes=axes,
-        stored_dtype=dtype.newbyteorder(">" if is_big_endian else "<"),
-        offset=offset,
-        packing="deflate" if is_packed else "",
-        stated=stated,
-        orientations=_oriented_by_meta(fields, axes.header_axes, path),
-    )
+                lengths = [float(word) for word in words]
+            units = [unit or "mm"] * len(lengths)
+            stated.append(stated_in(source, lengths, units, axes.header_axes))
+    return stated
 
 
 def _oriented_by_meta(
@@ -301,26 +330,22 @@ def _oriented_by_meta(
     """Where the axes run by the matrix of a MetaImage, or by its letters where it has none."""
     for key in ("TransformMatrix", "Rotation", "Orientation"):
         words = fields.get(key.casefold(), "").split()
-        n = round(len(words) ** 0.5)
-        if not words:
-            continue
-        with reading(path):
-            matrix = np.array([float(word) for word in words])
-        if n * n != len(words) or n <= max(axes) or not np.isfinite(matrix).all():
-            raise damaged(path, f"its {key} is {' '.join(words)[:60]!r}")
-        # A row for each axis of the file: where it runs in space.
-        rows = matrix.reshape(n, n)[list(axes)]
-        across = [k for k in range(n) if n == 3 or np.any(rows[:, k] != 0)][:3]
-        directions = rows[:, across]
-        return [Orientation(f"the {key}", directions)] if directions.shape == (3, 3) else []
+        if words:
+            with reading(path):
+                matrix = np.array([float(word) for word in words])
+            n = round(len(words) ** 0.5)
+            if n * n != len(words) or n <= max(axes) or not np.isfinite(matrix).all():
+                raise damaged(path, f"its {key} is {' '.join(words)[:60]!r}")
+            # A row for each axis of the file: where it runs in space.
+            rows = matrix.reshape(n, n)[list(axes)]
+            if n != 3:
+                rows = rows[:, np.any(rows != 0, axis=0)][:, :3]
+            return [Orientation(f"the {key}", rows)] if rows.shape == (3, 3) else []
     letters = fields.get("anatomicalorientation", "").strip().upper()
-    words_by_axis = [META_LETTERS.get(letter, "") for letter in letters]
     if len(letters) <= max(axes):
         return []
-    found = orientation_by_words(
-        f"the AnatomicalOrientation {letters}", [words_by_axis[axis] for axis in axes]
-    )
-    return [] if found is None else [found]
+    words_by_axis = [META_LETTERS.get(letters[axis], "") for axis in axes]
+    return orientation_by_words(f"the AnatomicalOrientation {letters}", words_by_axis)
 
 
 def _read_meta(path: Path, where: Where) -> NDArray[Any]:
@@ -331,9 +356,8 @@ def _read_meta(path: Path, where: Where) -> NDArray[Any]:
     reader.ReadImageInformation()
     # Axes of length 1 that were left out above lie before the others or after them; here they come
     # back.
-    extents = [int(n) for n in reader.GetSize()]
-    reversed_spans = iter(reversed(where))
-    spans = [next(reversed_spans) if n > 1 else slice(0, 1) for n in extents]
+    reversed_spans = reversed(where)
+    spans = [next(reversed_spans) if n > 1 else slice(0, 1) for n in reader.GetSize()]
     reader.SetExtractIndex([span.start for span in spans])
     reader.SetExtractSize([span.stop - span.start for span in spans])
     values = np.asarray(itk.GetArrayFromImage(reader.Execute())).reshape(
@@ -383,38 +407,54 @@ def _raw_header(path: Path) -> Header:
     fields = toml_tables(header_file.name, read_text(header_file, what="header"))
     data_name = str(fields.get("file", header_file.name[: -len(".toml")]))
     data_file = referenced_file(header_file.parent, data_name, header_file)
-    faults = [f"unknown key {key!r}" for key in fields if key not in KEYS]
-    shape, dtype, byte_order = (fields.get(key) for key in ("shape", "dtype", "byte_order"))
-    offset = fields.get("offset", 0)
-    voxel_um = fields.get("voxel_um")
-    if not (
-        isinstance(shape, list) and len(shape) == 3 and all(type(n) is int and n > 0 for n in shape)
-    ):
-        faults.append(f"shape is {shape!r}, needed are three whole numbers [z, y, x]")
-    if dtype not in RAW_TYPES:
-        faults.append(f"dtype is {dtype!r}, needed is one of {', '.join(RAW_TYPES)}")
-    elif np.dtype(dtype).itemsize > 1 and byte_order not in ("little", "big"):
-        faults.append(f'byte_order is {byte_order!r}, needed is "little" or "big"')
-    if type(offset) is not int or offset < 0:
-        faults.append(f"offset is {offset!r}, needed is a number of bytes")
-    voxel_sizes: list[Any] = voxel_um if isinstance(voxel_um, list) else [voxel_um] * 3
-    are_numbers = all(type(v) in (int, float) and v > 0 for v in voxel_sizes)
-    if voxel_um is not None and not (len(voxel_sizes) == 3 and are_numbers):
-        faults.append(f"voxel_um is {voxel_um!r}, needed is a number or [z, y, x], in um")
-    if not isinstance(fields.get("file", ""), str):
-        faults.append("file is no name")
+    faults = _raw_faults(fields)
     if faults:
         raise FileError(f"{header_file.name}: {'; '.join(faults)}. Correct the header, {EXAMPLE}.")
-    stated_um = tuple(None if v is None else float(v) for v in voxel_sizes)
-    n_z, n_y, n_x = (int(n) for n in shape or ())
+    stated = Stated("the TOML header", (None, None, None), "it has no voxel_um")
+    voxel_um = fields.get("voxel_um")
+    if voxel_um is not None:
+        stated = Stated("the TOML header", tuple(map(float, _per_axis(voxel_um))))
+    dtype = np.dtype(fields["dtype"])
     order = (0, 1, 2)
     return Header(
         path=header_file,
         data=data_file,
-        axes=StoredAxes((n_z, n_y, n_x), order, order, ()),
-        offset=int(offset),
-        stored_dtype=np.dtype(str(dtype)).newbyteorder(">" if byte_order == "big" else "<"),
-        stated=[
-            Stated("the TOML header", stated_um, "it has no voxel_um" if None in stated_um else "")
-        ],
+        axes=StoredAxes(tuple(fields["shape"]), order, order, ()),
+        offset=fields.get("offset", 0),
+        stored_dtype=dtype.newbyteorder(fields["byte_order"]) if dtype.itemsize > 1 else dtype,
+        stated=[stated],
     )
+
+
+def _raw_faults(fields: Mapping[str, Any]) -> list[str]:
+    """Faults of a TOML header of raw values, in words."""
+    faults = [f"unknown key {key!r}" for key in fields if key not in KEYS]
+    shape = fields.get("shape")
+    if not _are_three(shape, int):
+        faults.append(f"shape is {shape!r}, needed are three whole numbers [z, y, x]")
+    dtype = fields.get("dtype")
+    byte_order = fields.get("byte_order")
+    if dtype not in RAW_TYPES:
+        faults.append(f"dtype is {dtype!r}, needed is one of {', '.join(RAW_TYPES)}")
+    elif np.dtype(dtype).itemsize > 1 and byte_order not in ("little", "big"):
+        faults.append(f'byte_order is {byte_order!r}, needed is "little" or "big"')
+    offset = fields.get("offset", 0)
+    if type(offset) is not int or offset < 0:
+        faults.append(f"offset is {offset!r}, needed is a number of bytes")
+    voxel_um = fields.get("voxel_um")
+    if voxel_um is not None and not _are_three(_per_axis(voxel_um), int, float):
+        faults.append(f"voxel_um is {voxel_um!r}, needed is a number or [z, y, x], in um")
+    if not isinstance(fields.get("file", ""), str):
+        faults.append("file is no name")
+    return faults
+
+
+def _per_axis(voxel_um: Any) -> list[Any]:
+    return voxel_um if isinstance(voxel_um, list) else [voxel_um] * 3
+
+
+def _are_three(numbers: Any, *types: type) -> bool:
+    """True for a list of three numbers above 0 of these types."""
+    if not isinstance(numbers, list) or len(numbers) != 3:
+        return False
+    return all(type(n) in types and n > 0 for n in numbers)

@@ -132,8 +132,7 @@ def read_image(
 
 def picture_attrs(tag: int) -> Mapping[str, str]:
     """Attributes of an image about its hand, by its orientation tag."""
-    orientation = tag_orientation(tag)
-    return orientation_attrs([] if orientation is None else [orientation])
+    return orientation_attrs(tag_orientation(tag))
 
 
 def across(stated: Sequence[Stated]) -> list[Stated]:
@@ -168,42 +167,45 @@ def channel_of(
         picture = picture._replace(values=linear_grey(picture.values, gamma, scale))
     samples = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
     n_channels = samples.shape[-1]
-    colour = picture.colour
-    channel_name = channel.strip().casefold()
-    if channel_name.isdecimal() and channel_name.isascii():
-        if int(channel_name) >= n_channels:
-            count_text, range_text = (
-                (f"{n_channels} channels", f"0 to {n_channels - 1}")
-                if n_channels > 1
-                else ("1 channel", "0")
-            )
+    name = channel.strip().casefold()
+    if name.isdecimal() and name.isascii():
+        number = int(name)
+        if number >= n_channels:
+            counts = ("1 channel", "0")
+            if n_channels > 1:
+                counts = (f"{n_channels} channels", f"0 to {n_channels - 1}")
             raise InputError(
-                f"{file_name} has {count_text}, number {channel_name} is not among them. Choose"
-                f" {range_text} with `channel`."
+                f"{file_name} has {counts[0]}, number {name} is not among them. Choose"
+                f" {counts[1]} with `channel`."
             )
-        return _as_float32(samples[..., int(channel_name)]), f"{GREY}, channel {int(channel_name)}"
-    if channel_name != "luminance" and channel_name not in COLOURS:
+        return _as_float32(samples[..., number]), f"{GREY}, channel {number}"
+    if name != "luminance" and name not in COLOURS:
         raise InputError(
             f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with"
             " `channel`."
         )
-    if colour == "rgb" and channel_name in COLOURS:
-        return _as_float32(samples[..., COLOURS[channel_name]]), f"{GREY}, {channel_name}"
-    if colour == "rgb":
-        luminance = np.zeros(samples.shape[:2], np.float32)
-        for sample, weight in enumerate(LUMINANCE):
-            luminance += np.float32(weight) * _as_float32(samples[..., sample])
-        return luminance, f"{GREY}, luminance"
-    if colour == "grey" and channel_name == "luminance":
-        return _as_float32(samples[..., 0]), GREY
-    content_text, choice_text = "is a grey image", "luminance"
-    if colour != "grey":
+    if picture.colour == "rgb":
+        return _of_colours(samples, name), f"{GREY}, {name}"
+    content_text = "is a grey image"
+    choice_text = "luminance"
+    if picture.colour != "grey":
         content_text = f"has {n_channels} channels that are not red, green, blue"
         choice_text = f"a number from 0 to {n_channels - 1}"
+    elif name == "luminance":
+        return _as_float32(samples[..., 0]), GREY
     raise InputError(
-        f"{file_name} {content_text}, so it has no {channel_name}. Choose {choice_text} with"
-        " `channel`."
+        f"{file_name} {content_text}, so it has no {name}. Choose {choice_text} with `channel`."
     )
+
+
+def _of_colours(samples: NDArray[Any], name: str) -> NDArray[np.float32]:
+    """One of red, green and blue, or their luminance."""
+    if name in COLOURS:
+        return _as_float32(samples[..., COLOURS[name]])
+    luminance = np.zeros(samples.shape[:2], np.float32)
+    for sample, weight in enumerate(LUMINANCE):
+        luminance += np.float32(weight) * _as_float32(samples[..., sample])
+    return luminance
 
 
 def _as_float32(values: NDArray[Any]) -> NDArray[np.float32]:

@@ -19,66 +19,6 @@ from planish.io.lazy import Values
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
 
-def inspect_values(  # noqa: C901
-    values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]
-) -> dict[str, Any]:
-    """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
-    n_planes = values.shape[0]
-    plane_numbers = [*range(n_planes)]
-    # Evenly spread ones, where reading all would take long.
-    if values.ndim > 2 and values.nbytes > EAGER_BYTES:
-        n_sampled = max(8, SAMPLE_BYTES // (values.nbytes // n_planes))
-        if n_sampled < n_planes:
-            plane_numbers = [int(n) for n in np.linspace(0, n_planes - 1, n_sampled).round()]
-    seen = _look(values, plane_numbers, full_scale)
-    facts: dict[str, Any] = declared_facts(values, dims) | {
-        "nan_share": 1 - seen.n_finite / seen.n_values,
-        "saturated_share": seen.n_saturated / seen.n_values,
-        "bottom_share": seen.n_bottom / seen.n_values,
-        "sampled": (
-            None if len(plane_numbers) == n_planes else f"{len(plane_numbers)} of {n_planes} slices"
-        ),
-    }
-    if not seen.n_finite:
-        warnings.append("There is no number in it, all values are missing.")
-        facts["percentiles"] = dict.fromkeys(map(str, PERCENTILES))
-    else:
-        facts["percentiles"] = {str(p): float(np.percentile(seen.sample, p)) for p in PERCENTILES}
-        facts |= {"min": seen.low, "max": seen.high}
-        n_levels = int(np.count_nonzero(np.diff(seen.sample)) + 1)
-        if seen.low == seen.high:
-            warnings.append(f"All values are {seen.low:g}.")
-        elif values.dtype.kind in "ui" and n_levels < 16:
-            warnings.append(
-                f"It has {n_levels} grey levels only. Is it a segmentation? planish needs the grey"
-                " values."
-            )
-    if facts["nan_share"] > 0:
-        warnings.append(
-            f"{100 * facts['nan_share']:.3g} % of the values are missing (NaN or infinite)."
-        )
-    if seen.low == seen.high:
-        return facts
-    # Above this share of values at the end of the range, grey levels were lost.
-    if facts["saturated_share"] > 0.001:
-        cut_text = (
-            f"are at {full_scale}, the largest the file can store: grey levels were cut there."
-        )
-        warnings.append(f"{100 * facts['saturated_share']:.3g} % of the values {cut_text}")
-    if seen.constant_numbers:
-        warnings.append(
-            f"{len(seen.constant_numbers)} slices have one grey value only (black or empty), z "
-            f"{first_few(seen.constant_numbers)}: look at them, and leave out what shows no sheet."
-        )
-    if seen.copy_numbers:
-        place_text = (
-            f"as a slice before them, z {first_few(seen.copy_numbers)}: were they copied to fill"
-            " gaps?"
-        )
-        warnings.append(f"{len(seen.copy_numbers)} slices hold the same values {place_text}")
-    return facts
-
-
 @dataclass(kw_only=True)
 class _Seen:
     """What the values of some planes are."""
@@ -94,11 +34,78 @@ class _Seen:
     sample: NDArray[Any] = field(default_factory=lambda: np.empty(0))  # finite, sorted
 
 
+def inspect_values(
+    values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]
+) -> dict[str, Any]:
+    """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
+    n_planes = values.shape[0]
+    plane_numbers = [*range(n_planes)]
+    sampled_text = None
+    # Evenly spread ones, where reading all would take long.
+    if values.ndim > 2 and values.nbytes > EAGER_BYTES:
+        n_sampled = max(8, SAMPLE_BYTES // (values.nbytes // n_planes))
+        if n_sampled < n_planes:
+            plane_numbers = [int(n) for n in np.linspace(0, n_planes - 1, n_sampled).round()]
+            sampled_text = f"{n_sampled} of {n_planes} slices"
+    seen = _look(values, plane_numbers, full_scale)
+    facts: dict[str, Any] = declared_facts(values, dims) | {
+        "nan_share": 1 - seen.n_finite / seen.n_values,
+        "saturated_share": seen.n_saturated / seen.n_values,
+        "bottom_share": seen.n_bottom / seen.n_values,
+        "sampled": sampled_text,
+        "percentiles": dict.fromkeys(map(str, PERCENTILES)),
+    }
+    if seen.n_finite:
+        facts["percentiles"] = {str(p): float(np.percentile(seen.sample, p)) for p in PERCENTILES}
+        facts |= {"min": seen.low, "max": seen.high}
+    warnings += _what_looks_wrong(seen, facts, full_scale, is_whole=values.dtype.kind in "ui")
+    return facts
+
+
+def _what_looks_wrong(
+    seen: _Seen, facts: dict[str, Any], full_scale: int | None, *, is_whole: bool
+) -> list[str]:
+    """Say what looks wrong in values, whole numbers or not, with their shares among the facts."""
+    warnings: list[str] = []
+    n_levels = int(np.count_nonzero(np.diff(seen.sample)) + 1)
+    if not seen.n_finite:
+        warnings.append("There is no number in it, all values are missing.")
+    elif seen.low == seen.high:
+        warnings.append(f"All values are {seen.low:g}.")
+    elif is_whole and n_levels < 16:
+        warnings.append(
+            f"It has {n_levels} grey levels only. Is it a segmentation? planish needs the grey"
+            " values."
+        )
+    if facts["nan_share"] > 0:
+        missing_text = f"{100 * facts['nan_share']:.3g} % of the values are missing"
+        warnings.append(f"{missing_text} (NaN or infinite).")
+    if seen.low == seen.high:
+        return warnings
+    # Above this share of values at the end of the range, grey levels were lost.
+    if facts["saturated_share"] > 0.001:
+        warnings.append(
+            f"{100 * facts['saturated_share']:.3g} % of the values are at {full_scale}, the largest"
+            " the file can store: grey levels were cut there."
+        )
+    if seen.constant_numbers:
+        warnings.append(
+            f"{len(seen.constant_numbers)} slices have one grey value only (black or empty), z "
+            f"{first_few(seen.constant_numbers)}: look at them, and leave out what shows no sheet."
+        )
+    if seen.copy_numbers:
+        warnings.append(
+            f"{len(seen.copy_numbers)} slices hold the same values as a slice before them, z"
+            f" {first_few(seen.copy_numbers)}: were they copied to fill gaps?"
+        )
+    return warnings
+
+
 def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _Seen:
+    """Read planes one by one, and note what their values are."""
     share = len(plane_numbers) / values.shape[0]
-    stride = max(
-        1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim))
-    )
+    n_values = math.prod(values.shape) * share
+    stride = max(1, math.ceil((n_values / SAMPLE_VALUES) ** (1 / values.ndim)))
     seen = _Seen()
     samples = list[NDArray[Any]]()
     digests = set[bytes]()
@@ -117,8 +124,7 @@ def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _
             seen.n_saturated += int(np.count_nonzero(plane == full_scale))
             seen.n_bottom += int(np.count_nonzero(plane == 0))
         if index % stride == 0:
-            sample = plane[(slice(None, None, stride),) * plane.ndim].ravel()
-            samples.append(sample[np.isfinite(sample)])
+            samples.append(_finite_sample(plane, stride))
         # Slices with fewer pixels may well be alike, or of one grey.
         if plane.ndim == 2 and plane.size >= 1000:
             digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
@@ -127,11 +133,17 @@ def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _
             elif digest in digests:
                 seen.copy_numbers.append(number)
             digests.add(digest)
-    if seen.n_finite and not sum(sample.size for sample in samples):  # the grid met no number
-        planes = (np.asarray(values[number]) for number in plane_numbers)
-        samples = [plane[np.isfinite(plane)] for plane in planes]
     seen.sample = np.sort(np.concatenate(samples))
+    if seen.n_finite and not seen.sample.size:  # the grid met no number
+        planes = [_finite_sample(np.asarray(values[number]), 1) for number in plane_numbers]
+        seen.sample = np.sort(np.concatenate(planes))
     return seen
+
+
+def _finite_sample(plane: NDArray[Any], stride: int) -> NDArray[Any]:
+    """Finite values of a plane, one in so many along each axis."""
+    sample = plane[(slice(None, None, stride),) * plane.ndim].ravel()
+    return sample[np.isfinite(sample)]
 
 
 def declared_facts(values: Values, dims: tuple[str, ...]) -> dict[str, Any]:
@@ -183,6 +195,13 @@ def best_section(sections: list[Section], through: str | None) -> Section:
     """Give the section in which a sheet shows as a line.
 
     It lies across the sheet's normal, and the one that reads down the normal comes first.
+
+    Parameters
+    ----------
+    sections : list of Section
+        Those of one volume.
+    through : str, optional
+        Axis of the normal; the first section is given where it is not known.
     """
     candidates = [s for s in sections if through in (s.down, s.across)]
     return next((s for s in candidates if s.down == through), (candidates or sections)[0])
@@ -191,6 +210,13 @@ def best_section(sections: list[Section], through: str | None) -> Section:
 def write_picture(sections: list[Section], path: Path) -> None:
     """Write sections side by side as a PNG, all on one scale, with voxels as squares.
 
+    Parameters
+    ----------
+    sections : list of Section
+        Such as those of :func:`middle_sections`.
+    path : Path
+        File to make.
+
     Raises
     ------
     FileError
@@ -198,24 +224,23 @@ def write_picture(sections: list[Section], path: Path) -> None:
     ResourceError
         If the disk is full.
     """
-    scale = _SIDE / max(n * k for s in sections for n, k in zip(s.grey.shape, s.step, strict=True))
-    pictures = [_resized(s, scale) for s in sections]
+    sides = [np.multiply(s.grey.shape, s.step) for s in sections]
+    pictures = [_resized(s, _SIDE / int(np.max(sides))) for s in sections]
     max_rows = max(map(len, pictures))
     padded = [
         np.pad(grey, ((0, max_rows - len(grey)), (0, 8)), constant_values=255) for grey in pictures
     ]
-    write_whole(
-        path, bytes(imagecodecs.png_encode(np.ascontiguousarray(np.hstack(padded)[:, :-8])))
-    )
+    row = np.ascontiguousarray(np.hstack(padded)[:, :-8])
+    write_whole(path, bytes(imagecodecs.png_encode(row)))
 
 
 def as_text(section: Section) -> list[str]:
     """A section in shades of letters, at most 72 wide and 18 high; the last line names its axes."""
-    rows, cols = (n * k for n, k in zip(section.grey.shape, section.step, strict=True))
+    rows, cols = np.multiply(section.grey.shape, section.step).tolist()
     scale = min(72 / cols, 18 * _HIGH_AS_WIDE / rows)
     grey = _resized(section, scale, squeeze=_HIGH_AS_WIDE)
     shade = np.minimum(grey.astype(int) * len(_SHADES) // 256, len(_SHADES) - 1)
-    lines = ["".join(_SHADES[k] for k in row) for row in shade]
+    lines = ["".join(row) for row in np.array([*_SHADES])[shade]]
     return [*lines, f"middle of the volume: {section.down} down, {section.across} across"]
 
 
@@ -235,11 +260,9 @@ def _resized(section: Section, scale: float, *, squeeze: float = 1.0) -> Grey:
     Rows are squeezed for letters, which are higher than wide.
     """
     nearest_indices: list[Ints] = []
-    for n, step, pixels_per_voxel in zip(
-        section.grey.shape, section.step, (scale / squeeze, scale), strict=True
-    ):
-        n_pixels = max(1, round(n * step * pixels_per_voxel))
-        nearest_indices.append(
-            np.minimum(((np.arange(n_pixels) + 0.5) * n / n_pixels).astype(np.intp), n - 1)
-        )
+    scales = (scale / squeeze, scale)
+    for n, step, per_voxel in zip(section.grey.shape, section.step, scales, strict=True):
+        n_pixels = max(1, round(n * step * per_voxel))
+        nearest = (np.arange(n_pixels) + 0.5) * n / n_pixels
+        nearest_indices.append(np.minimum(nearest.astype(np.intp), n - 1))
     return section.grey[np.ix_(*nearest_indices)]

@@ -3,7 +3,7 @@
 Of version 7.3 (HDF5), parts are read.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planish.core import matlab
 from planish.core.errors import FileError, VolumeError
+from planish.io.axes import extended_axes
 from planish.io.formats import LoadedVolume, Place, describe_volumes, only_volume
 from planish.io.guard import check_blown_up, reading, size_of_file
 from planish.io.lazy import WholeArray, transposed
@@ -23,7 +24,6 @@ from planish.io.sizes import stated_in
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Read the variable that was chosen, or the only one with three axes."""
     path = place.path
-    name = place.part.strip("/")
     size_of_file(path)
     with reading(path), path.open("rb") as file:
         first_bytes = file.read(520)
@@ -34,16 +34,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
             )
         with _damage(path):
             variables = {v.name: v for v in matlab.variables(file)}
-            volumes = [
-                (v.name, v.shape, v.kind)
-                for v in variables.values()
-                if sum(n > 1 for n in v.shape) == 3
-            ]
-            if name and name not in (volume_name for volume_name, *_ in volumes):
-                raise VolumeError(
-                    f"{path.name} has no volume {name!r}. {describe_volumes(volumes, path.name)}"
-                )
-            variable = variables[name or only_volume(volumes, path.name)]
+            variable = variables[_name_of_volume(variables, place)]
             # The voxel size, one number or z, y, x: no habit of MATLAB, but it can be saved beside
             # the volume.
             size = variables.get("voxel_um")
@@ -55,8 +46,9 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
             f"{path.name}: {variable.name} holds values of the class {variable.kind}. Save it with"
             " real numbers."
         )
-    row_axis, column_axis, slice_axis = (axis for axis, n in enumerate(variable.shape) if n > 1)
-    axis_order, doubts = (slice_axis, row_axis, column_axis), ()
+    row_axis, column_axis, slice_axis = extended_axes(variable.shape)
+    axis_order = (slice_axis, row_axis, column_axis)
+    doubts: tuple[str, ...] = ()
     if matlab.is_new(first_bytes):
         from planish.io.hdf5_volume import lazy_dataset, opened
 
@@ -65,9 +57,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         values = transposed(array, [len(variable.shape) - 1 - axis for axis in axis_order])
     else:
         dtype = matlab.NUMBERS[variable.kind]
-        check_blown_up(
-            path, decoded_bytes=variable.count * dtype.itemsize, stored_bytes=size_of_file(path)
-        )
+        decoded_bytes = variable.count * dtype.itemsize
+        check_blown_up(path, decoded_bytes=decoded_bytes, stored_bytes=size_of_file(path))
         shape = tuple(variable.shape[axis] for axis in axis_order)
         values = WholeArray(path, shape, dtype, partial(_decoded, path, variable))
     stated = stated_in("the variable voxel_um", sizes, ["um"] * 3)
@@ -78,6 +69,20 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         attrs={"variable": variable.name},
         doubts=doubts,
     )
+
+
+def _name_of_volume(variables: Mapping[str, matlab.Variable], place: Place) -> str:
+    """Name of the variable with three axes that was chosen, or of the only one."""
+    wanted = place.part.strip("/")
+    volumes = [
+        (v.name, v.shape, v.kind) for v in variables.values() if len(extended_axes(v.shape)) == 3
+    ]
+    if not wanted:
+        return only_volume(volumes, place.path.name)
+    if wanted not in {name for name, *_ in volumes}:
+        volumes_text = describe_volumes(volumes, place.path.name)
+        raise VolumeError(f"{place.path.name} has no volume {wanted!r}. {volumes_text}")
+    return wanted
 
 
 def _decoded(path: Path, variable: matlab.Variable) -> NDArray[Any]:

@@ -88,37 +88,37 @@ class Orientation(NamedTuple):
         return bool(np.all(np.diagonal(unit[:, ::-1]) > np.sqrt(0.5)))
 
 
-def orientation_by_steps(source: str, steps: Sequence[float | None]) -> Orientation | None:
+def orientation_by_steps(source: str, steps: Sequence[float | None]) -> list[Orientation]:
     """Orientation by the signs of the steps of coordinates along z, y, x.
 
-    None where none falls.
+    Empty where none falls.
     """
     signs = [-1.0 if step is not None and step < 0 else 1.0 for step in steps]
     if min(signs) > 0:
-        return None
-    return Orientation(source, np.diag(signs)[:, ::-1])
+        return []
+    return [Orientation(source, np.diag(signs)[:, ::-1])]
 
 
-def orientation_by_words(source: str, words: Sequence[str]) -> Orientation | None:
+def orientation_by_words(source: str, words: Sequence[str]) -> list[Orientation]:
     """Orientation by where z, y and x run to: left, posterior, superior or their opposites.
 
-    None where a word is another one.
+    Empty where a word is another one.
     """
-    directions = [ANATOMICAL.get(word) for word in words]
-    known = [direction for direction in directions if direction is not None]
-    return Orientation(source, np.array(known, np.float64)) if len(known) == 3 else None
+    if not ANATOMICAL.keys() >= {*words}:
+        return []
+    return [Orientation(source, np.array([ANATOMICAL[word] for word in words]))]
 
 
-def tag_orientation(tag: object) -> Orientation | None:
+def tag_orientation(tag: object) -> list[Orientation]:
     """Orientation by the tag of a picture, or of the slices of a stack.
 
-    None where it turns nothing.
+    Empty where it turns nothing.
     """
     if not isinstance(tag, int) or tag not in TAG_STEPS:
-        return None
+        return []
     x_step, y_step = TAG_STEPS[tag]
     directions = np.array([(0, 0, 1), (*y_step, 0), (*x_step, 0)], np.float64)
-    return Orientation(f"the orientation tag {tag}", directions)
+    return [Orientation(f"the orientation tag {tag}", directions)]
 
 
 def orientation_attrs(orientations: Sequence[Orientation]) -> Mapping[str, str]:

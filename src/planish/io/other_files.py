@@ -128,11 +128,7 @@ def folder_contents(folder: Path) -> tuple[str, str]:
         return "it is a run of planish", "Give the volume itself."
     files_by_folder, stores = _visible(folder)
     files = files_by_folder.pop(folder, [])
-    with_slices = [
-        inner
-        for inner, inner_files in files_by_folder.items()
-        if sum(is_slice_name(file.name) for file in inner_files) > 1
-    ]
+    with_slices = [inner for inner in files_by_folder if _has_slices(files_by_folder[inner])]
     fullest = sorted(files_by_folder, key=lambda inner: -len(files_by_folder[inner]))[:1]
     texts = _counted(files)
     for inner in with_slices or fullest:
@@ -140,15 +136,21 @@ def folder_contents(folder: Path) -> tuple[str, str]:
         texts.append(f"a folder {inner.relative_to(folder).as_posix()} with {inner_text}")
     texts += [f"an OME-Zarr store {store.name}" for store in stores]
     contents_text = f"it holds {and_join_few(texts)}" if texts else "it is empty"
-    candidates = with_slices or [file for file in files if _is_volume(file)] + stores
+    candidates = with_slices or [*filter(_is_volume, files), *stores]
     if candidates:
         name = candidates[0].relative_to(folder.parent).as_posix()
         return contents_text, f"Give {name}." if len(candidates) == 1 else f"Give one, as {name}."
-    main_files = files or [file for inner in fullest for file in files_by_folder[inner]]
-    kind = _kind_of(_by_suffix(main_files)[0][0]) if main_files else None
+    groups = _by_suffix(files)
+    if fullest and not files:
+        groups = _by_suffix(files_by_folder[fullest[0]])
+    kind = _kind_of(groups[0][0]) if groups else None
     if kind is None:
         return contents_text, "Needed are TIFF, PNG, BMP or JPEG files with numbers in their names."
     return contents_text, kind.way
+
+
+def _has_slices(files: Sequence[Path]) -> bool:
+    return sum(is_slice_name(file.name) for file in files) > 1
 
 
 def _visible(folder: Path) -> tuple[dict[Path, list[Path]], list[Path]]:
@@ -159,14 +161,18 @@ def _visible(folder: Path) -> tuple[dict[Path, list[Path]], list[Path]]:
     files_by_folder: dict[Path, list[Path]] = {}
     stores: list[Path] = []
     for name, inner_names, file_names in islice(os.walk(folder), MOST_FOLDERS):
-        parent = Path(name)
-        files = [parent / name for name in sorted(file_names) if not name.startswith(".")]
+        files = _shown(name, file_names)
         if files:
-            files_by_folder[parent] = files
-        inner_folders = [parent / name for name in sorted(inner_names) if not name.startswith(".")]
+            files_by_folder[Path(name)] = files
+        inner_folders = _shown(name, inner_names)
         stores += [inner for inner in inner_folders if format_of(Place(inner)).marker_files]
         inner_names[:] = [inner.name for inner in inner_folders if inner not in stores]
     return files_by_folder, stores
+
+
+def _shown(folder: str, names: list[str]) -> list[Path]:
+    """Members of a folder that are not hidden, in order."""
+    return [Path(folder, name) for name in sorted(names) if not name.startswith(".")]
 
 
 def _counted(files: Sequence[Path]) -> list[str]:

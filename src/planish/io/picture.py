@@ -24,6 +24,7 @@ from planish.io.sizes import Stated, stated_by_tiff, stated_density
 from planish.io.tiff import (
     has_rgb,
     long_axes,
+    long_shape,
     map_or_decode,
     mapped_from,
     notes_on_reading,
@@ -99,55 +100,56 @@ def load_picture(
         values = constant_zeros(series.shape, series.dtype)
         if decode:
             values = map_or_decode(series, path, memory_bytes=memory_bytes)
-        values = values.reshape(
-            [n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes]
-        )
-        if axes[0] in "SC" and len(axes) == 3:
+        values = values.reshape(long_shape(series))
+        if axes in ("SYX", "CYX"):
             values = np.moveaxis(values, 0, -1)
         if values.dtype.kind not in "buif":
             raise FileError(
                 f"{path.name} has {values.dtype} values. Export it with integer or real values."
             )
-        colour: Colour = "grey" if len(axes) == 2 else "other"
-        if "S" in axes and has_rgb(page):
-            colour = "rgb" if values.shape[-1] >= 3 else "other"
-        elif "S" in axes and values.shape[-1] == 2:
-            is_grey = page.photometric in {PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.MINISBLACK}
-            colour = "grey" if is_grey else "other"
         bits = int(page.bitspersample)
         with reading(path):
             is_looked_up = page.photometric == PHOTOMETRIC.PALETTE and len(axes) == 2
             if is_looked_up and not (is_slice and tif.is_imagej):
-                # Palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey
-                # stays grey.
-                colormap = np.asarray(page.colormap)
-                bits = 16
-                if np.all(colormap % 257 == 0):
-                    colormap = (colormap // 257).astype(np.uint8)
-                    bits = 8
-                colour = "grey" if (colormap == colormap[0]).all() else "rgb"
-                entry = values.astype(np.intp)
-                values = (
-                    colormap[0][entry]
-                    if colour == "grey"
-                    else np.moveaxis(colormap[:, entry], 0, -1)
-                )
+                values, colour = _look_up(values, np.asarray(page.colormap))
+                bits = 8 * values.itemsize
+            else:
+                colour = _colour_of(page, axes, values.shape[-1])
             orientation = page.tags.valueof(274, default=1)
             values = _with_gaps(values, page, is_image=decode and not is_slice)
-        stated = stated_by_tiff(tif, page, path)
-        notes = notes_on_reading(tif, page, path) if is_slice else ()
-        with reading(path):
             tone = _tone_of_page(page)
-    orientation = orientation if isinstance(orientation, int) else 1
-    return DecodedPicture(
-        values=values,
-        colour=colour,
-        bits=bits,
-        stated=stated,
-        orientation=orientation,
-        notes=notes,
-        tone=tone,
-    )
+        return DecodedPicture(
+            values=values,
+            colour=colour,
+            bits=bits,
+            stated=stated_by_tiff(tif, page, path),
+            orientation=orientation if isinstance(orientation, int) else 1,
+            notes=notes_on_reading(tif, page, path) if is_slice else (),
+            tone=tone,
+        )
+
+
+def _colour_of(page: TiffPage, axes: str, n_samples: int) -> Colour:
+    """Meaning of the samples of a page."""
+    if len(axes) == 2:
+        return "grey"
+    if "S" in axes and has_rgb(page):
+        return "rgb" if n_samples >= 3 else "other"
+    is_grey = page.photometric in {PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.MINISBLACK}
+    return "grey" if is_grey and "S" in axes and n_samples == 2 else "other"
+
+
+def _look_up(values: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], Colour]:
+    """Entries of a palette by their 16-bit colours, or 8-bit where nothing is lost.
+
+    Grey stays grey.
+    """
+    if np.all(colormap % 257 == 0):
+        colormap = (colormap // 257).astype(np.uint8)
+    entry = values.astype(np.intp)
+    if (colormap == colormap[0]).all():
+        return colormap[0][entry], "grey"
+    return np.moveaxis(colormap[:, entry], 0, -1), "rgb"
 
 
 def _tone_of_page(page: TiffPage) -> Tone:
@@ -196,13 +198,8 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
             PLUGINS[kind](BytesIO(data)).verify()
         image = PLUGINS[kind](BytesIO(data))
     is_16_bit = kind == "png" and data[24] == 16 and data[25] in (2, 4, 6)
-    n_bands = len(image.getbands())
-    needed_bytes = (
-        image.width
-        * image.height
-        * max(n_bands, 3 if image.mode == "P" else 1)
-        * (2 if is_16_bit else 1)
-    )
+    n_bands = 3 if image.mode == "P" else len(image.getbands())
+    needed_bytes = image.width * image.height * n_bands * (1 + is_16_bit)
     check_blown_up(path, decoded_bytes=needed_bytes, stored_bytes=len(data))
     if decode:
         check_memory(path, needed_bytes=needed_bytes, limit_bytes=memory_bytes)
@@ -215,30 +212,12 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         tone = tone_of(exif, photo.get(COLOUR_SPACE), image.info)
         dpi: Any = image.info.get("dpi")
         if decode:
-            image.load()
-        if not decode:
-            mode_types = {
-                "1": "bool",
-                "I": "int32",
-                "I;16": "uint16",
-                "I;16B": "uint16",
-                "F": "float32",
-            }
-            dtype = np.dtype("uint16" if is_16_bit else mode_types.get(image.mode, "uint8"))
-            values = constant_zeros(
-                (image.height, image.width, n_bands)[: 2 + (n_bands > 1)], dtype
-            )
-        elif is_16_bit:  # Pillow cuts 16-bit colour to 8 bits
-            values = np.asarray(imagecodecs.png_decode(data))
-        elif image.mode in {"P", "PA"}:
-            lut = np.asarray(image.convert("RGB"))
-            values = lut[..., 0].copy() if np.all(lut == lut[..., :1]) else lut
+            values = _raster_values(image, data, is_16_bit=is_16_bit)
         else:
-            values = np.asarray(image)
+            values = _raster_zeros(image, is_16_bit=is_16_bit)
     colour: Colour = "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
     if image.mode not in {"1", "L", "LA", "I", "I;16", "F", "P", "PA", "RGB", "RGBA"}:
         colour = "other"
-    bits = 16 if image.mode == "I" else 8 * values.dtype.itemsize
     # Along x, y in the file.
     density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)
     stated = [stated_density(f"the {kind.upper()} resolution", density, "inch", writer)]
@@ -247,15 +226,40 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
     # Programs that change one of the two resolutions may leave the other.
     if None not in (*stated[0].um[1:], *exif_density):
         stated.append(stated_density("the Exif resolution", exif_density, exif_unit, writer))
-    orientation = orientation if isinstance(orientation, int) else 1
     return DecodedPicture(
         values=values,
         colour=colour,
-        bits=bits,
+        bits=16 if image.mode == "I" else 8 * values.itemsize,
         stated=tuple(stated),
-        orientation=orientation,
+        orientation=orientation if isinstance(orientation, int) else 1,
         tone=tone,
     )
+
+
+def _raster_values(image: Image.Image, data: bytes, *, is_16_bit: bool) -> NDArray[Any]:
+    """Values of a raster as stored, those of a palette by their colours, or grey where all are."""
+    image.load()
+    if is_16_bit:  # Pillow cuts 16-bit colour to 8 bits
+        return np.asarray(imagecodecs.png_decode(data))
+    if image.mode not in {"P", "PA"}:
+        return np.asarray(image)
+    colours = np.asarray(image.convert("RGB"))
+    return colours[..., 0].copy() if np.all(colours == colours[..., :1]) else colours
+
+
+def _raster_zeros(image: Image.Image, *, is_16_bit: bool) -> NDArray[Any]:
+    """Zeros of the shape and type that a raster has when it is decoded."""
+    mode_types = {
+        "1": "bool",
+        "I": "int32",
+        "I;16": "uint16",
+        "I;16B": "uint16",
+        "F": "float32",
+    }
+    dtype = np.dtype("uint16" if is_16_bit else mode_types.get(image.mode, "uint8"))
+    n_bands = len(image.getbands())
+    samples = (n_bands,) if n_bands > 1 else ()
+    return constant_zeros((image.height, image.width, *samples), dtype)
 
 
 def _real(value: object) -> float | None:

@@ -49,10 +49,8 @@ def from_density(per_unit: float | None, unit: str) -> float | None:
     return None if _is_one_of(UNKNOWN_DPI, pixel_um) else pixel_um
 
 
-def reason_of_none(per_unit: float | None, unit: str) -> str:
-    """Say why a resolution is no size; nothing where there is no resolution."""
-    if per_unit is None:
-        return ""
+def reason_of_none(per_unit: float, unit: str) -> str:
+    """Say why a resolution is no size."""
     if unit_um(unit) is None:
         return f"{per_unit:g} without a unit of length"
     return f"{per_unit:.4g} per {unit} says nothing of the size"

@@ -78,6 +78,7 @@ class Log:
     """A log, and the slices that it names; what it does not state is None."""
 
     def __init__(self, path: Path, slices: list[Path]) -> None:
+        """Read a log, and find the slices by the prefix that it states, or by its own name."""
         self.name = path.name
         self.stem = path.stem.casefold()
         self.sections = _log_sections(path)
@@ -168,40 +169,47 @@ def read_scan(folder: Path) -> Scan | None:
     files = sorted(p for p in folder.iterdir() if p.is_file())
     slices = [p for p in files if is_slice_name(p.name)]
     logs = [Log(p, slices) for p in files if _is_log(p)]
-    reconstructions = [log for log in logs if log.is_of_slices]
     for log in logs:
-        if log.stem.endswith("_rec") and log.named_slices and not log.is_of_slices:
-            raise FileError(
-                f"{log.name} is named like the slices and has no section [Reconstruction]: it is"
-                f" cut off or damaged. Copy it again, {ELSEWHERE}"
-            )
-    naming_logs = [log for log in reconstructions if log.named_slices] or reconstructions
-    # A log and its copies name the same slices.
-    naming_logs.sort(key=lambda log: len(log.name))
-    if any(log.named_slices != naming_logs[0].named_slices for log in naming_logs):
-        names = ", ".join(log.name for log in naming_logs)
-        raise VolumeError(
-            f"{folder.name} holds {len(naming_logs)} NRecon logs: {names}. Keep the one of this"
-            " scan."
-        )
-    if not naming_logs:
+        _check_whole(log)
+    reconstructions = [log for log in logs if log.is_of_slices]
+    if not reconstructions:
         return _scan_by_projections(logs, slices)
-    log = naming_logs[0]
+    log, *copies = _naming_logs(reconstructions, folder)
+    # Copies, and the log of the whole scan beside that of a part, have to state the same size.
+    others = [o for o in reconstructions if o in copies or log.stem.startswith(o.stem)]
+    further = [Stated(o.name, (None, o.size_um, o.size_um)) for o in others if o is not log]
+    return Scan(log, (_stated_by(log), *further), _note_on_others(log, slices))
+
+
+def _check_whole(log: Log) -> None:
+    """Refuse a log that is named like the slices and ends before it says anything of them."""
+    if log.stem.endswith("_rec") and log.named_slices and not log.is_of_slices:
+        raise FileError(
+            f"{log.name} is named like the slices and has no section [Reconstruction]: it is cut"
+            f" off or damaged. Copy it again, {ELSEWHERE}"
+        )
+
+
+def _naming_logs(reconstructions: list[Log], folder: Path) -> list[Log]:
+    """The log that names the slices, and its copies, which name the same ones."""
+    logs = [log for log in reconstructions if log.named_slices] or reconstructions
+    logs = sorted(logs, key=lambda log: len(log.name))
+    if any(log.named_slices != logs[0].named_slices for log in logs):
+        names = ", ".join(log.name for log in logs)
+        raise VolumeError(
+            f"{folder.name} holds {len(logs)} NRecon logs: {names}. Keep the one of this scan."
+        )
+    return logs
+
+
+def _note_on_others(log: Log, slices: list[Path]) -> tuple[str, ...]:
+    """Say which pictures of a folder a log does not name."""
     named_files = {path for _, path in log.named_slices}
     others = [p for p in slices if p not in named_files and not is_preview(p)]
-    notes: tuple[str, ...] = ()
-    if named_files and others:
-        notes = (
-            f"{log.name} names {len(named_files)} slices. Pictures left aside: {len(others)},"
-            f" first {others[0].name}.",
-        )
-    # Copies, and the log of the whole scan beside that of a part, have to state the same size.
-    further: list[Stated] = []
-    for other in reconstructions:
-        is_of_whole = log.stem.startswith(other.stem)
-        if other is not log and (other in naming_logs or is_of_whole):
-            further.append(Stated(other.name, (None, other.size_um, other.size_um)))
-    return Scan(log, (_stated_by(log), *further), notes)
+    if not named_files or not others:
+        return ()
+    others_text = f"Pictures left aside: {len(others)}, first {others[0].name}."
+    return (f"{log.name} names {len(named_files)} slices. {others_text}",)
 
 
 def _is_log(path: Path) -> bool:
@@ -336,14 +344,14 @@ def _check_count(log: Log, n_files: int, folder: Path) -> None:
 def check_extent(log: Log, shape: tuple[int, ...]) -> tuple[str, ...]:
     """Compare the shape of a volume with that in its log, and say what a copy of a log states."""
     stated_shape = [log.count, *log.extent]
-    pairs = [(n, there) for n, there in zip(shape, stated_shape, strict=True) if there is not None]
-    if all(n == there for n, there in pairs):
+    pairs = [(n, m) for n, m in zip(shape, stated_shape, strict=True) if m is not None]
+    if all(n == m for n, m in pairs):
         return ()
-    stated_text = " x ".join("?" if there is None else str(there) for there in stated_shape)
+    stated_text = " x ".join("?" if m is None else str(m) for m in stated_shape)
     shapes_text = f"{log.name} states {stated_text} voxels, the slices have {size_words(shape)}"
     # Cutting keeps the size of a voxel, scaling does not.
-    is_scaled = len(pairs) == 3 and len({round(there / n) for n, there in pairs}) == 1
-    if not log.is_of_whole or is_scaled or any(n > there for n, there in pairs):
+    is_scaled = len(pairs) == 3 and len({round(m / n) for n, m in pairs}) == 1
+    if not log.is_of_whole or is_scaled or any(n > m for n, m in pairs):
         raise VolumeError(
             f"{shapes_text}: they were cropped or scaled, or the log is another's. Move the log"
             " elsewhere and give `voxel_um`."
@@ -356,6 +364,6 @@ _number = partial(finite, decimal_comma=True)
 
 def _count(text: str | None) -> int | None:
     number = _number(text)
-    return (
-        int(number) if number is not None and 0 <= number < 1e9 and number == int(number) else None
-    )
+    if number is None or not 0 <= number < 1e9 or not number.is_integer():
+        return None
+    return int(number)

@@ -147,43 +147,24 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
     """Read the cut counter of a folder, compare it with the pictures there, and read these."""
     if not folder.is_dir():
         raise FileError(f"{folder.name} is not a folder. Check the name.")
-    counter_file, counter_name = folder / COUNTER, f"{COUNTER} in {folder.name}"
+    counter_file = folder / COUNTER
     size_of_file(counter_file)
     table = parse_table(
-        read_text(counter_file, what="cut counter"), counter_name, needed=COLUMNS, error=VolumeError
+        read_text(counter_file, what="cut counter"),
+        f"{COUNTER} in {folder.name}",
+        needed=COLUMNS,
+        error=VolumeError,
     )
     positions = table.numbers(COLUMNS[1:])[:, 0]
-    files: list[Path] = []
-    for row in table.rows:
-        file = folder / (file_name := table.text(row, "file"))
-        if not file_name or file.name != file_name:
-            table.fault(row, f"{file_name!r} is not the name of a file in this folder")
-        elif file in files:
-            table.fault(row, f"{file_name} for the second time")
-        files.append(file)
-    table.check()
-    if len(files) < 2:
-        raise VolumeError(f"{counter_name} names {len(files)} sections, at least two are needed.")
+    files = _named_files(table, folder)
     for (first, a), (second, b) in pairwise(zip(files, positions, strict=True)):
         if not b > a:
             raise VolumeError(
-                f"{counter_name}: {second.name} lies at {b:g} um, {first.name} before it at {a:g}"
+                f"{table.name}: {second.name} lies at {b:g} um, {first.name} before it at {a:g}"
                 " um. Positions increase in the order of the cuts: correct the counter, or sort"
                 " its rows by position."
             )
-    if missing_names := [file.name for file in files if not file.is_file()]:
-        raise VolumeError(
-            f"{folder.name} lacks {len(missing_names)} of {len(files)} files named in {COUNTER}:"
-            f" {first_few(missing_names)}. Add them, or take their rows out: a gap in the positions"
-            " is understood as a missing section."
-        )
-    if unlisted := sorted(
-        p.name for p in {*folder.iterdir()} - {*files} if is_slice_name(p.name) and p.is_file()
-    ):
-        raise VolumeError(
-            f"{folder.name} holds {len(unlisted)} pictures that {COUNTER} does not name:"
-            f" {first_few(unlisted)}. Add a row for each with its position, or move them elsewhere."
-        )
+    _check_present(files, folder)
     # Here, so that a look at a file waits for no reader of slices.
     from planish.io.slice_volume import load_pictures
 
@@ -197,23 +178,60 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
     return SectionStack(folder, values, first, positions, kind, file_bytes)
 
 
+def _named_files(table: CsvTable, folder: Path) -> list[Path]:
+    """Files that the rows of a counter name, two at least and each once."""
+    files: list[Path] = []
+    for row in table.rows:
+        file_name = table.text(row, "file")
+        file = folder / file_name
+        if not file_name or file.name != file_name:
+            table.fault(row, f"{file_name!r} is not the name of a file in this folder")
+        elif file in files:
+            table.fault(row, f"{file_name} for the second time")
+        files.append(file)
+    table.check()
+    if len(files) < 2:
+        raise VolumeError(f"{table.name} names {len(files)} sections, at least two are needed.")
+    return files
+
+
+def _check_present(files: list[Path], folder: Path) -> None:
+    """Refuse a folder without some of the files, or with further pictures."""
+    missing_names = [file.name for file in files if not file.is_file()]
+    if missing_names:
+        raise VolumeError(
+            f"{folder.name} lacks {len(missing_names)} of {len(files)} files named in {COUNTER}:"
+            f" {first_few(missing_names)}. Add them, or take their rows out: a gap in the positions"
+            " is understood as a missing section."
+        )
+    others = {*folder.iterdir()} - {*files}
+    unlisted = sorted(p.name for p in others if is_slice_name(p.name) and p.is_file())
+    if unlisted:
+        raise VolumeError(
+            f"{folder.name} holds {len(unlisted)} pictures that {COUNTER} does not name:"
+            f" {first_few(unlisted)}. Add a row for each with its position, or move them elsewhere."
+        )
+
+
 def _kind_of_sections(table: CsvTable) -> str:
     """Read from the comments what was photographed; empty where they do not say it.
 
     Two kinds are never mixed.
     """
-    comments = [comment.strip().lower().partition(":") for comment in table.content.comments]
-    kinds = sorted(
-        {kind.strip() for key, colon, kind in comments if colon and key.strip() == "kind"}
-    )
-    if unknown := [kind for kind in kinds if kind not in KINDS]:
+    kinds: set[str] = set()
+    for comment in table.content.comments:
+        key, colon, kind = comment.lower().partition(":")
+        if colon and key.strip() == "kind":
+            kinds.add(kind.strip())
+    unknown = sorted(kinds - {*KINDS})
+    if unknown:
         raise VolumeError(
             f"{table.name} has the kind {', '.join(map(repr, unknown))}. Give {' or '.join(KINDS)}."
         )
     if len(kinds) > 1:
         raise VolumeError(
-            f"{table.name} has both kinds, {' and '.join(kinds)}. The knife squeezes cut sections"
-            " by 5 to 15 % and leaves the block's face as it is: put each kind into a folder of"
-            " its own."
+            f"{table.name} has both kinds, {' and '.join(sorted(kinds))}. The knife squeezes cut"
+            " sections by 5 to 15 % and leaves the block's face as it is: put each kind into a"
+            " folder of its own."
         )
-    return kinds[0] if kinds else ""
+    return "".join(kinds)

@@ -36,16 +36,13 @@ def is_plain(array: zarr.Array[Any]) -> bool:
     if len(codecs) != 1 or not isinstance(codecs[0], ShardingCodec):
         return False
     (sharding,) = codecs
-    kinds = ([type(codec) for codec in part] for part in (sharding.codecs, sharding.index_codecs))
-    return (
-        [*kinds] == [[BytesCodec, ZstdCodec], [BytesCodec, Crc32cCodec]]
-        and sharding.to_dict()["configuration"]["index_location"] == "end"
-        and all(
-            part[0] in (BytesCodec(endian=None), BytesCodec(endian="little"))
-            for part in (sharding.codecs, sharding.index_codecs)
-        )
-        and array.dtype.newbyteorder("<") == array.dtype
-    )
+    plain_bytes = (BytesCodec(endian=None), BytesCodec(endian="little"))
+    for codecs, second in ((sharding.codecs, ZstdCodec), (sharding.index_codecs, Crc32cCodec)):
+        kinds = [type(codec) for codec in codecs]
+        if kinds != [BytesCodec, second] or codecs[0] not in plain_bytes:
+            return False
+    is_index_last = sharding.to_dict()["configuration"]["index_location"] == "end"
+    return is_index_last and array.dtype.newbyteorder("<") == array.dtype
 
 
 def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[Any]:
@@ -55,11 +52,9 @@ def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[An
     """
     assert array.shards is not None
     shape = [w.stop - w.start for w in where]
-    values = (
-        np.full(shape, array.fill_value, array.dtype)
-        if array.fill_value
-        else np.zeros(shape, array.dtype)
-    )
+    values = np.zeros(shape, array.dtype)
+    if array.fill_value:
+        values[:] = array.fill_value
     per_shard = [s // c for s, c in zip(array.shards, array.chunks, strict=True)]
     ranges = [
         range(w.start // s, -(-w.stop // s)) for w, s in zip(where, array.shards, strict=True)
@@ -104,14 +99,12 @@ def _read_shard(
             file.seek(int(offset))
             if len(zstd_decode(file.read(int(size)), out=raw_block)) != len(raw_block):
                 raise ValueError(f"a chunk of {path.name} is damaged")
-            starts = [(first + k) * c for first, k, c in zip(firsts, place, chunk, strict=True)]
-            overlaps = [
-                (max(w.start, start), min(w.stop, start + c))
-                for w, start, c in zip(where, starts, chunk, strict=True)
-            ]
-            target = tuple(
-                slice(a - w.start, b - w.start) for (a, b), w in zip(overlaps, where, strict=True)
-            )
-            values[target] = block[
-                tuple(slice(a - s, b - s) for (a, b), s in zip(overlaps, starts, strict=True))
-            ]
+            target: list[slice] = []
+            source: list[slice] = []
+            for w, first, k, c in zip(where, firsts, place, chunk, strict=True):
+                begin = (first + k) * c
+                start = max(w.start, begin)
+                stop = min(w.stop, begin + c)
+                target.append(slice(start - w.start, stop - w.start))
+                source.append(slice(start - begin, stop - begin))
+            values[tuple(target)] = block[tuple(source)]

@@ -39,6 +39,11 @@ class Stated(NamedTuple):
     written: tuple[str, ...] = ()  # what was read along each axis, such as "3 mm"
     doubt: str = ""  # a sentence, where it may be nobody's measurement
 
+    def agrees(self, size: Sequence[float]) -> bool:
+        """True if no axis has another size."""
+        pairs = zip(self.um, size, strict=True)
+        return all(stated_um is None or agree(stated_um, um) for stated_um, um in pairs)
+
 
 class Asked(NamedTuple):
     """Kind of size that is needed: names, word of a call, and the usual range."""
@@ -124,79 +129,89 @@ def agreed_size(
 ) -> tuple[tuple[float, ...], str]:
     """Find the one size that metadata and user agree on, and where it comes from.
 
-    The size is in um along each axis.
+    Parameters
+    ----------
+    stated : sequence of Stated
+        Sizes by all kinds of metadata of the file.
+    user_um : float or sequence of floats, optional
+        One size for all axes or one for each, in um.
+    file_name : str
+        Name of the file in messages.
+    asked : Asked
+        Kind of size that is needed.
+    override : bool
+        Whether `user_um` is taken whatever the metadata state.
+    unusual : bool
+        Whether a size is taken that paper does not have.
 
-    `user_um`, one value for all axes or one each, is taken with `override` whatever the metadata
-    state. A size that paper does not have is taken with `unusual` only.
+    Returns
+    -------
+    size : tuple of floats
+        Size along each axis, in um.
+    source : str
+        Metadata that state it, or that it was given.
 
     Raises
     ------
     SizeError
         If it is missing on an axis, contradictory, or outside the possible range.
     """
-    statements = [s for s in stated if any(v is not None for v in s.um)]
+    statements = [s for s in stated if s.um.count(None) < len(s.um)]
     sources = " and ".join(s.source for s in statements)
     if user_um is None:
         merged_size = _merge_stated(statements, file_name=file_name, asked=asked)
         size = tuple(um for um in merged_size if um is not None)
         if len(size) < len(merged_size):
-            missing_axes = and_join(
-                axis for axis, um in zip(asked.axes, merged_size, strict=True) if um is None
-            )
-            notes_text = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
-            only_text = ""
-            axes_text = ",".join(asked.axes).upper()
-            give_text = f"it with `{asked.word}=SIZE` (or {axes_text})"
-            if statements:
-                only_text = f" along {missing_axes}: {asked.statements(statements)} only"
-                # One number for all axes would contradict what is stated.
-                axis_texts = [
-                    axis.upper() if um is None else f"{um:.9g}"
-                    for axis, um in zip(asked.axes, merged_size, strict=True)
-                ]
-                give_text = f"all with `{asked.word}={','.join(axis_texts)}`"
-            raise SizeError(
-                f"{file_name} states no {asked.name}"
-                f" size{only_text}{f' ({notes_text})' if notes_text else ''}. Give {give_text}, in"
-                " um."
-            )
-        _check_range(
-            size,
-            file_name=file_name,
-            asked=asked,
-            unusual=unusual,
-            statements=statements,
-        )
+            missing_text = _missing_text(merged_size, stated, statements, asked)
+            raise SizeError(f"{file_name} states no {asked.name} size{missing_text}, in um.")
+        _check_range(size, statements, file_name=file_name, asked=asked, unusual=unusual)
         return size, sources
     size = size_per_axis(user_um, asked)
-    contradictions = [
-        s
-        for s in statements
-        if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))
-    ]
+    contradictions = [s for s in statements if not s.agrees(size)]
     if contradictions and not override:
         raise SizeError(
             f"{file_name}: `{asked.word}` gives {asked.in_words(size)}, but"
             f" {asked.statements(contradictions)}. Correct one of them, or add {OVERRIDE} to take"
             " the given size."
         )
-    _check_range(size, file_name=file_name, asked=asked, unusual=unusual)
+    _check_range(size, (), file_name=file_name, asked=asked, unusual=unusual)
     if contradictions:
         replaced_text = and_join(f"{s.source} ({asked.in_words(s.um)})" for s in contradictions)
         return size, f"given, in place of {replaced_text}"
     # A repeated run gives the very size that the metadata stated the first time; it still comes
     # from there.
-    return size, (
-        sources if _merge_stated(statements, file_name=file_name, asked=asked) == size else "given"
-    )
+    merged_size = _merge_stated(statements, file_name=file_name, asked=asked)
+    return size, sources if merged_size == size else "given"
+
+
+def _missing_text(
+    size: Sequence[float | None],
+    stated: Sequence[Stated],
+    statements: Sequence[Stated],
+    asked: Asked,
+) -> str:
+    """Say which axes have no size, why, and how to give it."""
+    notes_text = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
+    if notes_text:
+        notes_text = f" ({notes_text})"
+    if not statements:
+        axes_text = ",".join(asked.axes).upper()
+        return f"{notes_text}. Give it with `{asked.word}=SIZE` (or {axes_text})"
+    missing_axes: list[str] = []
+    axis_texts: list[str] = []
+    for axis, um in zip(asked.axes, size, strict=True):
+        if um is None:
+            missing_axes.append(axis)
+        # One number for all axes would contradict what is stated.
+        axis_texts.append(axis.upper() if um is None else f"{um:.9g}")
+    only_text = f" along {and_join(missing_axes)}: {asked.statements(statements)} only"
+    return f"{only_text}{notes_text}. Give all with `{asked.word}={','.join(axis_texts)}`"
 
 
 def size_per_axis(size_um: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
     """Spread a given size over the axes."""
     axis_sizes: Any = size_um.tolist() if isinstance(size_um, np.ndarray) else size_um
-    sizes: tuple[Any, ...] = (
-        tuple(axis_sizes) if isinstance(axis_sizes, (list, tuple)) else (axis_sizes,)
-    )
+    sizes: Sequence[Any] = axis_sizes if isinstance(axis_sizes, (list, tuple)) else [axis_sizes]
     if not all(not isinstance(v, bool) and isinstance(v, Real) and _number(v) for v in sizes):
         raise SizeError(f"`{asked.word}`: {size_um!r} is not a size. Give numbers above 0, in um.")
     if len(sizes) not in (1, len(asked.axes)):
@@ -204,7 +219,9 @@ def size_per_axis(size_um: float | Sequence[float], asked: Asked) -> tuple[float
             f"`{asked.word}` has {len(sizes)} values, it needs 1 or {len(asked.axes)}"
             f" ({','.join(asked.axes)}), in um."
         )
-    return tuple(float(v) for v in (sizes if len(sizes) > 1 else sizes * len(asked.axes)))
+    if len(sizes) == 1:
+        sizes = [*sizes] * len(asked.axes)
+    return tuple(map(float, sizes))
 
 
 def _merge_stated(
@@ -242,32 +259,33 @@ def with_advice(doubt: str, asked: Asked) -> str:
 
 def _check_range(
     size: Sequence[float],
+    statements: Sequence[Stated],
     *,
     file_name: str,
     asked: Asked,
     unusual: bool,
-    statements: Sequence[Stated] = (),
 ) -> None:
     """Ask about sizes that no image of paper has, and refuse those that no image has.
 
     What was read is said, and no reason is guessed.
     """
     low, high = asked.usual_um
-    for axis, um in zip(asked.axes, size, strict=True):
+    for i, (axis, um) in enumerate(zip(asked.axes, size, strict=True)):
         is_possible = POSSIBLE_UM[0] <= um <= POSSIBLE_UM[1]
         if low <= um <= high or (unusual and is_possible):
             continue
-        origin_text, more_text = f"`{asked.word}` gives it", ""
-        origin = next((s for s in statements if s.um[asked.axes.index(axis)] is not None), None)
+        origin_text = f"`{asked.word}` gives it"
+        more_text = ""
+        origin = next((s for s in statements if s.um[i] is not None), None)
         if origin is not None:
-            written = origin.written[asked.axes.index(axis)] if origin.written else "it"
-            origin_text, more_text = f"{origin.source} states {written}", f", and add {OVERRIDE}"
-        limits_text, meant_text = f"possible are {POSSIBLE_UM[0]:g} to 1000 um", ""
+            written = origin.written[i] if origin.written else "it"
+            origin_text = f"{origin.source} states {written}"
+            more_text = f", and add {OVERRIDE}"
+        limits_text = f"possible are {POSSIBLE_UM[0]:g} to 1000 um"
+        meant_text = ""
         if is_possible:
-            limits_text, meant_text = (
-                f"usual are {low:g} to {high:g} um",
-                " If it is meant, add `unusual_size=True`.",
-            )
+            limits_text = f"usual are {low:g} to {high:g} um"
+            meant_text = " If it is meant, add `unusual_size=True`."
         raise SizeError(
             f"{file_name}: the {asked.name} size along {axis} is {um:g} um ({origin_text});"
             f" {limits_text}. Check the number and its unit. Give the right one with"
@@ -278,36 +296,35 @@ def _check_range(
 def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, ...]:
     """Collect what the metadata state, along z, y, x."""
     with reading(path):
-        ome = tif.ome_metadata
         imagej: Mapping[str, Any] | None = tif.imagej_metadata
         density = [_fraction(page.tags.valueof(code)) for code in (283, 282)]
         tags = {tag.code: tag.value for tag in page.tags}
         photo_tags: Any = tags.get(34665)
         writer = writer_of(tags, photo_tags if isinstance(photo_tags, dict) else ())
-        stated: list[Stated] = []
-        if ome is not None:  # the first image; the unit is um where none is written, as OME has it
-            if "<!ENTITY" in ome or "<!DOCTYPE" in ome:
-                raise FileError(
-                    f"{path.name}: its OME metadata define entities, as OME never does. Export it"
-                    " again."
-                )
-            elements = ElementTree.fromstring(ome).iter()
-            attributes = next(
-                (e.attrib for e in elements if e.tag.rpartition("}")[2] == "Pixels"),
-                dict[str, str](),
-            )
-            sizes = [_real(attributes.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
-            units = [attributes.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"]
-            stated = [stated_in("OME metadata", sizes, units)]
+        stated = _stated_by_ome(tif.ome_metadata, path)
         if imagej is not None and str(imagej.get("unit", "")).strip():
             return (*stated, _stated_by_imagej(imagej, density, writer))
-        code: Any = page.tags.valueof(296)  # The resolution tags, with their unit, never state z.
-        return (
-            *stated,
-            stated_density(
-                "the TIFF resolution", density, {2: "inch", 3: "cm"}.get(code, ""), writer
-            ),
+        # The resolution tags, with their unit, never state z.
+        unit = {2: "inch", 3: "cm"}.get(page.tags.valueof(296), "")
+        return (*stated, stated_density("the TIFF resolution", density, unit, writer))
+
+
+def _stated_by_ome(ome: str | None, path: Path) -> list[Stated]:
+    """Size of the first image; the unit is um where none is written, as OME has it."""
+    if ome is None:
+        return []
+    if "<!ENTITY" in ome or "<!DOCTYPE" in ome:
+        raise FileError(
+            f"{path.name}: its OME metadata define entities, as OME never does. Export it again."
         )
+    attributes: dict[str, str] = {}
+    for element in ElementTree.fromstring(ome).iter():
+        if element.tag.rpartition("}")[2] == "Pixels":
+            attributes = element.attrib
+            break
+    sizes = [_real(attributes.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
+    units = [attributes.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"]
+    return [stated_in("OME metadata", sizes, units)]
 
 
 def stated_density(
@@ -315,14 +332,11 @@ def stated_density(
 ) -> Stated:
     """Size along z, y, x by pixels per unit of length along y, x."""
     sizes_um = [from_density(per_unit, unit) for per_unit in density]
-    reasons = [
-        reason_of_none(per_unit, unit)
-        for per_unit, um in zip(density, sizes_um, strict=True)
-        if um is None
-    ]
-    return _doubted(
-        Stated(source, (None, *sizes_um), ", ".join(filter(None, dict.fromkeys(reasons)))), writer
-    )
+    reasons: dict[str, None] = {}
+    for per_unit, um in zip(density, sizes_um, strict=True):
+        if um is None and per_unit is not None:
+            reasons[reason_of_none(per_unit, unit)] = None
+    return _doubted(Stated(source, (None, *sizes_um), ", ".join(reasons)), writer)
 
 
 def _doubted(stated: Stated, writer: Writer) -> Stated:
@@ -342,16 +356,17 @@ def _stated_by_imagej(
     unit = str(meta.get("unit", ""))
     if unit_um(unit) is None:
         return Stated("ImageJ metadata", (None, None, None), f"{unit!r} is no unit of length")
-    unit_y, unit_z = (str(meta.get(key) or unit) for key in ("yunit", "zunit"))
+    unit_y = str(meta.get("yunit") or unit)
+    unit_z = str(meta.get("zunit") or unit)
     sizes_um: list[float | None] = []
     for per_unit, axis_unit in zip(density, (unit_y, unit), strict=True):
         unit_length = unit_um(axis_unit)
         if axis_unit.strip().casefold() in {"inch", "in", "inches", "cm"}:
             sizes_um.append(from_density(per_unit, axis_unit))
+        elif per_unit is None or unit_length is None:
+            sizes_um.append(None)
         else:
-            sizes_um.append(
-                None if per_unit is None or unit_length is None else unit_length / per_unit
-            )
+            sizes_um.append(unit_length / per_unit)
     spacing = stated_in("", [_real(meta.get("spacing"))], [unit_z], (0,))
     note = f"its spacing: {spacing.note}" if spacing.note else ""
     if meta.get("spacing") is None:

@@ -6,10 +6,11 @@ and all have to ask for the same order.
 
 import math
 import re
-from collections import Counter
-from itertools import islice
+from collections import defaultdict
+from collections.abc import Sequence
+from itertools import chain, islice, pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,15 +46,16 @@ def list_slices(folder: Path) -> SliceOrder:
 
         raise folder_refusal(folder)
     # A preview, a second scan: names that differ in more than numbers.
-    patterns = [NUMBER.sub("#", p.stem.casefold()) + p.suffix.lower() for p in files]
-    (main_pattern, n_main), *_ = Counter(patterns).most_common(1)
-    if odd_files := [
-        p for p, pattern in zip(files, patterns, strict=True) if pattern != main_pattern
-    ]:
+    by_pattern: dict[str, list[Path]] = defaultdict(list)
+    for file in files:
+        by_pattern[NUMBER.sub("#", file.stem.casefold()) + file.suffix.lower()].append(file)
+    alike, *others = sorted(by_pattern.values(), key=len, reverse=True)
+    if others:
+        odd_files = sorted(chain(*others))
         raise VolumeError(
-            f"{folder.name} holds {n_main} images named like"
-            f" {files[patterns.index(main_pattern)].name}, and {len(odd_files)} named otherwise,"
-            f" first {odd_files[0].name}. Leave only the slices of one volume there."
+            f"{folder.name} holds {len(alike)} images named like {alike[0].name}, and"
+            f" {len(odd_files)} named otherwise, first {odd_files[0].name}. Leave only the slices"
+            " of one volume there."
         )
     check_several(files)
     numbers, notes = slice_numbers(files, folder)
@@ -98,24 +100,23 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str
     changing_columns = [column for column in columns if len({*column}) > 1]
     if len(changing_columns) == 1:
         return changing_columns[0], ()
-    counters = [column for column in changing_columns if _counts(column)]
-    # Decimal numbers, such as the height of a slice.
-    counters = counters or [column for column in [_decimals(files)] if _counts(column)]
-    name_texts = f"from {files[0].name} to {files[-1].name}"
+    # Decimal numbers, such as the height of a slice, where no whole number counts.
+    counters = [*filter(_counts, changing_columns)] or [*filter(_counts, [_decimals(files)])]
+    changes_text = (
+        f"{len(changing_columns)} numbers change from {files[0].name} to {files[-1].name}"
+    )
     if not counters:
         raise VolumeError(
-            f"{folder.name}: {len(changing_columns)} numbers change {name_texts}, and none counts"
-            " the slices without a gap. Add missing slices, or rename them with one running number."
+            f"{folder.name}: {changes_text}, and none counts the slices without a gap. Add missing"
+            " slices, or rename them with one running number."
         )
     numbers = min(reversed(counters), key=slice_step)
     order = sorted(range(len(files)), key=numbers.__getitem__)
-    other_columns = [column for column in changing_columns if column is not numbers]
-    other_numbers = [*zip(*other_columns, strict=True)]
-    are_counters_rising = all(sorted(c) == [c[i] for i in order] for c in counters)
-    if not are_counters_rising or sorted(other_numbers) != [other_numbers[i] for i in order]:
+    others = [*zip(*(c for c in changing_columns if c is not numbers), strict=True)]
+    if not all(_rises(column, order) for column in [*counters, others]):
         raise VolumeError(
-            f"{folder.name}: {len(changing_columns)} numbers change {name_texts}, and they ask for"
-            " different orders. Rename the slices with one running number."
+            f"{folder.name}: {changes_text}, and they ask for different orders. Rename the slices"
+            " with one running number."
         )
     if numbers not in columns:
         return numbers, (DECIMALS,)
@@ -124,21 +125,31 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str
     return numbers, (f"{note} {place} counts the slices; the others that change rise with it.",)
 
 
+def _rises(column: Sequence[Any], order: list[int]) -> bool:
+    """True if entries rise, or stay, in an order."""
+    return sorted(column) == [column[i] for i in order]
+
+
 def _number_columns(stems: list[str]) -> list[list[int]]:
     """Numbers of all names, one list for each place in a name."""
     columns: list[list[int]] = []
     for words in zip(*map(NUMBER.findall, stems), strict=True):
-        signs = {word[0] if word[0] in "+-" else "" for word in words}
-        columns.append([int(word if len(signs) > 1 else word.lstrip("+-")) for word in words])
+        is_signed = len({word[0] if word[0] in "+-" else "" for word in words}) > 1
+        columns.append([int(word if is_signed else word.lstrip("+-")) for word in words])
     return columns
 
 
 def _decimals(files: list[Path]) -> list[int]:
     """Numbers with a point in all names, without the point; empty where they are no such."""
-    words = [re.findall(r"(?<![\d.])(\d+)\.(\d+)(?![\d.])", p.stem) for p in files]
-    if {len(word) for word in words} != {1} or len({len(word[0][1]) for word in words}) > 1:
-        return []
-    return [int("".join(word[0])) for word in words]
+    numbers: list[int] = []
+    decimals: set[int] = set()
+    for path in files:
+        words = re.findall(r"(?<![\d.])(\d+)\.(\d+)(?![\d.])", path.stem)
+        if len(words) != 1:
+            return []
+        numbers.append(int("".join(words[0])))
+        decimals.add(len(words[0][1]))
+    return numbers if len(decimals) == 1 else []
 
 
 def _counts(numbers: list[int]) -> bool:
@@ -149,13 +160,15 @@ def _counts(numbers: list[int]) -> bool:
 def check_no_gap(numbers: list[int], folder: Path) -> None:
     """Refuse a series with missing or repeated numbers."""
     sorted_numbers = sorted(numbers)
-    if repeated_numbers := sorted(n for n, times in Counter(sorted_numbers).items() if times > 1):
+    repeated_numbers = sorted({a for a, b in pairwise(sorted_numbers) if a == b})
+    if repeated_numbers:
         raise VolumeError(
             f"{folder.name} has more than one slice with the number {first_few(repeated_numbers)}."
             " Remove copies."
         )
     expected_numbers = range(sorted_numbers[0], sorted_numbers[-1] + 1, slice_step(sorted_numbers))
-    if n_missing := len(expected_numbers) - len(sorted_numbers):
+    n_missing = len(expected_numbers) - len(sorted_numbers)
+    if n_missing:
         missing_text = first_missing(expected_numbers, sorted_numbers)
         raise VolumeError(
             f"{folder.name} has {len(numbers)} slices from {sorted_numbers[0]} to"
@@ -167,9 +180,8 @@ def check_no_gap(numbers: list[int], folder: Path) -> None:
 def first_missing(expected_numbers: range, numbers: list[int]) -> str:
     """Write the first of the numbers that are not there."""
     present_numbers = set(numbers)
-    return first_few(
-        list(islice((n for n in expected_numbers if n not in present_numbers), MOST_NAMES + 1))
-    )
+    missing = (n for n in expected_numbers if n not in present_numbers)
+    return first_few(list(islice(missing, MOST_NAMES + 1)))
 
 
 def slice_step(numbers: list[int]) -> int:

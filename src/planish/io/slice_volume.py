@@ -30,27 +30,27 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
     """Read a folder of slices at once where it fits, otherwise slice by slice on demand."""
     scan = read_scan(place.path)
     order = list_slices(place.path) if scan is None else slices_by_log(scan.log, place.path)
-    files, notes, doubts = order
-    values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes)
+    values, first = load_pictures(order.files, channel=channel, memory_bytes=memory_bytes)
     attrs: dict[str, Any] = colour_attrs(channel, place.path, in_colour=first.in_colour)
-    stated, notes = first.stated, (*notes, *first.notes)
+    stated = first.stated
+    notes = (*order.notes, *first.notes)
+    doubts = order.doubts
     if scan is not None:
+        stated = (*scan.stated, *stated)
         notes = (*scan.notes, *notes)
         doubts = (*doubts, *scan.doubts, *check_extent(scan.log, values.shape))
-        window = scan.log.window
-        window_attrs = {} if window is None else {"attenuation_window": list(window)}
-        attrs |= {"nrecon": scan.log.details} | window_attrs
-        stated = (*scan.stated, *stated)
-    orientation = tag_orientation(first.orientation)
+        attrs["nrecon"] = scan.log.details
+        if scan.log.window is not None:
+            attrs["attenuation_window"] = [*scan.log.window]
     return LoadedVolume(
         values=values,
         stated=stated,
-        files=files,
+        files=order.files,
         bits=first.bits,
         attrs=attrs,
         doubts=doubts,
         notes=notes,
-        orientations=[] if orientation is None else [orientation],
+        orientations=tag_orientation(first.orientation),
     )
 
 
@@ -91,11 +91,8 @@ def load_pictures(
         map_threads(read, range(1, len(files)))
         return values, first
     # Threads decode photographs while others are compared.
-    check_memory(
-        folder,
-        needed_bytes=4 * first.values.nbytes if photographs else 2 * grey.nbytes,
-        limit_bytes=limit,
-    )
+    needed_bytes = 4 * first.values.nbytes if photographs else 2 * grey.nbytes
+    check_memory(folder, needed_bytes=needed_bytes, limit_bytes=limit)
     planes: list[tuple[Path, int]] = []
     strip_rows = header.strip_rows
     for file in files:
@@ -108,11 +105,10 @@ def load_pictures(
             planes.append((file, file_header.offset))
     if len(planes) == len(files):
         return widened(StoredArray(planes, shape, header.dtype)), first
-    is_in_strips = strip_rows < shape[1]
     rows = partial(_slice_rows, load_one, files, channel, grey.shape)
-    if is_in_strips:
+    if strip_rows < shape[1]:
         rows = partial(_strip_rows, files, grey.shape)
-    return PagedArray(folder, shape, dtype, strip_rows if is_in_strips else shape[1], rows), first
+    return PagedArray(folder, shape, dtype, min(strip_rows, shape[1]), rows), first
 
 
 def _slice_rows(
@@ -162,6 +158,7 @@ class SliceHeader(NamedTuple):
 
 
 def _slice_header(file: Path) -> SliceHeader:
+    """What is known of a slice by its header: of a TIFF file also where its values lie."""
     format_name = kind_of(file)
     if format_name != "tiff":
         with reading(file), file.open("rb") as stream:
@@ -209,12 +206,8 @@ def _check_same(
     picture: DecodedPicture, first: DecodedPicture, *, file: Path, first_file: Path
 ) -> None:
     check_type(picture.values.dtype, file)
-    facts = [
-        (p.colour, f"{size_words(p.values.shape[:2])} pixels", f"{p.values.dtype} values")
-        for p in (picture, first)
-    ]
     for verb, feature, a, b in zip(
-        ("is", "is", "has"), ("colour", "size", "type"), *facts, strict=True
+        ("is", "is", "has"), ("colour", "size", "type"), _kind(picture), _kind(first), strict=True
     ):
         if a != b:
             raise VolumeError(
@@ -235,3 +228,9 @@ def _check_same(
                     " um. All slices need the same: remove the wrong slices or their resolution"
                     " tags."
                 )
+
+
+def _kind(picture: DecodedPicture) -> tuple[str, str, str]:
+    """Colour, size and type of a picture, in words."""
+    size_text = size_words(picture.values.shape[:2])
+    return picture.colour, f"{size_text} pixels", f"{picture.values.dtype} values"

@@ -12,8 +12,8 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ALL_COMPLETED, FIRST_COMPLETED, Executor, Future, wait
-from contextlib import nullcontext
-from itertools import pairwise
+from contextlib import nullcontext, suppress
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +34,20 @@ from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_ex
 # 4 voxels.
 CHUNK = (64, 96, 96)
 SHARD = (64, 384, 384)  # voxels that lie in one file
+# Attributes of a volume that its store keeps.
+_NOTED = (
+    "full_scale",
+    "voxel_um_source",
+    "size_doubt",
+    "stored_dtype",
+    "channel",
+    "sections",
+    "corrections",
+    "history",
+    "hand",
+    "turned",
+    "notes",
+)
 _SOURCE = "source.json"
 _LOCK = "lock"
 # Voxels along the longest and the shortest axis of the last level.
@@ -88,18 +102,12 @@ def write_store(
     with writing(path, needed=int(1.2 * volume.nbytes)):
         claim_folder(partial, _SOURCE, json.dumps(source), for_what=path)
         source_file = partial / _SOURCE  # of what an import that stopped has read
-        try:
-            noted_source = (
-                None
-                if is_link(source_file)
-                else json.loads(source_file.read_text(encoding="utf-8"))
-            )
-        except (OSError, ValueError):
-            noted_source = None
-        if (
-            not isinstance(noted_source, dict)
-            or not source.keys() - {"corrections"} <= noted_source.keys()
-        ):
+        noted_source = None
+        with suppress(OSError, ValueError):
+            if not is_link(source_file):
+                noted_source = json.loads(source_file.read_text(encoding="utf-8"))
+        needed_keys = source.keys() - {"corrections"}
+        if not isinstance(noted_source, dict) or not needed_keys <= noted_source.keys():
             raise InputError(
                 f"{partial} is in the way and no import that stopped. Move that folder away, or"
                 " give another name with `out`."
@@ -140,14 +148,15 @@ def _write_finest_levels(
     workers: int,
     progress: Progress | None,
 ) -> None:
+    """Write the two finest levels, several blocks at once; those that are listed are done."""
     max_blocks = min(BLOCKS_AT_WORK, count_threads()) if executor is None else workers
     block_shape, n_parallel = _plan_blocks(levels[0], memory_bytes, max_blocks)
     blocks = list(_blocks(levels[0].shape, block_shape))
-    pending_blocks = [
-        where
-        for where in blocks
-        if not all(shard_lists.has(*level_part) for level_part in _parts(levels, where))
-    ]
+
+    def is_written(where: Where) -> bool:
+        return all(shard_lists.has(*part) for part in _parts(levels, where))
+
+    pending_blocks = [where for where in blocks if not is_written(where)]
     futures: set[Future[list[dict[str, str]]]] = set()
 
     def finish(when: str) -> None:
@@ -169,12 +178,8 @@ def _write_finest_levels(
         try:
             while pending_blocks:
                 where = pending_blocks.pop(0)
-                shard_names = [
-                    shard_lists.names(*level_part) for level_part in _parts(levels, where)
-                ]
-                futures.add(
-                    pool.submit(_write_block, volume, where, shard_lists.folder, shard_names)
-                )
+                names = [shard_lists.names(*part) for part in _parts(levels, where)]
+                futures.add(pool.submit(_write_block, volume, where, shard_lists.folder, names))
                 if len(futures) == n_parallel:
                     finish(FIRST_COMPLETED)
         finally:
@@ -225,11 +230,9 @@ def _write_block(
     for k, shard_names in enumerate(names):
         if k > 0:
             values = halve(values)
-        checksums.append(
-            _write_shards(
-                _level(folder, k), _halved(where, k), values, folder / str(k), shard_names
-            )
-        )
+        level = _level(folder, k)
+        written = _write_shards(level, _halved(where, k), values, folder / str(k), shard_names)
+        checksums.append(written)
     return checksums
 
 
@@ -238,9 +241,8 @@ def _write_coarser_level(fine: Array, coarse: Array, shards: ShardLists) -> None
         if not shards.has(coarse, where):
             values = halve(np.asarray(fine[tuple(slice(2 * w.start, 2 * w.stop) for w in where)]))
             folder = shards.folder / coarse.basename
-            shards.add(
-                coarse, _write_shards(coarse, where, values, folder, shards.names(coarse, where))
-            )
+            names = shards.names(coarse, where)
+            shards.add(coarse, _write_shards(coarse, where, values, folder, names))
 
 
 def _write_shards(
@@ -268,11 +270,11 @@ def halve(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _blocks(shape: tuple[int, ...], block: tuple[int, ...]) -> Iterator[Where]:
-    z, y, x = (
-        [slice(start, min(start + b, n)) for start in range(0, n, b)]
-        for n, b in zip(shape, block, strict=True)
-    )
-    yield from ((a, b, c) for a in z for b in y for c in x)
+    """Blocks of a volume in the order of its voxels; the last ones are smaller."""
+    for z, y, x in product(*map(range, (0, 0, 0), shape, block)):
+        starts = zip((z, y, x), block, shape, strict=True)
+        a, b, c = (slice(start, min(start + size, n)) for start, size, n in starts)
+        yield a, b, c
 
 
 def _halved(where: Where, times: int) -> Where:
@@ -282,6 +284,7 @@ def _halved(where: Where, times: int) -> Where:
 
 
 def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
+    """Make the arrays of all levels with their metadata, or open those that are there."""
     shapes = [tuple(volume.shape)]
     while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
         shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
@@ -291,37 +294,22 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     scales = multiscale(
         source_name, "zyx", voxel_um, first_um, len(shapes), kind="mean of 2 x 2 x 2"
     )
+    is_sharded = ome == "0.5"
     attributes: dict[str, Any] = {"ome": {"version": ome, "multiscales": [scales]}}
     options: dict[str, Any] = {
         "compressors": ZstdCodec(level=1, checksum=True),
         "dimension_names": list("zyx"),
     }
-    if ome == "0.4":
+    if not is_sharded:
         attributes = {"multiscales": [{"version": ome, **scales}]}
         options = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
-    attr_names = (
-        "full_scale",
-        "voxel_um_source",
-        "size_doubt",
-        "stored_dtype",
-        "channel",
-        "sections",
-        "corrections",
-        "history",
-        "hand",
-        "turned",
-        "notes",
-    )
-    noted_attrs = {
-        key: volume.attrs[key] for key in attr_names if volume.attrs.get(key) is not None
-    }
-    group = zarr.open_group(folder, mode="a", zarr_format=3 if ome == "0.5" else 2)
+    noted_attrs = {key: volume.attrs[key] for key in _NOTED if volume.attrs.get(key) is not None}
+    group = zarr.open_group(folder, mode="a", zarr_format=3 if is_sharded else 2)
     group.attrs.update(attributes | {"planish": {"source": source_name} | noted_attrs})
     for k, shape in enumerate(shapes):
-        if ome == "0.5":
-            options["shards"] = tuple(
-                min(s, -(-n // c) * c) for s, n, c in zip(SHARD, shape, CHUNK, strict=True)
-            )
+        if is_sharded:
+            whole_chunks = -(-np.array(shape) // CHUNK) * CHUNK
+            options["shards"] = tuple(np.minimum(SHARD, whole_chunks).tolist())
         if str(k) not in group:
             group.create_array(
                 str(k), shape=shape, dtype=volume.dtype, chunks=CHUNK, fill_value=0, **options
@@ -368,12 +356,10 @@ def _level(folder: Path, k: int) -> Array:
 
 
 def _identity(volume: xr.DataArray) -> dict[str, Any]:
-    keys = ("file_name", "file_bytes", "voxel_um")
-    identity = {
-        "shape": list(volume.shape),
-        "dtype": str(volume.dtype),
-        **{k: volume.attrs.get(k) for k in keys},
-    }
+    """What says that an import is of the same volume, with the same corrections."""
+    identity: dict[str, Any] = {"shape": list(volume.shape), "dtype": str(volume.dtype)}
+    for key in ("file_name", "file_bytes", "voxel_um"):
+        identity[key] = volume.attrs.get(key)
     corrections = volume.attrs.get("corrections")
     # Other options, other voxels.
     return identity if corrections is None else identity | {"corrections": corrections}

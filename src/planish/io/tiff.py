@@ -98,18 +98,22 @@ def is_tiff(head: bytes) -> bool:
     return head[:4] in {b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"}
 
 
-def _count_pages(path: Path) -> int:  # noqa: C901, PLR0912
+def _count_pages(path: Path) -> int:
+    """Number of pages of the chain, of which each table of tags and what it names is in the file.
+
+    No library reads a page before.
+    """
     file_bytes = size_of_file(path)
     offsets: set[int] = set()
     with reading(path), path.open("rb") as file:
         head = file.read(16)
         if not is_tiff(head):
             raise FileError(f"{path.name} is not a TIFF file. Export it as TIFF.")
-        byte_order = "<" if head[:2] == b"II" else ">"
         is_big = head[2:4] in {b"+\0", b"\0+"}
         struct_codes, first_offset = (("Q", "HHQ", "Q"), 16) if is_big else (("H", "HHI", "I"), 8)
         if len(head) < first_offset:
             raise damaged(path, "it ends within its header")
+        byte_order = "<" if head[:2] == b"II" else ">"
         count, tag, pointer = (struct.Struct(byte_order + code) for code in struct_codes)
         offset: int = pointer.unpack(head[first_offset // 2 : first_offset])[0]
         while offset:
@@ -127,28 +131,39 @@ def _count_pages(path: Path) -> int:  # noqa: C901, PLR0912
             n_tags = count.unpack(file.read(count.size))[0]
             if not 0 < n_tags <= 4096:
                 raise damaged(path, f"{page_text} claims {n_tags} tags")
-            entry_bytes = tag.size + pointer.size
-            table = file.read(n_tags * entry_bytes + pointer.size)
-            if len(table) != n_tags * entry_bytes + pointer.size:
+            tags_bytes = n_tags * (tag.size + pointer.size)
+            table = file.read(tags_bytes + pointer.size)
+            if len(table) != tags_bytes + pointer.size:
                 raise damaged(path, f"the file ends within the table of {page_text}")
-            for position in range(0, n_tags * entry_bytes, entry_bytes):
-                code, type_code, n_values = tag.unpack_from(table, position)
-                value_bytes = n_values * TYPE_BYTES.get(type_code, 0)
-                if code not in NEEDED_TAGS:
-                    continue
-                if value_bytes == 0:
-                    raise damaged(path, f"tag {code} of {page_text} has no value")
-                # Values that are short enough stand in the table itself.
-                value_offset = pointer.unpack_from(table, position + tag.size)[0]
-                if value_bytes > pointer.size and value_offset + value_bytes > file_bytes:
-                    raise damaged(
-                        path,
-                        f"tag {code} of {page_text} lies outside the file of {file_bytes} bytes",
-                    )
-            offset = pointer.unpack_from(table, n_tags * entry_bytes)[0]
+            _check_tags(table[:tags_bytes], (tag, pointer), file_bytes, path, page_text)
+            offset = pointer.unpack_from(table, tags_bytes)[0]
     if not offsets:
         raise damaged(path, "it holds no page")
     return len(offsets)
+
+
+def _check_tags(
+    table: bytes,
+    entry: tuple[struct.Struct, struct.Struct],
+    file_bytes: int,
+    path: Path,
+    page_text: str,
+) -> None:
+    """Refuse a page whose needed tags are empty or lie outside the file."""
+    tag, pointer = entry
+    for position in range(0, len(table), tag.size + pointer.size):
+        code, type_code, n_values = tag.unpack_from(table, position)
+        if code not in NEEDED_TAGS:
+            continue
+        value_bytes = n_values * TYPE_BYTES.get(type_code, 0)
+        if value_bytes == 0:
+            raise damaged(path, f"tag {code} of {page_text} has no value")
+        # Values that are short enough stand in the table itself.
+        value_offset = pointer.unpack_from(table, position + tag.size)[0]
+        if value_bytes > pointer.size and value_offset + value_bytes > file_bytes:
+            raise damaged(
+                path, f"tag {code} of {page_text} lies outside the file of {file_bytes} bytes"
+            )
 
 
 def damaged(path: Path, fault: str) -> FileError:
@@ -170,24 +185,18 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
         n_planes = math.prod(sizes.get(k, 1) for k in "ZCT")
         n_rows = sizes.get("Y", 1)
         n_columns = sizes.get("X", 1)
-        if (
-            n_planes > MOST_PAGES
-            or n_rows > 10 * first.imagelength
-            or n_columns > 10 * first.imagewidth
-        ):
-            declared = f"its OME metadata declare {size_words([*sizes.values()])} values"
-            raise damaged(
-                path, f"{declared}, the file has {n_pages} pages of {size_words(first.shape)}"
-            )
-    if _imagej_images(tif) > n_pages and first.dataoffsets and not describes_other_images(tif):
-        held_bytes = first.dataoffsets[0] + _imagej_images(tif) * first.nbytes
-        if held_bytes > tif.filehandle.size or not first.is_contiguous:
-            file_bytes = tif.filehandle.size
-            raise damaged(
-                path,
-                f"{_imagej_images(tif)} images are declared, the file has {n_pages} pages and"
-                f" {file_bytes} bytes",
-            )
+        is_plane = n_rows <= 10 * first.imagelength and n_columns <= 10 * first.imagewidth
+        if n_planes > MOST_PAGES or not is_plane:
+            declared_text = f"its OME metadata declare {size_words([*sizes.values()])} values"
+            held_text = f"the file has {n_pages} pages of {size_words(first.shape)}"
+            raise damaged(path, f"{declared_text}, {held_text}")
+    n_images = _imagej_images(tif)
+    if n_images > n_pages and first.dataoffsets and not describes_other_images(tif):
+        held_bytes = first.dataoffsets[0] + n_images * first.nbytes
+        file_bytes = tif.filehandle.size
+        if held_bytes > file_bytes or not first.is_contiguous:
+            held_text = f"the file has {n_pages} pages and {file_bytes} bytes"
+            raise damaged(path, f"{n_images} images are declared, {held_text}")
 
 
 def _imagej_images(tif: TiffFile) -> int:
@@ -247,10 +256,36 @@ def _declared_series(tif: TiffFile) -> list[TiffPageSeries]:
     return [TiffPageSeries([p], p.shape, p.dtype, p.axes, kind="uniform") for p in pages]
 
 
-def _check_data(series: TiffPageSeries, path: Path) -> None:  # noqa: C901, PLR0912
+def _check_data(series: TiffPageSeries, path: Path) -> None:
+    """Refuse a series whose layout is no number, or whose data are not all in the file."""
     file_bytes = size_of_file(path)
     frame = series.keyframe
-    for name in LAYOUT_NUMBERS:  # damaged tags may have any type
+    _check_layout(series, path)
+    pages = list(series)
+    if series.dataoffset is not None:
+        pages = [frame]
+        end_byte = series.dataoffset + series.nbytes
+        if end_byte > file_bytes:
+            raise damaged(path, f"the image ends at byte {end_byte}, the file has {file_bytes}")
+    elif len(pages) * math.prod(frame.shape) != series.size:
+        n_pixels = len(pages) * math.prod(frame.shape)
+        raise damaged(path, f"{series.size} pixels are declared, its pages hold {n_pixels}")
+    total_bytes = 0
+    for number, page in enumerate(pages, start=1):
+        if page is None:
+            raise FileError(
+                f"{path.name}: image {number} of {len(pages)} is declared but not in this file."
+                " Export all into one."
+            )
+        total_bytes += _checked_bytes(page, frame, number, path, file_bytes)
+    if frame.compression != 1:
+        check_blown_up(path, decoded_bytes=series.nbytes, stored_bytes=total_bytes)
+
+
+def _check_layout(series: TiffPageSeries, path: Path) -> None:
+    """Refuse pages whose layout is no number or that have no values; damaged tags have any type."""
+    frame = series.keyframe
+    for name in LAYOUT_NUMBERS:
         number: Any = getattr(frame, name)
         if not isinstance(number, int):
             raise damaged(path, f"its {name} is {str(number)[:40]!r}, which is no number")
@@ -258,52 +293,37 @@ def _check_data(series: TiffPageSeries, path: Path) -> None:  # noqa: C901, PLR0
         raise damaged(path, f"its image is {size_words(series.shape) or 'without extent'} pixels")
     if frame.bitspersample not in range(1, 65):
         raise damaged(path, f"its pixels have {frame.bitspersample} bits")
-    offset = series.dataoffset
-    pages: list[TiffPage | TiffFrame | None] = [frame] if offset is not None else list(series)
-    if offset is not None and offset + series.nbytes > file_bytes:
-        raise damaged(
-            path, f"the image ends at byte {offset + series.nbytes}, the file has {file_bytes}"
-        )
-    n_pixels = len(pages) * math.prod(frame.shape)
-    if n_pixels != series.size and offset is None:
-        raise damaged(path, f"{series.size} pixels are declared, its pages hold {n_pixels}")
+
+
+def _checked_bytes(
+    page: TiffPage | TiffFrame, frame: TiffPage, number: int, path: Path, file_bytes: int
+) -> int:
+    """Bytes of the strips or tiles of a page, all of which are in the file."""
     n_segments = math.prod(frame.chunked)
-    needed_bytes = 0
-    total_bytes = 0
-    # Bytes that the strips of a page must have.
-    if frame.compression == 1 and not frame.is_subsampled:
-        n_samples, n_planes = (
-            (frame.samplesperpixel, 1) if frame.planarconfig == 1 else (1, frame.samplesperpixel)
-        )
-        row_bytes = math.ceil(frame.imagewidth * frame.bitspersample * n_samples / 8)
-        needed_bytes = frame.imagelength * frame.imagedepth * n_planes * row_bytes
-    for number, page in enumerate(pages, start=1):
-        if page is None:
-            raise FileError(
-                f"{path.name}: image {number} of {len(pages)} is declared but not in this file."
-                " Export all into one."
-            )
-        offsets, byte_counts = page.dataoffsets, page.databytecounts
-        missing_text = f"data missing: page {number} has"
-        if min(len(offsets), len(byte_counts)) < n_segments:
+    missing_text = f"data missing: page {number} has"
+    n_complete = min(len(page.dataoffsets), len(page.databytecounts))
+    if n_complete < n_segments:
+        raise damaged(path, f"{missing_text} {n_complete} of {n_segments} strips or tiles")
+    for start, byte_count in zip(page.dataoffsets, page.databytecounts, strict=False):
+        if start == 0 or byte_count == 0:
+            raise damaged(path, f"{missing_text} an empty strip or tile")
+        end_byte = start + byte_count
+        if start < 8 or end_byte > file_bytes:
             raise damaged(
-                path,
-                f"{missing_text} {min(len(offsets), len(byte_counts))} of {n_segments} strips or"
-                " tiles",
+                path, f"data of page {number} end at byte {end_byte}, the file has {file_bytes}"
             )
-        for start, byte_count in zip(offsets, byte_counts, strict=False):
-            if start == 0 or byte_count == 0:
-                raise damaged(path, f"{missing_text} an empty strip or tile")
-            if start < 8 or start + byte_count > file_bytes:
-                end_byte = start + byte_count
-                raise damaged(
-                    path, f"data of page {number} end at byte {end_byte}, the file has {file_bytes}"
-                )
-        if sum(byte_counts) < needed_bytes:
-            raise damaged(path, f"{missing_text} {sum(byte_counts)} bytes of {needed_bytes}")
-        total_bytes += sum(byte_counts)
-    if frame.compression != 1:
-        check_blown_up(path, decoded_bytes=series.nbytes, stored_bytes=total_bytes)
+    stored_bytes = sum(page.databytecounts)
+    # Bytes that the strips of a page must have; samples lie in one plane or each in its own.
+    if frame.compression == 1 and not frame.is_subsampled:
+        rows = frame.imagelength * frame.imagedepth
+        row_samples = frame.samplesperpixel
+        if frame.planarconfig != 1:
+            rows *= frame.samplesperpixel
+            row_samples = 1
+        needed_bytes = rows * math.ceil(frame.imagewidth * frame.bitspersample * row_samples / 8)
+        if stored_bytes < needed_bytes:
+            raise damaged(path, f"{missing_text} {stored_bytes} bytes of {needed_bytes}")
+    return stored_bytes
 
 
 def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> NDArray[Any]:
@@ -357,6 +377,11 @@ def has_rgb(page: TiffPage) -> bool:
 def long_axes(series: TiffPageSeries) -> str:
     """Letters of y and x and of all other axes longer than 1."""
     return "".join(a for a, n in zip(series.axes, series.shape, strict=True) if n > 1 or a in "YX")
+
+
+def long_shape(series: TiffPageSeries) -> tuple[int, ...]:
+    """Lengths of these axes, of which others of length 1 may have the letter."""
+    return tuple(n for a, n in zip(series.axes, series.shape, strict=True) if n > 1 or a in "YX")
 
 
 def shape_words(series: TiffPageSeries) -> str:

@@ -35,6 +35,7 @@ from planish.io.tiff import (
     damaged,
     has_rgb,
     long_axes,
+    long_shape,
     map_or_decode,
     notes_on_reading,
     open_series,
@@ -58,17 +59,9 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
     with open_series(path, error=VolumeError, advice=ADVICE) as (tif, series):
         axes, notes = _volume_axes(series, path)
         page = series.keyframe
-        orientation = tag_orientation(page.tags.valueof(274, default=1))
         check_type(series.dtype, path)
-        if page.photometric == PHOTOMETRIC.PALETTE and not tif.is_imagej:
-            # A palette may only spread grey values over the range, in order.
-            palette = (
-                np.zeros((3, 2))
-                if page.colormap is None
-                else np.asarray(page.colormap).astype(np.int64)
-            )
-            if not (np.all(palette == palette[0]) and np.all(np.diff(palette[0]) > 0)):
-                raise VolumeError(f"{path.name} has a colour palette. {ADVICE}")
+        if page.photometric == PHOTOMETRIC.PALETTE and not (tif.is_imagej or _is_grey_ramp(page)):
+            raise VolumeError(f"{path.name} has a colour palette. {ADVICE}")
         change: Change | None = partial(grey_of, channel=channel) if "S" in axes else None
         if page.photometric == PHOTOMETRIC.MINISWHITE:
             change = partial(turn_white, path=path, bits=page.bitspersample)
@@ -79,58 +72,67 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
             files=[path],
             bits=int(page.bitspersample),
             notes=(*notes, *notes_on_reading(tif, page, path)),
-            orientations=[] if orientation is None else [orientation],
+            orientations=tag_orientation(page.tags.valueof(274)),
         )
+
+
+def _is_grey_ramp(page: TiffPage) -> bool:
+    """True if a palette only spreads grey values over the range, in order."""
+    if page.colormap is None:
+        return False
+    palette = np.asarray(page.colormap).astype(np.int64)
+    return bool(np.all(palette == palette[0]) and np.all(np.diff(palette[0]) > 0))
 
 
 def _series_values(
     series: TiffPageSeries, path: Path, axes: str, change: Change | None, limit_bytes: int
 ) -> Values:
-    frame = series.keyframe
-    # As long_axes: axes of length 1 may have the same letter as the slices.
-    shape = tuple(n for n, a in zip(series.shape, series.axes, strict=True) if n > 1 or a in "YX")
-    stored_dtype = series.dtype.newbyteorder(frame.parent.byteorder)
+    """Values of a stack: mapped, read page by page, or decoded at once where nothing else works."""
+    shape = long_shape(series)
+    stored_dtype = series.dtype.newbyteorder(series.keyframe.parent.byteorder)
     array: FileArray | None = None
     with reading(path):
         offset = series.dataoffset
-        pages = [page for page in series if page is not None] if offset is None else []
-        if offset is not None:
-            if change is None:
-                return mapped(path, shape, stored_dtype, offset=offset)
+        if offset is None:
+            array = _paged(series, path, shape, stored_dtype)
+        elif change is None:
+            return mapped(path, shape, stored_dtype, offset=offset)
+        else:
             array = stored_planes(path, shape, stored_dtype, offset=offset)
-        # One page for each slice, and one plane in each page.
-        elif (
-            1 in (frame.planarconfig, frame.samplesperpixel)
-            and frame.imagedepth == 1
-            and len(pages) == shape[0]
-        ):
-            if frame.is_final and all(map(_is_joined, pages)):
-                array = StoredArray(
-                    [(path, page.dataoffsets[0]) for page in pages], shape, stored_dtype
-                )
-            elif not frame.is_subsampled:
-                array = TiffPages(path, series)
-    if array is None or (
-        isinstance(array, TiffPages) and "S" not in axes and is_small(array, limit_bytes)
-    ):
-        values = map_or_decode(series, path, memory_bytes=limit_bytes).reshape(shape)
-        if change is None or "S" not in axes:
-            return values
-        check_memory(
-            path, needed_bytes=values.nbytes + math.prod(shape) // 3, limit_bytes=limit_bytes
-        )
-        return np.stack(
-            [change(np.moveaxis(plane, 0, -1) if axes[1] == "S" else plane) for plane in values]
-        )
-    axis_order = (0, 2, 3) if axes[1] == "S" else (0, 1, 2)
-    return array if change is None else ViewArray(array, axis_order, change)
+    if isinstance(array, TiffPages) and "S" not in axes and is_small(array, limit_bytes):
+        array = None
+    samples_first = axes[1] == "S"
+    if array is not None:
+        axis_order = (0, 2, 3) if samples_first else (0, 1, 2)
+        return array if change is None else ViewArray(array, axis_order, change)
+    values = map_or_decode(series, path, memory_bytes=limit_bytes).reshape(shape)
+    if change is None or "S" not in axes:
+        return values
+    needed_bytes = values.nbytes + math.prod(shape) // 3
+    check_memory(path, needed_bytes=needed_bytes, limit_bytes=limit_bytes)
+    if samples_first:
+        values = np.moveaxis(values, 1, -1)
+    return np.stack([change(plane) for plane in values])
+
+
+def _paged(
+    series: TiffPageSeries, path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any]
+) -> FileArray | None:
+    """An array of one page for each slice, with one plane in each; None where they are not so."""
+    frame = series.keyframe
+    pages = [page for page in series if page is not None]
+    has_one_plane = 1 in (frame.planarconfig, frame.samplesperpixel) and frame.imagedepth == 1
+    if not has_one_plane or len(pages) != shape[0]:
+        return None
+    if frame.is_final and all(map(_is_joined, pages)):
+        return StoredArray([(path, page.dataoffsets[0]) for page in pages], shape, stored_dtype)
+    return None if frame.is_subsampled else TiffPages(path, series)
 
 
 def _is_joined(page: TiffPage | TiffFrame) -> bool:
-    segment_ends = (
-        start + count for start, count in zip(page.dataoffsets, page.databytecounts, strict=False)
-    )
-    return all(end == start for end, start in zip(segment_ends, page.dataoffsets[1:], strict=False))
+    """True if the strips of a page lie one behind the other."""
+    ends = [start + n for start, n in zip(page.dataoffsets, page.databytecounts, strict=False)]
+    return ends[:-1] == list(page.dataoffsets[1:])
 
 
 def _volume_axes(series: TiffPageSeries, path: Path) -> tuple[str, tuple[str, ...]]:
@@ -139,36 +141,35 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> tuple[str, tuple[str, ..
     Slices, y and x, and the samples of a stack in colour.
     """
     axes = long_axes(series)
-    shape = shape_words(series)
-    axis_lengths = dict(zip(series.axes, series.shape, strict=True))
+    lengths = dict(zip(series.axes, series.shape, strict=True))
     grey_axes = axes.replace("S", "")
     # The samples of a pixel may be red, green and blue, with or without further ones.
-    is_rgb = axes.find("S") in (1, 3) and axis_lengths["S"] in (3, 4) and has_rgb(series.keyframe)
-    if (
-        len(grey_axes) == 3
-        and grey_axes[0] in SLICE_AXES
-        and grey_axes[1:] == "YX"
-        and (axes == grey_axes or is_rgb)
-    ):
-        return axes, ()
-    # Programs file a stack of unnamed pages as channels or time points.
-    is_like_slices = grey_axes[:1] == "T" or axis_lengths.get("C", 0) >= LEAST_SLICES
-    if grey_axes in ("TYX", "CYX") and is_like_slices and (axes == grey_axes or is_rgb):
-        letter = grey_axes[0].casefold()
-        return axes, (slices_note(axis_lengths[grey_axes[0]], letter),)
-    if further_axes := {a: n for a, n in axis_lengths.items() if n > 1 and a in MEANINGS}:
+    is_rgb = axes.find("S") in (1, 3) and lengths["S"] in (3, 4) and has_rgb(series.keyframe)
+    if len(grey_axes) == 3 and grey_axes[1:] == "YX" and (axes == grey_axes or is_rgb):
+        letter = grey_axes[0]
+        if letter in SLICE_AXES:
+            return axes, ()
+        # Programs file a stack of unnamed pages as channels or time points.
+        if letter == "T" or (letter == "C" and lengths["C"] >= LEAST_SLICES):
+            return axes, (slices_note(lengths[letter], letter.casefold()),)
+    raise VolumeError(f"{path.name} {_fault_of_axes(axes, lengths, shape_words(series))}")
+
+
+def _fault_of_axes(axes: str, lengths: dict[str, int], shape_text: str) -> str:
+    """Say why a series is no volume, and what to do."""
+    further_axes = {a: n for a, n in lengths.items() if n > 1 and a in MEANINGS}
+    if further_axes:
         content_text = " and ".join(f"{n} {MEANINGS[a]}" for a, n in further_axes.items())
-        hint_text = (
-            "If these are the slices, say so in the file (ImageJ: Image > Properties). Otherwise: "
-        )
-        hint_text = "" if "S" in further_axes or set(axes) & set(SLICE_AXES) else hint_text
-        raise VolumeError(f"{path.name} has {content_text}: {shape}. {hint_text}{ADVICE}")
+        hint_text = ""
+        if not set(axes) & {"S", *SLICE_AXES}:
+            hint_text = (
+                "If these are the slices, say so in the file (ImageJ: Image > Properties)."
+                " Otherwise: "
+            )
+        return f"has {content_text}: {shape_text}. {hint_text}{ADVICE}"
     if axes == "YX":
-        raise VolumeError(
-            f"{path.name} has one page, not a stack: {shape}. Give all slices, in one file or"
-            " folder."
-        )
-    raise VolumeError(f"{path.name} is not a volume with the axes z, y, x: {shape}. {ADVICE}")
+        return f"has one page, not a stack: {shape_text}. Give all slices, in one file or folder."
+    return f"is not a volume with the axes z, y, x: {shape_text}. {ADVICE}"
 
 
 class TiffPages(PagedArray):
@@ -176,20 +177,20 @@ class TiffPages(PagedArray):
 
     def __init__(self, path: Path, series: TiffPageSeries) -> None:
         key = series.keyframe
-        pages = [page for page in series if page is not None]
-        jpeg = key.compression in JPEG_COMPRESSIONS
-        tables = (
-            {"jpegtables": page.jpegtables, "jpegheader": key.jpegheader} if jpeg else {}
-            for page in pages
-        )
-        self._segments = [
-            (p.dataoffsets, p.databytecounts, t) for p, t in zip(pages, tables, strict=True)
-        ]
+        self._segments: list[tuple[Any, Any, dict[str, Any]]] = []
+        for page in filter(None, series):
+            tables = {}
+            if key.compression in JPEG_COMPRESSIONS:
+                tables = {"jpegtables": page.jpegtables, "jpegheader": key.jpegheader}
+            self._segments.append((page.dataoffsets, page.databytecounts, tables))
         self._decode: Any = key.decode
-        self._across = -(-key.imagewidth // key.tilewidth) if key.is_tiled else 1
-        strip_rows = key.tilelength if key.is_tiled else min(key.rowsperstrip, key.imagelength)
-        shape = (len(pages), *key.shape)
+        self._across = 1
+        strip_rows = min(key.rowsperstrip, key.imagelength)
+        if key.is_tiled:
+            self._across = -(-key.imagewidth // key.tilewidth)
+            strip_rows = key.tilelength
         dtype = np.dtype(key.dtype).newbyteorder("=")
+        shape = (len(self._segments), *key.shape)
         super().__init__(path, shape, dtype, strip_rows, self._decoded_rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -197,10 +198,12 @@ class TiffPages(PagedArray):
         return _open_pages, (self.path,)
 
     def _decoded_rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
+        """Rows of a page, which begin with a strip or a row of tiles."""
         values = np.empty((stop - start, *self.shape[2:]), self.dtype)
         pixels = values.reshape(*values.shape[:2], -1)
         offsets, byte_counts, tables = self._segments[page]
-        first_row, end_row = start // self.unit_rows, -(-stop // self.unit_rows)
+        first_row = start // self.unit_rows
+        end_row = -(-stop // self.unit_rows)
         with self.path.open("rb") as file:
             for index in range(first_row * self._across, end_row * self._across):
                 file.seek(offsets[index])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -98,10 +99,13 @@ def read_volume(
     from planish.core.arrays import check_path  # here, so that a look at a file waits for no xarray
     from planish.core.labelled import labelled
 
-    frame_attrs = Frame(through=through or "z", top=top or "high").lies() if through or top else {}
-    place = find_place(
-        check_path(path, "the path of a file", "pl.read_volume", "pl.volume(array, voxel_um=...)")
+    frame_attrs: Mapping[str, str] = {}
+    if through or top:
+        frame_attrs = Frame(through=through or "z", top=top or "high").lies()
+    path = check_path(
+        path, "the path of a file", "pl.read_volume", "pl.volume(array, voxel_um=...)"
     )
+    place = find_place(path)
     loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
     name = place.path.name
     size, source = agreed_size(
@@ -134,12 +138,13 @@ def open_volume(
     """Open a volume, with what its file says about its hand and what was assumed as attributes."""
     _check_contents(place)
     loaded = loader(format_of(place))(place, check_channel(channel), memory_bytes)
+    attrs: dict[str, Any] = {**loaded.attrs, **orientation_attrs(loaded.orientations)}
+    if loaded.doubts:
+        attrs["doubts"] = [*loaded.doubts]
     notes = [*loaded.notes, *orientation_notes(loaded.orientations)]
-    said: dict[str, Any] = {"doubts": [*loaded.doubts], "notes": notes}
-    attrs = {key: sentences for key, sentences in said.items() if sentences}
-    return loaded._replace(
-        attrs={**loaded.attrs, **orientation_attrs(loaded.orientations), **attrs}
-    )
+    if notes:
+        attrs["notes"] = notes
+    return loaded._replace(attrs=attrs)
 
 
 def _check_contents(place: Place) -> None:

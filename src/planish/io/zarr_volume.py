@@ -23,12 +23,12 @@ from planish.io.attributes import (
     stated_by_coordinates,
     word_of,
 )
-from planish.io.axes import AxisNames, place_axes
+from planish.io.axes import AxisNames, extended_axes, place_axes
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_type
 from planish.io.guard import reading
 from planish.io.hashes import missing_shards
 from planish.io.lazy import FileArray, transposed
-from planish.io.orientation import Orientation, orientation_by_words
+from planish.io.orientation import orientation_by_words
 from planish.io.shards import is_plain, read_plain
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
@@ -51,53 +51,38 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         raise VolumeError(
             f"{path.name}: {name or 'the store'} is no array. Choose one as {path.name}:NAME."
         )
-    shape = tuple(int(n) for n in array.shape)
+    shape = array.shape
     named = _named_axes(multiscale, array, path)
     placed = place_axes(shape, named.namings, path.name, channel_labels=_channel_labels(multiscale))
     # A store that planish wrote lists its shards, also those that hold one constant.
-    if lost := [shard for shard in missing_shards(path) if shard.startswith(f"{name}/")]:
+    lost_shards = [shard for shard in missing_shards(path) if shard.startswith(f"{name}/")]
+    if lost_shards:
         raise FileError(
-            f"{path.name} has lost {len(lost)} of its shards, first {lost[0]}; they would read as"
-            " zeros. Copy it or import the volume again."
+            f"{path.name} has lost {len(lost_shards)} of its shards, first {lost_shards[0]}; they"
+            " would read as zeros. Copy it or import the volume again."
         )
     files = [file for file in (path / name).rglob("*") if file.is_file()]
     with reading(path):
-        chunk = tuple(int(n) for n in array.shards or array.chunks)
-        doubts = check_chunks(_stored_chunks(path / name, files), shape, chunk, name=path.name)
-        check_type(np.dtype(array.dtype), path)
-        lazy = FileArray(
-            path,
-            shape,
-            np.dtype(array.dtype).newbyteorder("="),
-            partial(_read_part, path, name, shape),
-        )
-        lazy.chunks = tuple(int(n) for n in array.chunks)
+        positions = _stored_chunks(path / name, files)
+        doubts = check_chunks(positions, shape, array.shards or array.chunks, name=path.name)
+        dtype = np.dtype(array.dtype)
+        check_type(dtype, path)
+        read_part = partial(_read_part, path, name, shape)
+        lazy = FileArray(path, shape, dtype.newbyteorder("="), read_part)
+        lazy.chunks = array.chunks
         lazy.piece_bytes = math.prod(lazy.chunks) * lazy.dtype.itemsize
-    hand, imported_notes = _said_at_import(_group_attrs(path, name))
-    stated: list[Stated] = []
-    orientations = list[Orientation]()
+    group_attrs = _group_attrs(path, name)
+    hand, imported_notes = _said_at_import(group_attrs)
     if multiscale is None:
-        owners = (array.attrs, _group_attrs(path, name))
-        stated = [s for attrs in owners for s in sizes_by_attributes(attrs, shape, placed.order)]
         along = [_coordinates_along(path, name, named, axis, n) for axis, n in enumerate(shape)]
         by_coordinates, orientations = stated_by_coordinates(along, placed.order)
+        stated = sizes_by_attributes(array.attrs, shape, placed.order)
+        stated += sizes_by_attributes(group_attrs, shape, placed.order)
         stated += by_coordinates
     else:
-        # The scale transformations of the level and of the whole image.
-        scale = _scale_of(multiscale["datasets"][level], len(shape))
-        image_scale = _scale_of(multiscale, len(shape)) or [1.0] * len(shape)
-        stated = [
-            Stated(
-                "the OME-Zarr scale", (None, None, None), "the level has no scale transformation"
-            )
-        ]
-        if scale is not None:
-            voxel = [a * b for a, b in zip(scale, image_scale, strict=True)]
-            stated = [stated_in("the OME-Zarr scale", voxel, named.units, placed.order)]
-        by_words = orientation_by_words(
-            "the OME-Zarr axes", [named.directions[axis] for axis in placed.order]
-        )
-        orientations += [] if by_words is None else [by_words]
+        stated = [_stated_by_scale(multiscale, level, named.units, placed.order)]
+        words = [named.directions[axis] for axis in placed.order]
+        orientations = orientation_by_words("the OME-Zarr axes", words)
     return LoadedVolume(
         values=transposed(lazy, placed.order),
         stated=stated,
@@ -109,10 +94,28 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     )
 
 
+def _stated_by_scale(
+    multiscale: Keys, level: int, units: list[str], order: tuple[int, ...]
+) -> Stated:
+    """Voxel size by the scale transformations of the level and of the whole image."""
+    source = "the OME-Zarr scale"
+    scale = _scale_of(multiscale["datasets"][level], len(units))
+    if scale is None:
+        return Stated(source, (None, None, None), "the level has no scale transformation")
+    image_scale = _scale_of(multiscale, len(units)) or [1.0] * len(units)
+    lengths = [a * b for a, b in zip(scale, image_scale, strict=True)]
+    return stated_in(source, lengths, units, order)
+
+
+def _is_node(folder: Path) -> bool:
+    """True if a folder of a store has metadata of a group or an array."""
+    return any((folder / file).is_file() for file in METADATA)
+
+
 def _group_attrs(path: Path, name: str) -> Keys:
     """Attributes of the group in which an array lies; none where it lies in no group."""
     parent = name.rpartition("/")[0]
-    if not name or not any((path / parent / file).is_file() for file in METADATA):
+    if not name or not _is_node(path / parent):
         return {}
     with reading(path):
         return dict(_open_node(path, parent).attrs)
@@ -179,51 +182,51 @@ def _open_node(path: Path, name: str) -> Any:
 
 
 def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
+    """Name of the array that is read; and its multiscale image with its level, where it has one."""
     node = _open_node(path, name)
     if isinstance(node, zarr.Array):
-        parent, _, last = name.rpartition("/")
-        if name and any((path / parent / file).is_file() for file in (".zgroup", "zarr.json")):
-            multiscale = _multiscale_of(_open_node(path, parent), path)
-            names = (
-                []
-                if multiscale is None
-                else [_part_of(path, str(d.get("path"))) for d in multiscale["datasets"]]
-            )
-            if last in names:
-                return multiscale, names.index(last), name
-        return None, 0, name
+        return _level_of(path, name)
     multiscale = _multiscale_of(node, path)
     if multiscale is not None:
         first = _part_of(path, str(multiscale["datasets"][0].get("path", "")))
         return multiscale, 0, f"{name}/{first}".strip("/")
     with reading(path):
-        members = sorted(
-            c.name for c in (path / name).iterdir() if any((c / m).is_file() for m in METADATA)
-        )
+        members = sorted(folder.name for folder in (path / name).iterdir() if _is_node(folder))
     keys = _ome_keys(node, path)
     if "plate" in keys:
         raise VolumeError(
             f"{path.name} is a plate with images in many wells. Choose one as {path.name}:A/1/0."
         )
-    if "bioformats2raw.layout" in keys:
-        members = [member for member in members if member != "OME"]  # which holds no image
+    if "bioformats2raw.layout" in keys and "OME" in members:
+        members.remove("OME")  # which holds no image
     volumes = [member for member in members if _is_volume(path, f"{name}/{member}".strip("/"))]
     if len(members) == 1 or len(volumes) == 1:
         return _find_level(path, f"{name}/{(volumes or members)[0]}".strip("/"))
-    example = (
-        f" Choose one as {path.name}:{members[0]}." if members else " Export it again as OME-Zarr."
-    )
-    members_text = ", ".join(members[:8]) or "nothing"
-    node_text = name or "its root"
+    example = "Export it again as OME-Zarr."
+    if members:
+        example = f"Choose one as {path.name}:{members[0]}."
     raise VolumeError(
-        f"{path.name} has no multiscale image at {node_text}; it holds {members_text}.{example}"
+        f"{path.name} has no multiscale image at {name or 'its root'}; it holds"
+        f" {', '.join(members[:8]) or 'nothing'}. {example}"
     )
+
+
+def _level_of(path: Path, name: str) -> tuple[Keys | None, int, str]:
+    """Level of an array that was chosen by its name."""
+    parent, _, last = name.rpartition("/")
+    if name and _is_node(path / parent):
+        multiscale = _multiscale_of(_open_node(path, parent), path)
+        if multiscale is not None:
+            levels = [_part_of(path, str(level.get("path"))) for level in multiscale["datasets"]]
+            if last in levels:
+                return multiscale, levels.index(last), name
+    return None, 0, name
 
 
 def _is_volume(path: Path, name: str) -> bool:
     """True if a member of a group is an array with three axes longer than 1."""
     node = _open_node(path, name)
-    return isinstance(node, zarr.Array) and sum(n > 1 for n in node.shape) == 3
+    return isinstance(node, zarr.Array) and len(extended_axes(node.shape)) == 3
 
 
 def _ome_keys(group: Any, path: Path) -> Keys:
@@ -260,14 +263,17 @@ class NamedAxes(NamedTuple):
 
 
 def _named_axes(multiscale: Keys | None, array: Any, path: Path) -> NamedAxes:
+    """Names of the axes by OME, by the array's metadata and by its attributes."""
     count = len(array.shape)
     namings: list[AxisNames] = []
-    units, directions = [""] * count, [""] * count
+    units = [""] * count
+    directions = [""] * count
     if multiscale is not None:
         # Before version 0.3 the axes had no names, and were these.
-        axes: Any = multiscale.get("axes", "tczyx"[5 - count :] if count <= 5 else None)
-        entries = axes if isinstance(axes, (list, str)) else []
-        axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in entries]
+        entries: Any = multiscale.get("axes", "tczyx"[5 - count :] if count <= 5 else None)
+        if not isinstance(entries, (list, str)):
+            entries = ()
+        axes: Any = [axis if isinstance(axis, dict) else {"name": axis} for axis in entries]
         if len(axes) != count:
             raise damaged(path, f"it names {len(axes)} axes, its array has {count}")
         names = tuple(str(axis.get("name", "")) for axis in axes)
@@ -305,8 +311,7 @@ def _coordinates_along(
     for naming in named.namings:
         axis_name = naming.names[axis]
         beside = f"{group_name}/{axis_name}".strip("/")
-        has_name = re.fullmatch(r"\w+", axis_name) is not None
-        if not has_name or not any((path / beside / file).is_file() for file in METADATA):
+        if not re.fullmatch(r"\w+", axis_name) or not _is_node(path / beside):
             continue
         node = _open_node(path, beside)
         if isinstance(node, zarr.Array) and node.shape == (count,) and node.dtype.kind in "uif":
@@ -333,20 +338,10 @@ def _scale_of(owner: Keys, count: int) -> list[float] | None:
 def _stored_chunks(folder: Path, files: list[Path]) -> Iterator[tuple[int, ...]]:
     for file in files:
         # ``c/0/1/2``, ``c.0.1.2``, ``0/1/2`` or ``0.1.2``
-        index_words = (
-            file.relative_to(folder)
-            .as_posix()
-            .removeprefix("c")
-            .strip("/.")
-            .replace("/", ".")
-            .split(".")
-        )
-        if (
-            file.name not in METADATA
-            and not file.name.startswith(".")
-            and all(map(str.isdecimal, index_words))
-        ):
-            yield tuple(int(number) for number in index_words)
+        key = file.relative_to(folder).as_posix().removeprefix("c").strip("/.")
+        words = key.replace("/", ".").split(".")
+        if file.name[0] != "." and all(map(str.isdecimal, words)):
+            yield tuple(map(int, words))
 
 
 def _check_blosc(array: Any, where: Where, folder: Path, path: Path) -> None:
