@@ -6,7 +6,6 @@ import json
 import shutil
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import meshio
 import numpy as np
@@ -20,7 +19,7 @@ from exports.contents import files_of
 from folders import bytes_of, refused
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.grid import Grid, values_at
-from planish.exports import FORMATS, ExportParams, formats_table, ome_zarr, writer_of
+from planish.exports import FORMATS, ExportParams, ome_zarr, writer_of
 from planish.io import map_store, write_tree
 from planish.run import open_run
 
@@ -530,8 +529,3 @@ def test_the_command_reports_what_it_made(passes, refuses, linked_run, tmp_path)
     refuses(
         "export", linked_run, *png, words="holds one map, and 25 are asked for", code=2, out=False
     )
-
-
-def test_the_table_of_the_documents_is_that_of_the_program():
-    text = (Path(__file__).resolve().parents[1] / "docs" / "export.md").read_text(encoding="utf-8")
-    assert formats_table() in text, "run: python3 run.py docs"

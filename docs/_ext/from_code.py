@@ -27,6 +27,9 @@ import message_pages
 import words
 from public_names import ROOT
 
+from planish.core.parameter_words import in_terminal_words
+from planish.exports import formats_table
+from planish.io.other_files import OTHER_KINDS
 from planish.measure import registered
 
 _BLOCK = re.compile(r"^```\{(\w+)\}[ ]*([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -85,12 +88,24 @@ def properties_table() -> str:
     return "\n".join(rows)
 
 
+def other_kinds_table() -> str:
+    """Return what planish does not read, how it is recognised, and what to take instead."""
+    rows = ["| It is | By the name | Take |", "|---|---|---|"]
+    for kind in OTHER_KINDS:
+        name = kind.name.partition(" ")[2].replace("|", "\\|")
+        suffixes = " ".join(f"`{suffix}`" for suffix in kind.ends)
+        rows.append(f"| {name} | {suffixes} | {in_terminal_words(kind.way)} |")
+    return "\n".join(rows)
+
+
 _MAKERS: dict[str, Callable[[str, str], str]] = {
     "public": lambda package, _: api_pages.package_page(package),
     "root": _root,
     "study": lambda _, __: fields.study_page(),
     "results": lambda _, __: fields.results_page(),
     "properties": lambda _, __: properties_table(),
+    "exports": lambda _, __: formats_table(),
+    "otherkinds": lambda _, __: other_kinds_table(),
     "messages": lambda _, patterns: message_pages.family(patterns),
 }
 

@@ -1,6 +1,6 @@
 """Pages that the program writes.
 
-Commands, options of properties, formats of exports, and schema of the results.
+Commands, options of properties, and schema of the results.
 
 ``python docs/_ext/program_pages.py`` puts them into the docs folder of the checkout, the schema
 also into the package.
@@ -15,9 +15,6 @@ import click
 from pydantic import BaseModel
 
 from planish.cli.main import planish
-from planish.core.parameter_words import in_terminal_words
-from planish.exports import formats_table
-from planish.io.other_files import OTHER_KINDS
 from planish.measure.params import MeasureParams
 from planish.results import Results
 from planish.series_results import SeriesResults
@@ -59,23 +56,9 @@ def with_options(text: str) -> str:
         if field.annotation is float:
             default = f"{field.default:g}"
         rows.append(f"| `{name}` | {default} | {field.description} |")
-    return _with_section(text, "Options", "\n".join(rows) + "\n")
-
-
-def with_other_kinds(text: str) -> str:
-    """Return the text of docs/formats.md with the table of what planish does not read."""
-    rows = ["| It is | By the name | Take |", "|---|---|---|"]
-    for kind in OTHER_KINDS:
-        name = kind.name.partition(" ")[2].replace("|", "\\|")
-        suffixes = " ".join(f"`{suffix}`" for suffix in kind.ends)
-        rows.append(f"| {name} | {suffixes} | {in_terminal_words(kind.way)} |")
-    return _with_section(text, "What planish does not read", "\n".join(rows) + "\n")
-
-
-def _with_section(text: str, title: str, content: str) -> str:
-    """Put a section of a page in the place of the old one."""
-    before, after = text.split(f"## {title}\n", 1)
-    return f"{before}## {title}\n\n{content}\n## " + after.split("\n## ", 1)[1]
+    before, after = text.split("## Options\n", 1)
+    table = "\n".join(rows)
+    return f"{before}## Options\n\n{table}\n\n## " + after.split("\n## ", 1)[1]
 
 
 def schema(results: type[BaseModel]) -> str:
@@ -87,15 +70,10 @@ def main() -> None:
     """Write them all."""
     docs = Path(__file__).resolve().parents[1]
     package = docs.parent / "src" / "planish"
-    properties, exports, formats = (
-        (docs / name).read_text(encoding="utf-8")
-        for name in ("properties.md", "export.md", "formats.md")
-    )
+    properties = (docs / "properties.md").read_text(encoding="utf-8")
     for path, text in (
         (docs / "cli.md", page()),
         (docs / "properties.md", with_options(properties)),
-        (docs / "export.md", _with_section(exports, "All formats", formats_table())),
-        (docs / "formats.md", with_other_kinds(formats)),
         (docs / "results.schema.json", schema(Results)),
         (docs / "series.schema.json", schema(SeriesResults)),
         (package / "core" / "results.schema.json", schema(Results)),
