@@ -30,6 +30,7 @@ from public_names import ROOT
 from planish.core.parameter_words import in_terminal_words
 from planish.exports import formats_table
 from planish.io.other_files import OTHER_KINDS
+from planish.marks.exchange import formats as files_of_marks
 from planish.measure import registered
 
 _BLOCK = re.compile(r"^```\{(\w+)\}[ ]*([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -105,6 +106,7 @@ _MAKERS: dict[str, Callable[[str, str], str]] = {
     "results": lambda _, __: fields.results_page(),
     "properties": lambda _, __: properties_table(),
     "exports": lambda _, __: formats_table(),
+    "marksfiles": lambda _, __: files_of_marks.formats_table(),
     "otherkinds": lambda _, __: other_kinds_table(),
     "messages": lambda _, patterns: message_pages.family(patterns),
 }

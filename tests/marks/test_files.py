@@ -3,6 +3,7 @@
 import struct
 from pathlib import Path
 
+import from_code
 import numpy as np
 import pytest
 import xarray as xr
@@ -215,7 +216,7 @@ def test_the_page_has_the_formats_of_the_table_and_its_example_is_read(put):
     page = (Path(__file__).resolve().parents[2] / "docs" / "marks-files.md").read_text(
         encoding="utf-8"
     )
-    assert formats_table() in page
+    assert formats_table() in from_code.expand(page)
     marks = read_any(put(page.split("```json\n")[1].split("```")[0]))
     assert marks.label.values.tolist() == ["hole 1", "hole 2"]
     assert marks.attrs["layers"]["moving"]["size_px"] == {"x": 1200, "y": 1000}
