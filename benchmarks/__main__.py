@@ -33,6 +33,7 @@ _ALL = (
     "errors",
     "gains",
     "evidence",
+    "explain",
     "uneven",
     "even_light",
     "scanner",

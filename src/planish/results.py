@@ -15,6 +15,7 @@ from pydantic.json_schema import SkipJsonSchema
 
 from planish.analyze.compare import ComparisonRow, CorrelationRow
 from planish.analyze.correlation_evidence import EvidenceFacts
+from planish.analyze.explain import Explained
 from planish.analyze.image_values import ImageFacts
 from planish.analyze.lag import LagNumbers
 from planish.analyze.mottle import Mottle
@@ -334,6 +335,8 @@ class Results(ResultModel):
         default=(), description="Unevenness of the image by octaves of wavelength."
     )
     refinement: RefinementFacts | None = optional("Where the registration was refined by the maps.")
+    explained: Explained | None = optional("The model that the study declares.")
+    explain_reason: str = Field(default="", description="Why there is no such model.")
     checks: tuple[Check, ...] = Field(description="Every check with its state.")
     parameters: dict[str, Any] = Field(
         description="Every parameter of the study; paths are left out."

@@ -123,11 +123,11 @@ def test_standard_error_of_a_pixel_beside_drawn_fields():
     drawn /= drawn.std()
     for wide in (3, 6, 12):
         means = drawn.reshape(1200 // wide, wide, 1200 // wide, wide).mean(axis=(1, 3))
-        stated = maps._mean_se(
+        stated = maps.se_of_mean(
             np.ones(1), {"patch_um2": 2 * np.pi * sigma**2 * 4.0, "common_um": 0.0}, wide * 2.0
         )
         assert means.std() == pytest.approx(float(stated[0]), rel=0.06)
-    common = maps._mean_se(np.ones(1), {"patch_um2": 4.0, "common_um": 0.6}, 1e4)
+    common = maps.se_of_mean(np.ones(1), {"patch_um2": 4.0, "common_um": 0.6}, 1e4)
     assert float(common[0]) == pytest.approx(0.6, rel=1e-3)
 
 

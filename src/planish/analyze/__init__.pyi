@@ -34,6 +34,8 @@ from .differences import Difference as Difference
 from .differences import difference_of as difference_of
 from .differences import holm as holm
 from .differences import paired_difference as paired_difference
+from .explain import Coefficient as Coefficient
+from .explain import Explained as Explained
 from .image_values import SCREEN_REACH as SCREEN_REACH
 from .image_values import SCREEN_SIGMA as SCREEN_SIGMA
 from .image_values import SCREEN_SIGMA_UM as SCREEN_SIGMA_UM
@@ -55,10 +57,13 @@ from .mottle import Mottle as Mottle
 from .mottle import MottleBand as MottleBand
 from .mottle import mottle_of as mottle_of
 from .mottle import print_mottle as print_mottle
+from .multiple_regression import Regression as Regression
+from .multiple_regression import regress as regress
 from .octaves import Band as Band
 from .octaves import Coherence as Coherence
 from .octaves import coherence as coherence
 from .params import CorrelateParams as CorrelateParams
+from .params import ExplainParams as ExplainParams
 from .pooled import difference_of_pooled_r as difference_of_pooled_r
 from .pooled import pooled_r as pooled_r
 from .pooled import random_effects as random_effects
@@ -77,6 +82,7 @@ from .robustness import commonality as commonality
 from .robustness import of_short_waves as of_short_waves
 from .robustness import origins as origins
 from .robustness import partial as partial
+from .shared_errors import covariance_of_errors as covariance_of_errors
 from .sheet_columns import SheetColumns as SheetColumns
 from .sheets import Fields as Fields
 from .sheets import RandomEffects as RandomEffects

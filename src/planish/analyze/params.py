@@ -76,3 +76,30 @@ class CorrelateParams(Params):
     thin_um: float = option(
         5.0, gt=0, cli=None, help="Coating thickness in um below which the page outlines it."
     )
+
+
+class ExplainParams(Params):
+    """A model that is declared before it is run: which maps explain which."""
+
+    response: str = option("image", metavar="MAP", help="Map that is explained.")
+    of: Names = option(
+        (),
+        metavar="MAP",
+        help="Maps that explain it, as coating_top,base_surface_top; a map of labels is a factor.",
+    )
+    cell_um: float = option(100.0, gt=0, help="Edge of the cells over which maps are averaged.")
+    corrected: bool = option(
+        False,
+        help=(
+            "Take the stated errors of the maps off, so that coefficients are those of maps without"
+            " errors; maps that meet at a surface share its error."
+        ),
+    )
+    factors: str | None = option(
+        None,
+        metavar="FILE",
+        help=(
+            "Named regions whose share of a cell explains as well: polygons in GeoJSON, in um of"
+            " the reference, or selections of ImageJ, in its pixels."
+        ),
+    )

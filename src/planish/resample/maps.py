@@ -131,7 +131,7 @@ def _as_stored(
     maps = _with_angles(maps, similarity)
     for name in errors:
         maps[name] = maps[name].copy(
-            data=_mean_se(maps[name].values, surfaces[name].attrs, pixel_um)
+            data=se_of_mean(maps[name].values, surfaces[name].attrs, pixel_um)
         )
     # Geometry stays double.
     float32_names = [
@@ -239,7 +239,7 @@ def _variable_names(surfaces: xr.Dataset) -> Names:
     )
 
 
-def _mean_se(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
+def se_of_mean(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
     """Give the standard error of the mean over a pixel of columns.
 
     The errors of the columns have a Gaussian autocorrelation.

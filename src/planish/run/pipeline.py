@@ -9,6 +9,7 @@ from pathlib import Path
 
 from planish.run.compare import compare_layers
 from planish.run.compute import Compute, Progress, silent
+from planish.run.explain import with_declared_model
 from planish.run.judging import judge_link, judge_sheet
 from planish.run.mapping import map_layers
 from planish.run.overlay import overlay_layers, take_light_off
@@ -66,6 +67,7 @@ def run_study(
                 run = judge_link(study, overlay, comparison, inputs.holes)
             else:
                 run = judge_sheet(study, layers[0])
+            run = with_declared_model(run)
         return write_run(
             run,
             work.out,

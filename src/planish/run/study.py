@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import tomli_w
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from planish.analyze.params import CorrelateParams
+from planish.analyze.params import CorrelateParams, ExplainParams
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
 from planish.core.options import Params, option, words_in
@@ -78,7 +78,7 @@ MAP_SECTIONS, LINK_SECTIONS = (
 )
 """Sections of the mapping of a volume, and of a link."""
 
-_PATHS = {"path", "run", "marks", "design", "regions", "corrections", "white", "dark"}
+_PATHS = {"path", "run", "marks", "design", "regions", "corrections", "white", "dark", "factors"}
 
 
 class GivenLayer(Params):
@@ -149,6 +149,10 @@ class Study(Params):
     holes: HoleParams = HoleParams()
     registration: RegistrationParams = RegistrationParams()
     correlate: CorrelateParams = CorrelateParams()
+    explain: ExplainParams | None = Field(
+        default=None,
+        description="Which maps explain another one: a model that is declared before it is run.",
+    )
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

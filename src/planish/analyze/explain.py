@@ -1,0 +1,542 @@
+"""How much of a property each of several maps explains, on cells of a stated size.
+
+A multiple regression whose errors know that cells are neighbours, and what stands beside it: other
+cell sizes, ranks, a covariance of residuals as weights, errors that predictors share.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Annotated, Any
+
+import numpy as np
+import xarray as xr
+from pydantic import Field
+from pydantic.json_schema import SkipJsonSchema
+
+from planish.analyze.cells import CellColumn, columns_of, means_over_cells
+from planish.analyze.correlation import LEAST_CLAIMED
+from planish.analyze.differences import holm
+from planish.analyze.distributions import ranks
+from planish.analyze.generalised_least_squares import ExponentialCovariance, weighed_regression
+from planish.analyze.multiple_regression import Regression, out_of_sample_r2, regress
+from planish.analyze.shared_errors import covariance_of_errors, sharings_of
+from planish.analyze.variograms import Variogram, variogram_of
+from planish.core.bands import Rows
+from planish.core.errors import CannotMeasure, InputError, SizeError
+from planish.core.facts import Interval, ResultModel, Trust, Value, optional
+from planish.core.text import and_join
+from planish.core.typing import Floats, Pair
+from planish.measure.registry import NEGATIVE_CONTROLS, SUMS, shared_parts
+from planish.texture.covariance import Lags
+
+COLLINEAR = 10.0
+"""Variance inflation from which the field calls predictors collinear."""
+
+_IS_SUM = 1e6  # variance inflation that no two measured maps reach: a thousandth of sd is left
+_SIZES = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the curve, in declared cells
+_LEFT = 3.0  # ranges after which a twentieth of an exponential covariance is left
+_CORRELOGRAM_POINTS = 40
+
+
+class Coefficient(ResultModel):
+    """What one predictor adds, the others held."""
+
+    standardised: Value = Field(
+        description="Standard deviations of the response per standard deviation of the predictor."
+    )
+    interval: Interval = optional("95 % interval of the standardised coefficient.")
+    plain: Value = Field(description="Units of the response per unit of the predictor.")
+    plain_interval: Interval = optional("95 % interval of the plain coefficient.")
+    units: str = Field(default="1", description="Unit of the predictor.")
+    standard_error: Value = optional("Of the standardised coefficient.")
+    n_eff: Value = optional("Independent cells for this coefficient.")
+    p: Value = optional("Of the test that the true one is 0.")
+    p_of_set: Value = optional("The same after Holm, over all predictors.")
+    vif: Value = optional("Variance inflation: how much the other predictors widen the interval.")
+    unique: Value = optional("Share of the response's variance that it alone explains.")
+    rank: Value = optional("The standardised coefficient over the ranks of all maps.")
+    rank_interval: Interval = optional("Its 95 % interval.")
+    weighed: Value = optional(
+        "The standardised coefficient by generalised least squares, with the covariance of the"
+        " residuals as weights."
+    )
+    by_errors: Value = optional(
+        "What the stated errors of the maps add to the standardised coefficient; it is taken off"
+        " where the model is corrected."
+    )
+
+    @property
+    def direction(self) -> int:
+        """1 or -1 where the interval excludes 0, else 0."""
+        low, high = self.interval
+        return int(low > 0) - int(high < 0)
+
+
+class SharedError(ResultModel):
+    """Two predictors whose errors go together, as they meet at one surface."""
+
+    a: str = Field(description="First map.")
+    b: str = Field(description="Second map.")
+    surface: str = Field(description="Where they meet.")
+    correlation: Value = Field(description="Of their errors.")
+
+
+class SharedPart(ResultModel):
+    """Two maps of a model that contain the same map by construction."""
+
+    a: str = Field(description="First map.")
+    b: str = Field(description="Second map.")
+    parts: tuple[str, ...] = Field(description="The largest maps that both contain.")
+
+
+class CellSizeRow(ResultModel):
+    """The model over cells of one size."""
+
+    cell_um: float = Field(description="Edge of a cell.")
+    declared: bool = Field(description="Whether it is the size of the model.")
+    n: int = Field(description="Cells.")
+    n_eff: Value = optional("Independent cells.")
+    r2: Value = optional("Share of the variance that is explained.")
+    standardised: dict[str, Value] = Field(default={}, description="Coefficients by predictor.")
+    intervals: dict[str, Interval] = Field(default={}, description="Their 95 % intervals.")
+    reason: str = Field(default="", description="Why there is no model of that size.")
+
+
+class Explained(ResultModel):
+    """A response explained by several maps, on cells of one size."""
+
+    response: str = Field(description="Map that is explained.")
+    units: str = Field(default="1", description="Its unit.")
+    of: tuple[str, ...] = Field(description="Maps that explain it.")
+    cell_um: float = Field(description="Edge of a cell.")
+    corrected: bool = Field(
+        default=False, description="Whether the stated errors of the maps were taken off."
+    )
+    declared: bool | None = optional(
+        "Whether the study of the run declared this model before it was run; none without a study."
+    )
+    n: int = Field(description="Cells with a value in all maps. Neighbours resemble each other.")
+    n_eff: Value = Field(description="Independent cells, of the coefficient with the fewest.")
+    r2: Value = Field(description="Share of the variance that all predictors explain together.")
+    r2_out: Value = optional("The same of blocks that the model was not fitted to.")
+    block_um: Value = optional("Width of these blocks, beyond the reach of the residuals.")
+    residual_range_um: Value = optional(
+        "Distance at which the covariance of the residuals has fallen to 1/e."
+    )
+    intercept: Value = Field(description="Of the plain model.")
+    shared: Value = optional("Share of the variance that the predictors explain only together.")
+    coefficients: dict[str, Coefficient] = Field(description="By predictor.")
+    sizes: tuple[CellSizeRow, ...] = Field(default=(), description="The same over other cells.")
+    correlogram_um: tuple[float, ...] = Field(
+        default=(), description="Distances of the residuals' correlogram."
+    )
+    correlogram: tuple[Value, ...] = Field(
+        default=(), description="Correlation of residuals at these distances."
+    )
+    shared_errors: tuple[SharedError, ...] = Field(
+        default=(), description="Predictors whose errors go together."
+    )
+    shared_parts: tuple[SharedPart, ...] = Field(
+        default=(), description="Maps of the model that contain the same map."
+    )
+    controls: tuple[str, ...] = Field(
+        default=(), description="Predictors that are no property of the sheet: negative controls."
+    )
+    trust: Trust = Field(default="ok", description="What the checks of the run leave of it.")
+    reason: str = Field(default="", description="Why a number is missing.")
+    #: Dataset (y, x): means over cells, residual, and each predictor freed of the others.
+    cells: Annotated[SkipJsonSchema[Any], Field(exclude=True)] = None
+
+    @property
+    def strongest(self) -> list[str]:
+        """Predictors by the size of their standardised coefficients, the largest first."""
+        return sorted(self.coefficients, key=lambda k: -abs(self.coefficients[k].standardised))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ModelMaps:
+    """The maps of a model on one grid, and what is known of their errors."""
+
+    response: xr.DataArray
+    predictors: Mapping[str, xr.DataArray]
+    masks: Sequence[Rows] = ()
+    pixel_um: Pair
+    origin_um: Pair = (0.0, 0.0)  # (y, x) of the middle of the first pixel
+    #: Standard errors of the means over a cell, of maps and surfaces; by name.
+    errors: Mapping[str, float] = field(default_factory=dict[str, float])
+    #: All maps of the sheet, by which parts that maps share are named.
+    sheet: xr.Dataset = field(default_factory=xr.Dataset)
+
+
+def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) -> Explained:
+    """Explain a map by others, on cells of one size.
+
+    Raises
+    ------
+    InputError
+        If a predictor is a sum of others, or the response of all of them.
+    SizeError
+        If a cell is smaller than a pixel.
+    CannotMeasure
+        If there are fewer than 10 independent cells for each coefficient, a map is constant, or the
+        stated errors are as large as the maps' own variation.
+    """
+    if not max(maps.pixel_um) * (1 - 1e-9) <= cell_um < math.inf:
+        raise SizeError(
+            f"A cell of {cell_um:g} um is smaller than a pixel of {max(maps.pixel_um):g} um. Give"
+            " larger cells."
+        )
+    predictor_columns: list[CellColumn] = []
+    for name, values in maps.predictors.items():
+        predictor_columns += columns_of(name, values)
+    response_name = str(maps.response.name)
+    columns = [CellColumn(name=response_name, values=maps.response), *predictor_columns]
+    sizes_um = [cell_um * share for share in _SIZES if cell_um * share >= max(maps.pixel_um)]
+    cells_by_size = means_over_cells(columns, maps.masks, pixel_um=maps.pixel_um, sizes_um=sizes_um)
+    models = dict(zip(sizes_um, cells_by_size, strict=True))
+    declared_cells = _Cells.of(columns, models.pop(cell_um), cell_um)
+    refuse_sums(declared_cells)
+    names = declared_cells.names
+    errors = covariance_of_errors([*names, response_name], maps.errors)
+    has_errors = bool(errors.any())
+    if corrected and not has_errors:
+        raise InputError(
+            "No map of this model has a stated error, so nothing can be corrected. Take maps with"
+            " a standard error (NAME_se), or leave `corrected` out."
+        )
+    model = _bearable(declared_cells, errors if corrected else None)
+    explained = _stated(declared_cells, model, maps)
+    rows = [_size_row(_Cells.of(columns, cells, size_um)) for size_um, cells in models.items()]
+    rows.append(_declared_row(explained))
+    other_model = None
+    if has_errors:
+        other_model = _other_model(declared_cells, None if corrected else errors)
+    coefficients = _with_errors(explained.coefficients, model, other_model, corrected=corrected)
+    coefficients = _with_ranks(coefficients, declared_cells)
+    return explained.model_copy(
+        update={
+            "corrected": corrected,
+            "coefficients": _with_weights(coefficients, declared_cells, model, explained),
+            "sizes": tuple(sorted(rows, key=lambda row: row.cell_um)),
+            "shared_errors": tuple(
+                SharedError(**sharing._asdict()) for sharing in sharings_of(names, errors[:-1, :-1])
+            ),
+        }
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Cells:
+    """Means over cells of one size."""
+
+    columns: Sequence[CellColumn]  # the response first
+    maps: Sequence[Floats]
+    cell_um: float
+    lags: Lags
+
+    @classmethod
+    def of(cls, columns: Sequence[CellColumn], maps: Sequence[Floats], cell_um: float) -> _Cells:
+        is_valid = np.isfinite(maps[0])
+        return cls(
+            columns=columns, maps=maps, cell_um=cell_um, lags=Lags(is_valid, (cell_um, cell_um))
+        )
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the predictors."""
+        return [column.name for column in self.columns[1:]]
+
+    @property
+    def fault(self) -> str:
+        """Why there can be no model; empty where there can."""
+        least = LEAST_CLAIMED * len(self.names)
+        if self.lags.n < least:
+            return (
+                f"{self.lags.n} cells of {self.cell_um:g} um have a value in all maps;"
+                f" {least:.0f} are needed for {len(self.names)} coefficients."
+            )
+        for column, values in zip(self.columns, self.maps, strict=True):
+            if not np.ptp(values[self.lags.is_valid]) > 0:
+                return f"{column.name} is the same in all {self.lags.n} cells."
+        return ""
+
+    def fit(self, errors: Floats | None = None) -> Regression:
+        """The model over these cells; CannotMeasure where there can be none."""
+        if self.fault:
+            raise CannotMeasure(f"{self.fault} Look at the masks, or give smaller cells.")
+        return regress(self.maps[0], self.maps[1:], self.lags, errors)
+
+    def ranked(self) -> _Cells:
+        """The same with ranks in the place of all quantities; shares of a factor stay."""
+        is_valid = self.lags.is_valid
+        ranked_maps: list[Floats] = []
+        for column, values in zip(self.columns, self.maps, strict=True):
+            if column.is_factor:
+                ranked_maps.append(values)
+                continue
+            placed = np.full(values.shape, np.nan)
+            placed[is_valid] = ranks(values[is_valid])
+            ranked_maps.append(placed)
+        return replace(self, maps=ranked_maps)
+
+
+def refuse_sums(cells: _Cells) -> None:
+    """Raise InputError where a predictor is a sum of others; the message names it."""
+    if cells.fault:
+        return
+    is_valid, names = cells.lags.is_valid, cells.names
+    columns = np.stack([m[is_valid] for m in cells.maps[1:]], axis=1)
+    columns = (columns - columns.mean(axis=0)) / columns.std(axis=0)
+    response = cells.maps[0][is_valid] - cells.maps[0][is_valid].mean()
+    order = sorted(range(len(names)), key=lambda k: names[k] not in {row[0] for row in SUMS})
+    for index in order:
+        others = [k for k in range(len(names)) if k != index]
+        weights = np.linalg.lstsq(columns[:, others], columns[:, index], rcond=None)[0]
+        left = columns[:, index] - columns[:, others] @ weights
+        if float(left @ left) * _IS_SUM > left.size:
+            continue
+        parts = [names[k] for k, w in zip(others, weights, strict=True) if abs(w) > 1e-3]
+        raise InputError(
+            f"{names[index]} is a sum of {and_join(parts)}: beside them its coefficient means"
+            f" nothing. Leave {names[index]}, or one of its parts, out."
+        )
+    left = response - columns @ np.linalg.lstsq(columns, response, rcond=None)[0]
+    if float(left @ left) * _IS_SUM <= float(response @ response):
+        raise InputError(
+            f"{cells.columns[0].name} is a sum of {and_join(names)}: there is nothing to explain."
+            " Leave one of the parts out, or take another response."
+        )
+
+
+def _bearable(cells: _Cells, errors: Floats | None) -> Regression:
+    """The model, where there are enough independent cells for its coefficients."""
+    model = cells.fit(errors)
+    k = len(cells.names)
+    fewest = int(np.argmin(np.nan_to_num(model.n_eff)))
+    n_eff = float(model.n_eff[fewest])
+    if n_eff >= LEAST_CLAIMED * k:
+        return model
+    factor = LEAST_CLAIMED * k / max(n_eff, 1.0)
+    help_text = f"a field of {factor:.1f} times the area"
+    if k > 1:
+        help_text += f", or a model without {cells.names[fewest]}, whose waves are longest"
+    raise CannotMeasure(
+        f"{max(n_eff, 0):.0f} independent cells for {k} coefficients: a model needs"
+        f" {LEAST_CLAIMED:.0f} for each. What would help: {help_text}. Several specimens in a"
+        " series bear it together."
+    )
+
+
+def _stated(cells: _Cells, model: Regression, maps: ModelMaps) -> Explained:
+    p_values = [model.p(index) for index in range(len(cells.names))]
+    coefficients = {
+        name: Coefficient(
+            standardised=float(model.standardised[index]),
+            interval=model.interval(index, standardised=True),
+            plain=float(model.plain[index]),
+            plain_interval=model.interval(index, standardised=False),
+            units=column.units,
+            standard_error=float(model.standard_errors[index] * model.scale[index]),
+            n_eff=float(model.n_eff[index]),
+            p=p_values[index],
+            p_of_set=p_of_set,
+            vif=float(model.vif[index]),
+            unique=float(model.unique[index]),
+        )
+        for index, (name, column, p_of_set) in enumerate(
+            zip(cells.names, cells.columns[1:], holm(p_values), strict=True)
+        )
+    }
+    response = cells.columns[0]
+    explained = Explained(
+        response=response.name,
+        units=response.units,
+        of=tuple(maps.predictors),
+        cell_um=cells.cell_um,
+        n=cells.lags.n,
+        n_eff=float(model.n_eff.min()),
+        r2=model.r2,
+        intercept=model.intercept,
+        shared=model.r2 - float(model.unique.sum()),
+        coefficients=coefficients,
+        shared_parts=_parts_in_common([*maps.predictors], maps.sheet),
+        controls=tuple(name for name in maps.predictors if _bare(name) in NEGATIVE_CONTROLS),
+        cells=_dataset(cells, model, maps),
+    )
+    return explained.model_copy(update=_of_residuals(cells, model))
+
+
+def _of_residuals(cells: _Cells, model: Regression) -> dict[str, Any]:
+    """How far residuals reach, and how well blocks wider than that are predicted."""
+    try:
+        curve = variogram_of(model.residuals, cells.lags, None)
+    except CannotMeasure as fault:
+        return {"reason": f"No R2 out of sample: {fault.text}"}
+    range_um = curve.range_um if math.isfinite(curve.range_um) else 0.0
+    block_um = max(_LEFT * range_um, cells.cell_um)
+    r2_out = out_of_sample_r2(cells.maps[0], cells.maps[1:], cells.lags, block_um=block_um)
+    reason = ""
+    if math.isnan(r2_out):
+        reason = (
+            f"No R2 out of sample: the field holds no 2 x 2 blocks of {block_um:.0f} um, beyond"
+            " which residuals are independent."
+        )
+    count = len(curve.values)
+    chosen = np.unique(np.geomspace(1, count, _CORRELOGRAM_POINTS).round().astype(np.intp)) - 1
+    return {
+        "r2_out": r2_out,
+        "block_um": block_um,
+        "residual_range_um": curve.range_um,
+        "correlogram_um": tuple(curve.distances_um[k] for k in chosen),
+        "correlogram": tuple(1 - curve.values[k] / curve.sill for k in chosen),
+        "reason": reason,
+    }
+
+
+def _size_row(cells: _Cells) -> CellSizeRow:
+    row = CellSizeRow(cell_um=cells.cell_um, declared=False, n=cells.lags.n)
+    try:
+        model = _bearable(cells, None)
+    except CannotMeasure as fault:
+        return row.model_copy(update={"reason": fault.text})
+    intervals = {
+        name: model.interval(index, standardised=True) for index, name in enumerate(cells.names)
+    }
+    return row.model_copy(
+        update={
+            "n_eff": float(model.n_eff.min()),
+            "r2": model.r2,
+            "standardised": dict(zip(cells.names, model.standardised.tolist(), strict=True)),
+            "intervals": intervals,
+        }
+    )
+
+
+def _declared_row(explained: Explained) -> CellSizeRow:
+    coefficients = explained.coefficients
+    return CellSizeRow(
+        cell_um=explained.cell_um,
+        declared=True,
+        n=explained.n,
+        n_eff=explained.n_eff,
+        r2=explained.r2,
+        standardised={name: c.standardised for name, c in coefficients.items()},
+        intervals={name: c.interval for name, c in coefficients.items()},
+    )
+
+
+def _other_model(cells: _Cells, errors: Floats | None) -> Regression | None:
+    """The model with the stated errors taken off, or with them left in."""
+    try:
+        return cells.fit(errors)
+    except CannotMeasure:
+        return None
+
+
+def _with_errors(
+    coefficients: Mapping[str, Coefficient],
+    model: Regression,
+    other_model: Regression | None,
+    *,
+    corrected: bool,
+) -> dict[str, Coefficient]:
+    """State what the errors of the maps add to each coefficient."""
+    if other_model is None:
+        return dict(coefficients)
+    difference = model.standardised - other_model.standardised
+    by_errors = -difference if corrected else difference
+    return {
+        name: coefficient.model_copy(update={"by_errors": float(added)})
+        for (name, coefficient), added in zip(coefficients.items(), by_errors, strict=True)
+    }
+
+
+def _with_ranks(coefficients: Mapping[str, Coefficient], cells: _Cells) -> dict[str, Coefficient]:
+    model = cells.ranked().fit()
+    return {
+        name: coefficient.model_copy(
+            update={
+                "rank": float(model.standardised[index]),
+                "rank_interval": model.interval(index, standardised=True),
+            }
+        )
+        for index, (name, coefficient) in enumerate(coefficients.items())
+    }
+
+
+def _with_weights(
+    coefficients: Mapping[str, Coefficient],
+    cells: _Cells,
+    model: Regression,
+    explained: Explained,
+) -> dict[str, Coefficient]:
+    """The coefficients that generalised least squares give, as a second opinion."""
+    covariance = covariance_of_residuals(model.residuals, cells.lags)
+    if covariance is None or explained.corrected:
+        return dict(coefficients)
+    try:
+        weighed = weighed_regression(
+            cells.maps[0], cells.maps[1:], cells.lags.is_valid, cells.lags.pixel_um, covariance
+        )
+    except CannotMeasure:
+        return dict(coefficients)
+    standardised = weighed.plain * model.scale
+    return {
+        name: coefficient.model_copy(update={"weighed": float(value)})
+        for (name, coefficient), value in zip(coefficients.items(), standardised, strict=True)
+    }
+
+
+def covariance_of_residuals(residuals: Floats, lags: Lags) -> ExponentialCovariance | None:
+    """Read an exponential covariance off residuals; None where the field is too small for one."""
+    try:
+        curve: Variogram = variogram_of(residuals, lags, None)
+    except CannotMeasure:
+        return None
+    shared = curve.sill - curve.nugget
+    if not (shared > 0 and math.isfinite(curve.range_um)):
+        return ExponentialCovariance(shared=0.0, nugget=curve.sill, range_um=max(lags.pixel_um))
+    return ExponentialCovariance(shared=shared, nugget=curve.nugget, range_um=curve.range_um)
+
+
+def _parts_in_common(names: Sequence[str], sheet: xr.Dataset) -> tuple[SharedPart, ...]:
+    shared: list[SharedPart] = []
+    for a, b in combinations(names, 2):
+        if parts := shared_parts(_bare(a), _bare(b), sheet):
+            shared.append(SharedPart(a=a, b=b, parts=parts))
+    return tuple(shared)
+
+
+def _bare(name: str) -> str:
+    """Name of a map without that of its layer."""
+    return name.rpartition(".")[2]
+
+
+def _dataset(cells: _Cells, model: Regression, maps: ModelMaps) -> xr.Dataset:
+    """The cells of a model, as they go into a table and into figures."""
+    is_valid = cells.lags.is_valid
+    arrays = {
+        column.name: ((("y", "x")), values, {"units": column.units})
+        for column, values in zip(cells.columns, cells.maps, strict=True)
+    }
+    response = cells.columns[0]
+    residuals = np.where(is_valid, model.residuals, np.nan)
+    arrays["residual"] = (("y", "x"), residuals, {"units": response.units})
+    for column, freed in zip(cells.columns[1:], model.freed, strict=True):
+        values = np.where(is_valid, freed, np.nan)
+        arrays[f"{column.name} freed"] = (("y", "x"), values, {"units": column.units})
+    coords = {
+        axis: (
+            axis,
+            first_um + cells.cell_um * (np.arange(count) + 0.5) - 0.5 * pixel_um,
+            {"units": "um"},
+        )
+        for axis, first_um, count, pixel_um in zip(
+            ("y", "x"), maps.origin_um, is_valid.shape, maps.pixel_um, strict=True
+        )
+    }
+    return xr.Dataset(arrays, coords=coords)

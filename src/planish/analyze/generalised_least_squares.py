@@ -1,0 +1,118 @@
+"""Least squares that weigh cells by the covariance of the residuals, which is never written out.
+
+A product with the covariance of a stationary field is a convolution (FFT), and its inverse is
+applied by conjugate gradients: memory grows with the cells, not with their square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+from scipy.sparse import linalg
+
+from planish.core.errors import CannotMeasure
+from planish.core.typing import Bools, Floats, Pair
+
+_ACCURACY = 1e-12
+_MOST_STEPS = 2000
+_LEAST_POWER = 1e-6  # of the largest: the preconditioner divides by no less
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ExponentialCovariance:
+    """Covariance that falls exponentially with the distance, and a nugget at distance 0."""
+
+    shared: float  # variance that neighbours share
+    nugget: float  # variance that they do not
+    range_um: float  # distance at which the shared covariance has fallen to 1/e
+
+    def __call__(self, distance_um: Floats) -> Floats:
+        """Covariance at some distances."""
+        return self.shared * np.exp(-distance_um / self.range_um) + self.nugget * (distance_um == 0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WeighedRegression:
+    """Generalised least squares of a response on k predictors and a constant."""
+
+    plain: Floats  # (k,)
+    standard_errors: Floats  # (k,), with the variance of the residuals as they are
+
+
+def weighed_regression(
+    response: Floats,
+    predictors: Sequence[Floats],
+    is_valid: Bools,
+    pixel_um: Pair,
+    covariance: ExponentialCovariance,
+) -> WeighedRegression:
+    """Explain a response by predictors with the weights that a covariance of residuals gives.
+
+    Raises
+    ------
+    CannotMeasure
+        If conjugate gradients do not converge.
+
+    References
+    ----------
+    Aitken (1936), Proc. Roy. Soc. Edinb. 55, 42, doi:10.1017/S0370164600014346.
+    """
+    solve = _Inverse(is_valid, pixel_um, covariance)
+    values = np.stack([m[is_valid] for m in predictors], axis=1)
+    spread = values.std(axis=0)
+    n, k = values.shape
+    x = np.concatenate([np.ones((n, 1)), (values - values.mean(axis=0)) / spread], axis=1)
+    y = response[is_valid]
+    weighed = np.stack([solve(column) for column in x.T], axis=1)
+    inverse = np.linalg.inv(x.T @ weighed)
+    coefficients = inverse @ (weighed.T @ y)
+    residuals = y - x @ coefficients
+    variance = float(residuals @ solve(residuals)) / (n - k - 1)
+    errors = np.sqrt(variance * np.diag(inverse))
+    return WeighedRegression(plain=coefficients[1:] / spread, standard_errors=errors[1:] / spread)
+
+
+class _Inverse:
+    """Inverse of the covariance of the cells of a mask, as it acts on values there."""
+
+    def __init__(self, is_valid: Bools, pixel_um: Pair, covariance: ExponentialCovariance) -> None:
+        self._is_valid = is_valid
+        self._size = [fft.next_fast_len(2 * count, real=True) for count in is_valid.shape]
+        lag_um = [
+            fft.fftfreq(count, 1.0 / count) * size
+            for count, size in zip(self._size, pixel_um, strict=True)
+        ]
+        distance_um = np.hypot(lag_um[0][:, None], lag_um[1])
+        self._power = np.asarray(fft.rfft2(covariance(distance_um))).real
+        least = _LEAST_POWER * float(self._power.max())
+        n = int(np.count_nonzero(is_valid))
+        self._product = linalg.LinearOperator((n, n), self._convolved(self._power), dtype=float)
+        self._guess = linalg.LinearOperator(
+            (n, n), self._convolved(1 / np.maximum(self._power, least)), dtype=float
+        )
+
+    def __call__(self, values: Floats) -> Floats:
+        """Apply the inverse; CannotMeasure where it is not found."""
+        solution, fault = linalg.cg(
+            self._product, values, rtol=_ACCURACY, maxiter=_MOST_STEPS, M=self._guess
+        )
+        if fault:
+            raise CannotMeasure(
+                f"Generalised least squares did not converge in {_MOST_STEPS} steps: the"
+                " residuals are too smooth for the cells. Give larger cells."
+            )
+        return np.asarray(solution)
+
+    def _convolved(self, power: Floats):
+        rows, cols = self._is_valid.shape
+
+        def convolve(values: Floats) -> Floats:
+            placed = np.zeros(self._size)
+            placed[:rows, :cols][self._is_valid] = np.ravel(values)
+            product = fft.irfft2(fft.rfft2(placed) * power, self._size)
+            return np.asarray(product)[:rows, :cols][self._is_valid]
+
+        return convolve

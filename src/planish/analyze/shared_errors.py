@@ -1,0 +1,97 @@
+"""Errors that maps share: two thicknesses that meet at one surface share its error.
+
+A coating is thinner by what the base is thicker where their interface was found too high. From the
+stated errors of the maps follow those of the surfaces, and from these the covariances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from planish.core.typing import Floats
+from planish.measure.registry import HEIGHTS, LENGTHS
+
+_EVEN = 1e-6
+"""Weight by which errors of surfaces that nothing tells apart are taken alike."""
+
+
+class Sharing(NamedTuple):
+    """Two maps whose errors go together."""
+
+    a: str
+    b: str
+    surface: str
+    correlation: float  # of their errors
+
+
+def _signs_of_surfaces() -> dict[str, dict[str, float]]:
+    """With which sign the height of each surface enters each map."""
+    signs = {
+        name: dict(zip(ends, (1.0, -1.0), strict=True))
+        for name, ends in LENGTHS.items()
+    }
+    for name, surface in HEIGHTS.items():
+        signs[name] = {surface: 1.0 if name.endswith("_top") else -1.0}
+    for surfaces in signs.values():
+        surfaces.pop("centre", None)  # a smooth surface, whose error is that of both faces' mean
+    return signs
+
+
+SIGNS = _signs_of_surfaces()
+SURFACES = ("top", "interface_top", "interface_bottom", "bottom")
+
+
+def covariance_of_errors(names: Sequence[str], stated: Mapping[str, float]) -> Floats:
+    """Give the covariance of the errors of some maps, (names, names).
+
+    Parameters
+    ----------
+    names : sequence of str
+    stated : mapping of str to float
+        Standard errors of maps, of these and of others, and of surfaces, such as ``interface_top``.
+        A map whose error neither is stated nor follows from that of surfaces counts as exact.
+
+    Notes
+    -----
+    The variance of each map's error is the sum of those of its two surfaces. The variances of the
+    surfaces are those of non-negative least squares; where the stated errors leave several, the
+    most even ones.
+    """
+    variances = _variances_of_surfaces(stated)
+    signs = np.zeros((len(names), len(SURFACES)))
+    for row, name in zip(signs, names, strict=True):
+        for surface, sign in SIGNS.get(name, {}).items():
+            row[SURFACES.index(surface)] = sign
+    covariance = signs * variances @ signs.T
+    for index, name in enumerate(names):
+        if name in stated:
+            covariance[index, index] = stated[name] ** 2
+    return covariance
+
+
+def _variances_of_surfaces(stated: Mapping[str, float]) -> Floats:
+    equations, squares = [*(_EVEN * np.eye(len(SURFACES)))], [0.0] * len(SURFACES)
+    for name, error in stated.items():
+        surfaces = [name] if name in SURFACES else [*SIGNS.get(name, {})]
+        if surfaces:
+            equations.append(np.array([float(surface in surfaces) for surface in SURFACES]))
+            squares.append(error**2)
+    return optimize.nnls(np.array(equations), np.array(squares))[0]
+
+
+def sharings_of(names: Sequence[str], covariance: Floats) -> tuple[Sharing, ...]:
+    """Name the pairs of maps whose errors go together, with the surface that they share."""
+    sharings: list[Sharing] = []
+    for index, a in enumerate(names):
+        for other in range(index):
+            b, error = names[other], float(covariance[index, other])
+            if error == 0:
+                continue
+            surface = next(s for s in SIGNS[a] if s in SIGNS[b])
+            scale = float(np.sqrt(covariance[index, index] * covariance[other, other]))
+            sharings.append(Sharing(b, a, surface, error / scale))
+    return tuple(sharings)

@@ -1,0 +1,259 @@
+"""Explain a map of a run, or of a Dataset, by others: which maps these are, and their errors."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish.analyze.explain import Explained, ModelMaps, explain_maps
+from planish.analyze.params import ExplainParams
+from planish.core.arrays import check_dataset
+from planish.core.bands import thinned
+from planish.core.checks import CORRELATION, POSITION, trust_of
+from planish.core.errors import InputError, PlanishError
+from planish.core.grid import Grid
+from planish.core.text import and_join
+from planish.core.typing import Pair
+from planish.marks.regions import read_regions
+from planish.resample.maps import se_of_mean
+from planish.run.overlay import LINKED
+from planish.run.regions import regions_on
+from planish.run.run import Run
+
+EXPLAINED = "explained"
+"""Group of a run with the residuals of the model that its study declares."""
+
+_NO_PROPERTY = re.compile("valid$|status$|[uv]$|volume_|projected_|presence|.*_se$")
+"""Maps that say where and how sure, and are named in no list of choices."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _NamedMap:
+    """A map that a model can name, and the layer and group that it is of."""
+
+    values: xr.DataArray
+    layer: str
+    group: xr.Dataset
+
+
+def explain_dataset(data: xr.Dataset, params: ExplainParams) -> Explained:
+    """Explain a map of a Dataset on one grid by others; errors as of :func:`explain_run`."""
+    check_model(params)
+    check_dataset(
+        data,
+        expected="maps on one grid",
+        call_format="pl.explain({})",
+        source="pl.resample_maps(...)",
+    )
+    maps = {str(name): _NamedMap(values=m, layer="", group=data) for name, m in data.items()}
+    return explain_maps(
+        _model_maps(params, maps, _errors_in(data, params.cell_um)),
+        cell_um=params.cell_um,
+        corrected=params.corrected,
+    )
+
+
+def explain_run(run: Run, params: ExplainParams) -> Explained:
+    """Explain a map of a run by others of it, on its pixels.
+
+    Raises
+    ------
+    InputError, SizeError, CannotMeasure
+        As :func:`planish.analyze.explain.explain_maps`; if the run has no such map.
+    """
+    check_model(params)
+    maps = _maps_of(run)
+    layers = {_named(maps, name).layer for name in (params.response, *params.of)}
+    errors: dict[str, float] = {}
+    for layer in sorted(layers):
+        errors |= _errors_of_sheet(run, layer, params.cell_um)
+    explained = explain_maps(
+        _model_maps(params, maps, errors), cell_um=params.cell_um, corrected=params.corrected
+    )
+    names = [_named(maps, name).values.name for name in (params.response, *params.of)]
+    figures = [*map(str, names), *((POSITION, CORRELATION) if run.results.is_link else ())]
+    return explained.model_copy(
+        update={
+            "trust": trust_of(run.results.checks, layers, figures),
+            "declared": is_declared(run, params),
+        }
+    )
+
+
+def check_model(params: ExplainParams) -> None:
+    """Raise InputError where a model names no map that explains, or one map twice."""
+    names = [params.response, *params.of]
+    if not params.of and params.factors is None:
+        raise InputError("No map is given that explains the response. Name one or more with `of`.")
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError(f"{and_join(twice)} is given twice. Name each map of a model once.")
+
+
+def is_declared(run: Run, params: ExplainParams) -> bool | None:
+    """Whether the study declared this very model; None where it declares none."""
+    declared = run.study.explain
+    return None if declared is None else declared == params
+
+
+def with_declared_model(run: Run) -> Run:
+    """The same run with the model that its study declares, and its residuals as a map.
+
+    Where there can be none the run stands, and its results say why.
+    """
+    params = run.study.explain
+    if params is None:
+        return run
+    try:
+        explained = explain_run(run, params)
+    except PlanishError as fault:
+        results = run.results.model_copy(update={"explain_reason": fault.text})
+        return replace(run, results=results)
+    response = _named(_maps_of(run), params.response)
+    residual = residual_map(explained, response.values)
+    results = run.results.model_copy(update={"explained": explained})
+    groups = {**run.groups, EXPLAINED: xr.Dataset({"residual": residual})}
+    return replace(run, results=results, groups=groups)
+
+
+def residual_map(explained: Explained, like: xr.DataArray) -> xr.DataArray:
+    """Residuals of a model on the pixels of a map: each pixel has that of its cell."""
+    rows, cols = (
+        np.floor((np.arange(count) + 0.5) * pixel_um / explained.cell_um).astype(np.intp)
+        for count, pixel_um in zip(like.shape, Grid.of(like).pixel_um, strict=True)
+    )
+    values = explained.cells["residual"].values
+    padded = np.pad(values, ((0, 1), (0, 1)), constant_values=np.nan)  # the incomplete last cells
+    return xr.DataArray(
+        padded[np.ix_(rows, cols)].astype(np.float32),
+        dims=like.dims,
+        coords={dim: like[dim] for dim in like.dims},
+        attrs={
+            "units": explained.units,
+            "long_name": f"What the model leaves of {explained.response.replace('_', ' ')}",
+        },
+    )
+
+
+def _maps_of(run: Run) -> dict[str, _NamedMap]:
+    """All maps of a run by name; by LAYER.MAP, and by MAP where one layer has it."""
+    layers = run.results.layers
+    if LINKED in run.groups:
+        image = run.results.reference.name
+        return {
+            str(name): _NamedMap(
+                values=values,
+                layer=image if name == "image" else layers[0].name,
+                group=run.groups[LINKED],
+            )
+            for name, values in run.groups[LINKED].items()
+        }
+    if not run.layers:
+        group = run.groups["maps"]
+        return {
+            str(name): _NamedMap(values=values, layer=layers[0].name, group=group)
+            for name, values in group.items()
+        }
+    maps: dict[str, _NamedMap] = {}
+    counts: dict[str, int] = {}
+    for layer, group in run.layers.items():
+        for name, values in group.items():
+            maps[f"{layer}.{name}"] = _NamedMap(values=values, layer=layer, group=group)
+            counts[str(name)] = counts.get(str(name), 0) + 1
+    for key in [*maps]:
+        name = key.partition(".")[2]
+        if counts[name] == 1:
+            maps[name] = maps[key]
+    return maps
+
+
+def _named(maps: Mapping[str, _NamedMap], name: str) -> _NamedMap:
+    if name in maps:
+        return maps[name]
+    shown = [key for key in maps if not _NO_PROPERTY.match(key.rpartition(".")[2])]
+    raise InputError(f"There is no map {name!r}. There are {', '.join(shown)}.")
+
+
+def _model_maps(
+    params: ExplainParams, maps: Mapping[str, _NamedMap], errors: Mapping[str, float]
+) -> ModelMaps:
+    """The maps of a model, the masks of all groups that they are of, and regions as factors."""
+    response = _named(maps, params.response)
+    predictors = {name: _named(maps, name) for name in params.of}
+    groups = {id(m.group): m.group for m in (response, *predictors.values())}
+    masks = [group["valid"] for group in groups.values() if "valid" in group]
+    grid = Grid.of(response.values)
+    for name, predictor in predictors.items():
+        if predictor.values.dims != response.values.dims or predictor.values.shape != grid.shape:
+            raise InputError(
+                f"{name} has {predictor.values.shape} pixels, {params.response} has {grid.shape}."
+                " Give maps on one grid (planish.resample_maps)."
+            )
+    values = {name: predictor.values for name, predictor in predictors.items()}
+    return ModelMaps(
+        response=response.values.rename(params.response),
+        predictors=values | _factors(params, response.values, grid),
+        masks=masks,
+        pixel_um=grid.pixel_um,
+        origin_um=(grid.origin_um[1], grid.origin_um[0]),
+        errors=errors,
+        sheet=next((m.group for m in predictors.values()), xr.Dataset()),
+    )
+
+
+def _factors(params: ExplainParams, like: xr.DataArray, grid: Grid) -> dict[str, xr.DataArray]:
+    """The named regions of a file as maps of truth values."""
+    if params.factors is None:
+        return {}
+    regions = regions_on(read_regions(params.factors), grid, params.factors)
+    masks: dict[str, xr.DataArray] = {}
+    for number, region in enumerate(regions.declared, 1):
+        window, inside = region.inside(grid)
+        values = np.zeros(grid.shape, dtype=bool)
+        values[window] = inside
+        name = region.name or f"region {number}"
+        masks[name] = xr.DataArray(values, dims=like.dims)
+    return masks
+
+
+def _errors_of_sheet(run: Run, layer: str, cell_um: float) -> dict[str, float]:
+    """Standard errors of the means of a sheet's maps over cells, as its surfaces state them."""
+    group = next(
+        (name for name in (f"layers/{layer}/surfaces", "surfaces") if name in run.groups), None
+    )
+    if group is None or run.results.layer(layer).sheet is None:
+        return {}
+    return _errors_in(run.groups[group], cell_um)
+
+
+def _errors_in(data: xr.Dataset, cell_um: float) -> dict[str, float]:
+    """Standard errors over cells of all maps and surfaces of a Dataset that it states."""
+    pixel_um = Grid.of(data).pixel_um
+    errors = {
+        str(name).removesuffix("_se"): _error_of_cells(values, cell_um, pixel_um)
+        for name, values in data.items()
+        if str(name).endswith("_se")
+    }
+    return {name: error for name, error in errors.items() if math.isfinite(error)}
+
+
+def _error_of_cells(standard_errors: xr.DataArray, cell_um: float, pixel_um: Pair) -> float:
+    """Standard error of the mean over a cell, from those of pixels.
+
+    Where a map does not state the area that one value speaks for, pixels count as independent.
+    """
+    attrs: dict[str, Any] = standard_errors.attrs
+    values = np.asarray(thinned(standard_errors)[1][0], dtype=np.float64)
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return math.nan
+    if "patch_um2" in attrs:
+        means = se_of_mean(known, attrs, cell_um)
+        return float(np.sqrt(np.mean(means**2)))
+    pixels = cell_um**2 / (pixel_um[0] * pixel_um[1])
+    return float(np.sqrt(np.mean(known**2) / max(pixels, 1.0)))
