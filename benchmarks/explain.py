@@ -2,17 +2,18 @@
 
 ``python -m benchmarks explain [SETS [FIRST]]``
 
-Sets of 2 to 4 predictors on 3 x 3 mm (maps of 25 um, cells of 50 um), correlated up to .8, of ranges
-(1/e lengths) of 1/30 to 1/8 of the side, exponential or Gaussian, with up to 8 holes; true
-standardised coefficients from 0 to .6. Intervals have to hold .93 to .97 of all, and in each part of
-the design .95 less .02 less two binomial standard errors; coefficients of 0 are called other than 0
-in at most .065; the R2 out of sample lies within .03 of the true one in the median. Beside it what a
-plain regression on pixels says. Then predictors that share the error of their interface, ranks,
-agreement with statsmodels, and the cost on 4000 x 3000 pixels. 1 where a limit is missed.
+Sets of 2 to 4 predictors on 3 x 3 mm (maps of 25 um, cells of 50 um), correlated up to .8, of
+ranges (1/e lengths) of 1/30 to 1/8 of the side, exponential or Gaussian, with up to 8 holes; true
+standardised coefficients from 0 to .6. Intervals have to hold .93 to .97 of all, and in each part
+of the design .95 less .02 less two binomial standard errors; coefficients of 0 are called other
+than 0 in at most .065; the R2 out of sample lies within .03 of the true one in the median. Beside
+it what a plain regression on pixels says. Then predictors that share the error of their interface,
+ranks, agreement with statsmodels, and the cost on 4000 x 3000 pixels. 1 where a limit is missed.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 import time
@@ -66,8 +67,8 @@ def drawn(number):
     r2 = float(true @ between @ true)
     if r2 > 0.9:
         true, r2 = true * math.sqrt(0.9 / r2), 0.9
-    maps["y"] = sum(b * m for b, m in zip(true, maps.values(), strict=True))
-    maps["y"] = maps["y"] + math.sqrt(1 - r2) * field(rng, shape, ranges[-1], kind)[0]
+    maps["seen"] = sum(b * m for b, m in zip(true, maps.values(), strict=True))
+    maps["seen"] = maps["seen"] + math.sqrt(1 - r2) * field(rng, shape, ranges[-1], kind)[0]
     rows, cols = np.indices(shape)
     valid = np.ones(shape, dtype=bool)
     for _ in range(int(rng.integers(0, 9))):
@@ -79,9 +80,9 @@ def drawn(number):
 
 def naive_hits(maps, names, true):
     """Whether intervals of a plain regression on pixels hold the true coefficients."""
-    valid = np.isfinite(maps["y"].values)
+    valid = np.isfinite(maps["seen"].values)
     x = np.stack([np.ones(valid.sum()), *(maps[k].values[valid] for k in names)], axis=1)
-    y = maps["y"].values[valid]
+    y = maps["seen"].values[valid]
     inverse = np.linalg.inv(x.T @ x)
     found = inverse @ (x.T @ y)
     errors = np.sqrt(np.diag(inverse) * np.sum((y - x @ found) ** 2) / (y.size - x.shape[1]))
@@ -94,7 +95,7 @@ def sets(count, first):
     for number in range(first, first + count):
         maps, names, true, r2, design = drawn(number)
         try:
-            model = pl.explain(maps, response="y", of=names, cell_um=_CELL_UM)
+            model = pl.explain(maps, response="seen", of=names, cell_um=_CELL_UM)
         except CannotMeasure:
             refused += 1
             continue
@@ -121,15 +122,16 @@ def judged(table, off, refused, count):
     called = table[zero, 3].mean()
     print(
         f"{count} sets, {refused} refused (fewer than 10 independent cells a coefficient);"
-        f" {len(table)} intervals hold {held.mean():.3f} (of population {table[:, 1].mean():.3f});"
-        f" of {zero.sum()} zeros called other {called:.3f}; half width {table[:, 5].mean() / 2:.3f};"
-        f" on pixels a plain regression holds {table[:, 4].mean():.3f}",
+        f" {len(table)} intervals hold {held.mean():.3f} (standardised {table[:, 1].mean():.3f});"
+        f" of {zero.sum()} zeros {called:.3f} called other than 0; half width"
+        f" {table[:, 5].mean() / 2:.3f}; on pixels a plain regression holds"
+        f" {table[:, 4].mean():.3f}",
         flush=True,
     )
     is_missed = not 0.93 <= held.mean() <= 0.97 or called > 0.065
     parts = [(f"{k:.0f} predictors", table[:, 6] == k) for k in (2, 3, 4)]
     parts += [(f"correlated {r:g}", table[:, 7] == r) for r in _CORRELATIONS]
-    for low, high in zip(_PARTS, _PARTS[1:], strict=False):
+    for low, high in itertools.pairwise(_PARTS):
         is_in = (table[:, 8] >= low) & (table[:, 8] < high)
         parts.append((f"longest range 1/{1 / high:.0f} to 1/{1 / low:.0f}", is_in))
     for name, is_in in parts:
@@ -153,17 +155,18 @@ def with_shared_error(number, error_um):
     # White from pixel to pixel: a cell of 2 x 2 pixels has half of it.
     shift = error_um * 2.0 * rng.normal(size=shape)
     error = np.full(shape, error_um * 2.0)
-    maps = {"y": y, "coating_top": coating - shift, "base_thickness": base + shift}
+    maps = {"seen": y, "coating_top": coating - shift, "base_thickness": base + shift}
     for name in ("coating_top", "base_thickness", "interface_top"):
         maps[f"{name}_se"] = error
     names = ["coating_top", "base_thickness"]
     plain, corrected = (
-        pl.explain(as_maps(maps), response="y", of=names, cell_um=_CELL_UM, corrected=c)
+        pl.explain(as_maps(maps), response="seen", of=names, cell_um=_CELL_UM, corrected=c)
         for c in (False, True)
     )
-    found, put_right = (np.array([m.coefficients[k].plain for k in names]) for m in (plain, corrected))
-    scale = [plain.coefficients[k].plain / plain.coefficients[k].standardised for k in names]
-    said = np.array([plain.coefficients[k].by_errors for k in names]) * scale
+    found, put_right = (
+        np.array([m.coefficients[k].plain for k in names]) for m in (plain, corrected)
+    )
+    said = np.array([plain.coefficients[k].by_errors for k in names])
     held = [
         m.coefficients[k].plain_interval[0] <= b <= m.coefficients[k].plain_interval[1]
         for m in (corrected,)
@@ -177,13 +180,16 @@ def shared_errors(count):
     is_missed = False
     for error_um in (1.0, 2.0):
         rows = [with_shared_error(number, error_um) for number in range(count)]
-        true, found, put_right, said, held = (np.array(m, dtype=float) for m in zip(*rows, strict=True))
+        true, found, put_right, said, held = (
+            np.array(m, dtype=float) for m in zip(*rows, strict=True)
+        )
         left = np.median(put_right / true - 1, axis=0)
         added, stated = np.median(found - true, axis=0), np.median(said, axis=0)
         print(
             f"interface error {error_um:g} um, {count} sets: coating and base are off by"
             f" {added[0]:+.3f}, {added[1]:+.3f}; said {stated[0]:+.3f}, {stated[1]:+.3f}; corrected"
-            f" off by {100 * left[0]:+.1f} %, {100 * left[1]:+.1f} %; intervals hold {held.mean():.3f}",
+            f" off by {100 * left[0]:+.1f} %, {100 * left[1]:+.1f} %; intervals hold"
+            f" {held.mean():.3f}",
             flush=True,
         )
         is_missed |= bool((np.abs(left) > 0.1).any())
@@ -198,7 +204,7 @@ def agreements():
 
     maps, names, *_ = drawn(1)
     maps = maps.isel(y=slice(0, 40), x=slice(0, 44))
-    lengths = {"response": "y", "of": names, "cell_um": _PIXEL_UM}
+    lengths = {"response": "seen", "of": names, "cell_um": _PIXEL_UM}
     try:
         model = pl.explain(maps, **lengths)
     except CannotMeasure:
@@ -206,12 +212,12 @@ def agreements():
     bent = maps.assign({names[0]: np.exp(3 * maps[names[0]]), names[1]: maps[names[1]] ** 3})
     other = pl.explain(bent, **lengths)
     moved = max(abs(model.coefficients[k].rank - other.coefficients[k].rank) for k in names)
-    valid = np.isfinite(maps["y"].values)
+    valid = np.isfinite(maps["seen"].values)
     lags = Lags(valid, (_PIXEL_UM, _PIXEL_UM))
     arrays = [maps[k].values for k in names]
-    fit = regress(maps["y"].values, arrays, lags)
+    fit = regress(maps["seen"].values, arrays, lags)
     x = sm.add_constant(np.stack([m[valid] for m in arrays], axis=1))
-    y = maps["y"].values[valid]
+    y = maps["seen"].values[valid]
     ols = sm.OLS(y, x).fit()
     ours = np.array([fit.intercept, *fit.plain, fit.r2])
     theirs = np.array([*ols.params, ols.rsquared])
@@ -220,7 +226,7 @@ def agreements():
     places = np.argwhere(valid) * _PIXEL_UM
     dense = covariance(spatial.distance.squareform(spatial.distance.pdist(places)))
     gls = sm.GLS(y, x, sigma=dense).fit()
-    weighed = weighed_regression(maps["y"].values, arrays, valid, lags.pixel_um, covariance)
+    weighed = weighed_regression(maps["seen"].values, arrays, valid, lags.pixel_um, covariance)
     ours = np.array([*weighed.plain, *weighed.standard_errors])
     off_gls = float(np.max(np.abs(ours / np.array([*gls.params[1:], *gls.bse[1:]]) - 1)))
     print(
@@ -238,18 +244,18 @@ def cost():
     names = ["a", "b", "c"]
     arrays = {
         name: np.kron(m, np.ones((10, 10), dtype=np.float32)).astype(np.float32)
-        for name, m in zip([*names, "y"], coarse, strict=True)
+        for name, m in zip([*names, "seen"], coarse, strict=True)
     }
-    arrays["y"] = arrays["y"] + 0.5 * arrays["a"]
+    arrays["seen"] = arrays["seen"] + 0.5 * arrays["a"]
     for name in arrays:
         arrays[name] += rng.standard_normal(shape, dtype=np.float32)
     maps = as_maps(arrays, 5.0)
     before, start = memory(peak=True), time.process_time()
-    model = pl.explain(maps, response="y", of=names, cell_um=100.0)
+    model = pl.explain(maps, response="seen", of=names, cell_um=100.0)
     seconds, grown = time.process_time() - start, (memory(peak=True) - before) / 1e9
     print(
-        f"4000 x 3000 pixels of 5 um, {model.n} cells of 100 um: {seconds:.1f} s CPU, memory grew by"
-        f" {grown:.2f} GB",
+        f"4000 x 3000 pixels of 5 um, {model.n} cells of 100 um: {seconds:.1f} s CPU, memory grew"
+        f" by {grown:.2f} GB",
         flush=True,
     )
     return seconds > 10 or grown > 1

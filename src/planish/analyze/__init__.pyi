@@ -36,6 +36,7 @@ from .differences import holm as holm
 from .differences import paired_difference as paired_difference
 from .explain import Coefficient as Coefficient
 from .explain import Explained as Explained
+from .explain_sheets import ExplainedSeries as ExplainedSeries
 from .image_values import SCREEN_REACH as SCREEN_REACH
 from .image_values import SCREEN_SIGMA as SCREEN_SIGMA
 from .image_values import SCREEN_SIGMA_UM as SCREEN_SIGMA_UM

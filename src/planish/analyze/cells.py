@@ -38,6 +38,14 @@ class CellColumn:
         return self.label is not None
 
     @property
+    def title(self) -> str:
+        """The map in words."""
+        if self.is_factor:
+            return self.name
+        long_name = getattr(self.values, "attrs", {}).get("long_name", "")
+        return str(long_name or self.name.replace("_", " "))
+
+    @property
     def units(self) -> str:
         """Unit of the numbers."""
         if self.is_factor:

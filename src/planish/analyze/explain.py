@@ -45,6 +45,7 @@ _CORRELOGRAM_POINTS = 40
 class Coefficient(ResultModel):
     """What one predictor adds, the others held."""
 
+    title: str = Field(default="", description="Title of the predictor.")
     standardised: Value = Field(
         description="Standard deviations of the response per standard deviation of the predictor."
     )
@@ -65,8 +66,8 @@ class Coefficient(ResultModel):
         " residuals as weights."
     )
     by_errors: Value = optional(
-        "What the stated errors of the maps add to the standardised coefficient; it is taken off"
-        " where the model is corrected."
+        "What the stated errors of the maps add to the plain coefficient; it is taken off where the"
+        " model is corrected."
     )
 
     @property
@@ -110,6 +111,7 @@ class Explained(ResultModel):
     """A response explained by several maps, on cells of one size."""
 
     response: str = Field(description="Map that is explained.")
+    title: str = Field(default="", description="Its title.")
     units: str = Field(default="1", description="Its unit.")
     of: tuple[str, ...] = Field(description="Maps that explain it.")
     cell_um: float = Field(description="Edge of a cell.")
@@ -130,6 +132,10 @@ class Explained(ResultModel):
     intercept: Value = Field(description="Of the plain model.")
     shared: Value = optional("Share of the variance that the predictors explain only together.")
     coefficients: dict[str, Coefficient] = Field(description="By predictor.")
+    lead: Value = optional(
+        "Size of the largest standardised coefficient less that of the next one."
+    )
+    lead_interval: Interval = optional("Its 95 % interval.")
     sizes: tuple[CellSizeRow, ...] = Field(default=(), description="The same over other cells.")
     correlogram_um: tuple[float, ...] = Field(
         default=(), description="Distances of the residuals' correlogram."
@@ -148,7 +154,7 @@ class Explained(ResultModel):
     )
     trust: Trust = Field(default="ok", description="What the checks of the run leave of it.")
     reason: str = Field(default="", description="Why a number is missing.")
-    #: Dataset (y, x): means over cells, residual, and each predictor freed of the others.
+    #: Dataset (cell_y, cell_x): means over cells, residual, and each predictor freed of the others.
     cells: Annotated[SkipJsonSchema[Any], Field(exclude=True)] = None
 
     @property
@@ -339,6 +345,7 @@ def _stated(cells: _Cells, model: Regression, maps: ModelMaps) -> Explained:
             interval=model.interval(index, standardised=True),
             plain=float(model.plain[index]),
             plain_interval=model.interval(index, standardised=False),
+            title=column.title,
             units=column.units,
             standard_error=float(model.standard_errors[index] * model.scale[index]),
             n_eff=float(model.n_eff[index]),
@@ -354,6 +361,7 @@ def _stated(cells: _Cells, model: Regression, maps: ModelMaps) -> Explained:
     response = cells.columns[0]
     explained = Explained(
         response=response.name,
+        title=response.title,
         units=response.units,
         of=tuple(maps.predictors),
         cell_um=cells.cell_um,
@@ -367,7 +375,16 @@ def _stated(cells: _Cells, model: Regression, maps: ModelMaps) -> Explained:
         controls=tuple(name for name in maps.predictors if _bare(name) in NEGATIVE_CONTROLS),
         cells=_dataset(cells, model, maps),
     )
-    return explained.model_copy(update=_of_residuals(cells, model))
+    return explained.model_copy(update=_of_residuals(cells, model) | _lead_of(model))
+
+
+def _lead_of(model: Regression) -> dict[str, Any]:
+    """How far the largest coefficient leads; nothing where there is one alone."""
+    if model.plain.size < 2:
+        return {}
+    second, first = np.argsort(np.abs(model.standardised))[-2:]
+    lead, interval = model.difference_of_sizes(int(first), int(second))
+    return {"lead": lead, "lead_interval": interval}
 
 
 def _of_residuals(cells: _Cells, model: Regression) -> dict[str, Any]:
@@ -447,7 +464,7 @@ def _with_errors(
     """State what the errors of the maps add to each coefficient."""
     if other_model is None:
         return dict(coefficients)
-    difference = model.standardised - other_model.standardised
+    difference = model.plain - other_model.plain
     by_errors = -difference if corrected else difference
     return {
         name: coefficient.model_copy(update={"by_errors": float(added)})
@@ -520,15 +537,15 @@ def _dataset(cells: _Cells, model: Regression, maps: ModelMaps) -> xr.Dataset:
     """The cells of a model, as they go into a table and into figures."""
     is_valid = cells.lags.is_valid
     arrays = {
-        column.name: ((("y", "x")), values, {"units": column.units})
+        column.name: (("cell_y", "cell_x"), values, {"units": column.units})
         for column, values in zip(cells.columns, cells.maps, strict=True)
     }
     response = cells.columns[0]
     residuals = np.where(is_valid, model.residuals, np.nan)
-    arrays["residual"] = (("y", "x"), residuals, {"units": response.units})
+    arrays["residual"] = (("cell_y", "cell_x"), residuals, {"units": response.units})
     for column, freed in zip(cells.columns[1:], model.freed, strict=True):
         values = np.where(is_valid, freed, np.nan)
-        arrays[f"{column.name} freed"] = (("y", "x"), values, {"units": column.units})
+        arrays[f"{column.name} freed"] = (("cell_y", "cell_x"), values, {"units": column.units})
     coords = {
         axis: (
             axis,
@@ -536,7 +553,7 @@ def _dataset(cells: _Cells, model: Regression, maps: ModelMaps) -> xr.Dataset:
             {"units": "um"},
         )
         for axis, first_um, count, pixel_um in zip(
-            ("y", "x"), maps.origin_um, is_valid.shape, maps.pixel_um, strict=True
+            ("cell_y", "cell_x"), maps.origin_um, is_valid.shape, maps.pixel_um, strict=True
         )
     }
     return xr.Dataset(arrays, coords=coords)

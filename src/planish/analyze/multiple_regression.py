@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,8 +29,10 @@ class Regression:
     vif: Floats  # (k,): variance inflation
     unique: Floats  # (k,): share of the response's variance that each alone explains
     r2: float
-    freed: Floats  # (k, rows, cols): each predictor less what the others explain of it
+    weights: Floats  # (k, rows, cols): a coefficient is the mean of its weight times the response
+    own_variance: Floats  # (k,): of what the other predictors do not explain of each
     residuals: Floats  # (rows, cols), 0 outside of the mask
+    lags: Lags
 
     @property
     def free(self) -> Floats:
@@ -42,15 +44,28 @@ class Regression:
         """Standard deviations of the response per standard deviation of each predictor."""
         return self.plain * self.scale
 
+    @property
+    def freed(self) -> Floats:
+        """Each predictor less what the others explain of it, (k, rows, cols)."""
+        return self.weights * self.own_variance[:, None, None]
+
     def interval(self, index: int, *, standardised: bool) -> Pair:
         """95 % interval of a coefficient; NaN without degrees of freedom."""
-        free = float(self.free[index])
-        if not free > 1:
-            return math.nan, math.nan
         scale = float(self.scale[index]) if standardised else 1.0
-        middle = float(self.plain[index]) * scale
-        width = t_95(free) * float(self.standard_errors[index]) * scale
-        return middle - width, middle + width
+        return _interval(
+            float(self.plain[index]) * scale,
+            float(self.standard_errors[index]) * scale,
+            float(self.free[index]),
+        )
+
+    def difference_of_sizes(self, first: int, second: int) -> tuple[float, Pair]:
+        """Size of a standardised coefficient less that of another one, and its 95 % interval."""
+        signs = np.sign(self.plain)
+        factors = [signs[first] * self.scale[first], -signs[second] * self.scale[second]]
+        weight = factors[0] * self.weights[first] + factors[1] * self.weights[second]
+        error, n_eff = _error_of_mean(weight, self)
+        difference = abs(self.standardised[first]) - abs(self.standardised[second])
+        return float(difference), _interval(float(difference), error, n_eff - self.plain.size - 1)
 
     def p(self, index: int) -> float:
         """Probability of such a coefficient where the true one is 0; NaN without freedom."""
@@ -117,35 +132,44 @@ def regress(
         )
     inverse = np.linalg.inv(covariance)
     scaled = inverse @ with_response
-    residuals = _on_mask(y - x @ scaled, is_valid)
-    weights = x @ inverse
     k = scaled.size
-    n_eff, standard_errors = np.empty(k), np.empty(k)
-    for index in range(k):
-        weight = _on_mask(weights[:, index], is_valid)
-        n_eff[index] = _independent_cells(weight, residuals, lags)
-        product = float(np.mean(weights[:, index] ** 2)) * float(np.mean(residuals[is_valid] ** 2))
-        free = n_eff[index] - k - 1
-        standard_errors[index] = math.sqrt(product / free) if free > 0 else math.nan
-    plain = scaled / spread
     own_share = 1.0 / np.diag(inverse)
-    return Regression(
+    plain = scaled / spread
+    weights = (x @ inverse).T / spread[:, None]
+    fit = Regression(
         plain=plain,
         intercept=y_mean - float(means @ plain),
-        standard_errors=standard_errors / spread,
-        n_eff=n_eff,
+        standard_errors=np.full(k, math.nan),
+        n_eff=np.full(k, math.nan),
         scale=spread * np.sqrt(np.diag(covariance) / variance),
         vif=np.diag(covariance) / own_share,
         unique=scaled**2 * own_share / variance,
         r2=float(scaled @ with_response) / variance,
-        freed=np.stack(
-            [
-                _on_mask(w * s * v, is_valid)
-                for w, s, v in zip(weights.T, own_share, spread, strict=True)
-            ]
-        ),
-        residuals=residuals,
+        weights=np.stack([_on_mask(row, is_valid) for row in weights]),
+        own_variance=own_share * spread**2,
+        residuals=_on_mask(y - x @ scaled, is_valid),
+        lags=lags,
     )
+    errors_and_n_eff = np.array([_error_of_mean(weight, fit) for weight in fit.weights])
+    return replace(fit, standard_errors=errors_and_n_eff[:, 0], n_eff=errors_and_n_eff[:, 1])
+
+
+def _error_of_mean(weight: Floats, fit: Regression) -> Pair:
+    """Standard error of the mean of a weight times the residuals, and its independent cells."""
+    is_valid, k = fit.lags.is_valid, fit.plain.size
+    n_eff = _independent_cells(weight, fit.residuals, fit.lags)
+    free = n_eff - k - 1
+    if not free > 0:
+        return math.nan, n_eff
+    squares = float(np.mean(weight[is_valid] ** 2)) * float(np.mean(fit.residuals[is_valid] ** 2))
+    return math.sqrt(squares / free), n_eff
+
+
+def _interval(middle: float, error: float, free: float) -> Pair:
+    if not free > 1:
+        return math.nan, math.nan
+    width = t_95(free) * error
+    return middle - width, middle + width
 
 
 def _independent_cells(weight: Floats, residuals: Floats, lags: Lags) -> float:

@@ -53,6 +53,7 @@ _MODULES = {
     "compare": "series",
     "view": "export",
     "explore": "export",
+    "explain": "explain",
 }
 """Verb -> module of this package that holds it, as ``verb``, ``verb_`` where the name is taken."""
 

@@ -2,6 +2,8 @@ from .colours import Scale as Scale
 from .colours import image_uri as image_uri
 from .colours import limits as limits
 from .draw import Canvas as Canvas
+from .explain import explain_page as explain_page
+from .explain import tables_of as tables_of
 from .notebook import map_html as map_html
 from .notebook import results_html as results_html
 from .notebook import run_html as run_html

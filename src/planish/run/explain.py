@@ -45,6 +45,7 @@ class _NamedMap:
 def explain_dataset(data: xr.Dataset, params: ExplainParams) -> Explained:
     """Explain a map of a Dataset on one grid by others; errors as of :func:`explain_run`."""
     check_model(params)
+    data = _on_known_axes(data, params.response)
     check_dataset(
         data,
         expected="maps on one grid",
@@ -57,6 +58,14 @@ def explain_dataset(data: xr.Dataset, params: ExplainParams) -> Explained:
         cell_um=params.cell_um,
         corrected=params.corrected,
     )
+
+
+def _on_known_axes(data: xr.Dataset, response: str) -> xr.Dataset:
+    """The same maps with axes (v, u) where theirs have other names than planish's own."""
+    dims = data[response].dims if response in data else ()
+    if len(dims) != 2 or dims in (("y", "x"), ("v", "u")):
+        return data
+    return data.rename({dims[0]: "v", dims[1]: "u"})
 
 
 def explain_run(run: Run, params: ExplainParams) -> Explained:

@@ -1,5 +1,4 @@
 from .declared import Declared as Declared
-from .explain import ExplainedSeries as ExplainedSeries
 from .explain import explain as explain
 from .gather import FigureRow as FigureRow
 from .gather import Gathered as Gathered

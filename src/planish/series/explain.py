@@ -2,70 +2,26 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import xarray as xr
-from pydantic import Field
 
-from planish.analyze import Fields, holm, over_sheets, random_effects
-from planish.analyze.distributions import student_tail
+from planish import __version__
 from planish.analyze.explain import Explained
+from planish.analyze.explain_sheets import ExplainedSeries, explained_over_sheets
 from planish.analyze.params import ExplainParams
-from planish.analyze.sheets import RandomEffects, SheetMean
-from planish.core.arrays import not_taken
+from planish.core.arrays import check_path
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.files import write_whole
 from planish.core.options import params_of
+from planish.core.tables import table_text
+from planish.io.run_folder import new_folder
+from planish.report import explain_page, tables_of
 from planish.run.explain import explain_dataset, explain_run
 from planish.run.run import Run, is_run, open_run
 from planish.series.pages import RESULTS
 from planish.series_results import SeriesResults
-
-
-class PooledCoefficient(ResultModel):
-    """What one predictor adds, over the sheets of a series."""
-
-    standardised: Value = Field(description="Mean of the sheets' standardised coefficients.")
-    interval: Interval = optional("Its 95 % interval for such sheets.")
-    plain: Value = Field(description="Mean of the plain coefficients.")
-    plain_interval: Interval = optional("Its 95 % interval.")
-    p: Value = optional("Of the test that the mean of such sheets is 0.")
-    p_of_set: Value = optional("The same after Holm, over all predictors.")
-    between_sheets: RandomEffects | None = optional("How much sheets differ.")
-    reason: str = Field(default="", description="Why there is no interval.")
-
-    @property
-    def direction(self) -> int:
-        """1 or -1 where the interval excludes 0, else 0."""
-        low, high = self.interval
-        return int(low > 0) - int(high < 0)
-
-
-class ExplainedSeries(ResultModel):
-    """A response explained by several maps, pooled over the sheets of a series."""
-
-    response: str = Field(description="Map that is explained.")
-    of: tuple[str, ...] = Field(description="Maps that explain it.")
-    cell_um: float = Field(description="Edge of a cell.")
-    corrected: bool = Field(default=False, description="Whether stated errors were taken off.")
-    sheets: int = Field(description="Sheets that count.")
-    fields: int = Field(description="Specimens that count; each is a field of a sheet.")
-    n: int = Field(description="Cells of all specimens.")
-    n_eff: Value = Field(description="Independent cells of all specimens.")
-    r2: Value = Field(description="Mean over sheets of the variance that is explained.")
-    r2_out: Value = optional("The same of blocks that a model was not fitted to.")
-    coefficients: dict[str, PooledCoefficient] = Field(description="By predictor.")
-    specimens: dict[str, Explained] = Field(description="The model of each specimen.")
-    left_out: dict[str, str] = Field(
-        default={}, description="Specimens without a model, and why there is none."
-    )
-
-    @property
-    def strongest(self) -> list[str]:
-        """Predictors by the size of their standardised coefficients, the largest first."""
-        return sorted(self.coefficients, key=lambda k: -abs(self.coefficients[k].standardised))
 
 
 def explain(
@@ -125,9 +81,8 @@ def explain(
         return explain_dataset(data, params)
     if isinstance(data, Run):
         return explain_run(data, params)
-    if not isinstance(data, str | Path):
-        raise not_taken(data, "a run", 'pl.explain("run", response=..., of=[...])', "pl.explain")
-    return explain_folder(Path(data), params)
+    call = 'pl.explain("run", response=..., of=[...])'
+    return explain_folder(check_path(data, "a run", "pl.explain", call), params)
 
 
 def explain_folder(folder: Path, params: ExplainParams) -> Explained | ExplainedSeries:
@@ -166,63 +121,18 @@ def explain_series(results: SeriesResults, home: Path, params: ExplainParams) ->
             f"No specimen of {len(left_out)} has such a model. {next(iter(left_out.values()), '')}"
         )
     sheets = {specimen.name: specimen.sheet for specimen in results.specimens}
-    return pooled(models, sheets, left_out)
+    return explained_over_sheets(models, sheets, left_out)
 
 
-def pooled(
-    models: Mapping[str, Explained], sheets: Mapping[str, str], left_out: Mapping[str, str]
-) -> ExplainedSeries:
-    """Pool models of specimens over sheets, each of which counts once."""
-    first = next(iter(models.values()))
-    sheet_of_model = [sheets[name] or name for name in models]
+def write_explained(model: Explained | ExplainedSeries, out: Path, *, source: str) -> None:
+    """Write the page of a model, ``explain.json`` and its tables into a new folder.
 
-    def over(values: list[float]) -> SheetMean:
-        return over_sheets(Fields(values, sheet_of_model))
-
-    names = [
-        name for name in first.coefficients if all(name in m.coefficients for m in models.values())
-    ]
-    coefficients = {name: _pooled_coefficient(name, models, sheet_of_model) for name in names}
-    p_of_set = holm([c.p for c in coefficients.values()])
-    return ExplainedSeries(
-        response=first.response,
-        of=first.of,
-        cell_um=first.cell_um,
-        corrected=first.corrected,
-        sheets=len(set(sheet_of_model)),
-        fields=len(models),
-        n=sum(model.n for model in models.values()),
-        n_eff=sum(model.n_eff for model in models.values()),
-        r2=over([model.r2 for model in models.values()]).mean,
-        r2_out=over([model.r2_out for model in models.values()]).mean,
-        coefficients={
-            name: c.model_copy(update={"p_of_set": p})
-            for (name, c), p in zip(coefficients.items(), p_of_set, strict=True)
-        },
-        specimens=dict(models),
-        left_out=dict(left_out),
-    )
-
-
-def _pooled_coefficient(
-    name: str, models: Mapping[str, Explained], sheets: Sequence[str]
-) -> PooledCoefficient:
-    of_models = [model.coefficients[name] for model in models.values()]
-    fields = Fields([c.standardised for c in of_models], sheets)
-    mean = over_sheets(fields)
-    plain = over_sheets(Fields([c.plain for c in of_models], sheets))
-    variances = Fields([c.standard_error**2 for c in of_models], sheets).by_sheet
-    of_sheets = [float(v.sum()) / v.size**2 for v in variances.values()]
-    p = math.nan
-    if not mean.reason:
-        ratio = abs(mean.mean) / mean.standard_error
-        p = 2 * student_tail(ratio, mean.sheets - 1)
-    return PooledCoefficient(
-        standardised=mean.mean,
-        interval=mean.interval,
-        plain=plain.mean,
-        plain_interval=plain.interval,
-        p=p,
-        between_sheets=random_effects(fields.means, of_sheets) if mean.sheets > 1 else None,
-        reason=mean.reason,
-    )
+    ``source``: name of the run or series.
+    """
+    page, _ = explain_page(model, source=source, version=__version__)
+    with new_folder(out) as folder:
+        write_whole(folder / "explain.html", page.encode())
+        write_whole(folder / "explain.json", f"{model.model_dump_json(indent=2)}\n".encode())
+        for name, columns in tables_of(model).items():
+            rows = zip(*columns.values(), strict=True)
+            write_whole(folder / f"{name}.csv", table_text(list(columns), rows).encode())

@@ -1,0 +1,72 @@
+"""The command that explains a map by others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from planish.analyze.params import ExplainParams
+from planish.cli.console import sentence, table
+from planish.cli.options import (
+    build_params,
+    existing,
+    json_option,
+    options,
+    out_option,
+    verb,
+)
+from planish.core.numbers import in_ascii
+
+
+@verb(
+    "planish explain run --of coating_top --of base_thickness --out explained",
+    "planish explain run --response image --of coating_top,base_surface_top --cell-um 50 --json",
+    "planish explain series --of coating_top,base_thickness --out pooled",
+)
+@existing("run")
+@options(ExplainParams, "Model")
+@out_option("Folder to make for the page and its tables; it must not exist.", required=False)
+@json_option
+def explain(run: Path, out: Path | None, as_json: bool, **values: Any) -> int:
+    """State how much of a map of RUN each of several others explains, on cells of a stated size.
+
+    Without options the model is the one that the study of RUN declares ([explain]). Coefficients
+    have intervals that rest on independent cells, not on pixels. RUN may be the folder of a series:
+    its sheets are pooled. OUT gets explain.html, explain.json and the tables as CSV.
+    """
+    from planish.core.errors import InputError
+    from planish.report.explain import coefficient_rows
+    from planish.report.sentences.explain import say_answer, say_surer
+    from planish.run.run import is_run, open_run
+    from planish.series.explain import explain_folder, write_explained
+
+    if values.get("of"):
+        values["of"] = tuple(name for text in values["of"] for name in text.split(",") if name)
+    given = any(values[name] for name in ExplainParams.model_fields)
+    params = build_params(ExplainParams, values)
+    if not given:
+        declared = open_run(run).study.explain if is_run(run) else None
+        if declared is None:
+            raise InputError(
+                f"{run} declares no model. Name the maps that explain the image with `of`, or"
+                " declare them in the study: [explain] with of = [...]."
+            )
+        params = declared
+    elif params.factors is not None:
+        params = params.model_copy(update={"factors": str(Path(params.factors).absolute())})
+    model = explain_folder(run, params)
+    if out is not None:
+        write_explained(model, out, source=run.resolve().name)
+    if as_json:
+        click.echo(model.model_dump_json(indent=2))
+    else:
+        rows = coefficient_rows(model)
+        table(f"What explains {params.response}", [*rows[0]], [[*row.values()] for row in rows])
+        sentence(in_ascii(say_answer(model)))
+        for text in say_surer(model):
+            sentence(in_ascii(text))
+    if out is not None:
+        click.echo(f"page: {out / 'explain.html'}", err=as_json)
+    return 0

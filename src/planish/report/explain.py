@@ -1,0 +1,354 @@
+"""The page of a model of several maps, its figures and its tables; one file that needs nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planish.analyze.explain import Explained
+from planish.analyze.explain_sheets import ExplainedSeries
+from planish.core.facts import is_known
+from planish.core.numbers import (
+    NONE,
+    axis_label,
+    count,
+    fixed,
+    interval_text,
+    length,
+    number,
+    percent,
+    plain,
+    round_step,
+    unit,
+)
+from planish.core.typing import Pair
+from planish.report import text
+from planish.report.colours import limits
+from planish.report.draw import (
+    ACCENT,
+    FAINT,
+    HALF,
+    INK,
+    POINT,
+    SOFT,
+    Canvas,
+    Picture,
+    Table,
+    draw_map,
+    multiples,
+)
+from planish.report.sentences.explain import say_answer, say_notes, say_reading, say_surer
+from planish.report.statement import p_text
+
+AnyModel = Explained | ExplainedSeries
+
+_ROW, _TOP, _LETTER, _WIDEST_NAME = 44.0, 14.0, 6.3, 210.0  # pixels
+_COLOURS = (POINT, ACCENT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
+_MOST_POINTS = 1500  # of a scatter plot
+
+
+class Tile(NamedTuple):
+    """A number of the first screen."""
+
+    value: str
+    unit: str
+    label: str
+    note: str
+
+
+def explain_page(model: AnyModel, *, source: str, version: str) -> tuple[str, list[Picture]]:
+    """Return the page of a model as HTML, and its figures in the order shown.
+
+    ``source``: name of the run or series; ``version``: of the program.
+    """
+    pictures = [draw_coefficients(model), *details_of(model)]
+    page = text.template("planish.report", "explain.html.j2").render(
+        model=model,
+        source=source,
+        version=version,
+        answer=say_answer(model),
+        surer=say_surer(model),
+        reading=say_reading(model),
+        notes=say_notes(model),
+        tiles=tiles_of(model),
+        table=coefficient_rows(model),
+        pictures=pictures,
+        is_series=isinstance(model, ExplainedSeries),
+    )
+    return f"{page}\n", pictures
+
+
+def details_of(model: AnyModel) -> list[Picture]:
+    """Figures beside that of the coefficients: other cells, partial plots, residuals."""
+    if isinstance(model, ExplainedSeries):
+        return []
+    pictures = [draw_sizes(model)] if len(model.sizes) > 1 else []
+    if model.cells is not None:
+        pictures += [draw_partial(model, name) for name in model.strongest]
+        pictures.append(draw_residuals(model))
+    if model.correlogram:
+        pictures.append(draw_correlogram(model))
+    return pictures
+
+
+def tiles_of(model: AnyModel) -> list[Tile]:
+    """What is explained, and what it rests on."""
+    out_text = f"out of sample {percent(model.r2_out, 2)}" if is_known(model.r2_out) else ""
+    tiles = [
+        Tile(percent(model.r2, 2), "", "of the variance explained (R²)", out_text),
+        Tile(count(round(model.n_eff)), "", "independent cells", f"of n = {count(model.n)} cells"),
+        Tile(plain(model.cell_um), "", "cells, edge", "all maps are averaged over them first"),
+    ]
+    if isinstance(model, ExplainedSeries):
+        tiles.append(Tile(count(model.sheets), "", "sheets", f"{count(model.fields)} fields"))
+    return tiles
+
+
+def coefficient_rows(model: AnyModel) -> list[dict[str, str]]:
+    """The table of coefficients in words, by heading; the largest first."""
+    rows: list[dict[str, str]] = []
+    for name in model.strongest:
+        c: Any = model.coefficients[name]
+        units = unit(c.units)
+        row = {
+            "Map": axis_label(c.title, units),
+            "Standardised": fixed(c.standardised, 2),
+            "95 %": interval_text(c.interval),
+            "Plain": number(c.plain),
+            "95 % of plain": _numbers_of(c.plain_interval),
+            "p (Holm)": p_text(c.p_of_set),
+        }
+        if isinstance(model, ExplainedSeries):
+            between = c.between_sheets
+            row["Spread between sheets"] = NONE if between is None else fixed(between.sd_between, 2)
+        else:
+            row |= {
+                "VIF": fixed(c.vif, 1),
+                "Explains alone": percent(c.unique, 2),
+                "n_eff": count(round(c.n_eff)) if is_known(c.n_eff) else NONE,
+                "Over ranks": fixed(c.rank, 2),
+                "GLS": fixed(c.weighed, 2),
+            }
+        rows.append(row)
+    return rows
+
+
+def _numbers_of(ends: Pair) -> str:
+    return " to ".join(number(end) for end in ends) if is_known(ends) else NONE
+
+
+def tables_of(model: AnyModel) -> dict[str, Table]:
+    """What a model says as tables, by the name of a file."""
+    fields = ("standardised", "interval", "plain", "plain_interval", "p", "p_of_set")
+    if isinstance(model, Explained):
+        fields += ("n_eff", "vif", "unique", "rank", "rank_interval", "weighed", "by_errors")
+    rows = [
+        {"map": name, "units": c.units} | _flat(c, fields) for name, c in model.coefficients.items()
+    ]
+    tables = {"coefficients": _table(rows)}
+    if isinstance(model, ExplainedSeries):
+        specimen_rows = [
+            {"specimen": name, "r2": m.r2, "n": m.n, "n_eff": m.n_eff}
+            | {key: c.standardised for key, c in m.coefficients.items()}
+            for name, m in model.specimens.items()
+        ]
+        return tables | {"specimens": _table(specimen_rows)}
+    size_rows = [
+        {"cell_um": row.cell_um, "declared": row.declared, "map": name, "n": row.n}
+        | {"n_eff": row.n_eff, "r2": row.r2, "standardised": value}
+        | dict(zip(("low", "high"), row.intervals[name], strict=True))
+        for row in model.sizes
+        for name, value in row.standardised.items()
+    ]
+    tables["sizes"] = _table(size_rows)
+    if model.cells is not None:
+        cells = model.cells.drop_vars([k for k in model.cells if str(k).endswith(" freed")])
+        frame = {str(k): v.values for k, v in cells.items()}
+        y, x = np.meshgrid(cells["cell_y"].values, cells["cell_x"].values, indexing="ij")
+        is_valid = np.isfinite(frame["residual"])
+        columns = {"y_um": y, "x_um": x, **frame}
+        tables["cells"] = {name: values[is_valid].tolist() for name, values in columns.items()}
+    return tables
+
+
+def _flat(model: Any, fields: Iterable[str]) -> dict[str, object]:
+    """Fields of a model, intervals as two of them; what is not known is empty."""
+    row: dict[str, object] = {}
+    for name in fields:
+        value = getattr(model, name)
+        ends = {name: value}
+        if isinstance(value, tuple):
+            prefix = name.removesuffix("interval")
+            ends = dict(zip((f"{prefix}low", f"{prefix}high"), value, strict=True))
+        row |= {key: end if is_known(end) else "" for key, end in ends.items()}
+    return row
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return {name: [row.get(name, "") for row in rows] for name in names}
+
+
+def draw_coefficients(model: AnyModel) -> Picture:
+    """Draw standardised coefficients with their intervals, the largest first."""
+    names = model.strongest
+    coefficients: list[Any] = [model.coefficients[name] for name in names]
+    ends = [end for c in coefficients for end in c.interval if is_known(end)]
+    values = [0.0, *ends, *(c.standardised for c in coefficients)]
+    margin = 0.06 * (max(values) - min(values)) or 0.1
+    low, high = min(values) - margin, max(values) + margin
+    longest = max(len(c.title) for c in coefficients)
+    left = min(longest * _LETTER + 16, _WIDEST_NAME)
+    bottom = _TOP + _ROW * len(names)
+    canvas = Canvas(HALF, bottom + 50)
+    extent = (low, high, float(len(names)), 0.0)
+    axes = canvas.axes(left, _TOP, HALF - 20 - left, bottom - _TOP, extent)
+    axes.upright(0.0, dash="4 3")
+    for row, coefficient in enumerate(coefficients):
+        y = row + 0.5
+        colour = ACCENT if coefficient.direction else SOFT
+        if is_known(coefficient.interval):
+            axes.line([(end, y) for end in coefficient.interval], colour=colour, width=2.5)
+        axes.dots([(coefficient.standardised, y)], colour=colour, size=9)
+        label = fixed(coefficient.standardised, 2)
+        axes.text(coefficient.standardised, y, label, anchor="middle", shift=(0, -9), colour=INK)
+        _name_row(canvas, coefficient.title, left - 8, _TOP + _ROW * y)
+    canvas.line([(left, bottom), (HALF - 20, bottom)], colour=SOFT, width=0.8)
+    ticks = multiples(low, high, round_step((high - low) / 4))
+    canvas.number_axes(axes, [(float(v), fixed(float(v), 1)) for v in ticks], [])
+    middle = (left + HALF - 20) / 2
+    canvas.text(middle, bottom + 38, "Standardised coefficient", anchor="middle")
+    return canvas.picture(
+        title=f"What explains {model.title[:1].lower()}{model.title[1:]}",
+        caption=(
+            "Dots: standardised coefficients, the others held. Lines: their 95 % intervals, from"
+            f" {count(round(model.n_eff))} independent cells of n = {count(model.n)} (cells of"
+            f" {plain(model.cell_um)}, valid in all maps). Grey: not distinguishable from 0."
+        ),
+        data={"coefficients": tables_of(model)["coefficients"]},
+    )
+
+
+def _name_row(canvas: Canvas, title: str, right: float, y: float) -> None:
+    """Name a row to the left of it, in two lines where one is too long."""
+    most = int((_WIDEST_NAME - 16) / _LETTER)
+    if len(title) <= most:
+        canvas.text(right, y + 4, title, anchor="end")
+        return
+    head, _, tail = title[:most].rpartition(" ")
+    canvas.text(right, y - 3, head, anchor="end")
+    canvas.text(right, y + 12, f"{tail}{title[most:]}"[:most], anchor="end")
+
+
+def draw_sizes(model: Explained) -> Picture:
+    """Draw standardised coefficients over cells of growing size, the declared one marked."""
+    rows = [row for row in model.sizes if row.standardised]
+    all_ends = [end for row in rows for ends in row.intervals.values() for end in ends]
+    known = [0.0, *(end for end in all_ends if is_known(end))]
+    low, high = min(known) - 0.05, max(known) + 0.05
+    logs = [float(np.log2(row.cell_um)) for row in rows]
+    canvas = Canvas(HALF, 310)
+    extent = (min(logs) - 0.4, max(logs) + 0.4, low, high)
+    axes = canvas.axes(62, _TOP, HALF - 82, 216, extent)
+    declared = float(np.log2(model.cell_um))
+    axes.line([(declared, low), (declared, high)], colour=FAINT, width=24)
+    axes.across(0.0, dash="4 3")
+    names = model.strongest
+    for index, name in enumerate(names):
+        colour = _COLOURS[index % len(_COLOURS)]
+        places = [log + 0.06 * (index - (len(names) - 1) / 2) for log in logs]
+        for place, row in zip(places, rows, strict=True):
+            axes.line([(place, end) for end in row.intervals[name]], colour=colour, width=1.4)
+        values = [row.standardised[name] for row in rows]
+        axes.curve(places, values, colour=colour, width=1.2, dot_px=6)
+        column, line = index % 2, index // 2
+        title = model.coefficients[name].title
+        canvas.text(62 + 220 * column, 284 + 14 * line, f"● {title}", colour=colour, size=11)
+    canvas.ticks(
+        axes,
+        "Edge of the cells / µm",
+        "Standardised coefficient",
+        x_ticks=[(log, f"{row.cell_um:g}") for log, row in zip(logs, rows, strict=True)],
+    )
+    word = "declared" if model.declared else "stated"
+    return canvas.picture(
+        title="The same model over other cells",
+        caption=(
+            f"Coefficients with 95 % intervals; the bar marks the {word} size. A size that is"
+            " chosen after a look at this curve is a choice to be stated."
+        ),
+        data={"sizes": tables_of(model)["sizes"]},
+    )
+
+
+def draw_partial(model: Explained, name: str) -> Picture:
+    """Draw response against one map, both freed of what the others explain."""
+    coefficient = model.coefficients[name]
+    x = model.cells[f"{name} freed"].values
+    y = model.cells["residual"].values + coefficient.plain * x
+    is_valid = np.isfinite(x) & np.isfinite(y)
+    step = max(1, int(np.ceil(np.count_nonzero(is_valid) / _MOST_POINTS)))
+    points = np.stack([x[is_valid], y[is_valid]], axis=1)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.05 * (high - low)
+    low, high = low - margin, high + margin
+    canvas = Canvas(HALF, 300)
+    axes = canvas.axes(86, _TOP, HALF - 106, 226, (low[0], high[0], low[1], high[1]))
+    axes.dots(points[::step], colour=POINT, size=3.5, opacity=0.5)
+    line = [(float(v), coefficient.plain * float(v)) for v in (low[0], high[0])]
+    axes.line(line, colour=ACCENT, width=1.8)
+    canvas.ticks(
+        axes,
+        axis_label(f"{coefficient.title}, freed of the others", unit(coefficient.units)),
+        axis_label(f"{model.title}, freed", unit(model.units)),
+    )
+    return canvas.picture(
+        title=f"Partial regression: {coefficient.title[:1].lower()}{coefficient.title[1:]}",
+        caption=(
+            "Both maps less what the other maps explain of them; the slope of the line is the plain"
+            f" coefficient. n = {count(len(points))} cells"
+            f"{f', every {step}th is drawn' if step > 1 else ''}."
+        ),
+        data={"points": {"freed": points[:, 0].tolist(), "response_freed": points[:, 1].tolist()}},
+    )
+
+
+def draw_residuals(model: Explained) -> Picture:
+    """Draw the map of what a model leaves."""
+    residual = model.cells["residual"]
+    y, x = residual["cell_y"].values, residual["cell_x"].values
+    scale = limits(residual.values, symmetric=True)
+    label = axis_label("Residual", unit(model.units))
+    canvas, _ = draw_map(residual.values, y, x, scale=scale, label=label)
+    return canvas.picture(
+        title="What the model leaves",
+        caption=(
+            f"Residuals of n = {count(model.n)} cells of {plain(model.cell_um)}. Stains, creases"
+            " and a slow trend show here: mask what does not belong."
+        ),
+    )
+
+
+def draw_correlogram(model: Explained) -> Picture:
+    """Draw how far the residuals resemble each other."""
+    distances = [0.0, *model.correlogram_um]
+    values = [1.0, *model.correlogram]
+    canvas = Canvas(HALF, 290)
+    low = min(*values, -0.1) - 0.05
+    axes = canvas.axes(62, _TOP, HALF - 82, 216, (0.0, distances[-1] * 1.02, low, 1.05))
+    axes.across(0.0)
+    axes.curve(distances, values, colour=POINT, width=1.4, dot_px=5)
+    canvas.ticks(axes, "Distance / µm", "Correlation of residuals")
+    range_text = ""
+    if is_known(model.residual_range_um):
+        range_text = f" It falls to 1/e at {length(model.residual_range_um)}."
+    block_text = ""
+    if is_known(model.block_um):
+        block_text = f" Blocks of R² out of sample: {length(model.block_um)} and wider."
+    return canvas.picture(
+        title="Correlogram of the residuals",
+        caption=f"Why n is no sample size.{range_text}{block_text}",
+        data={"correlogram": {"distance_um": distances, "r": values}},
+    )

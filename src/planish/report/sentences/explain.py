@@ -1,0 +1,262 @@
+"""What a model of several maps says: its answer, what would make it surer, how to read it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from planish.analyze.explain import COLLINEAR, Coefficient, Explained
+from planish.analyze.explain_sheets import ExplainedSeries
+from planish.core.facts import is_known
+from planish.core.numbers import (
+    capital,
+    count,
+    fixed,
+    in_words,
+    interval_text,
+    number,
+    percent,
+    plain,
+)
+from planish.core.text import and_join
+
+_SURFACES = {
+    "top": "the top face",
+    "bottom": "the bottom face",
+    "interface_top": "the interface of base and coating of the top side",
+    "interface_bottom": "the interface of base and coating of the bottom side",
+}
+
+
+def say_answer(model: Explained | ExplainedSeries) -> str:
+    """The answer: what is explained, by which map most, and whether that is certain."""
+    sentences = [_say_share(model)]
+    coefficients: Mapping[str, Any] = model.coefficients
+    order = model.strongest
+    texts = [say_coefficient(coefficients[name]) for name in order]
+    title = capital(in_words(coefficients[order[0]].title))
+    verb = "matters most, with" if len(order) > 1 else "has"
+    sentences.append(f"{title} {verb} a standardised coefficient of {texts[0]}.")
+    if len(order) > 1:
+        others = [
+            f"{in_words(coefficients[name].title)} has {text}"
+            for name, text in zip(order[1:], texts[1:], strict=True)
+        ]
+        sentences.append(f"{capital('; '.join(others))}.")
+        sentences.append(_say_lead(model, order))
+    sentences.append(_say_cells(model))
+    return " ".join(sentences)
+
+
+def say_coefficient(coefficient: Any) -> str:
+    """A standardised coefficient with its interval, and whether it differs from 0."""
+    if not is_known(coefficient.interval):
+        return f"{fixed(coefficient.standardised, 2)}, without an interval"
+    text = f"{fixed(coefficient.standardised, 2)} (95 %: {interval_text(coefficient.interval)})"
+    return text if coefficient.direction else f"{text}, not distinguishable from 0"
+
+
+def _say_share(model: Explained | ExplainedSeries) -> str:
+    titles = [in_words(coefficient.title) for coefficient in model.coefficients.values()]
+    verb = "explains" if len(titles) == 1 else "together explain"
+    out_text = ""
+    if is_known(model.r2_out):
+        out_text = f" ({percent(model.r2_out, 2)} of places that the model was not fitted to)"
+    corrected_text = ", with the stated errors of the maps taken off," if model.corrected else ""
+    return capital(
+        f"{and_join(titles)}{corrected_text} {verb} {percent(model.r2, 2)} of the variance of"
+        f" {in_words(model.title)} over cells of {plain(model.cell_um)}{out_text}."
+    )
+
+
+def _say_lead(model: Explained | ExplainedSeries, order: list[str]) -> str:
+    if not is_known(model.lead_interval):
+        return ""
+    first, second = (in_words(model.coefficients[name].title) for name in order[:2])
+    low, high = model.lead_interval
+    lead_text = f"{fixed(model.lead, 2)} (95 %: {interval_text((low, high))})"
+    if low > 0:
+        return f"That {first} matters more than {second} is certain: by {lead_text}."
+    return f"Whether {first} matters more than {second} is not certain: by {lead_text}."
+
+
+def _say_cells(model: Explained | ExplainedSeries) -> str:
+    independent = count(round(model.n_eff))
+    if isinstance(model, ExplainedSeries):
+        return (
+            f"Means over {model.sheets} sheets with {model.fields} fields, with the spread between"
+            f" sheets; {count(model.n)} cells count as {independent} independent ones."
+        )
+    return f"{count(model.n)} cells count as {independent} independent ones."
+
+
+def say_surer(model: Explained | ExplainedSeries) -> list[str]:
+    """What would make a model more certain; at most three sentences."""
+    sentences: list[str] = []
+    if isinstance(model, ExplainedSeries):
+        if model.left_out:
+            left_out = [f"{name} ({reason})" for name, reason in model.left_out.items()]
+            sentences.append(f"Left out: {'; '.join(left_out[:3])}")
+        sentences.append(
+            "More sheets: the interval is that of the mean of such sheets, and narrows with the"
+            " root of their number."
+        )
+        return sentences
+    if model.trust != "ok":
+        sentences.append(
+            f"The checks of the run leave this model {model.trust}: look at them before anything"
+            " else."
+        )
+    sentences += _collinear(model)
+    if not model.declared:
+        sentences.append(
+            "Declare the model in the study ([explain]) before you look at the next specimen: of"
+            " several models that were tried, one looks good by chance."
+        )
+    is_uncertain = any(not c.direction for c in model.coefficients.values())
+    is_uncertain |= is_known(model.lead_interval) and model.lead_interval[0] <= 0
+    if is_uncertain:
+        sentences.append("A field of four times the area would halve the intervals.")
+    if is_known(model.r2_out) or not model.reason:
+        sentences.append("Several sheets would show whether it holds beyond this one.")
+    else:
+        sentences.append(model.reason)
+    return sentences[:3]
+
+
+def _collinear(model: Explained) -> Iterator[str]:
+    for coefficient in model.coefficients.values():
+        if coefficient.vif >= COLLINEAR:
+            yield (
+                f"{capital(in_words(coefficient.title))} is collinear with the others (variance"
+                f" inflation {fixed(coefficient.vif, 0)}): leave one of them out."
+            )
+
+
+def say_reading(model: Explained | ExplainedSeries) -> list[str]:
+    """How to read a model, and what it does not say."""
+    sentences = [
+        "A coefficient says by how many standard deviations the response changes where a map is"
+        " larger by one of its own and the others are the same. It compares maps of any unit, and"
+        " names no cause."
+    ]
+    if isinstance(model, ExplainedSeries):
+        sentences.append("Sheets, not fields, are the sample: each sheet counts once.")
+        return sentences
+    sentences.append(_say_declared(model))
+    hiding_text = " (below 0: one hides what another does)" if model.shared < -0.005 else ""
+    sentences.append(
+        "Neighbouring cells resemble each other: intervals and p rest on the independent cells, not"
+        f" on n. Alone the maps explain {_say_unique(model)}; only together they explain"
+        f" {fixed(100 * model.shared, 1)} % of the variance{hiding_text}."
+    )
+    return sentences
+
+
+def say_notes(model: Explained | ExplainedSeries) -> list[str]:
+    """What else stands beside a model: other cells, shared errors and parts, ranks and weights."""
+    if isinstance(model, ExplainedSeries):
+        return []
+    return [
+        *_say_sizes(model),
+        *_say_sharing(model),
+        *_say_parts(model),
+        *_say_ranks(model),
+    ]
+
+
+def _say_declared(model: Explained) -> str:
+    if model.declared:
+        return "The study declared this model before it was run."
+    if model.declared is None:
+        return (
+            "No study declared this model, its maps or its cells: if it was chosen after a look at"
+            " others, its p says less than it seems to."
+        )
+    return (
+        "This is not the model that the study declared: it was tried after looking, and its p says"
+        " less than it seems to."
+    )
+
+
+def _say_unique(model: Explained) -> str:
+    shares = [
+        f"{in_words(c.title)} {fixed(100 * c.unique, 1)} %" for c in model.coefficients.values()
+    ]
+    return and_join(shares)
+
+
+def _say_sizes(model: Explained) -> Iterator[str]:
+    rows = [row for row in model.sizes if row.standardised]
+    if len(rows) < 2:
+        return
+    name = model.strongest[0]
+    first, last = rows[0], rows[-1]
+    yield (
+        f"Over other cells the model is another one: {in_words(model.coefficients[name].title)} has"
+        f" {fixed(first.standardised[name], 2)} over cells of {plain(first.cell_um)} and"
+        f" {fixed(last.standardised[name], 2)} over {plain(last.cell_um)}."
+    )
+
+
+def _say_sharing(model: Explained) -> Iterator[str]:
+    for surface, surface_text in _SURFACES.items():
+        pairs = [(e.a, e.b) for e in model.shared_errors if e.surface == surface]
+        names = dict.fromkeys(name for pair in pairs for name in pair)
+        if names:
+            titles = and_join(in_words(model.coefficients[name].title) for name in names)
+            yield (
+                f"{capital(titles)} meet at {surface_text}: where it was found too high or too low,"
+                " their errors go together."
+            )
+    moved = [c for c in model.coefficients.values() if is_known(c.by_errors)]
+    if not moved:
+        return
+    moves = and_join(
+        f"{in_words(c.title)} by {number(c.by_errors, 2)} of {number(c.plain)}" for c in moved
+    )
+    if model.corrected:
+        moves = and_join(f"{in_words(c.title)} by {number(c.by_errors, 2)}" for c in moved)
+        yield f"The stated errors moved the plain coefficients before they were taken off: {moves}."
+    else:
+        yield (
+            "The stated errors of the maps move the plain coefficients, that of"
+            f" {moves}; the corrected model takes that off."
+        )
+
+
+def _say_parts(model: Explained) -> Iterator[str]:
+    for shared in model.shared_parts:
+        parts = and_join(part.replace("_", " ") for part in shared.parts)
+        a, b = (name.replace("_", " ") for name in (shared.a, shared.b))
+        yield (
+            f"{capital(a)} and {b} both contain {parts}: with one held, the other is no longer what"
+            " its name says."
+        )
+    for name in model.controls:
+        yield (
+            f"{capital(name.replace('_', ' '))} is the pose in the scanner, no property of the"
+            " paper: a negative control."
+        )
+
+
+def _say_ranks(model: Explained) -> Iterator[str]:
+    far = [c for c in model.coefficients.values() if _is_beyond(c.rank, c)]
+    if far:
+        yield (
+            f"Over ranks {and_join(f'{in_words(c.title)} has {fixed(c.rank, 2)}' for c in far)},"
+            " beyond the interval: single values or a bent relation count much."
+        )
+    far = [c for c in model.coefficients.values() if _is_beyond(c.weighed, c)]
+    if far:
+        yield (
+            "With the covariance of the residuals as weights (generalised least squares)"
+            f" {and_join(f'{in_words(c.title)} has {fixed(c.weighed, 2)}' for c in far)}, beyond"
+            " the interval: short waves, which count more then, show another relation than long"
+            " ones."
+        )
+
+
+def _is_beyond(value: float, coefficient: Coefficient) -> bool:
+    low, high = coefficient.interval
+    return is_known(value) and is_known(coefficient.interval) and not low <= value <= high
