@@ -204,35 +204,42 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
     sizes_um = [cell_um * share for share in _SIZES if cell_um * share >= max(maps.pixel_um)]
     cells_by_size = means_over_cells(columns, maps.masks, pixel_um=maps.pixel_um, sizes_um=sizes_um)
     models = dict(zip(sizes_um, cells_by_size, strict=True))
-    declared_cells = _Cells.of(columns, models.pop(cell_um), cell_um)
-    refuse_sums(declared_cells)
-    names = declared_cells.names
-    errors = covariance_of_errors([*names, response_name], maps.errors)
-    has_errors = bool(errors.any())
-    if corrected and not has_errors:
+    cells = _Cells.of(columns, models.pop(cell_um), cell_um)
+    refuse_sums(cells)
+    errors = covariance_of_errors([*cells.names, response_name], maps.errors)
+    if corrected and not errors.any():
         raise InputError(
             "No map of this model has a stated error, so nothing can be corrected. Take maps with"
             " a standard error (NAME_se), or leave `corrected` out."
         )
-    model = _bearable(declared_cells, errors if corrected else None)
-    explained = _stated(declared_cells, model, maps)
-    rows = [_size_row(_Cells.of(columns, cells, size_um)) for size_um, cells in models.items()]
-    rows.append(_declared_row(explained))
-    other_model = None
-    if has_errors:
-        other_model = _other_model(declared_cells, None if corrected else errors)
-    coefficients = _with_errors(explained.coefficients, model, other_model, corrected=corrected)
-    coefficients = _with_ranks(coefficients, declared_cells)
-    return explained.model_copy(
-        update={
-            "corrected": corrected,
-            "coefficients": _with_weights(coefficients, declared_cells, model, explained),
-            "sizes": tuple(sorted(rows, key=lambda row: row.cell_um)),
-            "shared_errors": tuple(
-                SharedError(**sharing._asdict()) for sharing in sharings_of(names, errors[:-1, :-1])
-            ),
-        }
+    model = _bearable(cells, errors if corrected else None)
+    coefficients = _coefficients(cells, model, errors, corrected=corrected)
+    rows = [_size_row(_Cells.of(columns, means, size_um)) for size_um, means in models.items()]
+    rows.append(_row_of(cells, model, declared=True))
+    response = columns[0]
+    explained = Explained(
+        response=response.name,
+        title=response.title,
+        units=response.units,
+        of=tuple(maps.predictors),
+        cell_um=cell_um,
+        corrected=corrected,
+        n=cells.lags.n,
+        n_eff=float(model.n_eff.min()),
+        r2=model.r2,
+        intercept=model.intercept,
+        shared=model.r2 - float(model.unique.sum()),
+        coefficients=coefficients,
+        sizes=tuple(sorted(rows, key=lambda row: row.cell_um)),
+        shared_errors=tuple(
+            SharedError(**sharing._asdict())
+            for sharing in sharings_of(cells.names, errors[:-1, :-1])
+        ),
+        shared_parts=_parts_in_common([*maps.predictors], maps.sheet),
+        controls=tuple(name for name in maps.predictors if _bare(name) in NEGATIVE_CONTROLS),
+        cells=_dataset(cells, model, maps),
     )
+    return explained.model_copy(update=_of_residuals(cells, model) | _lead_of(model))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -329,7 +336,7 @@ def _bearable(cells: _Cells, errors: Floats | None) -> Regression:
     factor = LEAST_CLAIMED * k / max(n_eff, 1.0)
     help_text = f"a field of {factor:.1f} times the area"
     if k > 1:
-        help_text += f", or a model without {cells.names[fewest]}, whose waves are longest"
+        help_text += f", or a model without {cells.names[fewest]}, which has the fewest"
     raise CannotMeasure(
         f"{max(n_eff, 0):.0f} independent cells for {k} coefficients: a model needs"
         f" {LEAST_CLAIMED:.0f} for each. What would help: {help_text}. Several specimens in a"
@@ -337,45 +344,64 @@ def _bearable(cells: _Cells, errors: Floats | None) -> Regression:
     )
 
 
-def _stated(cells: _Cells, model: Regression, maps: ModelMaps) -> Explained:
+def _coefficients(
+    cells: _Cells, model: Regression, errors: Floats, *, corrected: bool
+) -> dict[str, Coefficient]:
+    """State each coefficient, and beside it those of ranks, of weights and of the errors."""
     p_values = [model.p(index) for index in range(len(cells.names))]
-    coefficients = {
+    p_of_set = holm(p_values)
+    ranked = cells.ranked().fit()
+    weighed = _weighed(cells, model) if not corrected else np.full(len(p_values), math.nan)
+    by_errors = _added_by_errors(cells, model, errors, corrected=corrected)
+    return {
         name: Coefficient(
+            title=column.title,
+            units=column.units,
             standardised=float(model.standardised[index]),
             interval=model.interval(index, standardised=True),
             plain=float(model.plain[index]),
             plain_interval=model.interval(index, standardised=False),
-            title=column.title,
-            units=column.units,
             standard_error=float(model.standard_errors[index] * model.scale[index]),
             n_eff=float(model.n_eff[index]),
             p=p_values[index],
-            p_of_set=p_of_set,
+            p_of_set=p_of_set[index],
             vif=float(model.vif[index]),
             unique=float(model.unique[index]),
+            rank=float(ranked.standardised[index]),
+            rank_interval=ranked.interval(index, standardised=True),
+            weighed=float(weighed[index]),
+            by_errors=float(by_errors[index]),
         )
-        for index, (name, column, p_of_set) in enumerate(
-            zip(cells.names, cells.columns[1:], holm(p_values), strict=True)
-        )
+        for index, (name, column) in enumerate(zip(cells.names, cells.columns[1:], strict=True))
     }
-    response = cells.columns[0]
-    explained = Explained(
-        response=response.name,
-        title=response.title,
-        units=response.units,
-        of=tuple(maps.predictors),
-        cell_um=cells.cell_um,
-        n=cells.lags.n,
-        n_eff=float(model.n_eff.min()),
-        r2=model.r2,
-        intercept=model.intercept,
-        shared=model.r2 - float(model.unique.sum()),
-        coefficients=coefficients,
-        shared_parts=_parts_in_common([*maps.predictors], maps.sheet),
-        controls=tuple(name for name in maps.predictors if _bare(name) in NEGATIVE_CONTROLS),
-        cells=_dataset(cells, model, maps),
-    )
-    return explained.model_copy(update=_of_residuals(cells, model) | _lead_of(model))
+
+
+def _added_by_errors(
+    cells: _Cells, model: Regression, errors: Floats, *, corrected: bool
+) -> Floats:
+    """What the stated errors add to plain coefficients; NaN where that is not known."""
+    unknown = np.full(model.plain.size, math.nan)
+    if not errors.any():
+        return unknown
+    try:
+        other_model = cells.fit(None if corrected else errors)
+    except CannotMeasure:
+        return unknown
+    return (model.plain - other_model.plain) * (-1.0 if corrected else 1.0)
+
+
+def _weighed(cells: _Cells, model: Regression) -> Floats:
+    """Standardised coefficients by generalised least squares; NaN where there are none."""
+    covariance = covariance_of_residuals(model.residuals, cells.lags)
+    if covariance is None:
+        return np.full(model.plain.size, math.nan)
+    try:
+        weighed = weighed_regression(
+            cells.maps[0], cells.maps[1:], cells.lags.is_valid, cells.lags.pixel_um, covariance
+        )
+    except CannotMeasure:
+        return np.full(model.plain.size, math.nan)
+    return weighed.plain * model.scale
 
 
 def _lead_of(model: Regression) -> dict[str, Any]:
@@ -415,97 +441,25 @@ def _of_residuals(cells: _Cells, model: Regression) -> dict[str, Any]:
 
 
 def _size_row(cells: _Cells) -> CellSizeRow:
-    row = CellSizeRow(cell_um=cells.cell_um, declared=False, n=cells.lags.n)
     try:
-        model = _bearable(cells, None)
+        return _row_of(cells, _bearable(cells, None))
     except CannotMeasure as fault:
-        return row.model_copy(update={"reason": fault.text})
+        return CellSizeRow(cell_um=cells.cell_um, declared=False, n=cells.lags.n, reason=fault.text)
+
+
+def _row_of(cells: _Cells, model: Regression, *, declared: bool = False) -> CellSizeRow:
     intervals = {
         name: model.interval(index, standardised=True) for index, name in enumerate(cells.names)
     }
-    return row.model_copy(
-        update={
-            "n_eff": float(model.n_eff.min()),
-            "r2": model.r2,
-            "standardised": dict(zip(cells.names, model.standardised.tolist(), strict=True)),
-            "intervals": intervals,
-        }
-    )
-
-
-def _declared_row(explained: Explained) -> CellSizeRow:
-    coefficients = explained.coefficients
     return CellSizeRow(
-        cell_um=explained.cell_um,
-        declared=True,
-        n=explained.n,
-        n_eff=explained.n_eff,
-        r2=explained.r2,
-        standardised={name: c.standardised for name, c in coefficients.items()},
-        intervals={name: c.interval for name, c in coefficients.items()},
+        cell_um=cells.cell_um,
+        declared=declared,
+        n=cells.lags.n,
+        n_eff=float(model.n_eff.min()),
+        r2=model.r2,
+        standardised=dict(zip(cells.names, model.standardised.tolist(), strict=True)),
+        intervals=intervals,
     )
-
-
-def _other_model(cells: _Cells, errors: Floats | None) -> Regression | None:
-    """The model with the stated errors taken off, or with them left in."""
-    try:
-        return cells.fit(errors)
-    except CannotMeasure:
-        return None
-
-
-def _with_errors(
-    coefficients: Mapping[str, Coefficient],
-    model: Regression,
-    other_model: Regression | None,
-    *,
-    corrected: bool,
-) -> dict[str, Coefficient]:
-    """State what the errors of the maps add to each coefficient."""
-    if other_model is None:
-        return dict(coefficients)
-    difference = model.plain - other_model.plain
-    by_errors = -difference if corrected else difference
-    return {
-        name: coefficient.model_copy(update={"by_errors": float(added)})
-        for (name, coefficient), added in zip(coefficients.items(), by_errors, strict=True)
-    }
-
-
-def _with_ranks(coefficients: Mapping[str, Coefficient], cells: _Cells) -> dict[str, Coefficient]:
-    model = cells.ranked().fit()
-    return {
-        name: coefficient.model_copy(
-            update={
-                "rank": float(model.standardised[index]),
-                "rank_interval": model.interval(index, standardised=True),
-            }
-        )
-        for index, (name, coefficient) in enumerate(coefficients.items())
-    }
-
-
-def _with_weights(
-    coefficients: Mapping[str, Coefficient],
-    cells: _Cells,
-    model: Regression,
-    explained: Explained,
-) -> dict[str, Coefficient]:
-    """The coefficients that generalised least squares give, as a second opinion."""
-    covariance = covariance_of_residuals(model.residuals, cells.lags)
-    if covariance is None or explained.corrected:
-        return dict(coefficients)
-    try:
-        weighed = weighed_regression(
-            cells.maps[0], cells.maps[1:], cells.lags.is_valid, cells.lags.pixel_um, covariance
-        )
-    except CannotMeasure:
-        return dict(coefficients)
-    standardised = weighed.plain * model.scale
-    return {
-        name: coefficient.model_copy(update={"weighed": float(value)})
-        for (name, coefficient), value in zip(coefficients.items(), standardised, strict=True)
-    }
 
 
 def covariance_of_residuals(residuals: Floats, lags: Lags) -> ExponentialCovariance | None:

@@ -103,3 +103,8 @@ class ExplainParams(Params):
             " the reference, or selections of ImageJ, in its pixels."
         ),
     )
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether it names anything that explains."""
+        return bool(self.of) or self.factors is not None

@@ -47,8 +47,8 @@ def explain(run: Path, out: Path | None, as_json: bool, **values: Any) -> int:
     given = any(values[name] for name in ExplainParams.model_fields)
     params = build_params(ExplainParams, values)
     if not given:
-        declared = open_run(run).study.explain if is_run(run) else None
-        if declared is None:
+        declared = open_run(run).study.explain if is_run(run) else ExplainParams()
+        if not declared.is_declared:
             raise InputError(
                 f"{run} declares no model. Name the maps that explain the image with `of`, or"
                 " declare them in the study: [explain] with of = [...]."

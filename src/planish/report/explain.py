@@ -80,6 +80,18 @@ def explain_page(model: AnyModel, *, source: str, version: str) -> tuple[str, li
     return f"{page}\n", pictures
 
 
+def explained_section(model: Explained | None) -> dict[str, Any]:
+    """Give what the report of a run shows of the model that its study declares; nothing of none."""
+    if model is None:
+        return {}
+    return {
+        "answer": say_answer(model),
+        "sentences": [*say_reading(model), *say_notes(model)],
+        "table": coefficient_rows(model),
+        "pictures": [draw_coefficients(model), *details_of(model)],
+    }
+
+
 def details_of(model: AnyModel) -> list[Picture]:
     """Figures beside that of the coefficients: other cells, partial plots, residuals."""
     if isinstance(model, ExplainedSeries):

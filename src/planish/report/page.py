@@ -39,6 +39,7 @@ from planish.report import (
     text,
 )
 from planish.report.draw import FULL, HALF, Picture
+from planish.report.explain import explained_section
 from planish.report.relation import MapPair, draw_pair
 from planish.report.sentences.table import Section, sentences
 from planish.report.sentences.wording import Wording
@@ -167,6 +168,7 @@ def render_report(
             if (name := f"{LIGHT}/{layer.name}") in groups
         ],
         evidence=[_evidence_section(run_maps, e, pairs) for e in results.evidence],
+        explained=explained_section(results.explained),
     )
     return f"{page}\n", pictures
 

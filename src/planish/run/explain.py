@@ -98,7 +98,7 @@ def explain_run(run: Run, params: ExplainParams) -> Explained:
 def check_model(params: ExplainParams) -> None:
     """Raise InputError where a model names no map that explains, or one map twice."""
     names = [params.response, *params.of]
-    if not params.of and params.factors is None:
+    if not params.is_declared:
         raise InputError("No map is given that explains the response. Name one or more with `of`.")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise InputError(f"{and_join(twice)} is given twice. Name each map of a model once.")
@@ -107,7 +107,7 @@ def check_model(params: ExplainParams) -> None:
 def is_declared(run: Run, params: ExplainParams) -> bool | None:
     """Whether the study declared this very model; None where it declares none."""
     declared = run.study.explain
-    return None if declared is None else declared == params
+    return declared == params if declared.is_declared else None
 
 
 def with_declared_model(run: Run) -> Run:
@@ -116,7 +116,7 @@ def with_declared_model(run: Run) -> Run:
     Where there can be none the run stands, and its results say why.
     """
     params = run.study.explain
-    if params is None:
+    if not params.is_declared:
         return run
     try:
         explained = explain_run(run, params)

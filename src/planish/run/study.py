@@ -69,12 +69,13 @@ SECTIONS: dict[str, type[Params]] = {
     "holes": HoleParams,
     "registration": RegistrationParams,
     "correlate": CorrelateParams,
+    "explain": ExplainParams,
 }
 """Sections of a study with options, and the models of these."""
 
 MAP_SECTIONS, LINK_SECTIONS = (
     ("surface", "properties", "flatten"),
-    ("holes", "registration", "correlate"),
+    ("holes", "registration", "correlate", "explain"),
 )
 """Sections of the mapping of a volume, and of a link."""
 
@@ -149,10 +150,7 @@ class Study(Params):
     holes: HoleParams = HoleParams()
     registration: RegistrationParams = RegistrationParams()
     correlate: CorrelateParams = CorrelateParams()
-    explain: ExplainParams | None = Field(
-        default=None,
-        description="Which maps explain another one: a model that is declared before it is run.",
-    )
+    explain: ExplainParams = ExplainParams()
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -396,6 +394,8 @@ def to_dict(study: Study) -> dict[str, Any]:
     for name in ("about", "packages"):
         if not data[name]:
             del data[name]
+    if not study.explain.is_declared:
+        del data["explain"]
     for layer, values in zip(study.layers, data["layers"], strict=True):
         if layer.kind != "volume":
             for name in MAP_SECTIONS:

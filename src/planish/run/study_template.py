@@ -25,6 +25,7 @@ _TITLES = {
     "holes": "The laser holes",
     "registration": "How image and sheet are registered",
     "correlate": "How image and maps are compared",
+    "explain": "Which maps explain another one, declared before the run",
 }
 _NOT_IN_FILES = {
     "volume": {
