@@ -255,9 +255,9 @@ def test_correction_takes_the_shared_error_off():
 
 def test_out_of_sample_is_below_in_sample_and_near_the_truth():
     rng = np.random.default_rng(6)
-    shape = (120, 120)
+    shape = (90, 90)
     a, b, rest = (field(rng, 1.2, shape) for _ in range(3))
     model = explained(dataset(y=0.6 * a + 0.8 * rest, a=a, b=b))
     assert model.r2_out < model.r2
-    assert model.r2_out == pytest.approx(0.36, abs=0.04)
+    assert model.r2_out == pytest.approx(0.36, abs=0.06)
     assert model.block_um > 2 * model.residual_range_um

@@ -8,6 +8,8 @@
 ``kubelka_munk`` and ``light_spread`` (light over a coating). ``compared_maps`` and
 ``sheet_columns`` are what these are given. ``sides`` and ``lag`` check the registration by what the
 maps share, ``refinement`` improves it.
+``explain`` is about a map and several others: ``cells``, ``multiple_regression``,
+``generalised_least_squares``, ``shared_errors``, ``explain_sheets``.
 ``image_values`` and ``mottle`` are about images. ``sheets``, ``between_sheets``, ``pooled``
 and ``differences`` are about many sheets; ``distributions`` is what they need.
 """

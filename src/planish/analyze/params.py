@@ -1,6 +1,8 @@
 """Options of the correlation."""
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator
 
 from planish.core.options import Names, Params, option
 
@@ -78,14 +80,26 @@ class CorrelateParams(Params):
     )
 
 
+def _each_name(value: object) -> object:
+    """Names one by one, whether in a list or with commas between them."""
+    texts = (value,) if isinstance(value, str) else value
+    if not isinstance(texts, tuple | list):
+        return value
+    return tuple(name.strip() for text in texts for name in str(text).split(",") if name.strip())
+
+
+MapNames = Annotated[tuple[str, ...], BeforeValidator(_each_name)]
+"""Names of maps; commas separate them where a text has several."""
+
+
 class ExplainParams(Params):
     """A model that is declared before it is run: which maps explain which."""
 
     response: str = option("image", metavar="MAP", help="Map that is explained.")
-    of: Names = option(
+    of: MapNames = option(
         (),
-        metavar="MAP",
-        help="Maps that explain it, as coating_top,base_surface_top; a map of labels is a factor.",
+        metavar="MAP,...",
+        help="Maps that explain it; may be given again. A map of labels is a factor.",
     )
     cell_um: float = option(100.0, gt=0, help="Edge of the cells over which maps are averaged.")
     corrected: bool = option(

@@ -42,8 +42,6 @@ def explain(run: Path, out: Path | None, as_json: bool, **values: Any) -> int:
     from planish.run.run import is_run, open_run
     from planish.series.explain import explain_folder, write_explained
 
-    if values.get("of"):
-        values["of"] = tuple(name for text in values["of"] for name in text.split(",") if name)
     given = any(values[name] for name in ExplainParams.model_fields)
     params = build_params(ExplainParams, values)
     if not given:
