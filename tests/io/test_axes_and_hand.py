@@ -93,7 +93,7 @@ def imagej(
 @cell(
     "TIFF",
     "axes",
-    "pages are z; time points or 16 channels in place of z are slices, which is said",
+    "pages are z; time points or 16 channels in place of z are slices, as reported",
 )
 def tiff_axes(folder: Path) -> Iterator[Said]:
     yield Said(imagej(folder / "plain.tif", LETTERS))
@@ -414,7 +414,7 @@ def hdf5_sizes(folder: Path) -> Iterator[Said]:
     yield Said(plain)
 
 
-@cell("HDF5, NeXus", "unit", "beside the size; m or mm where no other is sane, which is said")
+@cell("HDF5, NeXus", "unit", "beside the size; m or mm where no other is sane, as reported")
 def hdf5_unit(folder: Path) -> Iterator[Said]:
     nm_steps = {name: um * 1e3 for name, um in UM_STEPS.items()}
     yield Said(hdf5(folder / "nm.nxs", "zyx", with_coordinates("zyx", nm_steps, "nm")))
@@ -549,7 +549,7 @@ def nifti(path: Path, signs: tuple[int, int, int], unit: str = "micron", um: flo
     return path
 
 
-@cell("NIfTI", "axes", "x, y, z; time points in place of z are slices, which is said")
+@cell("NIfTI", "axes", "x, y, z; time points in place of z are slices, as reported")
 def nifti_axes(folder: Path) -> Iterator[Said]:
     yield Said(nifti(folder / "v.nii", (1, 1, 1)))
     image = nibabel.Nifti1Image(LETTERS.transpose(2, 1, 0)[:, :, None, :], None)
