@@ -14,24 +14,24 @@ class CorrelateParams(Params):
     headline: str | None = option(
         None,
         metavar="NAME",
-        help="Map whose correlation leads; the coating of the given side, where not given.",
+        help="Headline map; default: the coating of the given side.",
     )
     beside: Names = option(
         (),
         metavar="NAME",
         max_length=3,
         help=(
-            "A map of the sheet, such as base_thickness, whose part is taken off both sides of the"
-            " headline correlation for a second, partial r; may be given again, up to 3 times."
+            "Also state the partial r of the headline map beside this map of the sheet, such as"
+            " base_thickness; repeatable, up to 3 times."
         ),
     )
     regions: str | None = option(
         None,
         metavar="FILE",
         help=(
-            "Artefacts (a stain, a crease, a label) whose pixels do not count: polygons in GeoJSON,"
-            " in um of the reference, or selections of ImageJ (.roi, .zip), in its pixels; with"
-            " reason and author."
+            "Artefacts (a stain, a crease, a label) to leave out: polygons in GeoJSON, in um of"
+            " the reference, or selections of ImageJ (.roi, .zip), in its pixels; with reason and"
+            " author."
         ),
     )
     kubelka_munk: float | None = option(
@@ -40,9 +40,9 @@ class CorrelateParams(Params):
         lt=10,
         metavar="K/S",
         help=(
-            "Fit the curve of Kubelka and Munk to the reflectance over the coating that leads, with"
-            " this ratio of absorption to scattering (0.002 for a white coating); needs"
-            " reflectance, by `white` with `white_exposure` or by `dark_grey` and `white_grey`."
+            "Fit the curve of Kubelka and Munk to the reflectance over the headline coating, with"
+            " this ratio of absorption to scattering (0.002 for a white coating). Needs"
+            " reflectance: `white` with `white_exposure`, or `dark_grey` and `white_grey`."
         ),
     )
     light_spread_um: float | None = option(
@@ -57,14 +57,14 @@ class CorrelateParams(Params):
         None,
         metavar="FIELD",
         help=(
-            "Take a smooth field of light off the image, fitted together with the map that leads:"
-            " quadratic in x and y. Long waves of the paper's own go as well, so declare it before"
-            " you look at r; without it, r without the field is stated beside."
+            "Take a smooth field of light, quadratic in x and y, off the image, fitted together"
+            " with the headline map. Long waves of the paper go with it, so declare it before you"
+            " look at r. Without this option, both r are stated."
         ),
     )
     mottle: bool = option(
         False,
-        help="State by octaves of wavelength how uneven each image is (coefficient of variation).",
+        help="State the mottle of each image by octaves of wavelength (coefficient of variation).",
     )
     error_ratio: float | None = option(
         None,

@@ -38,9 +38,9 @@ from planish.run.compute import Compute
 def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     """Write maps, surfaces or the registration of a RUN for other programs.
 
-    OUT becomes a folder with a file for each map (NAME.tif ...), or one file where it ends as those
-    of the format do. docs/export.md says which format is for which program. Lengths are um, missing
-    values are NaN where a format has them; where the files come from travels with them.
+    OUT becomes a folder with a file for each map (NAME.tif ...), or one file if it ends like those
+    of the format. docs/export.md says which format suits which program. Lengths are um, missing
+    values NaN if the format has it; the files hold their history.
     """
     from planish.cli.show import stages
     from planish.exports import export as export_run
@@ -75,7 +75,7 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     """Write a RUN as one HTML file to look around in, for readers without planish.
 
     It shows two maps, their scatter and the slice at the cursor, in any browser since 2023, without
-    server or network. The report stays what is printed and kept.
+    server or network. To print and keep, take the report.
     """
     from planish.app import explore as write
     from planish.cli.show import stages
@@ -98,15 +98,15 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     "--port",
     type=click.IntRange(0, 65535),
     default=0,
-    help="Port to serve on; a free one where 0.  [default: 0]",
+    help="Port to serve on; 0 takes a free one.  [default: 0]",
 )
-@click.option("--no-browser", is_flag=True, help="Print the address only, and open no browser.")
-@click.option("--read-only", is_flag=True, help="Look only: nothing can be changed.")
+@click.option("--no-browser", is_flag=True, help="Print the address only; do not open a browser.")
+@click.option("--read-only", is_flag=True, help="Look only; change nothing.")
 @click.option(
     "--host",
     default="127.0.0.1",
     metavar="ADDRESS",
-    help="Address to serve on; others than this machine need --expose.",
+    help="Address to serve on; any but this machine's own needs --expose.",
 )
 @click.option(
     "--expose",
@@ -131,7 +131,7 @@ def view(
 
     Check its marks, surfaces and maps, correct them, and apply that to a new run.
 
-    RUN is the folder of a link. Where a link was refused at the marks, give the maps that it kept,
+    RUN is the folder of a link. If a link was refused at the marks, give the maps that it kept,
     OUT-map, and IMAGE, and set the marks by hand. Every change is saved at once in RUN/edits; RUN
     itself stays as it is.
     """

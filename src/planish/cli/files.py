@@ -38,14 +38,14 @@ from planish.run.compute import Compute, engine
 @options(ImageParams, "Size", only=("pixel_um",))
 @json_option
 def info(path: Path, picture: Path | None, as_json: bool, **sizes: Any) -> None:
-    """Say what PATH holds.
+    """Show what PATH holds.
 
-    Shape, type, voxel or pixel size and its source, grey values, what looks wrong. A size is
-    compared with the file as a run does it.
+    Shape, type, voxel or pixel size and its source, grey values, and whatever looks wrong. A given
+    size is compared with that of the file, as in a run.
 
-    In a terminal, the middle of a volume is drawn, too: there a sheet shows as a line across the
-    axis that runs through it. --picture draws three sections: x and y across with z down, and x
-    across with y down.
+    A terminal also shows the middle of a volume, where a sheet is a line across the axis that runs
+    through it. --picture draws three sections: x and y across with z down, and x across with y
+    down.
     """
     from planish.cli.show import fact_lines, run_facts, run_lines
     from planish.io import describe, find_place
@@ -119,11 +119,11 @@ def info(path: Path, picture: Path | None, as_json: bool, **sizes: Any) -> None:
     help="Version of OME-Zarr.",
 )
 def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) -> None:
-    """Bring VOLUME into a working store: chunked, in several resolutions, with checksums.
+    """Import VOLUME into a working store: chunked, in several resolutions, with checksums.
 
-    For volumes that do not fit into memory. Serial sections are aligned and joined on the way; give
-    --through for them. The store is OME-Zarr and opens in other programs too. An import that was
-    killed resumes where it stopped when the same command is given again.
+    For volumes that do not fit into memory. Serial sections, which need --through, are aligned and
+    joined. The store is OME-Zarr and opens in other programs, too. The same command resumes an
+    import that was killed.
     """
     from planish.cli.show import stages
     from planish.io.run_folder import refuse_existing

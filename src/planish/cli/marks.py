@@ -250,19 +250,18 @@ def _rule_facts(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
 @click.option(
     "--moving-origin-um",
     type=_ORIGIN,
-    help=(
-        "Place of the moving layer's first pixel, from which other programs count; 0,0 where not"
-        " given."
-    ),
+    help="Place of the moving layer's first pixel, from which other programs count; default: 0,0.",
 )
 @click.option("--fixed-origin-um", type=_ORIGIN, help="The same for the fixed layer.")
 @click.option(
     "--unit",
     type=_UNITS,
-    help="Unit of IN where it states none: BigWarp, ImageJ results um, elastix mm if not given.",
+    help=(
+        "Unit of IN if it states none; default: um for BigWarp and ImageJ results, mm for elastix."
+    ),
 )
 @click.option(
-    "--out-unit", type=_UNITS, help="Unit of OUT for BigWarp (um if not given) and elastix (mm)."
+    "--out-unit", type=_UNITS, help="Unit of OUT for BigWarp (default: um) and elastix (mm)."
 )
 @click.option("--swap", is_flag=True, help="The moving image of IN is the fixed one here.")
 @click.option("--swap-out", is_flag=True, help="The fixed layer is to be the moving image of OUT.")

@@ -314,7 +314,7 @@ def stack(*decorators: Command) -> Command:
 
 
 strict_option = click.option(
-    "--strict", is_flag=True, help="Exit with 4 also where a check asks for a look."
+    "--strict", is_flag=True, help="Also exit with 4 if a check asks for a look."
 )
 figures_option = click.option(
     "--figures",

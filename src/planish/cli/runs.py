@@ -140,7 +140,7 @@ def _run_and_show(
     is_flag=True,
     cls=Option,
     group="Marks and registration",
-    help="Register each layer to the next one, and carry it on from there.",
+    help="Register each layer to the next one, and so on to the reference.",
 )
 @_set_option(
     "Set a parameter of one layer, such as large.image.pixel_um=5.3,5.3 for the layer large=PATH;"
@@ -198,13 +198,12 @@ def map_(volume: Path, out: Path, **values: Any) -> int:
 @strict_option
 @json_option
 def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) -> int:
-    """Do what STUDY says.
+    """Run a STUDY, or repeat a run.
 
-    STUDY is a file of 'planish new', or the run.toml of a run, which is then repeated.
+    STUDY is a file of 'planish new', or the run.toml of a run.
 
-    Mistakes in STUDY are named with line, key and the word that was probably meant. A run that is
-    repeated without changes has the same bytes; files that differ from those beside STUDY are
-    named.
+    Mistakes in STUDY are reported with line, key and the likely word. A run that is repeated
+    without changes has the same bytes; files that differ from those beside STUDY are listed.
     """
     from planish.report import FIGURES
     from planish.run.study import in_study_words, read_study
@@ -269,7 +268,7 @@ def _compare(old_run: Path, new_run: Path) -> None:
 
 @verb("planish demo", "planish demo --out try --seed 2")
 @_folder_option
-@click.option("--seed", default=1, show_default=True, help="Another number gives another specimen.")
+@click.option("--seed", default=1, show_default=True, help="Another seed gives another specimen.")
 @strict_option
 @json_option
 def demo(out: Path | None, seed: int, **values: Any) -> int:
@@ -297,11 +296,11 @@ def demo(out: Path | None, seed: int, **values: Any) -> int:
 def new(study: Path, volume: Path, image: Path | None) -> None:
     """Write STUDY, a commented file with all options, for VOLUME and IMAGE.
 
-    'planish run STUDY' then does it.
+    'planish run STUDY' then carries it out.
 
-    What the files state stands in it: sizes, shapes, grey values, the axis that seems to run
-    through the sheet. What they do not state is listed at its top, with line numbers. Without IMAGE
-    it is a study that maps VOLUME.
+    It holds what the files state: sizes, shapes, grey values, the axis that seems to run through
+    the sheet. What they do not state is listed at its top, with line numbers. Without IMAGE, the
+    study maps VOLUME.
     """
     from planish.core.errors import FileError
     from planish.core.files import write_whole

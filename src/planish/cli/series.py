@@ -55,7 +55,7 @@ _STATE_TEXTS = {
     "changes",
     multiple=True,
     metavar="SECTION.NAME=VALUE",
-    help="Set an option of all specimens, such as volume.through=y; may be given again.",
+    help="Set an option of all specimens, such as volume.through=y; repeatable.",
 )
 @click.option(
     "--jobs",
@@ -65,13 +65,13 @@ _STATE_TEXTS = {
     metavar="N",
     cls=Option,
     group="Resources",
-    help="Specimens that are processed at a time; memory and threads are shared out among them.",
+    help="Specimens processed at a time; they share memory and threads.",
 )
 @options(Compute, "Resources")
 @click.option(
     "--dry-run",
     is_flag=True,
-    help="Say what would be done, how long it takes and how much it needs; exit.",
+    help="State what would be done, and its time and memory; then exit.",
 )
 @click.option(
     "--watch",
@@ -94,7 +94,7 @@ _STATE_TEXTS = {
     "--idle",
     type=click.FloatRange(0),
     metavar="SECONDS",
-    help="With --watch: end when nothing came for this long.",
+    help="With --watch: end if no file came for this long.",
 )
 @json_option
 def study(
@@ -109,7 +109,7 @@ def study(
     as_json: bool,
     **values: Any,
 ) -> int:
-    """Link all SPECIMENS, and say what they say together.
+    """Link all SPECIMENS, and compare them.
 
     SPECIMENS is a CSV table with the columns volume and image (or layers), one row a specimen, or a
     study file of 'planish new' with a table [[specimens]] for each. Other columns are factors:
@@ -117,9 +117,8 @@ def study(
     of each specimen.
 
     OUT gets a run of each specimen in runs/, report.html, specimens.csv, values.csv and
-    results.json. What is done is kept: the same command resumes where it stopped, and does again
-    only what has other files or options. A specimen that cannot be used is named, and stops no
-    other.
+    results.json. The same command resumes where it stopped, and repeats only what has other files or
+    options. A specimen that cannot be used is named, and stops no other.
     """
     from planish.series import SeriesState, read_plan
     from planish.series.jobs import series_folder
@@ -302,9 +301,9 @@ def compare(
 ) -> int:
     """Compare RUNS: figures of each, then means over sheets, differences with intervals, pooled r.
 
-    Without --table each run counts as a sheet of its own, and nothing but its figures and their
-    mean is stated. Without RUNS, all those of the table are taken. Figures that a check doubts or
-    refutes are marked and take part in nothing.
+    Without --table each run counts as a sheet of its own, and only figures and their mean are
+    stated. Without RUNS, all those of the table are taken. Doubtful and withheld figures are marked
+    and left out.
     """
     from planish.core.errors import InputError
     from planish.io.run_folder import new_folder

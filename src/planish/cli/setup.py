@@ -34,8 +34,8 @@ _STATE_TEXTS = {"pass": "ok", "unknown": "note", "look": "look", "fail": "PROBLE
 def doctor(as_json: bool, report: Path | None) -> int:
     """Check the installation: versions, compile cache, memory, disks, console, extras.
 
-    The text can be mailed as it is: it holds no names of folders, but for one that cannot be
-    written. The exit code is 0 where all is well, and 4 otherwise.
+    The text can be mailed as it is: it names no folder, except one that cannot be written. The exit
+    code is 0 if all is well, and 4 otherwise.
     """
     from planish.installation import check_installation, describe_installation, report_text
 
@@ -107,14 +107,14 @@ def script_of(shell: str) -> str:
 @verb("planish completion bash --install", "planish completion powershell >> $PROFILE")
 @click.argument("shell", type=click.Choice(SHELLS))
 @click.option(
-    "--install", is_flag=True, help="Write it into your own place for SHELL, and say where."
+    "--install", is_flag=True, help="Install it for SHELL in your own account, and print where."
 )
 def completion(shell: str, install: bool) -> None:
     """Print the script with which SHELL completes commands and options of planish, or install it.
 
     --install writes one file into your own folders. For bash, zsh and PowerShell it also adds one
-    line to the file that SHELL reads at its start. New terminals then complete with the Tab key. To
-    take it out, remove what was written.
+    line to the start file of SHELL. New terminals then complete with the Tab key. To undo it,
+    remove both.
     """
     if not install:
         click.echo(script_of(shell), nl=False)

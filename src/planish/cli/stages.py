@@ -138,9 +138,7 @@ def surface(volume: Path, out: Path, **values: Any) -> None:
 )
 @existing("surfaces")
 @out_option(_STORE)
-@click.option(
-    "--volume", "path", help="Volume of the surfaces, where it lies elsewhere now.", **_ONE_FILE
-)
+@click.option("--volume", "path", help="Volume of the surfaces, if it was moved.", **_ONE_FILE)
 @volume_options
 @property_options
 @compute_options
@@ -335,7 +333,7 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     "names",
     multiple=True,
     metavar="NAME",
-    help="Maps to compare; all where not given.",
+    help="Maps to compare; default: all.",
 )
 @options(CorrelateParams, "Correlation", only=("point_um", "regions"))
 @json_option
@@ -375,7 +373,7 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
 @out_option("HTML file to make; it must not exist.")
 @figures_option
 def report(run: Path, out: Path, figures: bool) -> None:
-    """Make the report of a RUN folder again."""
+    """Write the report of a RUN folder anew."""
     from planish.io.run_folder import refuse_existing
     from planish.report import FIGURES, write_report
     from planish.run import open_run

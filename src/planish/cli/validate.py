@@ -29,11 +29,11 @@ _DEFAULT = "small"
 )
 @options(SpecimenOptions, "Specimen")
 @out_option("Folder to make; it must not exist.", required=False)
-@click.option("--list", "listed", is_flag=True, help="Name papers and nuisances and exit.")
+@click.option("--list", "listed", is_flag=True, help="List papers and nuisances, and exit.")
 def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     """Make a specimen with known answers.
 
-    Files as instruments write them, and the truth apart from them.
+    It consists of files as instruments write them, with the truth beside them.
 
     DIR gets scan/ (slices with the log file of NRecon), sections/ (photographs with the cut
     counter), image.ome.tif, printed.ome.tif, and truth/: maps on the pixels of the image, holes,
@@ -85,7 +85,7 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
 @click.option(
     "--seeds",
     type=click.IntRange(min=1),
-    help="Number of specimens; the scenario's own where not given.",
+    help="Number of specimens; default: that of the scenario.",
 )
 @click.option(
     "--like",
@@ -97,13 +97,13 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     "--sensitivity",
     "alone",
     is_flag=True,
-    help="Also run with each nuisance alone: which stage suffers.",
+    help="Also run with each nuisance alone, to show which stage suffers.",
 )
 @out_option(
     "Folder to make for certificate.html, .md and .json, one in it for each of several scenarios.",
     required=False,
 )
-@click.option("--list", "listed", is_flag=True, help="Name the scenarios and exit.")
+@click.option("--list", "listed", is_flag=True, help="List the scenarios, and exit.")
 @options(Compute, "Resources")
 @json_option
 def validate(  # noqa: C901, PLR0912
@@ -118,9 +118,9 @@ def validate(  # noqa: C901, PLR0912
 ) -> int:
     """Calibrate planish on specimens with known answers.
 
-    Make them, run on their files, report the error of every stage.
+    It makes them, runs on their files, and reports the error of every stage.
 
-    Prints an error ledger in um against the truth. Ends with 4 when a limit of the scenario is
+    It prints the errors against the truth in um, and ends with 4 if a limit of the scenario is
     missed.
     """
     from dataclasses import replace

@@ -41,9 +41,8 @@ class CorrectParams(Params):
         cli="--rotation-centre-um",
         metavar="A,B",
         help=(
-            "Position of the axis of rotation along the two other axes, in the order z, y, x, in um"
-            " from the first voxel; the middle of the field where not given. Needed for a cropped"
-            " volume."
+            "Position of the axis of rotation along the two other axes, in the order z, y, x, in"
+            " um from the first voxel; default: the middle of the field. A cropped volume needs it."
         ),
     )
 

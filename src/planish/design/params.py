@@ -24,7 +24,7 @@ class DesignParams(Params):
         ),
     )
     holes: int | None = option(
-        None, ge=1, le=120, help="Number of holes; 24 or what the field takes."
+        None, ge=1, le=120, help="Number of holes; default: 24, or fewer in a small field."
     )
     diameter_um: float = option(
         175.0, ge=10, le=2000, help="Diameter of a hole, usually 150 to 200 um."
@@ -36,21 +36,21 @@ class DesignParams(Params):
         None,
         gt=0,
         le=1e6,
-        help="Least distance of two holes; where not given 500 um or 3 diameters, the larger.",
+        help="Least distance of two holes; default: the larger of 500 um and 3 diameters.",
     )
     margin_um: float | None = option(
         None,
         gt=0,
         le=1e6,
         help=(
-            "From the field to the middle of the holes, widened to whole steps of 50 um; if not"
-            " given 1.5 diameters, or as much as a small field needs."
+            "From the field to the middle of the holes, widened to whole steps of 50 um; default:"
+            " 1.5 diameters, or as much as a small field needs."
         ),
     )
     origin_um: tuple[float, float] = option(
         (0.0, 0.0), metavar="X,Y", help="Where on the stage the lower left corner of the view lies."
     )
-    seed: int = option(0, ge=0, help="Another seed, another pattern.")
+    seed: int = option(0, ge=0, help="Another seed gives another pattern.")
     pulse_s: float = option(0.005, ge=1e-6, le=1, help="Length of the laser's pulse.")
     pause_s: float = option(0.1, ge=0, le=60, help="Rest after a pulse.")
     name: str = option("pattern", help="Title of the drawing.")
@@ -76,7 +76,7 @@ class StageParams(Params):
     range_um: tuple[float, float, float, float] = option(
         (0.0, 0.0, 100_000.0, 100_000.0),
         metavar="X0,Y0,X1,Y1",
-        help="Range of the stage; a program that leaves it is refused.",
+        help="Range of the stage; programs that leave it are refused.",
     )
 
     @model_validator(mode="after")

@@ -396,18 +396,15 @@ class ExportParams(Params):
         (),
         cli="--map",
         metavar="NAME",
-        help=(
-            "Map to write; may be given again; all where not given. Of surfaces: a surface, or a"
-            " map that it carries."
-        ),
+        help="Map to write, or a surface, or a map that it carries; repeatable; default: all.",
     )
     group: str | None = option(
         None,
         metavar="GROUP",
         help=(
-            "What of the run: linked, maps, surfaces, layers/NAME, or straightened, the volume"
-            " along the normals. Linked maps where there are any, otherwise maps; for a"
-            " registration the name of its layer."
+            "Group of the run: linked, maps, surfaces, layers/NAME, or straightened (the volume"
+            " along the normals); for a registration, the name of its layer. Default: linked, or"
+            " maps if there is no link."
         ),
     )
     point_um: Length | None = option(
@@ -438,8 +435,8 @@ class ExportParams(Params):
         None,
         metavar="LOW,HIGH",
         help=(
-            "straightened: from where to where along the normals, in um from the centre surface, up"
-            " to the top; from below the lowest to above the highest face where not given."
+            "straightened: range along the normals, in um from the centre surface, up to the top;"
+            " default: from below the lowest to above the highest face."
         ),
     )
     unit: Literal["um", "mm"] = option(

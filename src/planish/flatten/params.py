@@ -11,10 +11,7 @@ class FlattenParams(Params):
     mesh_um: float | None = option(
         None,
         gt=0,
-        help=(
-            "Pitch of the spring mesh in um; four columns, or more for large sheets, where not"
-            " given."
-        ),
+        help="Pitch of the spring mesh in um; default: four columns, or more for large sheets.",
     )
     method: Literal["multigrid", "relaxation"] = option(
         "multigrid",
@@ -26,8 +23,8 @@ class FlattenParams(Params):
     neutral: Literal["base", "faces"] | None = option(
         None,
         help=(
-            "Surface that stays unstrained where the sheet is bent: the middle of the base, or the"
-            " mean of the faces; base where not given and both interfaces are measured."
+            "Surface that stays unstrained when the sheet is bent: the middle of the base, or the"
+            " mean of the faces; default: base, if both interfaces are measured."
         ),
     )
     rest: Literal["arc", "chord"] = option(
@@ -38,5 +35,5 @@ class FlattenParams(Params):
         ),
     )
     map_um: float | None = option(
-        None, gt=0, help="Pixel of the flat maps in um; the volume's columns where not given."
+        None, gt=0, help="Pixel of the flat maps in um; default: the columns of the volume."
     )

@@ -28,33 +28,31 @@ class VolumeParams(Params):
         None,
         metavar="SIZE|Z,Y,X",
         repeat=True,
-        help="Voxel size in um, where the file does not state it.",
+        help="Voxel size in um, if the file does not state it.",
     )
     through: Literal["z", "y", "x"] = option("z", help="Axis that runs through the sheet.")
     top: Literal["high", "low"] = option(
         "high",
         help="End of that axis at which the top side lies. Maps are displayed as seen from there.",
     )
-    override_size: bool = option(
-        False, help="Take the sizes given here where a file states others."
-    )
+    override_size: bool = option(False, help="Use these sizes even if a file states others.")
     unusual_size: bool = option(
         False,
         help=(
-            "Take sizes that paper does not have: pixels of 0.1 nm to 1 mm, sheets of 50 nm to"
+            "Accept sizes that paper does not have: pixels of 0.1 nm to 1 mm, sheets of 50 nm to"
             " 50 mm."
         ),
     )
     channel: Channel | None = option(
         None,
         cli="--volume-channel",
-        help="Channel of slices or sections in colour; luminance where not given.",
+        help="Channel of slices or sections in colour; default: luminance.",
     )
     column_um: float | None = option(
         None,
         gt=0,
         help=(
-            "Width of the measured columns in um; single voxels where not given, or as the memory"
+            "Width of the measured columns in um; default: single voxels, or wider as memory"
             " demands."
         ),
     )
@@ -62,9 +60,9 @@ class VolumeParams(Params):
         None,
         metavar="FIRST,LAST",
         help=(
-            "Serial sections: rows of the photographs with a straight line along them that does not"
-            " move, such as the edge of the block. Slow drift of the sections can then be separated"
-            " from a bend of the sheet."
+            "Serial sections: rows of the photographs along which a fixed straight line runs, such"
+            " as the edge of the block. It separates slow drift of the sections from a bend of the"
+            " sheet."
         ),
     )
     fixed_cols: tuple[Index, Index] | None = option(
@@ -97,24 +95,24 @@ class ImageParams(Params):
         None,
         metavar="SIZE|Y,X",
         repeat=True,
-        help="Pixel size in um, where the image does not state it.",
+        help="Pixel size in um, if the image does not state it.",
     )
     channel: str = option(
         "luminance",
         help="Channel of a colour image: luminance, red, green, blue or a number from 0.",
     )
     override_size: bool = option(
-        False, cli=None, help="Take the size given here where the file states another."
+        False, cli=None, help="Use this size even if the file states another."
     )
     unusual_size: bool = option(
-        False, cli=None, help="Take a pixel size that images of paper do not have."
+        False, cli=None, help="Accept a pixel size that images of paper do not have."
     )
     side: Literal["top", "bottom"] | None = option(
         None,
         cli="--image-side",
         help=(
-            "Side of the sheet that the image shows; where not given, top is assumed and the report"
-            " says so."
+            "Side of the sheet that the image shows; default: top, which the report then calls"
+            " assumed."
         ),
     )
     md_deg: float | None = option(
@@ -133,7 +131,7 @@ class ImageParams(Params):
         metavar="GREY",
         help=(
             "Grey of the image without light, in its own values; with `white_grey` the image"
-            " becomes reflectance. Without both its grey values are uncalibrated."
+            " becomes reflectance. Without both, grey values are uncalibrated."
         ),
     )
     white_grey: float | None = option(
@@ -145,14 +143,14 @@ class ImageParams(Params):
         None,
         metavar="FILE",
         help=(
-            "Picture of a white sheet in the same light, with the image's own pixels or binned; the"
-            " image is divided by it before anything else and becomes reflectance."
+            "Picture of a white sheet in the same light, with the image's pixels or binned; the"
+            " image is first divided by it and becomes reflectance."
         ),
     )
     dark: str | None = option(
         None,
         metavar="FILE",
-        help="Picture without light, likewise, taken off both; black is 0 where it is not given.",
+        help="Picture without light, likewise, subtracted from both; default: black is 0.",
     )
     white_exposure: float | None = option(
         None,
@@ -166,8 +164,8 @@ class ImageParams(Params):
         None,
         metavar="srgb|EXPONENT",
         help=(
-            "Curve that the image and its `white` and `dark` are coded with: srgb, an exponent such"
-            " as 2.2, or 1 where grey is linear. It is undone before anything else."
+            "Curve that the image and its `white` and `dark` are coded with, undone before"
+            " anything else: srgb, an exponent such as 2.2, or 1 for linear grey."
         ),
     )
     screen_um: float | None = option(

@@ -14,7 +14,7 @@ class HoleParams(Params):
     printed: bool = option(
         False,
         help=(
-            "The image is a print: dots narrower than the smallest hole are taken off before holes"
-            " are searched in it."
+            "The image is a print: remove dots narrower than the smallest hole before searching"
+            " for holes."
         ),
     )

@@ -30,8 +30,8 @@ class RegistrationParams(Params):
     by: Literal["auto", "holes", "texture", "both"] = option(
         "auto",
         help=(
-            "What the layers are registered by. auto takes holes, and the texture of both where"
-            " there are fewer than 3 holes in either; both fits holes and texture in one."
+            "What the layers are registered by. auto takes holes, and the texture too if either"
+            " has fewer than 3 holes; both fits holes and texture in one."
         ),
     )
     near: tuple[float, ...] | None = option(
@@ -40,16 +40,16 @@ class RegistrationParams(Params):
         max_length=3,
         metavar="X,Y[,RADIUS]",
         help=(
-            "About where in the fixed layer the middle of the moving one lies, in um, for the"
-            " search by texture; RADIUS is 500 where not given."
+            "Rough place of the middle of the moving layer in the fixed one, in um, for the search"
+            " by texture; default of RADIUS: 500."
         ),
     )
     design: str | None = option(
         None,
         metavar="FILE",
         help=(
-            "The pattern that was burnt, pattern.json of 'planish marks design' or a CSV table:"
-            " holes are identified by their position in it."
+            "The pattern that was burnt (pattern.json of 'planish marks design', or a CSV table):"
+            " identifies holes by their position."
         ),
     )
     scale_tolerance: float = option(

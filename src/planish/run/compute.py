@@ -70,13 +70,13 @@ class Compute(Params):
         None,
         cli="--memory",
         metavar="SIZE",
-        help="Most memory to use, such as 4GB; half of what is free.",
+        help="Most memory to use, such as 4GB; default: half of what is free.",
     )
     threads: int | None = option(
         None,
         ge=1,
         metavar="N",
-        help="Local threads; one a processor that planish may use, eight at most.",
+        help="Local threads; default: one per processor that planish may use, eight at most.",
     )
     scheduler: str | None = option(
         None, metavar="tcp://HOST:PORT", help="Work on a dask cluster instead of local threads."

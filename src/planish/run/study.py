@@ -47,12 +47,12 @@ class AboutParams(Params):
         None, min_length=1, max_length=200, help="Title of the page, such as paper and trial."
     )
     author: str | None = option(
-        None, min_length=1, max_length=200, help="Who made the run; the page names them."
+        None, min_length=1, max_length=200, help="Who made the run, as named on the page."
     )
     date: Annotated[
         str | None, BeforeValidator(lambda v: str(v) if isinstance(v, datetime.date) else v)
     ] = option(
-        None, min_length=1, max_length=60, help="Date that the page states, such as 2026-03-31."
+        None, min_length=1, max_length=60, help="Date stated on the page, such as 2026-03-31."
     )
     note: str | None = option(
         None, min_length=1, max_length=2000, help="A few words for the page, such as the paper."

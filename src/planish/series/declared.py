@@ -13,16 +13,14 @@ class Declared(Params):
         cli="--by",
         metavar="FACTOR",
         help=(
-            "Factor whose levels are compared; where not given the first that varies of treatment,"
-            " paper, side."
+            "Factor whose levels are compared; default: the first of treatment, paper and side"
+            " that varies."
         ),
     )
     headline: tuple[str, ...] = option(
         (),
         metavar="MAP",
-        help=(
-            "Map to compare; repeatable, the leading one first. Those of the runs where not given."
-        ),
+        help="Map to compare; repeatable, the headline first; default: those of the runs.",
     )
     margin: dict[str, float] = option(
         {},
@@ -35,10 +33,10 @@ class Declared(Params):
     thin_um: float | None = option(
         None,
         ge=0,
-        help="Limit of the thin share that is compared; that of the runs where not given.",
+        help="Limit of the thin share that is compared; default: that of the runs.",
     )
     doubtful: bool = option(
-        False, cli="--with-doubtful", help="Take doubtful figures into means and comparisons, too."
+        False, cli="--with-doubtful", help="Include doubtful figures in means and comparisons."
     )
 
     @field_validator("margin")

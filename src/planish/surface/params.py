@@ -53,20 +53,20 @@ class SurfaceParams(Params):
     sheet_grey: tuple[float, float] | None = option(
         None,
         metavar="LOW,HIGH",
-        help="Grey range of the sheet, where the volume shows other material beside it.",
+        help="Grey range of the sheet, if the volume shows other material.",
     )
     seed_um: tuple[float, float, float] | None = option(
         None,
         metavar="Z,Y,X",
         help=(
-            "A point inside the sheet, where there are several sheets or layers; with `sheet_grey`,"
-            " the part of that grey range that holds the point."
+            "A point inside the sheet, if there are several sheets or layers; with `sheet_grey`,"
+            " the connected part of that grey range around the point."
         ),
     )
     coating_grey: float | None = option(
         None,
         metavar="GREY",
-        help="Grey of the coating; needed where it is nowhere thicker than half the blur.",
+        help="Grey of the coating; needed if it is nowhere thicker than half the blur.",
     )
     fringe: Fringe = option(
         "auto",
@@ -95,18 +95,15 @@ class SurfaceParams(Params):
     labels: LabelParams | None = option(
         None,
         cli="--labels",
-        help=(
-            "The volume holds labels of another program: 0 air, 1 base, 2 coating where not given"
-            " otherwise."
-        ),
+        help="The volume holds labels of another program; default: 0 air, 1 base, 2 coating.",
     )
     corrections: str | None = option(
         None,
         metavar="FILE",
-        help="Corrections of the faces: JSON with points that they are drawn to.",
+        help="Corrections of the faces: JSON with points on the true faces.",
     )
     cutoff_um: float = option(
-        400.0, gt=0, help="Wavelength of the centre surface that its smoothing passes by half."
+        400.0, gt=0, help="Wavelength that the smoothing of the centre surface halves."
     )
     rim_um: float = option(
         100.0, ge=0, help="Zone around holes and gaps that is left out of all results."

@@ -258,23 +258,21 @@ class SpecimenOptions(Params):
     size: Literal["T0", "T1", "T2", "T3"] = option(
         "T1", help="0.8 x 0.6, 3 x 2, 8 x 6 or 20 x 15 mm; the last has no voxels."
     )
-    slab: bool = option(
-        False, help="A base of one grey with exact faces, in place of single fibres."
-    )
-    seed: int = option(0, ge=0, help="Another one, another specimen.")
+    slab: bool = option(False, help="A base of one grey with exact faces instead of single fibres.")
+    seed: int = option(0, ge=0, help="Another seed gives another specimen.")
     instrument: tuple[str, ...] = option(
         ("ct", "sections", "image", "print"),
         metavar="|".join(INSTRUMENTS),
-        help="What is written; repeatable. All but 'stack' and 'flatbed' where not given.",
+        help="What is written; repeatable; default: all but 'stack' and 'flatbed'.",
     )
     voxel_um: float = option(3.0, ge=0.5, help="Voxel of the scan.")
     nuisance: tuple[str, ...] | None = option(
         None,
         metavar="NAME",
-        help="Only these are on; repeatable. 'none': no nuisance. All are on where not given.",
+        help="Switch on only these; repeatable; 'none' for no nuisance; default: all.",
     )
     without: tuple[str, ...] = option(
-        (), metavar="NAME", help="These nuisances are off; repeatable."
+        (), metavar="NAME", help="Switch these nuisances off; repeatable."
     )
 
     @field_validator("preset", "instrument", "nuisance", "without")
