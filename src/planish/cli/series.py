@@ -117,8 +117,8 @@ def study(
     of each specimen.
 
     OUT gets a run of each specimen in runs/, report.html, specimens.csv, values.csv and
-    results.json. The same command resumes where it stopped, and repeats only what has other files or
-    options. A specimen that cannot be used is named, and stops no other.
+    results.json. The same command resumes where it stopped, and repeats only what has other files
+    or options. A specimen that cannot be used is named, and stops no other.
     """
     from planish.series import SeriesState, read_plan
     from planish.series.jobs import series_folder
