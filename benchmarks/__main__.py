@@ -34,6 +34,7 @@ _ALL = (
     "gains",
     "evidence",
     "explain",
+    "explain_fibres",
     "uneven",
     "even_light",
     "scanner",

@@ -42,21 +42,32 @@ _LEFT = 3.0  # ranges after which a twentieth of an exponential covariance is le
 _CORRELOGRAM_POINTS = 40
 
 
-class Coefficient(ResultModel):
-    """What one predictor adds, the others held."""
+class CoefficientFacts(ResultModel):
+    """What one predictor adds, the others held; of a field, or over sheets."""
 
     title: str = Field(default="", description="Title of the predictor.")
+    units: str = Field(default="1", description="Unit of the predictor.")
     standardised: Value = Field(
         description="Standard deviations of the response per standard deviation of the predictor."
     )
     interval: Interval = optional("95 % interval of the standardised coefficient.")
     plain: Value = Field(description="Units of the response per unit of the predictor.")
     plain_interval: Interval = optional("95 % interval of the plain coefficient.")
-    units: str = Field(default="1", description="Unit of the predictor.")
-    standard_error: Value = optional("Of the standardised coefficient.")
-    n_eff: Value = optional("Independent cells for this coefficient.")
     p: Value = optional("Of the test that the true one is 0.")
     p_of_set: Value = optional("The same after Holm, over all predictors.")
+
+    @property
+    def direction(self) -> int:
+        """1 or -1 where the interval excludes 0, else 0."""
+        low, high = self.interval
+        return int(low > 0) - int(high < 0)
+
+
+class Coefficient(CoefficientFacts):
+    """What one predictor adds in one field, the others held."""
+
+    standard_error: Value = optional("Of the standardised coefficient.")
+    n_eff: Value = optional("Independent cells for this coefficient.")
     vif: Value = optional("Variance inflation: how much the other predictors widen the interval.")
     unique: Value = optional("Share of the response's variance that it alone explains.")
     rank: Value = optional("The standardised coefficient over the ranks of all maps.")
@@ -69,12 +80,6 @@ class Coefficient(ResultModel):
         "What the stated errors of the maps add to the plain coefficient; it is taken off where the"
         " model is corrected."
     )
-
-    @property
-    def direction(self) -> int:
-        """1 or -1 where the interval excludes 0, else 0."""
-        low, high = self.interval
-        return int(low > 0) - int(high < 0)
 
 
 class SharedError(ResultModel):
@@ -107,8 +112,8 @@ class CellSizeRow(ResultModel):
     reason: str = Field(default="", description="Why there is no model of that size.")
 
 
-class Explained(ResultModel):
-    """A response explained by several maps, on cells of one size."""
+class ModelFacts(ResultModel):
+    """A response explained by several maps; of a field, or over sheets."""
 
     response: str = Field(description="Map that is explained.")
     title: str = Field(default="", description="Its title.")
@@ -118,13 +123,22 @@ class Explained(ResultModel):
     corrected: bool = Field(
         default=False, description="Whether the stated errors of the maps were taken off."
     )
-    declared: bool | None = optional(
-        "Whether the study of the run declared this model before it was run; none without a study."
-    )
     n: int = Field(description="Cells with a value in all maps. Neighbours resemble each other.")
     n_eff: Value = Field(description="Independent cells, of the coefficient with the fewest.")
     r2: Value = Field(description="Share of the variance that all predictors explain together.")
     r2_out: Value = optional("The same of blocks that the model was not fitted to.")
+    lead: Value = optional(
+        "Size of the largest standardised coefficient less that of the next one."
+    )
+    lead_interval: Interval = optional("Its 95 % interval.")
+
+
+class Explained(ModelFacts):
+    """A response explained by several maps, on cells of one size."""
+
+    declared: bool | None = optional(
+        "Whether the study of the run declared this model before it was run; none without a study."
+    )
     block_um: Value = optional("Width of these blocks, beyond the reach of the residuals.")
     residual_range_um: Value = optional(
         "Distance at which the covariance of the residuals has fallen to 1/e."
@@ -132,10 +146,6 @@ class Explained(ResultModel):
     intercept: Value = Field(description="Of the plain model.")
     shared: Value = optional("Share of the variance that the predictors explain only together.")
     coefficients: dict[str, Coefficient] = Field(description="By predictor.")
-    lead: Value = optional(
-        "Size of the largest standardised coefficient less that of the next one."
-    )
-    lead_interval: Interval = optional("Its 95 % interval.")
     sizes: tuple[CellSizeRow, ...] = Field(default=(), description="The same over other cells.")
     correlogram_um: tuple[float, ...] = Field(
         default=(), description="Distances of the residuals' correlogram."
@@ -157,10 +167,10 @@ class Explained(ResultModel):
     #: Dataset (cell_y, cell_x): means over cells, residual, and each predictor freed of the others.
     cells: Annotated[SkipJsonSchema[Any], Field(exclude=True)] = None
 
-    @property
-    def strongest(self) -> list[str]:
-        """Predictors by the size of their standardised coefficients, the largest first."""
-        return sorted(self.coefficients, key=lambda k: -abs(self.coefficients[k].standardised))
+
+def strongest(coefficients: Mapping[str, CoefficientFacts]) -> list[str]:
+    """Predictors by the size of their standardised coefficients, the largest first."""
+    return sorted(coefficients, key=lambda name: -abs(coefficients[name].standardised))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -236,7 +246,7 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
             for sharing in sharings_of(cells.names, errors[:-1, :-1])
         ),
         shared_parts=_parts_in_common([*maps.predictors], maps.sheet),
-        controls=tuple(name for name in maps.predictors if _bare(name) in NEGATIVE_CONTROLS),
+        controls=tuple(name for name in maps.predictors if bare_name(name) in NEGATIVE_CONTROLS),
         cells=_dataset(cells, model, maps),
     )
     return explained.model_copy(update=_of_residuals(cells, model) | _lead_of(model))
@@ -477,12 +487,12 @@ def covariance_of_residuals(residuals: Floats, lags: Lags) -> ExponentialCovaria
 def _parts_in_common(names: Sequence[str], sheet: xr.Dataset) -> tuple[SharedPart, ...]:
     shared: list[SharedPart] = []
     for a, b in combinations(names, 2):
-        if parts := shared_parts(_bare(a), _bare(b), sheet):
+        if parts := shared_parts(bare_name(a), bare_name(b), sheet):
             shared.append(SharedPart(a=a, b=b, parts=parts))
     return tuple(shared)
 
 
-def _bare(name: str) -> str:
+def bare_name(name: str) -> str:
     """Name of a map without that of its layer."""
     return name.rpartition(".")[2]
 

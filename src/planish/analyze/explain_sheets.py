@@ -9,62 +9,29 @@ from pydantic import Field
 
 from planish.analyze.differences import holm
 from planish.analyze.distributions import student_tail
-from planish.analyze.explain import Explained
+from planish.analyze.explain import CoefficientFacts, Explained, ModelFacts, strongest
 from planish.analyze.pooled import random_effects
 from planish.analyze.sheets import Fields, RandomEffects, SheetMean, over_sheets
-from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.facts import optional
 
 
-class PooledCoefficient(ResultModel):
-    """What one predictor adds, over the sheets of a series."""
+class PooledCoefficient(CoefficientFacts):
+    """What one predictor adds: mean over the sheets of a series, with the interval of that."""
 
-    title: str = Field(default="", description="Title of the predictor.")
-    standardised: Value = Field(description="Mean of the sheets' standardised coefficients.")
-    interval: Interval = optional("Its 95 % interval for such sheets.")
-    plain: Value = Field(description="Mean of the plain coefficients.")
-    plain_interval: Interval = optional("Its 95 % interval.")
-    units: str = Field(default="1", description="Unit of the predictor.")
-    p: Value = optional("Of the test that the mean of such sheets is 0.")
-    p_of_set: Value = optional("The same after Holm, over all predictors.")
     between_sheets: RandomEffects | None = optional("How much sheets differ.")
     reason: str = Field(default="", description="Why there is no interval.")
 
-    @property
-    def direction(self) -> int:
-        """1 or -1 where the interval excludes 0, else 0."""
-        low, high = self.interval
-        return int(low > 0) - int(high < 0)
 
+class ExplainedSeries(ModelFacts):
+    """A response explained by several maps: means over the sheets of a series."""
 
-class ExplainedSeries(ResultModel):
-    """A response explained by several maps, pooled over the sheets of a series."""
-
-    response: str = Field(description="Map that is explained.")
-    title: str = Field(default="", description="Its title.")
-    units: str = Field(default="1", description="Its unit.")
-    of: tuple[str, ...] = Field(description="Maps that explain it.")
-    cell_um: float = Field(description="Edge of a cell.")
-    corrected: bool = Field(default=False, description="Whether stated errors were taken off.")
     sheets: int = Field(description="Sheets that count.")
     fields: int = Field(description="Specimens that count; each is a field of a sheet.")
-    n: int = Field(description="Cells of all specimens.")
-    n_eff: Value = Field(description="Independent cells of all specimens.")
-    r2: Value = Field(description="Mean over sheets of the variance that is explained.")
-    r2_out: Value = optional("The same of blocks that a model was not fitted to.")
     coefficients: dict[str, PooledCoefficient] = Field(description="By predictor.")
-    lead: Value = optional(
-        "Mean of the size of the largest coefficient less that of the next one of the means."
-    )
-    lead_interval: Interval = optional("Its 95 % interval for such sheets.")
     specimens: dict[str, Explained] = Field(description="The model of each specimen.")
     left_out: dict[str, str] = Field(
         default={}, description="Specimens without a model, and why there is none."
     )
-
-    @property
-    def strongest(self) -> list[str]:
-        """Predictors by the size of their standardised coefficients, the largest first."""
-        return sorted(self.coefficients, key=lambda k: -abs(self.coefficients[k].standardised))
 
 
 def explained_over_sheets(
@@ -80,19 +47,18 @@ def explained_over_sheets(
     shared = set.intersection(*(set(model.coefficients) for model in models.values()))
     names = [name for name in first.coefficients if name in shared]
     coefficients = {name: _pooled_coefficient(name, models, sheet_of_model) for name in names}
-    order = sorted(names, key=lambda name: -abs(coefficients[name].standardised))
     lead = SheetMean(sheets=0, fields=0)
-    if len(order) > 1:
-        first_two = order[0], order[1]
-        lead = over([_difference_of_sizes(model, *first_two) for model in models.values()])
+    if len(names) > 1:
+        largest, next_one = strongest(coefficients)[:2]
+        sizes = [
+            {name: abs(c.standardised) for name, c in model.coefficients.items()}
+            for model in models.values()
+        ]
+        lead = over([of_model[largest] - of_model[next_one] for of_model in sizes])
     p_of_set = holm([c.p for c in coefficients.values()])
+    model_fields = ("response", "title", "units", "of", "cell_um", "corrected")
     return ExplainedSeries(
-        response=first.response,
-        title=first.title,
-        units=first.units,
-        of=first.of,
-        cell_um=first.cell_um,
-        corrected=first.corrected,
+        **{name: getattr(first, name) for name in model_fields},
         sheets=len(set(sheet_of_model)),
         fields=len(models),
         n=sum(model.n for model in models.values()),
@@ -108,11 +74,6 @@ def explained_over_sheets(
         specimens=dict(models),
         left_out=dict(left_out),
     )
-
-
-def _difference_of_sizes(model: Explained, first: str, second: str) -> float:
-    sizes = [abs(model.coefficients[name].standardised) for name in (first, second)]
-    return sizes[0] - sizes[1]
 
 
 def _pooled_coefficient(

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from planish.analyze.explain import Explained
+from planish.analyze.explain import Explained, strongest
 from planish.analyze.explain_sheets import ExplainedSeries
 from planish.core.facts import is_known
 from planish.core.numbers import (
@@ -41,21 +41,13 @@ from planish.report.draw import (
 )
 from planish.report.sentences.explain import say_answer, say_notes, say_reading, say_surer
 from planish.report.statement import p_text
+from planish.report.summary import KeyFigure
 
 AnyModel = Explained | ExplainedSeries
 
 _ROW, _TOP, _LETTER, _WIDEST_NAME = 44.0, 14.0, 6.3, 210.0  # pixels
 _COLOURS = (POINT, ACCENT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
 _MOST_POINTS = 1500  # of a scatter plot
-
-
-class Tile(NamedTuple):
-    """A number of the first screen."""
-
-    value: str
-    unit: str
-    label: str
-    note: str
 
 
 def explain_page(model: AnyModel, *, source: str, version: str) -> tuple[str, list[Picture]]:
@@ -98,30 +90,32 @@ def details_of(model: AnyModel) -> list[Picture]:
         return []
     pictures = [draw_sizes(model)] if len(model.sizes) > 1 else []
     if model.cells is not None:
-        pictures += [draw_partial(model, name) for name in model.strongest]
+        pictures += [draw_partial(model, name) for name in strongest(model.coefficients)]
         pictures.append(draw_residuals(model))
     if model.correlogram:
         pictures.append(draw_correlogram(model))
     return pictures
 
 
-def tiles_of(model: AnyModel) -> list[Tile]:
+def tiles_of(model: AnyModel) -> list[KeyFigure]:
     """What is explained, and what it rests on."""
     out_text = f"out of sample {percent(model.r2_out, 2)}" if is_known(model.r2_out) else ""
     tiles = [
-        Tile(percent(model.r2, 2), "", "of the variance explained (R²)", out_text),
-        Tile(count(round(model.n_eff)), "", "independent cells", f"of n = {count(model.n)} cells"),
-        Tile(plain(model.cell_um), "", "cells, edge", "all maps are averaged over them first"),
+        KeyFigure(percent(model.r2, 2), "", "of the variance explained (R²)", out_text),
+        KeyFigure(
+            count(round(model.n_eff)), "", "independent cells", f"of n = {count(model.n)} cells"
+        ),
+        KeyFigure(plain(model.cell_um), "", "cells, edge", "all maps are averaged over them first"),
     ]
     if isinstance(model, ExplainedSeries):
-        tiles.append(Tile(count(model.sheets), "", "sheets", f"{count(model.fields)} fields"))
+        tiles.append(KeyFigure(count(model.sheets), "", "sheets", f"{count(model.fields)} fields"))
     return tiles
 
 
 def coefficient_rows(model: AnyModel) -> list[dict[str, str]]:
     """The table of coefficients in words, by heading; the largest first."""
     rows: list[dict[str, str]] = []
-    for name in model.strongest:
+    for name in strongest(model.coefficients):
         c: Any = model.coefficients[name]
         units = unit(c.units)
         row = {
@@ -205,7 +199,7 @@ def _table(rows: list[dict[str, Any]]) -> Table:
 
 def draw_coefficients(model: AnyModel) -> Picture:
     """Draw standardised coefficients with their intervals, the largest first."""
-    names = model.strongest
+    names = strongest(model.coefficients)
     coefficients: list[Any] = [model.coefficients[name] for name in names]
     ends = [end for c in coefficients for end in c.interval if is_known(end)]
     values = [0.0, *ends, *(c.standardised for c in coefficients)]
@@ -267,7 +261,7 @@ def draw_sizes(model: Explained) -> Picture:
     declared = float(np.log2(model.cell_um))
     axes.line([(declared, low), (declared, high)], colour=FAINT, width=24)
     axes.across(0.0, dash="4 3")
-    names = model.strongest
+    names = strongest(model.coefficients)
     for index, name in enumerate(names):
         colour = _COLOURS[index % len(_COLOURS)]
         places = [log + 0.06 * (index - (len(names) - 1) / 2) for log in logs]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from planish.analyze.explain import Explained, ModelMaps, explain_maps
+from planish.analyze.explain import Explained, ModelMaps, bare_name, explain_maps
 from planish.analyze.params import ExplainParams
 from planish.core.arrays import check_dataset
 from planish.core.bands import thinned
@@ -151,40 +152,24 @@ def residual_map(explained: Explained, like: xr.DataArray) -> xr.DataArray:
 
 def _maps_of(run: Run) -> dict[str, _NamedMap]:
     """All maps of a run by name; by LAYER.MAP, and by MAP where one layer has it."""
-    layers = run.results.layers
-    if LINKED in run.groups:
-        image = run.results.reference.name
-        return {
-            str(name): _NamedMap(
-                values=values,
-                layer=image if name == "image" else layers[0].name,
-                group=run.groups[LINKED],
-            )
-            for name, values in run.groups[LINKED].items()
-        }
-    if not run.layers:
-        group = run.groups["maps"]
-        return {
-            str(name): _NamedMap(values=values, layer=layers[0].name, group=group)
-            for name, values in group.items()
-        }
+    reference = run.results.reference.name
+    groups = [(f"{layer}.", layer, group) for layer, group in run.layers.items()]
+    if not groups:
+        name = LINKED if LINKED in run.groups else "maps"
+        groups = [("", run.results.layers[0].name, run.groups[name])]
     maps: dict[str, _NamedMap] = {}
-    counts: dict[str, int] = {}
-    for layer, group in run.layers.items():
+    for prefix, layer, group in groups:
         for name, values in group.items():
-            maps[f"{layer}.{name}"] = _NamedMap(values=values, layer=layer, group=group)
-            counts[str(name)] = counts.get(str(name), 0) + 1
-    for key in [*maps]:
-        name = key.partition(".")[2]
-        if counts[name] == 1:
-            maps[name] = maps[key]
-    return maps
+            of_layer = reference if name == "image" and not prefix else layer
+            maps[f"{prefix}{name}"] = _NamedMap(values=values, layer=of_layer, group=group)
+    counts = Counter(bare_name(key) for key in maps)
+    return {bare_name(key): m for key, m in maps.items() if counts[bare_name(key)] == 1} | maps
 
 
 def _named(maps: Mapping[str, _NamedMap], name: str) -> _NamedMap:
     if name in maps:
         return maps[name]
-    shown = [key for key in maps if not _NO_PROPERTY.match(key.rpartition(".")[2])]
+    shown = [key for key in maps if not _NO_PROPERTY.match(bare_name(key))]
     raise InputError(f"There is no map {name!r}. There are {', '.join(shown)}.")
 
 

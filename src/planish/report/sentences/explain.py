@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from planish.analyze.explain import COLLINEAR, Coefficient, Explained
+from planish.analyze.explain import COLLINEAR, Coefficient, Explained, strongest
 from planish.analyze.explain_sheets import ExplainedSeries
 from planish.core.facts import is_known
 from planish.core.numbers import (
@@ -32,7 +32,7 @@ def say_answer(model: Explained | ExplainedSeries) -> str:
     """The answer: what is explained, by which map most, and whether that is certain."""
     sentences = [_say_share(model)]
     coefficients: Mapping[str, Any] = model.coefficients
-    order = model.strongest
+    order = strongest(model.coefficients)
     texts = [say_coefficient(coefficients[name]) for name in order]
     title = capital(in_words(coefficients[order[0]].title))
     verb = "matters most, with" if len(order) > 1 else "has"
@@ -190,7 +190,7 @@ def _say_sizes(model: Explained) -> Iterator[str]:
     rows = [row for row in model.sizes if row.standardised]
     if len(rows) < 2:
         return
-    name = model.strongest[0]
+    name = strongest(model.coefficients)[0]
     first, last = rows[0], rows[-1]
     yield (
         f"Over other cells the model is another one: {in_words(model.coefficients[name].title)} has"
