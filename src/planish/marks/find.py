@@ -134,12 +134,9 @@ def find_holes(
     counts = dict.fromkeys(REASONS, 0)
     may_hold_hole = min(n * step for n, step in zip(grey.shape, pixel_size, strict=True)) > low
     if may_hold_hole and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
-        magnified_raster = Raster(
-            grey, (pixel_size[0] * magnification, pixel_size[1] * magnification)
-        )
-        sign, holes, counts = _holes(
-            magnified_raster, (low / 2 * magnification, high / 2 * magnification), signs
-        )
+        raster = Raster(grey, (pixel_size[0] * magnification, pixel_size[1] * magnification))
+        radii = (low / 2 * magnification, high / 2 * magnification)
+        sign, holes, counts = _holes(raster, radii, signs)
     holes[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE, k.DOUBT_X, k.DOUBT_Y]] /= magnification
     holes[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= magnification**2
     return _dataset(holes, sign).assign_attrs(not_taken=counts)
@@ -312,6 +309,7 @@ def _measure(
 
 
 def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Floats:
+    """Measure the floors that are like those of the holes, also where no rim was searched."""
     typical = criteria.typical_hole(holes)
     # Of the depth of the holes, at which a floor may end.
     depth_shares = (0.2, 0.08, 0.13, 0.27, 0.35)

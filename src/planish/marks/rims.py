@@ -48,11 +48,11 @@ RAYS = 96
 # are a gap a third of the diameter wide; a circle that runs into straight sides has two or more.
 BEYOND_RIM, BEYOND_FLOOR, GAP_RAYS = 0.25, 0.5, 10
 # Cosine and sine of the angles of the rays, and of twice these.
-_COS, _SIN, _COS_2, _SIN_2 = (
-    np.array([wave(order * (2 * np.pi * ray / RAYS)) for ray in range(RAYS)])
-    for order in (1, 2)
-    for wave in (math.cos, math.sin)
-)
+_ANGLES = [2 * np.pi * ray / RAYS for ray in range(RAYS)]
+_COS = np.array([math.cos(angle) for angle in _ANGLES])
+_SIN = np.array([math.sin(angle) for angle in _ANGLES])
+_COS_2 = np.array([math.cos(2 * angle) for angle in _ANGLES])
+_SIN_2 = np.array([math.sin(2 * angle) for angle in _ANGLES])
 _Picture = tuple[Image, float, float]  # an image, and its pixel size along x and y
 
 

@@ -115,10 +115,8 @@ def find_sheet_holes(
     centres = _xy(holes[side])
     diameters = holes[side]["diameter"].values
     hole_count = len(centres)
-    partner_rows = {
-        layer: np.arange(hole_count) if layer == side else np.full(hole_count, -1)
-        for layer in LAYERS
-    }
+    partner_rows = {layer: np.full(hole_count, -1) for layer in LAYERS}
+    partner_rows[side] = np.arange(hole_count)
     for layer in layers.keys() - {side}:
         # From one layer to another a hole moves by less than half its diameter: one that is more
         # oblique is not round.
@@ -126,35 +124,33 @@ def find_sheet_holes(
     states = np.full(hole_count, UNCLEAR, dtype=np.uint8)
     unpaired_count = 0
     if other in layers:
-        unpaired_count = holes[other].sizes["mark"] - int(
-            np.count_nonzero(partner_rows[other] >= 0)
-        )
-        states = _other_side(
-            layers[other], grid.pixel_um, holes[side], holes[other], partner_rows[other]
-        )
+        rows = partner_rows[other]
+        unpaired_count = holes[other].sizes["mark"] - int(np.count_nonzero(rows >= 0))
+        states = _other_side(layers[other], grid.pixel_um, holes[side], holes[other], rows)
     holes = {layer: _shifted(dataset, grid.origin_um) for layer, dataset in holes.items()}
     layer_holes = _by_layer(holes, partner_rows)
     offsets = _xy(layer_holes, "_bottom") - _xy(layer_holes, "_top")
     statistics, to_face_um = _offset_statistics(offsets, maps, side)
     out = _shifted(holes[side], to_face_um).merge(layer_holes, combine_attrs="override")
-    for axis, direction_text, offset in zip(
-        "xy", ("along the columns", "down the rows"), offsets.T, strict=True
-    ):
+    directions = {"x": "along the columns", "y": "down the rows"}
+    for (axis, direction_text), offset in zip(directions.items(), offsets.T, strict=True):
         long_name = f"Offset from the top to the bottom {direction_text}"
         out[f"offset_{axis}"] = ("mark", offset, {"units": "um", "long_name": long_name})
-    out["other_side"] = ("mark", states, {"long_name": "What the other side shows of the hole"})
-    out["other_side"].attrs |= {
+    states_attrs = {
+        "long_name": "What the other side shows of the hole",
         "flag_values": list(range(3)),
         "flag_meanings": " ".join(OTHER_SIDE),
     }
+    out["other_side"] = ("mark", states, states_attrs)
     # What is as large as a circle of this share of the holes' diameter is an opening that should be
     # one.
     least_um = 0.6 * float(np.median(diameters if hole_count else [low]))
+    counts = np.bincount(states, minlength=3).tolist()
     out.attrs |= {
         "side": side,
         "layers": list(layers),
         "openings": _openings(layers[side], grid.pixel_um, centres, least_um),
-        **{word: int(np.count_nonzero(states == k)) for k, word in enumerate(OTHER_SIDE)},
+        **dict(zip(OTHER_SIDE, counts, strict=True)),
         "other_side_only": unpaired_count,
         **statistics,
     }
@@ -189,6 +185,7 @@ def _other_side(
     partners: xr.Dataset,
     partner_rows: Ints,
 ) -> NDArray[np.uint8]:
+    """What the other side shows of each hole, of which some have partners there."""
     is_through = partner_rows >= 0
     centres = _xy(holes)
     states = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
@@ -199,12 +196,13 @@ def _other_side(
     axes = [np.arange(n) * step for n, step in zip(material.shape, pixel_um, strict=True)]
     for k in np.flatnonzero(~is_through).tolist():
         radius_um = 0.25 * float(holes["diameter"].values[k])
-        dy, dx = (
-            axis - centre for axis, centre in zip(axes, (centres[k] + offset)[::-1], strict=True)
-        )
-        near_indices = [np.flatnonzero(np.abs(d) <= radius_um) for d in (dy, dx)]
-        distances = np.hypot(dy[near_indices[0]][:, None], dx[near_indices[1]][None])
-        shares = material[np.ix_(*near_indices)].astype(np.float64)[distances <= radius_um]
+        x, y = centres[k] + offset
+        dy = axes[0] - y
+        dx = axes[1] - x
+        rows = np.flatnonzero(np.abs(dy) <= radius_um)
+        cols = np.flatnonzero(np.abs(dx) <= radius_um)
+        distances = np.hypot(dy[rows][:, None], dx[cols])
+        shares = material[np.ix_(rows, cols)].astype(np.float64)[distances <= radius_um]
         shares = shares[np.isfinite(shares)]
         states[k] = CLOSED if shares.size and np.median(shares) > MATERIAL else UNCLEAR
     return states
@@ -228,12 +226,15 @@ def _offset_statistics(
     if is_significant and maps.attrs.get("layer_to_face"):
         face_share = float(maps.attrs["layer_to_face"])
         to_face_um = (-face_share if side == "top" else face_share) * offset_um
-    arrays = {"offset_um": offset_um, "offset_spread_um": spread_um, "offset_error_um": error_um}
-    arrays["to_face_um"] = to_face_um
-    statistics = {"offset_count": len(measured)} | {
-        name: pair.tolist() for name, pair in arrays.items()
+    statistics = {
+        "offset_count": len(measured),
+        "offset_um": offset_um.tolist(),
+        "offset_spread_um": spread_um.tolist(),
+        "offset_error_um": error_um.tolist(),
+        "to_face_um": to_face_um.tolist(),
     }
-    if (thickness_um := maps.attrs.get("layers_apart_um")) is not None:
+    thickness_um = maps.attrs.get("layers_apart_um")
+    if thickness_um is not None:
         statistics["tilt_deg"] = np.rad2deg(np.arctan2(offset_um, thickness_um)).tolist()
     return statistics, to_face_um
 
@@ -255,7 +256,8 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
         )
         text += " upper to its lower third"
         text += f" (± {np.sqrt(np.mean(error**2)):.1f} um)." if np.isfinite(error).all() else "."
-    if closed := attrs["closed"]:
+    closed = attrs["closed"]
+    if closed:
         text += f" {closed} {'is' if closed == 1 else 'are'} closed on the other side."
     facts = {k: v for k, v in attrs.items() if k in HoleTiltFacts.model_fields}
     return HoleTiltFacts.model_validate({**facts, "sentence": text})
@@ -268,9 +270,8 @@ def _shifted(holes: xr.Dataset, offset: Sequence[float] | Floats) -> xr.Dataset:
 
 
 def _xy(holes: xr.Dataset, suffix: str = "") -> Floats:
-    return np.stack([holes[f"x{suffix}"].values, holes[f"y{suffix}"].values], axis=1).astype(
-        np.float64
-    )
+    columns = [holes[f"{axis}{suffix}"].values for axis in "xy"]
+    return np.stack(columns, axis=1).astype(np.float64)
 
 
 def _partners(centres: Floats, candidate_centres: Floats, reach: Floats) -> Ints:
@@ -299,16 +300,10 @@ def _openings(share: NDArray[np.generic], pixel_um: Pair, centres: Floats, least
     labelled: Any = ndimage.label((material < MATERIAL) | ~has_data)
     regions: Ints = labelled[0]
     sizes = np.bincount(regions.ravel(), minlength=int(labelled[1]) + 1) * pixel_um[0] * pixel_um[1]
-    sizes[
-        np.unique(
-            np.concatenate(
-                [regions[[0, -1]].ravel(), regions[:, [0, -1]].ravel(), regions[~has_data]]
-            )
-        )
-    ] = 0.0
-    rows, cols = (
-        np.rint(centres[:, ::-1] / pixel_um).clip(0, np.array(share.shape) - 1).astype(np.intp).T
-    )
+    for border in (regions[[0, -1]], regions[:, [0, -1]], regions[~has_data]):
+        sizes[border] = 0.0
+    places = np.rint(centres[:, ::-1] / pixel_um).clip(0, np.array(share.shape) - 1)
+    rows, cols = places.astype(np.intp).T
     sizes[regions[rows, cols]] = 0.0
     return int(np.count_nonzero(sizes[1:] > np.pi / 4 * least_um**2))
 
@@ -320,15 +315,9 @@ def _by_layer(holes: dict[str, xr.Dataset], layer_rows: dict[str, Ints]) -> xr.D
     for layer, (_, place_text) in LAYERS.items():
         for name in ("x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter"):
             values_by_row = holes[layer][name].values if layer in holes else np.empty(0)
-            units, name_text = (
-                template[name].attrs["units"],
-                f"{template[name].attrs['long_name']}, {place_text}",
-            )
+            attrs = dict(template[name].attrs)
+            attrs["long_name"] += f", {place_text}"
             # The last row is that of the holes that are missing, -1.
             column = np.append(values_by_row, np.nan)[layer_rows[layer]]
-            variables[f"{name}_{layer}"] = (
-                "mark",
-                column,
-                {"units": units, "long_name": name_text},
-            )
+            variables[f"{name}_{layer}"] = ("mark", column, attrs)
     return xr.Dataset(variables)

@@ -21,6 +21,7 @@ _STATES = {
     **dict.fromkeys(("true", "wahr", "vrai", "vero", "verdadero"), True),
     **dict.fromkeys(("false", "falsch", "faux", "falso"), False),
 }
+_UNSET = ("infinity", "inf")
 _AGAIN = "Save the landmarks in BigWarp again."
 
 
@@ -41,7 +42,7 @@ def read(content: Content) -> list[PointList]:
         raise MarkError(
             f"{name}, row {first} has {width} columns{hint}. BigWarp writes {_NEEDED}. {_AGAIN}"
         )
-    points: list[list[float]] = []
+    points: list[list[float | None]] = []
     faults = list(content.rows.faults)
     for number, cells in rows:
         if len(cells) != width:
@@ -49,26 +50,23 @@ def read(content: Content) -> list[PointList]:
             continue
         if cells[1].lower() not in _STATES:
             faults.append(f"row {number}: active is {cells[1]!r}, not true or false")
-        points.append([])
-        for cell in cells[2:]:
-            is_unset = cell.lstrip("+-").lower() in ("infinity", "inf")
-            value = np.inf if is_unset else content.rows.number(cell)
-            if value is None:
-                faults.append(f"row {number}: {cell!r} {content.rows.number_fault(cell)}")
-                break
-            points[-1].append(value)
+        coordinates = [
+            np.inf if cell.lstrip("+-").lower() in _UNSET else content.rows.number(cell)
+            for cell in cells[2:]
+        ]
+        if None in coordinates:
+            cell = cells[2 + coordinates.index(None)]
+            faults.append(f"row {number}: {cell!r} {content.rows.number_fault(cell)}")
+        points.append(coordinates)
     raise_faults(name, faults, f"BigWarp writes {_NEEDED}.", error=MarkError)
     # One coordinate that is not set leaves the point without a position.
     sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
     sides = np.where(np.isfinite(sides).all(axis=2, keepdims=True), sides, np.nan)
+    labels = [row.cells[0] or f"row {row.line}" for row in rows]
+    used = [_STATES[row.cells[1].lower()] for row in rows]
     return [
         PointList(
-            title=title,
-            labels=[row.cells[0] or f"row {row.line}" for row in rows],
-            points=sides[:, k],
-            used=[_STATES[row.cells[1].lower()] for row in rows],
-            unit="um",
-            stated=False,
+            title=title, labels=labels, points=sides[:, k], used=used, unit="um", stated=False
         )
         for k, title in enumerate(("moving", "target"))
     ]
@@ -81,10 +79,7 @@ def _rows_of_json(content: Mapping[str, Any], name: str) -> list[CsvRow]:
     axes = entries.get("numDimensions")
     for key in ("movingPoints", "fixedPoints"):
         points = entries.get(key)
-        are_points = isinstance(points, list) and all(
-            isinstance(point, list) and len(point) == axes for point in points
-        )
-        if not are_points or axes not in (2, 3):
+        if axes not in (2, 3) or not _are_points(points, axes):
             raise MarkError(
                 f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers"
                 f" each; 2 or 3 are needed. {_AGAIN}"
@@ -97,10 +92,16 @@ def _rows_of_json(content: Mapping[str, Any], name: str) -> list[CsvRow]:
             f"{name} holds {moving} moving points, {fixed} fixed points, {labels} names and"
             f" {active} of active; as many of each are needed. {_AGAIN}"
         )
-    return [
-        CsvRow(k, [str(cell) for cell in (label, state, *moving_point, *fixed_point)])
-        for k, (label, state, moving_point, fixed_point) in enumerate(zip(*columns, strict=True), 1)
-    ]
+    rows: list[CsvRow] = []
+    for k, (label, state, moving_point, fixed_point) in enumerate(zip(*columns, strict=True), 1):
+        rows.append(CsvRow(k, [*map(str, (label, state, *moving_point, *fixed_point))]))
+    return rows
+
+
+def _are_points(points: Any, axes: int) -> bool:
+    if not isinstance(points, list):
+        return False
+    return all(isinstance(point, list) and len(point) == axes for point in points)
 
 
 def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
@@ -113,14 +114,7 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     numbers = np.hstack(sides)
     is_used = used_of(marks) & np.isfinite(numbers).all(axis=1)
     rows: list[list[Any]] = []
-    for label, is_active, row in zip(
-        labels_of(marks), is_used.tolist(), numbers.tolist(), strict=True
-    ):
-        rows.append(
-            [
-                label,
-                str(is_active).lower(),
-                *("Infinity" if number == np.inf else number for number in row),
-            ]
-        )
+    for k, label in enumerate(labels_of(marks)):
+        cells = ["Infinity" if n == np.inf else n for n in numbers[k].tolist()]
+        rows.append([label, "true" if is_used[k] else "false", *cells])
     return {"": table_text([], rows, quote_all=True).encode()}

@@ -80,8 +80,8 @@ def read(content: Content) -> list[PointList]:
 def _layout_of(content: Content) -> Layout | None:
     names = {heading_of(cell).name for cell in content.header}
     for layout in LAYOUTS:
-        columns = {column for columns in layout.lists.values() for column in columns}
-        if columns <= names and layout.also <= set(content.header):
+        has_columns = all(names.issuperset(columns) for columns in layout.lists.values())
+        if has_columns and layout.also.issubset(content.header):
             return layout
     return None
 
@@ -126,39 +126,47 @@ def _point_list(
     """Take points from the columns of these names, all of which state one unit, or none."""
     headings = [heading_of(cell) for cell in table.header]
     for k, cell in enumerate(unit_row):
-        if unit := heading_of(cell).unit:
+        unit = heading_of(cell).unit
+        if unit:
             headings[k] = Heading(headings[k].name, unit)
-    first_units = dict.fromkeys(h.unit for h in headings if h.name == names[0])
-    choices = [[Heading(name, unit) for name in names] for unit in first_units]
-    choice = next((c for c in choices if all(heading in headings for heading in c)), None)
-    if choice is None:
+    columns = _columns_in_one_unit(headings, names)
+    if not columns:
         raise MarkError(
             f"{table.name}: {', '.join(names)} do not state the same unit (found"
             f" {', '.join(table.header)[:120]}). Give one unit to all of them."
         )
-    columns = [table.header[headings.index(heading)] for heading in choice]
-    points = table.numbers(columns)
-    heading = choice[0]
-    unit, is_stated = layout.unit, layout.stated and layout.unit is not None
-    if heading.unit:
-        unit, is_stated = "um", True
+    heading = headings[columns[0]]
+    column_names = [table.header[k] for k in columns]
+    points = table.numbers(column_names)
+    unit = layout.unit
+    is_stated = layout.stated and unit is not None
     if heading.unit == "pixel" or heading.unit == "mm":
         unit = heading.unit
     elif heading.um:
+        unit = "um"
         points = points * heading.um
     elif heading.unit:
         raise MarkError(
-            f"{table.name}: {', '.join(columns)} are in {heading.unit!r}, which is no length. Give"
-            " um, mm or px."
+            f"{table.name}: {', '.join(column_names)} are in {heading.unit!r}, which is no length."
+            " Give um, mm or px."
         )
     return PointList(
         title=title,
         points=points,
         unit=unit,
-        stated=is_stated,
-        columns=columns,
+        stated=is_stated or bool(heading.unit),
+        columns=column_names,
         labels=labels_in(table, unique=not layout.placed),
         placed=layout.placed,
         first_centre=layout.first_centre,
         source=layout.source,
     )
+
+
+def _columns_in_one_unit(headings: Sequence[Heading], names: Sequence[str]) -> list[int]:
+    """Numbers of the columns of these names in the first unit that all have; empty where none."""
+    for first in headings:
+        choice = [Heading(name, first.unit) for name in names]
+        if first.name == names[0] and all(heading in headings for heading in choice):
+            return [headings.index(heading) for heading in choice]
+    return []

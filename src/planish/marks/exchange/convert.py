@@ -3,6 +3,7 @@
 The format is recognised by the content of a file and not by its name.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -93,33 +94,15 @@ def read_any(
     readings: list[Any] = [
         module_of(kind).read(content) for kind, content in zip(formats, contents, strict=True)
     ]
-    if second is None and isinstance(marks := readings[0], xr.Dataset):
-        if unit not in (None, "um"):
-            raise SizeError(
-                f"{name} states its unit, um, and `unit` says {unit}. Leave `unit` out, or correct"
-                " the file."
-            )
-        if swap:
-            raise MarkError(
-                "A planish file says itself which layer is the moving one. Leave `swap` out."
-            )
-        # What is known of the layers beside what the file states.
-        layers = {layer: dict(about) for layer, about in marks.attrs["layers"].items()}
-        for side, layer_pixels in (("moving", moving), ("volume", volume), ("fixed", fixed)):
-            if side in layers:
-                layers[side] |= layer_pixels.about()
-        if list(layers) == ["marks"]:
-            layers["marks"] |= moving.about() | fixed.about()
-        marks = marks.assign_attrs(layers=layers, from_first_pixel=[])
-        stated = ("um", True)
+    read_from: dict[str, Any] = {"format": formats[0], "unit": "um", "stated": True}
+    if second is None and isinstance(readings[0], xr.Dataset):
+        _check_own(name, unit, swap=swap)
+        marks = _with_pixels(readings[0], moving, volume, fixed)
     else:
         lists: list[PointList] = []
         for content, reading in zip(contents, readings, strict=True):
-            file_lists = (
-                [_single_list(reading, content.name)]
-                if isinstance(reading, xr.Dataset)
-                else reading
-            )
+            is_own = isinstance(reading, xr.Dataset)
+            file_lists = [_single_list(reading, content.name)] if is_own else reading
             if second is not None and len(file_lists) != 1:
                 raise MarkError(
                     f"{content.name} holds {len(file_lists)} lists of points already. Give it"
@@ -130,12 +113,38 @@ def read_any(
             lists, name=name, moving=moving, volume=volume, fixed=fixed, unit=unit, swap=swap
         )
         silent = next((points for points in lists if not points.stated), lists[0])
-        stated = unit or silent.unit, silent.stated
-    marks.attrs["read_from"] = {"format": formats[0], "unit": stated[0], "stated": stated[1]}
+        read_from |= {"unit": unit or silent.unit, "stated": silent.stated}
+    marks.attrs["read_from"] = read_from
     check_marks(marks, name)
     if unit != "um":
         check_plausible(marks, name, unit)
     return marks
+
+
+def _check_own(name: str, unit: Unit | None, *, swap: bool) -> None:
+    """Refuse what a file of planish says itself."""
+    if unit not in (None, "um"):
+        raise SizeError(
+            f"{name} states its unit, um, and `unit` says {unit}. Leave `unit` out, or correct the"
+            " file."
+        )
+    if swap:
+        raise MarkError(
+            "A planish file says itself which layer is the moving one. Leave `swap` out."
+        )
+
+
+def _with_pixels(
+    marks: xr.Dataset, moving: LayerPixels, volume: LayerPixels, fixed: LayerPixels
+) -> xr.Dataset:
+    """Marks with what is known of the layers beside what their file states."""
+    layers = {layer: dict(about) for layer, about in marks.attrs["layers"].items()}
+    known = {"moving": moving.about(), "volume": volume.about(), "fixed": fixed.about()}
+    if list(layers) == ["marks"]:
+        known["marks"] = known["moving"] | known["fixed"]
+    for side in known.keys() & layers.keys():
+        layers[side] |= known[side]
+    return marks.assign_attrs(layers=layers, from_first_pixel=[])
 
 
 def write_any(
@@ -213,7 +222,18 @@ def marks_bytes(
     unit: Unit | None = None,
     swap: bool = False,
 ) -> dict[str, bytes]:
-    """Give what `write_any` writes, by what it puts before the suffix of the name."""
+    """Give what `write_any` writes, by what it puts before the suffix of the name.
+
+    Parameters and errors as there.
+
+    Parameters
+    ----------
+    marks : Dataset, dims (mark)
+    to : str
+        One of `TARGETS`.
+    moving, fixed, unit, swap
+        As for `write_any`.
+    """
     mark_format = FORMATS[to]
     check_marks(marks, "The marks")
     if unit is not None and not mark_format.free_unit:
@@ -238,21 +258,24 @@ def marks_bytes(
     if single:
         overrides = [moving if moving.pixel_um else fixed]
     file_points: list[Floats] = []
+    file_text = f"The file for {mark_format.title}"
     for layer, override, role in zip(sides, overrides, ("moving", "fixed"), strict=False):
-        about = about_layer(marks, layer)
         points = model.points_of(marks, layer)
-        pixel = about.get("pixel_um")
-        first = about.get("origin_um", {"x": 0.0, "y": 0.0})
-        pixel_um = override.pixel_um or (pixel and (pixel["y"], pixel["x"]))
-        layer_pixels = LayerPixels(pixel_um, (first["x"], first["y"]))
-        file_text = f"The file for {mark_format.title}"
-        origin, factor = layer_pixels.frame(
-            unit or mark_format.unit, points.shape[1], file_text, role
-        )
+        pixels = _pixels_of(about_layer(marks, layer), override)
+        origin, factor = pixels.frame(unit or mark_format.unit, points.shape[1], file_text, role)
         file_points.append((points - origin) / factor)
     roles = names if single else ("moving", "fixed")
     ordered = file_points[::-1] if swap else file_points
     return module_of(to).write(marks, dict(zip(roles, ordered, strict=True)))
+
+
+def _pixels_of(about: Mapping[str, Any], override: LayerPixels) -> LayerPixels:
+    """Pixels of a layer, whose size may be given in place of that of the marks."""
+    pixel_um = override.pixel_um
+    if "pixel_um" in about and not pixel_um:
+        pixel_um = (about["pixel_um"]["y"], about["pixel_um"]["x"])
+    first = about.get("origin_um", {"x": 0.0, "y": 0.0})
+    return LayerPixels(pixel_um, (first["x"], first["y"]))
 
 
 def _recognised(content: Content) -> str:

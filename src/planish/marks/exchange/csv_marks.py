@@ -107,28 +107,17 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
 
 def pairs_text(dataset: xr.Dataset) -> str:
     """Write the table of pairs; see :func:`write_marks`."""
-    variables = {
-        str(name).removesuffix("_um"): variable for name, variable in dataset.variables.items()
-    }
-    sides = [
-        side
-        for side, names in _SIDES.items()
-        if all(name.removesuffix("_um") in variables for name in names)
-    ]
+    variables = {f"{name}".removesuffix("_um"): v for name, v in dataset.variables.items()}
+    named = {f"{name}_um" for name in variables}
+    sides = [side for side, names in _SIDES.items() if named.issuperset(names)]
     if len(sides) < 2 or sides[-1] != "fixed":
         raise MarkError(
             f"The marks hold {', '.join(sorted(variables)) or 'nothing'}; fixed_x, fixed_y and"
             " either moving_x, moving_y or volume_x, volume_y, volume_z are needed."
         )
     columns: dict[str, Iterable[Any]] = {"label": labels_of(dataset)}
-    for name in (
-        *_SIDES[sides[0]],
-        *_SIDES["fixed"],
-        "residual_um",
-        "leave_one_out_um",
-        "weight",
-        "used",
-    ):
+    positions = (*_SIDES[sides[0]], *_SIDES["fixed"])
+    for name in (*positions, "residual_um", "leave_one_out_um", "weight", "used"):
         key = name.removesuffix("_um")
         if key in variables:
             columns[name] = map(int if key == "used" else float, variables[key].values)
@@ -166,7 +155,8 @@ def rows_in_use(table: CsvTable) -> None:
     """Leave out the rows of a table whose ``used`` says no; another word is a fault of the row."""
     rows_used = [row for row in table.rows if table.text(row, "used").casefold() not in NO_WORDS]
     for row in rows_used:
-        if (word := table.text(row, "used")).casefold() not in YES_WORDS:
+        word = table.text(row, "used")
+        if word.casefold() not in YES_WORDS:
             table.fault(row, f"used is {word!r}, which is neither yes nor no")
     table.rows[:] = rows_used
 

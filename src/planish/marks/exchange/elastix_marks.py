@@ -51,8 +51,10 @@ def read(content: Content) -> list[PointList]:
         raise MarkError(f"{name} holds no point. elastix reads {_NEEDED}.")
     axes = len(lines[0])
     faults: list[str] = []
-    points = [[finite(cell) for cell in cells] for cells in lines]
-    for k, (cells, coordinates) in enumerate(zip(lines, points, strict=True), 1):
+    points: list[list[float | None]] = []
+    for k, cells in enumerate(lines, 1):
+        coordinates = [finite(cell) for cell in cells]
+        points.append(coordinates)
         if axes not in (2, 3) or len(cells) != axes:
             faults.append(f"point {k} has {len(cells)} numbers")
         elif None in coordinates:

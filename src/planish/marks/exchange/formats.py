@@ -197,18 +197,12 @@ def target_of(path: str | Path) -> str:
     FileError
         If the name tells no format.
     """
-    name = Path(path).name.lower()
-    asked = [
-        (suffix, key)
-        for key in TARGETS
-        for suffix in FORMATS[key].suffixes
-        if name.endswith(suffix)
-    ]
-    if not asked:
-        raise FileError(
-            f"{Path(path).name} does not tell its format. Give `to={', '.join(TARGETS)}`."
-        )
-    return max(asked, key=lambda pair: len(pair[0]))[1]
+    name = Path(path).name
+    by_suffix = {suffix: key for key in TARGETS for suffix in FORMATS[key].suffixes}
+    suffixes = [suffix for suffix in by_suffix if name.lower().endswith(suffix)]
+    if not suffixes:
+        raise FileError(f"{name} does not tell its format. Give `to={', '.join(TARGETS)}`.")
+    return by_suffix[max(suffixes, key=len)]
 
 
 def known_formats() -> str:

@@ -3,6 +3,7 @@
 It holds everything that is known of them, one mark a line, with a version.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
@@ -100,45 +101,47 @@ def read(content: Content) -> xr.Dataset:
         file = _File.model_validate(dict(entries))
     names = [layer.name for layer in file.layers]
     raise_faults(name, _cross_field_faults(file, names), _PAGE, error=MarkError)
+    places: dict[str, MarkPlaces] = {}
+    about: dict[str, dict[str, Any]] = {}
+    for layer in file.layers:
+        places[layer.name] = _places([mark.at.get(layer.name) for mark in file.marks])
+        about[layer.name] = layer.model_dump(exclude_none=True, exclude={"name"})
     results = {key: _column(file.marks, f"{key}_um") for key in RESULTS}
     marks = model.make_marks(
         [mark.label for mark in file.marks],
-        {layer: _places([mark.at.get(layer) for mark in file.marks]) for layer in names},
+        places,
         used=[mark.used for mark in file.marks],
-        about={
-            layer.name: layer.model_dump(exclude_none=True, exclude={"name"})
-            for layer in file.layers
-        },
+        about=about,
         results={key: values for key, values in results.items() if np.isfinite(values).any()},
     )
     check_marks(marks, name)
-    return (
-        marks if file.registration is None else marks.assign_attrs(registration=file.registration)
-    )
+    if file.registration is not None:
+        marks.attrs["registration"] = file.registration
+    return marks
 
 
 def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     """Write a JSON file, from which `read` gives the same numbers back."""
     places = {layer: model.places_of(marks, layer) for layer in model.layer_names(marks)}
+    used = model.used_of(marks).tolist()
+    results = {key: marks[key].values for key in RESULTS if key in marks}
     rows: list[dict[str, Any]] = []
-    for k, (label, used) in enumerate(
-        zip(model.labels_of(marks), model.used_of(marks).tolist(), strict=True)
-    ):
+    for k, label in enumerate(model.labels_of(marks)):
         positions = {
             layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()
         }
-        result_names = [
-            key for key in RESULTS if key in marks and np.isfinite(marks[key].values[k])
-        ]
-        results = {f"{key}_um": float(marks[key].values[k]) for key in result_names}
-        rows.append({"label": label, "used": used, "at": positions} | results)
+        row = {"label": label, "used": used[k], "at": positions}
+        for key, errors in results.items():
+            if np.isfinite(errors[k]):
+                row[f"{key}_um"] = float(errors[k])
+        rows.append(row)
     head: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
         "units": "um",
         "axes": {"x": "right", "y": "down"},
+        "layers": [],
     }
-    head["layers"] = []
     for layer in places:
         about = {"name": layer, **model.about_layer(marks, layer)}
         # In the same order whatever it came from.
@@ -158,16 +161,17 @@ def _column(parts: Sequence[Part | None], key: str) -> Floats:
 
 def _places(layer_places: Sequence[_Place | None]) -> MarkPlaces:
     um = np.stack([_column(layer_places, axis) for axis in "xyz"], axis=1)
-    unknown = [[np.nan, np.nan], [np.nan, np.nan]]
-    spread = np.array(
-        [(place and place.covariance_um2) or unknown for place in layer_places]
-    ).reshape(-1, 2, 2)
-    return MarkPlaces(
-        um=um if np.isfinite(um[:, 2]).any() else um[:, :2],
-        source=[place.source if place else "imported" for place in layer_places],
-        extras={"cov_xx": spread[:, 0, 0], "cov_xy": spread[:, 0, 1], "cov_yy": spread[:, 1, 1]}
-        | {name: _column(layer_places, key) for name, key in _POSITION.items()},
-    )
+    spread = np.full((len(layer_places), 2, 2), np.nan)
+    sources = ["imported"] * len(layer_places)
+    for k, place in enumerate(layer_places):
+        if place is not None:
+            sources[k] = place.source
+            if place.covariance_um2 is not None:
+                spread[k] = place.covariance_um2
+    extras = {name: _column(layer_places, key) for name, key in _POSITION.items()}
+    extras |= {"cov_xx": spread[:, 0, 0], "cov_xy": spread[:, 0, 1], "cov_yy": spread[:, 1, 1]}
+    um = um if np.isfinite(um[:, 2]).any() else um[:, :2]
+    return MarkPlaces(um=um, source=sources, extras=extras)
 
 
 def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
@@ -183,11 +187,9 @@ def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
 
 
 def _cross_field_faults(file: _File, layers: list[str]) -> list[str]:
-    faults = [
-        f"the layer {n} is there {layers.count(n)} times"
-        for n in sorted(set(layers))
-        if layers.count(n) > 1
-    ]
+    """Faults that no field has for itself: layers, positions and covariances that do not fit."""
+    counts = Counter(sorted(layers))
+    faults = [f"the layer {name} is there {n} times" for name, n in counts.items() if n > 1]
     if RESIDUAL in layers:
         faults.append(f"{RESIDUAL} cannot be the name of a layer")
     z_states: dict[str, set[bool]] = {}

@@ -179,19 +179,16 @@ class LayerPixels:
     def __post_init__(self) -> None:
         """Check sizes and origin."""
         if self.pixel_um is not None:
-            sizes = tuple(
-                float(v) for v in np.atleast_1d(np.asarray(self.pixel_um, dtype=np.float64))
-            )
-            if not (1 <= len(sizes) <= 3 and all(np.isfinite(v) and v > 0 for v in sizes)):
+            sizes = np.atleast_1d(np.asarray(self.pixel_um, dtype=np.float64))
+            if not 1 <= len(sizes) <= 3 or not np.all(np.isfinite(sizes) & (sizes > 0)):
                 raise SizeError(
                     f"The pixel size of a layer is {self.pixel_um!r} um; one positive number, two"
                     " (y, x), or three for a volume (z, y, x) are needed in `moving_pixel_um` and"
                     " `fixed_pixel_um`."
                 )
-            object.__setattr__(self, "pixel_um", sizes)
-        if self.origin_um is not None and not (
-            len(self.origin_um) == 2 and np.isfinite(self.origin_um).all()
-        ):
+            object.__setattr__(self, "pixel_um", tuple(sizes.tolist()))
+        origin = (0.0, 0.0) if self.origin_um is None else self.origin_um
+        if len(origin) != 2 or not np.isfinite(origin).all():
             raise SizeError(
                 f"The origin of a layer is {self.origin_um!r} um; two numbers (x, y) are needed."
             )
@@ -224,13 +221,11 @@ class LayerPixels:
                 f"{name} holds points of a volume in voxels; the sizes z, y, x (or one for all) are"
                 f" needed in `{option}_pixel_um`."
             )
-        return (
-            origin,
-            np.array(self.pixel_um[::-1] if len(self.pixel_um) > 1 else self.pixel_um * 3)[:axes],
-        )
+        pixel_um = self.pixel_um if len(self.pixel_um) > 1 else self.pixel_um * 3
+        return origin, np.array(pixel_um[::-1])[:axes]
 
 
-def join_lists(  # noqa: C901
+def join_lists(
     lists: Sequence[PointList],
     *,
     name: str,
@@ -256,38 +251,24 @@ def join_lists(  # noqa: C901
             f"{name} holds {len(lists)} lists of points: {titles}. Two are needed; save those two"
             " alone."
         )
-    first, last = lists[0], lists[-1]
+    first = lists[0]
     layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
     if len(lists) == 2:
-        first_title, last_title = (p.title.strip().lower() for p in lists)
-        is_reversed = first_title in ("fixed", "to", "target", "image")
-        if swap != (is_reversed and last_title in ("moving", "from", "source", "volume")):
-            first, last = last, first
-        a, b = first.names, last.names
-        if len(a) != len(b):
-            raise MarkError(
-                f"{name}: {len(a)} moving points ({first.title}) and {len(b)} fixed points"
-                f" ({last.title}). Points belong together in their order, so both need the same"
-                " number: add or remove points."
-            )
-        if a != b and sorted(a) == sorted(b):
-            k = next(k for k in range(len(a)) if a[k] != b[k])
-            raise MarkError(
-                f"{name}: both lists have the same labels in another order: {a[k]} and {b[k]} are"
-                f" both number {k + 1}. Points belong together in their order: sort one list, or"
-                " rename its points."
-            )
+        first, last = _moving_first(lists, swap=swap)
+        _check_order(first, last, name)
         layers = {"moving": (first, moving), "fixed": (last, fixed)}
     places: dict[str, MarkPlaces] = {}
     about: dict[str, dict[str, Any]] = {}
     counted: list[str] = []
+    used = np.ones(len(first.points), bool)
     for side, (point_list, facts) in layers.items():
         coordinates = _coordinates(point_list, side)
         has_z = coordinates.shape[1] == 3
         if side == "fixed" and has_z:
             raise MarkError(
-                f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to"
-                " be a flat image; where the volume was the fixed or target one, give `swap`."
+                f"{name}: the points of the fixed side ({point_list.title}) differ in z. That side"
+                " has to be a flat image; where the volume was the fixed or target one, give"
+                " `swap`."
             )
         layer = side
         if side == "moving" and has_z:
@@ -296,12 +277,37 @@ def join_lists(  # noqa: C901
         about[layer] = dict(point_list.about) | facts.about()
         if point_list.counts_from_pixel(unit):
             counted.append(layer)
-    used = np.ones(len(first.points), bool)
-    for point_list in (first, last):
         if point_list.used:
             used &= point_list.used
     marks = make_marks(first.names, places, used=used.tolist(), about=about)
     return marks.assign_attrs(from_first_pixel=counted)
+
+
+def _moving_first(lists: Sequence[PointList], *, swap: bool) -> Sequence[PointList]:
+    """Two lists, that of the moving side first: by their names, and exchanged by ``swap``."""
+    first_title, last_title = (p.title.strip().lower() for p in lists)
+    is_reversed = first_title in ("fixed", "to", "target", "image")
+    is_reversed = is_reversed and last_title in ("moving", "from", "source", "volume")
+    return lists if swap == is_reversed else lists[::-1]
+
+
+def _check_order(first: PointList, last: PointList, name: str) -> None:
+    """Refuse lists whose points cannot belong together in their order."""
+    a = first.names
+    b = last.names
+    if len(a) != len(b):
+        raise MarkError(
+            f"{name}: {len(a)} moving points ({first.title}) and {len(b)} fixed points"
+            f" ({last.title}). Points belong together in their order, so both need the same"
+            " number: add or remove points."
+        )
+    if a != b and sorted(a) == sorted(b):
+        k = next(k for k in range(len(a)) if a[k] != b[k])
+        raise MarkError(
+            f"{name}: both lists have the same labels in another order: {a[k]} and {b[k]} are"
+            f" both number {k + 1}. Points belong together in their order: sort one list, or"
+            " rename its points."
+        )
 
 
 def _check_unit(lists: Sequence[PointList], name: str, unit: Unit | None) -> None:

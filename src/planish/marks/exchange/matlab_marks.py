@@ -17,6 +17,7 @@ from planish.marks.exchange.lists import SELECTIONS, Content, PointList
 
 # Variables that hold pairs; the second two are those of MATLAB before 2013.
 NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))
+_WANTED = {name for pair in NAMES for name in pair}
 _SAVE = (
     "Export the moving and fixed points of valid pairs, then"
     " save('marks.mat','movingPoints','fixedPoints')."
@@ -41,29 +42,30 @@ def read(content: Content) -> list[PointList]:
             # None for what is no small real matrix, or not asked for.
             matrices: dict[str, Floats | None] = {}
             for v in matlab.variables(file):
+                matrices[v.name] = None
                 # Larger matrices are images.
                 is_small = v.real and len(v.shape) == 2 and v.count <= 1_000_000
-                is_wanted = is_small and any(v.name in pair for pair in NAMES)
-                matrices[v.name] = matlab.values(file, v).astype(np.float64) if is_wanted else None
+                if is_small and v.name in _WANTED:
+                    matrices[v.name] = matlab.values(file, v).astype(np.float64)
     except Exception as error:
         raise FileError(
             f"{name} cannot be read as a MATLAB file: {error or type(error).__name__}. {_SAVE}"
         ) from error
-    pair = next((p for p in NAMES if all(n in matrices for n in p)), None)
+    pair = next((p for p in NAMES if matrices.keys() >= {*p}), None)
     if pair is None:
         names = ", ".join(sorted(matrices)[:8])[:120] or "nothing"
         raise MarkError(f"{name} holds {names}; {' and '.join(NAMES[0])} are needed. {_SAVE}")
-    points = [_checked(matrices[variable], variable, name) for variable in pair]
-    if len(points[0]) != len(points[1]):
+    moving, fixed = (_checked(matrices[variable], variable, name) for variable in pair)
+    if len(moving) != len(fixed):
         raise MarkError(
-            f"{name}: {len(points[0])} points in {pair[0]}, {len(points[1])} in {pair[1]}; as many"
-            f" are needed. {_SAVE}"
+            f"{name}: {len(moving)} points in {pair[0]}, {len(fixed)} in {pair[1]}; as many are"
+            f" needed. {_SAVE}"
         )
-    if not len(points[0]):
+    if not len(moving):
         raise MarkError(f"{name} holds no point. {_SAVE}")
     return [
-        PointList(title=title, points=values - 1.0, unit="pixel", stated=True)
-        for title, values in zip(("moving", "fixed"), points, strict=True)
+        PointList(title="moving", points=moving - 1.0, unit="pixel", stated=True),
+        PointList(title="fixed", points=fixed - 1.0, unit="pixel", stated=True),
     ]
 
 
@@ -86,11 +88,9 @@ def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
 
 def _checked(matrix: Floats | None, variable: str, name: str) -> Floats:
     if matrix is None or matrix.shape[1] != 2:
-        size = (
-            "no real matrix"
-            if matrix is None
-            else f"of the size {matrix.shape[0]} x {matrix.shape[1]}"
-        )
+        size = "no real matrix"
+        if matrix is not None:
+            size = f"of the size {matrix.shape[0]} x {matrix.shape[1]}"
         raise MarkError(
             f"{name}: {variable} is {size}; n x 2 real numbers are needed, x and y. {_SAVE}"
         )

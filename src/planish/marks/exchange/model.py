@@ -55,14 +55,10 @@ class MarkPlaces:
 
         NaN where the row is -1.
         """
-        values = {
-            name: np.append(holes[name].values, np.nan)[rows]
-            for name in ("x", "y", *EXTRAS)
-            if name in holes
-        }
-        return cls(
-            um=np.stack([values.pop("x"), values.pop("y")], axis=1), source=source, extras=values
-        )
+        names = [name for name in ("x", "y", *EXTRAS) if name in holes]
+        values = {name: np.append(holes[name].values, np.nan)[rows] for name in names}
+        um = np.stack([values.pop("x"), values.pop("y")], axis=1)
+        return cls(um=um, source=source, extras=values)
 
 
 def make_marks(
@@ -112,27 +108,25 @@ def make_marks(
                 " as map."
             )
         where = _TITLES.get(layer, f"in {layer}")
-        columns = {
-            axis: (v, "um", f"Mark {where}, {axis}")
-            for axis, v in zip("xyz", places.um.T, strict=False)
-        }
+        for axis, column in zip("xyz", places.um.T, strict=False):
+            variables[f"{layer}_{axis}"] = _column(column, "um", f"Mark {where}, {axis}")
         for name, (units, text) in EXTRAS.items():
             if name in places.extras and np.isfinite(places.extras[name]).any():
-                columns[name] = places.extras[name], units, f"{text}, {where}"
-        for name, (column, units, text) in columns.items():
-            array = np.ascontiguousarray(column, dtype=np.float64)
-            variables[f"{layer}_{name}"] = ("mark", array, {"units": units, "long_name": text})
+                column = _column(places.extras[name], units, f"{text}, {where}")
+                variables[f"{layer}_{name}"] = column
         source = np.broadcast_to(np.array(places.source, dtype=np.str_), len(labels)).copy()
         variables[f"{layer}_source"] = ("mark", source, {"long_name": f"Found how, {where}"})
     for name, errors in (results or {}).items():
-        variables[name] = (
-            "mark",
-            np.asarray(errors, dtype=np.float64),
-            {"units": "um", "long_name": RESULTS[name]},
-        )
+        variables[name] = _column(errors, "um", RESULTS[name])
+    about = about or {}
     return xr.Dataset(
-        variables, attrs={"layers": {layer: dict((about or {}).get(layer, {})) for layer in layers}}
+        variables, attrs={"layers": {layer: dict(about.get(layer, {})) for layer in layers}}
     )
+
+
+def _column(values: Floats, units: str, long_name: str) -> tuple[str, Floats, dict[str, str]]:
+    numbers = np.ascontiguousarray(values, dtype=np.float64)
+    return "mark", numbers, {"units": units, "long_name": long_name}
 
 
 def layer_names(marks: xr.Dataset) -> list[str]:
@@ -143,13 +137,17 @@ def layer_names(marks: xr.Dataset) -> list[str]:
     ends = [str(name)[:-2] for name in marks.variables if str(name).endswith("_x")]
     names = [name for name in ends if f"{name}_y" in marks and name != RESIDUAL]
     listed: Mapping[str, Any] = marks.attrs.get("layers", {})
-    return [name for name in listed if name in names] + [
-        name for name in names if name not in listed
-    ]
+    return [name for name in dict.fromkeys([*listed, *names]) if name in names]
 
 
 def about_layer(marks: xr.Dataset, layer: str) -> dict[str, Any]:
-    """Give what is known of a layer; empty where nothing is."""
+    """Give what is known of a layer; empty where nothing is.
+
+    Parameters
+    ----------
+    marks : Dataset, dims (mark)
+    layer : str
+    """
     return dict(marks.attrs.get("layers", {}).get(layer, {}))
 
 
@@ -167,12 +165,10 @@ def places_of(marks: xr.Dataset, layer: str) -> MarkPlaces:
     extras = {
         name: marks[f"{layer}_{name}"].values for name in EXTRAS if f"{layer}_{name}" in marks
     }
-    points = points_of(marks, layer)
-    source_name = f"{layer}_source"
-    source = (
-        marks[source_name].values.tolist() if source_name in marks else ["imported"] * len(points)
-    )
-    return MarkPlaces(um=points, source=source, extras=extras)
+    source = ["imported"] * marks.sizes["mark"]
+    if f"{layer}_source" in marks:
+        source = marks[f"{layer}_source"].values.tolist()
+    return MarkPlaces(um=points_of(marks, layer), source=source, extras=extras)
 
 
 def in_layers(marks: xr.Dataset, layers: Sequence[str]) -> Bools:
@@ -182,17 +178,15 @@ def in_layers(marks: xr.Dataset, layers: Sequence[str]) -> Bools:
 
 def paired(marks: xr.Dataset) -> Bools:
     """Return which marks are in use and lie in both layers."""
-    return used_of(marks) & in_layers(
-        marks, ["volume" if "volume_x" in marks else "moving", "fixed"]
-    )
+    moving = "volume" if "volume_x" in marks else "moving"
+    return used_of(marks) & in_layers(marks, [moving, "fixed"])
 
 
 def labels_of(marks: xr.Dataset) -> list[str]:
     """Return the names of the marks; their numbers where they have none."""
-    labels = (
-        marks["label"].values if "label" in marks else np.arange(1, marks.sizes.get("mark", 0) + 1)
-    )
-    return labels.astype(np.str_).tolist()
+    if "label" in marks:
+        return marks["label"].values.astype(np.str_).tolist()
+    return [str(k + 1) for k in range(marks.sizes.get("mark", 0))]
 
 
 def tiles_of(marks: xr.Dataset) -> Bools:
@@ -200,21 +194,18 @@ def tiles_of(marks: xr.Dataset) -> Bools:
 
     These are no holes and have no diameter.
     """
-    sources = [
-        marks[f"{layer}_source"].values == "tile"
-        for layer in layer_names(marks)
-        if f"{layer}_source" in marks
-    ]
-    return np.any(sources, axis=0) if sources else np.zeros(marks.sizes.get("mark", 0), bool)
+    are_tiles = np.zeros(marks.sizes.get("mark", 0), bool)
+    for layer in layer_names(marks):
+        if f"{layer}_source" in marks:
+            are_tiles |= marks[f"{layer}_source"].values == "tile"
+    return are_tiles
 
 
 def used_of(marks: xr.Dataset) -> Bools:
     """Return which marks take part in a fit; all where it is not stated."""
-    return (
-        marks["used"].values.astype(bool)
-        if "used" in marks
-        else np.ones(marks.sizes.get("mark", 0), bool)
-    )
+    if "used" in marks:
+        return marks["used"].values.astype(bool)
+    return np.ones(marks.sizes.get("mark", 0), bool)
 
 
 def marks_of_holes(
@@ -267,17 +258,21 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
 
     ``x``, ``y`` (um), ``label`` and what else is known of the marks in it.
 
+    Parameters
+    ----------
+    marks : Dataset, dims (mark)
+    layer : str
+
     Raises
     ------
     MarkError
         If there is no such layer.
     """
     _check_layer(marks, layer)
-    names: dict[Hashable, str] = {f"{layer}_{name}": name for name in ("x", "y", "z", *EXTRAS)}
-    names = {name: hole_name for name, hole_name in names.items() if name in marks}
-    return (
-        marks[[*names, "label"]].rename(names).isel(mark=np.flatnonzero(in_layers(marks, [layer])))
-    )
+    known = [name for name in ("x", "y", "z", *EXTRAS) if f"{layer}_{name}" in marks]
+    names: dict[Hashable, str] = {f"{layer}_{name}": name for name in known}
+    holes = marks[[*names, "label"]].rename(names)
+    return holes.isel(mark=np.flatnonzero(in_layers(marks, [layer])))
 
 
 def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: float) -> xr.Dataset:
@@ -298,9 +293,8 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
     distances = np.linalg.norm(points[:, None] - points_of(holes, layer), axis=2)
     distances[~(distances < 0.5 * hole_um)] = np.inf
     # The nearest hole; the number after the last one where a mark lies in none.
-    hole_rows = np.argmin(
-        np.pad(distances, ((0, 0), (0, 1)), constant_values=np.finfo(np.float64).max), axis=1
-    )
+    none_at = np.full((len(distances), 1), np.finfo(np.float64).max)
+    hole_rows = np.argmin(np.hstack([distances, none_at]), axis=1)
     diameters = np.where(np.isfinite(mark_um), mark_um, np.append(hole_um, assumed_um)[hole_rows])
     diameters = np.where(np.isfinite(points[:, 0]) & ~tiles, diameters, np.nan)
     columns = ["label", *(column for column in holes if str(column).startswith(f"{layer}_"))]
@@ -314,14 +308,11 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
         join="outer",
         combine_attrs="override",
     )
-    retyped: dict[Hashable, Any] = {
-        "used": joined["used"].astype(bool),
-        "label": joined["label"].astype(str),
-    }
-    sources = [column for column in joined if str(column).endswith("_source")]
-    return joined.assign(
-        retyped | {column: joined[column].fillna("imported").astype(str) for column in sources}
-    )
+    joined = joined.assign(used=joined["used"].astype(bool), label=joined["label"].astype(str))
+    for column in list(joined):
+        if str(column).endswith("_source"):
+            joined[column] = joined[column].fillna("imported").astype(str)
+    return joined
 
 
 def used_pairs(
@@ -381,12 +372,24 @@ def pair_of_layers(
     fixed: str | None = None,
     name: str = "The file",
 ) -> tuple[str, str]:
-    """Return which layers are the moving and the fixed one."""
+    """Return which layers are the moving and the fixed one.
+
+    Parameters
+    ----------
+    marks, moving, fixed, name
+        As for `used_pairs`.
+
+    Raises
+    ------
+    MarkError
+        If a layer is missing, or it is not clear which ones are meant.
+    """
     names = layer_names(marks)
     for layer in filter(None, (moving, fixed)):
         _check_layer(marks, layer)
-    if not moving and not fixed and "fixed" in names and {"moving", "volume"} & set(names):
-        return "moving" if "moving" in names else "volume", "fixed"
+    usual = [layer for layer in ("moving", "volume") if layer in names]
+    if not moving and not fixed and usual and "fixed" in names:
+        return usual[0], "fixed"
     if len(names) < 2:
         raise MarkError(
             f"{name} holds marks of one layer only ({', '.join(names) or 'none'}); pairs of a"
@@ -464,10 +467,8 @@ def _misfit(  # noqa: PLR0911
     and reach over more than a quarter of it along one side, as marks are set far apart. Taken as um
     they would all lie in its first corner, a quarter of it or less for pixels of 2 um or more.
     """
-    pixel, count, origin = (
-        np.array([about[key][axis] for axis in "xy"], dtype=np.float64)
-        for key in ("pixel_um", "size_px", "origin_um")
-    )
+    keys = ("pixel_um", "size_px", "origin_um")
+    pixel, count, origin = (np.array([about[k]["x"], about[k]["y"]], np.float64) for k in keys)
     size = pixel * count
     span = np.ptp(points, axis=0)
     placed = points - origin

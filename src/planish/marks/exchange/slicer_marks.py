@@ -93,6 +93,7 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
 
 
 def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
+    """Points of a list, in its unit and as LPS; a place that is not defined is NaN."""
     title = str(markup.get("name") or f"list {k + 1}")
     coordinate_system: object = markup.get("coordinateSystem", "LPS")
     if coordinate_system not in ("LPS", "RAS"):
@@ -110,33 +111,39 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
     controls: list[Any] = entries if isinstance(entries, list) else [None]
     faults: list[str] = []
     points: list[list[float | None]] = []
+    labels: list[str] = []
+    used: list[bool] = []
     for number, control in enumerate(controls, 1):
+        point_text = f"point {number} of {title}"
         if not isinstance(control, Mapping):
-            faults.append(f"point {number} of {title} is malformed")
+            faults.append(f"{point_text} is malformed")
             continue
+        point: list[float | None] = [None] * 3
         status: Any = control.get("positionStatus", "defined")
-        position: Any = control.get("position")
-        is_valid = isinstance(position, list) and len(position) == 3
-        coordinates = position if is_valid else [None]
-        point = [None if isinstance(number, str) else finite(number) for number in coordinates]
-        if status not in ("defined", "undefined", "preview"):
-            faults.append(f"point {number} of {title} has the status {str(status)[:40]!r}")
-        if status == "defined" and None in point:
-            faults.append(
-                f"point {number} of {title} has the position {str(position)[:40]}, not three finite"
-                " numbers"
-            )
-        points.append(point if status == "defined" else [None] * 3)
+        if status == "defined":
+            position: Any = control.get("position")
+            point = _three_numbers(position)
+            if None in point:
+                position_text = f"has the position {str(position)[:40]}, not three finite numbers"
+                faults.append(f"{point_text} {position_text}")
+        elif status not in ("undefined", "preview"):
+            faults.append(f"{point_text} has the status {str(status)[:40]!r}")
+        points.append(point)
+        labels.append(str(control.get("label") or f"{title} {number}"))
+        used.append(control.get("selected", True) is not False)
     raise_faults(name, faults, "Save the list in Slicer again.", error=MarkError)
-    signs = np.array([1.0, 1.0, 1.0] if coordinate_system == "LPS" else [-1.0, -1.0, 1.0])
+    signs = [1.0, 1.0, 1.0] if coordinate_system == "LPS" else [-1.0, -1.0, 1.0]
     return PointList(
         title=title,
-        points=signs * np.array(points, dtype=np.float64),
+        points=np.array(points, dtype=np.float64) * signs,
         unit=unit,
         stated=True,
-        labels=[
-            str(control.get("label") or f"{title} {number}")
-            for number, control in enumerate(controls, 1)
-        ],
-        used=[control.get("selected", True) is not False for control in controls],
+        labels=labels,
+        used=used,
     )
+
+
+def _three_numbers(position: Any) -> list[float | None]:
+    if not isinstance(position, list) or len(position) != 3:
+        return [None] * 3
+    return [None if isinstance(number, str) else finite(number) for number in position]

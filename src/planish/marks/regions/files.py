@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
@@ -75,12 +76,12 @@ def read_regions(path: str | Path) -> Regions:
     content = read_bytes(path, what="file of regions", most_bytes=LARGEST_FILE)
     faults: list[str] = []
     readers: list[tuple[str, Callable[[], Region]]] = []
-    if in_pixels := content.startswith((ZIP, ROI)):
+    in_pixels = content.startswith((ZIP, ROI))
+    if in_pixels:
         remedy = _DRAW
         for part_name, data in selections_in(content, name, most=MOST_REGIONS, remedy=_DRAW):
-            readers.append(
-                (repr(part_name[:80]), partial(_selection, data, PurePosixPath(part_name).stem))
-            )
+            read_part = partial(_selection, data, PurePosixPath(part_name).stem)
+            readers.append((repr(part_name[:80]), read_part))
     else:
         remedy = "Coordinates are [x, y] in um of the reference; docs/linking.md shows an example."
         root, features = _features(content, name)
@@ -91,15 +92,16 @@ def read_regions(path: str | Path) -> Regions:
         for k, feature in enumerate(features, 1):
             readers.append((f"region {k}", partial(_region, feature, f"region {k}")))
     regions: list[Region] = []
+    point_count = 0
     for title, read_region in readers:
         try:
-            regions.append(read_region())
+            region = read_region()
         except ValueError as error:
             faults.append(f"{title}: {error}")
+            continue
+        regions.append(region)
+        point_count += sum(map(len, chain(*region.polygons)))
     raise_faults(name, faults, remedy, error=FileError)
-    point_count = sum(
-        len(ring) for region in regions for rings in region.polygons for ring in rings
-    )
     if not regions:
         raise FileError(f"{name} holds no region. Draw one, or leave `regions` out.")
     if len(regions) > MOST_REGIONS or point_count > MOST_POINTS:
@@ -134,12 +136,13 @@ def _selection(data: bytes, default_name: str) -> Region:
         polygons = ((ring_of(roi.coordinates() + _NUDGE),),)
     else:
         raise ValueError(f"it is of the unknown type {data[6]}")
-    texts = {"name": roi.name or default_name}
+    texts = {"name": text_of(roi.name or default_name, "name")}
     for line in roi.props.splitlines():
-        key, _, text = line.partition(":")
-        if key.strip().lower() in _TEXTS[1:]:
-            texts[key.strip().lower()] = text
-    return Region(polygons=polygons, **{key: text_of(text, key) for key, text in texts.items()})
+        name, _, text = line.partition(":")
+        key = name.strip().lower()
+        if key in _TEXTS[1:]:
+            texts[key] = text_of(text, key)
+    return Region(polygons=polygons, **texts)
 
 
 def _box(roi: ImagejRoi) -> Ring:
@@ -224,6 +227,7 @@ def _features(data: bytes, name: str) -> tuple[dict[str, Any], list[Any]]:
 
 
 def _region(feature: object, default_name: str) -> Region:
+    """Make a region of a feature of GeoJSON; ValueError, with the reason, where it is none."""
     geometry = _object(_object(feature).get("geometry"))
     properties = _object(feature).get("properties")
     geometry_type = geometry.get("type")
@@ -235,11 +239,10 @@ def _region(feature: object, default_name: str) -> Region:
         raise ValueError("its properties are no object")
     texts = {key: text_of(_object(properties).get(key), key) for key in _TEXTS}
     texts["name"] = texts["name"] or default_name
-    polygons = (
-        _list(coordinates, "coordinates") if geometry_type == "MultiPolygon" else [coordinates]
-    )
-    borders = (map(_ring, _list(polygon, "a polygon")) for polygon in polygons)
-    return Region(polygons=tuple(map(tuple, borders)), **texts)
+    is_single = geometry_type == "Polygon"
+    polygons = [coordinates] if is_single else _list(coordinates, "coordinates")
+    borders = [tuple(map(_ring, _list(polygon, "a polygon"))) for polygon in polygons]
+    return Region(polygons=tuple(borders), **texts)
 
 
 def _ring(points: object) -> Ring:
@@ -265,6 +268,10 @@ def _object(content: object) -> dict[str, Any]:
     return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 
 
+def _closed(ring: Ring) -> list[list[float]]:
+    return [*ring.tolist(), ring[0].tolist()]
+
+
 def geojson_text(regions: Regions) -> str:
     """Write regions in um as a FeatureCollection, one feature a line.
 
@@ -273,14 +280,11 @@ def geojson_text(regions: Regions) -> str:
     assert not regions.in_pixels
     feature_lines: list[str] = []
     for region in regions.declared:
-        polygons = [
-            [[*ring.tolist(), ring[0].tolist()] for ring in rings] for rings in region.polygons
-        ]
-        geometry_type, coordinates = (
-            ("Polygon", polygons[0]) if len(polygons) == 1 else ("MultiPolygon", polygons)
-        )
-        texts = {key: text for key in _TEXTS if (text := getattr(region, key))}
-        geometry = {"type": geometry_type, "coordinates": coordinates}
+        polygons: list[Any] = [[*map(_closed, rings)] for rings in region.polygons]
+        geometry = {"type": "MultiPolygon", "coordinates": polygons}
+        if len(polygons) == 1:
+            geometry = {"type": "Polygon", "coordinates": polygons[0]}
+        texts = {key: getattr(region, key) for key in _TEXTS if getattr(region, key)}
         feature = {"type": "Feature", "properties": texts, "geometry": geometry}
         feature_lines.append(f"  {json.dumps(feature, ensure_ascii=False)}")
     features = ",\n".join(feature_lines)

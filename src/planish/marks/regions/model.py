@@ -82,11 +82,8 @@ class Regions:
         origin = np.array(grid.origin_um)
         regions_um: list[Region] = []
         for region in self.declared:
-            polygons = (
-                tuple((ring - 0.5) * pixel_um + origin for ring in rings)
-                for rings in region.polygons
-            )
-            regions_um.append(replace(region, polygons=tuple(polygons)))
+            polygons = tuple(_in_um(rings, pixel_um, origin) for rings in region.polygons)
+            regions_um.append(replace(region, polygons=polygons))
         return Regions(declared=tuple(regions_um))
 
     def inside(self, grid: Grid) -> Bools:
@@ -96,6 +93,10 @@ class Regions:
             window, mask = region.inside(grid)
             inside[window] |= mask
         return inside
+
+
+def _in_um(rings: Sequence[Ring], pixel_um: Floats, origin: Floats) -> tuple[Ring, ...]:
+    return tuple((ring - 0.5) * pixel_um + origin for ring in rings)
 
 
 def ring_of(points: NDArray[np.floating]) -> Ring:
@@ -108,7 +109,8 @@ def ring_of(points: NDArray[np.floating]) -> Ring:
         raise ValueError(f"a coordinate is no number, or beyond {_FARTHEST:g}")
     if len(ring) > 1 and (ring[0] == ring[-1]).all():
         ring = ring[:-1]
-    if (count := len(np.unique(ring, axis=0))) < 3:
+    count = len(np.unique(ring, axis=0))
+    if count < 3:
         raise ValueError(f"a polygon has {count} different points; 3 are needed")
     return ring
 
@@ -128,31 +130,25 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
         encloses = ((lows <= lows[k]) & (highs >= highs[k])).all(axis=1)
         encloses[k] = False
         candidates = np.flatnonzero(encloses).tolist()
-        enclosing.append(
-            [
-                j
-                for j in candidates
-                if 2 * sum(_inside(rings[j], place) for place in probes) > len(probes)
-            ]
-        )
-    polygons: dict[int, list[Ring]] = {
-        k: [ring] for k, ring in enumerate(rings) if len(enclosing[k]) % 2 == 0
-    }
+        enclosing.append([j for j in candidates if _holds_most(rings[j], probes)])
+    polygons = {k: [ring] for k, ring in enumerate(rings) if len(enclosing[k]) % 2 == 0}
     for k, ring in enumerate(rings):
         if k not in polygons:
-            polygons[
-                max((j for j in enclosing[k] if j in polygons), key=lambda j: len(enclosing[j]))
-            ].append(ring)
+            outer = [j for j in enclosing[k] if j in polygons]
+            polygons[max(outer, key=lambda j: len(enclosing[j]))].append(ring)
     return tuple(map(tuple, polygons.values()))
 
 
-def _inside(ring: Ring, place: Floats) -> bool:
-    x, y = place
+def _holds_most(ring: Ring, places: Floats) -> bool:
+    """True if more than half of some places lie within a border."""
     xa, ya = ring.T
     xb, yb = np.roll(ring, -1, axis=0).T
-    crossed = (ya <= y) != (yb <= y)
-    crossing_x = xa[crossed] + (y - ya[crossed]) * (xb - xa)[crossed] / (yb - ya)[crossed]
-    return bool(np.count_nonzero(crossing_x > x) % 2)
+    n_inside = 0
+    for x, y in places:
+        crossed = (ya <= y) != (yb <= y)
+        crossing_x = xa[crossed] + (y - ya[crossed]) * (xb - xa)[crossed] / (yb - ya)[crossed]
+        n_inside += int(np.count_nonzero(crossing_x > x)) % 2
+    return 2 * n_inside > len(places)
 
 
 def text_of(value: object, title: str) -> str:
