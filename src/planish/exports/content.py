@@ -95,14 +95,14 @@ class Maps:
                 f"The maps have {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed for a"
                 " size."
             )
-        return tuple(
-            exact((coords_um[-1] - coords_um[0]) / (coords_um.size - 1)) for coords_um in self.at_um
-        )  # type: ignore[return-value]
+        y, x = self.at_um
+        return exact((y[-1] - y[0]) / (y.size - 1)), exact((x[-1] - x[0]) / (x.size - 1))
 
     @property
     def origin_um(self) -> tuple[float, float]:
         """Middle of the first pixel: (y, x)."""
-        return tuple(exact(coords_um[0]) for coords_um in self.at_um)  # type: ignore[return-value]
+        y, x = self.at_um
+        return exact(y[0]), exact(x[0])
 
     def facts(self) -> dict[str, Any]:
         """Group, pixel size and place, for the history."""
@@ -159,9 +159,9 @@ def percentile_limits(pixels: NDArray[np.float32]) -> tuple[float, float]:
     0 to 1 where it has no value.
     """
     finite = pixels[np.isfinite(pixels)].astype(np.float64)
-    low, high = (
-        (float(v) for v in np.percentile(finite, (1.0, 99.0))) if finite.size else (0.0, 1.0)
-    )
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, (1.0, 99.0)).tolist()
     return low, high if high > low else low + 1.0
 
 

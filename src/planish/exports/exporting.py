@@ -1,6 +1,7 @@
 """A run as files of other programs: ``planish export``."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -64,21 +65,23 @@ class ExportRequest:
             volume = content.assign_attrs(history=history.json(**facts))
             write_store(volume, path, memory_bytes=self.compute.block_bytes)
             return
-        # A map of so few pixels is read once more for the limits between which it is shown first.
-        if (
-            isinstance(content, Maps)
-            and self.file_format.shows_limits
-            and math.prod(content.shape) <= 2**22
-        ):
-            # A map shares its limits with the other side of the sheet, and those of an image are of
-            # what is valid.
-            group = self.run.groups[content.group].assign(content.data.data_vars)
-            content = replace(
-                content, scales={name: run_contents.scale_of(group, name) for name in content.names}
-            )
+        if isinstance(content, Maps):
+            content = self._with_limits(content)
         write = writer_of(self.params.to)
         with faults_named(f"The export {self.params.to!r}", write.__module__):
             write(content, path, history, self.params)
+
+    def _with_limits(self, maps: Maps) -> Maps:
+        """Maps with the limits between which they are shown first, where their file says so."""
+        # A map of so few pixels is read once more for them.
+        if not self.file_format.shows_limits or math.prod(maps.shape) > 2**22:
+            return maps
+        # A map shares its limits with the other side of the sheet, and those of an image are of
+        # what is valid.
+        group = self.run.groups[maps.group].assign(maps.data.data_vars)
+        return replace(
+            maps, scales={name: run_contents.scale_of(group, name) for name in maps.names}
+        )
 
 
 class OutputFile(NamedTuple):
@@ -93,16 +96,23 @@ class OutputFile(NamedTuple):
 
 
 def _output_files(request: ExportRequest) -> list[OutputFile]:
+    """What is written, by what the format holds and the group that was asked for."""
     group, file_format = request.params.group, request.file_format
+    if "run" in file_format.holds:
+        folder = request.run.folder
+        if folder is None:
+            raise FileError(
+                "The run stands in no folder. Save it first: give out to link or map_sheet."
+            )
+        return [OutputFile([], folder, str(folder))]
     if "surface" in file_format.holds:
         if group not in (None, "surfaces"):
             raise InputError(
                 f"{file_format.title} holds surfaces, and `group` says {group}. Leave `group` out."
             )
         return _surfaces(request)
-    if ("marks" in file_format.holds or "registration" in file_format.holds) and not (
-        "maps" in file_format.holds and group in request.run.groups
-    ):
+    are_maps = "maps" in file_format.holds and group in request.run.groups
+    if not are_maps and {"marks", "registration"} & {*file_format.holds}:
         return _registrations(request)
     return _straightened(request) if group == STRAIGHTENED else _maps(request)
 
@@ -123,7 +133,9 @@ def _check_size(request: ExportRequest, count: int, size_text: str, remedy_text:
 
 
 def _maps(request: ExportRequest) -> list[OutputFile]:
-    run, store, file_format, out = request.run, request.store, request.file_format, request.out
+    """Maps of a group, in one file or each in its own."""
+    run = request.run
+    file_format = request.file_format
     group = run_contents.map_group(run, request.params.group)
     names = run_contents.map_names(run, group, request.params.maps)
     if group == "maps" and IMAGE in names:
@@ -135,42 +147,30 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
                 f" {memory_bytes / 1e9:.1f} GB are allowed. Allow more with `memory`, or choose"
                 " other maps with `map`."
             )
-    levels = (
-        {}
-        if store is None
-        else {name: run_contents.map_levels(store, group, name) for name in names}
-    )
+    levels: dict[str, list[Path]] = {}
+    if request.store is not None:
+        levels = {name: run_contents.map_levels(request.store, group, name) for name in names}
     maps = Maps(data=run_contents.maps_of(run, group, names), group=group, levels=levels)
     rows, cols = maps.shape
-    _check_size(
-        request,
-        rows * cols,
-        f"{rows} x {cols}",
-        "Write them as tiff, txt or netcdf, which have no limit.",
-    )
+    remedy_text = "Write them as tiff, txt or netcdf, which have no limit."
+    _check_size(request, rows * cols, f"{rows} x {cols}", remedy_text)
+    suffix = file_format.suffixes[0]
     if file_format.apart and not request.is_single_file:
-        return [
-            OutputFile([f"{name}{file_format.suffixes[0]}"], maps.only(name), name)
-            for name in names
-        ]
+        return [OutputFile([f"{name}{suffix}"], maps.only(name), name) for name in names]
     if not file_format.stack and len(names) > 1:
         raise StudyError(
-            f"{out.name} holds one map, and {len(names)} are asked for. Choose one with `map`, or"
-            f" give a folder. The group {group} holds {', '.join(names)}."
+            f"{request.out.name} holds one map, and {len(names)} are asked for. Choose one with"
+            f" `map`, or give a folder. The group {group} holds {', '.join(names)}."
         )
     maps_text = ", ".join(names) if len(names) < 5 else f"{len(names)} maps"
-    return [OutputFile([f"{group.rsplit('/', 1)[-1]}{file_format.suffixes[0]}"], maps, maps_text)]
+    return [OutputFile([f"{group.rsplit('/', 1)[-1]}{suffix}"], maps, maps_text)]
 
 
 def _straightened(request: ExportRequest) -> list[OutputFile]:
     params, file_format = request.params, request.file_format
     if "volume" not in file_format.holds:
-        format_names = ", ".join(
-            name for name, other_format in FORMATS.items() if "volume" in other_format.holds
-        )
-        raise InputError(
-            f"The straightened volume is written as {format_names}, not as {params.to}."
-        )
+        names = ", ".join(name for name, row in FORMATS.items() if "volume" in row.holds)
+        raise InputError(f"The straightened volume is written as {names}, not as {params.to}.")
     if params.maps:
         raise StudyError(
             "The straightened volume holds grey values, and `map` chooses maps. Leave `map` out."
@@ -184,6 +184,7 @@ def _straightened(request: ExportRequest) -> list[OutputFile]:
 
 
 def _surfaces(request: ExportRequest) -> list[OutputFile]:
+    """Surfaces of the sheet, each in its own file."""
     run, params = request.run, request.params
     facts = run_contents.sheet_facts(run)
     if facts is None:
@@ -192,55 +193,56 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
             " layers/NAME where several were linked."
         )
     surfaces = run.groups["surfaces"]
-    names = [
-        str(k) for k, v in surfaces.data_vars.items() if v.ndim == 2 and v.dtype.kind in "fiub"
-    ]
-    measured = [
-        name
-        for name in SURFACES
-        if name in surfaces and bool(np.isfinite(surfaces[name].values).any())
-    ]
-    requested = checked_names(params.maps, names, "surfaces")
-    surface_names = [name for name in requested if name in SURFACES] or measured
-    # The properties where no map is named, the headline of the sheet first.
-    property_names = [
-        k
-        for k, variable in surfaces.data_vars.items()
-        if is_property(variable) and k not in SURFACES
-    ]
-    maps = tuple(name for name in requested if name not in SURFACES) or tuple(
-        sorted(map(str, property_names), key=lambda name: (name != facts.headline, name))
-    )
-    if unmeasured := [name for name in surface_names if name not in measured]:
-        raise InputError(
-            f"The sheet has no {' and no '.join(unmeasured)}; it has {', '.join(measured)}."
-        )
+    surface_names, maps = _chosen(surfaces, params.maps, facts.headline)
     if request.is_single_file and len(surface_names) > 1:
         raise StudyError(
             f"{request.out.name} holds one surface, and there are {len(surface_names)}. Choose one"
             f" of {', '.join(surface_names)} with `map`, or give a folder."
         )
     columns = surfaces[[*surface_names, *maps]]
-    rows, cols = (columns.sizes["y"], columns.sizes["x"])
     row_step, col_step = steps_of(columns, params.mesh_um)
-    n_nodes = -(-rows // row_step) * -(-cols // col_step)
-    _check_size(
-        request,
-        n_nodes,
-        f"{n_nodes / 1e6:.1f} million",
-        "Give a larger `mesh_um`, such as four columns.",
-    )
+    n_nodes = -(-columns.sizes["y"] // row_step) * -(-columns.sizes["x"] // col_step)
+    remedy_text = "Give a larger `mesh_um`, such as four columns."
+    _check_size(request, n_nodes, f"{n_nodes / 1e6:.1f} million", remedy_text)
     scales = {name: run_contents.scale_of(columns, name) for name in maps[:1]}
+    suffix = request.file_format.suffixes[0]
+    files: list[OutputFile] = []
+    for name in surface_names:
+        surface = Surface(columns, name, maps, scales)
+        files.append(OutputFile([f"{name}{suffix}"], surface, name))
+    return files
 
-    return [
-        OutputFile(
-            [f"{name}{request.file_format.suffixes[0]}"], Surface(columns, name, maps, scales), name
+
+def _chosen(
+    surfaces: xr.Dataset, requested: Sequence[str], headline: str | None
+) -> tuple[list[str], tuple[str, ...]]:
+    """Surfaces that are written, and the maps that they carry.
+
+    Where none is named, all that were measured, and all properties, the headline first.
+    """
+    names: list[str] = []
+    properties: list[str] = []
+    for name, variable in surfaces.data_vars.items():
+        if variable.ndim == 2 and variable.dtype.kind in "fiub":
+            names.append(str(name))
+        if is_property(variable) and name not in SURFACES:
+            properties.append(str(name))
+    present = [name for name in SURFACES if name in surfaces]
+    measured = [name for name in present if np.isfinite(surfaces[name].values).any()]
+    checked = checked_names(requested, names, "surfaces")
+    surface_names = [name for name in checked if name in SURFACES] or measured
+    unmeasured = [name for name in surface_names if name not in measured]
+    if unmeasured:
+        raise InputError(
+            f"The sheet has no {' and no '.join(unmeasured)}; it has {', '.join(measured)}."
         )
-        for name in surface_names
-    ]
+    maps = [name for name in checked if name not in SURFACES]
+    maps = maps or sorted(properties, key=lambda name: (name != headline, name))
+    return surface_names, tuple(maps)
 
 
 def _registrations(request: ExportRequest) -> list[OutputFile]:
+    """Registrations of the layers, each in both directions, or their marks."""
     if request.params.maps:
         raise StudyError(
             f"{request.file_format.title} holds a registration, and `map` chooses maps. Leave `map`"
@@ -257,25 +259,20 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
     files = list[OutputFile]()
     for layer in layers:
         pair = run_contents.transforms_of(request.run, layer)
+        contents: dict[str, object] = {pair.forward.name: pair}
         if "marks" in file_format.holds:
-            contents: dict[str, object] = {
-                pair.forward.name: run_contents.landmarks(request.run, layer)
-            }
+            contents = {pair.forward.name: run_contents.landmarks(request.run, layer)}
         elif file_format.apart:
-            contents = {
-                t.name: t for t in (pair.forward, *([] if request.is_single_file else [pair.back]))
-            }
-        else:
-            contents = {pair.forward.name: pair}
+            contents = {pair.forward.name: pair.forward}
+            if not request.is_single_file:
+                contents[pair.back.name] = pair.back
         endings = file_format.endings_of(affine=pair.forward.exact)
-        files += [
-            OutputFile([f"{name}{end}" for end in endings], content, name)
-            for name, content in contents.items()
-        ]
+        for name, content in contents.items():
+            files.append(OutputFile([f"{name}{end}" for end in endings], content, name))
     return files
 
 
-def export(  # noqa: C901, PLR0912
+def export(
     run: Run | str | Path,
     out: str | Path,
     *,
@@ -323,14 +320,8 @@ def export(  # noqa: C901, PLR0912
     ``pl.export("run", "coating.tif", to="tiff", maps=["coating_top", "image"])``
     """
     params = params_of(ExportParams, options)
-    for name in dict.fromkeys(
-        name for file_format in FORMATS.values() for name in file_format.options
-    ):
-        if name in params.model_fields_set and name not in find_format(params.to).options:
-            raise StudyError(f"`{name}` is for {formats_with(name)}, and `to` says {params.to}.")
-    if params.depth_um is not None and params.group != STRAIGHTENED:
-        raise StudyError(f"`depth_um` is for `group={STRAIGHTENED}`.")
     file_format = find_format(params.to)
+    _check_options(params, file_format)
     compute = compute or Compute()
     out = Path(out)
     is_single_file = is_file(params.to, out)
@@ -344,16 +335,7 @@ def export(  # noqa: C901, PLR0912
         params = changed(params, point_um=run.study.correlate.point_um)
     with limit_threads(compute.threads):
         request = ExportRequest(run, store, params, compute, progress, out, is_single_file)
-        if "run" in file_format.holds:
-            if params.maps or params.group is not None:
-                raise StudyError("An RO-Crate holds the whole run. Leave `map` and `group` out.")
-            if run.folder is None:
-                raise FileError(
-                    "The run stands in no folder. Save it first: give out to link or map_sheet."
-                )
-            files = [OutputFile([], run.folder, str(run.folder))]
-        else:
-            files = _output_files(request)
+        files = _output_files(request)
         if is_single_file or "run" in file_format.holds:
             (file,) = files
             progress("write", file.summary_text)
@@ -369,3 +351,14 @@ def export(  # noqa: C901, PLR0912
                 progress("write", file.summary_text)
                 request.write(file.content, folder / file.names[0])
         return [out / name for file in files for name in file.names]
+
+
+def _check_options(params: ExportParams, file_format: ExportFormat) -> None:
+    """Refuse options that mean nothing for the format, or for what is taken of the run."""
+    for name in sorted(params.model_fields_set.difference(file_format.options)):
+        if formats_with(name):
+            raise StudyError(f"`{name}` is for {formats_with(name)}, and `to` says {params.to}.")
+    if params.depth_um is not None and params.group != STRAIGHTENED:
+        raise StudyError(f"`depth_um` is for `group={STRAIGHTENED}`.")
+    if "run" in file_format.holds and (params.maps or params.group is not None):
+        raise StudyError("An RO-Crate holds the whole run. Leave `map` and `group` out.")

@@ -348,22 +348,19 @@ def is_file(name: str, out: Path) -> bool:
     """
     form = find_format(name)
     low = out.name.lower()
-    endings = [
-        (end, other) for other in FORMATS for end in FORMATS[other].suffixes if low.endswith(end)
-    ]
-    longest = max((len(end) for end, _ in endings), default=0)
-    meant = [other for end, other in endings if len(end) == longest]
-    if name in meant:
-        return True
+    suffixes = {end for row in FORMATS.values() for end in row.suffixes if low.endswith(end)}
+    if suffixes:
+        longest = max(suffixes, key=len)
+        meant = [other for other in FORMATS if longest in FORMATS[other].suffixes]
+        if name in meant:
+            return True
+        whose = f"ends as {FORMATS[meant[0]].title} does (`to={meant[0]}`)"
     # a folder may be called run.2.
-    if not meant and not re.fullmatch(r"\.[A-Za-z][A-Za-z0-9]{0,4}", out.suffix):
+    elif not re.fullmatch(r"\.[A-Za-z][A-Za-z0-9]{0,4}", out.suffix):
         return False
+    else:
+        whose = f"has the ending {out.suffix}"
     ends = f"a name that ends in {' or '.join(form.suffixes)}, or " if form.suffixes else ""
-    whose = (
-        f"ends as {FORMATS[meant[0]].title} does (`to={meant[0]}`)"
-        if meant
-        else f"has the ending {out.suffix}"
-    )
     raise FileError(
         f"{out.name} {whose}, and `to` says {name}. Give {ends}a folder without an ending."
     )

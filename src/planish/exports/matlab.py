@@ -34,10 +34,10 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     ``history`` a text. Maps are (rows, columns); truth values are logical. ResourceError where
     version 5 was asked for, and the maps take 2 GB or more.
     """
+    rows_um, cols_um = maps.at_um
     metadata: dict[str, Any] = {
-        f"{axis}_um": um[None, :] for axis, um in zip(maps.dims, maps.at_um, strict=True)
-    }
-    metadata |= {
+        f"{maps.dims[0]}_um": rows_um[None],
+        f"{maps.dims[1]}_um": cols_um[None],
         "pixel_um": np.array([maps.pixel_um]),
         "units": maps.units,
         "titles": maps.titles,
@@ -45,13 +45,10 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     }
     version = chosen_version(maps, params)
     if version == "5":
-        map_arrays = {
-            name: np.concatenate([band for _, band in maps.bands(name)]) for name in maps.names
-        }
-        pixels = {
-            n: p.astype(np.bool_) if maps.data[n].dtype.kind == "b" else p
-            for n, p in map_arrays.items()
-        }
+        pixels: dict[str, Any] = {}
+        for name in maps.names:
+            dtype = maps.data[name].dtype
+            pixels[name] = np.concatenate([band for _, band in maps.bands(name, dtype)])
         io.savemat(
             str(path),
             pixels | metadata,
@@ -80,11 +77,8 @@ def chosen_version(maps: Maps, params: ExportParams) -> str:
 
     ResourceError where the one that was asked for cannot hold them.
     """
-    maps_bytes = (
-        sum(plain_type(maps.data[name].dtype).itemsize for name in maps.names)
-        * maps.shape[0]
-        * maps.shape[1]
-    )
+    pixel_bytes = sum(plain_type(maps.data[name].dtype).itemsize for name in maps.names)
+    maps_bytes = pixel_bytes * maps.shape[0] * maps.shape[1]
     if params.mat_version == "5" and maps_bytes > MOST_5:
         raise ResourceError(
             f"The maps take {maps_bytes / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB."

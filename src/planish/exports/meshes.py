@@ -205,20 +205,18 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
         frame.cols: nodes["x"].values[None, :],
         frame.through: heights,
     }
-    points = np.stack(
-        [np.broadcast_to(coords_um[axis], is_node.shape)[is_node] for axis in "xyz"], axis=1
-    )
+    columns = [np.broadcast_to(coords_um[axis], is_node.shape)[is_node] for axis in "xyz"]
+    points = np.stack(columns, axis=1)
     if params.as_seen:
         points[:, 1] *= -1
     # Cells of (row, col), (row, col + 1) ... have to run anticlockwise as seen from outside of the
     # sheet.
     unit_vectors = dict(zip("xyz", np.eye(3), strict=True))
-    outward_normal = (
-        unit_vectors[frame.through] * frame.sign * (-1 if surface.name.endswith("bottom") else 1)
-    )
-    if (
-        float(np.cross(unit_vectors[frame.cols], unit_vectors[frame.rows]) @ outward_normal) > 0
-    ) == params.as_seen:
+    outward_normal = unit_vectors[frame.through] * frame.sign
+    if surface.name.endswith("bottom"):
+        outward_normal = -outward_normal
+    cell_normal = np.cross(unit_vectors[frame.cols], unit_vectors[frame.rows])
+    if (float(cell_normal @ outward_normal) > 0) == params.as_seen:
         quads = quads[:, ::-1]
     maps = {
         column_of(n, units_of(nodes[n])): nodes[n].values[is_node].astype(np.float32)
@@ -240,10 +238,9 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
             np.uint8
         )
         units = units_of(nodes[colour_map])
-        about += (
-            f"; colour: {colour_map} from {scale.low:.6g} to"
-            f" {scale.high:.6g}{f' {units}' if units != '1' else ''}"
-        )
+        about += f"; colour: {colour_map} from {scale.low:.6g} to {scale.high:.6g}"
+        if units != "1":
+            about += f" {units}"
     points = np.ascontiguousarray(points, np.float32)
     quads = np.ascontiguousarray(quads)
     return SurfaceMesh(points, quads, maps, colours, about)

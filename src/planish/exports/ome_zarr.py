@@ -28,25 +28,26 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
 
     Overviews are means of known pixels.
     """
-    names, shapes = maps.names, [maps.shape]
+    names = maps.names
+    shapes = [maps.shape]
     has_channels = len(names) > 1
     group = zarr.open_group(path, mode="w-", zarr_format=3)
     for _ in range(overview_count(maps.shape)):
         shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
-    channel_dims = (len(names),) if has_channels else ()
-    arrays: list[Any] = [
-        group.create_array(
+    dims = ["c", "y", "x"] if has_channels else ["y", "x"]
+    arrays: list[Any] = []
+    for level, (rows, cols) in enumerate(shapes):
+        array = group.create_array(
             str(level),
-            shape=(*channel_dims, *shape),
+            shape=(len(names), rows, cols)[-len(dims) :],
             dtype=np.float32,
-            chunks=(*(1 for _ in channel_dims), *(min(n, BAND) for n in shape)),
+            chunks=(1, min(rows, BAND), min(cols, BAND))[-len(dims) :],
             fill_value=np.nan,
             compressors=CODECS,
-            dimension_names=[*("c" for _ in channel_dims), "y", "x"],
+            dimension_names=dims,
             config={"write_empty_chunks": True},
         )
-        for level, shape in enumerate(shapes)
-    ]
+        arrays.append(array)
     windows: list[dict[str, float]] = []
     for k, name in enumerate(names):
         channel = (k,) if has_channels else ()
@@ -76,9 +77,7 @@ def _copied(
     False, and nothing is done, where they are not those of the image.
     """
     image_folders = [path / str(k) for k in range(n_levels)]
-    if len(run_folders) != n_levels or not all(
-        _alike(*pair) for pair in zip(run_folders, image_folders, strict=True)
-    ):
+    if len(run_folders) != n_levels or not all(map(_alike, run_folders, image_folders)):
         return False
     for run_folder, image_folder in zip(run_folders, image_folders, strict=True):
         channel_folder = image_folder.joinpath("c", *map(str, channel))
@@ -90,20 +89,12 @@ def _copied(
 
 def _alike(source: Path, target: Path) -> bool:
     """Tell whether two arrays differ only in a first axis, so their chunks have the same bytes."""
-    metadata = [
-        json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target)
-    ]
+    a, b = (json.loads((path / "zarr.json").read_text("utf-8")) for path in (source, target))
     keys = ("data_type", "codecs", "chunk_key_encoding", "fill_value")
-    encodings = [[array_metadata.get(key) for key in keys] for array_metadata in metadata]
-    chunks = [
-        array_metadata["chunk_grid"]["configuration"]["chunk_shape"][-2:]
-        for array_metadata in metadata
-    ]
-    return (
-        encodings[0] == encodings[1]
-        and chunks[0] == chunks[1]
-        and metadata[0]["shape"] == metadata[1]["shape"][-2:]
-    )
+    if any(a.get(key) != b.get(key) for key in keys):
+        return False
+    a_chunk, b_chunk = (array["chunk_grid"]["configuration"]["chunk_shape"] for array in (a, b))
+    return a_chunk[-2:] == b_chunk[-2:] and a["shape"] == b["shape"][-2:]
 
 
 def _attributes(

@@ -4,6 +4,7 @@ Groups of maps, the straightened volume, registrations and history.
 """
 
 import hashlib
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -59,13 +60,10 @@ def map_group(run: Run, name: str | None) -> str:
 
     InputError where there is none.
     """
-    layer_groups = [
-        group for group in run.groups if group.startswith("layers/") and group.count("/") == 1
-    ]
-    map_groups = [
-        k for k in ("linked", "maps", "refined", "surfaces", "flat") if k in run.groups
-    ] + layer_groups
-    group = name or next((group for group in ("linked", "maps") if group in map_groups), None)
+    usual = ("linked", "maps", "refined", "surfaces", "flat")
+    map_groups = [group for group in usual if group in run.groups]
+    map_groups += [group for group in run.groups if re.fullmatch("layers/[^/]*", group)]
+    group = name or next((group for group in usual[:2] if group in map_groups), None)
     if group is None:
         raise InputError(
             "The run holds the maps of several layers. Choose one with `group`:"
@@ -81,9 +79,8 @@ def map_group(run: Run, name: str | None) -> str:
 
 def map_names(run: Run, group: str, requested: Sequence[str]) -> list[str]:
     """Choose the maps of a group: all where none is named, and the image on the flat sheet."""
-    names = [
-        str(name) for name, variable in run.groups[group].data_vars.items() if variable.ndim == 2
-    ]
+    variables = run.groups[group].data_vars
+    names = [str(name) for name in variables if variables[name].ndim == 2]
     if group == "maps" and "linked" in run.groups and len(run.results.moving) == 1:
         names.append(IMAGE)
     return checked_names(requested, names, f"group {group}") or names
@@ -194,13 +191,13 @@ def sheet_run(run: Run, name: str) -> Run | None:
     if facts is not None and facts.name == name:
         return run
     folders = [run.folder / "layers" / name] if run.folder is not None else []
-    folders += [
-        Path(layer.run)
-        for layer in run.study.layers
-        if layer.name == name and layer.run is not None
-    ]
-    runs = (open_run(folder) for folder in folders if (folder / MAPS / "zarr.json").is_file())
-    return next((other for other in runs if sheet_facts(other) is not None), None)
+    folders += [Path(layer.run) for layer in run.study.layers if layer.name == name and layer.run]
+    for folder in folders:
+        if (folder / MAPS / "zarr.json").is_file():
+            other = open_run(folder)
+            if sheet_facts(other) is not None:
+                return other
+    return None
 
 
 def _mapped_layer(run: Run, name: str) -> GivenLayer:
@@ -247,10 +244,8 @@ def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
     target_x, target_y = transform(centre).tolist()
     affine = Affine(linear=((a, b), (c, d)), source=(x, y), target=(target_x, target_y))
     is_affine = isinstance(transform, Similarity | Affine)
-    moving, fixed = (
-        grid_of(run, name) or _grid_around(marks)
-        for name, marks in ((layer.name, fit.moving), (target, fit.fixed))
-    )
+    moving = grid_of(run, layer.name) or _grid_around(fit.moving)
+    fixed = grid_of(run, target) or _grid_around(fit.fixed)
     return TransformPair(
         DirectedTransform(layer.name, target, fit, moving, affine, is_affine),
         DirectedTransform(target, layer.name, fit.inverse, fixed, affine.inverse, is_affine),
@@ -267,7 +262,8 @@ def landmarks(run: Run, layer: LayerFacts) -> xr.Dataset:
     marks = run.registrations[layer.name].marks
     layers = {side: dict(layer_attrs) for side, layer_attrs in marks.attrs["layers"].items()}
     for side, name in (("moving", layer.name), ("fixed", layer.registration.to)):
-        if (grid := grid_of(run, name)) is not None:
+        grid = grid_of(run, name)
+        if grid is not None:
             layers[side] |= LayerPixels(origin_um=grid.origin_um).about()
     return marks.assign_attrs(layers=layers)
 
@@ -309,9 +305,7 @@ def _grid_around(marks: np.ndarray) -> Grid:
     # How far a layer whose pixels are not known may reach beyond its marks.
     margin_um = 0.3 * extent_um
     pixel_um = max(extent_um / 2000, 1e-6)
-    cols, rows = (
-        int(n) for n in np.ceil((high_um - low_um + 2 * margin_um) / pixel_um).astype(int) + 1
-    )
-    return Grid.regular(
-        (rows, cols), pixel_um, (float(low_um[0] - margin_um), float(low_um[1] - margin_um))
-    )
+    counts = np.ceil((high_um - low_um + 2 * margin_um) / pixel_um).astype(int) + 1
+    cols, rows = counts.tolist()
+    x, y = (low_um - margin_um).tolist()
+    return Grid.regular((rows, cols), pixel_um, (x, y))

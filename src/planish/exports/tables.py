@@ -119,4 +119,8 @@ def _texts(values: NDArray[np.floating]) -> list[list[str]]:
     Whole numbers without a point.
     """
     rows = values.astype(np.float32).astype("U").tolist()
-    return [["NaN" if text == "nan" else text.removesuffix(".0") for text in row] for row in rows]
+    return [[*map(_text, row)] for row in rows]
+
+
+def _text(number: str) -> str:
+    return "NaN" if number == "nan" else number.removesuffix(".0")

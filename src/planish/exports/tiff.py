@@ -53,12 +53,9 @@ def write_imagej(
     }
     if isinstance(content, Maps):
         # Limits between which maps are shown at first.
-        if all(name in content.scales for name in content.names):
-            limits = [
-                limit
-                for n in content.names
-                for limit in (content.scales[n].low, content.scales[n].high)
-            ]
+        if content.scales.keys() >= {*content.names}:
+            scales = [content.scales[name] for name in content.names]
+            limits = np.array([(scale.low, scale.high) for scale in scales]).ravel().tolist()
             metadata |= {"min": limits[0], "max": limits[1]}
             # ImageJ takes the ranges of up to seven channels; of more, one for all.
             if len(content.names) > 1:

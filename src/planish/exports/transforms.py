@@ -183,11 +183,10 @@ def write_itk(
     for k, (class_name, *number_lists) in enumerate(transforms):
         lines += [f"#Transform {k}", f"Transform: {class_name}"]
         if not class_name.startswith("Composite"):
-            texts = (" ".join(f"{float(v):.12g}" for v in values) for values in number_lists)
-            lines += [
-                f"{keyword}: {text}"
-                for keyword, text in zip(("Parameters", "FixedParameters"), texts, strict=True)
-            ]
+            for keyword, values in zip(
+                ("Parameters", "FixedParameters"), number_lists, strict=True
+            ):
+                lines.append(" ".join([f"{keyword}:", *(f"{float(v):.12g}" for v in values)]))
     _write_lines(path, lines)
 
 
