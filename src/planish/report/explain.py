@@ -33,7 +33,9 @@ from planish.report.draw import (
     INK,
     POINT,
     SOFT,
+    Axes,
     Canvas,
+    Extent,
     Picture,
     Table,
     draw_map,
@@ -45,7 +47,8 @@ from planish.report.summary import KeyFigure
 
 AnyModel = Explained | ExplainedSeries
 
-_ROW, _TOP, _LETTER, _WIDEST_NAME = 44.0, 14.0, 6.3, 210.0  # pixels
+_ROW, _TOP, _LETTER = 44.0, 14.0, 6.3  # pixels
+_MOST_LETTERS = 36  # of the name of a row
 _COLOURS = (POINT, ACCENT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
 _MOST_POINTS = 1500  # of a scatter plot
 
@@ -205,8 +208,8 @@ def draw_coefficients(model: AnyModel) -> Picture:
     values = [0.0, *ends, *(c.standardised for c in coefficients)]
     margin = 0.06 * (max(values) - min(values)) or 0.1
     low, high = min(values) - margin, max(values) + margin
-    longest = max(len(c.title) for c in coefficients)
-    left = min(longest * _LETTER + 16, _WIDEST_NAME)
+    longest = min(max(len(c.title) for c in coefficients), _MOST_LETTERS)
+    left = longest * _LETTER + 16
     bottom = _TOP + _ROW * len(names)
     canvas = Canvas(HALF, bottom + 50)
     extent = (low, high, float(len(names)), 0.0)
@@ -220,7 +223,7 @@ def draw_coefficients(model: AnyModel) -> Picture:
         axes.dots([(coefficient.standardised, y)], colour=colour, size=9)
         label = fixed(coefficient.standardised, 2)
         axes.text(coefficient.standardised, y, label, anchor="middle", shift=(0, -9), colour=INK)
-        _name_row(canvas, coefficient.title, left - 8, _TOP + _ROW * y)
+        canvas.text(left - 8, _TOP + _ROW * y + 4, coefficient.title[:_MOST_LETTERS], anchor="end")
     canvas.line([(left, bottom), (HALF - 20, bottom)], colour=SOFT, width=0.8)
     ticks = multiples(low, high, round_step((high - low) / 4))
     canvas.number_axes(axes, [(float(v), fixed(float(v), 1)) for v in ticks], [])
@@ -237,15 +240,10 @@ def draw_coefficients(model: AnyModel) -> Picture:
     )
 
 
-def _name_row(canvas: Canvas, title: str, right: float, y: float) -> None:
-    """Name a row to the left of it, in two lines where one is too long."""
-    most = int((_WIDEST_NAME - 16) / _LETTER)
-    if len(title) <= most:
-        canvas.text(right, y + 4, title, anchor="end")
-        return
-    head, _, tail = title[:most].rpartition(" ")
-    canvas.text(right, y - 3, head, anchor="end")
-    canvas.text(right, y + 12, f"{tail}{title[most:]}"[:most], anchor="end")
+def _chart(extent: Extent) -> tuple[Canvas, Axes]:
+    """Half a page with axes, and room below them."""
+    canvas = Canvas(HALF, 310)
+    return canvas, canvas.axes(86, _TOP, HALF - 106, 226, extent)
 
 
 def draw_sizes(model: Explained) -> Picture:
@@ -255,9 +253,7 @@ def draw_sizes(model: Explained) -> Picture:
     known = [0.0, *(end for end in all_ends if is_known(end))]
     low, high = min(known) - 0.05, max(known) + 0.05
     logs = [float(np.log2(row.cell_um)) for row in rows]
-    canvas = Canvas(HALF, 310)
-    extent = (min(logs) - 0.4, max(logs) + 0.4, low, high)
-    axes = canvas.axes(62, _TOP, HALF - 82, 216, extent)
+    canvas, axes = _chart((min(logs) - 0.4, max(logs) + 0.4, low, high))
     declared = float(np.log2(model.cell_um))
     axes.line([(declared, low), (declared, high)], colour=FAINT, width=24)
     axes.across(0.0, dash="4 3")
@@ -271,7 +267,7 @@ def draw_sizes(model: Explained) -> Picture:
         axes.curve(places, values, colour=colour, width=1.2, dot_px=6)
         column, line = index % 2, index // 2
         title = model.coefficients[name].title
-        canvas.text(62 + 220 * column, 284 + 14 * line, f"● {title}", colour=colour, size=11)
+        canvas.text(86 + 210 * column, 294 + 13 * line, f"● {title}", colour=colour, size=11)
     canvas.ticks(
         axes,
         "Edge of the cells / µm",
@@ -300,8 +296,7 @@ def draw_partial(model: Explained, name: str) -> Picture:
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.05 * (high - low)
     low, high = low - margin, high + margin
-    canvas = Canvas(HALF, 300)
-    axes = canvas.axes(86, _TOP, HALF - 106, 226, (low[0], high[0], low[1], high[1]))
+    canvas, axes = _chart((low[0], high[0], low[1], high[1]))
     axes.dots(points[::step], colour=POINT, size=3.5, opacity=0.5)
     line = [(float(v), coefficient.plain * float(v)) for v in (low[0], high[0])]
     axes.line(line, colour=ACCENT, width=1.8)
@@ -341,9 +336,8 @@ def draw_correlogram(model: Explained) -> Picture:
     """Draw how far the residuals resemble each other."""
     distances = [0.0, *model.correlogram_um]
     values = [1.0, *model.correlogram]
-    canvas = Canvas(HALF, 290)
     low = min(*values, -0.1) - 0.05
-    axes = canvas.axes(62, _TOP, HALF - 82, 216, (0.0, distances[-1] * 1.02, low, 1.05))
+    canvas, axes = _chart((0.0, distances[-1] * 1.02, low, 1.05))
     axes.across(0.0)
     axes.curve(distances, values, colour=POINT, width=1.4, dot_px=5)
     canvas.ticks(axes, "Distance / µm", "Correlation of residuals")
