@@ -8,7 +8,7 @@ r"""Set planish up in this folder and run it. Needs Python 3.11, 3.12 or 3.13, a
                             corpora of damage)
     python3 run.py check    format, lint, types, import contracts, tests (not with --no-tests)
     python3 run.py bench    run the benchmarks
-    python3 run.py docs     write what documents say of the program, and build the site into
+    python3 run.py docs     write the schemas of the results, and build the site into
                             docs/_build/html
     python3 run.py wheel    build wheel and source archive into dist/; same sources, same bytes
     python3 run.py lock     renew requirements/*.lock (needs uv; --upgrade for newer versions)
@@ -138,7 +138,7 @@ def check(*, tests: bool) -> int:
 
 
 def docs(options: list[str]) -> int:
-    """Write the pages that the program makes itself, build the site, check its links.
+    """Write the schemas of the results, build the site, check its links.
 
     Warnings are errors.
     """

@@ -9,11 +9,33 @@ import inspect
 import re
 import textwrap
 from importlib import import_module
+from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from public_names import about_constant, objects, sources
+from public_names import about_constant, objects, packages, sources
 from pydantic import BaseModel
+
+
+def packages_table() -> str:
+    """Return a table of the packages, each with its first sentence, and the tree of their pages."""
+    rows = [f"| [`{name}`]({name}.md) | {_about(name)} |" for name in packages()]
+    table = "| Package | What it holds |\n|---|---|\n" + "\n".join(rows)
+    tree = "\n".join(packages())
+    return f"{table}\n\n```{{toctree}}\n:hidden:\n\n{tree}\n```"
+
+
+def write_sources(folder: Path) -> None:
+    """Write the source of a page for each package, and remove those of packages that are gone."""
+    wanted = {
+        folder / f"{name}.md": f"# `{name}`\n\n```{{public}} {name}\n```\n" for name in packages()
+    }
+    for path in set(folder.glob("planish*.md")) - set(wanted):
+        path.unlink()
+    for path, text in wanted.items():
+        # A page that stays as it is keeps its time, by which Sphinx knows what to read anew.
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8", newline="\n")
 
 
 def package_page(package: str) -> str:
@@ -25,9 +47,8 @@ def package_page(package: str) -> str:
         rows.append(f"| {{py:obj}}`{name} <{anchor}>` | {first_sentence(package, name, found)} |")
         if id(found) not in shown:
             entries.append(_entry(package, name, found))
-    about = inspect.getdoc(import_module(package)) or ""
     head = "| Name | What it is |\n|---|---|\n" + "\n".join(rows)
-    return f"{_first_paragraph(about)}\n\n{head}\n\n" + "\n\n".join(entries)
+    return f"{_about(package)}\n\n{head}\n\n" + "\n\n".join(entries)
 
 
 def is_constant(found: Any) -> bool:
@@ -118,6 +139,10 @@ def _entry(package: str, name: str, found: Any) -> str:
     if inspect.isclass(found) and issubclass(found, BaseModel):
         text += "\n\n" + fields_table(found)
     return text
+
+
+def _about(package: str) -> str:
+    return _first_paragraph(inspect.getdoc(import_module(package)) or "")
 
 
 def _first_paragraph(text: str) -> str:

@@ -10,20 +10,21 @@ A fenced block names what stands in its place::
     ```{root} CHANGELOG.md
     ```
 
-Links to files at the root of the checkout lead to the pages that show these files, and a link that
-is named by its file gets the title of the page. Pages get the entries of the index that
-`docs/words.md` has for them.
+Links to files at the root of the checkout lead to the pages that show these files, a link that is
+named by its file gets the title of the page, and one that is named by a package leads from the list
+of packages to its page. Pages get the entries of the index that `docs/words.md` has for them.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 import api_pages
 import fields
 import message_pages
+import program_pages
 import words
 from public_names import ROOT
 
@@ -35,6 +36,7 @@ from planish.measure import registered
 
 _BLOCK = re.compile(r"^```\{(\w+)\}[ ]*([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\]\(((?:\.\./)*)([\w./-]+?)(#[\w-]+)?\)")
+_NAMED_BY_PACKAGE = re.compile(r"\[`(planish[\w.]*)`\]\(([\w./-]*reference/api/)index\.md\)")
 # A file's name helps where Markdown is read as it is; the site knows the title.
 _NAMED_BY_FILE = re.compile(r"\[[\w./-]+\.md\]\(([^)#]+\.md(?:#[\w-]+)?)\)")
 SHOWN = {
@@ -62,6 +64,7 @@ def with_links(text: str) -> str:
         page = SHOWN.get(link[2])
         return f"](/project/{page}.md{link[3] or ''})" if page else link[0]
 
+    text = _NAMED_BY_PACKAGE.sub(r"[`\1`](\2\1.md)", text)
     return _NAMED_BY_FILE.sub(r"[](\1)", _LINK.sub(led, text))
 
 
@@ -100,8 +103,10 @@ def other_kinds_table() -> str:
 
 
 _MAKERS: dict[str, Callable[[str, str], str]] = {
+    "packages": lambda _, __: api_pages.packages_table(),
     "public": lambda package, _: api_pages.package_page(package),
     "root": _root,
+    "commands": lambda _, __: program_pages.commands(),
     "study": lambda _, __: fields.study_page(),
     "results": lambda _, __: fields.results_page(),
     "properties": lambda _, __: properties_table(),
@@ -112,12 +117,17 @@ _MAKERS: dict[str, Callable[[str, str], str]] = {
 }
 
 
+def _write_sources(app, _config) -> None:
+    api_pages.write_sources(Path(app.srcdir) / "reference" / "api")
+
+
 def _read(_app, docname: str, source: list[str]) -> None:
     source[0] = words.with_entries(docname, with_links(expand(source[0])))
 
 
 def setup(app) -> dict[str, bool]:
     """Register with Sphinx."""
+    app.connect("config-inited", _write_sources)
     app.connect("source-read", _read)
     app.add_transform(words.EntriesOfPages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

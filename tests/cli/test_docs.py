@@ -35,11 +35,9 @@ OTHER |= {"--of", "--size", "--texture"}  # of examples/studies/make.py and of a
 OTHER |= {"--require-hashes", "--cpus-per-task", "--mem", "--wrap", "--bind", "--rm", "--user"}
 
 
-def test_the_pages_have_the_help_options_schema_and_terms_of_the_program():
-    assert (DOCS / "cli.md").read_text(encoding="utf-8") == docs.page(), "run: python3 run.py docs"
-    text = (DOCS / "properties.md").read_text(encoding="utf-8")
-    assert text == docs.with_options(text), "run: python3 run.py docs"
+def test_the_pages_have_the_help_schema_and_terms_of_the_program():
     for page, form in (
+        ("cli.md", "\n## planish marks design\n"),
         ("export.md", "| `ome-zarr` | `.ome.zarr`"),
         ("formats.md", "| DICOM file | `.dcm`"),
     ):
@@ -54,7 +52,7 @@ def test_the_pages_have_the_help_options_schema_and_terms_of_the_program():
 
 
 def test_pages_link_to_files_that_exist_and_name_commands_and_options_that_exist():
-    known = OTHER | set(OPTION.findall((DOCS / "cli.md").read_text(encoding="utf-8")))
+    known = OTHER | set(OPTION.findall(docs.commands()))
     faults = []
     for path in PAGES:
         text = path.read_text(encoding="utf-8")

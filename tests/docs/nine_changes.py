@@ -30,7 +30,7 @@ from report.test_layers import layers
 pytestmark = pytest.mark.ci
 
 LIMIT_UM = 15.0
-PAGE_OF_OPTIONS = program_pages.page()
+PAGE_OF_OPTIONS = program_pages.commands()
 
 
 @pytest.fixture(scope="session")

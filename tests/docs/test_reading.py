@@ -10,9 +10,7 @@ import reading
 ROOT = Path(__file__).resolve().parents[2]
 MOST_WORDS = 18  # median of a page
 LONGEST = 75  # of one sentence: a list of what a table cannot hold
-# Pages that programs write: their words are those of options, docstrings and figures.
-WRITTEN = {"cli.md"}
-PAGES = [path for path in reading.pages(ROOT) if path.name not in WRITTEN]
+PAGES = reading.pages(ROOT)
 
 # Words of the project's early days, and what is said in their place.
 OLD = {

@@ -7,8 +7,10 @@ import sys
 from pathlib import Path
 from urllib.parse import quote
 
+import api_pages
 import check_site
 import from_code
+import public_names
 import pytest
 import words
 
@@ -221,8 +223,6 @@ def test_an_entry_stands_behind_its_heading(monkeypatch):
 
 @pytest.mark.nightly
 def test_every_public_name_has_its_entry(site):
-    import public_names
-
     texts = {
         path.stem: path.read_text(encoding="utf-8")
         for path in (site / "reference" / "api").glob("*.html")
@@ -248,9 +248,25 @@ def test_blocks_and_links_are_replaced_by_what_they_name():
     )
     assert from_code.with_links("[linking.md](linking.md)") == "[](linking.md)"
     assert (
+        from_code.with_links("[`planish.io`](reference/api/index.md)")
+        == "[`planish.io`](reference/api/planish.io.md)"
+    )
+    assert (
         from_code.with_links("[an example](../examples/01_read.py)")
         == "[an example](../examples/01_read.py)"
     )
+
+
+def test_each_package_has_a_source_and_no_other_has(tmp_path):
+    (tmp_path / "index.md").write_text("# Python\n", encoding="utf-8")
+    (tmp_path / "planish.gone.md").write_text("# `planish.gone`\n", encoding="utf-8")
+    api_pages.write_sources(tmp_path)
+    names = {path.stem for path in tmp_path.glob("*.md")}
+    assert names == {"index", *public_names.packages()}
+    page = tmp_path / "planish.io.md"
+    before = page.stat().st_mtime_ns
+    api_pages.write_sources(tmp_path)
+    assert page.stat().st_mtime_ns == before
 
 
 def test_faults_of_a_site_are_named(tmp_path):

@@ -1,4 +1,4 @@
-"""Hole patterns: field and hole size -> a pattern of laser holes.
+"""Patterns of laser holes, planned for a field and a size of hole.
 
 The pattern is checked, drawn, and written as a program for the stage.
 

@@ -1,4 +1,4 @@
-"""Polygons that a user declares as artefacts, from GeoJSON or ImageJ -> which pixels they cover.
+"""Polygons that a user declares as artefacts, in GeoJSON or ImageJ, and the pixels they cover.
 
 One file of a run.
 """
