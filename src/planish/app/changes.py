@@ -3,7 +3,8 @@
 Immutable states, and one function that takes a state to the next.
 """
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -271,44 +272,53 @@ def applied(state: State, change: Change) -> State:
             return replace(state, marks={**state.marks, change.layer or state.first_layer: marks})
 
 
-def _marks_after(  # noqa: C901
+def _marks_after(
     marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Remove | Import
 ) -> tuple[Mark, ...]:
-    if isinstance(change, Add | Relabel) and any(
-        m.label == change.label and m.id != change.id for m in marks
-    ):
-        raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
+    """Marks of a registration after a change of one of them, or of all."""
     match change:
         case Add():
-            if change.moving is None and change.fixed is None:
+            ends = _ends_of(change)
+            if not ends:
                 raise ChangeError("A new mark has no place. Give moving or fixed.")
             if len(marks) >= MOST_MARKS:
                 raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
-            labels = {mark.label for mark in marks}
-            label = change.label or next(
-                name for k in range(1, len(marks) + 2) if (name := f"mark {k}") not in labels
-            )
-            new_mark = Mark(
-                id=change.id, label=checked_label(label), moving=change.moving, fixed=change.fixed
-            )
-            return (*marks, new_mark)
+            label = change.label or next(free_names("mark", {mark.label for mark in marks}))
+            return (*marks, Mark(id=change.id, label=_free_label(marks, label, change.id), **ends))
         case Move():
-            ends = {
-                side: end
-                for side in ("moving", "fixed")
-                if (end := getattr(change, side)) is not None
-            }
+            ends = _ends_of(change)
             if not ends:
                 raise ChangeError("A move gives no new place. Give moving or fixed.")
             return _with_fields(marks, change.id, **ends)
         case Use():
             return _with_fields(marks, change.id, used=change.used)
         case Relabel():
-            return _with_fields(marks, change.id, label=checked_label(change.label))
+            label = _free_label(marks, change.label, change.id)
+            return _with_fields(marks, change.id, label=label)
         case Remove():
             return _without(marks, change.id)
         case Import():
             return change.marks
+
+
+def _ends_of(change: Add | Move) -> dict[str, Any]:
+    """Ends of a mark that a change gives."""
+    ends = {"moving": change.moving, "fixed": change.fixed}
+    return {side: end for side, end in ends.items() if end is not None}
+
+
+def _free_label(marks: tuple[Mark, ...], label: str, mark_id: str) -> str:
+    """A label that can stand in a table, and that no other mark has."""
+    if any(mark.label == label and mark.id != mark_id for mark in marks):
+        raise ChangeError(f"Another mark is called {label!r}. Choose another label.")
+    return checked_label(label)
+
+
+def free_names(word: str, used_names: Collection[str]) -> Iterator[str]:
+    """Names of a word and a number, from 1, that are not used."""
+    for k in itertools.count(1):
+        if f"{word} {k}" not in used_names:
+            yield f"{word} {k}"
 
 
 def checked_label(label: str) -> str:
@@ -360,12 +370,10 @@ def stretches_of(corrections: Sequence[Correct], layer: str, first_sheet: str) -
 
     Those that name none are of the ``first_sheet``.
     """
-    layer_corrections = [
-        correction for correction in corrections if (correction.layer or first_sheet) == layer
-    ]
     stretches = [
         correction.model_dump(exclude={"do", "layer"}, exclude_none=True)
-        for correction in layer_corrections
+        for correction in corrections
+        if (correction.layer or first_sheet) == layer
     ]
     return Corrections.model_validate({"stretches": stretches})
 
@@ -375,9 +383,9 @@ def changed_corrections(
 ) -> Mapping[str, Corrections]:
     """The corrections of each layer that has others than before."""
     sheet_names = [layer.name for layer in study.layers if layer.volume is not None]
-    by_layer = (
-        {name: stretches_of(state, name, sheet_names[0]) for name in sheet_names}
-        for state in (old, new)
-    )
-    before, after = by_layer
-    return {name: corrections for name, corrections in after.items() if corrections != before[name]}
+    corrections: dict[str, Corrections] = {}
+    for name in sheet_names:
+        after = stretches_of(new, name, sheet_names[0])
+        if after != stretches_of(old, name, sheet_names[0]):
+            corrections[name] = after
+    return corrections

@@ -3,6 +3,7 @@
 The fit that is shown, marks that stand out, and where a point will lie.
 """
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -69,9 +70,8 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
         if not excluded.size:
             break
         candidate = excluded[np.argmax(p_value[excluded])]
-        if p_value[candidate] < p_limit or residual_um[candidate] > max(
-            tolerance_um, _CLEAR_SDS * np.sqrt(variance)
-        ):
+        clear_um = max(tolerance_um, _CLEAR_SDS * np.sqrt(variance))
+        if p_value[candidate] < p_limit or residual_um[candidate] > clear_um:
             is_outlier[excluded] = True
             break
         inliers = np.append(inliers, candidate)
@@ -79,6 +79,7 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
 
 
 def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
+    """The so many marks that a similarity through two of them, refitted, follows most closely."""
     if len(z) < 56:
         i, j = np.array(list(combinations(range(len(z)), 2))).T
     else:
@@ -92,18 +93,18 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
     if not factor.size:
         return np.arange(len(z))
     residual2 = np.abs(w - w[i][:, None] - factor[:, None] * (z - z[i][:, None])) ** 2
-    best = np.argsort(
-        np.sum(np.partition(residual2, count - 1, axis=1)[:, :count], axis=1), kind="stable"
-    )[:10]
-    candidates: list[tuple[float, NDArray[np.intp]]] = []
-    for k in best:
+    sums = np.sum(np.partition(residual2, count - 1, axis=1)[:, :count], axis=1)
+    least_sum = np.inf
+    best_inliers = np.arange(count)
+    for k in np.argsort(sums, kind="stable")[:10]:
         inliers = np.argsort(residual2[k], kind="stable")[:count]
         for _ in range(5):
             inliers = np.argsort(np.abs(_residuals(z, w, inliers)), kind="stable")[:count]
-        candidates.append(
-            (float(np.sum(np.abs(_residuals(z, w, inliers)[inliers]) ** 2)), np.sort(inliers))
-        )
-    return min(candidates, key=lambda candidate: candidate[0])[1]
+        sum_of_squares = float(np.sum(np.abs(_residuals(z, w, inliers)[inliers]) ** 2))
+        if sum_of_squares < least_sum:
+            least_sum = sum_of_squares
+            best_inliers = np.sort(inliers)
+    return best_inliers
 
 
 def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
@@ -153,18 +154,14 @@ class Fitted:
             order = np.argsort(-errors_um, kind="stable")
             labels = and_join_few([self.pairs[k].label for k in outliers[order]])
             um_text = and_join_few([f"{um:.0f}" for um in errors_um[order]])
-            stand, they_are, them = (
-                ("stand", "they are", "them") if outliers.size > 1 else ("stands", "it is", "it")
-            )
+            stand, they_are, them = ("stands", "it is", "it")
+            if outliers.size > 1:
+                stand, they_are, them = ("stand", "they are", "them")
             advice = f"Check where {they_are} set, or take {them} out of use."
             return f"{labels} {stand} out: {um_text} um from where the others put {them}. {advice}"
-        if self.error:
+        if self.error or self.fit is None:
             return self.error
-        return (
-            ""
-            if self.fit is None
-            else self.fit.agreement([mark.label for mark in self.pairs if mark.used])
-        )
+        return self.fit.agreement([mark.label for mark in self.pairs if mark.used])
 
     def predicted(
         self, side: Plane, point_um: tuple[float, float]
@@ -174,16 +171,14 @@ class Fitted:
         The error is given in um where known, and both also in words.
         """
         used_marks = [mark for mark in self.pairs if mark.used]
+        expected_error = None
         if self.fit is not None and len(used_marks) >= 3:
-            transform, expected_error, error_text = (
-                self.fit,
-                self.fit.expected_error_um,
-                "its error is not known",
-            )
+            transform = self.fit
+            expected_error = self.fit.expected_error_um
+            error_text = "its error is not known"
         else:
             moving, fixed = (_points(used_marks, plane) for plane in PLANES)
             transform, error_text = _from_few_pairs(moving, fixed, self.mirrored)
-            expected_error = None
         if transform is None:
             return None
         point = np.array(point_um)
@@ -216,21 +211,18 @@ def fitted(
     pairs = tuple(mark for mark in marks if mark.moving and mark.fixed)
     moving, fixed = (_points(pairs, plane) for plane in PLANES)
     is_used = np.array([mark.used for mark in pairs], dtype=np.bool_)
+    used = (moving[is_used], fixed[is_used])
     is_mirrored = bool(mirrored)
     if mirrored is None:
         with suppress(PlanishError):
-            is_mirrored = _least_squares(
-                moving[is_used], fixed[is_used], "similarity", None
-            ).mirrored
+            is_mirrored = _least_squares(*used, "similarity", None).mirrored
     is_outlier = np.zeros(len(pairs), dtype=np.bool_)
-    is_outlier[is_used] = find_outliers(
-        moving[is_used], fixed[is_used], is_mirrored, tolerance_um=params.tolerance_um
-    )
+    is_outlier[is_used] = find_outliers(*used, is_mirrored, tolerance_um=params.tolerance_um)
     nans = np.full(len(pairs), np.nan)
     coincident = _coincidence_warnings(pairs, where)
-    error_text = ""
     warnings = [*coincident]
-    if (n_used := int(is_used.sum())) < 3:
+    n_used = int(is_used.sum())
+    if n_used < 3:
         needed_text = "a registration needs 3, far apart, and more to say how good it is."
         warnings.append(
             FitWarning(text=f"{n_used} pair{'s' * (n_used != 1)} of marks in use: {needed_text}")
@@ -246,33 +238,28 @@ def fitted(
         is_pending=quick and len(pairs) > 1,
         mirrored=mirrored,
     )
+    is_as_applied = model == "auto" and not quick
+    error_text = ""
     try:
-        if model == "auto" and not quick:
-            fit = fit_marks(
-                dataset_of(pairs), params=changed(params, model="auto"), mirrored=mirrored
-            )
+        if is_as_applied:
+            auto_params = changed(params, model="auto")
+            fit = fit_marks(dataset_of(pairs), params=auto_params, mirrored=mirrored)
         else:
             fitted_model = model if not quick or model in QUICK else "similarity"
-            fit = _least_squares(
-                moving[is_used], fixed[is_used], fitted_model, mirrored, inspect=not quick
-            )
+            fit = _least_squares(*used, fitted_model, mirrored, inspect=not quick)
     except PlanishError as refusal:
-        error_text = refusal.text if is_used.any() else ""
-        if coincident and "at one place" in refusal.text:
-            label = next(mark.label for mark in pairs if mark.id == coincident[0].id)
-            error_text = f"{label}: {coincident[0].text} Move or delete one of them."
+        is_as_applied = False
+        if n_used:
+            error_text = _why_none(refusal, coincident, pairs)
         try:  # there is something to look at: which marks are wrong
-            fit = _least_squares(moving[is_used], fixed[is_used], "similarity", mirrored)
+            fit = _least_squares(*used, "similarity", mirrored)
         except PlanishError:
             return replace(unfitted, error=error_text)
     residual_um = np.linalg.norm(fixed - fit(moving), axis=1)
-    leave_one_out_um = nans.copy()
-    leave_one_out_um[is_used], leave_one_out_um[~is_used] = (
-        fit.leave_one_out_um,
-        residual_um[~is_used],
-    )
+    leave_one_out_um = residual_um.copy()
+    leave_one_out_um[is_used] = fit.leave_one_out_um
     if is_outlier.any():
-        fitted_model = "auto" if model == "auto" and not quick and not error_text else fit.model
+        fitted_model = "auto" if is_as_applied else fit.model
         # Marks that stand out take part in no fit here: they would spoil the errors of the others.
         weights = (is_used & ~is_outlier).astype(np.float64)
         with suppress(PlanishError):  # too few are left for this model
@@ -282,12 +269,8 @@ def fitted(
     is_rejected[is_used] = fit.robust_weights == 0
     warnings += _disagreements(pairs, is_rejected, is_outlier, residual_um, leave_one_out_um)
     # Those of the fit that are about single marks stand beside them already.
-    mark_phrases = "(counted from 1)", "marks only"
-    warnings += [
-        FitWarning(text=text)
-        for text in fit.warnings
-        if not any(phrase in text for phrase in mark_phrases)
-    ]
+    of_marks = re.compile(r"\(counted from 1\)|marks only")
+    warnings += [FitWarning(text=text) for text in fit.warnings if not of_marks.search(text)]
     return replace(
         unfitted,
         fit=fit,
@@ -297,6 +280,16 @@ def fitted(
         error=error_text,
         warnings=tuple(warnings),
     )
+
+
+def _why_none(
+    refusal: PlanishError, coincident: Sequence[FitWarning], pairs: Sequence[Mark]
+) -> str:
+    """Why a fit was refused; of marks at one place, which these are."""
+    if not coincident or "at one place" not in refusal.text:
+        return refusal.text
+    label = next(mark.label for mark in pairs if mark.id == coincident[0].id)
+    return f"{label}: {coincident[0].text} Move or delete one of them."
 
 
 def _points(marks: Sequence[Mark], plane: Plane) -> Floats:
@@ -337,10 +330,8 @@ def _disagreements(
             )
             yield FitWarning(id=mark.id, text=text)
         elif is_outlier[k]:
-            yield FitWarning(
-                id=mark.id,
-                text=f"Stands out: {leave_one_out_um[k]:.0f} um from where the others put it.",
-            )
+            text = f"Stands out: {leave_one_out_um[k]:.0f} um from where the others put it."
+            yield FitWarning(id=mark.id, text=text)
 
 
 def _coincidence_warnings(pairs: Sequence[Mark], where: Mapping[Plane, str]) -> list[FitWarning]:
@@ -350,9 +341,6 @@ def _coincidence_warnings(pairs: Sequence[Mark], where: Mapping[Plane, str]) -> 
         for mark in (m for m in pairs if m.used):
             earlier = mark_at.setdefault(getattr(mark, plane).xy, mark)
             if earlier is not mark:
-                warnings.append(
-                    FitWarning(
-                        id=mark.id, text=f"Lies at the same place as {earlier.label} {plane_text}."
-                    )
-                )
+                text = f"Lies at the same place as {earlier.label} {plane_text}."
+                warnings.append(FitWarning(id=mark.id, text=text))
     return warnings

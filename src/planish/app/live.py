@@ -101,55 +101,67 @@ class Live:
     def shown(self, layer: str) -> dict[str, Any]:
         """The state as the page shows it; ChangeError where there is no such registration."""
         session = self.session
-        version, state = session.version, session.state
-        fitted_marks = self.fit(layer)
-        row_of = {mark.id: k for k, mark in enumerate(fitted_marks.pairs)}
-        fit = fitted_marks.fit
+        version = session.version
+        state = session.state
+        fit = self.fit(layer)
+        row_of = {mark.id: k for k, mark in enumerate(fit.pairs)}
+        marks = [self._row(mark, fit, row_of.get(mark.id)) for mark in state.of(layer)]
+        warnings = [warning.model_dump(exclude_none=True) for warning in fit.warnings]
+        corrections = [c.model_dump(mode="json", exclude={"do"}) for c in state.corrections]
+        can_change = not session.read_only
         return {
             "version": version,
             "layer": layer,
             "model": state.model,
-            "marks": [
-                self._row(mark, fitted_marks, row_of.get(mark.id)) for mark in state.of(layer)
-            ],
-            "fit": {
-                "model": state.model if fit is None else fit.model,
-                "rms_um": finite_or_none(fit and fit.rms_um),
-                "loo_rms_um": finite_or_none(fit and fit.leave_one_out_rms_um),
-                "follows": fitted_marks.is_pending and state.model not in QUICK,
-                # Lays one picture onto the other.
-                "transform": fit and asdict(fit.transform.similarity),
-            }
-            | ({"error": fitted_marks.error} if fitted_marks.error else {}),
-            "message": fitted_marks.message,
-            "warnings": [
-                warning.model_dump(exclude_none=True) for warning in fitted_marks.warnings
-            ],
-            "corrections": [c.model_dump(mode="json", exclude={"do"}) for c in state.corrections],
-            "regions": [r.model_dump(mode="json") for r in state.regions],
-            "can_undo": session.can_undo and not session.read_only,
-            "can_redo": session.can_redo and not session.read_only,
+            "marks": marks,
+            "fit": _facts_of(fit, state.model),
+            "message": fit.message,
+            "warnings": warnings,
+            "corrections": corrections,
+            "regions": [region.model_dump(mode="json") for region in state.regions],
+            "can_undo": session.can_undo and can_change,
+            "can_redo": session.can_redo and can_change,
         }
 
     def _row(self, mark: Mark, marks_fit: Fitted, k: int | None) -> dict[str, Any]:
+        """A mark as the page shows it; ``k`` is its number among the pairs, where it is one."""
         sources = dict.fromkeys(end.source for end in (mark.moving, mark.fixed) if end is not None)
         row: dict[str, Any] = {
             "id": mark.id,
             "label": mark.label,
             "used": mark.used,
-            "without_weight": k is not None and bool(marks_fit.is_rejected[k]),
+            "without_weight": False,
             "source": " and ".join(sources),
             "moving": mark.moving and mark.moving.xy,
             "fixed": mark.fixed and mark.fixed.xy,
-            "residual_um": None if k is None else finite_or_none(marks_fit.residual_um[k]),
-            "leave_one_out_um": (
-                None if k is None else finite_or_none(marks_fit.leave_one_out_um[k])
-            ),
+            "residual_um": None,
+            "leave_one_out_um": None,
         }
         if k is None:
             side, opposite = PLANES if mark.fixed is None else PLANES[::-1]
-            if (prediction := marks_fit.predicted(side, getattr(mark, side).xy)) is not None:
+            prediction = marks_fit.predicted(side, getattr(mark, side).xy)
+            if prediction is not None:
                 row |= {"predicted": {opposite: prediction[0]}, "note": prediction[2]}
-        elif marks_fit.is_pending and self.session.state.model not in QUICK:
+            return row
+        row["without_weight"] = bool(marks_fit.is_rejected[k])
+        row["residual_um"] = finite_or_none(marks_fit.residual_um[k])
+        row["leave_one_out_um"] = finite_or_none(marks_fit.leave_one_out_um[k])
+        if marks_fit.is_pending and self.session.state.model not in QUICK:
             row["note"] = f"{self.session.state.model} follows"
         return row
+
+
+def _facts_of(marks_fit: Fitted, model: str) -> dict[str, Any]:
+    """A fit as the page shows it, and why there is none of the chosen model."""
+    facts: dict[str, Any] = dict.fromkeys(("rms_um", "loo_rms_um", "transform"))
+    facts |= {"model": model, "follows": marks_fit.is_pending and model not in QUICK}
+    fit = marks_fit.fit
+    if fit is not None:
+        facts["model"] = fit.model
+        facts["rms_um"] = finite_or_none(fit.rms_um)
+        facts["loo_rms_um"] = finite_or_none(fit.leave_one_out_rms_um)
+        # Lays one picture onto the other.
+        facts["transform"] = asdict(fit.transform.similarity)
+    if marks_fit.error:
+        facts["error"] = marks_fit.error
+    return facts

@@ -3,15 +3,15 @@
 Only what was changed is written.
 """
 
-import itertools
 import re
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from planish.app.changes import Mark, changed_corrections
+from planish.app.changes import DrawnRegion, Mark, changed_corrections, free_names
 from planish.app.picture import PLANES
 from planish.app.session import Session, dataset_of
 from planish.core.files import free_path
@@ -48,29 +48,26 @@ def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
     if state.model != original.model:
         study = changed(study, registration={"model": state.model})
     if state.regions != original.regions:
-        regions = tuple(
-            Region(
-                name=region.name,
-                reason=region.reason,
-                author=region.author,
-                polygons=(
-                    tuple(ring_of(np.array(ring)) for ring in (region.polygon, *region.holes)),
-                ),
-            )
-            for region in state.regions
-        )
-        if regions:
-            file_texts[REGIONS] = geojson_text(Regions(declared=regions))
-        study = changed(study, correlate={"regions": str(staging / REGIONS) if regions else None})
-    for name, corrections in changed_corrections(
-        study, original.corrections, state.corrections
-    ).items():
-        file_name = f"surface-{name}.json"
+        path = None
+        if state.regions:
+            regions = Regions(declared=tuple(map(_region, state.regions)))
+            file_texts[REGIONS] = geojson_text(regions)
+            path = str(staging / REGIONS)
+        study = changed(study, correlate={"regions": path})
+    after = changed_corrections(study, original.corrections, state.corrections)
+    for name, corrections in after.items():
+        path = None
         if corrections.stretches:
+            file_name = f"surface-{name}.json"
             file_texts[file_name] = corrections.to_json()
-        path = str(staging / file_name) if corrections.stretches else None
+            path = str(staging / file_name)
         study = with_layer(study, name, surface={"corrections": path})
     return study, file_texts
+
+
+def _region(drawn: DrawnRegion) -> Region:
+    rings = tuple(ring_of(np.array(ring)) for ring in (drawn.polygon, *drawn.holes))
+    return Region(name=drawn.name, reason=drawn.reason, author=drawn.author, polygons=(rings,))
 
 
 def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
@@ -79,9 +76,8 @@ def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
     Of a map, those of its link to the image.
     """
     if session.image_params is None:
-        return session.study, {
-            layer: registration.marks for layer, registration in session.registrations.items()
-        }
+        registrations = session.registrations
+        return session.study, {layer: registrations[layer].marks for layer in registrations}
     sheet = session.study.layers[0]
     study = noted_study(session.folder) or session.study
     image_name = next((layer.name for layer in study.layers if layer.image is not None), "image")
@@ -96,8 +92,8 @@ def new_run_folder(run: Path, *, linked: bool) -> Path:
 
     ``RUN-2`` beside RUN, or ``OUT`` of the ``OUT-map`` that is linked to an image.
     """
-    if linked and (suffix := re.search(r"-map(-\d+)?$", run.name)) and suffix.start():
-        return free_path(run.with_name(run.name[: suffix.start()]))
+    if linked:
+        run = run.with_name(re.sub(r"(?<=.)-map(-\d+)?$", "", run.name))
     return free_path(run)
 
 
@@ -116,9 +112,6 @@ def all_marks(
     labels = [mark.label for mark in marks]
     for side in PLANES:
         dataset = with_holes(dataset, run_marks, side, usual_um=default_diameter_um)
-        used_labels = {*labels}
-        free_labels = (
-            name for k in itertools.count(1) if (name := f"{side} {k}") not in used_labels
-        )
-        labels += itertools.islice(free_labels, dataset.sizes["mark"] - len(labels))
+        n_added = dataset.sizes["mark"] - len(labels)
+        labels += islice(free_names(side, {*labels}), n_added)
     return dataset.assign(label=("mark", np.array(labels, dtype=np.str_)))

@@ -51,16 +51,17 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str,
         if None not in position.values():
             volume = {"layer": layer} | position
             break
-    fields = ("id", "layer", "name", "title", "units")
+    values = [
+        {"id": p.id, "layer": p.layer, "name": p.name, "title": p.title, "units": p.units}
+        | {"value": value_of[p.id]}
+        for p in pictures
+    ]
     return {
         "x": x,
         "y": y,
         "row": int(rows[0]) if is_inside else None,
         "col": int(cols[0]) if is_inside else None,
-        "values": [
-            {name: getattr(p, name) for name in fields} | {"value": value_of[p.id]}
-            for p in pictures
-        ],
+        "values": values,
         "volume": volume,
     }
 
@@ -104,15 +105,12 @@ def profile(
         raise InputError("The line has no length. Give two places: x0, y0, x1, y1 in um.")
     grid_picture = pictures[0]
     pixel_um = min(grid_picture.grid.pixel_um)
-    level = min(
-        max(0, math.ceil(math.log2(length_um / pixel_um / MOST_SAMPLES))),
-        len(grid_picture.levels) - 1,
-    )
+    level = max(0, math.ceil(math.log2(length_um / pixel_um / MOST_SAMPLES)))
+    level = min(level, len(grid_picture.levels) - 1)
     step_um = pixel_um * 2**level
     distances_um = np.linspace(0, length_um, min(int(length_um / step_um), 4 * MOST_SAMPLES) + 1)
-    points_um = np.array([x0, y0]) + (distances_um / length_um)[:, None] * np.array(
-        [x1 - x0, y1 - y0]
-    )
+    shares = distances_um / length_um
+    points_um = np.array([x0, y0]) + shares[:, None] * np.array([x1 - x0, y1 - y0])
     rows, cols, is_inside = _pixels(grid_picture, points_um, level)
     lines: list[dict[str, Any]] = []
     for picture in pictures:
@@ -232,19 +230,17 @@ def histogram(
     level, (values,) = _overview(tiles, picture)
     if holes is not None and not tiles.pictures.valid_of(picture):
         y_um, x_um = (picture.levels[level][dim].values for dim in picture.full.dims)
-        for x, y, diameter in zip(
-            *(holes[name].values for name in ("x", "y", "diameter")), strict=True
-        ):
+        columns = (holes[name].values for name in ("x", "y", "diameter"))
+        for x, y, diameter in zip(*columns, strict=True):
             values[np.hypot(y_um[:, None] - y, x_um - x) < _RIM * diameter] = np.nan
     finite = values[np.isfinite(values)].astype(np.float64)
     low, high = _limits(finite)
     percentiles = np.percentile(finite, [2, 98]).tolist() if finite.size else [0.0, 1.0]
     counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
-    mean, sd = None, None
+    mean = sd = None
     if finite.size:
-        mean, sd, finite = distribution(
-            finite, summable(picture.full, finite), ddof=int(finite.size > 1)
-        )
+        summands = summable(picture.full, finite)
+        mean, sd, finite = distribution(finite, summands, ddof=int(finite.size > 1))
     return {
         "pixel_um": _pixel_um(picture, level),
         "n": finite.size,
@@ -305,11 +301,11 @@ def select(
             "interval": None,
             "warnings": [],
         }
-    mask = (
-        computed(masks[0], lambda part: np.logical_and.reduce([m[part].values for m in masks]))
-        if masks
-        else None
-    )
+    mask = None
+    if masks:
+        mask = computed(
+            masks[0], lambda part: np.logical_and.reduce([m[part].values for m in masks])
+        )
     # As a run does: its whole map gives its n_eff.
     row = correlate(x, y, mask=mask, pixel_um=pixel_um, most_cells=CELLS)
     warnings = [

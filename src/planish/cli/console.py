@@ -108,7 +108,8 @@ def shown(text: str) -> str:
 
 def sentence(text: str, *, err: bool = False) -> None:
     """Print a sentence; on a terminal no line ends between a number and its unit."""
-    columns, text = width(err=err), shown(plain_numbers(text))
+    columns = width(err=err)
+    text = shown(plain_numbers(text))
     click.echo(text if columns is None else wrapped(text, columns), err=err)
 
 

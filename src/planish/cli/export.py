@@ -45,7 +45,8 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     from planish.cli.show import stages
     from planish.exports import export as export_run
 
-    params, compute = build_params(ExportParams, values), build_params(Compute, values)
+    params = build_params(ExportParams, values)
+    compute = build_params(Compute, values)
     with stages(20) as progress, wrong_usage():
         files = export_run(
             run, out, compute=compute, progress=progress, **params.model_dump(exclude_unset=True)

@@ -75,7 +75,8 @@ def info(path: Path, picture: Path | None, as_json: bool, **sizes: Any) -> None:
         if has_drawing and len(sections) > 1:
             lines += as_text(best_section(sections, facts["through"]))
     else:
-        facts, lines = facts_of_run, run_lines(facts_of_run)
+        facts = facts_of_run
+        lines = run_lines(facts_of_run)
     if picture is not None:
         if not sections:
             raise FileError(

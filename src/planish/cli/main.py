@@ -79,7 +79,8 @@ class LazyGroup(click.Group):
 
         Importing them all would take longer than all else.
         """
-        folder, docstrings = Path(__file__).parent, dict[str, str | None]()
+        folder = Path(__file__).parent
+        docstrings = dict[str, str | None]()
         for module in set(_MODULES.values()):
             tree = ast.parse((folder / f"{module}.py").read_text(encoding="utf-8"))
             docstrings |= {

@@ -75,7 +75,8 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
             raise click.UsageError("Give --holes or --holes-per-cm2, not both.")
         width, height = values["field_um"]
         values["holes"] = max(1, round(holes_per_cm2 * width * height / 1e8))
-    params, stage = build_params(DesignParams, values), build_params(StageParams, values)
+    params = build_params(DesignParams, values)
+    stage = build_params(StageParams, values)
     imaging = build_params(ImagingParams, values)
     pattern, rules = design_pattern(params)
     with new_folder(out) as folder:
@@ -119,7 +120,8 @@ def check(
     if field_um is not None and min(field_um) <= 0:
         raise click.UsageError("--field-um: width and height have to be positive.")
     hole_pattern = read_pattern(pattern, field_um=field_um, diameter_um=diameter_um)
-    rules, error = check_pattern(hole_pattern), predict(hole_pattern)
+    rules = check_pattern(hole_pattern)
+    error = predict(hole_pattern)
     if as_json:
         facts = {
             "holes": len(hole_pattern.holes),
@@ -295,8 +297,10 @@ def convert(
     }
     marks = read_any(*sources, **layer_pixels, unit=unit, swap=swap)
     out_files = write_any(marks, out, to=out_format, **layer_pixels, unit=out_unit, swap=swap_out)
-    layers, source = layer_names(marks), marks.attrs["read_from"]
-    n_used, out_names = int(marks["used"].values.sum()), [str(path) for path in out_files]
+    layers = layer_names(marks)
+    source = marks.attrs["read_from"]
+    n_used = int(marks["used"].values.sum())
+    out_names = [str(path) for path in out_files]
     if as_json:
         counts = {"marks": marks.sizes["mark"], "used": n_used}
         print_json(

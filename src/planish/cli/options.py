@@ -42,7 +42,8 @@ class Verb(click.Command):
         self, *args: Any, examples: Sequence[str] = (), can_resume: bool = False, **kwargs: Any
     ) -> None:
         super().__init__(*args, **kwargs)
-        self.examples, self.can_resume = tuple(examples), can_resume
+        self.examples = tuple(examples)
+        self.can_resume = can_resume
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options under the names of their groups."""
@@ -84,7 +85,8 @@ class Verb(click.Command):
 
 def with_commands(text: str, ctx: click.Context) -> str:
     """Add to a text the commands with the options that it names and this command has not."""
-    own_words, root = words_of_command(ctx.command), ctx.find_root()
+    own_words = words_of_command(ctx.command)
+    root = ctx.find_root()
     missing_names = {name for name in names_in(text) if name not in own_words}
     if not missing_names:
         return text
@@ -151,7 +153,8 @@ class Value(click.ParamType[Any]):
         self, field_type: Any, metavar: str | None = None, *, repeat: bool = False
     ) -> None:
         """Read off a type how many values it takes, which words, and what stands for them."""
-        self.adapter, self.can_repeat = TypeAdapter[Any](field_type), repeat
+        self.adapter = TypeAdapter[Any](field_type)
+        self.can_repeat = repeat
         types = kinds_of(field_type)
         tuples = [get_args(t) for t in types if get_origin(t) is tuple]
         self.n_values = len(tuples[0]) if tuples else 0
@@ -277,7 +280,8 @@ def given_options(
             (other for other, table in tables_of.items() if table == tables_of[name][:-1]), name
         )
         if switch not in given_values:
-            flag, switch_flag = flag_of(name), flag_of(switch)
+            flag = flag_of(name)
+            switch_flag = flag_of(switch)
             raise click.UsageError(
                 f"{flag} is an option of {switch_flag}: give {switch_flag} as well."
             )

@@ -118,7 +118,8 @@ def _run_and_show(
         study = with_values(study, changes) if changes else study
     left = TimeLeft(expected_stages(study)) if animated() else None
     with stages(8 + 3 * len(study.layers), left) as progress:
-        compute, figures = build_params(Compute, values), values.get("figures", False)
+        compute = build_params(Compute, values)
+        figures = values.get("figures", False)
         run = run_study(
             study, out, progress=progress, compute=compute, old=old_run, figures=figures
         )
@@ -211,7 +212,8 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) 
     if study.is_dir():
         study = study / RUN_TOML
     parsed = read_study(study)
-    old_run, default_out = None, study.with_suffix("")
+    old_run = None
+    default_out = study.with_suffix("")
     if study.name == RUN_TOML:
         old_run = study.absolute().parent  # the run that STUDY is of
         default_out = old_run.with_name(f"{old_run.name}-{'2' if changes else 'again'}")

@@ -133,11 +133,9 @@ def study(
     if dry_run:
         return _dry_run(SeriesState(out, plan), plan.specimens, compute, jobs)
     members: dict[str, Member] = {}
-    progress_lines, start_s, is_interrupted = (
-        _ProgressLines(len(plan.specimens)),
-        time.monotonic(),
-        False,
-    )
+    progress_lines = _ProgressLines(len(plan.specimens))
+    start_s = time.monotonic()
+    is_interrupted = False
     with series_folder(out):
         new_scans = watched(plan, watch, settle_s=settle, idle_s=idle, tell=warn) if watch else None
         try:
@@ -185,12 +183,10 @@ class _ProgressLines:
     """Lines as specimens are done, with the time that is left."""
 
     def __init__(self, n_specimens: int) -> None:
-        self.n_specimens, self.n_done, self.n_run, self.start_s = (
-            n_specimens,
-            0,
-            0,
-            time.monotonic(),
-        )
+        self.n_specimens = n_specimens
+        self.n_done = 0
+        self.n_run = 0
+        self.start_s = time.monotonic()
 
     def __call__(self, member: Member, seconds: float | None) -> None:
         """Say what became of a specimen; one that was done before took no time."""
@@ -392,7 +388,8 @@ def _show(results: SeriesResults) -> None:
             "Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), differences
         )
     for pair in results.instruments:
-        bias, limits = _number_text(pair.bias, "mean"), _interval_text(pair.limits, "mean")
+        bias = _number_text(pair.bias, "mean")
+        limits = _interval_text(pair.limits, "mean")
         sentence(
             f"{pair.specimen}: {pair.b} less {pair.a}, {pair.map}: bias {bias} {pair.unit}, limits"
             f" {limits} {pair.unit}. {pair.sentence}".rstrip()

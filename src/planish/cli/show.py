@@ -51,10 +51,8 @@ def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
     if not animated():
         yield lambda stage, detail: click.echo(f"{stage}: {shown(detail)}", err=True)
         return
-    spinner, amount = (
-        "dots" if letters() else "line",
-        rich.MofNCompleteColumn() if left is None else _LeftColumn(left),
-    )
+    spinner = "dots" if letters() else "line"
+    amount = rich.MofNCompleteColumn() if left is None else _LeftColumn(left)
     name = rich.TextColumn("{task.description}", markup=False)
     columns = (
         rich.SpinnerColumn(spinner),
@@ -251,10 +249,8 @@ def run_facts(path: Path) -> dict[str, Any] | None:
     try:
         results: dict[str, Any] = json.loads((path / "results.json").read_text(encoding="utf-8"))
         version = str(results["planish"])
-        is_old, repeat_text = (
-            version.startswith("0.1."),
-            "'planish run' repeats it with this version.",
-        )
+        is_old = version.startswith("0.1.")
+        repeat_text = "'planish run' repeats it with this version."
         checks_key = next(key for key in ("checks", "gates", "quality") if key in results)
         checks: list[dict[str, Any]] = results[checks_key]
         states = {
@@ -311,7 +307,8 @@ def run_lines(facts: dict[str, Any]) -> list[str]:
 
 def fact_lines(facts: dict[str, Any]) -> list[str]:  # noqa: C901
     """Write the facts of ``planish info`` for a reader."""
-    axes, pace = ", ".join(facts["dims"]), slowness()
+    axes = ", ".join(facts["dims"])
+    pace = slowness()
     shape = " x ".join(map(str, facts["shape"]))
     size = f"{facts['bytes'] / 1e6:.1f} MB"
     lines = [f"{facts['file_name']}: {facts['kind']}, {shape} ({axes}), {facts['dtype']}, {size}"]
@@ -340,15 +337,14 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:  # noqa: C901
         option = "" if facts["through"] == "z" else f": planish map --through {facts['through']}"
         lines.append(f"sheet: across {facts['through']}, along which the grey changes most{option}")
     if "link_bytes" in facts:
-        memory, time = (
-            f"{enough_gb(facts['link_bytes'])} GB",
-            duration(pace * facts["link_seconds"]),
-        )
+        memory = f"{enough_gb(facts['link_bytes'])} GB"
+        time = duration(pace * facts["link_seconds"])
         lines.append(
             f"planish link: about {memory} of memory, and {time} after the volume was mapped"
         )
     if "run_bytes" in facts:
-        memory, seconds = f"{enough_gb(facts['run_bytes'])} GB", pace * facts["run_seconds"]
+        memory = f"{enough_gb(facts['run_bytes'])} GB"
+        seconds = pace * facts["run_seconds"]
         lines.append(
             f"planish map: {memory} of memory, or less with wider columns; about"
             f" {duration(seconds)}, and some minutes more the first time, to compile"

@@ -289,7 +289,8 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     from planish.marks import read_holes, write_marks
     from planish.run import register_marks, register_texture
 
-    table, params = out.with_suffix(".csv"), build_params(RegistrationParams, values)
+    table = out.with_suffix(".csv")
+    params = build_params(RegistrationParams, values)
     refuse_existing(table)
     if params.by == "both":
         raise click.UsageError(

@@ -35,7 +35,9 @@ class TimeLeft:
             [s for _, s in stages],
             clock,
         )
-        self._total, self._at, self._share = sum(self._seconds), -1, 0.0
+        self._total = sum(self._seconds)
+        self._at = -1
+        self._share = 0.0
         self._start = self._entered = clock()
         self._rate = self._guess = slowness() if guess is None else guess
 
@@ -59,7 +61,9 @@ class TimeLeft:
             self._rate = self._rate_at(self._passed(), self._clock())
 
     def _move(self, at: int) -> None:
-        self._at, self._share, self._entered = at, 0.0, self._clock()
+        self._at = at
+        self._share = 0.0
+        self._entered = self._clock()
         self._rate = self._rate_at(self._passed(), self._clock())
 
     def _rate_at(self, passed: float, now: float) -> float:
@@ -75,7 +79,10 @@ class TimeLeft:
     @property
     def seconds(self) -> float:
         """Seconds that are probably left."""
-        total, passed, rate, now = sum(self._seconds), self._passed(), self._rate, self._clock()
+        total = sum(self._seconds)
+        passed = self._passed()
+        rate = self._rate
+        now = self._clock()
         if self._at >= 0 and not self._share:  # no tiles say how far the stage is
             passed += min((now - self._entered) / rate, 0.9 * self._seconds[self._at])
             # a stage takes longer than expected.

@@ -145,7 +145,8 @@ def validate(  # noqa: C901, PLR0912
         return 0
     # All of them are read before the first is run: a wrong name should not cost the time of the
     # others.
-    selected, notes = [read_scenario(name) for name in scenarios or (_DEFAULT,)], ()
+    selected = [read_scenario(name) for name in scenarios or (_DEFAULT,)]
+    notes = ()
     if len({scenario.name for scenario in selected}) < len(selected):
         raise click.UsageError("--scenario: the same scenario is given twice.")
     if out is not None:
@@ -160,7 +161,8 @@ def validate(  # noqa: C901, PLR0912
         template = like_run(like)
         for note in template.notes:
             click.echo(note, err=True)
-        selected, notes = [template.scenario(scenario) for scenario in selected], template.notes
+        selected = [template.scenario(scenario) for scenario in selected]
+        notes = template.notes
 
     def report(stage: str, detail: str) -> None:
         click.echo(f"{stage}: {shown(detail)}", err=True)

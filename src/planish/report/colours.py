@@ -136,7 +136,8 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
     )
     shades = scale.shades(values)
     # Of many pixels, a JPEG is a fraction of a PNG.
-    kind, data = ("PNG" if shades.size <= 250_000 else "JPEG"), io.BytesIO()
+    kind = "PNG" if shades.size <= 250_000 else "JPEG"
+    data = io.BytesIO()
     if kind == "PNG":
         image = Image.fromarray(shades)
         image.putpalette(palette.tobytes())
@@ -152,7 +153,8 @@ def colours_in_steps(colours: str) -> NDArray[np.uint8]:
     anchors = np.array(
         [list(bytes.fromhex(code)) for code in _ANCHORS[colours].split()], dtype=np.float64
     )
-    fractions, anchor_fractions = np.linspace(0, 1, _SHADES), np.linspace(0, 1, len(anchors))
+    fractions = np.linspace(0, 1, _SHADES)
+    anchor_fractions = np.linspace(0, 1, len(anchors))
     rgb = np.stack(
         [np.interp(fractions, anchor_fractions, anchors[:, k]) for k in range(3)], axis=1
     )

@@ -98,7 +98,8 @@ def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
     if not size_rows:
         return
     plotted_r = [v for row in size_rows for v in (*(row.band if is_known(row.band) else ()), row.r)]
-    r_min, r_max = min(0.0, *plotted_r), max(0.0, *plotted_r)
+    r_min = min(0.0, *plotted_r)
+    r_max = max(0.0, *plotted_r)
     margin = 0.06 * (r_max - r_min) or 0.1
     log_sizes = [math.log10(row.point_um) for row in size_rows]
     extent = log_sizes[0] - 0.05, log_sizes[-1] + 0.05, r_min - margin, r_max + margin
@@ -129,7 +130,8 @@ def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
     for band in evidence.bands:
         if not is_known(band.coherence):
             continue
-        log_shortest, log_longest = math.log10(band.shortest_um), math.log10(band.longest_um)
+        log_shortest = math.log10(band.shortest_um)
+        log_longest = math.log10(band.longest_um)
         axes.curve(
             (log_shortest, log_longest), (band.coherence, band.coherence), colour=ACCENT, width=2.2
         )

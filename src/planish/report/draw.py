@@ -295,13 +295,15 @@ class Axes:
         self, inside: NDArray[np.bool_], y: Array, x: Array, *, colour: str, width: float
     ) -> None:
         """Draw the border of a region along the edges of its pixels."""
-        padded, runs = np.pad(inside.astype(np.int8), 1), []
+        padded = np.pad(inside.astype(np.int8), 1)
+        runs = []
         for edges, order in (
             (np.diff(padded, axis=0), (0, 1)),
             (np.diff(padded, axis=1).T, (1, 0)),
         ):
             ends = np.diff((edges != 0).astype(np.int8), axis=1)
-            (line, start), stop = np.nonzero(ends == 1), np.nonzero(ends == -1)[1]
+            (line, start) = np.nonzero(ends == 1)
+            stop = np.nonzero(ends == -1)[1]
             runs.append(np.stack([start, line, stop, line], axis=1).reshape(-1, 2)[:, order])
         corners = (np.concatenate(runs) - 0.5) * (pitch(x), pitch(y)) + (x[0], y[0])
         path_data = "".join(
@@ -527,7 +529,8 @@ def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Sho
     if max(factor) > 1:
         data = area_mean(summable(values, data), factor)
     down, across = (n * f * s for n, f, s in zip(data.shape, factor, steps, strict=True))
-    x, y = float(cols[0]) - steps[1] / 2, float(rows[0]) - steps[0] / 2
+    x = float(cols[0]) - steps[1] / 2
+    y = float(rows[0]) - steps[0] / 2
     return ShownMap(data, (x, x + across, y + down, y))
 
 
@@ -625,7 +628,8 @@ def _n(value: float) -> str:
 def _path(points: Array) -> str:
     """Return a line through points in pixels as path data; NaN interrupts it."""
     tenths = np.rint(10 * points)
-    is_finite, path_data = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1]), ""
+    is_finite = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1])
+    path_data = ""
     for run in np.split(
         np.arange(is_finite.size), np.flatnonzero(is_finite[1:] != is_finite[:-1]) + 1
     ):

@@ -80,7 +80,8 @@ def _draw_map(
     x, map_px = data["x"].values, THIRD - MARGIN - 12
     shown = reduced(data.values, data["y"].values, x, width=map_px)
     map_size = shown.fit(map_px, 330.0)
-    scale, bar_px = colours_of(data, colour_values), max(map_size[0], 150.0)
+    scale = colours_of(data, colour_values)
+    bar_px = max(map_size[0], 150.0)
     canvas = Canvas(THIRD, map_size[1] + BELOW + 74)
     canvas.map_axes(MARGIN, 8, map_size, shown, scale)
     bottom_px = map_size[1] + BELOW + 8

@@ -64,7 +64,8 @@ def _draw_displacement(flat: xr.Dataset) -> draw.Picture:
     components = [
         _from_top(flat[a].values - flat[f"projected_{a}"].values, flat) for a in ("u", "v")
     ]
-    displacement, vectors = np.hypot(*components), np.stack(components, axis=-1)
+    displacement = np.hypot(*components)
+    vectors = np.stack(components, axis=-1)
     scale = limits(displacement, GEOMETRY, percent=0.1, low=0.0)
     canvas, axes = draw.draw_map(displacement, y, x, scale=scale, label="displacement / µm")
     arrow_stride = max(1, round(max(displacement.shape) / 22))  # arrows across the longer side
@@ -92,10 +93,8 @@ def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     Change of area, shear, and the largest stretch.
     """
     stretches = [np.abs(strain[f"stretch_{extreme}"].values - 1) for extreme in ("max", "min")]
-    area_change, largest_strain = (
-        100 * (strain["area_ratio"].values - 1),
-        100 * np.maximum(*stretches),
-    )
+    area_change = 100 * (strain["area_ratio"].values - 1)
+    largest_strain = 100 * np.maximum(*stretches)
     shear = 100 * strain["shear"].values * (-1 if flat.attrs.get("mirrored_view", 0) else 1)
     y, x, gap_px = strain["y"].values, strain["x"].values, 25.0
     panel_px = (draw.FULL - 2 * gap_px - draw.MARGIN - 6) / 3
@@ -130,7 +129,8 @@ def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
 def draw_progress(strain: xr.Dataset) -> draw.Picture:
     """Draw the mean move of a node over the steps, mesh by mesh."""
     nodes, mean_move_um = strain["step_nodes"].values, strain["step_move"].values
-    node_counts, is_moved = np.unique(nodes), mean_move_um > 0
+    node_counts = np.unique(nodes)
+    is_moved = mean_move_um > 0
     log_moves = np.log10(np.where(is_moved, mean_move_um, 1.0))
     low, high = (
         (float(log_moves[is_moved].min()), float(log_moves[is_moved].max()))
@@ -154,7 +154,8 @@ def draw_progress(strain: xr.Dataset) -> draw.Picture:
         axes.across(level, colour=draw.FAINT, width=0.5)
     canvas.ticks(axes, "step", "mean move of a node / µm", log=True)
     step_table = {"step": [*range(1, nodes.size + 1)], "nodes": nodes.astype(int).tolist()}
-    n_coarser, finest_count = node_counts.size - 1, count(int(nodes.max(initial=0)))
+    n_coarser = node_counts.size - 1
+    finest_count = count(int(nodes.max(initial=0)))
     coarse_text = (
         f", grey on {n_coarser} coarser meshes that are solved first" if n_coarser > 0 else ""
     )

@@ -226,7 +226,8 @@ def draw_side_by_side(
             scale=colours_of(data, colour_values),
             label=label_of(data),
         )
-    titles, units = [in_words(title_of(m)) for m in maps], [unit_of(m) or "none" for m in maps]
+    titles = [in_words(title_of(m)) for m in maps]
+    units = [unit_of(m) or "none" for m in maps]
     scale_text = "Both have the same" if same_scale else "Each has its own"
     return canvas.picture(
         title=f"{layers[0]} on the pixels of {layers[1]}",
@@ -266,10 +267,13 @@ def draw_outlines(
 
     2009, Fig. 6).
     """
-    y, x, valid = linked["y"].values, linked["x"].values, linked["valid"].values.astype(bool)
+    y = linked["y"].values
+    x = linked["x"].values
+    valid = linked["valid"].values.astype(bool)
     ground = ground_of(linked["image"], layer="image", valid=valid)
     values = np.where(valid, linked[name].values.astype(np.float64), np.nan)
-    title, unit = title_of(linked[name]), unit_of(linked[name])
+    title = title_of(linked[name])
+    unit = unit_of(linked[name])
     n_text = (
         f"n = {draw.n_of(values)} pixels of {draw.pixel_of(x)}; mask: measured, without"
         f" {excluded_text}."
@@ -278,7 +282,8 @@ def draw_outlines(
     image_canvas, _ = draw.draw_map(ground.values, y, x, scale=ground.scale, label="")
     canvas, axes = ground.draw(draw.FULL)
     thin_share = float(np.count_nonzero(values < thin_um)) / max(int(np.isfinite(values).sum()), 1)
-    below, limit_um = f"{in_words(title)} below", thin_um
+    below = f"{in_words(title)} below"
+    limit_um = thin_um
     note_text = f"Outlined: {below} {plain(thin_um)}, {percent(thin_share)} of the valid pixels."
     if thin_share < 1e-3:  # the outlines would show next to nothing
         limit_um = (

@@ -90,7 +90,8 @@ def map_html(data: xr.DataArray, *, title: str = "") -> str:
     values = data.values.astype(np.float64)
     stride = max(1, int(values.shape[1] / (1.5 * _WIDE)), int(values.shape[0] / (1.5 * _HIGH)))
     scale = colours_of(data, values[np.isfinite(values)])
-    width_um, height_um = values.shape[1] * pitch(cols), values.shape[0] * pitch(rows)
+    width_um = values.shape[1] * pitch(cols)
+    height_um = values.shape[0] * pitch(rows)
     px_per_um = min(_WIDE / width_um, _HIGH / height_um)
     title_text = f"{title}: {label_of(data)}" if title else label_of(data)
     image = f'src="{image_uri(values[::stride, ::stride], scale)}" alt="{escape(title_text)}"'

@@ -132,7 +132,8 @@ def render_report(
     groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results
 ) -> tuple[str, list[Picture]]:
     """Return the page of :func:`write_report` as text, and its figures in the order shown."""
-    run_maps, pictures = maps.RunMaps(results, groups), list[Picture]()
+    run_maps = maps.RunMaps(results, groups)
+    pictures = list[Picture]()
 
     def numbered(picture: Picture) -> int:
         pictures.append(picture)
@@ -212,15 +213,11 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] 
 def _registration_section(
     run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.Dataset | None
 ) -> dict[str, Any] | None:
-    r, results, reference_layer = (
-        registration.judged(layer.registration),
-        run_maps.results,
-        run_maps.results.reference,
-    )
-    layer_maps, reference_maps = (
-        run_maps.drawn.get(layer.name),
-        run_maps.drawn.get(reference_layer.name),
-    )
+    r = registration.judged(layer.registration)
+    results = run_maps.results
+    reference_layer = run_maps.results.reference
+    layer_maps = run_maps.drawn.get(layer.name)
+    reference_maps = run_maps.drawn.get(reference_layer.name)
     if r is None or layer_maps is None or reference_maps is None:
         return None
     marks = marks if marks is not None and marks.sizes["mark"] else None
@@ -281,7 +278,8 @@ def _registration_pictures(
 
     ``map_texts``: its map and the reference's.
     """
-    reference_layer, has_two_layers = results.reference, len(results.layers) == 2
+    reference_layer = results.reference
+    has_two_layers = len(results.layers) == 2
     hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))) / 2)
     has_window = "valid" in layer_maps and reference_layer.kind == "image"
     valid = layer_maps["valid"].values.astype(bool) if has_window else None
@@ -331,13 +329,12 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
 
     Only where both are at hand.
     """
-    results, pairs = run_maps.results, dict[summary.PairKey, MapPair]()
+    results = run_maps.results
+    pairs = dict[summary.PairKey, MapPair]()
     headlines = {(layer.name, layer.headline) for layer in results.layers}
     for pair_rows in summary.by_pair(results):
-        row, pair = (
-            pair_rows[0],
-            MapPair.of(run_maps.linked, pair_rows, summary.density_of(results, pair_rows[0])),
-        )
+        row = pair_rows[0]
+        pair = MapPair.of(run_maps.linked, pair_rows, summary.density_of(results, pair_rows[0]))
         if pair and (row.same_quantity or headlines >= {(row.a, row.a_map), (row.b, row.b_map)}):
             pairs[summary.key_of(row)] = pair
     return pairs
@@ -355,7 +352,8 @@ def _evidence_section(
     run_maps: maps.RunMaps, e: EvidenceFacts, pairs: Mapping[summary.PairKey, MapPair]
 ) -> dict[str, Any]:
     titles, excluded_text, is_same_map = run_maps.titles, run_maps.excluded_text, e.a_map == e.b_map
-    titles_text, pair = summary.names_in_words(e, titles), pairs.get(summary.key_of(e))
+    titles_text = summary.names_in_words(e, titles)
+    pair = pairs.get(summary.key_of(e))
     names = (f"{titles_text[0]} of {e.a}", f"that of {e.b}") if is_same_map else titles_text
     figures: dict[Section, list[Picture]] = {
         "scale": [],
@@ -412,7 +410,8 @@ def _valid_values(maps: xr.Dataset, name: str) -> xr.DataArray:
 
 
 def _map_in_words(map_data: xr.DataArray, layer: LayerFacts) -> str:
-    layer_text, title = with_article(layer.name), in_words(text.title_of(map_data))
+    layer_text = with_article(layer.name)
+    title = in_words(text.title_of(map_data))
     if layer.kind == "image":
         return layer_text
     return title if layer_text != layer.name else f"{title} of {layer.name}"

@@ -66,10 +66,13 @@ def ground_of(
 
     ``edge`` is where ``edge_layer`` lies.
     """
-    values, y, x = data.values.astype(np.float64), data["y"].values, data["x"].values
+    values = data.values.astype(np.float64)
+    y = data["y"].values
+    x = data["x"].values
     window_values = values[valid] if valid is not None and valid.any() else values
     pixels_text = f"{draw.n_of(values)} pixels of {draw.pixel_of(x)}"
-    name, caption = "the image", f"{title_of(data)} of {pixels_text}, no mask."
+    name = "the image"
+    caption = f"{title_of(data)} of {pixels_text}, no mask."
     if data.name != "image":
         name = f"the layer {layer}"
         caption = (
@@ -215,7 +218,8 @@ def _tiles_of(marks: xr.Dataset) -> NDArray[np.bool_]:
 
 
 def _marks_in_words(marks: xr.Dataset, hole_um: float) -> str:
-    is_tile, n = _tiles_of(marks), marks.sizes["mark"]
+    is_tile = _tiles_of(marks)
+    n = marks.sizes["mark"]
     if is_tile.all():
         return f"{n} tiles of texture (orange crosses at their middles)"
     tiles_text = ", crosses alone at the middles of tiles of texture" if is_tile.any() else ""
@@ -274,15 +278,14 @@ def draw_expected_error(
     finite_errors = error.values[np.isfinite(error.values)].astype(np.float64)
     if finite_errors.size == 0:
         return None
-    least, mean, most = (
-        float(finite_errors.min()),
-        float(finite_errors.mean()),
-        float(finite_errors.max()),
-    )
+    least = float(finite_errors.min())
+    mean = float(finite_errors.mean())
+    most = float(finite_errors.max())
     scale = limits(finite_errors, GEOMETRY, percent=0.1)
     levels, step = draw.levels_between(least, most, steps=5)
     if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
-        scale, levels = Scale(0.0, 2 * mean or 1.0, GEOMETRY), np.empty(0)
+        scale = Scale(0.0, 2 * mean or 1.0, GEOMETRY)
+        levels = np.empty(0)
     canvas, axes = draw.draw_map(
         error.values, y, x, scale=scale, label="expected error / µm", width=width
     )

@@ -123,8 +123,10 @@ def draw_pair(
     (Bland and Altman 1986).
     """
     stride, (p, q, *masks) = thinned(pair.a, pair.b, *pair.valid)
-    is_valid, density = valid_in_all((p, q), masks), pair.density
-    units, ends = (unit_of(pair.a), unit_of(pair.b)), (pair.rows[0], pair.coarse)
+    is_valid = valid_in_all((p, q), masks)
+    density = pair.density
+    units = (unit_of(pair.a), unit_of(pair.b))
+    ends = (pair.rows[0], pair.coarse)
     points, (fine, coarse), units, labels = as_drawn(pair.points, ends, names, units, density)
     pixel_values = (
         (p if density is None else p * density)[is_valid].astype(np.float64),
@@ -177,7 +179,8 @@ def draw_points(
     """Draw the larger points of two maps on a third of the page, with both least-squares lines."""
     units = unit_of(pair.a), unit_of(pair.b)
     points, (row,), _, labels = as_drawn(pair.points, (pair.coarse,), names, units, pair.density)
-    canvas, size_text = Canvas(THIRD, max(height, 300.0)), plain(round(row.point_um, 4))
+    canvas = Canvas(THIRD, max(height, 300.0))
+    size_text = plain(round(row.point_um, 4))
     axes = draw_dots(canvas, points, (76.0, 42.0, THIRD - 82, canvas.height - 92), bar_px=55)
     _draw_lines(axes, row)
     canvas.ticks(axes, *labels)
@@ -216,7 +219,8 @@ def as_drawn(
             f"{titles[0].replace('Coating thickness', 'Coating')}, at {density:.3g} g/cm³",
             titles[1],
         )
-        units, weight_rows = ("g/m²", units[1]), list[CorrelationRow]()
+        units = ("g/m²", units[1])
+        weight_rows = list[CorrelationRow]()
         for row in rows:
             weight_slopes = {
                 "slope": row.slope / density,
@@ -326,10 +330,8 @@ def draw_dots(
 def _draw_density(
     canvas: Canvas, box: tuple[float, float, float, float], points: Points, *, counted_text: str
 ) -> Axes:
-    ranges, (left_px, top_px, width, height) = (
-        (_axis_limits(points[0]), _axis_limits(points[1])),
-        box,
-    )
+    ranges = (_axis_limits(points[0]), _axis_limits(points[1]))
+    (left_px, top_px, width, height) = box
     bins = int(np.clip(np.sqrt(points[0].size) / 1.5, _LEAST_BINS, _BINS))
     counts = np.histogram2d(*points, bins=bins, range=ranges)[0].T[::-1]
     scale = Scale(0.0, float(np.log10(max(counts.max(initial=1.0), 10.0))), PROPERTY)

@@ -202,7 +202,8 @@ def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
         for name, m in shown_maps.items()
     ]
     # The colours of all small maps, and a length on them.
-    canvas, first_map = Canvas(HALF, 62), next(m for m in maps if m.specimen in shown_maps)
+    canvas = Canvas(HALF, 62)
+    first_map = next(m for m in maps if m.specimen in shown_maps)
     canvas.colour_bar(8, 6, 300, 12, scale)
     canvas.text(8, 54, axis_label(first_map.title, first_map.unit))
     bar_um = round_step(0.5 * _WIDE * um_per_px)
@@ -228,17 +229,20 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     ]
     plotted = [v * factor for group_fields in fields for _, v in group_fields]
     plotted += [v * factor for g in groups for v in g.interval if is_known(v)]
-    low, high = min(plotted), max(plotted)
+    low = min(plotted)
+    high = max(plotted)
     margin = 0.06 * (high - low) or 0.05 * abs(high) or 0.5
     low, high = low - margin, high + margin
     left_px = min(max(len(_short_label(g.group)) for g in groups) * _LETTER + 16, _WIDEST_NAME)
-    right_px, bottom_px = HALF - 20, _TOP + _ROW * len(groups)
+    right_px = HALF - 20
+    bottom_px = _TOP + _ROW * len(groups)
     canvas = Canvas(HALF, bottom_px + 50)
     axes = canvas.axes(
         left_px, _TOP, right_px - left_px, bottom_px - _TOP, (low, high, float(len(groups)), 0.0)
     )
     for i, (g, group_fields) in enumerate(zip(groups, fields, strict=True)):
-        y, sheets = i + 0.5, dict[str, list[float]]()
+        y = i + 0.5
+        sheets = dict[str, list[float]]()
         axes.dots([(v * factor, y - 0.18) for _, v in group_fields], colour="#9db4c6", size=4)
         for sheet, v in group_fields:
             sheets.setdefault(sheet, []).append(v * factor)
@@ -282,7 +286,8 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
 
 def _short_label(group: Mapping[str, str]) -> str:
     """Name a group beside its row: where that is too long, by the beginnings of its levels."""
-    full_label, max_letters = words.label(group), int((_WIDEST_NAME - 16) / _LETTER)
+    full_label = words.label(group)
+    max_letters = int((_WIDEST_NAME - 16) / _LETTER)
     if len(full_label) <= max_letters:
         return full_label
     # Of each level, and what shorter ones leave over.

@@ -69,7 +69,8 @@ def lead(results: SeriesResults) -> str:
 
 def states(results: SeriesResults) -> str:
     """Say what became of the specimens."""
-    counts, total = Counter(member.state for member in results.members), len(results.specimens)
+    counts = Counter(member.state for member in results.members)
+    total = len(results.specimens)
     if counts["whole"] == total:
         return f"All {total} specimens are complete." if total > 1 else "The specimen is complete."
     return (
@@ -183,14 +184,16 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
     """State one difference, and whether it is distinguishable."""
     q, (first, second) = results.quantities[d.quantity], d.levels
     group_text = f"{label(d.within)}: " if d.within else ""
-    quantity_text, names = typeset(q.title), f"{first} and {second}"
+    quantity_text = typeset(q.title)
+    names = f"{first} and {second}"
     if not is_known(d.interval):
         reason = d.reason or "no figure counts"
         return capital(
             f"{group_text}it is not known whether {names} differ in {quantity_text}: {reason}."
         )
     verb = "differ" if d.verdict == "differ" else f"are {verdict(d)}"
-    change_text, equivalence_text = with_units(signed(d, q), q, change=True), ""
+    change_text = with_units(signed(d, q), q, change=True)
+    equivalence_text = ""
     if d.equivalence is not None and d.equivalence.verdict != "unknown":
         declared_text = f"the declared margin of {margin_text(d.equivalence.margin, q)}"
         equivalence_text = {
@@ -315,7 +318,8 @@ def spans(results: SeriesResults, columns: Sequence[int]) -> list[tuple[str, int
 def declared(results: SeriesResults) -> list[tuple[str, str]]:
     """What was declared, and what the program took where nothing was."""
     options: Mapping[str, object] = results.declared
-    margins, compared_by = options.get("margin"), results.compared_by or "nothing: one group"
+    margins = options.get("margin")
+    compared_by = results.compared_by or "nothing: one group"
     return [
         ("Compared by", f"{compared_by}{'' if options.get('compare') else ' (usual)'}"),
         ("Groups", ", ".join(results.grouped_by) or "one"),

@@ -42,10 +42,8 @@ class Slice:
         face_heights = np.concatenate([v[is_inside] for v in self.lines.values()])
         face_heights = face_heights[np.isfinite(face_heights)]
         if face_heights.size:
-            low, high = (
-                max(low, float(face_heights.min()) - margin),
-                min(high, float(face_heights.max()) + margin),
-            )
+            low = max(low, float(face_heights.min()) - margin)
+            high = min(high, float(face_heights.max()) + margin)
         return left, right, low, high
 
     @property
@@ -68,10 +66,8 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     windows = _detail_windows(cuts, spans, 0.35 * margin)
     cut_axis = str(surfaces.attrs["row_axis"])
     zoom = _px_per_um(spans, FULL - 2)
-    canvas, top_px = (
-        Canvas(FULL, sum((s[3] - s[2]) * zoom for s in spans) + 32 * len(cuts) + 30),
-        0.0,
-    )
+    canvas = Canvas(FULL, sum((s[3] - s[2]) * zoom for s in spans) + 32 * len(cuts) + 30)
+    top_px = 0.0
     for letter, cut, span, (left, right, low, high) in zip(
         ascii_uppercase, cuts, spans, windows, strict=False
     ):
@@ -140,7 +136,8 @@ def _draw_window(
 
 
 def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
-    gap, widest_um = 22.0, max(w[1] - w[0] for w in windows)
+    gap = 22.0
+    widest_um = max(w[1] - w[0] for w in windows)
     width = (FULL - gap * (len(cuts) - 1)) / len(cuts) if len(cuts) > 1 else 0.6 * FULL
     zoom = _px_per_um(windows, width - 2)
     height_px = max((w[3] - w[2]) * zoom for w in windows)
@@ -183,7 +180,8 @@ def _detail_windows(cuts: list[Slice], spans: list[Window], margin: float) -> li
 
     They can thus stand side by side.
     """
-    half_um, tight_windows = _WINDOW_UM / 2, list[Window]()
+    half_um = _WINDOW_UM / 2
+    tight_windows = list[Window]()
     for cut, span in zip(cuts, spans, strict=True):
         centre_um = _clear_place(cut, span)
         tight_windows.append(cut.window(centre_um - half_um, centre_um + half_um, margin))
@@ -224,7 +222,8 @@ def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
 
 def _overview_window(cut: Slice, margin: float) -> Window:
     """Return the whole slice, or its middle where the whole would be a hair line."""
-    left, right = float(cut.x[0]), float(cut.x[-1])
+    left = float(cut.x[0])
+    right = float(cut.x[-1])
     whole_window = cut.window(left, right, margin)
     if (right - left) <= _FLATTEST * (whole_window[3] - whole_window[2]):
         return whole_window
@@ -237,7 +236,8 @@ def _overview_window(cut: Slice, margin: float) -> Window:
         )
         / 2
     )
-    low, high = max(whole_window[2] - extra_um, floor), min(whole_window[3] + extra_um, ceiling)
+    low = max(whole_window[2] - extra_um, floor)
+    high = min(whole_window[3] + extra_um, ceiling)
     max_width_um = 2 * _FLATTEST * (high - low)
     if right - left <= max_width_um:
         return left, right, low, high

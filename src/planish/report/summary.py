@@ -202,7 +202,8 @@ def _percent_text(share: float | None) -> str:
 def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     sheet, layer = results.reference.sheet, results.reference.name
     assert sheet is not None
-    measured_share, strain = sheet.surfaces.shares.get("measured"), sheet.flatten.edge_strain_p95
+    measured_share = sheet.surfaces.shares.get("measured")
+    strain = sheet.flatten.edge_strain_p95
     map_names = [in_words(titles.get((layer, name), name)) for name in sheet.properties]
     sentence = (
         f"The sheet was found in {percent(measured_share, 2)} of the columns and flattened; mapped:"
@@ -210,9 +211,12 @@ def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]
     )
     if not {"coating_top", "coating_bottom"} & set(sheet.properties):
         sentence += " No coating was found."
-    thickness, mean_um, spread_text = sheet.properties.get("thickness"), None, NONE
+    thickness = sheet.properties.get("thickness")
+    mean_um = None
+    spread_text = NONE
     if thickness is not None and thickness.trust == "ok":
-        mean_um, spread_text = thickness.mean, f"standard deviation {number(thickness.sd, 2)} µm"
+        mean_um = thickness.mean
+        spread_text = f"standard deviation {number(thickness.sd, 2)} µm"
     elif thickness is not None:
         spread_text = f"{thickness.trust}; see the checks"
     columns_text = f"of {count(sheet.surfaces.columns)}"
@@ -256,7 +260,8 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
             )
         )
         if e and e.trust == "ok" and e.median_um is not None:
-            median, largest_error = length(e.median_um, 2), length(e.largest_um, 2)
+            median = length(e.median_um, 2)
+            largest_error = length(e.largest_um, 2)
             marks_text += f"; expected error of a pixel {median} (median), {largest_error} at most"
     points_text, pixel_text = (
         (f", points of {point_of(largest(rows))}", f", {point_of(rows[0])}") if rows else ("", "")
@@ -295,7 +300,8 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
             f"The two layers could not be correlated: {n} pixels are valid in both, or one of the"
             " maps is constant."
         )
-    pixel, row = pair_rows[0], largest(pair_rows)
+    pixel = pair_rows[0]
+    row = largest(pair_rows)
     is_image = results.layer(pixel.b).kind == "image"
     are_images = is_image and results.layer(pixel.a).kind == "image"
     a, b = (
@@ -368,7 +374,8 @@ def _difference_sentence(row: CorrelationRow, titles: Titles) -> str:
     """State the difference of two maps of the same quantity; empty where it is not known."""
     if not row.same_quantity or not is_known(row.limits):
         return ""
-    units, (mean, _, low, high) = unit(row.units or ""), written_difference(row)
+    units = unit(row.units or "")
+    (mean, _, low, high) = written_difference(row)
     return (
         f" Over points of {point_of(row)}, {names_in_words(row, titles)[0]} of {row.b} minus that"
         f" of {row.a} is {mean} {units} on average, with 95 % limits of {low} to {high} {units}."
@@ -444,7 +451,8 @@ def lag_verdict(
     """Return what the lag of two maps, named in words, means; None where none was looked for."""
     if lag is None:
         return None
-    se_um, state = math.hypot(*lag.se_um), "agrees"
+    se_um = math.hypot(*lag.se_um)
+    state = "agrees"
     if lag.agrees is None:
         state = "grey"
         end_text = (

@@ -57,10 +57,12 @@ def comparison(results: Results) -> list[PairLine]:
     lines: list[PairLine] = []
     for name, rows in groups.items():
         # How much larger r is with the run's own registration, at the largest points.
-        row, change_text = largest(rows), NONE
+        row = largest(rows)
+        change_text = NONE
         if is_known(row.difference):
             change_text = f"{fixed(row.difference, 3)}\n{interval_text(row.difference_interval, 3)}"
-        marks_text, is_best = number(rows[0].marks_rms_um, 3), name.startswith("flattened")
+        marks_text = number(rows[0].marks_rms_um, 3)
+        is_best = name.startswith("flattened")
         lines.append(
             PairLine(capital(name), rows, before=(marks_text,), best=is_best, after=(change_text,))
         )
@@ -124,17 +126,20 @@ def _change_text(row: ComparisonRow) -> str:
 def correlations(results: Results, titles: Titles) -> list[PairLine]:
     """Return the correlation of every pair of maps, all point sizes in one line each."""
     headlines = [headline_pair(results, layer) for layer in results.moving]
-    has_two_layers, sizes = len(results.layers) == 2, _sizes(results.correlations)
+    has_two_layers = len(results.layers) == 2
+    sizes = _sizes(results.correlations)
     has_differences = any(row.same_quantity for row in results.correlations)
     lines: list[PairLine] = []
     for group in by_pair(results):
-        row, (a, b) = largest(group), titles_of(group[0], titles)
+        row = largest(group)
+        (a, b) = titles_of(group[0], titles)
         rows_by_size = {round(r.point_um, 4): r for r in group}
         # One quantity of two layers needs its name only once.
         is_short = has_two_layers and (
             a == b if row.same_quantity else results.layer(row.b).kind == "image"
         )
-        difference_text, units = NONE, unit(row.units or "")
+        difference_text = NONE
+        units = unit(row.units or "")
         if row.same_quantity:
             mean, spread, low, high = written_difference(row)
             difference_text = f"{mean} ± {spread} {units}\n{low} to {high} {units}"

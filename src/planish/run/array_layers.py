@@ -55,10 +55,8 @@ class ArraySource:
                 volume, self.path, memory_bytes=compute.block_bytes, threads=compute.threads
             )
             return
-        values, stored_dtype = (
-            self.array.values,
-            np.dtype(self.array.attrs.get("stored_dtype", "f4")),
-        )
+        values = self.array.values
+        stored_dtype = np.dtype(self.array.attrs.get("stored_dtype", "f4"))
         # Not of a luminance.
         if stored_dtype.kind == "u" and np.array_equal(values, np.rint(values)):
             values = values.astype(stored_dtype)

@@ -207,11 +207,13 @@ def _source(layer: str | Path | ArraySource, *, is_link: bool) -> PathSource | A
     """
     if isinstance(layer, ArraySource):
         return layer
-    name, path = None, Path(layer)
+    name = None
+    path = Path(layer)
     prefix, equals, path_text = str(layer).partition("=")
     if equals and path_text and not find_place(str(layer)).path.exists():
         if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}", prefix):
-            name, path = prefix, Path(path_text)
+            name = prefix
+            path = Path(path_text)
         elif find_place(path_text).path.exists():
             raise StudyError(
                 f"{prefix!r} is no name of a layer: letters from A to Z, digits, - and _ are"
@@ -228,7 +230,8 @@ def _source(layer: str | Path | ArraySource, *, is_link: bool) -> PathSource | A
 def _table(
     name: str, source: PathSource | ArraySource, options: Mapping[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    table, volume = {"path": str(source.path.absolute())}, options.get("volume", {})
+    table = {"path": str(source.path.absolute())}
+    volume = options.get("volume", {})
     array_options = source.options if isinstance(source, ArraySource) else {}
     if source.kind == "run":
         return {"name": name, "run": table["path"], "md_deg": volume.get("md_deg")}

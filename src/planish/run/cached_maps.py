@@ -63,7 +63,8 @@ class CachedMaps(NamedTuple):
             request_key = run_key(
                 to_dict(with_packages(Study(layers=(mapping_params,)))), input_hashes
             )
-            path, k = out.with_name(f"{name}-map"), 1
+            path = out.with_name(f"{name}-map")
+            k = 1
             while path.exists() and _request(path)[:1] != [request_key]:
                 k += 1
                 path = out.with_name(f"{name}-map-{k}")
@@ -92,9 +93,11 @@ def sheets_of(
     The first have the same parameters; the second the same surface, and other properties,
     flattening, or corrections.
     """
-    ready_sheets, similar_sheets = dict[str, MappedLayer](), dict[str, MappedLayer]()
+    ready_sheets = dict[str, MappedLayer]()
+    similar_sheets = dict[str, MappedLayer]()
     try:
-        results, old_study = open_results(old), read_study(old / RUN_TOML)
+        results = open_results(old)
+        old_study = read_study(old / RUN_TOML)
     except PlanishError:
         return ready_sheets, similar_sheets
     if old_study.packages != study.packages:

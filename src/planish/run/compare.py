@@ -76,7 +76,8 @@ def compare_layers(study: Study, overlay: Overlay, progress: Progress) -> Compar
         if a.kind != b.kind or a.layer.side == b.layer.side
     }
     facts = _facts_of_layers(study, overlay, textures)
-    area, registrations = None, tuple[ComparisonRow, ...]()
+    area = None
+    registrations = tuple[ComparisonRow, ...]()
     if study.is_sheet_on_image:
         area = linked_area(overlay.store.group(LINKED), overlay.mask)
         registrations = _compare_registrations(study, overlay, facts[0].headline)

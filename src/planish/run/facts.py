@@ -273,14 +273,16 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
 
     ``mask`` is that of holes.
     """
-    grid, counts = Grid.of(linked), np.zeros(3, dtype=np.int64)
+    grid = Grid.of(linked)
+    counts = np.zeros(3, dtype=np.int64)
     for rows, (u, valid) in read_bands(linked["u"], linked["valid"]):
         is_sheet = np.isfinite(u)
         counts += [
             np.count_nonzero(mask_part)
             for mask_part in (is_sheet, is_sheet & mask(grid.part(rows)), valid)
         ]
-    (n_on_sheet, n_off_holes, valid), pixels = map(int, counts), math.prod(grid.shape)
+    (n_on_sheet, n_off_holes, valid) = map(int, counts)
+    pixels = math.prod(grid.shape)
     return LinkedArea(
         pixels=pixels,
         share_on_sheet=n_on_sheet / pixels,

@@ -15,7 +15,8 @@ class HoleSearch:
     """Laser holes of the layers of a link by one set of parameters; each face is searched once."""
 
     def __init__(self, params: HoleParams) -> None:
-        self.params, self._holes = params, dict[tuple[str, Side], xr.Dataset]()
+        self.params = params
+        self._holes = dict[tuple[str, Side], xr.Dataset]()
 
     def of(self, layer: MappedLayer, to: MappedLayer) -> xr.Dataset:
         """Give the holes of an image, or of a sheet in the face that the layer ``to`` shows.
@@ -84,7 +85,8 @@ def find_holes(
         holes = find_sheet_holes(shown, params=params, side=side or "top")
         return holes.assign_attrs(layer=layer or "sheet", seen_from="top")
     dy_um, dx_um = check_image(shown, "pl.find_holes({})")
-    pixel, side = (dy_um, dx_um), side or shown.attrs.get("side") or "top"
+    pixel = (dy_um, dx_um)
+    side = side or shown.attrs.get("side") or "top"
     grey = without_dots(shown.values, pixel, params.hole_um[0]) if params.printed else shown.values
     holes = find_image_holes(grey, pixel_um=pixel, diameter_um=params.hole_um)
     return holes.assign_attrs(layer=layer or "image", seen_from=side)

@@ -58,11 +58,13 @@ def register_by_marks(
             marks = with_holes(
                 marks, hole_marks, side, usual_um=float(np.mean(holes.params.hole_um))
             )
-    source, search = str(marks.attrs.get("read_from", {}).get("format", "file")), dict[str, Any]()
+    source = str(marks.attrs.get("read_from", {}).get("format", "file"))
+    search = dict[str, Any]()
     is_tile = tiles_of(marks)[paired(marks)]
     if is_tile.any():  # tiles of a run: what was said of them holds still, where the file has it
         saved = marks.attrs.get("registration", {})
-        source, search = "texture" if is_tile.all() else "both", saved.get("search", {})
+        source = "texture" if is_tile.all() else "both"
+        search = saved.get("search", {})
         fit = replace(fit, shared_um=float(saved.get("shared_um", 0.0)))
     search.setdefault("sentence", sentence)
     return Registration(fit=fit, marks=with_residuals(marks, fit), source=source, **search)

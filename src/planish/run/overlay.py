@@ -239,7 +239,8 @@ def resample_layers(
 
     def bring(tile: Tile) -> dict[str, xr.Dataset]:
         tile_grid = grid.part(tile.rows, tile.cols)
-        is_allowed, maps = mask(tile_grid), dict[str, xr.Dataset]()
+        is_allowed = mask(tile_grid)
+        maps = dict[str, xr.Dataset]()
         for name, read_tile in tile_readers.items():
             data = read_tile(tile, tile_grid)
             is_measured = np.isfinite(data["thickness" if "thickness" in data else "image"].values)
@@ -378,11 +379,10 @@ def resample_maps(
     grid = Grid.of(onto)
     # Marks beside the image show that the registration belongs to another one, or its pixels have
     # another size.
-    fixed_um, pixel_um = registration.fit.fixed, max(grid.pixel_um)
-    low_um, high_um = (
-        np.array(grid.origin_um) - pixel_um,
-        np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel_um,
-    )
+    fixed_um = registration.fit.fixed
+    pixel_um = max(grid.pixel_um)
+    low_um = np.array(grid.origin_um) - pixel_um
+    high_um = np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel_um
     n_outside = int(np.count_nonzero(((fixed_um < low_um) | (fixed_um > high_um)).any(axis=1)))
     if n_outside:
         raise MarkError(
@@ -392,7 +392,8 @@ def resample_maps(
         )
     chain = Chain(fits=(registration.fit,))
     rim_um = float(measured.attrs["rim_um"]) + float(onto.attrs.get("reach_um", 0.0))
-    marks, sink = registration.marks, StoredMaps()
+    marks = registration.marks
+    sink = StoredMaps()
     circles = (
         hole_circles(marks, "moving", rim_um, chain=chain),
         hole_circles(marks, "fixed", rim_um, image=onto),

@@ -138,10 +138,8 @@ def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares |
     rms = {k: rms_of(maps[f"error_{k}"]) or 0.0 for k in _SHARES if f"error_{k}" in maps}
     if not rms:
         return None
-    total_um, largest_share = (
-        float(np.sqrt(sum(v**2 for v in rms.values()))),
-        max(rms, key=lambda name: rms[name]),
-    )
+    total_um = float(np.sqrt(sum(v**2 for v in rms.values())))
+    largest_share = max(rms, key=lambda name: rms[name])
     shares_text = ", ".join(f"{_SHARES[name][0]} {value:.2g}" for name, value in rms.items())
     sentence = f"Expected error {total_um:.2g} um rms over the map: {shares_text} um. "
     if total_um > 0:
@@ -196,7 +194,8 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, uv: Floats) -> dict[st
     surfaces, attrs = sheet["surfaces"], sheet["flat"].attrs
     if "centre_shorter" not in surfaces or "neutral" not in attrs:
         return {}  # of a run that does not say what was flattened
-    neutral_kind, centre_plane = str(attrs["neutral"]), np.zeros(surfaces["centre"].shape)
+    neutral_kind = str(attrs["neutral"])
+    centre_plane = np.zeros(surfaces["centre"].shape)
     base_middle = (
         surfaces["base_middle"].values.astype(np.float64) if "base_middle" in surfaces else None
     )
@@ -207,10 +206,8 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, uv: Floats) -> dict[st
     )
     if other_neutral is None:
         # Where no coating is seen, the neutral surface lies off by so much of the thickness.
-        other_neutral, error_factor = (
-            centre_plane + 0.01 * float(surfaces.attrs["thickness_um"]),
-            1.0,
-        )
+        other_neutral = centre_plane + 0.01 * float(surfaces.attrs["thickness_um"])
+        error_factor = 1.0
     shorter = neutral + surfaces["centre_shorter"].values
     moves = flat_moves(
         surfaces,
@@ -227,13 +224,12 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, uv: Floats) -> dict[st
     (x, y), (dy_um, dx_um), (rows, cols) = grid.origin_um, grid.pixel_um, grid.shape
 
     def moves_of(name: str, uv: Floats) -> Floats:
-        row, col = (
-            np.clip((uv[..., 1] - y) / dy_um, 0, rows - 1),
-            np.clip((uv[..., 0] - x) / dx_um, 0, cols - 1),
-        )
+        row = np.clip((uv[..., 1] - y) / dy_um, 0, rows - 1)
+        col = np.clip((uv[..., 0] - x) / dx_um, 0, cols - 1)
         return np.stack([bilinear(fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
 
-    fit, linked_places = chain.fits[0], chain(uv)
+    fit = chain.fits[0]
+    linked_places = chain(uv)
     errors_um: dict[str, Floats] = {}
     for name, scale in (("neutral", error_factor), ("smoothing", 1.0)):
         shifted_places = fit.refitted(fit.moving + moves_of(name, fit.moving))(

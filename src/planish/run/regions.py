@@ -36,7 +36,8 @@ def regions_on(declared: Regions, grid: Grid, path: str | None) -> Regions:
 
 def region_facts(regions: Regions, grid: Grid) -> RegionsFacts:
     """What was declared, and the share of the reference's pixels that it takes."""
-    pixels_of_each, n_inside = np.zeros(len(regions.declared), dtype=np.int64), 0
+    pixels_of_each = np.zeros(len(regions.declared), dtype=np.int64)
+    n_inside = 0
     for rows in bands(grid.shape[0]):
         band_grid = grid.part(rows)
         inside = np.zeros(band_grid.shape, dtype=bool)

@@ -128,7 +128,8 @@ class Registration:
         registration = cls(
             fit=registration_from_json(saved), marks=marks, source="json", **saved.get("search", {})
         )
-        mask, fit = paired(marks), registration.fit
+        mask = paired(marks)
+        fit = registration.fit
         for side, fitted in (("moving", fit.moving), ("fixed", fit.fixed)):
             if not np.array_equal(points_of(marks, side)[mask], fitted):
                 raise MarkError(

@@ -121,8 +121,10 @@ def _measure(
         )
     else:
         corrections = asked_corrections(layer)
-        columns, sections = old.groups["surfaces"], old.groups.get("sections")
-        surfaces, is_same_surface = surfaces_of(columns), made_corrections(columns) == corrections
+        columns = old.groups["surfaces"]
+        sections = old.groups.get("sections")
+        surfaces = surfaces_of(columns)
+        is_same_surface = made_corrections(columns) == corrections
         if is_same_surface and old.params.properties == layer.properties:
             return None, sections, surfaces, columns
         volume, _ = _read(layer, compute, progress)

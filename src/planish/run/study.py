@@ -294,7 +294,8 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
     """
     data = to_dict(study)
     kinds = {layer.name: layer.kind for layer in study.layers}
-    faults, layer_sections = list[str](), ("volume", "image", *MAP_SECTIONS)
+    faults = list[str]()
+    layer_sections = ("volume", "image", *MAP_SECTIONS)
     for text in changes:
         key, equals, value = (word.strip() for word in text.partition("="))
         keys = key.split(".")

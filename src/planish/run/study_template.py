@@ -190,10 +190,8 @@ def _input(
 
 def _description(facts: dict[str, Any], section: str) -> list[str]:
     elements, axes = ("voxels", "z, y, x") if section == "volume" else ("pixels", "y, x")
-    format_name, shape_text = (
-        facts.get("format") or facts["kind"],
-        " x ".join(map(str, facts["shape"])),
-    )
+    format_name = facts.get("format") or facts["kind"]
+    shape_text = " x ".join(map(str, facts["shape"]))
     file_text = (
         f"{facts['file_name']}: {format_name}, {shape_text} {elements} ({axes}), {facts['dtype']}"
     )

@@ -154,7 +154,8 @@ def register_by_texture(
 
     What holes there are is masked.
     """
-    pair, params = (holes.of(layer, fixed), holes.of(fixed, layer)), study.registration
+    pair = (holes.of(layer, fixed), holes.of(fixed, layer))
+    params = study.registration
     moving, image = (of.groups["maps"] if of.image is None else of.shown for of in (layer, fixed))
     assert isinstance(moving, xr.Dataset | xr.DataArray)
     assert isinstance(image, xr.Dataset | xr.DataArray)
@@ -190,7 +191,8 @@ def _fitted(
 
     The holes are taken by ``pairs`` of their rows.
     """
-    count, (a_holes, b_holes) = len(tiles.moving_um), holes or (None, None)
+    count = len(tiles.moving_um)
+    (a_holes, b_holes) = holes or (None, None)
     if layers.swapped:
         a_holes, b_holes = b_holes, a_holes
     sides = [

@@ -126,7 +126,8 @@ def _join_sections(
         fixed_features = fixed_places(
             stack.values, stack.pixel_um, rows=params.fixed_rows, cols=params.fixed_cols
         )
-    poses, gains = align_sections(series, fixed=fixed_features), normalise_sections(series)
+    poses = align_sections(series, fixed=fixed_features)
+    gains = normalise_sections(series)
     volume = regular_volume(series, alignment=poses, gains=gains, attrs=stack.attrs)
     first_um = float(volume.attrs["first_position_um"])
     section_columns = {

@@ -42,6 +42,7 @@ class Declared(Params):
     @field_validator("margin")
     @classmethod
     def _above_zero(cls, margin: dict[str, float]) -> dict[str, float]:
-        if wrong := [name for name, value in margin.items() if not value > 0]:
-            raise ValueError(f"the margin of {wrong[0]} has to be above 0")
+        for name, value in margin.items():
+            if not value > 0:
+                raise ValueError(f"the margin of {name} has to be above 0")
         return margin

@@ -12,13 +12,20 @@ from typing import Any
 from planish.analyze.agreement import AgreementFacts
 from planish.core.checks import State, concerned
 from planish.core.errors import FileError, InputError
-from planish.core.facts import SIDES, RoughnessFacts, Trust, is_known
+from planish.core.facts import RoughnessFacts, ThinFacts, Trust, is_known
 from planish.core.text import without_folders
 from planish.report.summary import key_of
-from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results, SheetFacts
+from planish.results import (
+    CorrelationRow,
+    EvidenceFacts,
+    LayerFacts,
+    PropertyFacts,
+    Results,
+    SheetFacts,
+)
 from planish.run.run import open_results
 from planish.run.study import in_study_words
-from planish.series_results import InstrumentFacts, Member, SeriesSpecimen
+from planish.series_results import InstrumentFacts, Member, RunKind, SeriesSpecimen
 
 _STATES: tuple[State, ...] = ("fail", "look", "unknown")
 
@@ -85,22 +92,17 @@ class Gathered:
         """
         is_only_sheet = all(len(run.sheets) <= 1 for run in self.runs.values())
         is_only_image = all(len(run.images) <= 1 for run in self.runs.values())
-
-        def shown_layer(row: FigureRow, layer: str) -> str:
-            return (
-                ""
-                if (is_only_sheet if layer in self.runs[row.specimen].sheets else is_only_image)
-                else layer
-            )
-
-        return [
-            replace(
-                row,
-                layer=shown_layer(row, row.layer),
-                other_layer=shown_layer(row, row.other_layer),
-            )
-            for row in self.rows
-        ]
+        nameless: dict[str, set[str]] = {}
+        for name, run in self.runs.items():
+            nameless[name] = {*run.sheets} if is_only_sheet else set()
+            if is_only_image:
+                nameless[name].update(run.images)
+        rows: list[FigureRow] = []
+        for row in self.rows:
+            layers = {"layer": row.layer, "other_layer": row.other_layer}
+            without = {key: "" for key, name in layers.items() if name in nameless[row.specimen]}
+            rows.append(replace(row, **without))
+        return rows
 
 
 def gather(members: Sequence[Member], home: Path) -> Gathered:
@@ -123,8 +125,10 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
     InputError
         If some runs have an older format than others.
     """
-    judged_members, rows, runs = list[Member](), list[FigureRow](), dict[str, RunSummary]()
-    run_by_age = dict[bool, str]()
+    judged_members: list[Member] = []
+    rows: list[FigureRow] = []
+    runs: dict[str, RunSummary] = {}
+    run_by_age: dict[bool, str] = {}
     for timed_member in members:
         # Of a clock: no two runs take the same.
         member = timed_member.model_copy(update={"seconds": None})
@@ -169,45 +173,57 @@ def as_judged(member: Member, results: Results) -> Member:
 
 def _summary(member: Member, results: Results) -> RunSummary:
     sheets = [layer for layer in results.layers if layer.kind == "sheet"]
-    registrations = [
-        layer.registration for layer in results.moving if layer.registration is not None
-    ]
     widths_um = [um for layer in sheets for um in layer.source.size_um[1:]]
     for layer in sheets:
         if layer.sheet is not None and layer.sheet.numbers is not None:
-            widths_um += [thin_um.support_um for thin_um in layer.sheet.numbers.thin.values()]
+            widths_um += [thin.support_um for thin in layer.sheet.numbers.thin.values()]
     thin_um = results.parameters.get("correlate", {}).get("thin_um")
-    kind = "layers" if results.is_link else "map"
-    if results.is_link and len(results.layers) == 2 and sheets:
-        kind = "two volumes" if len(sheets) == 2 else "sheet on image"
-    instruments = (
-        _instruments(member, results, e, e.agreement)
-        for e in results.evidence
-        if e.agreement is not None
-    )
     return RunSummary(
-        specimen=SeriesSpecimen(
-            member=member,
-            kind=kind,
-            light=results.state,
-            spoken={
-                s: tuple(c.name for c in checks)
-                for s in _STATES
-                if (checks := results.checks_in(s))
-            },
-            marks_used=min((r.matched for r in registrations), default=None),
-            leave_one_out_um=_largest([r.leave_one_out_rms_um for r in registrations]),
-            expected_error_um=_largest(
-                [e.median_um for r in registrations if (e := r.expected_error)]
-            ),
-        ),
+        specimen=_specimen(member, results),
         sheets=tuple(layer.name for layer in sheets),
         images=tuple(layer.name for layer in results.layers if layer.kind == "image"),
         headlines=tuple(dict.fromkeys(layer.headline for layer in sheets)),
         volumes=tuple(layer.source.sha256 for layer in sheets),
         thin_um=float(thin_um) if isinstance(thin_um, int | float) else None,
         column_um=max(widths_um, default=None),
-        instruments=tuple(facts for facts in instruments if facts is not None),
+        instruments=tuple(_instruments(member, results)),
+    )
+
+
+def _kind_of(results: Results) -> RunKind:
+    if not results.is_link:
+        return "map"
+    kinds = sorted(layer.kind for layer in results.layers)
+    if kinds == ["image", "sheet"]:
+        return "sheet on image"
+    return "two volumes" if kinds == ["sheet", "sheet"] else "layers"
+
+
+def _specimen(member: Member, results: Results) -> SeriesSpecimen:
+    """A specimen as the page of the series names it, without sheet and figures."""
+    spoken: dict[State, tuple[str, ...]] = {}
+    for state in _STATES:
+        checks = results.checks_in(state)
+        if checks:
+            spoken[state] = tuple(check.name for check in checks)
+    marks_used: list[int] = []
+    leave_one_out_um: list[float | None] = []
+    expected_error_um: list[float | None] = []
+    for layer in results.moving:
+        registration = layer.registration
+        if registration is not None:
+            marks_used.append(registration.matched)
+            leave_one_out_um.append(registration.leave_one_out_rms_um)
+            if registration.expected_error is not None:
+                expected_error_um.append(registration.expected_error.median_um)
+    return SeriesSpecimen(
+        member=member,
+        kind=_kind_of(results),
+        light=results.state,
+        spoken=spoken,
+        marks_used=min(marks_used, default=None),
+        leave_one_out_um=_largest(leave_one_out_um),
+        expected_error_um=_largest(expected_error_um),
     )
 
 
@@ -215,46 +231,51 @@ def _largest(lengths: Sequence[float | None]) -> float | None:
     return None if None in lengths else max((um for um in lengths if um is not None), default=None)
 
 
-def _instruments(
-    member: Member, results: Results, e: EvidenceFacts, agreement: AgreementFacts
-) -> InstrumentFacts | None:
+def _instruments(member: Member, results: Results) -> Iterator[InstrumentFacts]:
     """How two measurements of the map that stands for both sheets differ.
 
-    None where they are of two quantities.
+    Of two quantities, there is no such thing.
     """
-    rows = [row for row in results.correlations if key_of(row) == key_of(e)]
-    if is_known(agreement.point_um):
-        rows = [
-            row
-            for row in rows
-            if abs(row.point_um - agreement.point_um) <= 1e-6 * agreement.point_um
-        ]
-    row = max(rows, key=lambda row: row.point_um, default=None)
-    if row is None or not row.same_quantity:
-        return None
-    figures: dict[str, Any] = {}
-    if row.trust != "withheld":
-        has_slopes = is_known(row.slope) and row.slope_x_on_y
-        figures = {
-            "bias": row.difference_mean,
-            "bias_interval": agreement.bias_interval,
-            "limits": row.limits,
-            "limit_intervals": agreement.limit_intervals,
-            "shared_um": agreement.resolution_um,
-            "slopes": (row.slope, 1 / row.slope_x_on_y) if has_slopes else None,
-            "sentence": agreement.sentence or "",
-        }
-    return InstrumentFacts(
-        specimen=member.name,
-        a=e.a,
-        b=e.b,
-        map=e.a_map,
-        trust=row.trust,
-        unit=row.units or "1",
-        point_um=row.point_um,
-        n=row.n,
-        **figures,
-    )
+    for evidence in results.evidence:
+        agreement = evidence.agreement
+        if agreement is None:
+            continue
+        row = _stated_row(results, evidence, agreement.point_um)
+        if row is None or not row.same_quantity:
+            continue
+        figures: dict[str, Any] = {}
+        if row.trust != "withheld":
+            has_slopes = is_known(row.slope) and row.slope_x_on_y
+            figures = {
+                "bias": row.difference_mean,
+                "bias_interval": agreement.bias_interval,
+                "limits": row.limits,
+                "limit_intervals": agreement.limit_intervals,
+                "shared_um": agreement.resolution_um,
+                "slopes": (row.slope, 1 / row.slope_x_on_y) if has_slopes else None,
+                "sentence": agreement.sentence or "",
+            }
+        yield InstrumentFacts(
+            specimen=member.name,
+            a=evidence.a,
+            b=evidence.b,
+            map=evidence.a_map,
+            trust=row.trust,
+            unit=row.units or "1",
+            point_um=row.point_um,
+            n=row.n,
+            **figures,
+        )
+
+
+def _stated_row(
+    results: Results, evidence: EvidenceFacts, point_um: float
+) -> CorrelationRow | None:
+    """The correlation of a pair at the points where its agreement is stated, or the largest."""
+    rows = [row for row in results.correlations if key_of(row) == key_of(evidence)]
+    if is_known(point_um):
+        rows = [row for row in rows if abs(row.point_um - point_um) <= 1e-6 * point_um]
+    return max(rows, key=lambda row: row.point_um, default=None)
 
 
 def rows_of(member: Member, results: Results) -> list[FigureRow]:
@@ -282,86 +303,90 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
     ]
 
 
-def _roughness_by_map(sheet: SheetFacts) -> dict[str, RoughnessFacts]:
-    if sheet.numbers is None:
-        return {}
-    return {f"topography_{side}": facts for side, facts in sheet.numbers.roughness.items()} | {
-        f"half_thickness_{side}": facts
-        for side, facts in sheet.numbers.roughness_about_centre.items()
-    }
-
-
-def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterator[FigureRow]:  # noqa: C901
-    sheet, registration = layer.sheet, layer.registration
+def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
+    """Figures of the sheet of a layer, and of its registration."""
     make_row = partial(make_row, layer=layer.name)
-    if sheet is not None:
-        thin_by_side = sheet.numbers.thin if sheet.numbers else {}
-        roughness_by_map = _roughness_by_map(sheet)
-        for name, stats in sheet.properties.items():
-            make_map_row = partial(
-                make_row,
-                map=name,
-                period_deg=stats.period_deg,
-                **_trusted(stats.trust, results, (layer.name,), (name,)),
-            )
-            for quantity in ("mean", "sd", "p5", "median", "p95"):
-                yield make_map_row(quantity, getattr(stats, quantity), stats.units)
-            yield make_map_row("columns", float(stats.n))
-            for quantity, unit in (
-                ("n_independent", "1"),
-                ("mean_standard_error", stats.units),
-                ("support_um", "um"),
-            ):
-                if (value := getattr(stats, quantity)) is not None:
-                    yield make_map_row(quantity, float(value), unit)
-            for side in SIDES:
-                # Those of a withheld map are withheld as well.
-                if name == f"coating_{side}" and side in thin_by_side:
-                    for limit, share in zip(
-                        thin_by_side[side].thinner_than_um, thin_by_side[side].share, strict=True
-                    ):
-                        yield make_map_row("thin_share", share, at_um=limit)
-            if name in roughness_by_map:
-                yield make_map_row("sa", roughness_by_map[name].sa, "um")
-                yield make_map_row("sq", roughness_by_map[name].sq, "um")
-        yield make_row("measured_share", sheet.surfaces.shares.get("measured"))
-    if registration is not None:
-        make_row = partial(make_row, other_layer=registration.to)
-        yield make_row("marks_used", float(registration.matched))
-        yield make_row("residual", registration.rms_um, "um")
-        yield make_row("leave_one_out", registration.leave_one_out_rms_um, "um")
-        if (errors := registration.expected_error) is not None:
-            trust_fields = _trusted(errors.trust, results, (layer.name,), ("position",))
-            yield make_row("expected_error", errors.median_um, "um", **trust_fields)
-            yield make_row("largest_expected_error", errors.largest_um, "um", **trust_fields)
+    if layer.sheet is not None:
+        yield from _of_sheet(layer.sheet, layer.name, results, make_row)
+    registration = layer.registration
+    if registration is None:
+        return
+    make_row = partial(make_row, other_layer=registration.to)
+    yield make_row("marks_used", float(registration.matched))
+    yield make_row("residual", registration.rms_um, "um")
+    yield make_row("leave_one_out", registration.leave_one_out_rms_um, "um")
+    errors = registration.expected_error
+    if errors is not None:
+        trust_fields = _trusted(errors.trust, results, (layer.name,), ("position",))
+        yield make_row("expected_error", errors.median_um, "um", **trust_fields)
+        yield make_row("largest_expected_error", errors.largest_um, "um", **trust_fields)
+
+
+def _of_sheet(
+    sheet: SheetFacts, layer: str, results: Results, make_row: MakeRow
+) -> Iterator[FigureRow]:
+    """Statistics, thin shares and roughness of each map of a sheet."""
+    thin_by_map: dict[str, ThinFacts] = {}
+    roughness_by_map: dict[str, RoughnessFacts] = {}
+    numbers = sheet.numbers
+    if numbers is not None:
+        about_centre = numbers.roughness_about_centre
+        thin_by_map = {f"coating_{side}": thin for side, thin in numbers.thin.items()}
+        roughness_by_map = {f"topography_{s}": facts for s, facts in numbers.roughness.items()}
+        roughness_by_map |= {f"half_thickness_{s}": facts for s, facts in about_centre.items()}
+    for name, stats in sheet.properties.items():
+        trust_fields = _trusted(stats.trust, results, (layer,), (name,))
+        make_map_row = partial(make_row, map=name, period_deg=stats.period_deg, **trust_fields)
+        yield from _of_map(stats, make_map_row)
+        # Those of a withheld map are withheld as well.
+        if name in thin_by_map:
+            thin = thin_by_map[name]
+            for limit, share in zip(thin.thinner_than_um, thin.share, strict=True):
+                yield make_map_row("thin_share", share, at_um=limit)
+        if name in roughness_by_map:
+            yield make_map_row("sa", roughness_by_map[name].sa, "um")
+            yield make_map_row("sq", roughness_by_map[name].sq, "um")
+    yield make_row("measured_share", sheet.surfaces.shares.get("measured"))
+
+
+def _of_map(stats: PropertyFacts, make_row: MakeRow) -> Iterator[FigureRow]:
+    for quantity in ("mean", "sd", "p5", "median", "p95"):
+        yield make_row(quantity, getattr(stats, quantity), stats.units)
+    yield make_row("columns", float(stats.n))
+    units = {"n_independent": "1", "mean_standard_error": stats.units, "support_um": "um"}
+    for quantity, unit in units.items():
+        value = getattr(stats, quantity)
+        if value is not None:
+            yield make_row(quantity, float(value), unit)
 
 
 def _of_pairs(results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
+    """Correlations and differences of pairs of maps, and the mottle of images."""
     agreement_by_pair = {key_of(e): e.agreement for e in results.evidence}
     for c in results.correlations:
-        trust_fields = _trusted(
-            c.trust, results, (c.a, c.b), (c.a_map, c.b_map, "position", "correlation")
-        )
+        figures = (c.a_map, c.b_map, "position", "correlation")
+        trust_fields = _trusted(c.trust, results, (c.a, c.b), figures)
         pair_fields = {"layer": c.a, "map": c.a_map, "other_layer": c.b, "other_map": c.b_map}
         make_pair_row = partial(make_row, **pair_fields, **trust_fields, at_um=c.point_um)
         low, high = map(_number, c.interval)
         yield make_pair_row("r", _number(c.r), low=low, high=high)
-        for quantity in ("r2", "slope", "n", "n_eff", "n_eff_interval"):
-            quantity_name = "points" if quantity == "n" else quantity
-            yield make_pair_row(quantity_name, _number(float(getattr(c, quantity))))
+        values = {
+            "r2": c.r2,
+            "slope": c.slope,
+            "points": c.n,
+            "n_eff": c.n_eff,
+            "n_eff_interval": c.n_eff_interval,
+        }
+        for quantity, value in values.items():
+            yield make_pair_row(quantity, _number(float(value)))
         if c.same_quantity:
-            yield from _differences(
-                c, agreement_by_pair.get(key_of(c)), partial(make_pair_row, unit=c.units or "1")
-            )
+            agreement = agreement_by_pair.get(key_of(c))
+            yield from _differences(c, agreement, partial(make_pair_row, unit=c.units or "1"))
     for image in results.mottle:
+        make_image_row = partial(make_row, layer=image.layer, map="image")
         for band in image.bands:
-            yield make_row(
-                "coefficient_of_variation",
-                band.coefficient_of_variation,
-                layer=image.layer,
-                map="image",
-                at_um=band.longest_um,
-            )
+            variation = band.coefficient_of_variation
+            yield make_image_row("coefficient_of_variation", variation, at_um=band.longest_um)
 
 
 def _number(value: float) -> float | None:
@@ -379,12 +404,12 @@ def _differences(
         c.trust == "withheld" or not abs(agreement.point_um - c.point_um) < 1e-6
     ):
         agreement = None
-    intervals = (
-        (None,) * 3 if agreement is None else (agreement.bias_interval, *agreement.limit_intervals)
-    )
-    for quantity, value, ends in zip(
-        ("bias", "limit_low", "limit_high"), (c.difference_mean, *c.limits), intervals, strict=True
-    ):
+    intervals = [None] * 3
+    if agreement is not None:
+        intervals = [agreement.bias_interval, *agreement.limit_intervals]
+    quantities = ("bias", "limit_low", "limit_high")
+    values = (c.difference_mean, *c.limits)
+    for quantity, value, ends in zip(quantities, values, intervals, strict=True):
         low, high = ends if ends is not None and is_known(ends) else (None, None)
         yield make_row(quantity, _number(value), low=low, high=high)
     if agreement is not None and agreement.resolution_um is not None:

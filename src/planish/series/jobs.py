@@ -122,20 +122,21 @@ class SeriesState:
             note = self._note_of(study, specimen)
         except PlanishError as error:
             return specimen.member.model_copy(update=_reason_of(error))
+        name = specimen.name
         k = 1
-        while True:  # another folder where there is a run with other files or options
-            folder_name = specimen.name if k == 1 else f"{specimen.name}-{k}"
-            folder = self.home / RUNS / folder_name
+        while True:  # another folder where there is a run of something else
+            folder = self.home / RUNS / name
             old_note = self._read(folder)
-            is_same_job = old_note is not None and old_note.key == note.key
-            if (k == 1 or folder_name.casefold() not in self._reserved) and (
-                is_same_job or not folder.exists()
-            ):
+            if old_note is not None and old_note.key != note.key:
+                old_note = None
+            is_free = name == specimen.name or name.casefold() not in self._reserved
+            if is_free and (old_note is not None or not folder.exists()):
                 break
             k += 1
+            name = f"{specimen.name}-{k}"
         if is_run(folder):
             return self.member(specimen, folder)
-        if old_note is not None and is_same_job and old_note.state == "refused":
+        if old_note is not None and old_note.state == "refused":
             return _without_run(specimen, old_note)
         return Job(name=specimen.name, study=study, folder=folder, compute=compute, note=note)
 
@@ -145,11 +146,9 @@ class SeriesState:
         message = in_study_words(note.message.replace(f"{self.home}{os.sep}", ""))
         note = note.model_copy(update={"message": message})
         self._write(job.folder, note)
-        return (
-            self.member(specimen, job.folder)
-            if is_run(job.folder)
-            else _without_run(specimen, note)
-        )
+        if is_run(job.folder):
+            return self.member(specimen, job.folder)
+        return _without_run(specimen, note)
 
     def member(self, specimen: PlannedSpecimen, folder: Path) -> Member:
         """A specimen with its run, as its results judge it."""
@@ -177,23 +176,24 @@ class SeriesState:
                 if layer.kind == "image":
                     pixels += size
                 else:
-                    voxels, columns = voxels + size, columns + size ** (2 / 3)
+                    voxels += size
+                    columns += size ** (2 / 3)
                     volume_bytes = max(volume_bytes, bytes_to_hold(header["bytes"]))
         except PlanishError as error:
             return Estimate(words=f"refused: {error.text}")
-        notes = [self._read(Path(path.stem)) for path in (self.home / NOTES).glob("*.json")]
-        seconds = [
-            note.seconds
-            for note in notes
-            if note and note.seconds and note.state in ("whole", "withheld")
-        ]
-        modelled_s = _START_S + _PER_VOXEL_S * voxels + _PER_PIXEL_S * pixels
         return Estimate(
             words="to do",
-            seconds=modelled_s if len(seconds) < 3 else median(seconds),
+            seconds=self._usual_s() or _START_S + _PER_VOXEL_S * voxels + _PER_PIXEL_S * pixels,
             memory_bytes=PROGRAM_BYTES + min(compute.for_work, volume_bytes + _PER_PIXEL * pixels),
             disk_bytes=_PER_COLUMN * columns + _PER_PIXEL * pixels,
         )
+
+    def _usual_s(self) -> float | None:
+        """Median time of the specimens that are done, where these are three or more."""
+        notes = [self._read(Path(path.stem)) for path in (self.home / NOTES).glob("*.json")]
+        done_notes = [note for note in notes if note and note.state in ("whole", "withheld")]
+        seconds = [note.seconds for note in done_notes if note.seconds]
+        return median(seconds) if len(seconds) >= 3 else None
 
     def _note_of(self, study: Study, specimen: PlannedSpecimen) -> Note:
         """What tells whether a run may be taken again, wherever the series was moved to."""
@@ -205,15 +205,15 @@ class SeriesState:
 
         options = to_dict(with_paths(study, without))
         old = self._read(self.home / RUNS / specimen.name)
-        stamps = {str(k): stamp_of(Path(path)) for k, path in enumerate(paths)}
-        hashes = {
-            k: (
-                old.hashes[k]
-                if old is not None and old.stamps.get(k) == stamp and k in old.hashes
-                else hash_of_input(path)
-            )
-            for (k, stamp), path in zip(stamps.items(), paths, strict=True)
-        }
+        stamps: dict[str, str] = {}
+        hashes: dict[str, str] = {}
+        for number, path in enumerate(paths):
+            k = str(number)
+            stamps[k] = stamp_of(Path(path))
+            if old is not None and old.stamps.get(k) == stamps[k] and k in old.hashes:
+                hashes[k] = old.hashes[k]
+            else:
+                hashes[k] = hash_of_input(path)
         return Note(key=run_key(options, list(hashes.values())), stamps=stamps, hashes=hashes)
 
     def _read(self, folder: Path) -> Note | None:
@@ -231,12 +231,12 @@ class SeriesState:
 
 def do(job: Job) -> Note:
     """Link the layers of a specimen, or map its volume; whatever goes wrong is noted, too."""
-    begin, outcome = time.perf_counter(), {"state": "damaged", "message": ""}
+    begin = time.perf_counter()
+    outcome = {"state": "damaged", "message": ""}
     try:
         # Of a worker that was lost when all was written, there is a run.
-        has_passed = (
-            is_run(job.folder) or run_study(job.study, job.folder, compute=job.compute).passed
-        )
+        is_done = is_run(job.folder)
+        has_passed = is_done or run_study(job.study, job.folder, compute=job.compute).passed
         outcome["state"] = "whole" if has_passed else "withheld"
     except PlanishError as error:
         outcome = _reason_of(error)
@@ -282,5 +282,7 @@ def stamp_of(path: Path) -> str:
     for file in files:
         with suppress(OSError):
             stat = file.stat()
-            count, size, changed_ns = count + 1, size + stat.st_size, changed_ns + stat.st_mtime_ns
+            count += 1
+            size += stat.st_size
+            changed_ns += stat.st_mtime_ns
     return f"{count} {size} {changed_ns}"

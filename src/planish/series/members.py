@@ -5,7 +5,7 @@ from pathlib import Path
 
 from planish.core.errors import FileError, InputError
 from planish.core.files import check_exists
-from planish.core.tables import CsvRow, CsvTable, parse_table, read_text
+from planish.core.tables import CsvRow, parse_table, read_text
 from planish.run.run import is_run
 from planish.run.study import relative_path
 from planish.series_results import Member
@@ -39,41 +39,21 @@ def members_of(
     InputError
         If a run is given twice, also as a copy, or the table does not fit.
     """
-    csv_table = None
-    if table is not None:
-        advice = "It needs a column run or name."
-        csv_table = parse_table(
-            read_text(table), table.name, needed=(), error=InputError, advice=advice
-        )
-        if not {"run", "name"} & set(csv_table.header):
-            csv_table.faults.append(
-                f"neither a column run nor name (found {', '.join(csv_table.header)[:120]})"
-            )
-        csv_table.check("Correct the table.")
-        if not csv_table.rows:
-            raise InputError(f"{csv_table.name} has a header and no rows. Give a row for each run.")
-    if csv_table is not None and not runs:
-        if "run" not in csv_table.header:
-            raise InputError(
-                f"{csv_table.name} has no column run. Add one with the folders of the runs, or name"
-                " them."
-            )
-        runs = [_from_table(table, csv_table.text(row, "run")) for row in csv_table.rows]
+    rows = _TableOfRuns(table) if table is not None else None
+    if rows is not None and not runs:
+        runs = rows.runs()
     folders = [_folder_of(run) for run in runs]
     _refuse_twice(runs, folders)
-    names, depth = [folder.name for folder in folders], 1
+    names = [folder.name for folder in folders]
+    depth = 1
     while len(set(names)) < len(names):  # with the folders above them where two are the same
         depth += 1
         names = ["/".join(folder.parts[-depth:]) for folder in folders]
-    factors = [{} for _ in folders] if csv_table is None else _factors(csv_table, table, folders)
+    factors = [{} for _ in folders] if rows is None else rows.factors(folders)
     return tuple(
         Member(name=name, factors=run_factors, run=relative_path(folder, home))
         for name, run_factors, folder in zip(names, factors, folders, strict=True)
     )
-
-
-def _from_table(table: Path | None, cell: str) -> Path:
-    return Path(cell) if table is None else table.absolute().parent / cell
 
 
 def _folder_of(run: Path) -> Path:
@@ -91,9 +71,9 @@ def _folder_of(run: Path) -> Path:
 
 def _refuse_twice(runs: Sequence[Path], folders: Sequence[Path]) -> None:
     """Raise InputError where one specimen would count twice: the same folder, or a copy of it."""
-    if len(set(folders)) < len(folders):
-        run = next(run for k, run in enumerate(runs) if folders[k] in folders[:k])
-        raise InputError(f"{run} is given twice. Give each run once: a specimen counts once.")
+    for k, run in enumerate(runs):
+        if folders[k] in folders[:k]:
+            raise InputError(f"{run} is given twice. Give each run once: a specimen counts once.")
     run_by_content: dict[bytes, Path] = {}
     for run, folder in zip(runs, folders, strict=True):
         file = folder / "results.json"
@@ -106,38 +86,60 @@ def _refuse_twice(runs: Sequence[Path], folders: Sequence[Path]) -> None:
         run_by_content[content] = run
 
 
-def _factors(
-    csv_table: CsvTable, table: Path | None, folders: Sequence[Path]
-) -> list[dict[str, str]]:
-    def is_row_of(row: CsvRow, folder: Path) -> bool:
-        run_cell = csv_table.text(row, "run")
-        paths = (
-            (_from_table(table, run_cell).resolve(), Path(run_cell).resolve()) if run_cell else ()
-        )
-        return folder in paths or folder.name in (run_cell, csv_table.text(row, "name"))
+class _TableOfRuns:
+    """A table that names runs and gives their factors."""
 
-    factors, used = list[dict[str, str]](), set[int]()
-    for folder in folders:
-        rows = [row for row in csv_table.rows if is_row_of(row, folder)]
-        if len(rows) != 1:
-            few = "no row" if not rows else f"{len(rows)} rows"
-            raise InputError(
-                f"{csv_table.name} has {few} for the run {folder.name}. Give it one row: its path"
-                f" or name in the column {'run' if 'run' in csv_table.header else 'name'}."
+    def __init__(self, path: Path) -> None:
+        advice = "It needs a column run or name."
+        table = parse_table(read_text(path), path.name, needed=(), error=InputError, advice=advice)
+        if not {"run", "name"} & set(table.header):
+            table.faults.append(
+                f"neither a column run nor name (found {', '.join(table.header)[:120]})"
             )
-        used.add(rows[0].line)
-        cells = {
-            name: csv_table.text(rows[0], name)
-            for name in csv_table.header
-            if name not in ("run", "name", "")
-        }
-        factors.append({name: cell for name, cell in cells.items() if cell})
-    if idle := [row for row in csv_table.rows if row.line not in used]:
-        shown = ", ".join(
-            csv_table.text(row, "run") or csv_table.text(row, "name") or "empty" for row in idle[:5]
-        )
-        raise InputError(
-            f"{csv_table.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that"
-            f" was given: {shown}. Give these runs, too, or take the rows out."
-        )
-    return factors
+        table.check("Correct the table.")
+        if not table.rows:
+            raise InputError(f"{table.name} has a header and no rows. Give a row for each run.")
+        self._table = table
+        self._home = path.absolute().parent
+
+    def runs(self) -> list[Path]:
+        """The runs that the table names."""
+        if "run" not in self._table.header:
+            raise InputError(
+                f"{self._table.name} has no column run. Add one with the folders of the runs, or"
+                " name them."
+            )
+        return [self._home / self._table.text(row, "run") for row in self._table.rows]
+
+    def factors(self, folders: Sequence[Path]) -> list[dict[str, str]]:
+        """Factors of each run; InputError unless each has one row, and each row a run."""
+        table = self._table
+        factors: list[dict[str, str]] = []
+        used_lines: set[int] = set()
+        for folder in folders:
+            rows = [row for row in table.rows if self._is_of(row, folder)]
+            if len(rows) != 1:
+                few = f"{len(rows)} rows" if rows else "no row"
+                raise InputError(
+                    f"{table.name} has {few} for the run {folder.name}. Give it one row: its path"
+                    f" or name in the column {'run' if 'run' in table.header else 'name'}."
+                )
+            used_lines.add(rows[0].line)
+            cells = {name: table.text(rows[0], name) for name in table.header}
+            names = [name for name in cells if name not in ("run", "name", "")]
+            factors.append({name: cells[name] for name in names if cells[name]})
+        idle = [row for row in table.rows if row.line not in used_lines]
+        if idle:
+            names = [table.text(row, "run") or table.text(row, "name") for row in idle[:5]]
+            raise InputError(
+                f"{table.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that"
+                f" was given: {', '.join(name or 'empty' for name in names)}. Give these runs, too,"
+                " or take the rows out."
+            )
+        return factors
+
+    def _is_of(self, row: CsvRow, folder: Path) -> bool:
+        cell = self._table.text(row, "run")
+        if cell and folder in ((self._home / cell).resolve(), Path(cell).resolve()):
+            return True
+        return folder.name in (cell, self._table.text(row, "name"))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from planish.core.errors import FileError
 from planish.core.older_names import todays_names
@@ -65,59 +66,58 @@ def open_study(path: str | Path) -> xr.Dataset:
         "utf-8", errors="replace"
     )
     table = parse_table(text, VALUES, needed=("specimen", *OF_A_ROW[:-1]), error=FileError)
-    figure_rows = [
-        dict(zip(table.header, table_row.cells, strict=True)) for table_row in table.rows
-    ]
+    figure_rows = [dict(zip(table.header, row.cells, strict=True)) for row in table.rows]
     table.check("Write the series again.")
     if results.stored_format < FORMAT:
         figure_rows = todays_names(figure_rows)
     names = [specimen.name for specimen in results.specimens]
-    if unknown := {row["specimen"] for row in figure_rows} - set(names):
+    unknown = {row["specimen"] for row in figure_rows} - set(names)
+    if unknown:
         raise FileError(
             f"{VALUES} has figures of {', '.join(sorted(unknown)[:3])}, which {RESULTS} does not"
             " know: the two files are of different series. Write the series again."
         )
-    has_several_sheets = any(
-        specimen.kind in ("two volumes", "layers") for specimen in results.specimens
-    )
+    kinds = {specimen.kind for specimen in results.specimens}
+    has_several_sheets = not kinds.isdisjoint(("two volumes", "layers"))
+    rows_by_quantity: dict[str, list[dict[str, str]]] = {}
+    for row in figure_rows:
+        rows_by_quantity.setdefault(row["quantity"], []).append(row)
     arrays: dict[str, xr.DataArray] = {}
-    for quantity in dict.fromkeys(row["quantity"] for row in figure_rows):
-        arrays |= _arrays(
-            quantity,
-            [row for row in figure_rows if row["quantity"] == quantity],
-            names,
-            has_several_sheets,
-        )
-    study = xr.Dataset(arrays).assign_coords(specimen=("specimen", np.array(names, dtype=object)))
-    reserved_names = {"state", *map(str, study.dims), *map(str, study.data_vars)}
-    for name, column in zip(results.factors, factor_columns(results.factors), strict=True):
-        levels = [specimen.factor(name) for specimen in results.specimens]
-        study = study.assign_coords(
-            {f"factor_{name}" if column in reserved_names else column: ("specimen", levels)}
-        )
-    study = study.assign_coords(state=("specimen", [member.state for member in results.members]))
+    for quantity, rows in rows_by_quantity.items():
+        arrays |= _arrays(quantity, rows, names, has_several_sheets)
+    study = xr.Dataset(arrays)
+    columns = ("specimen", *OF_A_ROW, "state", *map(str, study.dims), *map(str, study.data_vars))
+    coords: dict[str, list[str]] = {}
+    for name, column in zip(results.factors, factor_columns(results.factors, columns), strict=True):
+        coords[column] = [specimen.factor(name) for specimen in results.specimens]
+    coords["state"] = [member.state for member in results.members]
+    study = study.assign_coords(specimen=np.array(names, dtype=object))
+    study = study.assign_coords({name: ("specimen", texts) for name, texts in coords.items()})
     return study.assign_attrs(planish=results.planish, compared_by=results.compared_by or "")
 
 
 def _labels(row: Mapping[str, str], has_several_sheets: bool) -> dict[str, Any]:
-    quantity, layer, other_layer = row["quantity"], row["layer"], row["other_layer"]
+    """Names and sizes of what a figure is of, by dim."""
+    quantity = row["quantity"]
+    layer = row["layer"]
     if quantity.startswith("checks_"):
         return {}
     if quantity == "measured_share":
         return {"layer": layer}
     if not row["map"]:
-        return {"registration": f"{layer}/{other_layer}"}
-    first_map = f"{layer}.{row['map']}" if has_several_sheets and layer else row["map"]
-    if row["other_map"]:
-        second_map = (
-            f"{other_layer}.{row['other_map']}"
-            if has_several_sheets and other_layer
-            else row["other_map"]
-        )
-        return {"pair": f"{first_map}/{second_map}", "point_um": _number(row["at_um"])}
-    return {"map": first_map} | (
-        {_SIZES[quantity]: _number(row["at_um"])} if quantity in _SIZES else {}
+        return {"registration": f"{layer}/{row['other_layer']}"}
+    first_map, second_map = (
+        f"{row[side + 'layer']}.{row[side + 'map']}"
+        if has_several_sheets and row[f"{side}layer"]
+        else row[f"{side}map"]
+        for side in ("", "other_")
     )
+    if row["other_map"]:
+        return {"pair": f"{first_map}/{second_map}", "point_um": _number(row["at_um"])}
+    labels: dict[str, Any] = {"map": first_map}
+    if quantity in _SIZES:
+        labels[_SIZES[quantity]] = _number(row["at_um"])
+    return labels
 
 
 def _number(text: str) -> float:
@@ -136,38 +136,30 @@ def _arrays(
 
     With it come the ends of its intervals, where it has any, and what the checks leave of it.
     """
-    figure_labels = [
-        {"specimen": row["specimen"]} | _labels(row, has_several_sheets) for row in rows
-    ]
+    figures = [{"specimen": row["specimen"]} | _labels(row, has_several_sheets) for row in rows]
     labels: dict[str, list[Any]] = {"specimen": list(names)}
-    for dim in [*figure_labels[0]][1:]:  # texts as they come, numbers in their order
-        dim_labels = list(dict.fromkeys(label_of[dim] for label_of in figure_labels))
-        labels[dim] = dim_labels if isinstance(dim_labels[0], str) else sorted(dim_labels)
-    positions = {
-        dim: {label: k for k, label in enumerate(dim_labels)} for dim, dim_labels in labels.items()
-    }
+    coords: dict[str, NDArray[Any]] = {}
+    for dim in [*figures[0]][1:]:  # texts as they come, numbers in their order
+        labels[dim] = list(dict.fromkeys(figure[dim] for figure in figures))
+        is_text = isinstance(labels[dim][0], str)
+        if not is_text:
+            labels[dim].sort()
+        coords[dim] = np.array(labels[dim], dtype=object if is_text else np.float64)
     # The figure and the ends of its interval.
     values = np.full((3, *map(len, labels.values())), np.nan)
     trust = np.full(values.shape[1:], -1, dtype=np.int8)
-    for row, label_of in zip(rows, figure_labels, strict=True):
-        index = tuple(positions[dim][label] for dim, label in label_of.items())
+    for row, figure in zip(rows, figures, strict=True):
+        index = tuple(labels[dim].index(label) for dim, label in figure.items())
         values[(slice(None), *index)] = [_number(row[name]) for name in ("value", "low", "high")]
         trust[index] = _TRUST.get(row["trust"], -1)
     units = {row["unit"] for row in rows}
     attrs: dict[str, Any] = {"units": units.pop()} if len(units) == 1 else {}
-    coords = {
-        dim: np.array(dim_labels, dtype=object if isinstance(dim_labels[0], str) else np.float64)
-        for dim, dim_labels in labels.items()
-        if dim != "specimen"
-    }
     variables = {quantity: (values[0], attrs)}
     if np.isfinite(values[1]).any():
         variables |= {f"{quantity}_low": (values[1], attrs), f"{quantity}_high": (values[2], attrs)}
     if quantity in _JUDGED:
-        variables[_JUDGED[quantity]] = (
-            trust,
-            {"flag_values": [0, 1, 2], "flag_meanings": " ".join(_TRUST)},
-        )
+        flags = {"flag_values": [0, 1, 2], "flag_meanings": " ".join(_TRUST)}
+        variables[_JUDGED[quantity]] = (trust, flags)
     return {
         name: xr.DataArray(array, dims=list(labels), coords=coords, attrs=dict(array_attrs))
         for name, (array, array_attrs) in variables.items()

@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Sequence
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -152,20 +153,15 @@ def _read_map(store: Path, kind: RunKind, quantity: Quantity) -> xr.DataArray | 
 
     The smallest copy that will do.
     """
-    name, layer_group = quantity.map, f"layers/{quantity.layer}"
-    for group in (
-        f"{layer_group}/maps",
-        layer_group,
-        "maps",
-        *(() if kind == "map" else ("linked",)),
-    ):
+    name = quantity.map
+    groups = [f"layers/{quantity.layer}/maps", f"layers/{quantity.layer}", "maps"]
+    if kind != "map":
+        groups.append("linked")
+    for group in groups:
         if map_folder(store, group, name):
             smallest_group = [group, *overviews_of(store, group, name)][-1]
-            data = read_group(
-                store,
-                smallest_group,
-                [v for v in (name, "valid") if map_folder(store, smallest_group, v)],
-            )
+            names = [v for v in (name, "valid") if map_folder(store, smallest_group, v)]
+            data = read_group(store, smallest_group, names)
             values = data[name].values.astype(np.float64)
             if "valid" in data:
                 values = np.where(data["valid"].values.astype(bool), values, np.nan)
@@ -185,14 +181,11 @@ def figures_table(
 ) -> tuple[list[str], list[list[Any]]]:
     """Header and cells of values.csv: one row a figure."""
     header = ["specimen", *factor_columns(factors), *OF_A_ROW]
-    return header, [
-        [
-            row.specimen,
-            *(row.factors.get(name, "") for name in factors),
-            *(getattr(row, name) for name in OF_A_ROW),
-        ]
-        for row in rows
-    ]
+    cells: list[list[Any]] = []
+    for row in rows:
+        levels = [row.factors.get(name, "") for name in factors]
+        cells.append([row.specimen, *levels, *attrgetter(*OF_A_ROW)(row)])
+    return header, cells
 
 
 def parquet_bytes(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes:
@@ -218,7 +211,8 @@ def _specimens_text(results: SeriesResults) -> str:
     """
     header = ["specimen", *factor_columns(results.factors, _OF_A_SPECIMEN), *_OF_A_SPECIMEN[1:]]
     for q in results.quantities:
-        name_parts, suffixes = [q.layer, q.map, q.what], ("", "_trust")
+        name_parts = [q.layer, q.map, q.what]
+        suffixes = ("", "_trust")
         if q.what == "r":
             name_parts += [q.other_layer, q.other_map if q.other_map != q.map else ""]
             suffixes = ("", "_low", "_high", "_n_eff", "_trust")
@@ -230,25 +224,16 @@ def _specimens_text(results: SeriesResults) -> str:
         header += [f"{name}{suffix}" for suffix in suffixes]
     rows: list[list[Any]] = []
     for specimen in results.specimens:
-        row: list[Any] = [
-            specimen.name,
-            *map(specimen.factor, results.factors),
-            specimen.member.state,
-            specimen.kind,
-        ]
-        row += [
-            specimen.sheet,
-            specimen.light,
-            *("; ".join(specimen.spoken.get(s, ())) for s in ("fail", "look")),
-        ]
+        member = specimen.member
+        row: list[Any] = [specimen.name, *map(specimen.factor, results.factors), member.state]
+        row += [specimen.kind, specimen.sheet, specimen.light]
+        row += ["; ".join(specimen.spoken.get(state, ())) for state in ("fail", "look")]
         row += [specimen.marks_used, specimen.leave_one_out_um, specimen.expected_error_um]
         cells = specimen.cells or [Cell()] * len(results.quantities)
         for quantity, cell in zip(results.quantities, cells, strict=True):
-            interval_cells = [cell.low, cell.high, cell.n_eff] if quantity.what == "r" else []
-            row += [
-                cell.value,
-                *interval_cells,
-                cell.trust if cell.value is not None or cell.trust != "ok" else None,
-            ]
-        rows.append([*row, specimen.member.message, specimen.member.run])
+            row.append(cell.value)
+            if quantity.what == "r":
+                row += [cell.low, cell.high, cell.n_eff]
+            row.append(None if cell.value is None and cell.trust == "ok" else cell.trust)
+        rows.append([*row, member.message, member.run])
     return table_text([*header, "message", "run"], rows)

@@ -95,6 +95,10 @@ def read_plan(path: Path, changes: Sequence[str] = ()) -> Plan:
     changes : sequence of str
         Options of all specimens, `SECTION.NAME=VALUE`.
 
+    Returns
+    -------
+    Plan
+
     Raises
     ------
     FileError
@@ -104,11 +108,9 @@ def read_plan(path: Path, changes: Sequence[str] = ()) -> Plan:
     """
     text = read_text(path, what="table of specimens")
     plan = Plan(specimens=(), home=path.absolute().parent, changes=tuple(changes))
-    return (
-        _of_toml(path, text, plan)
-        if path.suffix.lower() == ".toml"
-        else _checked(path, _rows_of(path, text), plan)
-    )
+    if path.suffix.lower() == ".toml":
+        return _of_toml(path, text, plan)
+    return _checked(path, _rows_of(path, text), plan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +128,21 @@ class _TableRow:
 
 
 def _rows_of(path: Path, text: str) -> list[_TableRow]:
+    """Specimens of a CSV table; a decimal comma in an option is a fault."""
     table = parse_table(text, path.name, needed=(), error=InputError, advice=f"{_NEEDED}.")
     if not {"volume", "layers"} & set(table.header):
         table.faults.append(
             f"neither a column volume nor layers (found {', '.join(table.header)[:120]}). {_NEEDED}"
         )
+    rows: list[_TableRow] = []
     for row in table.rows:
+        cells: dict[str, str] = {}
+        options: list[str] = []
         for name, cell in zip(table.header, row.cells, strict=True):
+            if name and cell and "." not in name:
+                cells[name] = cell
+            elif name and cell:
+                options.append(f"{name}={cell}")
             if "." in name and DECIMAL_OR_TWO.fullmatch(cell):
                 table.fault(
                     row,
@@ -140,22 +150,15 @@ def _rows_of(path: Path, text: str) -> list[_TableRow]:
                     f" {cell.replace(',', ' and ')}; write a number with a decimal point, two with"
                     " a blank after the comma",
                 )
+        parts = map(str.strip, cells.pop("layers", "").split(";"))
+        layers = tuple(filter(None, parts))
+        rows.append(_TableRow(f"row {row.line}", cells, tuple(options), layers))
     table.check("Correct the table.")
-    rows: list[_TableRow] = []
-    for row in table.rows:
-        cell_texts = {
-            name: cell for name in table.header if name and (cell := table.text(row, name))
-        }
-        layers = tuple(
-            part.strip() for part in cell_texts.pop("layers", "").split(";") if part.strip()
-        )
-        options = tuple(f"{name}={cell}" for name, cell in cell_texts.items() if "." in name)
-        cells = {name: cell for name, cell in cell_texts.items() if "." not in name}
-        rows.append(_TableRow(f"row {row.line}", cells, options, layers))
     return rows
 
 
-def _of_toml(path: Path, text: str, plan: Plan) -> Plan:  # noqa: C901, PLR0912
+def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
+    """Complete a plan by a study file: its specimens, what they share, and what is compared."""
     sections = toml_tables(path, text)
     if not {"specimens", "watch"} & set(sections):
         raise FileError(
@@ -164,11 +167,10 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:  # noqa: C901, PLR0912
         )
     lines = key_lines(text)
     tables = sections.pop("specimens", [])
-    if not isinstance(tables, list) or not all(
-        isinstance(table, dict) for table in cast("list[Any]", tables)
-    ):
+    if not _is_list_of(dict, tables):
         raise InputError(f"{path}: specimens are tables, each under a line [[specimens]].")
-    compare, watch = sections.pop("compare", {}), sections.pop("watch", {})
+    compare = sections.pop("compare", {})
+    watch = sections.pop("watch", {})
     sections.pop("planish", None)
     _check_common(path, text, sections)
     try:
@@ -178,40 +180,40 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:  # noqa: C901, PLR0912
             error, Declared, lambda loc: (("compare", *loc), lines.of(("compare", *loc)))
         )
         raise InputError(f"{path}: {'; '.join(faults)}.") from error
-    faults, rows = list[str](), list[_TableRow]()
-    for k, table in enumerate(cast("list[dict[str, Any]]", tables)):
-        location = f"line {lines.of(('specimens', k))}"
-        cells, list_cells = dict[str, str](), dict[str, tuple[str, ...]]()
-        for name, value in table.items():
-            if name in _EXAMPLES:
-                if not isinstance(value, list) or not all(
-                    isinstance(v, str) for v in cast("list[Any]", value)
-                ):
-                    faults.append(
-                        f"{location}: {name} is a list of texts, such as {_EXAMPLES[name]}"
-                    )
-                else:
-                    list_cells[name] = tuple(cast("list[str]", value))
-            elif isinstance(value, (str, int, float)) and not isinstance(value, bool):
-                cells[name] = str(value)
-            else:
-                faults.append(
-                    f"{location}: {name} has to be a text or a number; options stand in set = [...]"
-                )
-        rows.append(
-            _TableRow(location, cells, list_cells.get("set", ()), list_cells.get("layers", ()))
-        )
+    faults: list[str] = []
+    rows = [
+        _row_of_toml(table, f"line {lines.of(('specimens', k))}", faults)
+        for k, table in enumerate(cast("list[dict[str, Any]]", tables))
+    ]
     raise_faults(path.name, faults, "Correct these lines.", error=InputError)
     for kind in ("volume", "image"):  # stands for the specimens that name none
-        if common := sections.get(kind, {}).pop("path", None):
-            for row in rows:
-                if not row.layers:
-                    row.cells.setdefault(kind, str(common))
-    return _checked(
-        path,
-        rows,
-        replace(plan, sections=sections, declared=declared, watch=watch),
-    )
+        common = sections.get(kind, {}).pop("path", None)
+        for row in rows:
+            if common and not row.layers:
+                row.cells.setdefault(kind, str(common))
+    return _checked(path, rows, replace(plan, sections=sections, declared=declared, watch=watch))
+
+
+def _is_list_of(kind: type, value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(v, kind) for v in cast("list[Any]", value))
+
+
+def _row_of_toml(table: Mapping[str, Any], location: str, faults: list[str]) -> _TableRow:
+    """A specimen of a study file; what is wrong with its values is added to the faults."""
+    cells: dict[str, str] = {}
+    lists: dict[str, tuple[str, ...]] = {}
+    for name, value in table.items():
+        if name in _EXAMPLES and _is_list_of(str, value):
+            lists[name] = tuple(value)
+        elif name in _EXAMPLES:
+            faults.append(f"{location}: {name} is a list of texts, such as {_EXAMPLES[name]}")
+        elif isinstance(value, (str, int, float)) and not isinstance(value, bool):
+            cells[name] = str(value)
+        else:
+            faults.append(
+                f"{location}: {name} has to be a text or a number; options stand in set = [...]"
+            )
+    return _TableRow(location, cells, lists.get("set", ()), lists.get("layers", ()))
 
 
 def _check_common(path: Path, text: str, sections: Mapping[str, Any]) -> None:
@@ -223,65 +225,67 @@ def _check_common(path: Path, text: str, sections: Mapping[str, Any]) -> None:
         )
     tables = dict(sections)
     for kind in ("volume", "image"):
-        if isinstance(table := tables.get(kind, {}), dict):
+        table = tables.get(kind, {})
+        if isinstance(table, dict):
             tables[kind] = {"path": "x"} | cast("dict[str, Any]", table)
     checked_study(path, text, tables)
 
 
 def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
+    """Complete a plan by its specimens; all that is wrong with them is raised at once."""
     if not rows and not plan.watch:
         raise InputError(f"{path} names no specimen. {_NEEDED}.")
-    faults, specimens = list[str](), list[PlannedSpecimen]()
+    faults: list[str] = []
+    specimens: list[PlannedSpecimen] = []
     for row, name in zip(rows, _names(rows, plan.home), strict=True):
-        if row.layers and {"volume", "image"} & set(row.cells):
+        named_files = [row.cells[kind] for kind in ("volume", "image") if kind in row.cells]
+        if row.layers and named_files:
             faults.append(f"{row.location}: give layers, or volume and image, not both")
         if not row.layers and "volume" not in row.cells:
             faults.append(f"{row.location}: no volume")
-        if fault := _fault_of(name):
+        fault = _fault_of(name)
+        if fault:
             faults.append(
                 f"{row.location}: {name!r} cannot name a specimen: {fault}; give it another name"
             )
-        files = row.layers or tuple(
-            row.cells[kind] for kind in ("volume", "image") if kind in row.cells
-        )
+        files = tuple(_absolute(file, plan.home) for file in row.layers or named_files)
         specimens.append(
-            PlannedSpecimen(
-                name=name,
-                files=tuple(_absolute(file, plan.home) for file in files),
-                changes=row.changes,
-                factors=row.factors,
-            )
+            PlannedSpecimen(name=name, files=files, changes=row.changes, factors=row.factors)
         )
     first_locations: dict[Any, str] = {}
     for row, specimen in zip(rows, specimens, strict=True):
-        for clash_text, key in (
-            (f"the name {specimen.name!r}", specimen.name.casefold()),
-            ("the same files and options", (specimen.files, specimen.changes)),
-        ):
-            if (location := first_locations.setdefault(key, row.location)) != row.location:
-                faults.append(f"{row.location}: {clash_text} as {location}")
+        clashes: dict[Any, str] = {
+            specimen.name.casefold(): f"the name {specimen.name!r}",
+            (specimen.files, specimen.changes): "the same files and options",
+        }
+        for key, clash in clashes.items():
+            location = first_locations.setdefault(key, row.location)
+            if location != row.location:
+                faults.append(f"{row.location}: {clash} as {location}")
     raise_faults(path.name, faults, "Correct the table.", error=InputError)
+    compared = plan.declared.compare
+    if compared is not None and not plan.watch:
+        _check_compared(path, compared, specimens)
+    return replace(plan, specimens=tuple(specimens))
+
+
+def _check_compared(path: Path, compared: str, specimens: Sequence[PlannedSpecimen]) -> None:
     factors = sorted({factor for specimen in specimens for factor in specimen.factors})
-    if (
-        (compared := plan.declared.compare) is not None
-        and compared not in factors
-        and not plan.watch
-    ):
+    if compared not in factors:
         raise InputError(
             f"{path}: compare names {compared}, and no specimen has that factor; there are "
             f"{', '.join(factors) or 'none'}. Add a column {compared}, or name another one."
         )
-    return replace(plan, specimens=tuple(specimens))
 
 
 def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
     """Names as given; else the factors, or the files, whichever tells all specimens apart."""
     by_factor = ["-".join(row.factors.values()) for row in rows]
-    first_files = [
-        (row.layers[0] if row.layers else row.cells.get("volume", "")).rpartition("=")[2]
-        for row in rows
-    ]
-    by_file = [find_place(home / file).stem if file else "" for file in first_files]
+    by_file: list[str] = []
+    for row in rows:
+        first_file = row.layers[0] if row.layers else row.cells.get("volume", "")
+        file = first_file.rpartition("=")[2]
+        by_file.append(find_place(home / file).stem if file else "")
     width = len(str(len(rows)))
     guesses = [f"specimen-{k:0{width}d}" for k in range(1, len(rows) + 1)]
     for names in (by_file, by_factor):
@@ -293,7 +297,8 @@ def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
 def _fault_of(name: str) -> str | None:
     if not name.strip() or name.startswith("."):
         return "a name begins with a letter or a digit"
-    if character := _NO_NAME.search(name):
+    character = _NO_NAME.search(name)
+    if character:
         return f"{character[0]!r} cannot stand in the name of a folder"
     if len(name) > _LONGEST_NAME:
         return f"it has more than {_LONGEST_NAME} characters"

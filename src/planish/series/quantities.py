@@ -4,7 +4,7 @@ These are statistics of the leading maps, and their correlation.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from planish.core.errors import InputError
 from planish.core.numbers import in_words
@@ -26,9 +26,8 @@ def check_maps_known(declared: Declared) -> None:
     names = property_names()
     for name in maps_of(declared):
         if name not in names:
-            raise InputError(
-                f"There is no map {name}; there are {', '.join(names)}.{likely(name, names)}"
-            )
+            words = likely(name, names)
+            raise InputError(f"There is no map {name}; there are {', '.join(names)}.{words}")
 
 
 def maps_of(declared: Declared) -> list[str]:
@@ -62,57 +61,71 @@ def quantities_of(
     Maps lead that are declared (InputError for one in no run), or else stand for most runs; those
     with a margin follow.
     """
-    maps, declared_maps = {row.map for row in rows if row.quantity == "mean"}, maps_of(declared)
-    for name in declared_maps:
-        if runs and name not in maps:
-            raise InputError(
-                f"No run has a map {name}; there are"
-                f" {', '.join(sorted(maps)) or 'none'}.{likely(name, maps)} Name one of them."
-            )
-    headline_counts = Counter(name for run in runs.values() for name in run.headlines).most_common()
-    limits = Counter(run.thin_um for run in runs.values() if run.thin_um is not None)
-    thin_um = (
-        declared.thin_um
-        if declared.thin_um is not None
-        else max(limits, key=limits.__getitem__, default=None)
-    )
+    thin_um = declared.thin_um
+    if thin_um is None:
+        limits = Counter(run.thin_um for run in runs.values() if run.thin_um is not None)
+        thin_um = max(limits, key=limits.__getitem__, default=None)
     quantities: list[Quantity] = []
-    for name in dict.fromkeys(
-        [*(declared.headline or (name for name, _ in headline_counts)), *declared_maps]
-    ):
+    for name in _leading_maps(rows, runs, declared):
         map_rows = [row for row in rows if name in (row.map, row.other_map)]
         for layer in dict.fromkeys(row.layer for row in map_rows if row.quantity == "mean"):
-            map_title = _in_words(name, layer)
-            thin_limit = (
-                f"with {map_title} below {thin_um:g} um" if thin_um else f"without {map_title}"
-            )
-            titles: dict[What, str] = {
-                "mean": f"mean {map_title}",
-                "sd": f"standard deviation of {map_title}",
-                "thin_share": f"share {thin_limit}",
-            }
-            for statistic, title in titles.items():
-                at_um = thin_um if statistic == "thin_share" else None
-                statistic_rows = (
-                    r for r in map_rows if (r.map, r.layer, r.quantity) == (name, layer, statistic)
-                )
-                row = next(
-                    (r for r in statistic_rows if at_um is None or _alike(r.at_um, at_um)), None
-                )
-                if row is not None and (statistic != "thin_share" or at_um is not None):
-                    quantities.append(
-                        Quantity(
-                            layer=layer,
-                            map=name,
-                            what=statistic,
-                            at_um=at_um,
-                            unit=row.unit,
-                            title=title,
-                            map_title=map_title,
-                        )
-                    )
+            quantities += _statistics(map_rows, name, layer, thin_um)
         quantities += _correlations(map_rows, name)
     return tuple(quantities)
+
+
+def _leading_maps(
+    rows: Sequence[FigureRow], runs: Mapping[str, RunSummary], declared: Declared
+) -> list[str]:
+    maps = {row.map for row in rows if row.quantity == "mean"}
+    declared_maps = maps_of(declared)
+    for name in declared_maps:
+        if runs and name not in maps:
+            names = ", ".join(sorted(maps)) or "none"
+            raise InputError(
+                f"No run has a map {name}; there are {names}.{likely(name, maps)} Name one of them."
+            )
+    counts = Counter(name for run in runs.values() for name in run.headlines)
+    leading_maps = declared.headline or [name for name, _ in counts.most_common()]
+    return list(dict.fromkeys([*leading_maps, *declared_maps]))
+
+
+def _statistics(
+    rows: Sequence[FigureRow], name: str, layer: str, thin_um: float | None
+) -> Iterator[Quantity]:
+    """Mean, standard deviation and thin share of a map, where a run has them."""
+    map_title = _in_words(name, layer)
+    titles: dict[What, str] = {
+        "mean": f"mean {map_title}",
+        "sd": f"standard deviation of {map_title}",
+    }
+    if thin_um is not None:
+        limit = f"with {map_title} below {thin_um:g} um" if thin_um else f"without {map_title}"
+        titles["thin_share"] = f"share {limit}"
+    for statistic, title in titles.items():
+        at_um = thin_um if statistic == "thin_share" else None
+        row = _row_of(rows, (statistic, name, layer), at_um)
+        if row is not None:
+            yield Quantity(
+                layer=layer,
+                map=name,
+                what=statistic,
+                at_um=at_um,
+                unit=row.unit,
+                title=title,
+                map_title=map_title,
+            )
+
+
+def _row_of(
+    rows: Sequence[FigureRow], statistic: tuple[str, str, str], at_um: float | None
+) -> FigureRow | None:
+    """The row of a quantity, a map and a layer; at a limit, where it is of one."""
+    for row in rows:
+        is_alike = at_um is None or _alike(row.at_um, at_um)
+        if is_alike and (row.quantity, row.map, row.layer) == statistic:
+            return row
+    return None
 
 
 def _in_words(name: str, layer: str) -> str:
@@ -132,9 +145,8 @@ def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
     """
     size_counts: dict[Pair, Counter[float]] = {}
     for specimen in dict.fromkeys(row.specimen for row in rows):
-        for pair, size in _largest_points(
-            [row for row in rows if row.specimen == specimen], name
-        ).items():
+        specimen_rows = [row for row in rows if row.specimen == specimen]
+        for pair, size in _largest_points(specimen_rows, name).items():
             size_counts.setdefault(pair, Counter())[round(size, 3)] += 1
     quantities: list[Quantity] = []
     for (layer, first, other_layer, second), counts in size_counts.items():
@@ -158,25 +170,23 @@ def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
 
 
 def _largest_points(rows: Iterable[FigureRow], name: str) -> dict[Pair, float]:
+    """Size of the largest points over which a map was correlated, by pair."""
     largest_um: dict[Pair, float] = {}
     for row in rows:
         pair = _pair_of(row)
-        if (
-            row.quantity == "points"
-            and row.value
-            and row.at_um
-            and pair is not None
-            and pair[1] == name
-        ):
+        if pair is None or pair[1] != name or row.quantity != "points":
+            continue
+        if row.value and row.at_um:
             largest_um[pair] = max(largest_um.get(pair, 0.0), row.at_um)
     return largest_um
 
 
 def _pair_of(row: FigureRow) -> Pair | None:
-    first_map, second_map = (row.layer, row.map), (row.other_layer, row.other_map)
+    sheet = (row.layer, row.map)
+    other = (row.other_layer, row.other_map)
     if row.map == "image" != row.other_map:
-        first_map, second_map = second_map, first_map
-    return (*first_map, *second_map) if second_map[1] in ("image", first_map[1]) else None
+        sheet, other = other, sheet
+    return (*sheet, *other) if other[1] in ("image", sheet[1]) else None
 
 
 def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> Cell:
@@ -186,49 +196,44 @@ def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> C
     """
     if q.what == "r":
         return _cell_of_r(rows, q, with_doubtful=with_doubtful)
-    for row in rows:
-        is_same_quantity = (row.quantity, row.map, row.layer) == (q.what, q.map, q.layer)
-        if is_same_quantity and (q.what != "thin_share" or _alike(row.at_um, q.at_um)):
-            reason = _why_not(row, with_doubtful=with_doubtful)
-            return Cell(value=row.value, trust=row.trust, counts=not reason, why_not=reason)
+    row = _row_of(rows, (q.what, q.map, q.layer), q.at_um)
+    if row is not None:
+        reason = _why_not(row, with_doubtful=with_doubtful)
+        return Cell(value=row.value, trust=row.trust, counts=not reason, why_not=reason)
     # A map that is withheld takes its thin shares along; the row is not there then.
     for row in rows:
-        is_mean = row.map == q.map and row.quantity == "mean"
-        if q.what == "thin_share" and is_mean and row.trust == "withheld":
+        is_withheld = (row.quantity, row.map, row.trust) == ("mean", q.map, "withheld")
+        if is_withheld and q.what == "thin_share":
             return Cell(trust="withheld", why_not=_why_not(row, with_doubtful=with_doubtful))
     return Cell(why_not="not measured")
 
 
 def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> Cell:
+    """As :func:`cell_of`, of a correlation: at the usual points, or else its largest."""
     pair = (q.layer, q.map, q.other_layer, q.other_map)
     pair_rows = [row for row in rows if row.other_map and _pair_of(row) == pair]
     largest_um = _largest_points(pair_rows, q.map)
     if pair not in largest_um:
-        return Cell(
-            why_not="not linked" if not any(row.quantity == "r" for row in rows) else "not measured"
-        )
-    usual_sizes = (
-        row.at_um for row in pair_rows if row.quantity == "r" and _alike(row.at_um, q.at_um)
-    )
-    at_um = next(usual_sizes, largest_um[pair])
+        is_linked = any(row.quantity == "r" for row in rows)
+        return Cell(why_not="not measured" if is_linked else "not linked")
+    sizes = (row.at_um for row in pair_rows if row.quantity == "r")
+    at_um = next((size for size in sizes if _alike(size, q.at_um)), largest_um[pair])
     row_by_quantity = {row.quantity: row for row in pair_rows if row.at_um == at_um}
-    r, n_eff, scatter = (
-        row_by_quantity["r"],
-        row_by_quantity["n_eff"].value,
-        row_by_quantity["n_eff_interval"].value,
-    )
+    r = row_by_quantity["r"]
+    n_eff_interval = row_by_quantity["n_eff_interval"].value
     reason = _why_not(r, with_doubtful=with_doubtful)
     if not reason and not _alike(at_um, q.at_um):
         reason = f"points of {at_um:g} um, others of {q.at_um:g} um"
     # With more than 4 independent points the scatter of Fisher's z is known.
-    if not reason and (scatter is None or scatter <= 4.0 or abs(r.value or 0.0) >= 1):
+    has_scatter = (n_eff_interval or 0.0) > 4.0 and abs(r.value or 0.0) < 1
+    if not reason and not has_scatter:
         reason = "too few independent points"
     return Cell(
         value=r.value,
         low=r.low,
         high=r.high,
-        n_eff=n_eff,
-        n_eff_interval=scatter,
+        n_eff=row_by_quantity["n_eff"].value,
+        n_eff_interval=n_eff_interval,
         trust=r.trust,
         counts=not reason,
         why_not=reason,

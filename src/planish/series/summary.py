@@ -59,24 +59,24 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     """
     factors = tuple(dict.fromkeys(name for member in gathered.members for name in member.factors))
     compared_by = _compared_by(gathered, factors, declared)
-    separate_factors = [
-        "paper",
-        "treatment",
-        "side",
-        *([] if compared_by is None else [compared_by]),
-    ]
-    grouped_by = tuple(f for f in dict.fromkeys(separate_factors) if _varies(gathered, f))
+    separate_factors = dict.fromkeys(("paper", "treatment", "side", compared_by or "paper"))
+    grouped_by = tuple(name for name in separate_factors if _varies(gathered, name))
     rows = _near_common_axes(gathered.rows_of_series())
     quantities = quantities_of(rows, gathered.runs, declared)
     specimens = _specimens(gathered, rows, quantities, declared)
     counted = [specimen for specimen in specimens if specimen.kind is not None]
-    groups = [
-        _group(counted, k, q, dict(zip(grouped_by, levels, strict=True)))
-        for levels in dict.fromkeys(_levels_of(specimen, grouped_by) for specimen in counted)
-        for k, q in enumerate(quantities)
-    ]
-    pairs = [] if compared_by is None else [*_pairs(counted, quantities, compared_by, grouped_by)]
-    adjusted = analyze.p_of_tables([difference for _, difference in pairs])
+    groups: list[GroupFacts] = []
+    for group, members in _by_levels(counted, grouped_by).items():
+        levels = dict(zip(grouped_by, group, strict=True))
+        groups += [_group(members, k, q, levels) for k, q in enumerate(quantities)]
+    differences: list[DifferenceFacts] = []
+    if compared_by is not None:
+        pairs = [*_pairs(counted, quantities, compared_by, grouped_by)]
+        adjusted = analyze.p_of_tables([difference for _, difference in pairs])
+        for (labels, _), difference in zip(pairs, adjusted, strict=True):
+            margin = margin_of(quantities[labels["quantity"]], declared)
+            differences.append(_difference(difference, margin, labels))
+    cautions = cautions_of(gathered, specimens, quantities, grouped_by, compared_by, _MOST_LEVELS)
     return SeriesResults(
         planish=planish.__version__,
         declared=declared.model_dump(mode="json"),
@@ -88,22 +88,19 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
         sheets_given=bool(counted) and all(specimen.factor("sheet") for specimen in counted),
         specimens=tuple(specimens),
         groups=tuple(groups),
-        differences=tuple(
-            DifferenceFacts.holding(
-                difference,
-                **labels,
-                smallest_seen=difference.smallest_seen(),
-                equivalence=(
-                    None if margin is None else analyze.equivalence(difference, margin=margin)
-                ),
-            )
-            for (labels, _), difference in zip(pairs, adjusted, strict=True)
-            for margin in (margin_of(quantities[labels["quantity"]], declared),)
-        ),
+        differences=tuple(differences),
         instruments=tuple(facts for run in gathered.runs.values() for facts in run.instruments),
-        cautions=tuple(
-            cautions_of(gathered, specimens, quantities, grouped_by, compared_by, _MOST_LEVELS)
-        ),
+        cautions=tuple(cautions),
+    )
+
+
+def _difference(
+    difference: analyze.SheetDifference, margin: float | None, labels: Mapping[str, Any]
+) -> DifferenceFacts:
+    equivalence = None if margin is None else analyze.equivalence(difference, margin=margin)
+    smallest = difference.smallest_seen()
+    return DifferenceFacts.holding(
+        difference, **labels, smallest_seen=smallest, equivalence=equivalence
     )
 
 
@@ -113,34 +110,32 @@ def _near_common_axes(rows: Sequence[FigureRow]) -> list[FigureRow]:
     They may pass 90 degrees.
     """
     axes: dict[str, list[float]] = {}
+    for row in rows:
+        if row.quantity == "mean" and row.value is not None and has_axes(row.map, row.period_deg):
+            axes.setdefault(row.map, []).append(row.value)
     near_rows: list[FigureRow] = []
     for row in rows:
-        if row.quantity != "mean" or row.value is None:
-            continue
-        if has_axes(row.map, row.period_deg):
-            axes.setdefault(row.map, []).append(row.value)
-    for row in rows:
-        if row.map in axes and row.quantity == "mean" and row.value is not None:
+        value = row.value
+        if row.map in axes and row.quantity == "mean" and value is not None:
             axis_deg = angle_of(np.mean(doubled(np.array(axes[row.map]))))
-            near_rows.append(replace(row, value=float(near_axis(row.value, axis_deg))))
-        else:
-            near_rows.append(row)
+            value = float(near_axis(value, axis_deg))
+        near_rows.append(replace(row, value=value))
     return near_rows
 
 
 def _compared_by(gathered: Gathered, factors: Sequence[str], declared: Declared) -> str | None:
+    """The factor that is compared: as declared, or else the first usual one that varies."""
     name = declared.compare
     if name is None:
-        return next(
-            (factor for factor in ("treatment", "paper", "side") if _varies(gathered, factor)), None
-        )
+        usual = (factor for factor in ("treatment", "paper", "side") if _varies(gathered, factor))
+        return next(usual, None)
     if name not in factors:  # tables are read in small letters
         name = next((f for f in factors if f.casefold() == name.casefold()), name)
     if name in NEST:
+        comparable = ", ".join(factor for factor in factors if factor not in NEST)
         raise InputError(
             f"{name.capitalize()}s are the sample and are not compared with each other. Compare by"
-            " another factor:"
-            f" {', '.join(f for f in factors if f not in NEST) or 'the table has none yet'}."
+            f" another factor: {comparable or 'the table has none yet'}."
         )
     if name not in factors:
         raise InputError(
@@ -152,12 +147,8 @@ def _compared_by(gathered: Gathered, factors: Sequence[str], declared: Declared)
 
 
 def _varies(gathered: Gathered, factor: str) -> bool:
-    levels = {
-        member.factors.get(factor, "")
-        for member in gathered.members
-        if member.name in gathered.runs
-    }
-    return len(levels - {""}) > 1
+    members = [member for member in gathered.members if member.name in gathered.runs]
+    return len({member.factors.get(factor, "") for member in members} - {""}) > 1
 
 
 def _specimens(
@@ -166,9 +157,11 @@ def _specimens(
     quantities: Sequence[Quantity],
     declared: Declared,
 ) -> list[SeriesSpecimen]:
-    rows_by_specimen, first_of_volume = dict[str, list[FigureRow]](), dict[tuple[str, ...], str]()
+    """Every specimen with its sheet and its cells; those without a run have neither."""
+    rows_by_specimen: dict[str, list[FigureRow]] = {}
     for row in rows:
         rows_by_specimen.setdefault(row.specimen, []).append(row)
+    first_of_volume: dict[tuple[str, ...], str] = {}
     specimens: list[SeriesSpecimen] = []
     for member in gathered.members:
         run = gathered.runs.get(member.name)
@@ -176,26 +169,26 @@ def _specimens(
             specimens.append(SeriesSpecimen(member=member))
             continue
         # Without a sheet's name, the same volume is the same sheet for certain.
-        volume_name = f"specimen {first_of_volume.setdefault(run.volumes, member.name)}"
-        paper, sheet = member.factors.get("paper", ""), member.factors.get("sheet", "")
-        specimens.append(
-            run.specimen.model_copy(
-                update={
-                    "sheet": (
-                        " ".join(filter(None, (paper, f"sheet {sheet}"))) if sheet else volume_name
-                    ),
-                    "cells": tuple(
-                        cell_of(rows_by_specimen[member.name], q, with_doubtful=declared.doubtful)
-                        for q in quantities
-                    ),
-                }
-            )
-        )
+        sheet = f"specimen {first_of_volume.setdefault(run.volumes, member.name)}"
+        if member.factors.get("sheet"):
+            sheet = f"{member.factors.get('paper', '')} sheet {member.factors['sheet']}".lstrip()
+        cells = [
+            cell_of(rows_by_specimen[member.name], quantity, with_doubtful=declared.doubtful)
+            for quantity in quantities
+        ]
+        fields = {"sheet": sheet, "cells": tuple(cells)}
+        specimens.append(run.specimen.model_copy(update=fields))
     return specimens
 
 
-def _levels_of(specimen: SeriesSpecimen, factors: Sequence[str]) -> tuple[str, ...]:
-    return tuple(specimen.factor(name) for name in factors)
+def _by_levels(
+    specimens: Sequence[SeriesSpecimen], factors: Sequence[str]
+) -> dict[tuple[str, ...], list[SeriesSpecimen]]:
+    """Specimens by their levels of some factors."""
+    groups: dict[tuple[str, ...], list[SeriesSpecimen]] = {}
+    for specimen in specimens:
+        groups.setdefault(tuple(map(specimen.factor, factors)), []).append(specimen)
+    return groups
 
 
 def _fields(
@@ -209,20 +202,16 @@ def _fields(
 
 
 def _group(
-    specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, group: Mapping[str, str]
+    members: Sequence[SeriesSpecimen], k: int, quantity: Quantity, levels: dict[str, str]
 ) -> GroupFacts:
-    members = [
-        s for s in specimens if all(s.factor(name) == level for name, level in group.items())
-    ]
     fields = _fields(members, k)
     if quantity.what == "r":
         n_effs = [specimen.cells[k].n_eff_interval for specimen in members]
         mean = analyze.pooled_r(fields, [math.nan if n_eff is None else n_eff for n_eff in n_effs])
     else:
-        mean = analyze.over_sheets(fields).model_copy(
-            update={"variances": analyze.variances_of(fields)}
-        )
-    return GroupFacts.holding(mean, quantity=k, group=dict(group), left_out=_left_out(members, k))
+        variances = analyze.variances_of(fields)
+        mean = analyze.over_sheets(fields).model_copy(update={"variances": variances})
+    return GroupFacts.holding(mean, quantity=k, group=levels, left_out=_left_out(members, k))
 
 
 def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> tuple[str, ...]:
@@ -239,32 +228,26 @@ def _pairs(
 
     This is done within each level of the other factors that make groups.
     """
-    other_factors = [name for name in grouped_by if name != factor]
-    levels = [*dict.fromkeys(level for specimen in specimens if (level := specimen.factor(factor)))]
+    levels = [level for (level,) in _by_levels(specimens, [factor]) if level]
     if [level.casefold() for level in levels] == ["after", "before"]:
         levels.reverse()
     if not 2 <= len(levels) <= _MOST_LEVELS:
         return
-    strata = dict[tuple[str, ...], dict[str, list[SeriesSpecimen]]]()
-    for specimen in specimens:
-        specimens_by_level = strata.setdefault(_levels_of(specimen, other_factors), {})
-        specimens_by_level.setdefault(specimen.factor(factor), []).append(specimen)
+    other_factors = [name for name in grouped_by if name != factor]
+    strata = _by_levels(specimens, other_factors)
     for k, quantity in enumerate(quantities):
-        for stratum, specimens_by_level in strata.items():
-            for first, second in combinations(
-                (level for level in levels if level in specimens_by_level), 2
-            ):
-                before, after = specimens_by_level[first], specimens_by_level[second]
-                yield (
-                    {
-                        "quantity": k,
-                        "within": dict(zip(other_factors, stratum, strict=True)),
-                        "factor": factor,
-                        "levels": (first, second),
-                        "left_out": _left_out([*before, *after], k),
-                    },
-                    _compare(before, after, k, quantity),
-                )
+        for stratum, members in strata.items():
+            by_level = _by_levels(members, [factor])
+            for pair in combinations([level for level in levels if (level,) in by_level], 2):
+                before, after = (by_level[level,] for level in pair)
+                labels = {
+                    "quantity": k,
+                    "within": dict(zip(other_factors, stratum, strict=True)),
+                    "factor": factor,
+                    "levels": pair,
+                    "left_out": _left_out([*before, *after], k),
+                }
+                yield labels, _compare(before, after, k, quantity)
 
 
 def _compare(
@@ -272,13 +255,7 @@ def _compare(
 ) -> analyze.SheetDifference:
     """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
     paired = not {s.sheet for s in first}.isdisjoint(s.sheet for s in second)
-    field_keys = [
-        [(s.sheet, s.factor("field")) for s in specimens] for specimens in (first, second)
-    ]
-    has_fields = paired and all(
-        all(field for _, field in set_keys) and len({*set_keys}) == len(set_keys)
-        for set_keys in field_keys
-    )
+    has_fields = paired and _have_fields(first) and _have_fields(second)
     fields = [_fields(specimens, k, with_names=has_fields) for specimens in (first, second)]
     if quantity.what == "r":
         difference = analyze.difference_of_pooled_r(*fields, paired=paired)
@@ -288,3 +265,9 @@ def _compare(
     return difference.model_copy(
         update={"unpaired": tuple(sheet for sheet in sheets if sheet in difference.unpaired)}
     )
+
+
+def _have_fields(specimens: Sequence[SeriesSpecimen]) -> bool:
+    """Whether all specimens name their fields, each of a sheet once."""
+    fields = [(specimen.sheet, specimen.factor("field")) for specimen in specimens]
+    return all(name for _, name in fields) and len({*fields}) == len(fields)

@@ -6,6 +6,7 @@ They are pairs of files that are whole and have stood still for a while.
 import re
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import Field
@@ -53,6 +54,37 @@ def watch_params(plan: Plan) -> WatchParams:
     return params
 
 
+@dataclass(frozen=True, slots=True)
+class _Pattern:
+    """Names of the files of a specimen."""
+
+    regex: re.Pattern[str]  # of a volume, each factor a group
+    part: str | None  # of each volume
+    image: str | None
+
+    def specimens(self, folder: Path) -> Iterator[PlannedSpecimen]:
+        """Specimens whose files are all in a folder."""
+        for entry in sorted(folder.iterdir()):
+            match = self.regex.fullmatch(entry.name)
+            if match is None:
+                continue
+            factors = match.groupdict()
+            images = [folder / self.image.format(**factors)] if self.image else []
+            if all(image.exists() for image in images):
+                volume = Path(f"{entry}:{self.part}") if self.part else entry
+                files = tuple(str(file.absolute()) for file in (volume, *images))
+                name = checked_name("-".join(factors.values()))
+                yield PlannedSpecimen(name=name, files=files, factors=factors)
+
+
+def _pattern_of(params: WatchParams) -> _Pattern:
+    place = find_place(params.volume)
+    texts = _FACTOR.split(str(place.path))  # of a name, every second one is a factor
+    for k, text in enumerate(texts):
+        texts[k] = f"(?P<{text}>[^/\\\\]+?)" if k % 2 else re.escape(text)
+    return _Pattern(re.compile("".join(texts)), place.part, params.image)
+
+
 def watched(
     plan: Plan,
     folder: Path,
@@ -66,45 +98,55 @@ def watched(
 
     A file is taken when it has not changed for ``settle_s`` and its own reader finds it complete.
     One that is not complete is named once, and tried again when it changes.
+
+    Parameters
+    ----------
+    plan : Plan
+        Says how the files pair.
+    folder : path
+        Folder that is watched.
+    settle_s : float
+        Seconds that files have to stand still.
+    idle_s : float, optional
+        Seconds without a new specimen after which it ends; default: never.
+    tell : callable
+        Called with a text about files that are not complete.
+    clock : callable
+        Gives seconds.
+
+    Yields
+    ------
+    PlannedSpecimen or None
+
+    Raises
+    ------
+    InputError
+        If the plan says nothing of files, or something that does not fit together.
     """
-    params = watch_params(plan)
-    volume_place = find_place(params.volume)
-    name_parts = _FACTOR.split(str(volume_place.path))  # a name with its factors as groups
-    pattern_parts = (
-        re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/\\\\]+?)"
-        for k, part in enumerate(name_parts)
-    )
-    pattern = re.compile("".join(pattern_parts))
+    pattern = _pattern_of(watch_params(plan))
     # Name of a specimen that was taken or refused -> stamp of its files.
     judged_stamps: dict[str, str] = {}
     since: dict[str, tuple[str, float]] = {}  # stamp of files, and when it was first seen
     last = clock()
     while True:
         has_new = False
-        for entry in sorted(folder.iterdir()):
-            match = pattern.fullmatch(entry.name)
-            if match is None:
-                continue
-            factors = match.groupdict()
-            images = [folder / params.image.format(**factors)] if params.image else []
-            files = [Path(f"{entry}:{volume_place.part}") if volume_place.part else entry, *images]
-            name = checked_name("-".join(factors.values()))
-            if not all(image.exists() for image in images):
-                continue
+        for specimen in pattern.specimens(folder):
+            name = specimen.name
+            files = [Path(file) for file in specimen.files]
             stamp = " ".join(stamp_of(file) for file in files)
             if name not in since or since[name][0] != stamp:
-                since[name] = stamp, clock()
+                since[name] = (stamp, clock())
                 continue
             if clock() - since[name][1] < settle_s or judged_stamps.get(name) == stamp:
                 continue
             judged_stamps[name] = stamp
-            if fault := _incomplete(files):
+            fault = _incomplete(files)
+            if fault:
                 tell(f"{name}: {fault} It is tried again when the file changes.")
                 continue
-            has_new, last = True, clock()
-            yield PlannedSpecimen(
-                name=name, files=tuple(str(file.absolute()) for file in files), factors=factors
-            )
+            has_new = True
+            last = clock()
+            yield specimen
         if not has_new:
             if idle_s is not None and clock() - last >= idle_s:
                 return

@@ -49,20 +49,11 @@ def run_series(
     they appear; None for none as yet. What is wrong with a specimen raises nothing; a folder that
     cannot be written, or a scheduler that is lost, does.
     """
-    state, specimens = SeriesState(out, plan), dict[str, PlannedSpecimen]()
-    if compute.scheduler is not None:  # one thread, since the scheduler counts threads
-        job_compute = compute.model_copy(
-            update={"scheduler": None, "threads": compute.threads or 1}
-        )
-    elif jobs > 1:
-        threads = compute.threads or max(1, count_threads(None) // jobs)
-        job_compute = compute.model_copy(
-            update={"memory_bytes": compute.memory // jobs, "threads": threads}
-        )
-    else:
-        job_compute = compute
+    state = SeriesState(out, plan)
+    specimens: dict[str, PlannedSpecimen] = {}
+    job_compute = _compute_of_job(compute, jobs)
 
-    def opened() -> Iterator[Job | None]:
+    def open_jobs() -> Iterator[Job | None]:
         for specimen in plan.specimens if coming is None else coming:
             if specimen is None:
                 yield None
@@ -76,9 +67,21 @@ def run_series(
                 tell(job, None)
 
     with _workers(compute, jobs) as workers:
-        for job, note in _run_jobs(opened(), workers):
+        for job, note in _run_jobs(open_jobs(), workers):
             members[job.name] = state.close(specimens[job.name], job, note)
             tell(members[job.name], note.seconds)
+
+
+def _compute_of_job(compute: Compute, jobs: int) -> Compute:
+    """What one of several jobs may use."""
+    if compute.scheduler is not None:  # one thread, since the scheduler counts threads
+        changes = {"scheduler": None, "threads": compute.threads or 1}
+    elif jobs > 1:
+        threads = compute.threads or max(1, count_threads(None) // jobs)
+        changes = {"memory_bytes": compute.memory // jobs, "threads": threads}
+    else:
+        return compute
+    return compute.model_copy(update=changes)
 
 
 @contextmanager
@@ -108,19 +111,20 @@ def _run_jobs(
     has_more = True
     while has_more or running or retries:
         is_idle = False
-        while len(running) < workers.at_once and (has_more or retries) and not is_idle:
+        while len(running) < workers.at_once and not is_idle and (has_more or retries):
             job = retries.popleft() if retries else next(jobs, _END)
             if isinstance(job, Job):
                 running[workers.start(job)] = job
+            elif job is None:
+                is_idle = True
             else:
-                has_more, is_idle = has_more and job is None, job is None
+                has_more = False
         if not running:
             if is_idle:
                 time.sleep(_PAUSE)
             continue
-        finished, _ = wait(
-            running, timeout=_PAUSE if is_idle else None, return_when=FIRST_COMPLETED
-        )
+        timeout_s = _PAUSE if is_idle else None
+        finished, _ = wait(running, timeout=timeout_s, return_when=FIRST_COMPLETED)
         for future in finished:
             job = running.pop(future)
             try:
@@ -145,7 +149,8 @@ class _Cluster:
     def __init__(self, executor: Executor, at_once: int) -> None:
         from distributed import KilledWorker
 
-        self._executor, self.at_once = executor, at_once
+        self._executor = executor
+        self.at_once = at_once
         self.deaths: tuple[type[BaseException], ...] = (KilledWorker,)
 
     def start(self, job: Job) -> Future[Note]:
@@ -174,11 +179,10 @@ class _Processes:
         # Never by fork: threads of numerical libraries do not survive it, and Windows has none.
         spawn_context = multiprocessing.get_context("spawn")
         while True:
-            pool = (
-                self._free.pop()
-                if self._free
-                else ProcessPoolExecutor(1, mp_context=spawn_context, initializer=_begin)
-            )
+            if self._free:
+                pool = self._free.pop()
+            else:
+                pool = ProcessPoolExecutor(1, mp_context=spawn_context, initializer=_begin)
             with suppress(BrokenProcessPool):  # it ended while it had nothing to do
                 future = pool.submit(do, job)
                 self._used[future] = pool
