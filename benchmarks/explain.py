@@ -90,8 +90,8 @@ def naive_hits(maps, names, true):
 
 
 def modelled(count, first):
-    """A row for each coefficient of drawn sets, R2 out of sample less the true one, and how many
-    sets were refused."""
+    """Rows of coefficients of drawn sets, R2 out of sample less the true one, number of refused
+    sets."""
     rows, off, refused = [], [], 0
     for number in range(first, first + count):
         maps, names, true, r2, design = drawn(number)
@@ -112,9 +112,7 @@ def modelled(count, first):
             width = found.interval[1] - found.interval[0]
             rows.append((low <= plain <= high, standardised, plain == 0, is_called, is_held, width))
             rows[-1] += design
-    table, off = np.array(rows, dtype=float), np.array(off)
-    np.savez(f"/tmp/explain-{first}.npz", table=table, off=off, refused=refused)
-    return judged(table, off, refused, count)
+    return np.array(rows, dtype=float), np.array(off), refused
 
 
 def judged(table, off, refused, count):

@@ -26,16 +26,18 @@ _GREY, _PER_UM, _TEXTURE = 2000.0, {"coating_top": 25.0, "base_surface_top": 20.
 _FORM_UM = 800.0  # of a run with the usual cut-off
 
 
-def base_surface(truth):
+def base_surface(specimen):
     """Height of the true interface above its form, on the image's pixels."""
-    pixel = float(truth["x"].values[1] - truth["x"].values[0])
-    face = truth["thickness"].values / 2
-    interface = face - truth["coating_top"].values
-    known = np.isfinite(interface)
+    truth, sheet = specimen.truth, specimen.sheet
+    pixel = specimen.params.camera.pixel_um
+    face, interface = (
+        sheet.at(field, truth["u"].values, truth["v"].values) for field in sheet.faces[:2]
+    )
+    is_known = np.isfinite(truth["coating_top"].values)
     heights = above_form(
         {"top": face, "interface_top": interface},
         np.zeros(face.shape),
-        known,
+        is_known,
         (pixel, pixel),
         names=("base_surface_top",),
         nesting_um=_FORM_UM,
@@ -52,7 +54,7 @@ def drawn_run(number):
     truth, pixel = specimen.truth, specimen.params.camera.pixel_um
     weights = {name: per_um * rng.uniform(0.5, 1.5) for name, per_um in _PER_UM.items()}
     texture = gauss(rng, truth["rim"].shape, rng.uniform(30.0, 80.0), pixel, 1.0)
-    maps = {"coating_top": truth["coating_top"].values, "base_surface_top": base_surface(truth)}
+    maps = {"coating_top": truth["coating_top"].values, "base_surface_top": base_surface(specimen)}
     is_paper = truth["rim"].values > _RIM_UM
     drawn = _GREY + _TEXTURE * texture
     for name, weight in weights.items():
