@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from planish.core.errors import CannotMeasure, SurfaceError
-from planish.core.facts import Side
+from planish.core.facts import SIDES, Side
+from planish.core.typing import Floats
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,6 +33,9 @@ class Greys:
     texture_um: float = 0.0
     # Standard deviation of the Gaussian over neighbouring columns that the fit saw, in columns.
     averaged: float = 0.0
+    # Of each coated side, um: thickness of the coating, and errors of its face, of its thickness and
+    # of its interface as the fit was found to make them, (4, classes of thickness).
+    fit_errors: Mapping[Side, Floats] = field(default_factory=dict)
 
     @classmethod
     def of(cls, surfaces: xr.Dataset) -> Greys:
@@ -44,7 +49,12 @@ class Greys:
             raise SurfaceError(
                 f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'."
             )
+        fit_errors: dict[Side, Floats] = {}
+        for side in SIDES:
+            if f"fit_errors_{side}_um" in attrs:
+                fit_errors[side] = np.reshape(attrs[f"fit_errors_{side}_um"], (4, -1))
         return cls(
+            fit_errors=fit_errors,
             **{key.removeprefix("grey_"): float(attrs[key]) for key in keys},
             padding=float(attrs.get("padding", np.nan)),
             averaged=float(attrs.get("averaged_columns", 0.0)),

@@ -210,6 +210,11 @@ def layer_errors(
         face_map = np.full(thickness.shape, face_se)
         return face_map, np.full(thickness.shape, np.nan), face_map
     # Layers thicker than 12 blurs have two edges that know nothing of each other.
+    is_missing = ~np.isfinite(thickness)
+    if side in greys.fit_errors:
+        classes_um, *found = greys.fit_errors[side]
+        found_se = (np.interp(thickness, classes_um, errors_um) for errors_um in found)
+        return tuple(np.where(is_missing, np.nan, se) for se in found_se)  # type: ignore[return-value]
     nodes_um = np.linspace(0.02, 12.0, _NODES) * blur_um
     levels = coating_level - greys.air, base_level - greys.air
     se_table = np.array(
@@ -222,7 +227,6 @@ def layer_errors(
     face_se, thickness_se, interface_se = (
         np.interp(layer_um, nodes_um, se_table[:, k]) for k in range(3)
     )
-    is_missing = ~np.isfinite(thickness)
     return tuple(np.where(is_missing, np.nan, v) for v in (face_se, thickness_se, interface_se))  # type: ignore[return-value]
 
 

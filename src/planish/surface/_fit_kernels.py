@@ -87,7 +87,9 @@ def _solve4(m, r, n):
 
 
 @njit(cache=True, nogil=True)
-def _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio):  # noqa: C901
+def evaluate(  # noqa: C901
+    g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio, wall, depth
+):
     """Return the cost at p.
 
     Set the lower triangle of ``matrix`` and ``step`` to the normal equations there.
@@ -113,8 +115,12 @@ def _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, 
                 y = ratio * x
                 part = fringe * _bell(y)
                 j3, inner = j3 + y * part, inner + ratio * (1.0 - y * y) * part / w
-            e = g[d] - (air + (coat - air) * outer + (base - coat) * j3)
-            j1 = -(base - coat) * inner
+            e = g[d] - (air + (coat - air) * outer + (base + wall - coat) * j3)
+            j1 = -(base + wall - coat) * inner
+            if wall > 0.0:
+                below, bell_below = _step((d - inside - depth) / w)
+                e += wall * below
+                j1 += wall * bell_below / w
             j0 = -(coat - air) * bell + j1
             j2 = outer - j3
         else:
@@ -170,7 +176,22 @@ def _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, 
 
 @njit(cache=True, nogil=True)
 def fit_column(  # noqa: C901
-    g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe=None, ratio=1.0
+    g,
+    lo,
+    hi,
+    air,
+    noise,
+    w,
+    p,
+    prior,
+    spread,
+    coated,
+    matrix,
+    step,
+    fringe=None,
+    ratio=1.0,
+    wall=0.0,
+    depth=0.0,
 ):
     """Fit p = (h, t, c, b) to g[lo:hi+1] by Levenberg-Marquardt; return the cost per sample.
 
@@ -179,8 +200,8 @@ def fit_column(  # noqa: C901
     """
     damping = 1e-3
     old = np.empty((6, 4))  # matrix, step and p before a trial
-    cost = _evaluate(
-        g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio
+    cost = evaluate(
+        g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio, wall, depth
     )
     for _ in range(_STEPS):
         for i in range(4):
@@ -197,8 +218,23 @@ def fit_column(  # noqa: C901
         for i in range(4):
             p[i] += step[i]
         p[1] = max(p[1], 0.0)
-        new = _evaluate(
-            g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio
+        new = evaluate(
+            g,
+            lo,
+            hi,
+            air,
+            noise,
+            w,
+            p,
+            prior,
+            spread,
+            coated,
+            matrix,
+            step,
+            fringe,
+            ratio,
+            wall,
+            depth,
         )
         if new <= cost:
             cost = new
@@ -300,6 +336,8 @@ def fit_faces(  # noqa: C901, PLR0912
     fringe=None,
     ratio=1.0,
     reverse=False,
+    wall=0.0,
+    wall_depth=0.0,
 ):
     """Fit the outer face and the interface of every column of a slab, read from outside to inside.
 
@@ -326,6 +364,8 @@ def fit_faces(  # noqa: C901, PLR0912
                     as quick as if there were none
     reverse       : whether the slab is read from its far end; ``expected`` and ``other`` are
                     counted from there
+    wall          : by how much what lies directly below a coating is lighter than the base, and
+    wall_depth    : down to where it is, in voxels at a right angle to the sheet
     """
     rows, cols, depth = slab.shape
     matrix = np.zeros((4, 4))
@@ -385,7 +425,22 @@ def fit_faces(  # noqa: C901, PLR0912
                     continue
                 local[3] = spread[3]
                 now = fit_column(
-                    g, lo, hi, air, noise, w, p, prior, local, coated, matrix, step, fringe, ratio
+                    g,
+                    lo,
+                    hi,
+                    air,
+                    noise,
+                    w,
+                    p,
+                    prior,
+                    local,
+                    coated,
+                    matrix,
+                    step,
+                    fringe,
+                    ratio,
+                    wall,
+                    wall_depth / tilt[i, j],
                 )
                 if coated and p[3] > 0.5 * (prior[2] + prior[3]):
                     # No base is as bright: this is coating in a valley that the blur dims from the
@@ -407,6 +462,8 @@ def fit_faces(  # noqa: C901, PLR0912
                         step,
                         fringe,
                         ratio,
+                        wall,
+                        wall_depth / tilt[i, j],
                     )
                 if now < cost:
                     cost = now

@@ -176,9 +176,10 @@ def _points_text(
 
 
 _BRIGHTER, _THICKER = 1.3, 1.2  # times the others
-# Brightest tenth of an object over its median: film is of one grey, paper is coated or full of
-# pores.
+# Brightest tenth of an object's inside over its median: film is of one grey, paper is coated or full
+# of pores.
 _UNEVEN = 1.25
+_RIM = 2  # voxels of depth at either end of an object that the blur and the block means dim
 
 
 def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blocks) -> int | None:
@@ -192,7 +193,7 @@ def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blo
     covered, is_uneven, bright, thick = [], [], [], []
     for label in candidates:
         in_object = labels == label
-        median, brightest = np.percentile(blocks[in_object], [50, 90])
+        median, brightest = np.percentile(blocks[_inside(in_object)], [50, 90])
         n_filled = in_object.sum(axis=-1)
         covered.append(n_filled > 0)
         is_uneven.append(bool(brightest >= _UNEVEN * median))
@@ -211,6 +212,15 @@ def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blo
         if other != leader and not (is_ahead and lies_across):
             return None
     return candidates[leader]
+
+
+def _inside(in_object: Bools) -> Bools:
+    """Blocks of an object that are no rim: in thin places the middle ones."""
+    first, last = first_and_last(in_object)
+    rim = np.minimum(_RIM, (last - first) // 2)
+    depth = np.arange(in_object.shape[-1])
+    is_inside = (depth >= (first + rim)[..., None]) & (depth <= (last - rim)[..., None])
+    return in_object & is_inside
 
 
 def _companion(blocks: Blocks, in_object: Bools, low: Floats, high: Floats) -> Companion:

@@ -228,18 +228,26 @@ def oriented(
     grey -= np.float32(scale.air_grey)
     if scale.polarity < 0:
         grey *= np.float32(-1)
+    grey = blended(grey, guide, scale, columns.step)
+    return np.ascontiguousarray(grey[tile_within.rows, tile_within.cols]), guide.part(tile_within)
+
+
+def blended(
+    grey: NDArray[np.float32], guide: Guide, scale: GreyScale, step: int
+) -> NDArray[np.float32]:
+    """Grey (rows, cols, depth) of columns averaged with their neighbours; ``grey`` is overwritten."""
     if not scale.halo:
-        return grey, guide
+        return grey
     weights = np.exp(-0.5 * (np.arange(scale.halo + 1) / scale.blend_sd) ** 2)
     weights = (weights / (2 * weights.sum() - 1)).astype(np.float32)
-    blended, rise_r, rise_c = (
+    along_rows, rise_r, rise_c = (
         np.empty_like(grey),
-        guide.slope_r * columns.step,
-        guide.slope_c * columns.step,
+        guide.slope_r * step,
+        guide.slope_c * step,
     )
-    _kernels.blend(grey, rise_r, weights, 1, 0, blended)
-    _kernels.blend(blended, rise_c, weights, 0, 1, grey)
-    return np.ascontiguousarray(grey[tile_within.rows, tile_within.cols]), guide.part(tile_within)
+    _kernels.blend(grey, rise_r, weights, 1, 0, along_rows)
+    _kernels.blend(along_rows, rise_c, weights, 0, 1, grey)
+    return grey
 
 
 FRINGE_PX = 1.5  # width of a fringe where it is not known better, in voxels
@@ -267,6 +275,17 @@ class Edge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LoneGrey:
+    """Grey of a coating above the air, where nothing else is near."""
+
+    level: float
+    error: float  # standard error of the level
+    spread: float  # standard deviation from place to place
+    deepening: float  # by how much the half next to the base is brighter than the outer half
+    deepening_error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Side:
     """Prior of the layers on one side of a column, (4,).
 
@@ -280,8 +299,13 @@ class Side:
     # Grey of a fibre's wall above the air, where no coating covers a base of walls and pores; 0
     # elsewhere.
     wall_level: float = 0.0
+    lone: LoneGrey | None = None  # the coating's grey, where it was seen beyond all blur
+    # By how much what lies directly below a coating, over WALL_UM, is lighter than the base.
+    wall_below: float = 0.0
 
 
+WALL_UM = 1.5
+"""Half of a pressed fibre: what a coating lies on, before the pores of the base begin."""
 Sides = dict[bool, Side]  # by whether they lie at the high end of the columns
 
 

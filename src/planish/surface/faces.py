@@ -1,6 +1,6 @@
 """Both faces and interfaces of every column, tile by tile."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import repeat
 from typing import Any
 
@@ -14,7 +14,7 @@ from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface import _fit_kernels
-from planish.surface.columns import Columns, Guide, Priors, join_tiles, oriented
+from planish.surface.columns import WALL_UM, Columns, Guide, Priors, join_tiles, oriented
 
 _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
 _MOST_OF = 0.8
@@ -52,7 +52,7 @@ def find_faces(
 
     tiles = columns.tiles(engine)
     depths = join_tiles(
-        engine.map("faces", _fit_tile, job, tiles), np.empty((_planes(priors), *shape))
+        engine.map("faces", fit_tile, job, tiles), np.empty((_planes(priors), *shape))
     )
     if not priors.embedded_level:
         # The coarse sheet is one connected object: what is seen far outside it hangs on nothing,
@@ -78,7 +78,7 @@ def find_faces(
             return *job(tile)[:3], search_depths[:, tile.rows, tile.cols]
 
         tiles = [t for t in tiles if is_floating[:, t.rows, t.cols].any()]
-        depths_by_tile = engine.map("faces_below", _fit_tile, job_below, tiles)
+        depths_by_tile = engine.map("faces_below", fit_tile, job_below, tiles)
         depths_below = join_tiles(depths_by_tile, np.full((_planes(priors), *shape), np.nan))
         for k, plate_labels in enumerate(plates_by_end):
             is_better = is_floating[k] & np.isfinite(depths_below[2 * k])
@@ -206,7 +206,7 @@ def _share(mask: Bools, labels: NDArray[np.integer], count: int) -> Floats:
     )
 
 
-def _fit_tile(job: FitJob, tile: Tile) -> Floats:
+def fit_tile(job: FitJob, tile: Tile) -> Floats:
     """Return face and coating thickness seen from the high end, then from the low end.
 
     The values are in voxels, (4, rows, cols).
@@ -215,23 +215,18 @@ def _fit_tile(job: FitJob, tile: Tile) -> Floats:
     wall's grey is a little off.
     """
     columns, guide, priors, search_depths = job
-    edge = priors.edge
     grey, guide = oriented(columns, tile, guide, priors.scale)
     cos_tilt = np.ascontiguousarray(guide.cos_tilt)
-    depths, fit = np.zeros((_planes(priors), *tile.shape)), np.empty((5, *tile.shape))
+    depths = np.zeros((_planes(priors), *tile.shape))
     for k, from_high in enumerate((True, False)):
         outer, opposite = (
             np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], from_high=from_high)
         )
-        side, embedded_level, search_px = (
-            priors.sides[from_high],
-            priors.embedded_level,
-            priors.search_px,
-        )
+        side, embedded_level = priors.sides[from_high], priors.embedded_level
         if search_depths is not None:
             outer, embedded_level = np.ascontiguousarray(search_depths[k]), 0.5 * priors.base_level
         if side.wall_level:
-            start = outer - (1.0 if search_depths is not None else search_px) / cos_tilt
+            start = outer - (1.0 if search_depths is not None else priors.search_px) / cos_tilt
             inward_grey = grey[..., ::-1] if from_high else grey
             levels = [
                 0.5 * side.wall_level * (1.0 + doubt)
@@ -242,27 +237,46 @@ def _fit_tile(job: FitJob, tile: Tile) -> Floats:
             )
             depths[2 * k], depths[4 + k] = face, 0.5 * (inwards - outwards)
             continue
-        _fit_kernels.fit_faces(
-            grey,
-            outer,
-            opposite,
-            cos_tilt,
-            0.0,
-            edge.width,
-            priors.scatter,
-            side.level,
-            side.spread,
-            side.coated,
-            search_px,
-            fit,
-            0.0,
-            embedded_level,
-            edge.fringe or None,
-            edge.ratio,
-            from_high,
-        )
+        looked_for = replace(priors, embedded_level=embedded_level)
+        fit = fit_side(grey, (outer, opposite, cos_tilt), looked_for, columns, from_high)
         depths[2 * k : 2 * k + 2] = fit[:2]
     return depths
+
+
+def fit_side(
+    grey: NDArray[np.float32],
+    expected: tuple[Floats, Floats, Floats],
+    priors: Priors,
+    columns: Columns,
+    from_high: bool,
+) -> Floats:
+    """Face, thickness, both greys and cost of every column of one side, (5, rows, cols).
+
+    ``grey`` (rows, cols, depth) as stored; ``expected``: depth of the outer and of the opposite
+    face, counted from the end that is read from, and cosine of the tilt.
+    """
+    side, edge = priors.sides[from_high], priors.edge
+    fit = np.empty((5, *grey.shape[:2]))
+    _fit_kernels.fit_faces(
+        grey,
+        *expected,
+        0.0,
+        edge.width,
+        priors.scatter,
+        side.level,
+        side.spread,
+        side.coated,
+        priors.search_px,
+        fit,
+        0.0,
+        priors.embedded_level,
+        edge.fringe or None,
+        edge.ratio,
+        from_high,
+        side.wall_below,
+        WALL_UM / columns.pitch[2],
+    )
+    return fit
 
 
 def _planes(priors: Priors) -> int:

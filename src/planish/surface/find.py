@@ -19,6 +19,7 @@ from planish.surface.coarse import CoarseSheet, to_columns
 from planish.surface.columns import Columns, make_guide
 from planish.surface.corrected import correct_surfaces
 from planish.surface.faces import find_faces
+from planish.surface.fit_errors import fit_errors
 from planish.surface.learn import learn_priors
 from planish.surface.params import SurfaceParams, read_corrections
 from planish.surface.regions import doubtful
@@ -155,6 +156,11 @@ def _search(
     )
     share_attrs = {"missing_share": survey.missing_share, "empty_share": survey.empty_share}
     surfaces.attrs |= priors.attrs(columns.pitch[2], frame) | share_attrs
+    if params.method == "profile":
+        for from_high, errors_px in fit_errors(columns, guide, priors).items():
+            side = "top" if from_high == (frame.top == "high") else "bottom"
+            errors_um = errors_px * columns.pitch[2]
+            surfaces.attrs[f"fit_errors_{side}_um"] = errors_um.ravel().tolist()
     if survey.padding is not None:
         surfaces.attrs["padding"] = survey.padding
     surfaces.attrs |= _attrs_of_companions(survey.coarse, columns, surfaces)

@@ -19,7 +19,17 @@ from planish.core.robust import mad_sd
 from planish.core.typing import Floats
 from planish.surface import _fit_kernels
 from planish.surface.coarse import CORE
-from planish.surface.columns import FRINGE_PX, Columns, Edge, Guide, Priors, Side, Sides
+from planish.surface.alone import lone_greys
+from planish.surface.columns import (
+    FRINGE_PX,
+    Columns,
+    Edge,
+    Guide,
+    LoneGrey,
+    Priors,
+    Side,
+    Sides,
+)
 from planish.surface.params import SurfaceParams
 from planish.surface.sample import Sample, Sampler, Samples, cost_limit
 from planish.surface.survey import Survey
@@ -29,11 +39,10 @@ _LEAST_COVER_UM = 15.0  # from a face to a brighter layer: a coating's brightest
 # Of the core's variance, what acts on a face: the solid below it is denser. By drawn fibres, and
 # pores of a voxel.
 _BELOW_FACE = 0.3
+# Walls directly below a coating, in standard deviations of the base's grey from place to place: of
+# walls that fill a half to 0.6 of the base, columns as broad as the blur hold one or two.
+_WALL = 1.2
 POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
-# Share of a coating's grey that has to stand out from the noise where the base has pores.
-_OF_COATING = 0.45
-# Widths of the blur, and share of columns: such a layer shows its grey beyond doubt.
-_PLAIN, _PLAIN_SHARE = 5.5, 0.05
 
 
 def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> Priors:
@@ -44,7 +53,7 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     learner = _Learner(columns, guide, survey)
     base_level, base_sd = learner.base_level(learner.sample(from_high=True))
     learner.calm(base_level)
-    samples = {from_high: learner.sample(from_high=from_high) for from_high in (True, False)}
+    samples = learner.samples()
     # Coarse profile per side: is there a coating, how bright, how much does it vary?
     profiles = {k: learner.profile(sample, base_level) for k, sample in samples.items()}
     is_separated = params.sheet_grey is not None or survey.surroundings == "material"
@@ -67,36 +76,37 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         and not any(side.coated for side in sides.values())
     ):
         wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
-    clear_level = min(wall_levels.values(), default=0.0)
     # Amid other material, a face is sought by the darkest place beside it.
-    is_plain = not learner.embedded_level
-    if has_pores and is_plain and all(side.coated for side in sides.values()):
-        clear_level = _OF_COATING * min(side.level[2] for side in sides.values())
-    if clear_level > base_level:
-        # A wall thinner than the blur, or coating in a valley between fibres, must not be blurred
-        # further than its own noise asks for.
-        learner.calm(clear_level)
-        samples = {from_high: learner.sample(from_high=from_high) for from_high in (True, False)}
+    if not learner.embedded_level:
+        learner.calm(learner.sought(sides, wall_levels, base_level))
+        samples = learner.samples()
         wall_levels = {k: learner.wall_level(samples[k]) for k in wall_levels}
     preset_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
     edge = Edge(width=learner.blur(samples, sides, preset_fringe), fringe=preset_fringe)
+    base_texture = learner.base_texture(samples[True])
+    covers_px = {k: learner.cover(profile) for k, profile in profiles.items()}
+    if learner.embedded_level:
+        covers_px = {}
+    is_preset = params.coating_grey is not None
+    lone: dict[bool, LoneGrey] = {}
+    if not is_preset and any(side.coated for side in sides.values()):
+        narrowed_sides = {
+            k: learner.narrowed(sample, sides[k], edge, False) for k, sample in samples.items()
+        }
+        first_priors = learner.priors(narrowed_sides, edge, base_level, base_texture, covers_px)
+        lone = lone_greys(columns, guide, first_priors)
+        sides |= {k: _known(narrowed_sides[k], grey) for k, grey in lone.items()}
+        edge = replace(edge, width=learner.blur(samples, sides, preset_fringe))
     has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
     if has_fringe:
         edge, _ = learner.with_fringe(samples, sides, edge, [])
-    is_preset = params.coating_grey is not None
-    thin_sides = [
-        k
-        for k, sample in samples.items()
-        if not is_preset and learner.is_thin(sample, sides[k], edge)
-    ]
+    thin_sides = [k for k in samples if sides[k].coated and not is_preset and k not in lone]
     if thin_sides:
         fit_thin = learner.with_fringe if has_fringe else learner.thin_levels
         edge, sides = fit_thin(learner.quiet(samples, edge.width), sides, edge, thin_sides)
     narrowed_sides: Sides = {}
     for from_high, sample in samples.items():
-        side = learner.narrowed(
-            sample, sides[from_high], edge, is_preset or from_high in thin_sides
-        )
+        side = learner.narrowed(sample, sides[from_high], edge, True)
         # A coating of a grey that was set is none where it is thinner than this in half of the
         # columns.
         if (
@@ -110,24 +120,17 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
             side = learner.narrowed(
                 sample, Side(level=level, spread=spread, coated=False), edge, True
             )
-        narrowed_sides[from_high] = replace(side, wall_level=wall_levels.get(from_high, 0.0))
-    return Priors(
-        scale=learner.scale,
-        noise=learner.noise,
-        single_noise=learner.single_noise,
-        scatter=learner.scatter,
-        base_level=base_level,
-        base_texture=learner.base_texture(samples[True]),
-        edge=edge,
-        search_px=learner.search_px,
-        embedded_level=learner.embedded_level,
-        sides=narrowed_sides,
-        covers_px=(
-            {}
-            if learner.embedded_level
-            else {k: learner.cover(profile) for k, profile in profiles.items()}
-        ),
-    )
+        narrowed_sides[from_high] = replace(
+            side, wall_level=wall_levels.get(from_high, 0.0), lone=lone.get(from_high)
+        )
+    return learner.priors(narrowed_sides, edge, base_level, base_texture, covers_px)
+
+
+def _known(side: Side, grey: LoneGrey) -> Side:
+    """Return a side with the grey that its coating has where nothing else is near."""
+    level, spread = side.level.copy(), side.spread.copy()
+    level[2], spread[2] = grey.level, 0.02 * grey.level
+    return replace(side, level=level, spread=spread)
 
 
 # From the face, in widths of the blur: where an undershoot may be seen.
@@ -142,6 +145,43 @@ _WINDOW = 1.3
 
 
 class _Learner(Sampler):
+    def priors(
+        self,
+        sides: Sides,
+        edge: Edge,
+        base_level: float,
+        base_texture: float,
+        covers_px: dict[bool, float],
+    ) -> Priors:
+        """What was learnt, and what was seen on the way."""
+        return Priors(
+            scale=self.scale,
+            noise=self.noise,
+            single_noise=self.single_noise,
+            scatter=self.scatter,
+            base_level=base_level,
+            base_texture=base_texture,
+            edge=edge,
+            search_px=self.search_px,
+            embedded_level=self.embedded_level,
+            sides=sides,
+            covers_px=covers_px,
+        )
+
+    def sought(self, sides: Sides, wall_levels: dict[bool, float], base_level: float) -> float:
+        """Least step of grey that is looked for: a coating's to the base, a bare face's to the air.
+
+        A wall thinner than the blur, or a coating in a valley between fibres, must not be blurred
+        further than its own noise asks for.
+        """
+        steps: list[float] = []
+        for from_high, side in sides.items():
+            if side.coated:
+                steps.append(float(side.level[2]) - base_level)
+            else:
+                steps.append(max(wall_levels.get(from_high, 0.0), base_level))
+        return min(steps)
+
     def base_level(self, sample: Sample) -> tuple[float, float]:
         """Level of the base above the air, and how much it varies from place to place."""
         core_grey = self._core_grey(sample)
@@ -312,23 +352,16 @@ class _Learner(Sampler):
             )
         return float(_WIDTHS[best_index])
 
-    def is_thin(self, sample: Sample, side: Side, edge: Edge) -> bool:
-        """Tell if no column shows the coating's own grey, as the blur reaches through all of it."""
-        if not side.coated:
-            return False
-        # With a grey that is too low the layer seems thicker and the blur narrower than they are,
-        # hence the margin.
-        is_thick = self.fit(sample, side, edge)[1] * sample.cos_tilt > _PLAIN * edge.width
-        return float(np.mean(is_thick)) < _PLAIN_SHARE
-
     def narrowed(self, sample: Sample, side: Side, edge: Edge, is_preset: bool) -> Side:
         """Narrow what is expected to what thick layers and the base below them show."""
-        level, spread = side.level.copy(), side.spread.copy()
+        level, spread, wall_below = side.level.copy(), side.spread.copy(), 0.0
         for _ in range(2):
-            fit = self.fit(sample, Side(level=level, spread=spread, coated=side.coated), edge)
+            now = Side(level=level, spread=spread, coated=side.coated, wall_below=wall_below)
+            fit = self.fit(sample, now, edge)
             has_face = np.isfinite(fit[0])
             if side.coated and is_preset:
                 spread[2] = 0.02 * level[2]
+                wall_below = self._wall_below(fit, now, edge)
             elif side.coated:
                 # Shows its own grey.
                 is_thick = has_face & (fit[1] * sample.cos_tilt > 3.0 * edge.width)
@@ -338,7 +371,43 @@ class _Learner(Sampler):
                 spread[2] = max(1.2 * mad_sd(fit[2][is_thick]), 0.01 * level[2])
             level[3] = float(np.median(fit[3][has_face]))
             spread[3] = max(1.2 * mad_sd(fit[3][has_face]), 0.03 * level[3])
-        return Side(level=level, spread=spread, coated=side.coated)
+        return Side(level=level, spread=spread, coated=side.coated, wall_below=wall_below)
+
+    def _wall_below(self, fit: Floats, side: Side, edge: Edge) -> float:
+        """By how much what lies directly below a coating is lighter than the base.
+
+        A base of walls and pores is solid there, and the more pores it has the more its grey varies
+        from place to place. What noise adds to that is taken off, so that an even base has none.
+        """
+        varied = mad_sd(fit[3])
+        if not varied > 0:
+            return 0.0
+        width, thickness = edge.width, float(np.nanmedian(fit[1]))
+        samples = int(thickness + 6.0 * width) + 2
+        point = np.array([3.0 * width, thickness, *side.level[2:]])
+        matrix, step = np.zeros((4, 4)), np.zeros(4)
+        _fit_kernels.evaluate(
+            np.zeros(samples, np.float32),
+            0,
+            samples - 1,
+            0.0,
+            self.scatter,
+            width,
+            point,
+            side.level,
+            side.spread,
+            True,
+            matrix,
+            step,
+            None,
+            1.0,
+            0.0,
+            0.0,
+        )
+        prior = np.diag([0.0, 0.0, *side.spread[2:] ** -2.0])
+        inverse = np.linalg.inv(matrix + np.tril(matrix, -1).T)
+        by_noise = inverse @ (matrix + np.tril(matrix, -1).T - prior) @ inverse
+        return _WALL * float(np.sqrt(max(varied**2 - by_noise[3, 3], 0.0)))
 
     def undershoots(self, samples: Samples, sides: Sides, edge: Edge) -> bool:
         """Whether air beside the faces is darker than farther away.

@@ -14,7 +14,15 @@ from planish.core.threads import map_threads
 from planish.core.tiles import Tile
 from planish.core.typing import Floats, Ints
 from planish.surface import _fit_kernels
-from planish.surface.columns import Columns, Edge, GreyScale, Guide, Side, oriented
+from planish.surface.columns import (
+    WALL_UM,
+    Columns,
+    Edge,
+    GreyScale,
+    Guide,
+    Side,
+    oriented,
+)
 from planish.surface.survey import Survey
 
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
@@ -119,8 +127,15 @@ class Sampler:
             )
         return Sample(*(np.concatenate(arrays)[None] for arrays in zip(*row_samples, strict=True)))
 
-    def calm(self, base_level: float) -> None:
-        """Choose how far to average columns with neighbours; say what noise and scatter remain."""
+    def samples(self) -> Samples:
+        """Columns read from either end."""
+        return {from_high: self.sample(from_high=from_high) for from_high in (True, False)}
+
+    def calm(self, step: float) -> None:
+        """Choose how far to average columns with neighbours; say what noise and scatter remain.
+
+        ``step``: the least step of grey that is looked for.
+        """
         self._blend(0.0)
         self.scatter = self.single_noise = self.noise = self.voxel_noise
         air_noise = self._air_noise()
@@ -129,11 +144,11 @@ class Sampler:
             # less, so it is tried.
             self.noise = self.single_noise = air_noise
             for blend_sd in (0.5, 0.75, 1.0, 1.5, 2.0):  # voxels
-                if base_level / self.noise >= _QUIET:
+                if step / self.noise >= _QUIET:
                     break
                 self._blend(blend_sd)
                 self.noise = self._air_noise()
-        elif (cnr := base_level / self.noise) < _QUIET:
+        elif (cnr := step / self.noise) < _QUIET:
             # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
             blend_sd = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
             self._blend(blend_sd)
@@ -141,7 +156,7 @@ class Sampler:
         # What rounding to whole numbers takes off, and no column is a staircase to within a
         # hundredth of its contrast.
         rounding_sd = 12.0**-0.5 if np.issubdtype(self.columns.volume.dtype, np.integer) else 0.0
-        self.scatter = max(self.noise, rounding_sd, 0.01 * base_level)
+        self.scatter = max(self.noise, rounding_sd, 0.01 * step)
 
     def _air_noise(self) -> float:
         """Standard deviation of the air just outside the faces, as the fit will see it.
@@ -205,6 +220,8 @@ class Sampler:
             edge.fringe or None,
             edge.ratio,
             False,
+            side.wall_below,
+            WALL_UM / self.columns.pitch[2],
         )
         return fits
 

@@ -1,0 +1,169 @@
+"""Grey of a coating, from voxels that are coating in all three directions.
+
+Blur dims a coating from outside, from the base, and in a narrow valley from its sides as well. A
+voxel that lies some widths of the blur from every face shows the coating's own grey. Such voxels
+are looked for in patches of columns: a ball rolls inside along both faces of the coating, and what
+it does not reach is alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from planish.core.threads import map_threads
+from planish.core.tiles import Tile, tiles_of
+from planish.core.typing import Floats
+from planish.surface.columns import Columns, Guide, LoneGrey, Priors, oriented
+from planish.surface.faces import fit_tile
+
+# Radius of the ball in widths of the blur; the first that leaves enough is taken. A plane at the
+# last takes 0.2 % of its step off, and at all of them a fit that is half a width off does no harm.
+_RADII = (4.0, 3.68, 3.39, 3.11, 2.86)
+_ENOUGH = 500  # voxels
+_BLOCK_UM = 100.0  # greys of places farther apart are independent
+_EDGE, _PATCH_VOXELS = 96, 2**20  # of a patch: columns along an edge, and voxels at most
+_ROUND, _ROUNDS = 2**16, 2  # columns of a round of patches; another one where too little was seen
+_UNKNOWN = 1e6  # depth of a face that is not known: nothing beside it is alone
+
+
+def lone_greys(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, LoneGrey]:
+    """Return the grey of each coated side (True: at the high end) that shows it anywhere.
+
+    ``priors``: of a first look; their blur and greys may be somewhat off.
+    """
+    sides = [from_high for from_high, side in priors.sides.items() if side.coated]
+    if not sides:
+        return {}
+    patches = patches_of(columns, guide, _ROUNDS * _ROUND)
+    per_round = -(-len(patches) // _ROUNDS)
+    seen: dict[bool, list[Floats]] = {from_high: [] for from_high in sides}
+    for start in range(0, len(patches), per_round):
+        jobs = [(columns, guide, priors, patch) for patch in patches[start : start + per_round]]
+        for sums_by_side in map_threads(_patch_sums, jobs):
+            for from_high, sums in sums_by_side.items():
+                seen[from_high].append(sums)
+        voxels = [float(sum(s[0, 0].sum() for s in seen[from_high])) for from_high in sides]
+        if min(voxels) >= _ENOUGH:
+            break
+    greys = {from_high: _grey(np.concatenate(seen[from_high], axis=2)) for from_high in sides}
+    return {from_high: grey for from_high, grey in greys.items() if grey is not None}
+
+
+def patches_of(columns: Columns, guide: Guide, most: int) -> list[Tile]:
+    """Tiles with a sheet of some ``most`` columns together, spread over all of it.
+
+    The first of them are spread over it as well.
+    """
+    edge = int(np.clip(np.sqrt(_PATCH_VOXELS / columns.shape[2]), 16, _EDGE))
+    tiles = [
+        tile
+        for tile in tiles_of(columns.shape[:2], (edge, edge))
+        if np.isfinite(guide.low[tile.rows, tile.cols]).any()
+    ]
+    order = np.argsort((np.arange(len(tiles)) * 0.6180339887498949) % 1.0)  # the golden section
+    return [tiles[k] for k in order[: max(most // edge**2, 1)]]
+
+
+def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
+    """Sums over lone voxels by side: (fields, radii, blocks)."""
+    columns, guide, priors, patch = job
+    shape = columns.shape[:2]
+    depths = fit_tile((columns, guide.part(priors.scale.grown(patch, shape)), priors, None), patch)
+    # As it is: neighbours would dim what lies beside a face.
+    scale = replace(priors.scale, blend_sd=0.0)
+    grey, _ = oriented(columns, patch, guide.part(patch), scale)
+    block_row, block_col = (
+        (np.arange(n) * pitch_um // _BLOCK_UM).astype(int)
+        for n, pitch_um in zip(patch.shape, columns.pitch[:2], strict=True)
+    )
+    block_index = block_row[:, None] * (block_col[-1] + 1) + block_col
+    lateral_sd_um = priors.edge.width * columns.pitch[2]
+    sums: dict[bool, Floats] = {}
+    for k, from_high in enumerate((True, False)):
+        if not priors.sides[from_high].coated:
+            continue
+        inward_grey = grey[..., ::-1] if from_high else grey
+        summed = np.zeros((*patch.shape, grey.shape[2] + 1))
+        np.cumsum(np.nan_to_num(inward_grey), axis=2, dtype=np.float64, out=summed[..., 1:])
+        outer, inner = depths[2 * k], depths[2 * k] + depths[2 * k + 1]
+        by_radius = [
+            _run_sums(summed, *_apart(outer, inner, radius * lateral_sd_um, columns.pitch))
+            for radius in _RADII
+        ]
+        sums[from_high] = np.array(
+            [
+                [np.bincount(block_index.ravel(), field.ravel()) for field in fields]
+                for fields in by_radius
+            ]
+        ).swapaxes(0, 1)
+    return sums
+
+
+def _apart(
+    outer: Floats, inner: Floats, radius_um: float, pitch_um: tuple[float, float, float]
+) -> tuple[Floats, Floats]:
+    """First and last depth, in voxels, that lie a radius from both faces and from missing ones."""
+    reach = [int(radius_um / p) for p in pitch_um[:2]]
+    rows_um, cols_um = (np.arange(-n, n + 1) * p for n, p in zip(reach, pitch_um[:2], strict=True))
+    square_um2 = radius_um**2 - rows_um[:, None] ** 2 - cols_um**2
+    is_inside = square_um2 >= 0
+    ball = np.where(is_inside, np.sqrt(np.maximum(square_um2, 0.0)) / pitch_um[2], 0.0)
+    is_known = np.isfinite(outer) & np.isfinite(inner)
+    lowered, raised = (
+        ndimage.grey_dilation(
+            np.where(is_known, depth, _UNKNOWN),
+            footprint=is_inside,
+            structure=ball,
+            mode="constant",
+            cval=_UNKNOWN,
+        )
+        for depth in (outer, -inner)
+    )
+    return lowered, -raised
+
+
+def _run_sums(summed: Floats, first: Floats, last: Floats) -> list[Floats]:
+    """Fields of the voxels from first to last depth of each column."""
+    depth_count = summed.shape[2] - 1
+    start = np.clip(np.ceil(first), 0, depth_count).astype(int)
+    stop = np.clip(np.floor(last) + 1, start, depth_count).astype(int)
+    count = stop - start
+    half = count // 2
+    at_start, at_half, at_rest, at_stop = (
+        np.take_along_axis(summed, index[..., None], axis=2)[..., 0]
+        for index in (start, start + half, stop - half, stop)
+    )
+    return [count, at_stop - at_start, half, at_half - at_start, at_stop - at_rest]
+
+
+def _grey(sums: Floats) -> LoneGrey | None:
+    """Grey of a side from its sums (fields, radii, blocks); None where too few voxels are alone."""
+    for radius in range(len(_RADII)):
+        count, grey, half, outer, inner = (field[radius] for field in sums)
+        if count.sum() < _ENOUGH:
+            continue
+        level, error, spread = _weighted(grey, count)
+        deepening, deepening_error, _ = _weighted(inner - outer, half)
+        return LoneGrey(
+            level=level,
+            error=error,
+            spread=spread,
+            deepening=deepening,
+            deepening_error=deepening_error,
+        )
+    return None
+
+
+def _weighted(total: Floats, count: Floats) -> tuple[float, float, float]:
+    """Mean of totals over their counts, its standard error and the spread between the blocks."""
+    is_seen = count > 0
+    weight = count[is_seen] / count.sum()
+    means = total[is_seen] / count[is_seen]
+    mean = float(np.sum(weight * means))
+    deviation = means - mean
+    blocks = max(weight.size, 2)
+    error = np.sqrt(np.sum((weight * deviation) ** 2) * blocks / (blocks - 1))
+    return mean, float(error), float(np.sqrt(np.sum(weight * deviation**2)))

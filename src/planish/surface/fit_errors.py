@@ -1,0 +1,121 @@
+"""How far the fit of a coating is off: the sheet is made again as it was found, and fitted again.
+
+In patches of the sheet a coating with the faces that were found is blurred on a base with the walls
+and pores of the sheet's own core, beside the sheet's own air. What the fit makes of it is compared
+with these faces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planish.core.grid import filled
+from planish.core.threads import map_threads
+from planish.core.tiles import Tile
+from planish.core.typing import Floats
+from planish.surface.alone import patches_of
+from planish.surface.columns import Columns, Guide, Priors, blended, oriented
+from planish.surface.faces import fit_side, fit_tile
+
+_COLUMNS = 2**15  # of the patches
+_BINS = 8  # of thickness
+_CORE_SHARE = 0.3  # of the sheet: from below a coating so much deeper lies its core
+_LEAST_AIR = 6  # voxels of air that show its noise
+
+
+def fit_errors(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Floats]:
+    """Return the errors of each coated side (True: at the high end), (4, bins) in voxels.
+
+    The thickness of a coating, and the standard deviations of the errors of its face, of its
+    thickness and of its interface.
+    """
+    if not any(priors.coated) or priors.embedded_level:
+        return {}
+    patches = patches_of(columns, guide, _COLUMNS)
+    seen: dict[bool, list[Floats]] = {True: [], False: []}
+    for errors in map_threads(_patch_errors, [(columns, guide, priors, p) for p in patches]):
+        for from_high, values in errors.items():
+            seen[from_high].append(values)
+    return {
+        from_high: _by_thickness(np.concatenate(values, axis=1))
+        for from_high, values in seen.items()
+        if sum(v.shape[1] for v in values) >= 100 * _BINS
+    }
+
+
+def _by_thickness(values: Floats) -> Floats:
+    """Root mean squares in classes of thickness, of (4, columns)."""
+    errors = values[1:] - values[1:].mean(axis=1, keepdims=True)
+    order = np.argsort(values[0], kind="stable")
+    return np.array(
+        [
+            [values[0, part].mean(), *np.sqrt(np.mean(errors[:, part] ** 2, axis=1))]
+            for part in np.array_split(order, _BINS)
+        ]
+    ).T
+
+
+def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
+    """Found thickness, and errors of face, thickness and interface, (4, columns) by side."""
+    columns, guide, priors, patch = job
+    shape = columns.shape[:2]
+    depths = fit_tile((columns, guide.part(priors.scale.grown(patch, shape)), priors, None), patch)
+    part = guide.part(patch)
+    grey, _ = oriented(columns, patch, part, replace(priors.scale, blend_sd=0.0))
+    width = priors.edge.width
+    sd_px = [width * columns.pitch[2] / p for p in columns.pitch[:2]]
+    again = replace(priors, edge=replace(priors.edge, fringe=0.0))
+    border = max(priors.scale.halo, int(3.0 * max(sd_px)) + 1)
+    errors: dict[bool, Floats] = {}
+    for k, from_high in enumerate((True, False)):
+        face, thickness = depths[2 * k : 2 * k + 2]
+        is_known = np.isfinite(face) & np.isfinite(thickness)
+        is_known[:border], is_known[-border:] = False, False
+        is_known[:, :border], is_known[:, -border:] = False, False
+        if not priors.sides[from_high].coated or not is_known.any():
+            continue
+        outer, opposite = part.faces(grey.shape[2], from_high=from_high)
+        expected = [np.ascontiguousarray(a) for a in (outer, opposite, part.cos_tilt)]
+        inward = grey[..., ::-1] if from_high else grey
+        layers = filled(face), filled(face) + filled(thickness)
+        made = _made(inward, layers, (outer, opposite), priors, from_high, [*sd_px, width])
+        stored = np.ascontiguousarray(made[..., ::-1] if from_high else made)
+        made = blended(stored, part, priors.scale, columns.step)
+        fit = fit_side(made, tuple(expected), again, columns, from_high)
+        true = [ndimage.gaussian_filter(layer, sd_px, mode="nearest") for layer in layers]
+        off = [fit[0] - true[0], fit[1] - true[1] + true[0], fit[0] + fit[1] - true[1]]
+        is_known &= np.isfinite(fit[1])
+        errors[from_high] = np.stack([fit[1], *off])[:, is_known]
+    return errors
+
+
+def _made(
+    inward: NDArray[np.float32],
+    layers: tuple[Floats, Floats],
+    expected: tuple[Floats, Floats],
+    priors: Priors,
+    from_high: bool,
+    sd_px: list[float],
+) -> NDArray[np.float32]:
+    """Grey of a coating between two layers, as the scan would show it."""
+    depth = np.arange(inward.shape[2])
+    below_face, base = (
+        ndimage.gaussian_filter(
+            np.clip(depth - layer[..., None] + 0.5, 0.0, 1.0).astype(np.float32), sd_px
+        )
+        for layer in layers
+    )
+    deeper = np.rint(_CORE_SHARE * filled(expected[1] - expected[0])).astype(int)
+    core_index = np.clip(depth + deeper[..., None], 0, depth[-1])
+    core = np.take_along_axis(inward, core_index, axis=2)
+    made = float(priors.sides[from_high].level[2]) * (below_face - base) + core * base
+    last_air = int(np.nanmin(expected[0]) - priors.search_px)
+    if last_air >= _LEAST_AIR:
+        to_and_fro = np.r_[0:last_air, last_air - 1 : -1 : -1]
+        air = inward[..., np.resize(to_and_fro, depth.size)]
+        made += air * np.sqrt(np.maximum(1.0 - base**2, 0.0))
+    return made.astype(np.float32, copy=False)
