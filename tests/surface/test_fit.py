@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from naive import fit_staircase, staircase
 from planish.surface._fit_kernels import fit_column, fit_faces
@@ -94,3 +95,19 @@ def test_a_bare_spot_is_zero_and_air_or_missing_voxels_give_nothing():
     g[16] = np.nan
     assert np.isnan(run(g, 15.0, 45.0)).all()
     assert np.isnan(run(g, np.nan, 45.0)).all()
+
+
+def test_a_wall_below_the_coating_is_a_step_of_its_own():
+    d, wall, depth = np.arange(40), 0.12, 0.6
+    truth = [9.4, 4.3, 1.0, 0.35]
+    g = staircase(d, truth, WIDTH, AIR)
+    g = g + wall * (ndtr((d - 13.7) / WIDTH) - ndtr((d - 13.7 - depth) / WIDTH))
+    found = []
+    for below in (0.0, wall):
+        p = np.array([9.0, 4.0, 1.0, 0.35])
+        matrix, step = np.zeros((4, 4)), np.zeros(4)
+        column = g.astype(np.float32), 0, 39, AIR, NOISE, WIDTH, p, PRIOR, SPREAD, True
+        fit_column(*column, matrix, step, None, 1.0, below, depth)
+        found.append(p[1])
+    assert found[1] == pytest.approx(4.3, abs=5e-3)
+    assert found[0] > 4.3 + 0.05

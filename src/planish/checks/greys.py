@@ -15,7 +15,7 @@ from scipy import ndimage
 from planish.checks.scan import GreyScan
 from planish.checks.windows import Window
 from planish.core.checks import PROPERTIES, Check, CheckRule
-from planish.core.facts import SIDES
+from planish.core.facts import SIDES, Side
 from planish.core.frame import Frame
 from planish.core.robust import mad_sd
 from planish.core.typing import Array, Bools, Floats, Ints
@@ -30,6 +30,7 @@ _WALL = 0.95  # of the greys of a base with pores lie below that of a wall
 _JUMP = 0.1  # of the contrast: moves a face by an eighth of the blur's standard deviation
 # Least contrast of a coating to the base: of the base's to the air, of the other side's.
 _COATING, _ALIKE = 0.25, 0.75
+_DEEPENS = 0.1  # of its contrast: a grey so far off makes a coating a tenth too thick
 # Widths of the blur: balls of such chords keep 0.8 of their volume above half of their contrast.
 _RESOLVED = 2.0
 _EDGE, _DEPTH = 32, 8  # voxels along the edge of a block of air; along the axis through the sheet
@@ -285,6 +286,11 @@ def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
             f"One coating has {100 * contrast_ratio:.0f} % of the other's contrast to the base."
             for _ in range(contrast_ratio < _ALIKE)
         ]
+        + [
+            f"The half of the {side} coating next to the base is {kind} than its outer half by"
+            f" {abs(change):.3g}: a pre-coat of another grey, or a grey that changes with depth."
+            for side, change, kind in _deepening(scan, contrasts)
+        ]
     )
     levels_text = " and ".join(f"{level:.4g} ({side})" for side, level in levels.items())
     return rule.check(
@@ -303,6 +309,14 @@ def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
         ),
         remedy="Or give `coating_grey`." if faults else "",
     )
+
+
+def _deepening(scan: GreyScan, contrasts: dict[Side, float]) -> Iterator[tuple[Side, float, str]]:
+    """Sides whose coating is of two greys, by how much, and what the inner half is."""
+    for side, contrast in contrasts.items():
+        change, error = scan.measured.attrs.get(f"coating_deepens_{side}", (0.0, 0.0))
+        if abs(change) > max(_DEEPENS * contrast, 3.0 * error):
+            yield side, change, "denser" if change > 0 else "less dense"
 
 
 def filler(rule: CheckRule, scan: GreyScan) -> Check | None:

@@ -33,8 +33,8 @@ class Greys:
     texture_um: float = 0.0
     # Standard deviation of the Gaussian over neighbouring columns that the fit saw, in columns.
     averaged: float = 0.0
-    # Of each coated side, um: thickness of the coating, and errors of its face, of its thickness and
-    # of its interface as the fit was found to make them, (4, classes of thickness).
+    # Of each coated side, um: thickness of the coating, and the errors that the fit was found to
+    # make of its face, its thickness and its interface; (4, classes of thickness).
     fit_errors: Mapping[Side, Floats] = field(default_factory=dict)
 
     @classmethod

@@ -206,8 +206,10 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
                     for k in (f"coating_{side}", "base_thickness", "thickness")
                 }
                 level_um += float(added.attrs.get("common_um", 0.0))
+    coating_um = {side: _grey_error_um(measured, side) for side in SIDES}
     common = {
         **common,
+        **{f"coating_{k}": float(np.hypot(common[f"coating_{k}"], coating_um[k])) for k in SIDES},
         **{k: float(np.hypot(common[k], level_um)) for k in ("base_thickness", "thickness")},
     }
     variables: dict[str, xr.Variable] = {}
@@ -223,6 +225,19 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
                 ("y", "x"), se, attrs_of_se | {"patch_um2": patch_um2}
             )
     return measured.assign(variables)
+
+
+def _grey_error_um(measured: xr.Dataset, side: Side) -> float:
+    """Return how far the mean of a coating is off where its grey is off by its standard error.
+
+    Blur keeps thickness times contrast to the base, as long as it reaches through the layer.
+    """
+    error = float(measured.attrs.get(f"grey_coating_{side}_error", 0.0))
+    if not error:
+        return 0.0
+    greys = Greys.of(measured)
+    seen_through_um = np.fmin(measured[f"coating_{side}"].values, _SEEN_THROUGH * greys.blur_um)
+    return error / abs(greys.coating(side) - greys.base) * float(np.nanmean(seen_through_um))
 
 
 def _se_name(long_name: str) -> str:
@@ -270,6 +285,7 @@ def _measure_faces(
 
 
 T = TypeVar("T")
+_SEEN_THROUGH = 2.5  # widths of the blur: a thicker layer shows its own grey in its middle
 
 
 def measure_along_rays(  # noqa: C901

@@ -87,7 +87,7 @@ def _solve4(m, r, n):
 
 
 @njit(cache=True, nogil=True)
-def evaluate(  # noqa: C901
+def evaluate(  # noqa: C901, PLR0912
     g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio, wall, depth
 ):
     """Return the cost at p.

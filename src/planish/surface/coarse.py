@@ -176,8 +176,8 @@ def _points_text(
 
 
 _BRIGHTER, _THICKER = 1.3, 1.2  # times the others
-# Brightest tenth of an object's inside over its median: film is of one grey, paper is coated or full
-# of pores.
+# Brightest tenth of an object's inside over its median: film is of one grey, paper is coated or
+# full of pores.
 _UNEVEN = 1.25
 _RIM = 2  # voxels of depth at either end of an object that the blur and the block means dim
 

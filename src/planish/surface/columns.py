@@ -235,7 +235,7 @@ def oriented(
 def blended(
     grey: NDArray[np.float32], guide: Guide, scale: GreyScale, step: int
 ) -> NDArray[np.float32]:
-    """Grey (rows, cols, depth) of columns averaged with their neighbours; ``grey`` is overwritten."""
+    """Average the columns of ``grey`` (rows, cols, depth) with their neighbours, in place."""
     if not scale.halo:
         return grey
     weights = np.exp(-0.5 * (np.arange(scale.halo + 1) / scale.blend_sd) ** 2)
@@ -299,7 +299,8 @@ class Side:
     # Grey of a fibre's wall above the air, where no coating covers a base of walls and pores; 0
     # elsewhere.
     wall_level: float = 0.0
-    lone: LoneGrey | None = None  # the coating's grey, where it was seen beyond all blur
+    level_error: float = 0.0  # standard error of the coating's grey that was learnt
+    lone: LoneGrey | None = None  # that grey, where it was seen beyond all blur
     # By how much what lies directly below a coating, over WALL_UM, is lighter than the base.
     wall_below: float = 0.0
 
@@ -334,21 +335,35 @@ class Priors:
         """Tell of the sides at the high and at the low end if they have a coating."""
         return self.sides[True].coated, self.sides[False].coated
 
-    def attrs(self, pitch_um: float, frame: Frame) -> dict[str, float]:
+    def attrs(self, pitch_um: float, frame: Frame) -> dict[str, float | list[float]]:
         """Return grey levels, noise, blur and fringe as surfaces carry them.
 
         The grey level of a coating that is not there is NaN.
         """
         air_grey, polarity, edge = self.scale.air_grey, self.scale.polarity, self.edge
+        by_name = {
+            "top": self.sides[frame.top == "high"],
+            "bottom": self.sides[frame.top == "low"],
+        }
         top, bottom = (
             float(polarity * side.level[2] + air_grey) if side.coated else float("nan")
-            for side in (self.sides[frame.top == "high"], self.sides[frame.top == "low"])
+            for side in by_name.values()
         )
         return {
             "grey_air": air_grey,
             "grey_base": polarity * self.base_level + air_grey,
             "grey_coating_top": top,
             "grey_coating_bottom": bottom,
+            **{
+                f"grey_coating_{name}_error": side.level_error
+                for name, side in by_name.items()
+                if side.coated and side.level_error
+            },
+            **{
+                f"coating_deepens_{name}": [side.lone.deepening, side.lone.deepening_error]
+                for name, side in by_name.items()
+                if side.lone is not None
+            },
             "grey_noise": self.noise,
             "grey_noise_single": self.single_noise,
             "averaged_columns": self.scale.blend_sd,

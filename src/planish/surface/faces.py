@@ -154,8 +154,7 @@ def _cleaned(
     # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
     is_finite, step_um = np.isfinite(outer), pitch[2]
     deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
-    # 3 um or voxels.
-    limit_px = max(8.0 * mad_sd(deviation_px[is_finite]) + 1.0, 3.0 / step_um, 3.0)
+    limit_px = largest_step_px(deviation_px[is_finite], step_um)
     outer = np.where(is_finite & (deviation_px <= limit_px), outer, np.nan)
     # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow
     # place.
@@ -166,6 +165,11 @@ def _cleaned(
         top_hat > max(8.0 * mad_sd(top_hat[is_finite]) + 1.0, 6.0 / step_um, 3.0)
     )
     return np.where(is_particle, np.nan, outer), is_particle
+
+
+def largest_step_px(deviations_px: Floats, step_um: float) -> float:
+    """By how much a column's face may stand off its neighbours', in voxels: 3 um or 3 voxels."""
+    return max(8.0 * mad_sd(deviations_px) + 1.0, 3.0 / step_um, 3.0)
 
 
 def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Floats]:

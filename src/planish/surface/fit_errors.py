@@ -18,12 +18,12 @@ from planish.core.threads import map_threads
 from planish.core.tiles import Tile
 from planish.core.typing import Floats
 from planish.surface.alone import patches_of
+from planish.surface.coarse import CORE
 from planish.surface.columns import Columns, Guide, Priors, blended, oriented
-from planish.surface.faces import fit_side, fit_tile
+from planish.surface.faces import fit_side, fit_tile, largest_step_px
 
 _COLUMNS = 2**15  # of the patches
 _BINS = 8  # of thickness
-_CORE_SHARE = 0.3  # of the sheet: from below a coating so much deeper lies its core
 _LEAST_AIR = 6  # voxels of air that show its noise
 
 
@@ -89,6 +89,8 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
         true = [ndimage.gaussian_filter(layer, sd_px, mode="nearest") for layer in layers]
         off = [fit[0] - true[0], fit[1] - true[1] + true[0], fit[0] + fit[1] - true[1]]
         is_known &= np.isfinite(fit[1])
+        # What stands so far off is taken for a spike, and left out of the faces as well.
+        is_known &= np.abs(off[0]) <= largest_step_px(off[0][is_known], columns.pitch[2])
         errors[from_high] = np.stack([fit[1], *off])[:, is_known]
     return errors
 
@@ -109,9 +111,11 @@ def _made(
         )
         for layer in layers
     )
-    deeper = np.rint(_CORE_SHARE * filled(expected[1] - expected[0])).astype(int)
-    core_index = np.clip(depth + deeper[..., None], 0, depth[-1])
-    core = np.take_along_axis(inward, core_index, axis=2)
+    # To and fro through the core, of which every depth of the base is made.
+    outer, thickness = filled(expected[0])[..., None], filled(expected[1] - expected[0])[..., None]
+    first, length = outer + CORE[0] * thickness, np.maximum((CORE[1] - CORE[0]) * thickness, 3.0)
+    core_index = np.rint(first + np.abs((depth - first) % (2.0 * length) - length)).astype(int)
+    core = np.take_along_axis(inward, np.clip(core_index, 0, depth[-1]), axis=2)
     made = float(priors.sides[from_high].level[2]) * (below_face - base) + core * base
     last_air = int(np.nanmin(expected[0]) - priors.search_px)
     if last_air >= _LEAST_AIR:

@@ -18,8 +18,8 @@ from planish.core.errors import VolumeError
 from planish.core.robust import mad_sd
 from planish.core.typing import Floats
 from planish.surface import _fit_kernels
-from planish.surface.coarse import CORE
 from planish.surface.alone import lone_greys
+from planish.surface.coarse import CORE
 from planish.surface.columns import (
     FRINGE_PX,
     Columns,
@@ -100,10 +100,16 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
     if has_fringe:
         edge, _ = learner.with_fringe(samples, sides, edge, [])
+    level_errors = {k: grey.error for k, grey in lone.items()}
     thin_sides = [k for k in samples if sides[k].coated and not is_preset and k not in lone]
     if thin_sides:
         fit_thin = learner.with_fringe if has_fringe else learner.thin_levels
+        seen_levels = {k: float(sides[k].level[2]) for k in thin_sides}
         edge, sides = fit_thin(learner.quiet(samples, edge.width), sides, edge, thin_sides)
+        # How far a grey goes beyond what was seen of it is known to a half.
+        level_errors |= {
+            k: 0.5 * abs(float(sides[k].level[2]) - seen_levels[k]) for k in thin_sides
+        }
     narrowed_sides: Sides = {}
     for from_high, sample in samples.items():
         side = learner.narrowed(sample, sides[from_high], edge, True)
@@ -111,7 +117,8 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         # columns.
         if (
             is_preset
-            and not float(np.nanmedian(learner.fit(sample, side, edge)[1])) > 0.15 * edge.width
+            and not float(np.nanmedian(learner.fit(sample, _on_slab(side), edge)[1]))
+            > 0.15 * edge.width
         ):
             level, spread = (
                 np.array([0.0, 0.0, 0.0, base_level]),
@@ -121,7 +128,10 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
                 sample, Side(level=level, spread=spread, coated=False), edge, True
             )
         narrowed_sides[from_high] = replace(
-            side, wall_level=wall_levels.get(from_high, 0.0), lone=lone.get(from_high)
+            side,
+            wall_level=wall_levels.get(from_high, 0.0),
+            lone=lone.get(from_high),
+            level_error=level_errors.get(from_high, 0.0),
         )
     return learner.priors(narrowed_sides, edge, base_level, base_texture, covers_px)
 
@@ -130,7 +140,12 @@ def _known(side: Side, grey: LoneGrey) -> Side:
     """Return a side with the grey that its coating has where nothing else is near."""
     level, spread = side.level.copy(), side.spread.copy()
     level[2], spread[2] = grey.level, 0.02 * grey.level
-    return replace(side, level=level, spread=spread)
+    return replace(side, level=level, spread=spread, lone=grey)
+
+
+def _on_slab(side: Side) -> Side:
+    """Return a side without a wall below its coating: a thinner one is not told from it."""
+    return replace(side, wall_below=0.0)
 
 
 # From the face, in widths of the blur: where an undershoot may be seen.
@@ -361,7 +376,7 @@ class _Learner(Sampler):
             has_face = np.isfinite(fit[0])
             if side.coated and is_preset:
                 spread[2] = 0.02 * level[2]
-                wall_below = self._wall_below(fit, now, edge)
+                wall_below = self._wall_below(sample, fit, now, edge)
             elif side.coated:
                 # Shows its own grey.
                 is_thick = has_face & (fit[1] * sample.cos_tilt > 3.0 * edge.width)
@@ -373,16 +388,18 @@ class _Learner(Sampler):
             spread[3] = max(1.2 * mad_sd(fit[3][has_face]), 0.03 * level[3])
         return Side(level=level, spread=spread, coated=side.coated, wall_below=wall_below)
 
-    def _wall_below(self, fit: Floats, side: Side, edge: Edge) -> float:
+    def _wall_below(self, sample: Sample, fit: Floats, side: Side, edge: Edge) -> float:
         """By how much what lies directly below a coating is lighter than the base.
 
         A base of walls and pores is solid there, and the more pores it has the more its grey varies
-        from place to place. What noise adds to that is taken off, so that an even base has none.
+        from place to place. What noise adds to that is taken off. A base that varies little beyond
+        it is even, and one so thin that its edges blur into each other shows no pores.
         """
-        varied = mad_sd(fit[3])
-        if not varied > 0:
+        varied, width = mad_sd(fit[3]), edge.width
+        thickness = float(np.nanmedian(fit[1]))
+        base_px = float(np.nanmedian((sample.opposite - sample.outer) * sample.cos_tilt))
+        if not varied > 0 or base_px - 2.0 * thickness < 6.0 * width:
             return 0.0
-        width, thickness = edge.width, float(np.nanmedian(fit[1]))
         samples = int(thickness + 6.0 * width) + 2
         point = np.array([3.0 * width, thickness, *side.level[2:]])
         matrix, step = np.zeros((4, 4)), np.zeros(4)
@@ -404,10 +421,11 @@ class _Learner(Sampler):
             0.0,
             0.0,
         )
-        prior = np.diag([0.0, 0.0, *side.spread[2:] ** -2.0])
-        inverse = np.linalg.inv(matrix + np.tril(matrix, -1).T)
-        by_noise = inverse @ (matrix + np.tril(matrix, -1).T - prior) @ inverse
-        return _WALL * float(np.sqrt(max(varied**2 - by_noise[3, 3], 0.0)))
+        precision = matrix + np.tril(matrix, -1).T
+        by_columns = precision - np.diag([0.0, 0.0, *side.spread[2:] ** -2.0])
+        covariance = np.linalg.inv(precision) @ by_columns @ np.linalg.inv(precision)
+        by_noise = float(covariance[3, 3])
+        return _WALL * float(np.sqrt(varied**2 - by_noise)) if varied**2 > 2.0 * by_noise else 0.0
 
     def undershoots(self, samples: Samples, sides: Sides, edge: Edge) -> bool:
         """Whether air beside the faces is darker than farther away.

@@ -1,0 +1,68 @@
+"""The grey of a coating where it is alone, on layers in valleys whose grey is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from planish.core.frame import Frame
+from planish.core.tiles import Engine
+from planish.surface import SurfaceParams, find_surfaces
+from planish.surface.columns import Columns, make_guide
+from planish.surface.learn import learn_priors
+from planish.surface.survey import take_survey
+from surface.sheets import Sheet, volume
+
+AIR, BASE, COATING, VOXEL = 40.0, 90.0, 190.0, 2.0
+
+
+def valleys(*, width_um=30.0, depth_um=18.0, inner=COATING, seed=3):
+    """A flat sheet whose coating fills valleys of the base, 2 um thick between them; its half next
+    to the base may be of another grey."""
+    rng = np.random.default_rng(seed)
+    rows, cols, depth = 90, 100, 60
+    rough = ndimage.gaussian_filter(rng.standard_normal((rows, cols)), width_um / 2.4 / VOXEL)
+    filled = depth_um * np.clip(rough / rough.std(), 0.0, 1.5) / 1.5 + 2.0
+    z = (np.arange(depth) + 0.5) * VOXEL - 0.5 * depth * VOXEL
+    face, sheet = 36.0, 72.0
+    below = (face - z)[:, None, None] + np.zeros((depth, rows, cols))
+    grey = np.where((below > 0) & (below < sheet), BASE, AIR)
+    for at in (below, sheet - below):
+        grey = np.where((at > 0) & (at < filled), COATING, grey)
+        grey = np.where((at > 0.5 * filled) & (at < filled), inner, grey)
+    grey = ndimage.gaussian_filter(grey, 1.7 / VOXEL) + rng.normal(0.0, 8.0, grey.shape)
+    return volume(np.rint(grey).clip(0, 255).astype(np.uint8), VOXEL), filled
+
+
+def learnt(made):
+    columns = Columns(volume=made, frame=Frame())
+    survey = take_survey(columns, SurfaceParams(), Engine())
+    return learn_priors(columns, make_guide(survey.coarse, columns), survey, SurfaceParams())
+
+
+@pytest.mark.ci
+def test_a_coating_in_valleys_has_its_own_grey():
+    priors = learnt(valleys()[0])
+    for side in priors.sides.values():
+        assert side.lone is not None
+        assert side.lone.level == pytest.approx(COATING - AIR, abs=2.0)
+        assert 0 < side.lone.error < 3.0
+        assert abs(side.lone.deepening) < 4.0
+
+
+@pytest.mark.ci
+def test_a_pre_coat_of_another_grey_is_seen():
+    found = find_surfaces(valleys(depth_um=36.0, width_um=60.0, inner=160.0)[0])
+    change, error = found.attrs["coating_deepens_top"]
+    assert change < -3.0 * error
+    assert change < -10.0
+
+
+def test_a_coating_that_is_nowhere_thick_is_alone_nowhere():
+    sheet = Sheet(lateral=(40, 44), margin=20.0, thickness=60.0, coats=(5.0, 5.0))
+    found = find_surfaces(sheet.volume())
+    assert "coating_deepens_top" not in found.attrs
+    assert found.attrs["grey_coating_top_error"] > 0
+    thick = find_surfaces(replace(sheet, coats=(15.0, 15.0)).volume())
+    assert thick.attrs["grey_coating_top_error"] < found.attrs["grey_coating_top_error"]
