@@ -130,6 +130,17 @@ def test_foreign_empty_and_faulty_slices_are_named_with_what_they_concern():
     assert set(across.figures) == {"position", "correlation"}
 
 
+@pytest.mark.parametrize("offset", [25.0, -25.0])
+def test_a_line_of_one_slice_is_no_foreign_slice(offset):
+    values = body()
+    values[30:33] += offset * np.array([0.2, 1.0, 0.2])[:, None, None]
+    assert judged(values, through="y").state == "pass"
+    values[50] = body(seed=5)[50] + offset
+    assert judged(values, through="y").sentence.startswith(
+        "Slice 50 along z does not fit between its neighbours."
+    )
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_an_edge_along_the_slices_is_no_fault(axis):
     """A flat sheet, sharp to a voxel, right along the slices: what jumps is its grey."""

@@ -123,3 +123,12 @@ def test_the_kernel_gives_back_what_made_a_profile():
         ratio,
     )
     np.testing.assert_allclose(p, truth, atol=2e-3)
+
+
+@pytest.mark.parametrize("fringe", [0.0, 1.2])
+def test_the_overshoot_of_a_strong_fringe_is_no_coating(fringe):
+    """It lightens the base below a face by as much as it darkens the air outside."""
+    sheet = replace(COARSE, coats=(0.0, 0.0), fringe=fringe, greys=(60.0, 115.0, 210.0))
+    found = find_surfaces(sheet.volume())
+    assert np.isnan(found.attrs["grey_coating_top"])
+    assert np.isnan(found.attrs["grey_coating_bottom"])

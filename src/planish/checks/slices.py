@@ -312,8 +312,24 @@ def _foreign(t: _Stack) -> Iterator[Fault]:
             kind = "repeated"
         elif differences[nearest] < _FITS * t.usual_difference(nearest):
             kind = "moved"
+        elif _is_line(t, k):
+            t.is_good[k - 1 : k + 2] = False
+            continue
         copied.add(k)
         yield Fault(kind=kind, first=k, last=k, other=None if kind == "foreign" else nearest)
+
+
+def _is_line(t: _Stack, k: int) -> bool:
+    """Tell if slice ``k`` is what its neighbours lead to but for one grey all over it.
+
+    The line of a knife, or of a row of the detector, is no slice of another body.
+    """
+    bends = [
+        float(np.var(0.5 * (t.s[i - 1] + t.s[i + 1]) - t.s[i], dtype=np.float64))
+        for i in range(max(k - _AROUND, 1), min(k + _AROUND + 1, len(t.s) - 1))
+    ]
+    here = float(np.var(0.5 * (t.s[k - 1] + t.s[k + 1]) - t.s[k], dtype=np.float64))
+    return here < FOREIGN * float(np.median(bends))
 
 
 def _copies(t: _Stack) -> Iterator[Fault]:

@@ -76,7 +76,7 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
     scale = replace(priors.scale, blend_sd=0.0)
     grey, _ = oriented(columns, patch, guide.part(patch), scale)
     block_row, block_col = (
-        (np.arange(n) * pitch_um // _BLOCK_UM).astype(int)
+        (np.arange(n) * pitch_um // min(_BLOCK_UM, n * pitch_um / 3.0)).astype(int)
         for n, pitch_um in zip(patch.shape, columns.pitch[:2], strict=True)
     )
     block_index = block_row[:, None] * (block_col[-1] + 1) + block_col

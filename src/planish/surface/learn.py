@@ -35,6 +35,7 @@ from planish.surface.sample import Sample, Sampler, Samples, cost_limit
 from planish.surface.survey import Survey
 
 _WIDTHS = np.geomspace(0.35, 3.2, 14)  # blur along a column that is tried, in voxels
+_OUTSIDE = 5  # voxels outside a face in which a fringe has its undershoot
 _LEAST_COVER_UM = 15.0  # from a face to a brighter layer: a coating's brightest place is nearer
 # Of the core's variance, what acts on a face: the solid below it is denser. By drawn fibres, and
 # pores of a voxel.
@@ -59,7 +60,7 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     is_separated = params.sheet_grey is not None or survey.surroundings == "material"
     if params.coating_grey is None:
         sides = {
-            k: learner.first_side(profile, base_level, base_sd, is_separated)
+            k: learner.first_side(*profile, base_level, base_sd, is_separated)
             for k, profile in profiles.items()
         }
     else:
@@ -78,13 +79,15 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
     # Amid other material, a face is sought by the darkest place beside it.
     if not learner.embedded_level:
-        learner.calm(learner.sought(sides, wall_levels, base_level))
+        step = learner.sought(sides, wall_levels, base_level)
+        # A coating of a grey that was set need not be there.
+        learner.calm(step if params.coating_grey is None else min(step, base_level))
         samples = learner.samples()
         wall_levels = {k: learner.wall_level(samples[k]) for k in wall_levels}
     preset_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
     edge = Edge(width=learner.blur(samples, sides, preset_fringe), fringe=preset_fringe)
     base_texture = learner.base_texture(samples[True])
-    covers_px = {k: learner.cover(profile) for k, profile in profiles.items()}
+    covers_px = {k: learner.cover(profile[0]) for k, profile in profiles.items()}
     if learner.embedded_level:
         covers_px = {}
     is_preset = params.coating_grey is not None
@@ -272,8 +275,11 @@ class _Learner(Sampler):
             level=np.array([0.0, 0.0, coating_level, base_level]), spread=spread, coated=True
         )
 
-    def profile(self, sample: Sample, base_level: float) -> Floats:
-        """Median grey inwards from the first sample above the air, to the middle of the sheet."""
+    def profile(self, sample: Sample, base_level: float) -> tuple[Floats, float]:
+        """Median grey inwards from the first sample above the air, to the middle of the sheet.
+
+        And by how much the air just outside is darker than the air.
+        """
         grey, outer, search_px, embedded_level = (
             sample.grey[0],
             sample.outer[0],
@@ -295,9 +301,13 @@ class _Learner(Sampler):
         has_start = start_index > 0
         half_depth = int(np.median(sample.opposite[0] - outer)) // 2
         depth_index = np.clip(
-            start_index[has_start][:, None] + np.arange(max(half_depth, 2)), 0, grey.shape[1] - 1
+            start_index[has_start][:, None] + np.arange(-_OUTSIDE, max(half_depth, 2)),
+            0,
+            grey.shape[1] - 1,
         )
-        return np.nanmedian(np.take_along_axis(grey[has_start], depth_index, axis=1), axis=0)
+        profile = np.nanmedian(np.take_along_axis(grey[has_start], depth_index, axis=1), axis=0)
+        undershoot = 0.0 if embedded_level else max(-float(profile[:_OUTSIDE].min()), 0.0)
+        return profile[_OUTSIDE:], undershoot
 
     def cover(self, profile: Floats) -> float:
         """Thickness in voxels of what covers a side: an even layer with a brighter one below it.
@@ -318,14 +328,23 @@ class _Learner(Sampler):
         )
 
     def first_side(
-        self, profile: Floats, base_level: float, base_sd: float, is_separated: bool
+        self,
+        profile: Floats,
+        undershoot: float,
+        base_level: float,
+        base_sd: float,
+        is_separated: bool,
     ) -> Side:
-        """Look for a coating in the median profile below the face; wide spreads."""
+        """Look for a coating in the median profile below the face; wide spreads.
+
+        A fringe that darkens the air outside lightens what lies inside by as much.
+        """
         half_depth, embedded_level = profile.size, self.embedded_level
         peak_level = float(profile[: max(2, int(0.8 * half_depth))].max())
         solid_level = base_level + 1.28 * min(base_sd, 0.3 * base_level)
         # A layer is a coating when it stands out from the base by more than a quarter.
-        coated = peak_level > 1.25 * (1.2 * solid_level if is_separated else solid_level)
+        least_level = 1.25 * (1.2 * solid_level if is_separated else solid_level)
+        coated = peak_level - undershoot > least_level
         # Without a coating the third level is what lies outside: the air, unless the sheet is amid
         # other material.
         outside_level = (1.0 if embedded_level else 0.5) * base_level if is_separated else -1.0
@@ -398,7 +417,9 @@ class _Learner(Sampler):
         varied, width = mad_sd(fit[3]), edge.width
         thickness = float(np.nanmedian(fit[1]))
         base_px = float(np.nanmedian((sample.opposite - sample.outer) * sample.cos_tilt))
-        if not varied > 0 or base_px - 2.0 * thickness < 6.0 * width:
+        # The fit goes 3 widths below the interface, and so far reaches the blur of the other one;
+        # the coarse sheet is a width larger on either side.
+        if not varied > 0 or base_px - 2.0 * thickness < 8.0 * width:
             return 0.0
         samples = int(thickness + 6.0 * width) + 2
         point = np.array([3.0 * width, thickness, *side.level[2:]])
