@@ -23,7 +23,10 @@ from planish.surface.columns import Columns, Guide, Priors, blended, oriented
 from planish.surface.faces import fit_side, fit_tile, largest_step_px
 
 _COLUMNS = 2**15  # of the patches
-_BINS = 8  # of thickness
+# Classes of thickness end at these shares of the columns. Where the fit took a light place of the
+# base for coating it found the largest thicknesses, which have classes of their own.
+_SHARES = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 0.95, 0.985)
+_LEAST = 1000  # columns
 _LEAST_AIR = 6  # voxels of air that show its noise
 
 
@@ -43,7 +46,7 @@ def fit_errors(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Flo
     return {
         from_high: _by_thickness(np.concatenate(values, axis=1))
         for from_high, values in seen.items()
-        if sum(v.shape[1] for v in values) >= 100 * _BINS
+        if sum(v.shape[1] for v in values) >= _LEAST
     }
 
 
@@ -54,7 +57,7 @@ def _by_thickness(values: Floats) -> Floats:
     return np.array(
         [
             [values[0, part].mean(), *np.sqrt(np.mean(errors[:, part] ** 2, axis=1))]
-            for part in np.array_split(order, _BINS)
+            for part in np.split(order, (np.array(_SHARES) * order.size).astype(int))
         ]
     ).T
 
