@@ -19,9 +19,9 @@ from planish.core.typing import Floats
 from planish.surface.columns import Columns, Guide, LoneGrey, Priors, oriented
 from planish.surface.faces import fit_tile
 
-# Radius of the ball in widths of the blur; the first that leaves enough is taken. A plane at the
-# last takes 0.2 % of its step off, and at all of them a fit that is half a width off does no harm.
-_RADII = (4.0, 3.68, 3.39, 3.11, 2.86)
+RADII = (4.0, 3.68, 3.39, 3.11, 2.86)
+"""Radius of the ball in widths of the blur; the first that leaves enough is taken. A plane at the
+last takes 0.2 % of its step off, and at all of them a fit that is half a width off does no harm."""
 _ENOUGH = 500  # voxels
 _BLOCK_UM = 100.0  # greys of places farther apart are independent
 _EDGE, _PATCH_VOXELS = 96, 2**20  # of a patch: columns along an edge, and voxels at most
@@ -80,7 +80,9 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
         for n, pitch_um in zip(patch.shape, columns.pitch[:2], strict=True)
     )
     block_index = block_row[:, None] * (block_col[-1] + 1) + block_col
-    lateral_sd_um = priors.edge.width * columns.pitch[2]
+    # A fringe reaches as far as a blur of its own width.
+    edge = priors.edge
+    unit_um = max(edge.width, edge.fringe_width if edge.fringe else 0.0) * columns.pitch[2]
     sums: dict[bool, Floats] = {}
     for k, from_high in enumerate((True, False)):
         if not priors.sides[from_high].coated:
@@ -90,8 +92,8 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
         np.cumsum(np.nan_to_num(inward_grey), axis=2, dtype=np.float64, out=summed[..., 1:])
         outer, inner = depths[2 * k], depths[2 * k] + depths[2 * k + 1]
         by_radius = [
-            _run_sums(summed, *_apart(outer, inner, radius * lateral_sd_um, columns.pitch))
-            for radius in _RADII
+            _run_sums(summed, *_apart(outer, inner, radius * unit_um, columns.pitch))
+            for radius in RADII
         ]
         sums[from_high] = np.array(
             [
@@ -141,7 +143,7 @@ def _run_sums(summed: Floats, first: Floats, last: Floats) -> list[Floats]:
 
 def _grey(sums: Floats) -> LoneGrey | None:
     """Grey of a side from its sums (fields, radii, blocks); None where too few voxels are alone."""
-    for radius in range(len(_RADII)):
+    for radius in range(len(RADII)):
         count, grey, half, outer, inner = (field[radius] for field in sums)
         if count.sum() < _ENOUGH:
             continue

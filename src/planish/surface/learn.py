@@ -18,7 +18,7 @@ from planish.core.errors import VolumeError
 from planish.core.robust import mad_sd
 from planish.core.typing import Floats
 from planish.surface import _fit_kernels
-from planish.surface.alone import lone_greys
+from planish.surface.alone import RADII, lone_greys
 from planish.surface.coarse import CORE
 from planish.surface.columns import (
     FRINGE_PX,
@@ -36,6 +36,7 @@ from planish.surface.survey import Survey
 
 _WIDTHS = np.geomspace(0.35, 3.2, 14)  # blur along a column that is tried, in voxels
 _OUTSIDE = 5  # voxels outside a face in which a fringe has its undershoot
+_THICK_SHARE = 0.05  # of the columns: enough of them to show a layer's grey beyond doubt
 _LEAST_COVER_UM = 15.0  # from a face to a brighter layer: a coating's brightest place is nearer
 # Of the core's variance, what acts on a face: the solid below it is denser. By drawn fibres, and
 # pores of a voxel.
@@ -91,6 +92,9 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     if learner.embedded_level:
         covers_px = {}
     is_preset = params.coating_grey is not None
+    has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
+    if has_fringe:
+        edge, _ = learner.with_fringe(samples, sides, edge, [])
     lone: dict[bool, LoneGrey] = {}
     if not is_preset and any(side.coated for side in sides.values()):
         narrowed_sides = {
@@ -99,12 +103,16 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         first_priors = learner.priors(narrowed_sides, edge, base_level, base_texture, covers_px)
         lone = lone_greys(columns, guide, first_priors)
         sides |= {k: _known(narrowed_sides[k], grey) for k, grey in lone.items()}
-        edge = replace(edge, width=learner.blur(samples, sides, preset_fringe))
-    has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
-    if has_fringe:
+    if lone and has_fringe:
         edge, _ = learner.with_fringe(samples, sides, edge, [])
+    elif lone:
+        edge = replace(edge, width=learner.blur(samples, sides, preset_fringe))
     level_errors = {k: grey.error for k, grey in lone.items()}
-    thin_sides = [k for k in samples if sides[k].coated and not is_preset and k not in lone]
+    unknown_sides = [k for k in samples if sides[k].coated and not is_preset and k not in lone]
+    # Where a fringe reaches through all of a coating, columns with their fringe show its grey.
+    thin_sides = [
+        k for k in unknown_sides if not edge.fringe or learner.is_thin(samples[k], sides[k], edge)
+    ]
     if thin_sides:
         fit_thin = learner.with_fringe if has_fringe else learner.thin_levels
         seen_levels = {k: float(sides[k].level[2]) for k in thin_sides}
@@ -115,7 +123,8 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         }
     narrowed_sides: Sides = {}
     for from_high, sample in samples.items():
-        side = learner.narrowed(sample, sides[from_high], edge, True)
+        is_known = from_high not in unknown_sides or from_high in thin_sides
+        side = learner.narrowed(sample, sides[from_high], edge, is_known)
         # A coating of a grey that was set is none where it is thinner than this in half of the
         # columns.
         if (
@@ -385,6 +394,11 @@ class _Learner(Sampler):
                 * np.exp(np.clip(shift, -1, 1) * np.log(_WIDTHS[1] / _WIDTHS[0]))
             )
         return float(_WIDTHS[best_index])
+
+    def is_thin(self, sample: Sample, side: Side, edge: Edge) -> bool:
+        """Tell if hardly a column shows the coating's own grey between its two edges."""
+        is_thick = self.fit(sample, side, edge)[1] * sample.cos_tilt > 2.0 * RADII[-1] * edge.width
+        return float(np.mean(is_thick)) < _THICK_SHARE
 
     def narrowed(self, sample: Sample, side: Side, edge: Edge, is_preset: bool) -> Side:
         """Narrow what is expected to what thick layers and the base below them show."""
