@@ -264,7 +264,7 @@ def porosity(rule: CheckRule, scan: GreyScan) -> Check | None:
 def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
     """Judge whether what was learnt as a coating can be one; None where no side has a coating."""
     greys, sample = scan.greys, scan.sample[np.isfinite(scan.sample)]
-    levels = {side: greys.coating(side) for side in SIDES if greys.coated(side)}
+    levels: dict[Side, float] = {side: greys.coating(side) for side in SIDES if greys.coated(side)}
     if not levels:
         return None
     end_grey = float(sample.max() if greys.polarity > 0 else sample.min())

@@ -99,7 +99,8 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
             [
                 [np.bincount(block_index.ravel(), field.ravel()) for field in fields]
                 for fields in by_radius
-            ]
+            ],
+            np.float64,
         ).swapaxes(0, 1)
     return sums
 

@@ -82,13 +82,15 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
         if not priors.sides[from_high].coated or not is_known.any():
             continue
         outer, opposite = part.faces(grey.shape[2], from_high=from_high)
-        expected = [np.ascontiguousarray(a) for a in (outer, opposite, part.cos_tilt)]
+        at_outer, at_opposite, cos_tilt = (
+            np.ascontiguousarray(a) for a in (outer, opposite, part.cos_tilt)
+        )
         inward = grey[..., ::-1] if from_high else grey
         layers = filled(face), filled(face) + filled(thickness)
         made = _made(inward, layers, (outer, opposite), priors, from_high, [*sd_px, width])
         stored = np.ascontiguousarray(made[..., ::-1] if from_high else made)
         made = blended(stored, part, priors.scale, columns.step)
-        fit = fit_side(made, tuple(expected), again, columns, from_high)
+        fit = fit_side(made, (at_outer, at_opposite, cos_tilt), again, columns, from_high)
         true = [ndimage.gaussian_filter(layer, sd_px, mode="nearest") for layer in layers]
         off = [fit[0] - true[0], fit[1] - true[1] + true[0], fit[0] + fit[1] - true[1]]
         is_known &= np.isfinite(fit[1])

@@ -68,16 +68,7 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         sides = dict.fromkeys(
             samples, learner.preset_side(params.coating_grey, base_level, base_sd)
         )
-    wall_levels: dict[bool, float] = {}
-    # Not what streaks and noise that neighbours share add: the air shows them too.
-    texture = base_sd**2 + learner.voxel_noise**2 - learner.single_noise**2
-    has_pores = texture >= (POROUS * base_level) ** 2
-    if (
-        has_pores
-        and survey.surroundings == "air"
-        and not any(side.coated for side in sides.values())
-    ):
-        wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
+    wall_levels = learner.bare_walls(samples, sides, base_level, base_sd)
     # Amid other material, a face is sought by the darkest place beside it.
     if not learner.embedded_level:
         step = learner.sought(sides, wall_levels, base_level)
@@ -88,9 +79,7 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     preset_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
     edge = Edge(width=learner.blur(samples, sides, preset_fringe), fringe=preset_fringe)
     base_texture = learner.base_texture(samples[True])
-    covers_px = {k: learner.cover(profile[0]) for k, profile in profiles.items()}
-    if learner.embedded_level:
-        covers_px = {}
+    covers_px = learner.covers(profiles)
     is_preset = params.coating_grey is not None
     has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
     if has_fringe:
@@ -125,20 +114,8 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     for from_high, sample in samples.items():
         is_known = from_high not in unknown_sides or from_high in thin_sides
         side = learner.narrowed(sample, sides[from_high], edge, is_known)
-        # A coating of a grey that was set is none where it is thinner than this in half of the
-        # columns.
-        if (
-            is_preset
-            and not float(np.nanmedian(learner.fit(sample, _on_slab(side), edge)[1]))
-            > 0.15 * edge.width
-        ):
-            level, spread = (
-                np.array([0.0, 0.0, 0.0, base_level]),
-                np.array([0.0, 0.0, -1.0, side.spread[3]]),
-            )
-            side = learner.narrowed(
-                sample, Side(level=level, spread=spread, coated=False), edge, True
-            )
+        if is_preset:
+            side = learner.coated_or_bare(sample, side, edge, base_level)
         narrowed_sides[from_high] = replace(
             side,
             wall_level=wall_levels.get(from_high, 0.0),
@@ -153,11 +130,6 @@ def _known(side: Side, grey: LoneGrey) -> Side:
     level, spread = side.level.copy(), side.spread.copy()
     level[2], spread[2] = grey.level, 0.02 * grey.level
     return replace(side, level=level, spread=spread, lone=grey)
-
-
-def _on_slab(side: Side) -> Side:
-    """Return a side without a wall below its coating: a thinner one is not told from it."""
-    return replace(side, wall_below=0.0)
 
 
 # From the face, in widths of the blur: where an undershoot may be seen.
@@ -394,6 +366,35 @@ class _Learner(Sampler):
                 * np.exp(np.clip(shift, -1, 1) * np.log(_WIDTHS[1] / _WIDTHS[0]))
             )
         return float(_WIDTHS[best_index])
+
+    def bare_walls(
+        self, samples: Samples, sides: Sides, base_level: float, base_sd: float
+    ) -> dict[bool, float]:
+        """Grey of a fibre's wall on each side of a base that shows pores and has no coating."""
+        # Not what streaks and noise that neighbours share add: the air shows them too.
+        texture = base_sd**2 + self.voxel_noise**2 - self.single_noise**2
+        is_even = texture < (POROUS * base_level) ** 2
+        if is_even or self.embedded_level or any(side.coated for side in sides.values()):
+            return {}
+        return {k: self.wall_level(sample) for k, sample in samples.items()}
+
+    def coated_or_bare(self, sample: Sample, side: Side, edge: Edge, base_level: float) -> Side:
+        """Return a side whose coating's grey was set, without it where half of it is thinner.
+
+        A wall below a coating hides a thin one, and is left out.
+        """
+        thickness = self.fit(sample, replace(side, wall_below=0.0), edge)[1]
+        if float(np.nanmedian(thickness)) > 0.15 * edge.width:
+            return side
+        level = np.array([0.0, 0.0, 0.0, base_level])
+        spread = np.array([0.0, 0.0, -1.0, side.spread[3]])
+        return self.narrowed(sample, Side(level=level, spread=spread, coated=False), edge, True)
+
+    def covers(self, profiles: dict[bool, tuple[Floats, float]]) -> dict[bool, float]:
+        """Thickness in voxels of what covers each side; none is looked for amid other material."""
+        if self.embedded_level:
+            return {}
+        return {k: self.cover(profile) for k, (profile, _) in profiles.items()}
 
     def is_thin(self, sample: Sample, side: Side, edge: Edge) -> bool:
         """Tell if hardly a column shows the coating's own grey between its two edges."""
