@@ -23,9 +23,7 @@ from planish.surface.columns import Columns, Guide, Priors, blended, oriented
 from planish.surface.faces import fit_side, fit_tile, largest_step_px
 
 _COLUMNS = 2**15  # of the patches
-# Classes of thickness end at these shares of the columns. Where the fit took a light place of the
-# base for coating it found the largest thicknesses, which have classes of their own.
-_SHARES = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 0.95, 0.985)
+_CLASSES = 8  # of thickness, of as many columns each
 _LEAST = 1000  # columns
 _LEAST_AIR = 6  # voxels of air that show its noise
 
@@ -57,7 +55,7 @@ def _by_thickness(values: Floats) -> Floats:
     return np.array(
         [
             [values[0, part].mean(), *np.sqrt(np.mean(errors[:, part] ** 2, axis=1))]
-            for part in np.split(order, (np.array(_SHARES) * order.size).astype(int))
+            for part in np.array_split(order, _CLASSES)
         ]
     ).T
 
@@ -94,8 +92,10 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
         true = [ndimage.gaussian_filter(layer, sd_px, mode="nearest") for layer in layers]
         off = [fit[0] - true[0], fit[1] - true[1] + true[0], fit[0] + fit[1] - true[1]]
         is_known &= np.isfinite(fit[1])
-        # What stands so far off is taken for a spike, and left out of the faces as well.
-        is_known &= np.abs(off[0]) <= largest_step_px(off[0][is_known], columns.pitch[2])
+        # A face that stands so far off is left out as a spike. A fit that took a light place of the
+        # core for coating is astray: no standard error tells of it.
+        for error in off[:2]:
+            is_known &= np.abs(error) <= largest_step_px(error[is_known], columns.pitch[2])
         errors[from_high] = np.stack([fit[1], *off])[:, is_known]
     return errors
 
