@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
+from planish.measure import measure_properties
 from planish.surface import SurfaceParams, find_surfaces
 from planish.surface.columns import Columns, make_guide
 from planish.surface.learn import learn_priors
@@ -57,6 +58,20 @@ def test_a_pre_coat_of_another_grey_is_seen():
     change, error = found.attrs["coating_deepens_top"]
     assert change < -3.0 * error
     assert change < -10.0
+
+
+@pytest.mark.ci
+def test_stated_errors_are_those_of_the_fit_in_valleys():
+    made, filled = valleys()
+    found = measure_properties(find_surfaces(made), volume=made)
+    true = ndimage.gaussian_filter(filled, 1.7 / VOXEL)
+    for side in ("top", "bottom"):
+        assert len(found.attrs[f"fit_errors_{side}_um"]) == 4 * 8
+        error = found[f"coating_{side}"].values - true
+        stated = found[f"coating_{side}_se"].values
+        is_known = np.isfinite(error) & (stated > 0)
+        error = error - error[is_known].mean()
+        assert 0.7 < np.sqrt(np.mean((error / stated)[is_known] ** 2)) < 1.5
 
 
 def test_a_coating_that_is_nowhere_thick_is_alone_nowhere():

@@ -209,12 +209,12 @@ def layer_errors(
         )
         face_map = np.full(thickness.shape, face_se)
         return face_map, np.full(thickness.shape, np.nan), face_map
-    # Layers thicker than 12 blurs have two edges that know nothing of each other.
     is_missing = ~np.isfinite(thickness)
-    if side in greys.fit_errors:
-        classes_um, *found = greys.fit_errors[side]
-        found_se = (np.interp(thickness, classes_um, errors_um) for errors_um in found)
-        return tuple(np.where(is_missing, np.nan, se) for se in found_se)  # type: ignore[return-value]
+    if side in greys.fit_errors:  # a trial on this sheet, which knows more than the formula
+        classes_um, *class_errors = greys.fit_errors[side]
+        errors_um = (np.interp(thickness, classes_um, se_um) for se_um in class_errors)
+        return tuple(np.where(is_missing, np.nan, v) for v in errors_um)  # type: ignore[return-value]
+    # Layers thicker than 12 blurs have two edges that know nothing of each other.
     nodes_um = np.linspace(0.02, 12.0, _NODES) * blur_um
     levels = coating_level - greys.air, base_level - greys.air
     se_table = np.array(

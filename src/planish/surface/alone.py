@@ -39,16 +39,16 @@ def lone_greys(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Lon
         return {}
     patches = patches_of(columns, guide, _ROUNDS * _ROUND)
     per_round = -(-len(patches) // _ROUNDS)
-    seen: dict[bool, list[Floats]] = {from_high: [] for from_high in sides}
+    sums_of: dict[bool, list[Floats]] = {from_high: [] for from_high in sides}
     for start in range(0, len(patches), per_round):
         jobs = [(columns, guide, priors, patch) for patch in patches[start : start + per_round]]
         for sums_by_side in map_threads(_patch_sums, jobs):
             for from_high, sums in sums_by_side.items():
-                seen[from_high].append(sums)
-        voxels = [float(sum(s[0, 0].sum() for s in seen[from_high])) for from_high in sides]
+                sums_of[from_high].append(sums)
+        voxels = [float(sum(s[0, 0].sum() for s in sums_of[from_high])) for from_high in sides]
         if min(voxels) >= _ENOUGH:
             break
-    greys = {from_high: _grey(np.concatenate(seen[from_high], axis=2)) for from_high in sides}
+    greys = {from_high: _grey(np.concatenate(sums_of[from_high], axis=2)) for from_high in sides}
     return {from_high: grey for from_high, grey in greys.items() if grey is not None}
 
 
@@ -92,7 +92,7 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
         np.cumsum(np.nan_to_num(inward_grey), axis=2, dtype=np.float64, out=summed[..., 1:])
         outer, inner = depths[2 * k], depths[2 * k] + depths[2 * k + 1]
         by_radius = [
-            _run_sums(summed, *_apart(outer, inner, radius * unit_um, columns.pitch))
+            _run_sums(summed, *_beyond_ball(outer, inner, radius * unit_um, columns.pitch))
             for radius in RADII
         ]
         sums[from_high] = np.array(
@@ -105,7 +105,7 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
     return sums
 
 
-def _apart(
+def _beyond_ball(
     outer: Floats, inner: Floats, radius_um: float, pitch_um: tuple[float, float, float]
 ) -> tuple[Floats, Floats]:
     """First and last depth, in voxels, that lie a radius from both faces and from missing ones."""

@@ -37,13 +37,13 @@ def fit_errors(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Flo
     if not any(priors.coated) or priors.embedded_level:
         return {}
     patches = patches_of(columns, guide, _COLUMNS)
-    seen: dict[bool, list[Floats]] = {True: [], False: []}
+    errors_of: dict[bool, list[Floats]] = {True: [], False: []}
     for errors in map_threads(_patch_errors, [(columns, guide, priors, p) for p in patches]):
         for from_high, values in errors.items():
-            seen[from_high].append(values)
+            errors_of[from_high].append(values)
     return {
         from_high: _by_thickness(np.concatenate(values, axis=1))
-        for from_high, values in seen.items()
+        for from_high, values in errors_of.items()
         if sum(v.shape[1] for v in values) >= _LEAST
     }
 
@@ -85,10 +85,10 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
         )
         inward = grey[..., ::-1] if from_high else grey
         layers = filled(face), filled(face) + filled(thickness)
-        made = _made(inward, layers, (outer, opposite), priors, from_high, [*sd_px, width])
-        stored = np.ascontiguousarray(made[..., ::-1] if from_high else made)
-        made = blended(stored, part, priors.scale, columns.step)
-        fit = fit_side(made, (at_outer, at_opposite, cos_tilt), again, columns, from_high)
+        remade = _remade(inward, layers, (outer, opposite), priors, from_high, [*sd_px, width])
+        stored = np.ascontiguousarray(remade[..., ::-1] if from_high else remade)
+        remade = blended(stored, part, priors.scale, columns.step)
+        fit = fit_side(remade, (at_outer, at_opposite, cos_tilt), again, columns, from_high)
         true = [ndimage.gaussian_filter(layer, sd_px, mode="nearest") for layer in layers]
         off = [fit[0] - true[0], fit[1] - true[1] + true[0], fit[0] + fit[1] - true[1]]
         is_known &= np.isfinite(fit[1])
@@ -100,7 +100,7 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
     return errors
 
 
-def _made(
+def _remade(
     inward: NDArray[np.float32],
     layers: tuple[Floats, Floats],
     expected: tuple[Floats, Floats],
@@ -121,10 +121,10 @@ def _made(
     first, length = outer + CORE[0] * thickness, np.maximum((CORE[1] - CORE[0]) * thickness, 3.0)
     core_index = np.rint(first + np.abs((depth - first) % (2.0 * length) - length)).astype(int)
     core = np.take_along_axis(inward, np.clip(core_index, 0, depth[-1]), axis=2)
-    made = float(priors.sides[from_high].level[2]) * (below_face - base) + core * base
+    remade = float(priors.sides[from_high].level[2]) * (below_face - base) + core * base
     last_air = int(np.nanmin(expected[0]) - priors.search_px)
     if last_air >= _LEAST_AIR:
         to_and_fro = np.r_[0:last_air, last_air - 1 : -1 : -1]
         air = inward[..., np.resize(to_and_fro, depth.size)]
-        made += air * np.sqrt(np.maximum(1.0 - base**2, 0.0))
-    return made.astype(np.float32, copy=False)
+        remade += air * np.sqrt(np.maximum(1.0 - base**2, 0.0))
+    return remade.astype(np.float32, copy=False)

@@ -91,7 +91,7 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         }
         first_priors = learner.priors(narrowed_sides, edge, base_level, base_texture, covers_px)
         lone = lone_greys(columns, guide, first_priors)
-        sides |= {k: _known(narrowed_sides[k], grey) for k, grey in lone.items()}
+        sides |= {k: _with_grey(narrowed_sides[k], grey) for k, grey in lone.items()}
     if lone and has_fringe:
         edge, _ = learner.with_fringe(samples, sides, edge, [])
     elif lone:
@@ -125,7 +125,7 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     return learner.priors(narrowed_sides, edge, base_level, base_texture, covers_px)
 
 
-def _known(side: Side, grey: LoneGrey) -> Side:
+def _with_grey(side: Side, grey: LoneGrey) -> Side:
     """Return a side with the grey that its coating has where nothing else is near."""
     level, spread = side.level.copy(), side.spread.copy()
     level[2], spread[2] = grey.level, 0.02 * grey.level
