@@ -44,6 +44,7 @@ _BELOW_FACE = 0.3
 # Walls directly below a coating, in standard deviations of the base's grey from place to place: of
 # walls that fill a half to 0.6 of the base, columns as broad as the blur hold one or two.
 _WALL = 1.2
+_DIMMED = 2 / 3  # of a coating's step to the base, what is left where blur reaches through it
 POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
 
 
@@ -176,7 +177,7 @@ class _Learner(Sampler):
         steps: list[float] = []
         for from_high, side in sides.items():
             if side.coated:
-                steps.append(float(side.level[2]) - base_level)
+                steps.append(_DIMMED * (float(side.level[2]) - base_level))
             else:
                 steps.append(max(wall_levels.get(from_high, 0.0), base_level))
         return min(steps)
