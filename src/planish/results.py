@@ -51,7 +51,9 @@ class SurfaceFacts(ResultModel):
     thickness_um: Number = Field(
         description="Median thickness of the sheet, as the first look found it."
     )
-    blur_um: Number = Field(description="Standard deviation of the blur of the scan.")
+    blur_um: Number = Field(
+        description="Standard deviation of the blur of the scan; None where no edge shows it."
+    )
     fringe: Number = Field(
         description="Phase-contrast fringe as a share of an edge's step; 0 where there is none."
     )

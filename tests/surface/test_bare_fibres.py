@@ -8,6 +8,7 @@ from scipy import ndimage
 from planish.measure import measure_properties
 from planish.surface import find_surfaces
 from planish.surface.faces import outermost_crossing
+from planish.surface.learn import _shows_voids
 from surface.sheets import volume as voxels
 
 WALL, AIR = 100.0, 40.0
@@ -34,7 +35,7 @@ def laid(seed, ribbons, thickness):
     return solid
 
 
-def scanned(solid, noise, seed):
+def scanned(solid, noise, seed, fringe=0.0):
     """The volume of a structure, and the true thickness at each of its columns."""
     sigma = FWHM / np.sqrt(8 * np.log(2))
     blurred = ndimage.gaussian_filter(solid, (sigma / LATERAL, sigma / LATERAL, sigma))
@@ -55,6 +56,7 @@ def scanned(solid, noise, seed):
     )
     at = np.meshgrid(rows, cols, cells, indexing="ij")
     grey = AIR + (WALL - AIR) * ndimage.map_coordinates(blurred, at, order=1, mode="nearest")
+    grey -= fringe * ndimage.laplace(ndimage.gaussian_filter(grey, 0.8))
     grey += noise * np.random.default_rng(seed).standard_normal(grey.shape)
     values = np.rint(np.moveaxis(grey, 2, 0)).clip(0, 255).astype(np.uint8)
     return voxels(values, float(VOXEL)).assign_attrs(voxel_um=[float(VOXEL)] * 3), true
@@ -73,6 +75,26 @@ def test_faces_of_laid_ribbons_are_those_of_half_a_wall():
     assert abs(error.mean()) < 1.5
     assert 0.5 < spread < 1.5
     assert float(found["level_top_error"].attrs["common_um"]) > 0
+    assert np.isnan(found.attrs["blur_um"])
+    assert found.attrs["fringe"] == 0.0
+
+
+@pytest.mark.ci
+def test_strong_fringes_make_no_coating_of_walls():
+    volume, true = scanned(laid(3, 700, 7), 3.0, 4, fringe=2.0)
+    found = measure_properties(find_surfaces(volume), volume=volume)
+    assert np.isnan(found["interface_top"]).all()
+    assert np.isnan(found["interface_bottom"]).all()
+    assert found.attrs["fringe"] > 0.2
+    error = (found["thickness"].values - true)[10:-10, 10:-10]
+    assert abs(np.nanmedian(error)) < 1.5
+
+
+def test_a_base_shows_voids_where_it_has_more_dark_places_than_light_ones():
+    rng = np.random.default_rng(1)
+    even = rng.normal(60.0, 12.0, 20_000)
+    assert not _shows_voids(even)
+    assert _shows_voids(np.where(rng.random(even.size) < 0.03, rng.normal(15.0, 5.0), even))
 
 
 def test_the_outermost_crossing_is_that_of_a_plain_loop():

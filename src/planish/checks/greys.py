@@ -268,7 +268,9 @@ def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
     if not levels:
         return None
     end_grey = float(sample.max() if greys.polarity > 0 else sample.min())
-    contrasts = {side: greys.polarity * (level - greys.base) for side, level in levels.items()}
+    contrasts: dict[Side, float] = {
+        side: greys.polarity * (level - greys.base) for side, level in levels.items()
+    }
     contrast_ratio = min(contrasts.values()) / max(contrasts.values())
     faults = (
         [
@@ -362,7 +364,7 @@ def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
 def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
     """Judge whether a coating is thicker than the blur of the scan is wide.
 
-    None where none is seen.
+    None where none is seen, and unknown where no edge shows the blur.
 
     What is flattened lies between the faces: where they are moved, so are its places. A filter that
     keeps edges, as a median, takes thin layers away all the same. The noise of the air shows it.
@@ -372,6 +374,13 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
     thinnest_um = min(
         (float(np.nanmedian(m)) for m in coatings if np.isfinite(m).any()), default=None
     )
+    if np.isnan(measured.attrs["blur_um"]):
+        fringe_text = "Fringes lie beside the faces. " if measured.attrs.get("fringe") else ""
+        return rule.check(
+            "unknown",
+            f"{fringe_text}Walls and pores show no edge that is known to be sharp: the blur is not"
+            " known, and faces lie where the grey passes half of a wall's.",
+        )
     if thinnest_um is None:
         return None
     edge_um, noise_um = FWHM * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)

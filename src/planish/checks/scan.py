@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planish.checks.windows import Window, read_windows
 from planish.core.frame import Axis, Frame
-from planish.core.grid import pitch
+from planish.core.grid import blur_reach_um, pitch
 from planish.core.typing import Array, Bools, Floats, Ints, Pair
 from planish.measure.greys import Greys
 
@@ -122,7 +122,7 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     thickness = float(np.nanmedian(np.abs(high - low)[has_base])) if has_base.any() else 0.0
     # Within 2.5 widths of the blur it mixes in what lies beside the base.
     margin = float(
-        np.clip(2.5 * float(measured.attrs["blur_um"]) / max(thickness, step_um), 0.2, 0.45)
+        np.clip(2.5 * blur_reach_um(measured.attrs) / max(thickness, step_um), 0.2, 0.45)
     )
     depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / step_um), 9, 48))
     heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)

@@ -15,7 +15,7 @@ from planish.checks.greys import denser_coating
 from planish.checks.scan import TILE_UM, GreyScan, ScannedSheet
 from planish.core.checks import Check, CheckRule
 from planish.core.facts import SIDES, Side
-from planish.core.grid import pitch
+from planish.core.grid import blur_reach_um, pitch
 from planish.core.robust import mad_sd
 from planish.core.status import Status
 from planish.core.typing import Bools, Floats, Pair
@@ -114,7 +114,7 @@ def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     gap_um = float(sheet.measured.attrs["beside_gap_um"])
     return rule.at_least(
         gap_um,
-        look=2 * _BLUR_REACH * float(sheet.measured.attrs["blur_um"]),
+        look=2 * _BLUR_REACH * blur_reach_um(sheet.measured.attrs),
         units="um",
         sentence=f"Beside the sheet lies something flat that was left out: {beside_text}.",
         advice=(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -168,3 +169,11 @@ def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
             np.hypot(grid.x_um[None, cols] - x, grid.y_um[rows, None] - y) <= radius
         )
     return inside
+
+
+def blur_reach_um(attrs: Mapping[Any, Any]) -> float:
+    """Standard deviation of the scan's blur from what surfaces carry; a voxel where not known."""
+    blur_um = float(attrs["blur_um"])
+    if math.isnan(blur_um):
+        return max(float(um) for um in attrs["voxel_um"])
+    return blur_um

@@ -10,6 +10,7 @@ import numpy as np
 
 from planish.core.errors import CannotMeasure, SurfaceError
 from planish.core.facts import SIDES, Side
+from planish.core.grid import blur_reach_um
 from planish.core.typing import Floats
 
 if TYPE_CHECKING:
@@ -26,7 +27,8 @@ class Greys:
     coating_bottom: float
     noise: float  # standard deviation of one voxel
     polarity: float  # +1 where the sheet is lighter than the air, -1 where it is darker
-    blur_um: float  # standard deviation of the blur across the faces
+    # Standard deviation of the blur across the faces; that of a voxel where it is not known.
+    blur_um: float
     padding: float  # value outside the field of view; NaN where there is none
     single_noise: float = float("nan")  # that of a column before it is averaged with its neighbours
     # Variance of the integral over one um of the base's grey, from walls and pores; grey^2 um.
@@ -44,8 +46,8 @@ class Greys:
         keys = [
             f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")
         ]
-        keys += ["polarity", "blur_um"]
-        if lacking := [key for key in keys if key not in attrs]:
+        keys.append("polarity")
+        if lacking := [key for key in (*keys, "blur_um") if key not in attrs]:
             raise SurfaceError(
                 f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'."
             )
@@ -55,6 +57,7 @@ class Greys:
                 fit_errors[side] = np.reshape(attrs[f"fit_errors_{side}_um"], (4, -1))
         return cls(
             fit_errors=fit_errors,
+            blur_um=blur_reach_um(attrs),
             **{key.removeprefix("grey_"): float(attrs[key]) for key in keys},
             padding=float(attrs.get("padding", np.nan)),
             averaged=float(attrs.get("averaged_columns", 0.0)),

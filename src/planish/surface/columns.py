@@ -329,6 +329,7 @@ class Priors:
     sides: Sides
     # Thickness of tape or film that touches, by whether at the high end; 0 for none.
     covers_px: dict[bool, float]
+    is_blur_known: bool = True  # no edge of walls and pores is known to be sharp
 
     @property
     def coated(self) -> tuple[bool, bool]:
@@ -369,7 +370,7 @@ class Priors:
             "averaged_columns": self.scale.blend_sd,
             "base_texture_um": self.base_texture * pitch_um,
             "polarity": polarity,
-            "blur_um": edge.width * pitch_um,
+            "blur_um": edge.width * pitch_um if self.is_blur_known else float("nan"),
             "fringe": edge.fringe,
             "fringe_um": edge.fringe_width * pitch_um if edge.fringe else 0.0,
             **{

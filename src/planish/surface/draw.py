@@ -16,7 +16,7 @@ from scipy import ndimage
 from planish.core.errors import InputError
 from planish.core.facts import SIDES, Side
 from planish.core.frame import Frame
-from planish.core.grid import pitch
+from planish.core.grid import blur_reach_um, pitch
 from planish.core.status import Status
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats, Pair, Window
@@ -177,7 +177,7 @@ class Drawing:
         if not is_wrong.any():
             return
         # Beside what is wrong a face turns towards it.
-        blur_columns = int(np.ceil(2 * self.attrs["blur_um"] / min(self.pitch))) + 1
+        blur_columns = int(np.ceil(2 * blur_reach_um(self.attrs) / min(self.pitch))) + 1
         is_wrong = ndimage.binary_dilation(is_wrong, iterations=blur_columns) & is_inside
         is_near_wrong = ndimage.binary_dilation(
             is_wrong, iterations=max(2, int(np.ceil(RING_UM / min(self.pitch))))
@@ -310,7 +310,7 @@ class Drawing:
         column_indices = np.stack(np.nonzero(is_searched)) + np.array(
             [[window[0].start], [window[1].start]]
         )
-        blur_px = self.attrs["blur_um"] / self.voxel_um
+        blur_px = blur_reach_um(self.attrs) / self.voxel_um
         error_px = np.maximum(expected[1] / self.voxel_um, 0.25)
         # How far from the expected place an edge is sought, in voxels.
         band_px = np.clip(2.0 * error_px + 1, 2.0, 8.0)

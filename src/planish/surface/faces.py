@@ -239,7 +239,9 @@ def fit_tile(job: FitJob, tile: Tile) -> Floats:
             face, outwards, inwards = (
                 outermost_crossing(inward_grey, start, opposite, level) for level in levels
             )
-            depths[2 * k], depths[4 + k] = face, 0.5 * (inwards - outwards)
+            # Where the next wall is taken for this one the face moves far to one side alone.
+            off = np.sqrt(0.5 * ((inwards - face) ** 2 + (face - outwards) ** 2))
+            depths[2 * k], depths[4 + k] = face, off
             continue
         looked_for = replace(priors, embedded_level=embedded_level)
         fit = fit_side(grey, (outer, opposite, cos_tilt), looked_for, columns, from_high)

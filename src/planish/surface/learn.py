@@ -37,6 +37,7 @@ from planish.surface.survey import Survey
 _WIDTHS = np.geomspace(0.35, 3.2, 14)  # blur along a column that is tried, in voxels
 _OUTSIDE = 5  # voxels outside a face in which a fringe has its undershoot
 _THICK_SHARE = 0.05  # of the columns: enough of them to show a layer's grey beyond doubt
+_DEPTHS = 9  # places of the core in a column
 _LEAST_COVER_UM = 15.0  # from a face to a brighter layer: a coating's brightest place is nearer
 # Of the core's variance, what acts on a face: the solid below it is denser. By drawn fibres, and
 # pores of a voxel.
@@ -45,6 +46,8 @@ _BELOW_FACE = 0.3
 # walls that fill a half to 0.6 of the base, columns as broad as the blur hold one or two.
 _WALL = 1.2
 _DIMMED = 2 / 3  # of a coating's step to the base, what is left where blur reaches through it
+_DARKEST = float(np.exp(-0.5) / np.sqrt(2.0 * np.pi))  # of a fringe's size: its undershoot
+_VOID = 0.3  # of the lightest grey of the core: what is darker is void for the most part
 POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
 
 
@@ -60,28 +63,19 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     # Coarse profile per side: is there a coating, how bright, how much does it vary?
     profiles = {k: learner.profile(sample, base_level) for k, sample in samples.items()}
     is_separated = params.sheet_grey is not None or survey.surroundings == "material"
-    if params.coating_grey is None:
-        sides = {
-            k: learner.first_side(*profile, base_level, base_sd, is_separated)
-            for k, profile in profiles.items()
-        }
-    else:
-        sides = dict.fromkeys(
-            samples, learner.preset_side(params.coating_grey, base_level, base_sd)
-        )
+    is_preset = params.coating_grey is not None
+    sides = learner.first_sides(profiles, params.coating_grey, base_level, base_sd, is_separated)
     wall_levels = learner.bare_walls(samples, sides, base_level, base_sd)
     # Amid other material, a face is sought by the darkest place beside it.
     if not learner.embedded_level:
-        step = learner.sought(sides, wall_levels, base_level)
-        # A coating of a grey that was set need not be there.
-        learner.calm(step if params.coating_grey is None else min(step, base_level))
+        learner.calm(learner.sought(sides, wall_levels, base_level, is_preset))
         samples = learner.samples()
-        wall_levels = {k: learner.wall_level(samples[k]) for k in wall_levels}
     preset_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
+    if wall_levels:
+        return learner.bare_priors(samples, sides, base_level, profiles, params)
     edge = Edge(width=learner.blur(samples, sides, preset_fringe), fringe=preset_fringe)
     base_texture = learner.base_texture(samples[True])
     covers_px = learner.covers(profiles)
-    is_preset = params.coating_grey is not None
     has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
     if has_fringe:
         edge, _ = learner.with_fringe(samples, sides, edge, [])
@@ -119,11 +113,23 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
             side = learner.coated_or_bare(sample, side, edge, base_level)
         narrowed_sides[from_high] = replace(
             side,
-            wall_level=wall_levels.get(from_high, 0.0),
             lone=lone.get(from_high),
             level_error=level_errors.get(from_high, 0.0),
         )
     return learner.priors(narrowed_sides, edge, base_level, base_texture, covers_px)
+
+
+def _shows_voids(core_grey: Floats) -> bool:
+    """Tell if more places of a core are as dark as voids than are as much lighter than the median.
+
+    Pores take the grey down to the air, and nothing but filler takes it above that of a wall; where
+    density varies evenly the two are the same but for chance.
+    """
+    median, lightest = np.percentile(core_grey, [50, 99])
+    depth = median - _VOID * lightest
+    dark, light = np.mean(core_grey < median - depth), np.mean(core_grey > median + depth)
+    chance = np.sqrt((dark + light) / (core_grey.size / _DEPTHS))  # one value of a column counts
+    return bool(dark - light > _SIGMAS * chance)
 
 
 def _with_grey(side: Side, grey: LoneGrey) -> Side:
@@ -168,13 +174,38 @@ class _Learner(Sampler):
             covers_px=covers_px,
         )
 
-    def sought(self, sides: Sides, wall_levels: dict[bool, float], base_level: float) -> float:
+    def bare_priors(
+        self,
+        samples: Samples,
+        sides: Sides,
+        base_level: float,
+        profiles: dict[bool, tuple[Floats, float]],
+        params: SurfaceParams,
+    ) -> Priors:
+        """What is known of a bare base of walls and pores, of which no edge shows the blur."""
+        edge = Edge(width=1.0)
+        walls = {k: self.wall_level(sample) for k, sample in samples.items()}
+        if params.fringe == "auto" and self.undershoots(samples, sides, edge):
+            undershoot = max(undershoot for _, undershoot in profiles.values())
+            edge = replace(edge, fringe=undershoot / (_DARKEST * min(walls.values())))
+        bare_sides = {k: replace(side, wall_level=walls[k]) for k, side in sides.items()}
+        texture = self.base_texture(samples[True])
+        priors = self.priors(bare_sides, edge, base_level, texture, self.covers(profiles))
+        return replace(priors, is_blur_known=False)
+
+    def sought(
+        self,
+        sides: Sides,
+        wall_levels: dict[bool, float],
+        base_level: float,
+        is_preset: bool,
+    ) -> float:
         """Least step of grey that is looked for: a coating's to the base, a bare face's to the air.
 
         A wall thinner than the blur, or a coating in a valley between fibres, must not be blurred
-        further than its own noise asks for.
+        further than its own noise asks for. A coating of a grey that was set need not be there.
         """
-        steps: list[float] = []
+        steps = [base_level] if is_preset else []
         for from_high, side in sides.items():
             if side.coated:
                 steps.append(_DIMMED * (float(side.level[2]) - base_level))
@@ -195,7 +226,7 @@ class _Learner(Sampler):
         )
 
     def _core_grey(self, sample: Sample) -> Floats:
-        depth_shares = np.linspace(*CORE, 9)
+        depth_shares = np.linspace(*CORE, _DEPTHS)
         outer, opposite = sample.outer[0][:, None], sample.opposite[0][:, None]
         depth_index = np.rint(outer + (opposite - outer) * depth_shares).astype(int)
         depth_index = np.clip(depth_index, 0, sample.grey.shape[2] - 1)
@@ -232,15 +263,17 @@ class _Learner(Sampler):
         """Grey of a fibre's wall above the air, in a base with pores.
 
         The more of the core is void, the fewer of its places show nothing but wall: its median does
-        where it is even, its brightest where a third is void.
+        where it is even, its brightest where a third is void. No void is darker than air: a fringe
+        that makes it so makes walls lighter by as much.
         """
         core_grey = self._core_grey(sample)
-        void_share = float(np.mean(core_grey < 0.3 * np.percentile(core_grey, 99)))
+        void_share = float(np.mean(core_grey < _VOID * np.percentile(core_grey, 99)))
         share = 0.88 + 0.119 * min(void_share / 0.35, 1.0)
-        median, brightest = np.quantile(core_grey, [0.5, share])
-        return float(
-            median + np.sqrt(max((brightest - median) ** 2 - (ndtri(share) * self.noise) ** 2, 0.0))
-        )
+        darkest, median, brightest = np.quantile(core_grey, [1.0 - share, 0.5, share])
+        by_noise = (ndtri(share) * self.noise) ** 2
+        above = np.sqrt(max((brightest - median) ** 2 - by_noise, 0.0))
+        below = np.sqrt(max((median - darkest) ** 2 - by_noise, 0.0))
+        return float(median + above + min(median - below, 0.0))
 
     def preset_side(self, coating_grey: float, base_level: float, base_sd: float) -> Side:
         """Take the grey of the coating as it was set."""
@@ -309,6 +342,22 @@ class _Learner(Sampler):
             float(passes[0]) if is_even and np.median(plateau) < 0.8 * profile[brightest] else 0.0
         )
 
+    def first_sides(
+        self,
+        profiles: dict[bool, tuple[Floats, float]],
+        coating_grey: float | None,
+        base_level: float,
+        base_sd: float,
+        is_separated: bool,
+    ) -> Sides:
+        """Sides as their profiles show them, or with a coating of the grey that was set."""
+        if coating_grey is not None:
+            return dict.fromkeys(profiles, self.preset_side(coating_grey, base_level, base_sd))
+        return {
+            k: self.first_side(*profile, base_level, base_sd, is_separated)
+            for k, profile in profiles.items()
+        }
+
     def first_side(
         self,
         profile: Floats,
@@ -319,14 +368,15 @@ class _Learner(Sampler):
     ) -> Side:
         """Look for a coating in the median profile below the face; wide spreads.
 
-        A fringe that darkens the air outside lightens what lies inside by as much.
+        A fringe that darkens the air outside lightens what lies inside by as much. What is no
+        lighter than the lightest tenth of the core is its walls.
         """
         half_depth, embedded_level = profile.size, self.embedded_level
         peak_level = float(profile[: max(2, int(0.8 * half_depth))].max())
         solid_level = base_level + 1.28 * min(base_sd, 0.3 * base_level)
         # A layer is a coating when it stands out from the base by more than a quarter.
         least_level = 1.25 * (1.2 * solid_level if is_separated else solid_level)
-        coated = peak_level - undershoot > least_level
+        coated = peak_level - undershoot > max(least_level, base_level + 1.28 * base_sd)
         # Without a coating the third level is what lies outside: the air, unless the sheet is amid
         # other material.
         outside_level = (1.0 if embedded_level else 0.5) * base_level if is_separated else -1.0
@@ -372,10 +422,12 @@ class _Learner(Sampler):
         self, samples: Samples, sides: Sides, base_level: float, base_sd: float
     ) -> dict[bool, float]:
         """Grey of a fibre's wall on each side of a base that shows pores and has no coating."""
+        if self.embedded_level or any(side.coated for side in sides.values()):
+            return {}
         # Not what streaks and noise that neighbours share add: the air shows them too.
         texture = base_sd**2 + self.voxel_noise**2 - self.single_noise**2
         is_even = texture < (POROUS * base_level) ** 2
-        if is_even or self.embedded_level or any(side.coated for side in sides.values()):
+        if is_even and not _shows_voids(self._core_grey(samples[True])):
             return {}
         return {k: self.wall_level(sample) for k, sample in samples.items()}
 
