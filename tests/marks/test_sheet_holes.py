@@ -297,3 +297,23 @@ def test_stretched_openings_are_counted_and_many_are_a_look():
     assert check.state == "look"
     assert "openings as large as holes are not round enough" in check.sentence
     assert {"position", "properties", "correlation"} == set(check.figures)
+
+
+def test_faces_show_holes_whose_rims_are_blurred_in_the_base():
+    """As in resin with charred walls, which are as dark as the resin: the base shows ragged rims,
+    the coatings round ones."""
+    rng = np.random.default_rng(7)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] * PIXEL
+    maps, faces = layer_maps([0.0, 0.0]), np.ones(SHAPE)
+    for u, v in CENTRES:
+        away, angle = np.hypot(x - u, y - v), np.arctan2(y - v, x - u)
+        faces[away < 85.0] = 0.0
+        for layer in maps:
+            layer[away < 105.0 + 30.0 * np.sin(3 * angle)] = 0.1
+    maps = [np.clip(m + rng.normal(0, 0.1, SHAPE), 0, 1) for m in maps]
+    assert find_sheet_holes(dataset(*maps)).sizes["mark"] < 6
+    shown = dataset(*maps).assign(presence_faces=(("v", "u"), faces))
+    found = find_sheet_holes(shown)
+    assert (found.sizes["mark"], followed(found)) == (6, (6, 0, 0))
+    assert np.abs(xy(found) - ORDERED).max() < 1.0
+    assert found.attrs["offset_count"] == 0

@@ -43,9 +43,10 @@ def find_sheet_holes(
     maps : Dataset, dims (v, u) or (y, x)
         ``presence``, ``presence_centre`` and ``presence_bottom``: share of material in a layer
         below the top face, around the centre surface and above the bottom face, 0 to 1, NaN where
-        there is no data. A layer may be missing. Attributes, where known: ``layers_apart_um``, from
-        the middle of the top's layer to that of the bottom's, and ``layer_to_face``, from the
-        middle of a layer to its face as a share of that.
+        there is no data. A layer may be missing. Where there is ``presence_faces``: 1 in columns
+        with both faces, 0 in openings. Attributes, where known: ``layers_apart_um``, from the
+        middle of the top's layer to that of the bottom's, and ``layer_to_face``, from the middle of
+        a layer to its face as a share of that.
     params : HoleParams, optional
         Range of diameters on the side; in the other layers they may be 1.4 times off.
     side : {"top", "bottom"}
@@ -112,18 +113,26 @@ def find_sheet_holes(
         # A tapered hole is narrower, or wider, on the other side than what was asked for.
         diameter_range = (low, high) if layer == side else (low / 1.4, high * 1.4)
         layers[layer], holes[layer] = _search(share, grid.pixel_um, diameter_range)
+    faces = maps["presence_faces"].values if "presence_faces" in maps else None
+    by_faces = _by_faces(faces, holes[side], grid.pixel_um, (low, high))
+    if faces is not None and by_faces is not None:
+        layers[side] = faces
+        holes[side] = by_faces
     centres = _xy(holes[side])
     diameters = holes[side]["diameter"].values
     hole_count = len(centres)
     partner_rows = {layer: np.full(hole_count, -1) for layer in LAYERS}
     partner_rows[side] = np.arange(hole_count)
-    for layer in layers.keys() - {side}:
+    # Where neither face is seen a hole runs through; how far it leans the faces do not say.
+    for layer in layers.keys() - {side} if by_faces is None else ():
         # From one layer to another a hole moves by less than half its diameter: one that is more
         # oblique is not round.
         partner_rows[layer] = _partners(centres, _xy(holes[layer]), 0.5 * diameters)
     states = np.full(hole_count, UNCLEAR, dtype=np.uint8)
     unpaired_count = 0
-    if other in layers:
+    if by_faces is not None:
+        states[:] = THROUGH
+    elif other in layers:
         rows = partner_rows[other]
         unpaired_count = holes[other].sizes["mark"] - int(np.count_nonzero(rows >= 0))
         states = _other_side(layers[other], grid.pixel_um, holes[side], holes[other], rows)
@@ -167,15 +176,34 @@ def _search(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats
         return share, holes
     # Where the grey of the sheet is hardly that of what fills its holes, as in resin, noise makes
     # floors uneven.
-    has_data = np.isfinite(share)
-    sums, weights = masked_gaussian(share, has_data, [NOISE_UM / step for step in pixel_um])
-    smooth = np.where(has_data, sums / np.where(has_data, weights, 1.0), np.nan)
+    smooth = _smoothed(share, pixel_um)
     smooth_holes = find_holes(
         smooth, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark"
     )
     if smooth_holes.sizes["mark"] > holes.sizes["mark"]:
         return smooth, smooth_holes
     return share, holes
+
+
+def _smoothed(share: Floats, pixel_um: Pair) -> Floats:
+    has_data = np.isfinite(share)
+    sums, weights = masked_gaussian(share, has_data, [NOISE_UM / step for step in pixel_um])
+    return np.where(has_data, sums / np.where(has_data, weights, 1.0), np.nan)
+
+
+def _by_faces(
+    faces: Floats | None, holes: xr.Dataset, pixel_um: Pair, diameter_range: Pair
+) -> xr.Dataset | None:
+    """Holes by what both faces of a coated sheet show, where that shows more of them.
+
+    Walls that are charred, or hardly lighter than what fills the holes, blur a rim in the base.
+    """
+    not_taken = holes.attrs["not_taken"]
+    if faces is None or not (not_taken["no_rim"] or not_taken["not_round"]):
+        return None
+    smooth = _smoothed(faces, pixel_um)
+    open_faces = find_holes(smooth, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark")
+    return open_faces if open_faces.sizes["mark"] > holes.sizes["mark"] else None
 
 
 def _other_side(

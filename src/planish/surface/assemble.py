@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planish.core._envelope_kernels import rolled
 from planish.core.errors import VolumeError
+from planish.core.facts import SIDES
 from planish.core.grid import filled
 from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine, Tile
@@ -63,6 +64,11 @@ class ColumnStates(NamedTuple):
     def is_sheet(self) -> Bools:
         """Columns with a sheet that does not run out of the volume."""
         return self.has_faces | self.is_touching | self.below_particle
+
+    @property
+    def is_closed(self) -> Bools:
+        """Columns that are no opening of the sheet."""
+        return self.is_sheet | self.runs_out
 
     def status(self, in_sheet: Bools, in_rim: Bools, has_centre: Bools) -> NDArray[np.uint8]:
         """Give the status of each column."""
@@ -130,6 +136,11 @@ def assemble(
             columns, centre, thickness, columns.frame.sign, levels, engine
         ).items()
     }
+    if any(np.isfinite(heights[f"interface_{side}"]).any() for side in SIDES):
+        # A coating stands out from what fills the holes where the base hardly does, as in resin.
+        has_faces = np.where(np.isfinite(centre), states.is_closed, np.nan).astype(np.float32)
+        title = "Columns in which both faces of a coated sheet are seen"
+        variables["presence_faces"] = _variable(has_faces, title, "1", layer=[-0.5, 0.5])
     is_bridged = cutoff_used > params.cutoff_um
     if is_bridged.any():
         variables["centre_cutoff_um"] = _variable(

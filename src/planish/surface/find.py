@@ -74,7 +74,8 @@ def find_surfaces(
         ``presence_bottom``: the
         same around the centre surface and above the bottom face. Their attribute ``layer`` says
         from where to where, in
-        shares of the thickness from the centre towards the top. ``centre_shorter``: how far the
+        shares of the thickness from the centre towards the top. ``presence_faces``: 1 in columns
+        with both faces of a coated sheet, 0 in openings. ``centre_shorter``: how far the
         centre surface of a shorter cut-off lies over it; ``base_middle``: how far the middle of the
         base does, where both interfaces were found at half of the columns or more. Both in um, NaN
         beyond the outline; they say how far the place of a column depends on that choice.
