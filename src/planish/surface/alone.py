@@ -149,11 +149,13 @@ def _grey(sums: Floats) -> LoneGrey | None:
         if count.sum() < _ENOUGH:
             continue
         level, error, spread = _weighted(grey, count)
-        deepening, deepening_error, _ = _weighted(inner - outer, half)
+        deepening, deepening_error, half_spread = _weighted(inner - outer, half)
+        # Noise moves the difference of two halves twice as far as their mean.
+        noise = 0.5 * half_spread
         return LoneGrey(
             level=level,
             error=error,
-            spread=spread,
+            spread=float(np.sqrt(max(spread**2 - noise**2, 0.0))),
             deepening=deepening,
             deepening_error=deepening_error,
         )

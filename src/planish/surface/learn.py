@@ -45,7 +45,6 @@ _BELOW_FACE = 0.3
 # Walls directly below a coating, in standard deviations of the base's grey from place to place: of
 # walls that fill a half to 0.6 of the base, columns as broad as the blur hold one or two.
 _WALL = 1.2
-_DIMMED = 2 / 3  # of a coating's step to the base, what is left where blur reaches through it
 _DARKEST = float(np.exp(-0.5) / np.sqrt(2.0 * np.pi))  # of a fringe's size: its undershoot
 _VOID = 0.3  # of the lightest grey of the core: what is darker is void for the most part
 POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
@@ -66,14 +65,17 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     is_preset = params.coating_grey is not None
     sides = learner.first_sides(profiles, params.coating_grey, base_level, base_sd, is_separated)
     wall_levels = learner.bare_walls(samples, sides, base_level, base_sd)
-    # Amid other material, a face is sought by the darkest place beside it.
-    if not learner.embedded_level:
-        learner.calm(learner.sought(sides, wall_levels, base_level, is_preset))
-        samples = learner.samples()
-    preset_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
     if wall_levels:
-        return learner.bare_priors(samples, sides, base_level, profiles, params)
+        learner.calm(max(min(wall_levels.values()), base_level))
+        return learner.bare_priors(learner.samples(), sides, base_level, profiles, params)
+    preset_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
     edge = Edge(width=learner.blur(samples, sides, preset_fringe), fringe=preset_fringe)
+    coated_levels = [float(side.level[2]) for side in sides.values() if side.coated]
+    # Amid other material, a face is sought by the darkest place beside it.
+    if coated_levels and not learner.embedded_level:
+        learner.calm_for(min(coated_levels), base_level, edge)
+        samples = learner.samples()
+        edge = replace(edge, width=learner.blur(samples, sides, preset_fringe))
     base_texture = learner.base_texture(samples[True])
     covers_px = learner.covers(profiles)
     has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
@@ -135,7 +137,7 @@ def _shows_voids(core_grey: Floats) -> bool:
 def _with_grey(side: Side, grey: LoneGrey) -> Side:
     """Return a side with the grey that its coating has where nothing else is near."""
     level, spread = side.level.copy(), side.spread.copy()
-    level[2], spread[2] = grey.level, 0.02 * grey.level
+    level[2], spread[2] = grey.level, max(grey.spread, 0.02 * grey.level)
     return replace(side, level=level, spread=spread, lone=grey)
 
 
@@ -193,25 +195,15 @@ class _Learner(Sampler):
         priors = self.priors(bare_sides, edge, base_level, texture, self.covers(profiles))
         return replace(priors, is_blur_known=False)
 
-    def sought(
-        self,
-        sides: Sides,
-        wall_levels: dict[bool, float],
-        base_level: float,
-        is_preset: bool,
-    ) -> float:
-        """Least step of grey that is looked for: a coating's to the base, a bare face's to the air.
+    def calm_for(self, coating_level: float, base_level: float, edge: Edge) -> None:
+        """Average columns until the least step of a coated sheet stands out.
 
-        A wall thinner than the blur, or a coating in a valley between fibres, must not be blurred
-        further than its own noise asks for. A coating of a grey that was set need not be there.
+        That is the step from the base to the coating, or from the air to the base where hardly any
+        coating is left. No column is averaged further than the scan blurs it: what is narrower is
+        not in the scan, and a coating in a valley between fibres must not be lost.
         """
-        steps = [base_level] if is_preset else []
-        for from_high, side in sides.items():
-            if side.coated:
-                steps.append(_DIMMED * (float(side.level[2]) - base_level))
-            else:
-                steps.append(max(wall_levels.get(from_high, 0.0), base_level))
-        return min(steps)
+        blur_columns = edge.width * self.columns.pitch[2] / max(self.columns.pitch[:2])
+        self.calm(min(base_level, coating_level - base_level), blur_columns)
 
     def base_level(self, sample: Sample) -> tuple[float, float]:
         """Level of the base above the air, and how much it varies from place to place."""
@@ -462,7 +454,7 @@ class _Learner(Sampler):
             fit = self.fit(sample, now, edge)
             has_face = np.isfinite(fit[0])
             if side.coated and is_preset:
-                spread[2] = 0.02 * level[2]
+                spread[2] = max(spread[2], 0.02 * level[2]) if side.lone else 0.02 * level[2]
                 wall_below = self._wall_below(sample, fit, now, edge)
             elif side.coated:
                 # Shows its own grey.

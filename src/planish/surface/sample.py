@@ -26,6 +26,7 @@ from planish.surface.columns import (
 from planish.surface.survey import Survey
 
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
+_BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # columns
 _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts for more
 
 
@@ -131,10 +132,11 @@ class Sampler:
         """Columns read from either end."""
         return {from_high: self.sample(from_high=from_high) for from_high in (True, False)}
 
-    def calm(self, step: float) -> None:
+    def calm(self, step: float, widest: float = 2.0) -> None:
         """Choose how far to average columns with neighbours; say what noise and scatter remain.
 
-        ``step``: the least step of grey that is looked for.
+        ``step``: the least step of grey that is looked for; ``widest``: columns that may be
+        averaged, as the standard deviation of a Gaussian.
         """
         self._blend(0.0)
         self.scatter = self.single_noise = self.noise = self.voxel_noise
@@ -143,14 +145,14 @@ class Sampler:
             # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps
             # less, so it is tried.
             self.noise = self.single_noise = air_noise
-            for blend_sd in (0.5, 0.75, 1.0, 1.5, 2.0):  # voxels
-                if step / self.noise >= _QUIET:
+            for blend_sd in _BLENDS:
+                if step / self.noise >= _QUIET or self.scale.blend_sd == widest:
                     break
-                self._blend(blend_sd)
+                self._blend(min(blend_sd, widest))
                 self.noise = self._air_noise()
         elif (cnr := step / self.noise) < _QUIET:
             # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
-            blend_sd = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
+            blend_sd = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5, widest)
             self._blend(blend_sd)
             self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend_sd)
         # What rounding to whole numbers takes off, and no column is a staircase to within a
