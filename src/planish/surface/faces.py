@@ -18,6 +18,7 @@ from planish.surface.columns import WALL_UM, Columns, Guide, Priors, join_tiles,
 
 _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
 _MOST_OF = 0.8
+_AROUND = 5  # columns along the edge of a neighbourhood
 _LEVEL_DOUBT = 0.14  # of a wall's grey: what filler and walls thinner than the blur leave open
 FitJob = tuple[Columns, Guide, Priors, Floats | None]
 """Of a tile's fit: the guide is that of the tile and its halo; of (2, rows, cols), where given,
@@ -72,6 +73,11 @@ def find_faces(
                 is_floating[k] = (expected_depths[k] - depths[2 * k] > _FLOATS / guide.cos_tilt) | (
                     plate_labels > 0
                 )
+            if priors.sides[from_high].coated:
+                around, is_lost = _lost(depths[2 * k], columns.pitch[2])
+                is_lost &= np.isfinite(expected_depths[k]) & ~is_floating[k]
+                expected_depths[k] = np.where(is_lost, around, expected_depths[k])
+                is_floating[k] |= is_lost
         search_depths = np.where(is_floating, expected_depths, np.nan)
 
         def job_below(tile: Tile) -> FitJob:
@@ -153,7 +159,7 @@ def _cleaned(
         return outer, np.zeros(outer.shape, dtype=bool)
     # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
     is_finite, step_um = np.isfinite(outer), pitch[2]
-    deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
+    deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=_AROUND, mode="nearest"))
     limit_px = largest_step_px(deviation_px[is_finite], step_um)
     outer = np.where(is_finite & (deviation_px <= limit_px), outer, np.nan)
     # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow
@@ -170,6 +176,22 @@ def _cleaned(
 def largest_step_px(deviations_px: Floats, step_um: float) -> float:
     """By how much a column's face may stand off its neighbours', in voxels: 3 um or 3 voxels."""
     return max(8.0 * mad_sd(deviations_px) + 1.0, 3.0 / step_um, 3.0)
+
+
+def _lost(face: Floats, step_um: float) -> tuple[Floats, Bools]:
+    """Face of the columns around, and where most of them have one that a column lacks or is off.
+
+    With next to no coating a face may be too faint to be found in noise, but not to be found again
+    where its neighbours say.
+    """
+    is_found = np.isfinite(face)
+    if not is_found.any():
+        return face, is_found
+    around = ndimage.median_filter(filled(face), size=_AROUND, mode="nearest")
+    deviation_px = np.abs(face - around)
+    is_found &= deviation_px <= largest_step_px(deviation_px[is_found], step_um)
+    share = ndimage.uniform_filter(is_found.astype(np.float64), _AROUND)
+    return around, ~is_found & (share > 0.5)
 
 
 def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Floats]:

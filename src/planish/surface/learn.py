@@ -75,7 +75,6 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     if coated_levels and not learner.embedded_level:
         learner.calm_for(min(coated_levels), base_level, edge)
         samples = learner.samples()
-        edge = replace(edge, width=learner.blur(samples, sides, preset_fringe))
     base_texture = learner.base_texture(samples[True])
     covers_px = learner.covers(profiles)
     has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
@@ -91,7 +90,7 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         sides |= {k: _with_grey(narrowed_sides[k], grey) for k, grey in lone.items()}
     if lone and has_fringe:
         edge, _ = learner.with_fringe(samples, sides, edge, [])
-    elif lone:
+    elif coated_levels and not has_fringe:
         edge = replace(edge, width=learner.blur(samples, sides, preset_fringe))
     level_errors = {k: grey.error for k, grey in lone.items()}
     unknown_sides = [k for k in samples if sides[k].coated and not is_preset and k not in lone]
