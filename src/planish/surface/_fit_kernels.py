@@ -351,7 +351,8 @@ def fit_faces(  # noqa: C901, PLR0912
     prior, spread : (4,), of (h, t, c, b); those of h are not used. c is the coating, or without one
     (not ``coated``)
                     the level outside
-    search        : how far outside the expected face the search starts, in voxels
+    search        : how far outside the expected face the search starts, in voxels; 0: the fit
+                    starts at the expected face
     result        : (5, rows, cols), set to h, t, c, b and cost; NaN where nothing is found
     window        : width after which the samples that are fitted are chosen, where it is not
     ``width``: costs of
@@ -397,9 +398,12 @@ def fit_faces(  # noqa: C901, PLR0912
             deepest = e + 0.75 * (other[i, j] - e) if coated else middle
             start = int(floor(e - search / tilt[i, j]))
             stop = int(floor(min(e + search / tilt[i, j], middle))) + 1
-            d0 = (
-                nearest(g, e, search, amid) if amid > 0.0 else outermost(g, start, stop, base_level)
-            )
+            if search == 0.0:
+                d0 = int(floor(e + 0.5))
+            elif amid > 0.0:
+                d0 = nearest(g, e, search, amid)
+            else:
+                d0 = outermost(g, start, stop, base_level)
             if d0 < 0:
                 continue
             gap = darkest(g, d0, int(4.0 * v) + 2, noise) if amid > 0.0 else 0

@@ -1,5 +1,6 @@
 """Both faces and interfaces of every column, tile by tile."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 from typing import Any
@@ -73,11 +74,6 @@ def find_faces(
                 is_floating[k] = (expected_depths[k] - depths[2 * k] > _FLOATS / guide.cos_tilt) | (
                     plate_labels > 0
                 )
-            if priors.sides[from_high].coated:
-                around, is_lost = _lost(depths[2 * k], columns.pitch[2])
-                is_lost &= np.isfinite(expected_depths[k]) & ~is_floating[k]
-                expected_depths[k] = np.where(is_lost, around, expected_depths[k])
-                is_floating[k] |= is_lost
         search_depths = np.where(is_floating, expected_depths, np.nan)
 
         def job_below(tile: Tile) -> FitJob:
@@ -97,8 +93,37 @@ def find_faces(
             depths[2 * k][is_floating_plate[plate_labels] & ~is_better] = np.nan
             for plane in (2 * k, 2 * k + 1, *([4 + k] if len(depths) > 4 else [])):
                 depths[plane, is_better] = depths_below[plane, is_better]
+        depths = _found_again(depths, job, columns, priors, engine)
     cleaned = not priors.sides[True].wall_level, not priors.sides[False].wall_level
     return faces_from_depths(depths, columns, priors.coated, cleaned=cleaned, particles=particles)
+
+
+def _found_again(
+    depths: Floats, job: Callable[[Tile], FitJob], columns: Columns, priors: Priors, engine: Engine
+) -> Floats:
+    """Depths in which a coated face that was lost in noise is fitted from where its neighbours say.
+
+    Noise just outside a face may be taken for it, and with next to no coating a face may be too
+    faint to be searched for.
+    """
+    search_depths = np.full((2, *depths.shape[1:]), np.nan)
+    for k, from_high in enumerate((True, False)):
+        if priors.sides[from_high].coated:
+            around, is_lost = _lost(depths[2 * k], columns.pitch[2])
+            search_depths[k] = np.where(is_lost, around, np.nan)
+    known_place = replace(priors, search_px=0.0)
+
+    def job_again(tile: Tile) -> FitJob:
+        return *job(tile)[:2], known_place, search_depths[:, tile.rows, tile.cols]
+
+    tiles = [t for t in columns.tiles(engine) if np.isfinite(search_depths[:, t.rows, t.cols]).any()]
+    depths_by_tile = engine.map("faces_again", fit_tile, job_again, tiles)
+    found = join_tiles(depths_by_tile, np.full(depths.shape, np.nan))
+    for k in range(2):
+        planes = slice(2 * k, 2 * k + 2)
+        is_found = np.isfinite(search_depths[k]) & np.isfinite(found[2 * k])
+        depths[planes] = np.where(is_found, found[planes], depths[planes])
+    return depths
 
 
 def faces_from_depths(
@@ -250,7 +275,9 @@ def fit_tile(job: FitJob, tile: Tile) -> Floats:
         )
         side, embedded_level = priors.sides[from_high], priors.embedded_level
         if search_depths is not None:
-            outer, embedded_level = np.ascontiguousarray(search_depths[k]), 0.5 * priors.base_level
+            outer = np.ascontiguousarray(search_depths[k])
+            if priors.search_px > 0:
+                embedded_level = 0.5 * priors.base_level
         if side.wall_level:
             start = outer - (1.0 if search_depths is not None else priors.search_px) / cos_tilt
             inward_grey = grey[..., ::-1] if from_high else grey
