@@ -116,7 +116,9 @@ def _found_again(
     def job_again(tile: Tile) -> FitJob:
         return *job(tile)[:2], known_place, search_depths[:, tile.rows, tile.cols]
 
-    tiles = [t for t in columns.tiles(engine) if np.isfinite(search_depths[:, t.rows, t.cols]).any()]
+    tiles = [
+        t for t in columns.tiles(engine) if np.isfinite(search_depths[:, t.rows, t.cols]).any()
+    ]
     depths_by_tile = engine.map("faces_again", fit_tile, job_again, tiles)
     found = join_tiles(depths_by_tile, np.full(depths.shape, np.nan))
     for k in range(2):
@@ -184,7 +186,9 @@ def _cleaned(
         return outer, np.zeros(outer.shape, dtype=bool)
     # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
     is_finite, step_um = np.isfinite(outer), pitch[2]
-    deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=_AROUND, mode="nearest"))
+    deviation_px = np.abs(
+        outer - ndimage.median_filter(filled(outer), size=_AROUND, mode="nearest")
+    )
     limit_px = largest_step_px(deviation_px[is_finite], step_um)
     outer = np.where(is_finite & (deviation_px <= limit_px), outer, np.nan)
     # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow

@@ -45,6 +45,7 @@ _BELOW_FACE = 0.3
 # Walls directly below a coating, in standard deviations of the base's grey from place to place: of
 # walls that fill a half to 0.6 of the base, columns as broad as the blur hold one or two.
 _WALL = 1.2
+_AVERAGED = 0.75  # of the blur: Gaussians of 1 and 0.75 make one of 1.25
 _DARKEST = float(np.exp(-0.5) / np.sqrt(2.0 * np.pi))  # of a fringe's size: its undershoot
 _VOID = 0.3  # of the lightest grey of the core: what is darker is void for the most part
 POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
@@ -198,11 +199,11 @@ class _Learner(Sampler):
         """Average columns until the least step of a coated sheet stands out.
 
         That is the step from the base to the coating, or from the air to the base where hardly any
-        coating is left. No column is averaged further than the scan blurs it: what is narrower is
-        not in the scan, and a coating in a valley between fibres must not be lost.
+        coating is left. Averaging widens the blur by a quarter at most: a coating in a valley
+        between fibres must not be lost.
         """
         blur_columns = edge.width * self.columns.pitch[2] / max(self.columns.pitch[:2])
-        self.calm(min(base_level, coating_level - base_level), blur_columns)
+        self.calm(min(base_level, coating_level - base_level), _AVERAGED * blur_columns)
 
     def base_level(self, sample: Sample) -> tuple[float, float]:
         """Level of the base above the air, and how much it varies from place to place."""
