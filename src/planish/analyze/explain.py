@@ -23,13 +23,15 @@ from planish.analyze.differences import holm
 from planish.analyze.distributions import ranks
 from planish.analyze.generalised_least_squares import ExponentialCovariance, weighed_regression
 from planish.analyze.multiple_regression import Regression, out_of_sample_r2, regress
+from planish.analyze.quadratic_field import points_of
 from planish.analyze.shared_errors import covariance_of_errors, sharings_of
 from planish.analyze.variograms import Variogram, variogram_of
 from planish.core.bands import Rows
 from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import Interval, ResultModel, Trust, Value, optional
+from planish.core.grid import Grid
 from planish.core.text import and_join
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats
 from planish.measure.registry import NEGATIVE_CONTROLS, SUMS, shared_parts
 from planish.texture.covariance import Lags
 
@@ -123,6 +125,9 @@ class ModelFacts(ResultModel):
     corrected: bool = Field(
         default=False, description="Whether the stated errors of the maps were taken off."
     )
+    declared: bool | None = optional(
+        "Whether the study of the run declared this model before it was run; none without a study."
+    )
     n: int = Field(description="Cells with a value in all maps. Neighbours resemble each other.")
     n_eff: Value = Field(description="Independent cells, of the coefficient with the fewest.")
     r2: Value = Field(description="Share of the variance that all predictors explain together.")
@@ -136,9 +141,6 @@ class ModelFacts(ResultModel):
 class Explained(ModelFacts):
     """A response explained by several maps, on cells of one size."""
 
-    declared: bool | None = optional(
-        "Whether the study of the run declared this model before it was run; none without a study."
-    )
     block_um: Value = optional("Width of these blocks, beyond the reach of the residuals.")
     residual_range_um: Value = optional(
         "Distance at which the covariance of the residuals has fallen to 1/e."
@@ -180,8 +182,7 @@ class ModelMaps:
     response: xr.DataArray
     predictors: Mapping[str, xr.DataArray]
     masks: Sequence[Rows] = ()
-    pixel_um: Pair
-    origin_um: Pair = (0.0, 0.0)  # (y, x) of the middle of the first pixel
+    grid: Grid
     #: Standard errors of the means over a cell, of maps and surfaces; by name.
     errors: Mapping[str, float] = field(default_factory=dict[str, float])
     #: All maps of the sheet, by which parts that maps share are named.
@@ -201,18 +202,21 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
         If there are fewer than 10 independent cells for each coefficient, a map is constant, or the
         stated errors are as large as the maps' own variation.
     """
-    if not max(maps.pixel_um) * (1 - 1e-9) <= cell_um < math.inf:
+    pixel_um = max(maps.grid.pixel_um)
+    if not pixel_um * (1 - 1e-9) <= cell_um < math.inf:
         raise SizeError(
-            f"A cell of {cell_um:g} um is smaller than a pixel of {max(maps.pixel_um):g} um. Give"
-            " larger cells."
+            f"A cell of {cell_um:g} um is smaller than a pixel of {pixel_um:g} um. Give larger"
+            " cells."
         )
     predictor_columns: list[CellColumn] = []
     for name, values in maps.predictors.items():
         predictor_columns += columns_of(name, values)
     response_name = str(maps.response.name)
     columns = [CellColumn(name=response_name, values=maps.response), *predictor_columns]
-    sizes_um = [cell_um * share for share in _SIZES if cell_um * share >= max(maps.pixel_um)]
-    cells_by_size = means_over_cells(columns, maps.masks, pixel_um=maps.pixel_um, sizes_um=sizes_um)
+    sizes_um = [cell_um * share for share in _SIZES if cell_um * share >= pixel_um]
+    cells_by_size = means_over_cells(
+        columns, maps.masks, pixel_um=maps.grid.pixel_um, sizes_um=sizes_um
+    )
     models = dict(zip(sizes_um, cells_by_size, strict=True))
     cells = _Cells.of(columns, models.pop(cell_um), cell_um)
     refuse_sums(cells)
@@ -308,30 +312,29 @@ class _Cells:
 
 
 def refuse_sums(cells: _Cells) -> None:
-    """Raise InputError where a predictor is a sum of others; the message names it."""
+    """Raise InputError where a map of a model is a sum of predictors; the message names it."""
     if cells.fault:
         return
-    is_valid, names = cells.lags.is_valid, cells.names
-    columns = np.stack([m[is_valid] for m in cells.maps[1:]], axis=1)
-    columns = (columns - columns.mean(axis=0)) / columns.std(axis=0)
-    response = cells.maps[0][is_valid] - cells.maps[0][is_valid].mean()
-    order = sorted(range(len(names)), key=lambda k: names[k] not in {row[0] for row in SUMS})
-    for index in order:
-        others = [k for k in range(len(names)) if k != index]
-        weights = np.linalg.lstsq(columns[:, others], columns[:, index], rcond=None)[0]
-        left = columns[:, index] - columns[:, others] @ weights
+    values = np.stack([m[cells.lags.is_valid] for m in cells.maps], axis=1)
+    values = (values - values.mean(axis=0)) / values.std(axis=0)
+    names = [column.name for column in cells.columns]
+    sums = {row[0] for row in SUMS}
+    # A sum goes before its parts, and the response is the last.
+    for index in sorted(range(len(names)), key=lambda k: (k == 0, names[k] not in sums)):
+        others = [k for k in range(1, len(names)) if k != index]
+        weights = np.linalg.lstsq(values[:, others], values[:, index], rcond=None)[0]
+        left = values[:, index] - values[:, others] @ weights
         if float(left @ left) * _IS_SUM > left.size:
             continue
-        parts = [names[k] for k, w in zip(others, weights, strict=True) if abs(w) > 1e-3]
+        parts = and_join(names[k] for k, w in zip(others, weights, strict=True) if abs(w) > 1e-3)
+        if index == 0:
+            raise InputError(
+                f"{names[0]} is a sum of {parts}: there is nothing to explain. Leave one of the"
+                " parts out, or take another response."
+            )
         raise InputError(
-            f"{names[index]} is a sum of {and_join(parts)}: beside them its coefficient means"
-            f" nothing. Leave {names[index]}, or one of its parts, out."
-        )
-    left = response - columns @ np.linalg.lstsq(columns, response, rcond=None)[0]
-    if float(left @ left) * _IS_SUM <= float(response @ response):
-        raise InputError(
-            f"{cells.columns[0].name} is a sum of {and_join(names)}: there is nothing to explain."
-            " Leave one of the parts out, or take another response."
+            f"{names[index]} is a sum of {parts}: beside them its coefficient means nothing. Leave"
+            f" {names[index]}, or one of its parts, out."
         )
 
 
@@ -499,25 +502,14 @@ def bare_name(name: str) -> str:
 
 def _dataset(cells: _Cells, model: Regression, maps: ModelMaps) -> xr.Dataset:
     """The cells of a model, as they go into a table and into figures."""
-    is_valid = cells.lags.is_valid
+    response, *predictors = cells.columns
+    freed = [replace(column, name=f"{column.name} freed") for column in predictors]
+    columns = [*cells.columns, replace(response, name="residual"), *freed]
+    values = [*cells.maps, model.residuals, *model.freed]
+    is_valid, dims = cells.lags.is_valid, ("cell_y", "cell_x")
     arrays = {
-        column.name: (("cell_y", "cell_x"), values, {"units": column.units})
-        for column, values in zip(cells.columns, cells.maps, strict=True)
+        column.name: (dims, np.where(is_valid, m, np.nan), {"units": column.units})
+        for column, m in zip(columns, values, strict=True)
     }
-    response = cells.columns[0]
-    residuals = np.where(is_valid, model.residuals, np.nan)
-    arrays["residual"] = (("cell_y", "cell_x"), residuals, {"units": response.units})
-    for column, freed in zip(cells.columns[1:], model.freed, strict=True):
-        values = np.where(is_valid, freed, np.nan)
-        arrays[f"{column.name} freed"] = (("cell_y", "cell_x"), values, {"units": column.units})
-    coords = {
-        axis: (
-            axis,
-            first_um + cells.cell_um * (np.arange(count) + 0.5) - 0.5 * pixel_um,
-            {"units": "um"},
-        )
-        for axis, first_um, count, pixel_um in zip(
-            ("cell_y", "cell_x"), maps.origin_um, is_valid.shape, maps.pixel_um, strict=True
-        )
-    }
-    return xr.Dataset(arrays, coords=coords)
+    places = points_of(maps.grid, is_valid.shape, cells.cell_um)
+    return xr.Dataset(arrays, coords=dict(zip(dims, (places.y_um, places.x_um), strict=True)))

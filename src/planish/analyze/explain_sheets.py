@@ -56,9 +56,11 @@ def explained_over_sheets(
         ]
         lead = over([of_model[largest] - of_model[next_one] for of_model in sizes])
     p_of_set = holm([c.p for c in coefficients.values()])
+    declared = {model.declared for model in models.values()}
     model_fields = ("response", "title", "units", "of", "cell_um", "corrected")
     return ExplainedSeries(
         **{name: getattr(first, name) for name in model_fields},
+        declared=declared.pop() if len(declared) == 1 else False,
         sheets=len(set(sheet_of_model)),
         fields=len(models),
         n=sum(model.n for model in models.values()),

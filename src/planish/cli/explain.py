@@ -39,19 +39,17 @@ def explain(run: Path, out: Path | None, as_json: bool, **values: Any) -> int:
     from planish.core.errors import InputError
     from planish.report.explain import coefficient_rows
     from planish.report.sentences.explain import say_answer, say_surer
-    from planish.run.run import is_run, open_run
-    from planish.series.explain import explain_folder, write_explained
+    from planish.series.explain import declared_model, explain_folder, write_explained
 
     given = any(values[name] for name in ExplainParams.model_fields)
     params = build_params(ExplainParams, values)
     if not given:
-        declared = open_run(run).study.explain if is_run(run) else ExplainParams()
-        if not declared.is_declared:
+        params = declared_model(run)
+        if not params.is_declared:
             raise InputError(
                 f"{run} declares no model. Name the maps that explain the image with `of`, or"
                 " declare them in the study: [explain] with of = [...]."
             )
-        params = declared
     elif params.factors is not None:
         params = params.model_copy(update={"factors": str(Path(params.factors).absolute())})
     model = explain_folder(run, params)

@@ -32,6 +32,8 @@ _FONTS = (
     "font-family=\"'Source Sans 3','Segoe UI','Helvetica Neue','Liberation Sans',Arial,sans-serif\""
 )
 _TOP = 8.0  # above a map: half a line, for a number at the end of the colour bar
+_ROWS_TOP, _ROW = 14.0, 30.0  # above the first of named rows; of one
+LETTER_PX = 6.3  # of the name of a row
 _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 
 
@@ -514,6 +516,31 @@ class Canvas(Axes):
             caption=caption,
             data=data or {},
         )
+
+
+def row_axes(
+    names: Sequence[str], values: Sequence[float], label: str, *, widest_px: float
+) -> tuple[Canvas, Axes]:
+    """Return half a page with a named row for each of some values, and an axis below them.
+
+    Rows are 1 high and the first begins at 0; ``values`` are all that has to find room;
+    ``widest_px``: of the names.
+    """
+    low, high = min(values), max(values)
+    margin = 0.06 * (high - low) or 0.05 * abs(high) or 0.5
+    low, high = low - margin, high + margin
+    left = min(max(map(len, names)) * LETTER_PX + 16, widest_px)
+    right, bottom = HALF - 20, _ROWS_TOP + _ROW * len(names)
+    canvas = Canvas(HALF, bottom + 50)
+    extent = (low, high, float(len(names)), 0.0)
+    axes = canvas.axes(left, _ROWS_TOP, right - left, bottom - _ROWS_TOP, extent)
+    for row, name in enumerate(names):
+        canvas.text(left - 8, _ROWS_TOP + _ROW * (row + 0.5) + 4, name, anchor="end")
+    canvas.line([(left, bottom), (right, bottom)], colour=SOFT, width=0.8)
+    ticks = multiples(low, high, round_step((high - low) / 4))
+    canvas.number_axes(axes, [(v, f"{v + 0.0:.6g}".replace("-", "−")) for v in ticks], [])
+    canvas.text((left + right) / 2, bottom + 38, label, anchor="middle")
+    return canvas, axes
 
 
 def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> ShownMap:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from planish.analyze.explain import Explained, strongest
 from planish.analyze.explain_sheets import ExplainedSeries
-from planish.core.facts import is_known
+from planish.core.facts import ResultModel, is_known
 from planish.core.numbers import (
     NONE,
     axis_label,
@@ -20,7 +20,6 @@ from planish.core.numbers import (
     number,
     percent,
     plain,
-    round_step,
     unit,
 )
 from planish.core.typing import Pair
@@ -32,25 +31,25 @@ from planish.report.draw import (
     HALF,
     INK,
     POINT,
+    SMALL,
     SOFT,
-    Axes,
     Canvas,
-    Extent,
     Picture,
     Table,
     draw_map,
-    multiples,
+    row_axes,
 )
+from planish.report.relation import draw_dots, draw_fit
 from planish.report.sentences.explain import say_answer, say_notes, say_reading, say_surer
 from planish.report.statement import p_text
 from planish.report.summary import KeyFigure
 
 AnyModel = Explained | ExplainedSeries
 
-_ROW, _TOP, _LETTER = 44.0, 14.0, 6.3  # pixels
-_MOST_LETTERS = 36  # of the name of a row
+_WIDEST_NAME = 245.0  # pixels, of a row
+_MOST_LETTERS = 36  # of that name
 _COLOURS = (POINT, ACCENT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
-_MOST_POINTS = 1500  # of a scatter plot
+_BOX = (86.0, 14.0, HALF - 106.0, 226.0)  # of a diagram on half a page of 310 pixels
 
 
 def explain_page(model: AnyModel, *, source: str, version: str) -> tuple[str, list[Picture]]:
@@ -150,12 +149,8 @@ def _numbers_of(ends: Pair) -> str:
 
 def tables_of(model: AnyModel) -> dict[str, Table]:
     """What a model says as tables, by the name of a file."""
-    fields = ("standardised", "interval", "plain", "plain_interval", "p", "p_of_set")
-    if isinstance(model, Explained):
-        fields += ("n_eff", "vif", "unique", "rank", "rank_interval", "weighed", "by_errors")
-    rows = [
-        {"map": name, "units": c.units} | _flat(c, fields) for name, c in model.coefficients.items()
-    ]
+    coefficients: Mapping[str, ResultModel] = model.coefficients
+    rows = [{"map": name} | _flat(c) for name, c in coefficients.items()]
     tables = {"coefficients": _table(rows)}
     if isinstance(model, ExplainedSeries):
         specimen_rows = [
@@ -165,8 +160,8 @@ def tables_of(model: AnyModel) -> dict[str, Table]:
         ]
         return tables | {"specimens": _table(specimen_rows)}
     size_rows = [
-        {"cell_um": row.cell_um, "declared": row.declared, "map": name, "n": row.n}
-        | {"n_eff": row.n_eff, "r2": row.r2, "standardised": value}
+        _flat(row)
+        | {"map": name, "standardised": value}
         | dict(zip(("low", "high"), row.intervals[name], strict=True))
         for row in model.sizes
         for name, value in row.standardised.items()
@@ -174,30 +169,31 @@ def tables_of(model: AnyModel) -> dict[str, Table]:
     tables["sizes"] = _table(size_rows)
     if model.cells is not None:
         cells = model.cells.drop_vars([k for k in model.cells if str(k).endswith(" freed")])
-        frame = {str(k): v.values for k, v in cells.items()}
-        y, x = np.meshgrid(cells["cell_y"].values, cells["cell_x"].values, indexing="ij")
-        is_valid = np.isfinite(frame["residual"])
-        columns = {"y_um": y, "x_um": x, **frame}
-        tables["cells"] = {name: values[is_valid].tolist() for name, values in columns.items()}
+        known = cells.stack(cell=("cell_y", "cell_x")).dropna("cell")
+        columns = {"y_um": known["cell_y"], "x_um": known["cell_x"], **dict(known.items())}
+        tables["cells"] = {str(name): values.values.tolist() for name, values in columns.items()}
     return tables
 
 
-def _flat(model: Any, fields: Iterable[str]) -> dict[str, object]:
-    """Fields of a model, intervals as two of them; what is not known is empty."""
+def _flat(facts: ResultModel) -> dict[str, object]:
+    """Numbers and words of a model, intervals as two of them."""
     row: dict[str, object] = {}
-    for name in fields:
-        value = getattr(model, name)
-        ends = {name: value}
+    for name, value in facts:
         if isinstance(value, tuple):
             prefix = name.removesuffix("interval")
-            ends = dict(zip((f"{prefix}low", f"{prefix}high"), value, strict=True))
-        row |= {key: end if is_known(end) else "" for key, end in ends.items()}
+            row[f"{prefix}low"], row[f"{prefix}high"] = value
+        elif isinstance(value, str | float | int) and value != "":
+            row[name] = value
     return row
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    return {name: [row.get(name, "") for row in rows] for name in names}
+    """Rows as columns; what is not known is empty."""
+    table: dict[str, list[object]] = {}
+    for name in dict.fromkeys(name for row in rows for name in row):
+        values = [row.get(name) for row in rows]
+        table[name] = ["" if isinstance(v, float) and v != v else v for v in values]
+    return table
 
 
 def draw_coefficients(model: AnyModel) -> Picture:
@@ -205,15 +201,12 @@ def draw_coefficients(model: AnyModel) -> Picture:
     names = strongest(model.coefficients)
     coefficients: list[Any] = [model.coefficients[name] for name in names]
     ends = [end for c in coefficients for end in c.interval if is_known(end)]
-    values = [0.0, *ends, *(c.standardised for c in coefficients)]
-    margin = 0.06 * (max(values) - min(values)) or 0.1
-    low, high = min(values) - margin, max(values) + margin
-    longest = min(max(len(c.title) for c in coefficients), _MOST_LETTERS)
-    left = longest * _LETTER + 16
-    bottom = _TOP + _ROW * len(names)
-    canvas = Canvas(HALF, bottom + 50)
-    extent = (low, high, float(len(names)), 0.0)
-    axes = canvas.axes(left, _TOP, HALF - 20 - left, bottom - _TOP, extent)
+    canvas, axes = row_axes(
+        [c.title[:_MOST_LETTERS] for c in coefficients],
+        [0.0, *ends, *(c.standardised for c in coefficients)],
+        "Standardised coefficient",
+        widest_px=_WIDEST_NAME,
+    )
     axes.upright(0.0, dash="4 3")
     for row, coefficient in enumerate(coefficients):
         y = row + 0.5
@@ -222,13 +215,15 @@ def draw_coefficients(model: AnyModel) -> Picture:
             axes.line([(end, y) for end in coefficient.interval], colour=colour, width=2.5)
         axes.dots([(coefficient.standardised, y)], colour=colour, size=9)
         label = fixed(coefficient.standardised, 2)
-        axes.text(coefficient.standardised, y, label, anchor="middle", shift=(0, -9), colour=INK)
-        canvas.text(left - 8, _TOP + _ROW * y + 4, coefficient.title[:_MOST_LETTERS], anchor="end")
-    canvas.line([(left, bottom), (HALF - 20, bottom)], colour=SOFT, width=0.8)
-    ticks = multiples(low, high, round_step((high - low) / 4))
-    canvas.number_axes(axes, [(float(v), fixed(float(v), 1)) for v in ticks], [])
-    middle = (left + HALF - 20) / 2
-    canvas.text(middle, bottom + 38, "Standardised coefficient", anchor="middle")
+        axes.text(
+            coefficient.standardised,
+            y,
+            label,
+            anchor="middle",
+            shift=(0, -6),
+            colour=INK,
+            size=SMALL,
+        )
     return canvas.picture(
         title=f"What explains {model.title[:1].lower()}{model.title[1:]}",
         caption=(
@@ -240,12 +235,6 @@ def draw_coefficients(model: AnyModel) -> Picture:
     )
 
 
-def _chart(extent: Extent) -> tuple[Canvas, Axes]:
-    """Half a page with axes, and room below them."""
-    canvas = Canvas(HALF, 310)
-    return canvas, canvas.axes(86, _TOP, HALF - 106, 226, extent)
-
-
 def draw_sizes(model: Explained) -> Picture:
     """Draw standardised coefficients over cells of growing size, the declared one marked."""
     rows = [row for row in model.sizes if row.standardised]
@@ -253,7 +242,8 @@ def draw_sizes(model: Explained) -> Picture:
     known = [0.0, *(end for end in all_ends if is_known(end))]
     low, high = min(known) - 0.05, max(known) + 0.05
     logs = [float(np.log2(row.cell_um)) for row in rows]
-    canvas, axes = _chart((min(logs) - 0.4, max(logs) + 0.4, low, high))
+    canvas = Canvas(HALF, 310)
+    axes = canvas.axes(*_BOX, (min(logs) - 0.4, max(logs) + 0.4, low, high))
     declared = float(np.log2(model.cell_um))
     axes.line([(declared, low), (declared, high)], colour=FAINT, width=24)
     axes.across(0.0, dash="4 3")
@@ -288,18 +278,13 @@ def draw_sizes(model: Explained) -> Picture:
 def draw_partial(model: Explained, name: str) -> Picture:
     """Draw response against one map, both freed of what the others explain."""
     coefficient = model.coefficients[name]
-    x = model.cells[f"{name} freed"].values
-    y = model.cells["residual"].values + coefficient.plain * x
-    is_valid = np.isfinite(x) & np.isfinite(y)
-    step = max(1, int(np.ceil(np.count_nonzero(is_valid) / _MOST_POINTS)))
-    points = np.stack([x[is_valid], y[is_valid]], axis=1)
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.05 * (high - low)
-    low, high = low - margin, high + margin
-    canvas, axes = _chart((low[0], high[0], low[1], high[1]))
-    axes.dots(points[::step], colour=POINT, size=3.5, opacity=0.5)
-    line = [(float(v), coefficient.plain * float(v)) for v in (low[0], high[0])]
-    axes.line(line, colour=ACCENT, width=1.8)
+    freed = model.cells[f"{name} freed"].values
+    is_valid = np.isfinite(freed)
+    x = freed[is_valid]
+    y = model.cells["residual"].values[is_valid] + coefficient.plain * x
+    canvas = Canvas(HALF, 310)
+    axes = draw_dots(canvas, (x, y), _BOX)
+    draw_fit(axes, [(float(v), coefficient.plain * float(v)) for v in (x.min(), x.max())])
     canvas.ticks(
         axes,
         axis_label(f"{coefficient.title}, freed of the others", unit(coefficient.units)),
@@ -309,10 +294,9 @@ def draw_partial(model: Explained, name: str) -> Picture:
         title=f"Partial regression: {coefficient.title[:1].lower()}{coefficient.title[1:]}",
         caption=(
             "Both maps less what the other maps explain of them; the slope of the line is the plain"
-            f" coefficient. n = {count(len(points))} cells"
-            f"{f', every {step}th is drawn' if step > 1 else ''}."
+            f" coefficient. n = {count(x.size)} cells."
         ),
-        data={"points": {"freed": points[:, 0].tolist(), "response_freed": points[:, 1].tolist()}},
+        data={"points": {"freed": x.tolist(), "response_freed": y.tolist()}},
     )
 
 
@@ -337,7 +321,8 @@ def draw_correlogram(model: Explained) -> Picture:
     distances = [0.0, *model.correlogram_um]
     values = [1.0, *model.correlogram]
     low = min(*values, -0.1) - 0.05
-    canvas, axes = _chart((0.0, distances[-1] * 1.02, low, 1.05))
+    canvas = Canvas(HALF, 310)
+    axes = canvas.axes(*_BOX, (0.0, distances[-1] * 1.02, low, 1.05))
     axes.across(0.0)
     axes.curve(distances, values, colour=POINT, width=1.4, dot_px=5)
     canvas.ticks(axes, "Distance / µm", "Correlation of residuals")

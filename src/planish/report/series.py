@@ -27,19 +27,18 @@ from planish.report.draw import (
     ACCENT,
     HALF,
     INK,
+    LETTER_PX,
     POINT,
     SMALL,
-    SOFT,
     Canvas,
     Picture,
     ShownMap,
-    multiples,
     reduced,
+    row_axes,
 )
 from planish.series_results import SeriesResults, SeriesSpecimen
 
-_ROW, _TOP, _LETTER = 30.0, 14.0, 6.3  # pixels: of a group, above the first, of a letter
-_WIDEST_NAME = 190.0
+_WIDEST_NAME = 190.0  # pixels
 _WIDE = 150.0  # CSS pixels of the widest small map
 _LEAST = 24.0
 
@@ -229,17 +228,9 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     ]
     plotted = [v * factor for group_fields in fields for _, v in group_fields]
     plotted += [v * factor for g in groups for v in g.interval if is_known(v)]
-    low = min(plotted)
-    high = max(plotted)
-    margin = 0.06 * (high - low) or 0.05 * abs(high) or 0.5
-    low, high = low - margin, high + margin
-    left_px = min(max(len(_short_label(g.group)) for g in groups) * _LETTER + 16, _WIDEST_NAME)
-    right_px = HALF - 20
-    bottom_px = _TOP + _ROW * len(groups)
-    canvas = Canvas(HALF, bottom_px + 50)
-    axes = canvas.axes(
-        left_px, _TOP, right_px - left_px, bottom_px - _TOP, (low, high, float(len(groups)), 0.0)
-    )
+    names = [_short_label(g.group) for g in groups]
+    label = axis_label(words.title(q), words.units(q))
+    canvas, axes = row_axes(names, plotted, label, widest_px=_WIDEST_NAME)
     for i, (g, group_fields) in enumerate(zip(groups, fields, strict=True)):
         y = i + 0.5
         sheets = dict[str, list[float]]()
@@ -251,16 +242,6 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
             axes.line([(v * factor, y + 0.3) for v in g.interval], colour=ACCENT, width=2)
         if is_known(g.mean):
             axes.dots([(g.mean * factor, y + 0.3)], colour=ACCENT, size=7)
-        canvas.text(left_px - 8, _TOP + _ROW * y + 4, _short_label(g.group), anchor="end")
-    canvas.line([(left_px, bottom_px), (right_px, bottom_px)], colour=SOFT, width=0.8)
-    ticks = multiples(low, high, round_step((high - low) / 4))
-    canvas.number_axes(axes, [(v, f"{v + 0.0:.6g}".replace("-", "−")) for v in ticks], [])
-    canvas.text(
-        (left_px + right_px) / 2,
-        bottom_px + 38,
-        axis_label(words.title(q), words.units(q)),
-        anchor="middle",
-    )
     rows = [
         (words.label(g.group), *field)
         for g, of_group in zip(groups, fields, strict=True)
@@ -287,7 +268,7 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
 def _short_label(group: Mapping[str, str]) -> str:
     """Name a group beside its row: where that is too long, by the beginnings of its levels."""
     full_label = words.label(group)
-    max_letters = int((_WIDEST_NAME - 16) / _LETTER)
+    max_letters = int((_WIDEST_NAME - 16) / LETTER_PX)
     if len(full_label) <= max_letters:
         return full_label
     # Of each level, and what shorter ones leave over.

@@ -193,8 +193,7 @@ def _model_maps(
         response=response.values.rename(params.response),
         predictors=values | _factors(params, response.values, grid),
         masks=masks,
-        pixel_um=grid.pixel_um,
-        origin_um=(grid.origin_um[1], grid.origin_um[0]),
+        grid=grid,
         errors=errors,
         sheet=next((m.group for m in predictors.values()), xr.Dataset()),
     )

@@ -92,6 +92,16 @@ def explain_folder(folder: Path, params: ExplainParams) -> Explained | Explained
     return explain_run(open_run(folder), params)
 
 
+def declared_model(folder: Path) -> ExplainParams:
+    """The model that the study of a run, or of the first run of a series, declares; maybe none."""
+    if is_run(folder):
+        return open_run(folder).study.explain
+    for specimen in SeriesResults.read(folder / RESULTS).specimens:
+        if home := specimen.member.folder(folder):
+            return open_run(home).study.explain
+    return ExplainParams()
+
+
 def explain_series(results: SeriesResults, home: Path, params: ExplainParams) -> ExplainedSeries:
     """Explain a map in each specimen of a series, and pool over sheets.
 

@@ -97,31 +97,33 @@ def say_surer(model: Explained | ExplainedSeries) -> list[str]:
         if model.left_out:
             left_out = [f"{name} ({reason})" for name, reason in model.left_out.items()]
             sentences.append(f"Left out: {'; '.join(left_out[:3])}")
-        sentences.append(
+        return [
+            *sentences,
+            *_undeclared(model),
             "More sheets: the interval is that of the mean of such sheets, and narrows with the"
-            " root of their number."
-        )
-        return sentences
+            " root of their number.",
+        ]
     if model.trust != "ok":
         sentences.append(
             f"The checks of the run leave this model {model.trust}: look at them before anything"
             " else."
         )
-    sentences += _collinear(model)
-    if not model.declared:
-        sentences.append(
-            "Declare the model in the study ([explain]) before you look at the next specimen: of"
-            " several models that were tried, one looks good by chance."
-        )
+    sentences += [*_collinear(model), *_undeclared(model)]
     is_uncertain = any(not c.direction for c in model.coefficients.values())
     is_uncertain |= is_known(model.lead_interval) and model.lead_interval[0] <= 0
     if is_uncertain:
         sentences.append("A field of four times the area would halve the intervals.")
-    if is_known(model.r2_out) or not model.reason:
-        sentences.append("Several sheets would show whether it holds beyond this one.")
-    else:
-        sentences.append(model.reason)
+    several_text = "Several sheets would show whether it holds beyond this one."
+    sentences.append(model.reason or several_text)
     return sentences[:3]
+
+
+def _undeclared(model: Explained | ExplainedSeries) -> Iterator[str]:
+    if not model.declared:
+        yield (
+            "Declare the model in the study ([explain]) before you look at the next specimen: of"
+            " several models that were tried, one looks good by chance."
+        )
 
 
 def _collinear(model: Explained) -> Iterator[str]:
@@ -141,8 +143,8 @@ def say_reading(model: Explained | ExplainedSeries) -> list[str]:
         " names no cause."
     ]
     if isinstance(model, ExplainedSeries):
-        sentences.append("Sheets, not fields, are the sample: each sheet counts once.")
-        return sentences
+        count_text = "Sheets, not fields, are the sample: each sheet counts once."
+        return [*sentences, _say_declared(model), count_text]
     sentences.append(_say_declared(model))
     hiding_text = " (below 0: one hides what another does)" if model.shared < -0.005 else ""
     sentences.append(
@@ -165,7 +167,7 @@ def say_notes(model: Explained | ExplainedSeries) -> list[str]:
     ]
 
 
-def _say_declared(model: Explained) -> str:
+def _say_declared(model: Explained | ExplainedSeries) -> str:
     if model.declared:
         return "The study declared this model before it was run."
     if model.declared is None:
