@@ -1,0 +1,170 @@
+"""Formation number: how uneven a sheet is, over a random sheet of the same fibres.
+
+In a random sheet the middles of straight fibres form a Poisson process and their directions are
+uniform (Deng and Dodson 1994). Its variance at any scale follows from the length, width and
+coarseness of the fibres, and the grammage.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+from scipy import fft, special
+
+from planish.core.area import area_mean
+from planish.core.errors import CannotMeasure
+from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.typing import Array, Floats, Pair
+
+_DIRECTIONS = 2048  # of a fibre: its peak over directions is as narrow as a wave over its length
+_PARTS = 8  # of a cell, for the covariance of the means over cells
+_LEAST_CELLS = 9
+
+
+class RandomSheet(ResultModel):
+    """A random sheet of fibres that are all alike."""
+
+    length_mm: float = Field(description="Length of a fibre.")
+    width_um: float = Field(description="Width of a fibre.")
+    coarseness_mg_m: float = Field(description="Mass of a fibre over its length.")
+    grammage_g_m2: float = Field(description="Mean mass of the sheet over its area.")
+
+    @property
+    def point_cov2(self) -> float:
+        """Squared coefficient of variation of its local grammage at single points."""
+        return 1000.0 * self.coarseness_mg_m / (self.width_um * self.grammage_g_m2)
+
+    def density(self, per_um: Floats) -> Floats:
+        """Spectral density of grammage over its mean, um2, at frequencies (waves a um)."""
+        length_um, width_um = 1000.0 * self.length_mm, self.width_um
+        angles = (np.arange(_DIRECTIONS) + 0.5) * (0.5 * math.pi / _DIRECTIONS)
+        seen = np.empty(per_um.shape)
+        for k, frequency in enumerate(per_um):
+            along = np.sinc(length_um * frequency * np.cos(angles))
+            across = np.sinc(width_um * frequency * np.sin(angles))
+            seen[k] = np.mean(np.square(along * across))
+        return self.point_cov2 * length_um * width_um * seen
+
+    def cov_of(self, low_um: float, high_um: float) -> float:
+        """Coefficient of variation in waves between two lengths."""
+        per_um = np.linspace(1 / high_um, 1 / low_um, 65)
+        ring = 2 * math.pi * per_um * self.density(per_um)
+        return math.sqrt(float(np.trapezoid(ring, per_um)))
+
+    def cell_covariances(self, shape: tuple[int, int], cell_um: float) -> Floats:
+        """Covariance of means over square cells, over the squared mean, by wrapped lag in cells.
+
+        ``shape``: lags along y and x, twice those of the field.
+        """
+        least = 2 * math.ceil(1000.0 * self.length_mm / cell_um)
+        size = [_PARTS * fft.next_fast_len(max(count, least)) for count in shape]
+        step_um = cell_um / _PARTS
+        along_y, along_x = fft.fftfreq(size[0], step_um), fft.rfftfreq(size[1], step_um)
+        radius = np.hypot(along_y[:, None], along_x)
+        table = np.concatenate([[0.0], np.geomspace(0.02 * radius[0, 1], radius.max() * 1.001, 800)])
+        density = np.interp(radius, table, self.density(table))
+        kept = np.square(np.outer(np.sinc(along_y * cell_um), np.sinc(along_x * cell_um)))
+        covariance = fft.irfft2(density * kept, size) / step_um**2
+        lags = [np.arange(-(count // 2), count - count // 2) * _PARTS for count in shape]
+        return np.fft.ifftshift(covariance[np.ix_(*lags)])
+
+
+class Formation(ResultModel):
+    """Formation number of a map over cells of one size, and the random sheet it is over."""
+
+    number: Value = Field(description="cov over that of the random sheet, over the same cells.")
+    interval: Interval = optional("Its 95 % interval.")
+    cell_um: float = Field(description="Edge of a cell.")
+    n: int = Field(description="Cells that are known.")
+    cov: Value = Field(description="Of the means over cells, without noise.")
+    random_cov: Value = Field(description="Of the random sheet, over the same cells.")
+    sheet: RandomSheet = Field(description="The random sheet.")
+
+
+def formation_number(
+    values: Array,
+    *,
+    pixel_um: Pair,
+    sheet: RandomSheet,
+    cell_um: float = 1000.0,
+    half_difference: Array | None = None,
+) -> Formation:
+    """Coefficient of variation of means over cells, over that of a random sheet.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows, cols)
+        Grammage, or thickness of a sheet of even density; NaN is missing.
+    pixel_um : (float, float), along y and x
+    sheet : RandomSheet
+    cell_um : float; edge of a cell
+    half_difference : ndarray, shape (rows, cols), optional
+        Half the difference of two half measurements, whose variance is noise.
+
+    Returns
+    -------
+    Formation
+
+    Raises
+    ------
+    CannotMeasure
+        If fewer than 9 cells are known, or the mean is not above 0.
+
+    Notes
+    -----
+    Both variances are those of the cells of this field about their own mean: waves longer than the
+    field count in neither. The interval is that of a random sheet, and scales with the number.
+
+    References
+    ----------
+    Deng and Dodson (1994), Paper: An Engineered Stochastic Structure, TAPPI Press. Dodson (1971),
+    J. R. Stat. Soc. B 33, 88, doi:10.1111/j.2517-6161.1971.tb00859.x.
+    """
+    factor = (cell_um / pixel_um[0], cell_um / pixel_um[1])
+    is_cell = min(factor) >= 1 and min(
+        count / f for count, f in zip(values.shape, factor, strict=True)
+    ) >= 1
+    cells = area_mean(values, factor) if is_cell else np.empty((0, 0))
+    is_known = np.isfinite(cells)
+    n = int(np.count_nonzero(is_known))
+    if n < _LEAST_CELLS:
+        raise CannotMeasure(
+            f"{n} cells of {cell_um:g} um are known; a formation number needs {_LEAST_CELLS}. Give a"
+            " larger field, or smaller cells (`formation_cell_um`)."
+        )
+    mean = float(cells[is_known].mean())
+    if not mean > 0:
+        raise CannotMeasure("The mean of the map is not above 0: it has no formation number.")
+    variance = float(cells[is_known].var(ddof=1))
+    if half_difference is not None:
+        noise = area_mean(half_difference, factor)
+        variance -= float(np.nanvar(noise[is_known], ddof=1))
+    expected, degrees = _variance_of_cells(is_known, sheet, cell_um)
+    ratio = max(variance, 0.0) / (mean**2 * expected)
+    ends = ratio * degrees / (2 * special.gammaincinv(degrees / 2, [0.975, 0.025]))
+    return Formation(
+        number=math.sqrt(ratio),
+        interval=(math.sqrt(ends[0]), math.sqrt(ends[1])),
+        cell_um=cell_um,
+        n=n,
+        cov=math.sqrt(max(variance, 0.0)) / mean,
+        random_cov=math.sqrt(expected),
+        sheet=sheet,
+    )
+
+
+def _variance_of_cells(is_known: Any, sheet: RandomSheet, cell_um: float) -> Pair:
+    """Expected variance of the known cells about their mean, and its degrees of freedom."""
+    shape = (2 * is_known.shape[0], 2 * is_known.shape[1])
+    covariance = sheet.cell_covariances(shape, cell_um)
+    mask = fft.rfft2(is_known.astype(np.float64), shape)
+    pairs = fft.irfft2(np.abs(mask) ** 2, shape)
+    sums = fft.irfft2(fft.rfft2(covariance) * mask, shape)[: is_known.shape[0], : is_known.shape[1]]
+    n, rows = int(np.count_nonzero(is_known)), sums[is_known]
+    centred = n * float(covariance[0, 0]) - float(rows.sum()) / n
+    trace = float(np.sum(pairs * covariance**2)) - 2.0 / n * float(np.sum(rows**2))
+    trace += float(rows.sum()) ** 2 / n**2
+    return centred / (n - 1), centred**2 / trace

@@ -1,0 +1,273 @@
+"""How much a map varies in each octave of wavelength, and what it shows there of another one.
+
+The noise of a measurement adds to every octave: two half measurements give it, and it is taken off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+from scipy import special
+
+from planish.analyze.distributions import t_95
+from planish.analyze.formation import Formation
+from planish.core.facts import Interval, ResultModel, Trust, Value, optional
+from planish.core.typing import Array, Complexes, Pair
+from planish.texture.octave_spectra import OctaveField, OctavePower
+
+_LEAST_SIGNAL = 0.1  # share of the power that is no noise: below, the rest says nothing of the map
+_LEAST_MODES = 4.0  # independent waves that an interval needs
+
+
+class ScaleBand(ResultModel):
+    """One octave of wavelength of a map."""
+
+    low_um: float = Field(description="Shortest wave.")
+    high_um: float = Field(description="Longest wave.")
+    sd: Value = Field(description="Standard deviation in the octave, without noise.")
+    interval: Interval = optional("Its 95 % interval, of the sheet by this field.")
+    cov: Value = optional("sd over the mean, a share; None of what has no zero of its own.")
+    noise: Value = optional("Standard deviation of the noise that was taken off.")
+    modes: Value = optional("Independent waves.")
+    formation: Value = optional("cov over that of a random sheet of the stated fibres.")
+    gain: Value = optional(
+        "Change of this map for a change of the other one, with its sign, without noise."
+    )
+    gain_interval: Interval = optional("Its 95 % interval.")
+    coherence: Value = optional("Squared, corrected for chance and without noise.")
+    coherence_interval: Interval = optional("Its 95 % interval.")
+    phase_deg: Value = optional(
+        "Of this map against the other one, in waves towards larger x: 0, or 180, where one simply"
+        " follows the other."
+    )
+    phase_interval: Interval = optional("Its 95 % interval.")
+
+
+class MapScales(ResultModel):
+    """What the octaves are of."""
+
+    map: str = Field(description="Name of the map.")
+    layer: str = Field(default="", description="Name of the layer.")
+    title: str = Field(description="Title of the map.")
+    units: str = Field(default="1", description="Of the map.")
+    mean: Value = optional("Over the pixels that count.")
+    n: int | None = optional("Pixels that count.")
+    pixel_um: Pair | None = optional("Size of a pixel along y and x.")
+    field_um: Pair | None = optional("Size of the field along y and x.")
+    known_share: Value = optional("Share of the pixels of the grid that count.")
+    shared: str | None = optional("What two half measurements share; None where there are none.")
+    formation: Formation | None = optional("Where the fibres are stated.")
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
+    reason: str | None = optional("Why there are no octaves.")
+
+
+class Scales(ResultModel):
+    """Octaves of several maps, and what these are."""
+
+    bands: dict[str, tuple[ScaleBand, ...]] = Field(
+        description="By map, from the longest waves to the shortest."
+    )
+    maps: dict[str, MapScales] = Field(description="By map, too.")
+    against: str | None = optional("Map that each one is compared with.")
+    against_title: str = Field(default="", description="Its title.")
+    against_units: str = Field(default="1", description="Its unit.")
+    declared: bool | None = optional("Whether the study declared it; None where it declares none.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScaledMap:
+    """A map on a grid as its octaves are taken, NaN where it does not count.
+
+    ``half_difference`` is half the difference of two half measurements; ``of_rows`` where these are
+    its odd and its even rows. ``noise`` is the same by octave where it was measured on other pixels.
+    """
+
+    facts: MapScales
+    values: Array
+    has_zero: bool = False
+    half_difference: Array | None = None
+    of_rows: bool = False
+    noise: Sequence[OctavePower] = ()
+
+
+def octaves_of_map(
+    a: ScaledMap, b: ScaledMap | None, pixel_um: Pair
+) -> tuple[MapScales, tuple[ScaleBand, ...]]:
+    """What map a is, and its octaves; with map b what a shows of it.
+
+    Parameters
+    ----------
+    a, b : ScaledMap
+        On one grid. Without b, the pixels of a alone count.
+    pixel_um : (float, float), along y and x
+
+    Returns
+    -------
+    MapScales, tuple of ScaleBand
+        From the longest waves to the shortest: octaves of 1 mm, from a fifth of the shorter side of
+        the field down to 4 pixels; none where the field holds no octave, and then a reason.
+
+    Notes
+    -----
+    The interval is that of a Gaussian texture, by Satterthwaite's degrees of freedom; where noise
+    is taken off, that of a difference of variances (Zou and Donner 2008). Gain and phase have the
+    random errors of Bendat and Piersol (2010), section 9.2.
+
+    References
+    ----------
+    Zou and Donner (2008), Stat. Med. 27, 1693, doi:10.1002/sim.3095. Bendat and Piersol (2010),
+    Random Data, 4th ed., doi:10.1002/9781118032428.
+    """
+    maps = [a] if b is None else [a, b]
+    arrays = [m.values for m in maps]
+    halves = [m for m in maps if m.half_difference is not None]
+    arrays += [m.half_difference for m in halves if m.half_difference is not None]
+    is_valid = np.logical_and.reduce([np.isfinite(values) for values in arrays])
+    facts = _facts_on(a.facts, a.values, is_valid, pixel_um)
+    field = OctaveField(is_valid, pixel_um)
+    if not field.octaves:
+        reason = (
+            "The field holds no octave: waves from a fifth of its shorter side down to 4 pixels"
+            " count. Give a larger field, or smaller pixels."
+        )
+        return facts.model_copy(update={"reason": reason}), ()
+    of_rows = [*[False] * len(maps), *(m.of_rows for m in halves)]
+    powers = field.powers(arrays, rows=of_rows)
+    mean = facts.mean if a.has_zero and facts.mean > 0 else math.nan
+    bands: list[ScaleBand] = []
+    for power in powers:
+        noise = _noise_of(maps, halves, power)
+        fields = _spread(power, noise, mean)
+        if b is not None:
+            fields |= _relation(power, noise)
+        bands.append(ScaleBand(low_um=power.low_um, high_um=power.high_um, **fields))
+    return facts, tuple(bands)
+
+
+def noise_powers(noise: ScaledMap, pixel_um: Pair) -> list[OctavePower]:
+    """Noise of a map by octave, from half the difference of its halves alone."""
+    assert noise.half_difference is not None
+    field = OctaveField(np.isfinite(noise.half_difference), pixel_um)
+    return field.powers([noise.half_difference], rows=[noise.of_rows])
+
+
+def _facts_on(facts: MapScales, values: Array, is_valid: Array, pixel_um: Pair) -> MapScales:
+    n = int(np.count_nonzero(is_valid))
+    rows, cols = is_valid.shape
+    return facts.model_copy(
+        update={
+            "n": n,
+            "mean": float(values[is_valid].mean(dtype=np.float64)) if n else math.nan,
+            "pixel_um": pixel_um,
+            "field_um": (rows * pixel_um[0], cols * pixel_um[1]),
+            "known_share": n / is_valid.size,
+        }
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Noise:
+    """Power of the noise of one or two maps with each other, and its degrees of freedom."""
+
+    power: Complexes
+    degrees: Array
+
+
+def _noise_of(maps: Sequence[ScaledMap], halves: Sequence[ScaledMap], power: OctavePower) -> _Noise:
+    """Noise in an octave: from the half differences on the same pixels, or as it was given."""
+    noise_power = np.zeros((len(maps), len(maps)), dtype=np.complex128)
+    degrees = np.full(len(maps), math.inf)
+    rows = {id(m): len(maps) + k for k, m in enumerate(halves)}
+    for i, first in enumerate(maps):
+        elsewhere = [p for p in first.noise if p.low_um == power.low_um]
+        if elsewhere:
+            noise_power[i, i] = elsewhere[0].power[0, 0]
+            degrees[i] = elsewhere[0].degrees[0]
+        if id(first) not in rows:
+            continue
+        degrees[i] = power.degrees[rows[id(first)]]
+        for j, second in enumerate(maps):
+            if id(second) in rows:
+                noise_power[i, j] = power.power[rows[id(first)], rows[id(second)]]
+    return _Noise(noise_power, degrees)
+
+
+def _spread(power: OctavePower, noise: _Noise, mean: float) -> dict[str, Any]:
+    """Standard deviation of the first map, with its interval."""
+    total, noise_power = float(power.power[0, 0].real), float(noise.power[0, 0].real)
+    rest = total - noise_power
+    low, high = _chi_square_limits(total, float(power.degrees[0]))
+    noise_low, noise_high = _chi_square_limits(noise_power, float(noise.degrees[0]))
+    below = math.hypot(total - low, noise_high - noise_power)
+    above = math.hypot(high - total, noise_power - noise_low)
+    sd = math.sqrt(max(rest, 0.0))
+    fields: dict[str, Any] = {"sd": sd, "modes": power.modes, "cov": sd / mean}
+    if power.modes >= _LEAST_MODES:
+        fields["interval"] = (math.sqrt(max(rest - below, 0)), math.sqrt(max(rest + above, 0)))
+    if noise_power > 0:
+        fields["noise"] = math.sqrt(noise_power)
+    return fields
+
+
+def _chi_square_limits(power: float, degrees: float) -> Pair:
+    """95 % interval of a power with so many degrees of freedom."""
+    if not power > 0 or math.isinf(degrees):
+        return power, power
+    quantiles = 2.0 * special.gammaincinv(degrees / 2, [0.975, 0.025])
+    return float(power * degrees / quantiles[0]), float(power * degrees / quantiles[1])
+
+
+def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
+    """Gain, coherence and phase of the first map against the second."""
+    totals = np.einsum("ii->i", power.power).real
+    shares = 1.0 - np.einsum("ii->i", noise.power).real / np.maximum(totals, 1e-300)
+    modes = 0.5 * min(float(power.degrees[1]), 2.0 * power.modes)
+    if modes < _LEAST_MODES or not shares.min() > _LEAST_SIGNAL:
+        return {}
+    cross = complex(power.power[1, 0])
+    cross_rest = cross - complex(noise.power[1, 0])
+    raw = abs(cross) ** 2 / float(totals.prod())
+    response = cross_rest / float(totals[1] * shares[1])
+    t = t_95(2 * modes - 2)
+    # Of noise in the cross power and, where noise was taken off the second map, in its power.
+    error = math.sqrt((1 - raw) / (2 * modes * raw)) if raw > 0 else math.inf
+    error_of_noise = math.sqrt(2 / float(noise.degrees[1])) * (1 - shares[1]) / shares[1]
+    relative = t * math.hypot(error, error_of_noise)
+    sign = math.copysign(1.0, response.real)
+    gain = sign * abs(response)
+    phase_deg = math.degrees(math.atan2(response.imag, response.real))
+    fields: dict[str, Any] = {"gain": gain, "phase_deg": phase_deg}
+    fields["gain_interval"] = tuple(sorted((gain * (1 - relative), gain * (1 + relative))))
+    if t * error < 1:
+        half_deg = math.degrees(math.asin(t * error))
+        fields["phase_interval"] = (phase_deg - half_deg, phase_deg + half_deg)
+    seen = float(power.coherence[1, 0])
+    factor = abs(cross_rest / cross) ** 2 / float(shares.prod()) if abs(cross) > 0 else 1.0
+    fields["coherence"] = factor * (seen - 1 / power.modes) / (1 - 1 / power.modes)
+    z, half_z = math.atanh(min(math.sqrt(seen), 1 - 1e-12)), 1.96 / math.sqrt(2 * power.modes - 2)
+    ends = (max(z - half_z, 0.0), z + half_z)
+    fields["coherence_interval"] = tuple(min(factor * math.tanh(end) ** 2, 1.0) for end in ends)
+    return fields
+
+
+def with_formation(
+    scales: MapScales, bands: Sequence[ScaleBand], formation: Formation
+) -> tuple[MapScales, tuple[ScaleBand, ...]]:
+    """The same with the formation number, of each octave, too."""
+    rows = [
+        band.model_copy(
+            update={"formation": band.cov / formation.sheet.cov_of(band.low_um, band.high_um)}
+        )
+        for band in bands
+    ]
+    return scales.model_copy(update={"formation": formation}), tuple(rows)
+
+
+def without_noise(scaled: ScaledMap) -> ScaledMap:
+    """The same map, of whose noise nothing is known."""
+    return replace(scaled, half_difference=None, noise=())

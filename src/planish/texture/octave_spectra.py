@@ -1,0 +1,252 @@
+"""Power of maps by octaves of wavelength, and of one map with another, with holes and borders.
+
+A pyramid of means gives each octave pixels of a sixteenth of its shortest wave or less. There, a
+mean over the surroundings is taken off, where missing pixels are filled from coarser levels: what
+is left holds little of the longer waves that could leak. Its covariances by lag are those of pairs
+of known pixels (a pixel counts less, the less of its surroundings is known), cut by a window that
+is flat in its inner half (Politis and Romano 1995), and their Fourier transform over the ring of
+the octave is the power. What both means took of a wave is divided out.
+
+Politis and Romano (1995), J. Time Ser. Anal. 16, 67, doi:10.1111/j.1467-9892.1995.tb00223.x.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from planish.core.area import halved_values
+from planish.core.typing import Array, Bools, Complexes, Floats, Pair
+
+LEAST_PIXELS = 4.0
+"""Pixels of the shortest wave: shorter ones are no waves on a grid."""
+
+SIDE_SHARE = 0.2
+"""Longest wave over the shorter side of a field: of longer ones it has too few."""
+
+_WAVE_PIXELS = 16  # of the shortest wave of an octave, at least, where pixels were joined
+_HALVED = 1.5  # wave that the mean over the surroundings halves, over the octave's longest
+_REACH = 2.5  # longest lag over the octave's longest wave, which is a fifth of the field or less
+Levels = list[NDArray[np.float32]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OctavePower:
+    """Power of maps (m,) in one octave, and of each with each.
+
+    ``power`` (m, m) is that of waves that run towards larger x, twice. What map j shows of a wave
+    of map i is ``power[i, j] / power[i, i]``.
+    """
+
+    low_um: float
+    high_um: float
+    power: Complexes
+    coherence: Floats  # (m, m), squared: of all rings of the octave alike
+    degrees: Floats  # of freedom of the power of each map, (m,)
+    modes: float  # independent complex waves
+
+
+def octaves_of(is_valid: Bools, pixel_um: Pair) -> list[Pair]:
+    """Octaves that a field shows, from the longest on: shortest and longest wave, um.
+
+    They divide 1 mm by powers of 2, so that fields with any pixel have the same ones.
+    """
+    sides_um: list[float] = []
+    for axis in (1, 0):
+        known = np.flatnonzero(is_valid.any(axis=axis))
+        if not known.size:
+            return []
+        sides_um.append(float(known[-1] - known[0] + 1) * pixel_um[1 - axis])
+    longest = math.floor(math.log2(SIDE_SHARE * min(sides_um) / 1000.0) + 1e-9)
+    shortest = math.ceil(math.log2(LEAST_PIXELS * max(pixel_um) / 1000.0) - 1e-9)
+    return [(1000.0 * 2.0 ** (k - 1), 1000.0 * 2.0**k) for k in range(longest, shortest, -1)]
+
+
+class OctaveField:
+    """The pixels of a grid that count, and what each octave needs of them, for any number of maps.
+
+    ``octaves`` are those of :func:`octaves_of`, the longest first.
+    """
+
+    def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
+        self.is_valid = is_valid
+        self.octaves = octaves_of(is_valid, pixel_um)
+        self._shares: Levels = [is_valid.astype(np.float32)]
+        while min(self._shares[-1].shape) > 1:
+            self._shares.append(halved_values(self._shares[-1]))
+        self._windows: list[_OctaveWindow] = []
+        for octave in self.octaves:
+            ratio = octave[0] / (_WAVE_PIXELS * max(pixel_um))
+            step = max(math.floor(math.log2(ratio) + 1e-9), 0)
+            is_known = self._shares[step] >= 0.5
+            self._windows.append(_OctaveWindow(is_known, pixel_um, step, octave))
+
+    def powers(self, maps: Sequence[Array], *, rows: Sequence[bool] = ()) -> list[OctavePower]:
+        """Power in each octave of maps (rows, cols) that have values where the field counts.
+
+        ``rows``: which of them are half the difference of odd and even rows, each filled between
+        its rows. It holds the noise of single pixels, less what the filling took of each wave.
+        """
+        pyramids = [self._filled(values) for values in maps]
+        is_of_rows = [*rows, *[False] * (len(maps) - len(rows))]
+        return [
+            window.power([pyramid[window.step] for pyramid in pyramids], is_of_rows)
+            for window in self._windows
+        ]
+
+    def _filled(self, values: Array) -> Levels:
+        """Means of a map at each level, 0 in all; what is missing is filled from the next one."""
+        mean = float(values[self.is_valid].mean(dtype=np.float64))
+        levels = [np.where(self.is_valid, values - mean, 0.0).astype(np.float32)]
+        for share, coarse_share in zip(self._shares, self._shares[1:], strict=False):
+            total = halved_values(levels[-1] * share)
+            coarse = np.divide(total, coarse_share, out=total, where=coarse_share > 0)
+            levels.append(coarse)
+        for step in range(len(levels) - 2, -1, -1):
+            rows, cols = np.nonzero(self._shares[step] < 0.5)
+            if rows.size:
+                places = (rows / 2 - 0.25, cols / 2 - 0.25)
+                coarse = levels[step + 1]
+                filling = ndimage.map_coordinates(coarse, places, order=1, mode="nearest")
+                levels[step][rows, cols] = filling
+        return levels
+
+
+class _OctaveWindow:
+    """What one octave needs of a field at its level of the pyramid."""
+
+    def __init__(self, is_known: Bools, pixel_um: Pair, step: int, octave: Pair) -> None:
+        self.step = step
+        self._low_um, self._high_um = octave
+        self._first_pixel_um = pixel_um
+        self._pixel_um = (pixel_um[0] * 2**step, pixel_um[1] * 2**step)
+        self._pixel_um2 = math.prod(self._pixel_um)
+        self._widths: list[int] = []
+        self._reach: list[int] = []
+        for pixel, count in zip(self._pixel_um, is_known.shape, strict=True):
+            # Twice a mean over n pixels halves a wave of n / 0.443 pixels.
+            width = 0.443 * _HALVED * self._high_um / pixel
+            self._widths.append(2 * round(width / 2) + 1)
+            self._reach.append(min(int(_REACH * self._high_um / pixel), count - 1))
+        self._shape = [
+            fft.next_fast_len(count + reach, real=True)
+            for count, reach in zip(is_known.shape, self._reach, strict=True)
+        ]
+        share = self._mean_around(is_known.astype(np.float32), mode="constant")
+        self._weight = np.where(is_known, share * share, np.float32(0.0))
+        squares = np.square(self._weight, dtype=np.float64)
+        self._area_um2 = float(squares.sum()) ** 2 / float(np.square(squares).sum())
+        self._area_um2 *= self._pixel_um2
+        self._lag_window = self._window_of_lags()
+        self._frequencies = [
+            fft.fftfreq(fft.next_fast_len(4 * reach + 1), pixel)
+            for reach, pixel in zip(self._reach, self._pixel_um, strict=True)
+        ]
+
+    def power(self, maps: Levels, is_of_rows: Sequence[bool]) -> OctavePower:
+        """Power of maps at the level in the octave."""
+        spectra = [self._transform(self._weight * (m - self._mean_around(m))) for m in maps]
+        frequency = np.hypot(self._frequencies[0][:, None], self._frequencies[1])
+        steps_per_um = [float(f[1]) for f in self._frequencies]
+        step_per_um = math.sqrt(math.prod(steps_per_um))
+        # Share of each cell of frequency that lies in the ring of the octave.
+        ring = np.clip((frequency - 1 / self._high_um) / step_per_um + 0.5, 0.0, 1.0)
+        ring *= np.clip((1 / self._low_um - frequency) / step_per_um + 0.5, 0.0, 1.0)
+        along_x, along_y = self._frequencies[1], self._frequencies[0][:, None]
+        is_forward = (along_x > 0) | ((along_x == 0) & (along_y > 0))
+        waves = np.nonzero(is_forward & (ring > 0))
+        cells = 2.0 * math.prod(steps_per_um) * ring[waves]
+        passed = self._passed(waves)
+        losses = [np.where(of_rows, self._passed_rows(waves), 1.0) for of_rows in is_of_rows]
+        densities = np.empty((len(maps), len(maps), cells.size), dtype=np.complex128)
+        for i, first in enumerate(spectra):
+            for j, second in enumerate(spectra[: i + 1]):
+                density = self._density(first, second)[waves] / passed
+                densities[i, j] = density / np.sqrt(losses[i] * losses[j])
+                densities[j, i] = densities[i, j].conj()
+        own = np.einsum("iik->ik", densities).real
+        power = densities @ cells
+        # The scatter of the densities themselves adds to the mean of their squares.
+        squares = np.square(own) @ cells / (1.0 + self._window_um2 / self._area_um2)
+        total = np.einsum("ii->i", power).real
+        radius = np.rint(frequency[waves] / (2.0 * step_per_um)).astype(np.intp)
+        return OctavePower(
+            low_um=self._low_um,
+            high_um=self._high_um,
+            power=power,
+            coherence=_coherence(densities, cells, radius),
+            degrees=self._area_um2 * np.square(total) / np.maximum(squares, 1e-300),
+            modes=0.5 * float(cells.sum()) * self._area_um2,
+        )
+
+    def _window_of_lags(self) -> Floats:
+        """Window over lags, over the weights of the pairs at each."""
+        lags_um = [
+            np.arange(-reach, reach + 1) * pixel
+            for reach, pixel in zip(self._reach, self._pixel_um, strict=True)
+        ]
+        distance = np.hypot(lags_um[0][:, None], lags_um[1]) / (_REACH * self._high_um)
+        window = np.cos(0.5 * math.pi * np.clip(2.0 * distance - 1.0, 0.0, 1.0)) ** 2
+        spectrum = self._transform(self._weight)
+        pairs = self._products(spectrum, spectrum)
+        window[pairs < 1e-3 * pairs.max()] = 0.0
+        self._window_um2 = float(np.square(window).sum()) * self._pixel_um2
+        return np.divide(window, pairs, out=window, where=window > 0)
+
+    def _density(self, first: Complexes, second: Complexes) -> Complexes:
+        """Spectral density of the second map on the first, on the frequencies of the octave."""
+        covariance = self._products(first, second) * self._lag_window
+        placed = np.zeros([f.size for f in self._frequencies])
+        placed[: covariance.shape[0], : covariance.shape[1]] = covariance
+        placed = np.roll(placed, [-reach for reach in self._reach], (0, 1))
+        return np.asarray(fft.fft2(placed)) * self._pixel_um2
+
+    def _passed(self, waves: tuple[Array, ...]) -> Floats:
+        """Share of the power of waves that the means leave."""
+        around, within = np.ones(waves[0].size), np.ones(waves[0].size)
+        for axis, place in enumerate(waves):
+            frequency = self._frequencies[axis][place]
+            within *= _mean_of_wave(frequency * self._first_pixel_um[axis], 2**self.step)
+            around *= _mean_of_wave(frequency * self._pixel_um[axis], self._widths[axis])
+        return np.square((1.0 - np.square(around)) * within)
+
+    def _passed_rows(self, waves: tuple[Array, ...]) -> Floats:
+        """Share of the noise's power that half the difference of odd and even rows holds."""
+        turns = self._frequencies[0][waves[0]] * self._first_pixel_um[0]
+        return np.cos(math.pi * turns) ** 4
+
+    def _mean_around(self, values: NDArray[np.float32], mode: str = "nearest") -> Array:
+        once = ndimage.uniform_filter(values, self._widths, mode=mode)
+        return ndimage.uniform_filter(once, self._widths, mode=mode)
+
+    def _transform(self, values: Array) -> Complexes:
+        return np.asarray(fft.rfft2(values, self._shape))
+
+    def _products(self, first: Complexes, second: Complexes) -> Floats:
+        """Sums of the first at a point times the second at a lag from it; lag 0 in the middle."""
+        sums = np.asarray(fft.irfft2(np.conj(first) * second, self._shape))
+        rows, cols = (np.arange(-reach, reach + 1) for reach in self._reach)
+        return sums[np.ix_(rows, cols)].astype(np.float64)
+
+
+def _coherence(densities: Complexes, cells: Floats, radius: Array) -> Floats:
+    """Squared coherence (m, m) of maps in an octave where every ring of frequency counts alike."""
+    own = np.einsum("iik->ik", densities).real
+    level = np.stack([np.bincount(radius, cells * row) for row in own])
+    level /= np.maximum(np.bincount(radius, cells), 1e-300)
+    floor = 1e-3 * level.max(axis=1, keepdims=True)
+    level = np.maximum(level, np.maximum(floor, 1e-300))[:, radius]
+    whitened = (densities / np.sqrt(level[:, None] * level[None, :])) @ cells
+    power = np.einsum("ii->i", whitened).real
+    return np.abs(whitened) ** 2 / np.maximum(np.outer(power, power), 1e-300)
+
+
+def _mean_of_wave(turns: Floats, count: int) -> Floats:
+    """What a mean over ``count`` pixels leaves of a wave that turns so often a pixel."""
+    angle = math.pi * turns
+    below = count * np.sin(angle)
+    is_slow = np.abs(below) < 1e-9
+    return np.where(is_slow, 1.0, np.sin(count * angle) / np.where(is_slow, 1.0, below))
