@@ -21,6 +21,7 @@ from .run import open_run as open_run
 from .run import register_marks as register_marks
 from .run import register_texture as register_texture
 from .run import resample_maps as resample_maps
+from .run import scales as scales
 from .series import explain as explain
 from .series import open_study as open_study
 from .surface import find_surfaces as find_surfaces

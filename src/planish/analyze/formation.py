@@ -64,7 +64,9 @@ class RandomSheet(ResultModel):
         step_um = cell_um / _PARTS
         along_y, along_x = fft.fftfreq(size[0], step_um), fft.rfftfreq(size[1], step_um)
         radius = np.hypot(along_y[:, None], along_x)
-        table = np.concatenate([[0.0], np.geomspace(0.02 * radius[0, 1], radius.max() * 1.001, 800)])
+        table = np.concatenate(
+            [[0.0], np.geomspace(0.02 * radius[0, 1], radius.max() * 1.001, 800)]
+        )
         density = np.interp(radius, table, self.density(table))
         kept = np.square(np.outer(np.sinc(along_y * cell_um), np.sinc(along_x * cell_um)))
         covariance = fft.irfft2(density * kept, size) / step_um**2
@@ -124,9 +126,10 @@ def formation_number(
     J. R. Stat. Soc. B 33, 88, doi:10.1111/j.2517-6161.1971.tb00859.x.
     """
     factor = (cell_um / pixel_um[0], cell_um / pixel_um[1])
-    is_cell = min(factor) >= 1 and min(
-        count / f for count, f in zip(values.shape, factor, strict=True)
-    ) >= 1
+    is_cell = (
+        min(factor) >= 1
+        and min(count / f for count, f in zip(values.shape, factor, strict=True)) >= 1
+    )
     cells = area_mean(values, factor) if is_cell else np.empty((0, 0))
     is_known = np.isfinite(cells)
     n = int(np.count_nonzero(is_known))

@@ -1,8 +1,8 @@
 """Options of the correlation."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, model_validator
 
 from planish.core.options import Names, Params, option
 
@@ -122,3 +122,61 @@ class ExplainParams(Params):
     def is_declared(self) -> bool:
         """Whether it names anything that explains."""
         return bool(self.of) or self.factors is not None
+
+
+class ScalesParams(Params):
+    """Which maps are described by octaves of wavelength, and what they are compared with."""
+
+    of: MapNames = option(
+        (),
+        cli="--map",
+        metavar="MAP,...",
+        help="Maps whose octaves are stated; may be given again. All maps where none is named.",
+    )
+    against: str | None = option(
+        None,
+        metavar="MAP",
+        help=(
+            "Map that they are compared with, octave by octave: their gain for a change of it,"
+            " coherence and phase, such as base_surface_top for the levelling of coating_top."
+        ),
+    )
+    fibre_length_mm: float | None = option(
+        None, gt=0, lt=20, metavar="MM", help="Mean length of the fibres, for formation numbers."
+    )
+    fibre_width_um: float | None = option(
+        None, gt=0, lt=500, help="Mean width of the fibres, for formation numbers."
+    )
+    coarseness_mg_m: float | None = option(
+        None,
+        gt=0,
+        lt=5,
+        metavar="MG/M",
+        help="Mass of a fibre over its length, for formation numbers.",
+    )
+    mean_grammage_g_m2: float | None = option(
+        None,
+        gt=0,
+        lt=2000,
+        metavar="G/M2",
+        help="Grammage of the sheet, for formation numbers of its thickness.",
+    )
+    formation_cell_um: float = option(
+        1000.0, gt=0, help="Edge of the cells that a formation number is of."
+    )
+
+    @model_validator(mode="after")
+    def _states_whole_fibres(self) -> Self:
+        missing = [name for name in FIBRES if getattr(self, name) is None]
+        if missing and len(missing) < len(FIBRES):
+            raise ValueError(f"formation numbers need all of {', '.join(FIBRES)}")
+        return self
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether a study asks for it."""
+        return self != ScalesParams()
+
+
+FIBRES = ("fibre_length_mm", "fibre_width_um", "coarseness_mg_m", "mean_grammage_g_m2")
+"""What a formation number needs to be told."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy import special
 from planish.analyze.distributions import t_95
 from planish.analyze.formation import Formation
 from planish.core.facts import Interval, ResultModel, Trust, Value, optional
-from planish.core.typing import Array, Complexes, Pair
+from planish.core.typing import Array, Complexes, Floats, Pair
 from planish.texture.octave_spectra import OctaveField, OctavePower
 
 _LEAST_SIGNAL = 0.1  # share of the power that is no noise: below, the rest says nothing of the map
@@ -81,30 +81,38 @@ class Scales(ResultModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScaledMap:
-    """A map on a grid as its octaves are taken, NaN where it does not count.
-
-    ``half_difference`` is half the difference of two half measurements; ``of_rows`` where these are
-    its odd and its even rows. ``noise`` is the same by octave where it was measured on other pixels.
-    """
+    """A map (rows, cols) as its octaves are taken, NaN where it does not count."""
 
     facts: MapScales
     values: Array
-    has_zero: bool = False
-    half_difference: Array | None = None
+    has_zero: bool = False  # so that it has a coefficient of variation
+    is_mass: bool = False  # so that it has a formation number
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HalfDifferences:
+    """Half the difference of two half measurements (rows, cols) of some maps, by their numbers.
+
+    ``of_rows``: the halves are odd and even rows. The pixels may be others than those of the maps.
+    """
+
+    of_maps: dict[int, Array]
+    pixel_um: Pair
     of_rows: bool = False
-    noise: Sequence[OctavePower] = ()
 
 
 def octaves_of_map(
-    a: ScaledMap, b: ScaledMap | None, pixel_um: Pair
+    maps: Sequence[ScaledMap], pixel_um: Pair, halves: Sequence[HalfDifferences] = ()
 ) -> tuple[MapScales, tuple[ScaleBand, ...]]:
-    """What map a is, and its octaves; with map b what a shows of it.
+    """What the first map is, and its octaves; with a second map what the first shows of it.
 
     Parameters
     ----------
-    a, b : ScaledMap
-        On one grid. Without b, the pixels of a alone count.
+    maps : sequence of ScaledMap
+        One or two, on one grid; the pixels count that are known in both.
     pixel_um : (float, float), along y and x
+    halves : sequence of HalfDifferences
+        Those of maps 0 and 1 from one scan stand together: they may share their noise.
 
     Returns
     -------
@@ -123,12 +131,9 @@ def octaves_of_map(
     Zou and Donner (2008), Stat. Med. 27, 1693, doi:10.1002/sim.3095. Bendat and Piersol (2010),
     Random Data, 4th ed., doi:10.1002/9781118032428.
     """
-    maps = [a] if b is None else [a, b]
     arrays = [m.values for m in maps]
-    halves = [m for m in maps if m.half_difference is not None]
-    arrays += [m.half_difference for m in halves if m.half_difference is not None]
     is_valid = np.logical_and.reduce([np.isfinite(values) for values in arrays])
-    facts = _facts_on(a.facts, a.values, is_valid, pixel_um)
+    facts = _facts_on(maps[0].facts, arrays[0], is_valid, pixel_um)
     field = OctaveField(is_valid, pixel_um)
     if not field.octaves:
         reason = (
@@ -136,24 +141,16 @@ def octaves_of_map(
             " count. Give a larger field, or smaller pixels."
         )
         return facts.model_copy(update={"reason": reason}), ()
-    of_rows = [*[False] * len(maps), *(m.of_rows for m in halves)]
-    powers = field.powers(arrays, rows=of_rows)
-    mean = facts.mean if a.has_zero and facts.mean > 0 else math.nan
+    noise = _noise_of(halves, len(maps))
+    mean = facts.mean if maps[0].has_zero and facts.mean > 0 else math.nan
     bands: list[ScaleBand] = []
-    for power in powers:
-        noise = _noise_of(maps, halves, power)
-        fields = _spread(power, noise, mean)
-        if b is not None:
-            fields |= _relation(power, noise)
+    for power in field.powers(arrays):
+        octave_noise = noise.get(power.low_um, _Noise.none(len(maps)))
+        fields = _spread(power, octave_noise, mean)
+        if len(maps) > 1:
+            fields |= _relation(power, octave_noise)
         bands.append(ScaleBand(low_um=power.low_um, high_um=power.high_um, **fields))
     return facts, tuple(bands)
-
-
-def noise_powers(noise: ScaledMap, pixel_um: Pair) -> list[OctavePower]:
-    """Noise of a map by octave, from half the difference of its halves alone."""
-    assert noise.half_difference is not None
-    field = OctaveField(np.isfinite(noise.half_difference), pixel_um)
-    return field.powers([noise.half_difference], rows=[noise.of_rows])
 
 
 def _facts_on(facts: MapScales, values: Array, is_valid: Array, pixel_um: Pair) -> MapScales:
@@ -172,29 +169,29 @@ def _facts_on(facts: MapScales, values: Array, is_valid: Array, pixel_um: Pair) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Noise:
-    """Power of the noise of one or two maps with each other, and its degrees of freedom."""
+    """Power of the noise of maps in an octave, with each other, and its degrees of freedom."""
 
     power: Complexes
-    degrees: Array
+    degrees: Floats
+
+    @classmethod
+    def none(cls, count: int) -> _Noise:
+        """Of maps of whose noise nothing is known."""
+        return cls(np.zeros((count, count), dtype=np.complex128), np.full(count, math.inf))
 
 
-def _noise_of(maps: Sequence[ScaledMap], halves: Sequence[ScaledMap], power: OctavePower) -> _Noise:
-    """Noise in an octave: from the half differences on the same pixels, or as it was given."""
-    noise_power = np.zeros((len(maps), len(maps)), dtype=np.complex128)
-    degrees = np.full(len(maps), math.inf)
-    rows = {id(m): len(maps) + k for k, m in enumerate(halves)}
-    for i, first in enumerate(maps):
-        elsewhere = [p for p in first.noise if p.low_um == power.low_um]
-        if elsewhere:
-            noise_power[i, i] = elsewhere[0].power[0, 0]
-            degrees[i] = elsewhere[0].degrees[0]
-        if id(first) not in rows:
-            continue
-        degrees[i] = power.degrees[rows[id(first)]]
-        for j, second in enumerate(maps):
-            if id(second) in rows:
-                noise_power[i, j] = power.power[rows[id(first)], rows[id(second)]]
-    return _Noise(noise_power, degrees)
+def _noise_of(halves: Sequence[HalfDifferences], count: int) -> dict[float, _Noise]:
+    """Noise of maps by the shortest wave of each octave."""
+    noise: dict[float, _Noise] = {}
+    for half in halves:
+        numbers, differences = list(half.of_maps), list(half.of_maps.values())
+        is_valid = np.logical_and.reduce([np.isfinite(values) for values in differences])
+        field = OctaveField(is_valid, half.pixel_um)
+        for power in field.powers(differences, rows=[half.of_rows] * len(differences)):
+            octave_noise = noise.setdefault(power.low_um, _Noise.none(count))
+            octave_noise.power[np.ix_(numbers, numbers)] = power.power
+            octave_noise.degrees[numbers] = power.degrees
+    return noise
 
 
 def _spread(power: OctavePower, noise: _Noise, mean: float) -> dict[str, Any]:
@@ -227,7 +224,8 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
     totals = np.einsum("ii->i", power.power).real
     shares = 1.0 - np.einsum("ii->i", noise.power).real / np.maximum(totals, 1e-300)
     modes = 0.5 * min(float(power.degrees[1]), 2.0 * power.modes)
-    if modes < _LEAST_MODES or not shares.min() > _LEAST_SIGNAL:
+    seen = float(power.coherence[1, 0])
+    if modes < _LEAST_MODES or not shares.min() > _LEAST_SIGNAL or math.isnan(seen):
         return {}
     cross = complex(power.power[1, 0])
     cross_rest = cross - complex(noise.power[1, 0])
@@ -246,7 +244,6 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
     if t * error < 1:
         half_deg = math.degrees(math.asin(t * error))
         fields["phase_interval"] = (phase_deg - half_deg, phase_deg + half_deg)
-    seen = float(power.coherence[1, 0])
     factor = abs(cross_rest / cross) ** 2 / float(shares.prod()) if abs(cross) > 0 else 1.0
     fields["coherence"] = factor * (seen - 1 / power.modes) / (1 - 1 / power.modes)
     z, half_z = math.atanh(min(math.sqrt(seen), 1 - 1e-12)), 1.96 / math.sqrt(2 * power.modes - 2)
@@ -256,18 +253,11 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
 
 
 def with_formation(
-    scales: MapScales, bands: Sequence[ScaleBand], formation: Formation
+    facts: MapScales, bands: Sequence[ScaleBand], formation: Formation
 ) -> tuple[MapScales, tuple[ScaleBand, ...]]:
     """The same with the formation number, of each octave, too."""
-    rows = [
-        band.model_copy(
-            update={"formation": band.cov / formation.sheet.cov_of(band.low_um, band.high_um)}
-        )
-        for band in bands
-    ]
-    return scales.model_copy(update={"formation": formation}), tuple(rows)
-
-
-def without_noise(scaled: ScaledMap) -> ScaledMap:
-    """The same map, of whose noise nothing is known."""
-    return replace(scaled, half_difference=None, noise=())
+    rows: list[ScaleBand] = []
+    for band in bands:
+        random_cov = formation.sheet.cov_of(band.low_um, band.high_um)
+        rows.append(band.model_copy(update={"formation": band.cov / random_cov}))
+    return facts.model_copy(update={"formation": formation}), tuple(rows)

@@ -176,6 +176,14 @@ def _half(values: Floats, first: int) -> Floats:
     return half
 
 
+def row_difference(values: Floats) -> Floats:
+    """Half the difference of the odd and the even rows of a map, each as it is between its rows.
+
+    It holds the noise of the map and, of waves longer than some rows, nothing else.
+    """
+    return 0.5 * (_half(values, 1) - _half(values, 0))
+
+
 def reliability_of(pair: ComparedMaps, layer: str, name: str) -> Reliability:
     """How much of a map two halves of its measurement show alike, or why that cannot be said."""
     columns, grid, point_um = pair.columns[layer], pair.grid, pair.point_um

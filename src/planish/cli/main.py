@@ -41,6 +41,7 @@ _MODULES = {
     "holes": "stages",
     "register": "stages",
     "correlate": "stages",
+    "scales": "scales",
     "report": "stages",
     "marks": "marks",
     "specimen": "validate",

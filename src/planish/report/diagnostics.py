@@ -110,7 +110,7 @@ def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
         if is_known(row.interval):
             axes.curve((log_size, log_size), row.interval, colour=POINT, width=1.4)
     axes.curve(log_sizes, [row.r for row in size_rows], colour=ACCENT, width=2.2, dot_px=5)
-    _draw_log_axes(canvas, axes, "size of a point / µm", "r")
+    draw_log_axes(canvas, axes, "size of a point / µm", "r")
 
 
 def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
@@ -141,7 +141,7 @@ def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
             axes.dots([centre], colour="white", size=5)
         if is_known(band.gain):
             axes.text(*centre, f"gain {number(band.gain)}", anchor="middle", shift=(0, -9), size=11)
-    _draw_log_axes(canvas, axes, "wavelength / µm", "squared coherence")
+    draw_log_axes(canvas, axes, "wavelength / µm", "squared coherence")
 
 
 def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[tuple[float, float]]) -> None:
@@ -155,7 +155,8 @@ def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[tuple[float, 
         axes.area(outline, colour=POINT, opacity=0.2)
 
 
-def _draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
+def draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
+    """Draw the axes of a figure over logarithms of lengths."""
     x_min, x_max = axes.extent[:2]
     lengths_um = [m * 10**k for k in range(-1, 6) for m in (1, 2, 5)]
     x_ticks = [(math.log10(v), f"{v:g}") for v in lengths_um if x_min <= math.log10(v) <= x_max]
@@ -292,7 +293,7 @@ def draw_rings(
         width=2.0,
         dot_px=4,
     )
-    _draw_log_axes(canvas, axes, "wavelength / µm", "correlation of both measurements")
+    draw_log_axes(canvas, axes, "wavelength / µm", "correlation of both measurements")
     return canvas.picture(
         title=f"Down to which wavelength {layers[0]} and {layers[1]} show the same {name}",
         caption=(

@@ -9,6 +9,7 @@ from .compute import silent as silent
 from .holes import HoleSearch as HoleSearch
 from .holes import find_holes as find_holes
 from .layers import MappedLayer as MappedLayer
+from .map_scales import scales as scales
 from .overlay import resample_maps as resample_maps
 from .pipeline import run_study as run_study
 from .registration import Registration as Registration

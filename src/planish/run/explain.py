@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-import re
-from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from planish.analyze.explain import Explained, ModelMaps, bare_name, explain_maps
+from planish.analyze.explain import Explained, ModelMaps, explain_maps
 from planish.analyze.params import ExplainParams
 from planish.core.arrays import check_dataset
 from planish.core.bands import thinned
@@ -23,50 +21,30 @@ from planish.core.text import and_join
 from planish.core.typing import Pair
 from planish.marks.regions import read_regions
 from planish.resample.maps import se_of_mean
-from planish.run.overlay import LINKED
+from planish.run.named_maps import NamedMap, maps_of, named, on_known_axes
 from planish.run.regions import regions_on
 from planish.run.run import Run
 
 EXPLAINED = "explained"
 """Group of a run with the residuals of the model that its study declares."""
 
-_NO_PROPERTY = re.compile("valid$|status$|[uv]$|volume_|projected_|presence|.*_se$")
-"""Maps that say where and how sure, and are named in no list of choices."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _NamedMap:
-    """A map that a model can name, and the layer and group that it is of."""
-
-    values: xr.DataArray
-    layer: str
-    group: xr.Dataset
-
 
 def explain_dataset(data: xr.Dataset, params: ExplainParams) -> Explained:
     """Explain a map of a Dataset on one grid by others; errors as of :func:`explain_run`."""
     check_model(params)
-    data = _on_known_axes(data, params.response)
+    data = on_known_axes(data)
     check_dataset(
         data,
         expected="maps on one grid",
         call_format="pl.explain({})",
         source="pl.resample_maps(...)",
     )
-    maps = {str(name): _NamedMap(values=m, layer="", group=data) for name, m in data.items()}
+    maps = {str(name): NamedMap(values=m, layer="", group=data) for name, m in data.items()}
     return explain_maps(
         _model_maps(params, maps, _errors_in(data, params.cell_um)),
         cell_um=params.cell_um,
         corrected=params.corrected,
     )
-
-
-def _on_known_axes(data: xr.Dataset, response: str) -> xr.Dataset:
-    """The same maps with axes (v, u) where theirs have other names than planish's own."""
-    dims = data[response].dims if response in data else ()
-    if len(dims) != 2 or dims in (("y", "x"), ("v", "u")):
-        return data
-    return data.rename({dims[0]: "v", dims[1]: "u"})
 
 
 def explain_run(run: Run, params: ExplainParams) -> Explained:
@@ -78,15 +56,15 @@ def explain_run(run: Run, params: ExplainParams) -> Explained:
         As :func:`planish.analyze.explain.explain_maps`; if the run has no such map.
     """
     check_model(params)
-    maps = _maps_of(run)
-    layers = {_named(maps, name).layer for name in (params.response, *params.of)}
+    maps = maps_of(run)
+    layers = {named(maps, name).layer for name in (params.response, *params.of)}
     errors: dict[str, float] = {}
     for layer in sorted(layers):
         errors |= _errors_of_sheet(run, layer, params.cell_um)
     explained = explain_maps(
         _model_maps(params, maps, errors), cell_um=params.cell_um, corrected=params.corrected
     )
-    names = [_named(maps, name).values.name for name in (params.response, *params.of)]
+    names = [named(maps, name).values.name for name in (params.response, *params.of)]
     figures = [*map(str, names), *((POSITION, CORRELATION) if run.results.is_link else ())]
     return explained.model_copy(
         update={
@@ -124,7 +102,7 @@ def with_declared_model(run: Run) -> Run:
     except PlanishError as fault:
         results = run.results.model_copy(update={"explain_reason": fault.text})
         return replace(run, results=results)
-    response = _named(_maps_of(run), params.response)
+    response = named(maps_of(run), params.response)
     residual = residual_map(explained, response.values)
     results = run.results.model_copy(update={"explained": explained})
     groups = {**run.groups, EXPLAINED: xr.Dataset({"residual": residual})}
@@ -150,35 +128,12 @@ def residual_map(explained: Explained, like: xr.DataArray) -> xr.DataArray:
     )
 
 
-def _maps_of(run: Run) -> dict[str, _NamedMap]:
-    """All maps of a run by name; by LAYER.MAP, and by MAP where one layer has it."""
-    reference = run.results.reference.name
-    groups = [(f"{layer}.", layer, group) for layer, group in run.layers.items()]
-    if not groups:
-        name = LINKED if LINKED in run.groups else "maps"
-        groups = [("", run.results.layers[0].name, run.groups[name])]
-    maps: dict[str, _NamedMap] = {}
-    for prefix, layer, group in groups:
-        for name, values in group.items():
-            of_layer = reference if name == "image" and not prefix else layer
-            maps[f"{prefix}{name}"] = _NamedMap(values=values, layer=of_layer, group=group)
-    counts = Counter(bare_name(key) for key in maps)
-    return {bare_name(key): m for key, m in maps.items() if counts[bare_name(key)] == 1} | maps
-
-
-def _named(maps: Mapping[str, _NamedMap], name: str) -> _NamedMap:
-    if name in maps:
-        return maps[name]
-    shown = [key for key in maps if not _NO_PROPERTY.match(bare_name(key))]
-    raise InputError(f"There is no map {name!r}. There are {', '.join(shown)}.")
-
-
 def _model_maps(
-    params: ExplainParams, maps: Mapping[str, _NamedMap], errors: Mapping[str, float]
+    params: ExplainParams, maps: Mapping[str, NamedMap], errors: Mapping[str, float]
 ) -> ModelMaps:
     """The maps of a model, the masks of all groups that they are of, and regions as factors."""
-    response = _named(maps, params.response)
-    predictors = {name: _named(maps, name) for name in params.of}
+    response = named(maps, params.response)
+    predictors = {name: named(maps, name) for name in params.of}
     groups = {id(m.group): m.group for m in (response, *predictors.values())}
     masks = [group["valid"] for group in groups.values() if "valid" in group]
     grid = Grid.of(response.values)

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import tomli_w
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from planish.analyze.params import CorrelateParams, ExplainParams
+from planish.analyze.params import CorrelateParams, ExplainParams, ScalesParams
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
 from planish.core.options import Params, option, words_in
@@ -70,12 +70,13 @@ SECTIONS: dict[str, type[Params]] = {
     "registration": RegistrationParams,
     "correlate": CorrelateParams,
     "explain": ExplainParams,
+    "scales": ScalesParams,
 }
 """Sections of a study with options, and the models of these."""
 
 MAP_SECTIONS, LINK_SECTIONS = (
     ("surface", "properties", "flatten"),
-    ("holes", "registration", "correlate", "explain"),
+    ("holes", "registration", "correlate", "explain", "scales"),
 )
 """Sections of the mapping of a volume, and of a link."""
 
@@ -151,6 +152,7 @@ class Study(Params):
     registration: RegistrationParams = RegistrationParams()
     correlate: CorrelateParams = CorrelateParams()
     explain: ExplainParams = ExplainParams()
+    scales: ScalesParams = ScalesParams()
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -395,8 +397,9 @@ def to_dict(study: Study) -> dict[str, Any]:
     for name in ("about", "packages"):
         if not data[name]:
             del data[name]
-    if not study.explain.is_declared:
-        del data["explain"]
+    for name, question in (("explain", study.explain), ("scales", study.scales)):
+        if not question.is_declared:
+            del data[name]
     for layer, values in zip(study.layers, data["layers"], strict=True):
         if layer.kind != "volume":
             for name in MAP_SECTIONS:

@@ -13,6 +13,7 @@ Politis and Romano (1995), J. Time Ser. Anal. 16, 67, doi:10.1111/j.1467-9892.19
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -218,7 +219,9 @@ class _OctaveWindow:
         turns = self._frequencies[0][waves[0]] * self._first_pixel_um[0]
         return np.cos(math.pi * turns) ** 4
 
-    def _mean_around(self, values: NDArray[np.float32], mode: str = "nearest") -> Array:
+    def _mean_around(
+        self, values: NDArray[np.float32], mode: Literal["nearest", "constant"] = "nearest"
+    ) -> Array:
         once = ndimage.uniform_filter(values, self._widths, mode=mode)
         return ndimage.uniform_filter(once, self._widths, mode=mode)
 
@@ -237,11 +240,12 @@ def _coherence(densities: Complexes, cells: Floats, radius: Array) -> Floats:
     own = np.einsum("iik->ik", densities).real
     level = np.stack([np.bincount(radius, cells * row) for row in own])
     level /= np.maximum(np.bincount(radius, cells), 1e-300)
-    floor = 1e-3 * level.max(axis=1, keepdims=True)
+    floor = 1e-4 * level.max(axis=1, keepdims=True)
     level = np.maximum(level, np.maximum(floor, 1e-300))[:, radius]
     whitened = (densities / np.sqrt(level[:, None] * level[None, :])) @ cells
-    power = np.einsum("ii->i", whitened).real
-    return np.abs(whitened) ** 2 / np.maximum(np.outer(power, power), 1e-300)
+    power = np.einsum("ii->i", whitened).real / cells.sum()  # of 1, less what is next to nothing
+    power[power < 0.02] = math.nan
+    return np.abs(whitened / cells.sum()) ** 2 / np.outer(power, power)
 
 
 def _mean_of_wave(turns: Floats, count: int) -> Floats:

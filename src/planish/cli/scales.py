@@ -1,0 +1,52 @@
+"""The command that describes maps by octaves of wavelength."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from planish.analyze.params import ScalesParams
+from planish.cli.console import sentence, table
+from planish.cli.options import build_params, existing, json_option, options, out_option, verb
+from planish.core.numbers import in_ascii
+
+
+@verb(
+    "planish scales run --out scales",
+    "planish scales run --map coating_top --against base_surface_top --out levelling",
+    "planish scales run --map image --json",
+)
+@existing("run")
+@options(ScalesParams, "Octaves")
+@out_option("Folder to make for the page and its tables; it must not exist.", required=False)
+@json_option
+def scales(run: Path, out: Path | None, as_json: bool, **values: Any) -> None:
+    """State how much each map of RUN varies by octaves of wavelength, without its noise.
+
+    Without options the maps are those that the study of RUN declares ([scales]), or all of them.
+    With --against also what they show of another map: gain, coherence and phase. OUT gets
+    scales.html, scales.json and the octaves as CSV.
+    """
+    from planish.report.scales import band_rows
+    from planish.report.sentences.scales import say_answer, say_surer
+    from planish.run.map_scales import scales_of_run, write_scales
+    from planish.run.run import open_run
+
+    params = build_params(ScalesParams, values)
+    opened = open_run(run)
+    if not params.is_declared:
+        params = opened.study.scales
+    found = scales_of_run(opened, params)
+    if out is not None:
+        write_scales(found, out, source=run.resolve().name)
+    if as_json:
+        click.echo(found.model_dump_json(indent=2))
+    else:
+        for name, rows in band_rows(found).items():
+            table(f"Octaves of {name}", [*rows[0]], [[*row.values()] for row in rows])
+        for text in (say_answer(found), *say_surer(found)):
+            sentence(in_ascii(text))
+    if out is not None:
+        click.echo(f"page: {out / 'scales.html'}", err=as_json)

@@ -1,0 +1,302 @@
+"""The page of octaves of maps, its figures and its tables; one file that needs nothing else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from planish.analyze.scales import ScaleBand, Scales
+from planish.core.facts import is_known
+from planish.core.numbers import (
+    NONE,
+    axis_label,
+    count,
+    fixed,
+    in_words,
+    number,
+    percent,
+    plain,
+    unit,
+)
+from planish.core.typing import Pair
+from planish.report import text
+from planish.report.diagnostics import draw_log_axes
+from planish.report.draw import ACCENT, HALF, POINT, SOFT, Axes, Canvas, Picture, Table, or_blank
+from planish.report.sentences.scales import (
+    leading,
+    say_answer,
+    say_notes,
+    say_reading,
+    say_surer,
+    waves,
+)
+from planish.report.summary import KeyFigure
+
+_COLOURS = (ACCENT, POINT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
+_LEFT, _TOP, _WIDE, _HIGH = 74.0, 16.0, 416.0, 200.0
+_MOST_NAMED = 3  # maps in the heading
+_LINE = 17.0  # of the names of maps below a figure
+
+
+def scales_page(found: Scales, *, source: str, version: str) -> str:
+    """Return the page of octaves as HTML.
+
+    ``source``: name of the run; ``version``: of the program.
+    """
+    against = "" if found.against is None else f" against {in_words(found.against_title)}"
+    titles = [in_words(facts.title) for facts in found.maps.values()]
+    about = ", ".join(titles) if len(titles) <= _MOST_NAMED else f"{len(titles)} maps"
+    is_doubtful = any(facts.trust != "ok" for facts in found.maps.values())
+    page = text.template("planish.report", "answer.html.j2").render(
+        title=f"At which wavelength? {source}",
+        question="At which wavelength?",
+        about=about + against,
+        source=source,
+        version=version,
+        state="look" if is_doubtful else "pass",
+        answer=say_answer(found),
+        tiles=tiles_of(found),
+        pictures=pictures_of(found),
+        surer=say_surer(found),
+        reading=say_reading(found),
+        heading="Octaves",
+        rows=[row for rows in band_rows(found).values() for row in rows],
+        notes=say_notes(found),
+    )
+    return f"{page}\n"
+
+
+def tiles_of(found: Scales) -> list[KeyFigure]:
+    """What the octaves of the first map rest on."""
+    name = leading(found)[0] if found.maps else ""
+    if not found.bands.get(name):
+        return []
+    facts, bands = found.maps[name], found.bands[name]
+    height, width = facts.field_um or (math.nan, math.nan)
+    tiles = [
+        KeyFigure(count(len(bands)), "", "octaves", f"{plain(bands[-1].low_um)} to {plain(bands[0].high_um)}"),
+        KeyFigure(count(round(bands[0].modes)), "", "independent waves", f"of {waves(bands[0])}"),
+        KeyFigure(
+            f"{fixed(width / 1000, 1)} × {fixed(height / 1000, 1)}",
+            "mm",
+            "field",
+            f"{percent(facts.known_share, 2)} of it known",
+        ),
+    ]
+    shares = [
+        band.noise**2 / (band.noise**2 + band.sd**2) for band in bands if is_known(band.noise)
+    ]
+    if shares:
+        tiles.append(
+            KeyFigure(percent(max(shares), 2), "", "noise, taken off", "of the variance, at most")
+        )
+    return tiles
+
+
+def band_rows(found: Scales) -> dict[str, list[dict[str, str]]]:
+    """The octaves of each map in words, by heading."""
+    has = {
+        key: any(is_known(getattr(band, key)) for bands in found.bands.values() for band in bands)
+        for key in ("cov", "noise", "formation", "gain")
+    }
+    tables: dict[str, list[dict[str, str]]] = {}
+    for name, bands in found.bands.items():
+        facts = found.maps[name]
+        rows: list[dict[str, str]] = []
+        for band in bands:
+            row = {
+                "Map": axis_label(facts.title, unit(facts.units)),
+                "Waves": waves(band),
+                "Standard deviation": number(band.sd),
+                "95 %": _numbers_of(band.interval),
+            }
+            if has["cov"]:
+                row["COV / %"] = number(100 * band.cov)
+            if has["noise"]:
+                row["Noise"] = number(band.noise)
+            if has["formation"]:
+                row["Formation"] = fixed(band.formation, 2)
+            if has["gain"]:
+                row |= _relation_cells(band)
+            row["Independent waves"] = count(round(band.modes))
+            rows.append(row)
+        if rows:
+            tables[name] = rows
+    return tables
+
+
+def _relation_cells(band: ScaleBand) -> dict[str, str]:
+    return {
+        "Gain": number(band.gain),
+        "95 % of gain": _numbers_of(band.gain_interval),
+        "Squared coherence": fixed(band.coherence, 2),
+        "95 % of coherence": _numbers_of(band.coherence_interval, 2),
+        "Phase / °": fixed(band.phase_deg, 0),
+    }
+
+
+def _numbers_of(ends: Pair, digits: int = 3) -> str:
+    return " to ".join(number(end, digits) for end in ends) if is_known(ends) else NONE
+
+
+def tables_of(found: Scales) -> dict[str, Table]:
+    """The octaves as one table, by the name of its file."""
+    columns: dict[str, list[object]] = {}
+    pairs = ("interval", "gain_interval", "coherence_interval", "phase_interval")
+    for name, bands in found.bands.items():
+        for band in bands:
+            columns.setdefault("map", []).append(name)
+            columns.setdefault("units", []).append(found.maps[name].units)
+            for key in ScaleBand.model_fields:
+                value = getattr(band, key)
+                if key not in pairs:
+                    columns.setdefault(key, []).extend(or_blank([value]))
+                    continue
+                stem = key.removesuffix("interval") or "sd_"
+                for end, limit in zip(("low", "high"), value, strict=True):
+                    columns.setdefault(f"{stem}{end}", []).extend(or_blank([limit]))
+    return {"octaves": columns}
+
+
+def pictures_of(found: Scales) -> list[Picture]:
+    """Figures: the relation with the other map first, then how much maps vary by octave."""
+    pictures: list[Picture] = []
+    if found.against is not None:
+        pictures.append(draw_relation(found))
+    groups: dict[str, list[str]] = {}
+    for name, bands in found.bands.items():
+        if bands:
+            has_cov = is_known(bands[0].cov)
+            groups.setdefault("%" if has_cov else found.maps[name].units, []).append(name)
+    pictures += [draw_spread(found, names, is_cov=key == "%") for key, names in groups.items()]
+    return pictures
+
+
+def draw_spread(found: Scales, names: Sequence[str], *, is_cov: bool) -> Picture:
+    """Draw how much maps vary in each octave: COV, or their standard deviation in one unit."""
+    if is_cov:
+        factors = [100 / found.maps[name].mean for name in names]
+        label = "coefficient of variation / %"
+    else:
+        factors = [1.0] * len(names)
+        label = axis_label("standard deviation", unit(found.maps[names[0]].units))
+    highest = 0.0
+    for name, factor in zip(names, factors, strict=True):
+        tops = [
+            max(band.interval[1], band.sd) if is_known(band.interval) else band.sd
+            for band in found.bands[name]
+        ]
+        highest = max(highest, factor * max(tops))
+    canvas = Canvas(HALF, _TOP + _HIGH + 58 + _LINE * len(names))
+    axes = canvas.axes(
+        _LEFT, _TOP, _WIDE, _HIGH, (*_log_limits(found, names), 0.0, 1.06 * highest or 1.0)
+    )
+    for index, (name, factor) in enumerate(zip(names, factors, strict=True)):
+        values = [factor * band.sd for band in found.bands[name]]
+        intervals = [
+            (factor * band.interval[0], factor * band.interval[1]) for band in found.bands[name]
+        ]
+        _draw_octaves(axes, found.bands[name], values, intervals, index, len(names))
+    draw_log_axes(canvas, axes, "wavelength / µm", label)
+    _name_maps(canvas, found, names, _TOP + _HIGH + 58)
+    return canvas.picture(
+        title="How much the maps vary by octave of wavelength",
+        caption=(
+            "Horizontal lines: octaves. Dots: standard deviation in the octave"
+            f"{' over the mean of the map' if is_cov else ''}, without the noise that is known."
+            f" Vertical lines: 95 % intervals. n = {_pixels_of(found, names)} pixels;"
+            f" mask: measured, without {text.HOLES}."
+        ),
+        data=tables_of(found),
+    )
+
+
+def draw_relation(found: Scales) -> Picture:
+    """Draw gain and squared coherence of maps for the other one, by octave."""
+    names = [name for name, bands in found.bands.items() if bands]
+    canvas = Canvas(HALF, 2 * (_HIGH - 40) + 2 * _TOP + 100 + _LINE * len(names))
+    gains = [
+        end
+        for name in names
+        for band in found.bands[name]
+        for end in (band.gain, *band.gain_interval)
+        if is_known(end)
+    ]
+    low, high = min([0.0, *gains]), max([0.0, *gains])
+    margin = 0.06 * (high - low) or 0.1
+    limits = _log_limits(found, names)
+    upper = canvas.axes(_LEFT, _TOP, _WIDE, _HIGH - 40, (*limits, low - margin, high + margin))
+    bottom = _TOP + _HIGH + 16
+    lower = canvas.axes(_LEFT, bottom, _WIDE, _HIGH - 40, (*limits, 0.0, 1.02))
+    upper.across(0.0)
+    for index, name in enumerate(names):
+        bands = found.bands[name]
+        _draw_octaves(
+            upper,
+            bands,
+            [b.gain for b in bands],
+            [b.gain_interval for b in bands],
+            index,
+            len(names),
+        )
+        coherences = [b.coherence for b in bands]
+        _draw_octaves(
+            lower, bands, coherences, [b.coherence_interval for b in bands], index, len(names)
+        )
+    draw_log_axes(canvas, upper, "", "gain")
+    draw_log_axes(canvas, lower, "wavelength / µm", "squared coherence")
+    _name_maps(canvas, found, names, bottom + _HIGH + 18)
+    return canvas.picture(
+        title=f"What the maps show of {in_words(found.against_title)}, by octave of wavelength",
+        caption=(
+            "Above, change of the map for a change of"
+            f" {axis_label(in_words(found.against_title), unit(found.against_units))}; below,"
+            " squared coherence, corrected for chance; both without the noise that is known. Vertical"
+            f" lines: 95 % intervals. n = {_pixels_of(found, names)} pixels; mask: measured,"
+            f" without {text.HOLES}."
+        ),
+        data=tables_of(found),
+    )
+
+
+def _draw_octaves(
+    axes: Axes,
+    bands: Sequence[ScaleBand],
+    values: Sequence[float],
+    intervals: Sequence[Pair],
+    index: int,
+    number_of_maps: int,
+) -> None:
+    """Draw values of octaves with their intervals, beside those of other maps."""
+    colour = _COLOURS[index % len(_COLOURS)]
+    for band, value, interval in zip(bands, values, intervals, strict=True):
+        if not is_known(value):
+            continue
+        low, high = math.log10(band.low_um), math.log10(band.high_um)
+        place = low + (high - low) * (index + 1) / (number_of_maps + 1)
+        axes.curve((low, high), (value, value), colour=colour, width=1.2)
+        if is_known(interval):
+            axes.curve((place, place), interval, colour=colour, width=1.6)
+        axes.dots([(place, value)], colour=colour, size=7)
+
+
+def _log_limits(found: Scales, names: Sequence[str]) -> Pair:
+    edges = [
+        edge for name in names for band in found.bands[name] for edge in (band.low_um, band.high_um)
+    ]
+    return math.log10(min(edges)) - 0.03, math.log10(max(edges)) + 0.03
+
+
+def _name_maps(canvas: Canvas, found: Scales, names: Sequence[str], top: float) -> None:
+    for index, name in enumerate(names):
+        y = top + _LINE * index
+        colour = _COLOURS[index % len(_COLOURS)]
+        canvas.line([(_LEFT, y - 4), (_LEFT + 18, y - 4)], colour=colour, width=2.5)
+        canvas.text(_LEFT + 26, y, found.maps[name].title)
+
+
+def _pixels_of(found: Scales, names: Sequence[str]) -> str:
+    counts = {found.maps[name].n or 0 for name in names}
+    if len(counts) == 1:
+        return count(counts.pop())
+    return f"{count(min(counts))} to {count(max(counts))}"

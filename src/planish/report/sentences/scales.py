@@ -1,0 +1,231 @@
+"""Sentences on octaves of wavelength: how much a map varies in each, what it shows of another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from planish.analyze.scales import MapScales, ScaleBand, Scales
+from planish.core.facts import is_known
+from planish.core.numbers import (
+    capital,
+    fixed,
+    in_words,
+    interval_text,
+    number,
+    percent,
+    plain,
+    to_spread,
+    with_unit,
+)
+from planish.core.text import and_join
+from planish.core.typing import Pair
+
+_MOST = 2  # maps that the answer is about
+_WIDE = (
+    0.15  # half of an interval over its standard deviation, from which a larger field is worth it
+)
+_LOUD = 0.5  # share of the variance of an octave
+
+
+def say_answer(found: Scales) -> str:
+    """The answer: where the first maps vary most, or what they show of the other map."""
+    sentences: list[str] = []
+    for name in leading(found):
+        facts, bands = found.maps[name], found.bands[name]
+        if not bands:
+            sentences.append(f"{_title(facts)}: {facts.reason}")
+        elif found.against is None:
+            sentences.append(_say_spread(facts, bands))
+        else:
+            sentences.append(_say_relation(found, facts, bands))
+        if facts.formation is not None:
+            sentences.append(_say_formation(facts))
+    return " ".join(sentences)
+
+
+def leading(found: Scales) -> list[str]:
+    """Names of the maps that the answer is about."""
+    return list(found.maps)[:_MOST]
+
+
+def waves(band: ScaleBand) -> str:
+    """The wavelengths of an octave."""
+    low, high = plain(band.low_um), plain(band.high_um)
+    if low[-2:] == high[-2:]:
+        low = low[:-3]
+    return f"{low} to {high}"
+
+
+def _title(facts: MapScales) -> str:
+    return capital(in_words(facts.title))
+
+
+def _say_spread(facts: MapScales, bands: Sequence[ScaleBand]) -> str:
+    """Where a map varies most, and by how much."""
+    largest = max(bands, key=lambda band: band.sd)
+    interval = _ends(largest.interval, largest.sd)
+    noise_text = ", without noise" if facts.shared is not None else ""
+    sd_text = with_unit_of(to_spread(largest.sd, _half(largest.interval)), facts.units)
+    if facts.map == "image" and is_known(largest.cov):
+        size_text = f"{percent(largest.cov)} of its mean"
+        return (
+            f"The mottle of {in_words(facts.title)} is largest in waves of {waves(largest)}:"
+            f" {size_text} (standard deviation {sd_text}; 95 %: {interval})."
+        )
+    cov_text = f"; {percent(largest.cov)} of its mean" if is_known(largest.cov) else ""
+    return (
+        f"{_title(facts)} varies most in waves of {waves(largest)}: its standard deviation there is"
+        f" {sd_text} (95 %: {interval}{cov_text}){noise_text}."
+    )
+
+
+def _say_relation(found: Scales, facts: MapScales, bands: Sequence[ScaleBand]) -> str:
+    """In which waves a map follows the other one most, and by how much."""
+    other = in_words(found.against_title)
+    known = [band for band in bands if is_known(band.coherence) and is_known(band.gain)]
+    if not known:
+        return f"Whether {in_words(facts.title)} follows {other} cannot be said in any octave."
+    best = max(known, key=lambda band: band.coherence)
+    if not best.coherence_interval[0] > 0:
+        return f"{_title(facts)} follows {other} in no octave beyond chance."
+    verb = "rises" if best.gain > 0 else "falls"
+    ends = sorted(abs(end) for end in best.gain_interval)
+    size = to_spread(abs(best.gain), _half(best.gain_interval))
+    digits = _decimals(size)
+    text = (
+        f"{_title(facts)} follows {other} most in waves of {waves(best)} (squared coherence"
+        f" {fixed(best.coherence, 2)}; 95 %: {interval_text(best.coherence_interval)}): where that rises by"
+        f" {with_unit(1.0, found.against_units)}, it {verb} by"
+        f" {with_unit_of(size, facts.units)} (95 %:"
+        f" {fixed(ends[0], digits)} to {fixed(ends[1], digits)})."
+    )
+    silent = [waves(band) for band in known if not band.coherence_interval[0] > 0]
+    if silent:
+        text += f" In waves of {and_join(silent)} it does not follow beyond chance."
+    return text
+
+
+def _say_formation(facts: MapScales) -> str:
+    formation = facts.formation
+    assert formation is not None
+    low, high = formation.interval
+    verdict = "as uneven as"
+    if low > 1:
+        verdict = "more uneven than"
+    elif high < 1:
+        verdict = "more even than"
+    return (
+        f"Its formation number over cells of {plain(formation.cell_um)} is"
+        f" {fixed(formation.number, 2)} (95 %: {interval_text(formation.interval)}): {verdict} a"
+        " random sheet of the stated fibres."
+    )
+
+
+def say_surer(found: Scales) -> list[str]:
+    """What would make octaves more certain; at most three sentences."""
+    return list(_say_surer(found))[:3]
+
+
+def _say_surer(found: Scales) -> Iterator[str]:
+    doubtful = [in_words(facts.title) for facts in found.maps.values() if facts.trust != "ok"]
+    if doubtful:
+        yield (
+            f"Checks of the run leave {and_join(doubtful)} doubtful: look at them before anything"
+            " else."
+        )
+    names = [name for name in leading(found) if found.bands[name]]
+    if not names:
+        return
+    longest = [found.bands[name][0] for name in names]
+    is_largest = any(
+        max(found.bands[name], key=lambda b: b.sd) is found.bands[name][0] for name in names
+    )
+    if is_largest or any(_half(band.interval) > _WIDE * band.sd for band in longest):
+        yield (
+            "A larger field: four times the area halves the interval of each octave, and adds waves"
+            f" longer than {plain(longest[0].high_um)}, a fifth of its shorter side at most."
+        )
+    for name in names:
+        loud = [
+            band
+            for band in found.bands[name]
+            if is_known(band.noise) and band.noise**2 > _LOUD * (band.sd**2 + band.noise**2)
+        ]
+        if loud:
+            yield (
+                f"A scan with less noise: in waves of {waves(loud[-1])} most of the variance of"
+                f" {in_words(found.maps[name].title)} is noise."
+            )
+    unknown = [
+        in_words(found.maps[name].title) for name in names if found.maps[name].shared is None
+    ]
+    if unknown:
+        yield (
+            f"A second measurement of {and_join(unknown)}: without one its noise is not known, and"
+            " counts in every octave."
+        )
+    yield "Other fields and sheets: the interval is that of one field."
+
+
+def say_reading(found: Scales) -> list[str]:
+    """How to read octaves, and what they do not say."""
+    sentences = [
+        "Each octave holds the waves between a length and its double, as if all others were taken"
+        " off; their variances add up. Octaves are the same for every map, of paper and of print."
+    ]
+    if any(facts.shared is not None for facts in found.maps.values()):
+        sentences.append(
+            "Noise is what odd and even rows of columns do not share; it is taken off. What both"
+            " halves share stays."
+        )
+    if found.against is not None:
+        sentences.append(
+            "Gain is the change of the map for a change of the other one in these waves alone, and"
+            " squared coherence the share of its variance there that goes with it. It names no"
+            " cause."
+        )
+    if "image" in (facts.map for facts in found.maps.values()):
+        sentences.append(
+            "Of an image the coefficient of variation of an octave is its mottle there, after the"
+            " idea of ISO/IEC 24790, without its procedure."
+        )
+    if any(facts.formation for facts in found.maps.values()):
+        sentences.append(
+            "A formation number of 1 is that of fibres laid at random; flocs raise it."
+        )
+    return sentences
+
+
+def say_notes(found: Scales) -> list[str]:
+    """What else stands beside the octaves: maps without any, and what halves share."""
+    notes = [
+        f"{_title(facts)}: {facts.reason}"
+        for facts in found.maps.values()
+        if facts.reason is not None
+    ]
+    shared: dict[str, list[str]] = {}
+    for facts in found.maps.values():
+        if facts.shared is not None:
+            shared.setdefault(facts.shared, []).append(in_words(facts.title))
+    for cause, titles in shared.items():
+        notes.append(f"Both halves share {cause}: it stays in {and_join(titles)}.")
+    if found.declared is False:
+        notes.append("The study declared other maps: these were chosen later.")
+    return notes
+
+
+def with_unit_of(text: str, units: str) -> str:
+    """Write a number that is typeset already with a unit."""
+    return f"{text}{with_unit(0.0, units).removeprefix('0')}"
+
+
+def _half(interval: Pair) -> float:
+    return 0.5 * (interval[1] - interval[0]) if is_known(interval) else 0.0
+
+
+def _ends(interval: Pair, value: float) -> str:
+    return interval_text(interval, _decimals(to_spread(value, _half(interval))))
+
+
+def _decimals(text: str) -> int:
+    return len(text.partition(".")[2])

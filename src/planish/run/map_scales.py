@@ -1,0 +1,358 @@
+"""``pl.scales``: octaves of the maps of a run, or of a Dataset, and the noise in each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from planish import __version__
+from planish.analyze.formation import RandomSheet, formation_number
+from planish.analyze.params import FIBRES, ScalesParams
+from planish.analyze.scales import (
+    HalfDifferences,
+    MapScales,
+    ScaleBand,
+    ScaledMap,
+    Scales,
+    octaves_of_map,
+    with_formation,
+)
+from planish.analyze.sheet_columns import SheetColumns
+from planish.analyze.split_half import row_difference
+from planish.core.arrays import check_dataset, check_path
+from planish.core.axial import is_axial
+from planish.core.checks import trust_of
+from planish.core.errors import CannotMeasure, InputError
+from planish.core.files import write_whole
+from planish.core.grid import Grid, pitch
+from planish.core.options import params_of
+from planish.core.tables import table_text
+from planish.core.transform import Similarity
+from planish.core.typing import Array, Pair
+from planish.io.run_folder import new_folder
+from planish.measure.registry import NEGATIVE_CONTROLS, has_true_zero
+from planish.report.scales import scales_page, tables_of
+from planish.run.named_maps import NamedMap, choices, maps_of, named, on_known_axes
+from planish.run.run import Run, open_run
+
+ROWS = "rows"
+"""The halves of a map whose odd and even rows are two measurements."""
+
+Halves = Mapping[str, tuple[str, str] | str]
+Read = Callable[[Sequence[str]], "Reading"]
+
+_UNEVEN = ("thickness", "base_thickness")
+"""Maps of a run in um whose unevenness is that of the fibres' mass."""
+
+
+def scales(
+    data: Run | xr.Dataset | str | Path,
+    of: Sequence[str] = (),
+    against: str | None = None,
+    *,
+    halves: Halves | None = None,
+    fibre_length_mm: float | None = None,
+    fibre_width_um: float | None = None,
+    coarseness_mg_m: float | None = None,
+    mean_grammage_g_m2: float | None = None,
+    formation_cell_um: float = 1000.0,
+) -> Scales:
+    """State how much maps vary in each octave of wavelength, and what they show of another map.
+
+    Parameters
+    ----------
+    data : Run, Dataset or path
+        A run or its folder; or maps on one grid with coordinates in um: missing is NaN, and
+        ``valid`` says which pixels count if it is there.
+    of : sequence of str
+        Maps; all of them where none is named. ``LAYER.MAP`` where several layers have one.
+    against : str, optional
+        Map that each is compared with: gain of the map for a change of this one, coherence, phase.
+    halves : mapping of str to (str, str) or "rows", optional
+        Of maps of a Dataset: the names of two half measurements of each, of which the map is the
+        mean, or "rows" where its rows have errors of their own. Their noise is taken off. A run
+        has the odd and the even rows of its columns.
+    fibre_length_mm, fibre_width_um, coarseness_mg_m, mean_grammage_g_m2 : float, optional
+        Mean fibre, and the mass of the sheet, for the formation number; all or none of them.
+    formation_cell_um : float
+        Edge of the cells that the formation number is of.
+
+    Returns
+    -------
+    Scales
+        ``bands[name]``: rows with ``low_um``, ``high_um``, ``sd``, ``interval`` (95 %), ``cov``,
+        and with ``against`` also ``gain``, ``coherence``, ``phase_deg``; ``maps[name]``: what they
+        are of, and the formation number.
+
+    Raises
+    ------
+    InputError
+        If a map is missing or holds angles of an axis.
+
+    Examples
+    --------
+    >>> found = planish.scales("run", of=["coating_top"], against="image")  # doctest: +SKIP
+    >>> [(band.low_um, band.gain) for band in found.bands["coating_top"]]  # doctest: +SKIP
+    """
+    options = {
+        "map": tuple(of),
+        "against": against,
+        "fibre_length_mm": fibre_length_mm,
+        "fibre_width_um": fibre_width_um,
+        "coarseness_mg_m": coarseness_mg_m,
+        "mean_grammage_g_m2": mean_grammage_g_m2,
+        "formation_cell_um": formation_cell_um,
+    }
+    params = params_of(ScalesParams, options, "pl.scales")
+    if isinstance(data, xr.Dataset):
+        return scales_of_dataset(data, params, halves or {})
+    if not isinstance(data, Run):
+        folder = check_path(data, "a run", "pl.scales({})", 'pl.scales("run")')
+        data = open_run(folder)
+    return scales_of_run(data, params)
+
+
+def scales_of_dataset(data: xr.Dataset, params: ScalesParams, halves: Halves) -> Scales:
+    """Octaves of maps of a Dataset; errors as of :func:`scales`."""
+    data = on_known_axes(data)
+    check_dataset(
+        data,
+        expected="maps on one grid",
+        call_format="pl.scales({})",
+        source="pl.resample_maps(...)",
+    )
+    maps = {str(name): NamedMap(values=m, layer="", group=data) for name, m in data.items()}
+    of_halves = {name for pair in halves.values() if pair != ROWS for name in pair}
+    all_names = [name for name in choices(maps) if name not in of_halves]
+
+    def read(names: Sequence[str]) -> Reading:
+        sources = [named(maps, name) for name in names]
+        scaled = [
+            ScaledMap(
+                facts=_facts(source, name),
+                values=_counted(source),
+                has_zero=True,
+                is_mass=True,
+            )
+            for name, source in zip(names, sources, strict=True)
+        ]
+        pixel_um = Grid.of(sources[0].values).pixel_um
+        differences: dict[bool, dict[int, Array]] = {}
+        for number, name in enumerate(names):
+            pair = halves.get(name)
+            if pair == ROWS:
+                rows = row_difference(scaled[number].values.astype(np.float64))
+                differences.setdefault(True, {})[number] = rows
+            elif pair is not None:
+                first, second = (_counted(named(maps, half)) for half in pair)
+                differences.setdefault(False, {})[number] = 0.5 * (first - second)
+        found = [
+            HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=of_rows)
+            for of_rows, of_maps in differences.items()
+        ]
+        return Reading(scaled, pixel_um, found)
+
+    return _scales(params, maps, all_names, read)
+
+
+def scales_of_run(run: Run, params: ScalesParams) -> Scales:
+    """Octaves of maps of a run; errors as of :func:`scales`.
+
+    Maps of one sheet are taken on its columns, where their noise is known, unless regions are
+    declared; an image, and what is compared with one, on the pixels of the reference.
+    """
+    maps = maps_of(run)
+
+    def read(names: Sequence[str]) -> Reading:
+        sources = [named(maps, name) for name in names]
+        columns = [_columns_of(run, source) for source in sources]
+        facts = [_facts(source, name) for name, source in zip(names, sources, strict=True)]
+        is_one_sheet = len({source.layer for source in sources}) == 1
+        if is_one_sheet and columns[0] is not None and run.regions is None:
+            return _read_columns(columns[0], sources, facts)
+        scaled = [
+            _scaled(fact, _counted(source)) for source, fact in zip(sources, facts, strict=True)
+        ]
+        found: list[HalfDifferences] = []
+        for number, (source, of_sheet) in enumerate(zip(sources, columns, strict=True)):
+            if of_sheet is not None:
+                alone = _read_columns(of_sheet, [source], [facts[number]])
+                of_maps = {number: alone.halves[0].of_maps[0]}
+                pixel_um = alone.halves[0].pixel_um
+                found.append(HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=True))
+        return Reading(scaled, Grid.of(sources[0].values).pixel_um, found)
+
+    found = _scales(params, maps, _shown_maps(run, maps), read)
+    declared = run.study.scales == params if run.study.scales.is_declared else None
+    facts: dict[str, MapScales] = {}
+    bands = dict(found.bands)
+    for name, fact in found.maps.items():
+        names = [name] if params.against is None else [name, params.against]
+        sources = [named(maps, other) for other in names]
+        trust = trust_of(
+            run.results.checks,
+            {source.layer for source in sources},
+            [str(source.values.name) for source in sources],
+        )
+        facts[name] = fact.model_copy(update={"trust": trust})
+        if trust == "withheld":
+            reason = "A check of the run failed, and withholds it."
+            facts[name] = facts[name].model_copy(update={"reason": reason, "formation": None})
+            bands[name] = ()
+    return found.model_copy(update={"maps": facts, "bands": bands, "declared": declared})
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One or two maps on one grid, its pixel, and the differences of their halves."""
+
+    maps: Sequence[ScaledMap]
+    pixel_um: Pair
+    halves: Sequence[HalfDifferences]
+
+
+def _scales(
+    params: ScalesParams, maps: Mapping[str, NamedMap], all_names: Sequence[str], read: Read
+) -> Scales:
+    against = params.against
+    chosen = params.of or [name for name in all_names if name != against]
+    for name in [*chosen, *([against] if against else [])]:
+        if is_axial(named(maps, name).values):
+            raise InputError(
+                f"{name} holds angles of an axis, which have no standard deviation by octaves."
+                " Name other maps."
+            )
+    bands: dict[str, tuple[ScaleBand, ...]] = {}
+    facts: dict[str, MapScales] = {}
+    for name in chosen:
+        reading = read([name] if against is None else [name, against])
+        fact, rows = octaves_of_map(reading.maps, reading.pixel_um, reading.halves)
+        sheet = _random_sheet(params)
+        if sheet is not None and reading.maps[0].is_mass and rows:
+            fact, rows = _with_formation(fact, rows, reading, sheet, params.formation_cell_um)
+        facts[name], bands[name] = fact, rows
+    found = Scales(bands=bands, maps=facts, against=against)
+    if against is None:
+        return found
+    other = _facts(named(maps, against), against)
+    return found.model_copy(update={"against_title": other.title, "against_units": other.units})
+
+
+def _with_formation(
+    fact: MapScales,
+    rows: tuple[ScaleBand, ...],
+    reading: Reading,
+    sheet: RandomSheet,
+    cell_um: float,
+) -> tuple[MapScales, tuple[ScaleBand, ...]]:
+    """The same with the formation number, or with the reason why there is none."""
+    try:
+        formation = formation_number(
+            reading.maps[0].values, pixel_um=reading.pixel_um, sheet=sheet, cell_um=cell_um
+        )
+    except CannotMeasure as fault:
+        return fact.model_copy(update={"reason": fault.text}), rows
+    return with_formation(fact, rows, formation)
+
+
+def _random_sheet(params: ScalesParams) -> RandomSheet | None:
+    stated = [getattr(params, name) for name in FIBRES]
+    if None in stated:
+        return None
+    length_mm, width_um, coarseness_mg_m, grammage_g_m2 = stated
+    return RandomSheet(
+        length_mm=length_mm,
+        width_um=width_um,
+        coarseness_mg_m=coarseness_mg_m,
+        grammage_g_m2=grammage_g_m2,
+    )
+
+
+def _facts(source: NamedMap, name: str) -> MapScales:
+    attrs = source.values.attrs
+    return MapScales(
+        map=str(source.values.name),
+        layer=source.layer,
+        title=str(attrs.get("long_name", name)),
+        units=str(attrs.get("units", "1")),
+    )
+
+
+def _scaled(facts: MapScales, values: Array) -> ScaledMap:
+    """A map of a run; an image and a property with a zero of its own have a cov."""
+    name = facts.map
+    return ScaledMap(
+        facts=facts,
+        values=values,
+        has_zero=name == "image" or has_true_zero(name),
+        is_mass=name in _UNEVEN or facts.units == "g/m2",
+    )
+
+
+def _counted(source: NamedMap) -> Array:
+    """Values of a map, NaN where its pixels do not count."""
+    values = source.values.values.astype(np.float32)
+    if "valid" not in source.group or source.values.name == "valid":
+        return values
+    return np.where(source.group["valid"].values.astype(bool), values, np.float32(np.nan))
+
+
+def _columns_of(run: Run, source: NamedMap) -> SheetColumns | None:
+    """The columns of the sheet that a map is of; None of an image, and where they are elsewhere."""
+    for prefix in ("", f"layers/{source.layer}/"):
+        surfaces, flat = (run.groups.get(f"{prefix}{name}") for name in ("surfaces", "flat"))
+        is_there = surfaces is not None and str(source.values.name) in surfaces
+        if is_there and surfaces is not None and flat is not None:
+            return SheetColumns(measured=surfaces, flat=flat, similarity=Similarity())
+    return None
+
+
+def _read_columns(
+    columns: SheetColumns, sources: Sequence[NamedMap], facts: Sequence[MapScales]
+) -> Reading:
+    """Maps of one sheet on its columns, with the differences of odd and even rows."""
+    scaled: list[ScaledMap] = []
+    of_maps: dict[int, Array] = {}
+    for number, (source, fact) in enumerate(zip(sources, facts, strict=True)):
+        values, is_alone = columns.values(fact.map)
+        shared = columns.shared(alone=is_alone)
+        scaled.append(_scaled(fact.model_copy(update={"shared": shared}), values))
+        of_maps[number] = row_difference(values)
+    pixel_um = pitch(columns.measured)
+    halves = HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=True)
+    return Reading(scaled, pixel_um, [halves])
+
+
+def _shown_maps(run: Run, maps: Mapping[str, NamedMap]) -> list[str]:
+    """All maps of a run but angles, the pose in the scanner, and those under two names.
+
+    Those that lead are the first.
+    """
+    headlines = [layer.headline for layer in run.results.layers]
+    names: list[str] = []
+    seen: set[int] = set()
+    for name in choices(maps):
+        source = maps[name]
+        is_left_out = is_axial(source.values) or source.values.name in NEGATIVE_CONTROLS
+        if source.values.ndim == 2 and not is_left_out and id(source) not in seen:
+            seen.add(id(source))
+            names.append(name)
+    return sorted(names, key=lambda name: name not in headlines)
+
+
+def write_scales(found: Scales, out: Path, *, source: str) -> None:
+    """Write the page of octaves, ``scales.json`` and the octaves as a table into a new folder.
+
+    ``source``: name of the run.
+    """
+    page = scales_page(found, source=source, version=__version__)
+    with new_folder(out) as folder:
+        write_whole(folder / "scales.html", page.encode())
+        write_whole(folder / "scales.json", f"{found.model_dump_json(indent=2)}\n".encode())
+        for name, columns in tables_of(found).items():
+            rows = zip(*columns.values(), strict=True)
+            write_whole(folder / f"{name}.csv", table_text(list(columns), rows).encode())

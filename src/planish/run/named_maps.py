@@ -1,0 +1,65 @@
+"""The maps of a run, or of a Dataset, by the names that questions give them."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import xarray as xr
+
+from planish.analyze.explain import bare_name
+from planish.core.errors import InputError
+from planish.run.overlay import LINKED
+from planish.run.run import Run
+
+_NO_PROPERTY = re.compile(
+    "valid$|status$|[uv]$|volume_|projected_|presence|expected_error|error_|.*_se$"
+)
+"""Maps that say where and how sure, and are named in no list of choices."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NamedMap:
+    """A map, and the layer and group that it is of."""
+
+    values: xr.DataArray
+    layer: str
+    group: xr.Dataset
+
+
+def maps_of(run: Run) -> dict[str, NamedMap]:
+    """All maps of a run by name; by LAYER.MAP, and by MAP where one layer has it."""
+    reference = run.results.reference.name
+    groups = [(f"{layer}.", layer, group) for layer, group in run.layers.items()]
+    if not groups:
+        name = LINKED if LINKED in run.groups else "maps"
+        groups = [("", run.results.layers[0].name, run.groups[name])]
+    maps: dict[str, NamedMap] = {}
+    for prefix, layer, group in groups:
+        for name, values in group.items():
+            of_layer = reference if name == "image" and not prefix else layer
+            maps[f"{prefix}{name}"] = NamedMap(values=values, layer=of_layer, group=group)
+    counts = Counter(bare_name(key) for key in maps)
+    return {bare_name(key): m for key, m in maps.items() if counts[bare_name(key)] == 1} | maps
+
+
+def named(maps: Mapping[str, NamedMap], name: str) -> NamedMap:
+    """The map of a name; InputError where there is none."""
+    if name in maps:
+        return maps[name]
+    raise InputError(f"There is no map {name!r}. There are {', '.join(choices(maps))}.")
+
+
+def choices(maps: Mapping[str, NamedMap]) -> list[str]:
+    """Names of the maps that can be asked for."""
+    return [key for key in maps if not _NO_PROPERTY.match(bare_name(key))]
+
+
+def on_known_axes(data: xr.Dataset) -> xr.Dataset:
+    """The same maps with axes (v, u) where theirs have other names than planish's own."""
+    for values in data.data_vars.values():
+        if values.ndim == 2 and values.dims not in (("y", "x"), ("v", "u")):
+            return data.rename({values.dims[0]: "v", values.dims[1]: "u"})
+    return data
