@@ -135,8 +135,8 @@ def formation_number(
     n = int(np.count_nonzero(is_known))
     if n < _LEAST_CELLS:
         raise CannotMeasure(
-            f"{n} cells of {cell_um:g} um are known; a formation number needs {_LEAST_CELLS}. Give a"
-            " larger field, or smaller cells (`formation_cell_um`)."
+            f"{n} cells of {cell_um:g} um are known; a formation number needs {_LEAST_CELLS}. Give"
+            " a larger field, or smaller cells (`formation_cell_um`)."
         )
     mean = float(cells[is_known].mean())
     if not mean > 0:

@@ -74,7 +74,12 @@ def tiles_of(found: Scales) -> list[KeyFigure]:
     facts, bands = found.maps[name], found.bands[name]
     height, width = facts.field_um or (math.nan, math.nan)
     tiles = [
-        KeyFigure(count(len(bands)), "", "octaves", f"{plain(bands[-1].low_um)} to {plain(bands[0].high_um)}"),
+        KeyFigure(
+            count(len(bands)),
+            "",
+            "octaves",
+            f"{plain(bands[-1].low_um)} to {plain(bands[0].high_um)}",
+        ),
         KeyFigure(count(round(bands[0].modes)), "", "independent waves", f"of {waves(bands[0])}"),
         KeyFigure(
             f"{fixed(width / 1000, 1)} × {fixed(height / 1000, 1)}",
@@ -251,8 +256,8 @@ def draw_relation(found: Scales) -> Picture:
         caption=(
             "Above, change of the map for a change of"
             f" {axis_label(in_words(found.against_title), unit(found.against_units))}; below,"
-            " squared coherence, corrected for chance; both without the noise that is known. Vertical"
-            f" lines: 95 % intervals. n = {_pixels_of(found, names)} pixels; mask: measured,"
+            " squared coherence, corrected for chance; both without the noise that is known."
+            f" Vertical lines: 95 % intervals. n = {_pixels_of(found, names)} pixels; mask: measured,"
             f" without {text.HOLES}."
         ),
         data=tables_of(found),

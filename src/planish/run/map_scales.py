@@ -173,14 +173,14 @@ def scales_of_run(run: Run, params: ScalesParams) -> Scales:
         facts = [_facts(source, name) for name, source in zip(names, sources, strict=True)]
         is_one_sheet = len({source.layer for source in sources}) == 1
         if is_one_sheet and columns[0] is not None and run.regions is None:
-            return _read_columns(columns[0], sources, facts)
+            return _read_columns(columns[0], facts)
         scaled = [
             _scaled(fact, _counted(source)) for source, fact in zip(sources, facts, strict=True)
         ]
         found: list[HalfDifferences] = []
         for number, (source, of_sheet) in enumerate(zip(sources, columns, strict=True)):
             if of_sheet is not None:
-                alone = _read_columns(of_sheet, [source], [facts[number]])
+                alone = _read_columns(of_sheet, [facts[number]])
                 of_maps = {number: alone.halves[0].of_maps[0]}
                 pixel_um = alone.halves[0].pixel_um
                 found.append(HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=True))
@@ -311,13 +311,11 @@ def _columns_of(run: Run, source: NamedMap) -> SheetColumns | None:
     return None
 
 
-def _read_columns(
-    columns: SheetColumns, sources: Sequence[NamedMap], facts: Sequence[MapScales]
-) -> Reading:
+def _read_columns(columns: SheetColumns, facts: Sequence[MapScales]) -> Reading:
     """Maps of one sheet on its columns, with the differences of odd and even rows."""
     scaled: list[ScaledMap] = []
     of_maps: dict[int, Array] = {}
-    for number, (source, fact) in enumerate(zip(sources, facts, strict=True)):
+    for number, fact in enumerate(facts):
         values, is_alone = columns.values(fact.map)
         shared = columns.shared(alone=is_alone)
         scaled.append(_scaled(fact.model_copy(update={"shared": shared}), values))

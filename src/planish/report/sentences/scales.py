@@ -11,7 +11,6 @@ from planish.core.numbers import (
     fixed,
     in_words,
     interval_text,
-    number,
     percent,
     plain,
     to_spread,
@@ -21,9 +20,7 @@ from planish.core.text import and_join
 from planish.core.typing import Pair
 
 _MOST = 2  # maps that the answer is about
-_WIDE = (
-    0.15  # half of an interval over its standard deviation, from which a larger field is worth it
-)
+_WIDE = 0.15  # half of an interval over its standard deviation: from there, a larger field
 _LOUD = 0.5  # share of the variance of an octave
 
 
@@ -94,7 +91,8 @@ def _say_relation(found: Scales, facts: MapScales, bands: Sequence[ScaleBand]) -
     digits = _decimals(size)
     text = (
         f"{_title(facts)} follows {other} most in waves of {waves(best)} (squared coherence"
-        f" {fixed(best.coherence, 2)}; 95 %: {interval_text(best.coherence_interval)}): where that rises by"
+        f" {fixed(best.coherence, 2)}; 95 %: {interval_text(best.coherence_interval)}): where"
+        " that rises by"
         f" {with_unit(1.0, found.against_units)}, it {verb} by"
         f" {with_unit_of(size, facts.units)} (95 %:"
         f" {fixed(ends[0], digits)} to {fixed(ends[1], digits)})."
