@@ -257,8 +257,8 @@ def draw_relation(found: Scales) -> Picture:
             "Above, change of the map for a change of"
             f" {axis_label(in_words(found.against_title), unit(found.against_units))}; below,"
             " squared coherence, corrected for chance; both without the noise that is known."
-            f" Vertical lines: 95 % intervals. n = {_pixels_of(found, names)} pixels; mask: measured,"
-            f" without {text.HOLES}."
+            f" Vertical lines: 95 % intervals. n = {_pixels_of(found, names)} pixels;"
+            f" mask: measured, without {text.HOLES}."
         ),
         data=tables_of(found),
     )

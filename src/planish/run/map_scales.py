@@ -178,7 +178,7 @@ def scales_of_run(run: Run, params: ScalesParams) -> Scales:
             _scaled(fact, _counted(source)) for source, fact in zip(sources, facts, strict=True)
         ]
         found: list[HalfDifferences] = []
-        for number, (source, of_sheet) in enumerate(zip(sources, columns, strict=True)):
+        for number, of_sheet in enumerate(columns):
             if of_sheet is not None:
                 alone = _read_columns(of_sheet, [facts[number]])
                 of_maps = {number: alone.halves[0].of_maps[0]}
