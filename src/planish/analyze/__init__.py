@@ -10,6 +10,7 @@
 maps share, ``refinement`` improves it.
 ``explain`` is about a map and several others: ``cells``, ``multiple_regression``,
 ``generalised_least_squares``, ``shared_errors``, ``explain_sheets``.
+``scales`` is a map by octaves of wavelength, ``formation`` the random sheet beside it.
 ``image_values`` and ``mottle`` are about images. ``sheets``, ``between_sheets``, ``pooled``
 and ``differences`` are about many sheets; ``distributions`` is what they need.
 """

@@ -22,6 +22,7 @@ from planish.texture.octave_spectra import OctaveField, OctavePower
 
 _LEAST_SIGNAL = 0.1  # share of the power that is no noise: below, the rest says nothing of the map
 _LEAST_MODES = 4.0  # independent waves that an interval needs
+_LEAST_DEGREES = 2.0  # of freedom: less has what holds next to nothing but leaks of other waves
 
 
 class ScaleBand(ResultModel):
@@ -198,16 +199,17 @@ def _spread(power: OctavePower, noise: _Noise, mean: float) -> dict[str, Any]:
     """Standard deviation of the first map, with its interval."""
     total, noise_power = float(power.power[0, 0].real), float(noise.power[0, 0].real)
     rest = total - noise_power
+    sd = math.sqrt(max(rest, 0.0))
+    fields: dict[str, Any] = {"sd": sd, "modes": power.modes, "cov": sd / mean}
+    if noise_power > 0:
+        fields["noise"] = math.sqrt(noise_power)
+    if power.modes < _LEAST_MODES or power.degrees[0] < _LEAST_DEGREES:
+        return fields
     low, high = _chi_square_limits(total, float(power.degrees[0]))
     noise_low, noise_high = _chi_square_limits(noise_power, float(noise.degrees[0]))
     below = math.hypot(total - low, noise_high - noise_power)
     above = math.hypot(high - total, noise_power - noise_low)
-    sd = math.sqrt(max(rest, 0.0))
-    fields: dict[str, Any] = {"sd": sd, "modes": power.modes, "cov": sd / mean}
-    if power.modes >= _LEAST_MODES:
-        fields["interval"] = (math.sqrt(max(rest - below, 0)), math.sqrt(max(rest + above, 0)))
-    if noise_power > 0:
-        fields["noise"] = math.sqrt(noise_power)
+    fields["interval"] = (math.sqrt(max(rest - below, 0)), math.sqrt(max(rest + above, 0)))
     return fields
 
 
@@ -229,7 +231,7 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
         return {}
     cross = complex(power.power[1, 0])
     cross_rest = cross - complex(noise.power[1, 0])
-    raw = abs(cross) ** 2 / float(totals.prod())
+    raw = min(abs(cross) ** 2 / float(totals.prod()), 1.0)
     response = cross_rest / float(totals[1] * shares[1])
     t = t_95(2 * modes - 2)
     # Of noise in the cross power and, where noise was taken off the second map, in its power.
