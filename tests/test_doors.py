@@ -195,6 +195,13 @@ DATASET_DOORS = {
         ),
     },
     "correlate_maps": {"linked": (pl.correlate_maps, LINKED)},
+    "explain": {
+        "data": (
+            lambda value: pl.explain(value, response="image", of=["thickness"], cell_um=4.0),
+            LINKED,
+        )
+    },
+    "scales": {"data": (pl.scales, LINKED)},
 }
 HOLE_DOORS = {
     "register_marks": {
@@ -224,6 +231,9 @@ OF_A_RUN = {
     ("texture_of", "b"),
     ("compared_image", "image"),
     ("compared_image", "mask"),
+    ("regress", "response"),
+    ("regress", "predictors"),
+    ("regress", "errors"),
 }
 
 
