@@ -25,9 +25,10 @@ from scipy import spatial
 import planish as pl
 from benchmarks.evidence import field
 from benchmarks.shared import memory
-from planish.analyze.explain import covariance_of_residuals
+from planish.analyze.explain import covariance_of
 from planish.analyze.generalised_least_squares import weighed_regression
 from planish.analyze.multiple_regression import regress
+from planish.analyze.variograms import variogram_of
 from planish.core.errors import CannotMeasure
 from planish.texture.covariance import Lags
 
@@ -221,7 +222,7 @@ def agreements():
     ours = np.array([fit.intercept, *fit.plain, fit.r2])
     theirs = np.array([*ols.params, ols.rsquared])
     off_ols = float(np.max(np.abs(ours / theirs - 1)))
-    covariance = covariance_of_residuals(fit.residuals, lags)
+    covariance = covariance_of(variogram_of(fit.residuals, lags, None))
     places = np.argwhere(valid) * _PIXEL_UM
     dense = covariance(spatial.distance.squareform(spatial.distance.pdist(places)))
     gls = sm.GLS(y, x, sigma=dense).fit()

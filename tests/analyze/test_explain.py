@@ -9,7 +9,7 @@ import xarray as xr
 from scipy import ndimage, spatial
 
 import planish as pl
-from planish.analyze.explain import covariance_of_residuals
+from planish.analyze.explain import covariance_of
 from planish.analyze.generalised_least_squares import ExponentialCovariance, weighed_regression
 from planish.analyze.multiple_regression import regress
 from planish.analyze.shared_errors import covariance_of_errors, sharings_of
@@ -90,7 +90,7 @@ def test_generalised_least_squares_are_those_of_statsmodels():
 def test_the_covariance_of_residuals_is_read_off_them():
     rng = np.random.default_rng(2)
     residuals = field(rng, 3, (120, 120))
-    found = covariance_of_residuals(residuals, Lags(np.ones(residuals.shape, bool), (1.0, 1.0)))
+    found = covariance_of(pl.analyze.variogram(residuals, pixel_um=1.0))
     # Filtered by a Gaussian of 3 pixels, a field correlates as exp(-h^2 / 36): 1/e at 6 pixels.
     assert found.range_um == pytest.approx(6.0, rel=0.15)
     assert found.shared + found.nugget == pytest.approx(1.0, rel=0.1)

@@ -24,7 +24,7 @@ from planish.analyze.distributions import ranks
 from planish.analyze.generalised_least_squares import ExponentialCovariance, weighed_regression
 from planish.analyze.multiple_regression import Regression, out_of_sample_r2, regress
 from planish.analyze.quadratic_field import points_of
-from planish.analyze.shared_errors import covariance_of_errors, sharings_of
+from planish.analyze.shared_errors import SharedError, covariance_of_errors, sharings_of
 from planish.analyze.variograms import Variogram, variogram_of
 from planish.core.bands import Rows
 from planish.core.errors import CannotMeasure, InputError, SizeError
@@ -82,15 +82,6 @@ class Coefficient(CoefficientFacts):
         "What the stated errors of the maps add to the plain coefficient; it is taken off where the"
         " model is corrected."
     )
-
-
-class SharedError(ResultModel):
-    """Two predictors whose errors go together, as they meet at one surface."""
-
-    a: str = Field(description="First map.")
-    b: str = Field(description="Second map.")
-    surface: str = Field(description="Where they meet.")
-    correlation: Value = Field(description="Of their errors.")
 
 
 class SharedPart(ResultModel):
@@ -227,7 +218,8 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
             " a standard error (NAME_se), or leave `corrected` out."
         )
     model = _bearable(cells, errors if corrected else None)
-    coefficients = _coefficients(cells, model, errors, corrected=corrected)
+    curve = _variogram_of_residuals(cells, model)
+    coefficients = _coefficients(cells, model, errors, curve, corrected=corrected)
     rows = [_size_row(_Cells.of(columns, means, size_um)) for size_um, means in models.items()]
     rows.append(_row_of(cells, model, declared=True))
     response = columns[0]
@@ -245,15 +237,12 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
         shared=model.r2 - float(model.unique.sum()),
         coefficients=coefficients,
         sizes=tuple(sorted(rows, key=lambda row: row.cell_um)),
-        shared_errors=tuple(
-            SharedError(**sharing._asdict())
-            for sharing in sharings_of(cells.names, errors[:-1, :-1])
-        ),
+        shared_errors=sharings_of(cells.names, errors[:-1, :-1]),
         shared_parts=_parts_in_common([*maps.predictors], maps.sheet),
         controls=tuple(name for name in maps.predictors if bare_name(name) in NEGATIVE_CONTROLS),
         cells=_dataset(cells, model, maps),
     )
-    return explained.model_copy(update=_of_residuals(cells, model) | _lead_of(model))
+    return explained.model_copy(update=_of_residuals(cells, curve) | _lead_of(model))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -358,13 +347,13 @@ def _bearable(cells: _Cells, errors: Floats | None) -> Regression:
 
 
 def _coefficients(
-    cells: _Cells, model: Regression, errors: Floats, *, corrected: bool
+    cells: _Cells, model: Regression, errors: Floats, curve: Variogram | None, *, corrected: bool
 ) -> dict[str, Coefficient]:
     """State each coefficient, and beside it those of ranks, of weights and of the errors."""
     p_values = [model.p(index) for index in range(len(cells.names))]
     p_of_set = holm(p_values)
     ranked = cells.ranked().fit()
-    weighed = _weighed(cells, model) if not corrected else np.full(len(p_values), math.nan)
+    weighed = _weighed(cells, model, None if corrected else curve)
     by_errors = _added_by_errors(cells, model, errors, corrected=corrected)
     return {
         name: Coefficient(
@@ -403,17 +392,18 @@ def _added_by_errors(
     return (model.plain - other_model.plain) * (-1.0 if corrected else 1.0)
 
 
-def _weighed(cells: _Cells, model: Regression) -> Floats:
+def _weighed(cells: _Cells, model: Regression, curve: Variogram | None) -> Floats:
     """Standardised coefficients by generalised least squares; NaN where there are none."""
-    covariance = covariance_of_residuals(model.residuals, cells.lags)
-    if covariance is None:
-        return np.full(model.plain.size, math.nan)
+    unknown = np.full(model.plain.size, math.nan)
+    if curve is None:
+        return unknown
+    lags = cells.lags
     try:
         weighed = weighed_regression(
-            cells.maps[0], cells.maps[1:], cells.lags.is_valid, cells.lags.pixel_um, covariance
+            cells.maps[0], cells.maps[1:], lags.is_valid, lags.pixel_um, covariance_of(curve)
         )
     except CannotMeasure:
-        return np.full(model.plain.size, math.nan)
+        return unknown
     return weighed.plain * model.scale
 
 
@@ -426,12 +416,20 @@ def _lead_of(model: Regression) -> dict[str, Any]:
     return {"lead": lead, "lead_interval": interval}
 
 
-def _of_residuals(cells: _Cells, model: Regression) -> dict[str, Any]:
-    """How far residuals reach, and how well blocks wider than that are predicted."""
+def _variogram_of_residuals(cells: _Cells, model: Regression) -> Variogram | None:
+    """How residuals resemble each other; None where the field is too small to show it."""
     try:
-        curve = variogram_of(model.residuals, cells.lags, None)
-    except CannotMeasure as fault:
-        return {"reason": f"No R2 out of sample: {fault.text}"}
+        return variogram_of(model.residuals, cells.lags, None)
+    except CannotMeasure:
+        return None
+
+
+def _of_residuals(cells: _Cells, curve: Variogram | None) -> dict[str, Any]:
+    """How far residuals reach, and how well blocks wider than that are predicted."""
+    if curve is None:
+        return {
+            "reason": "No R2 out of sample: the field is too small to show how far residuals reach."
+        }
     range_um = curve.range_um if math.isfinite(curve.range_um) else 0.0
     block_um = max(_LEFT * range_um, cells.cell_um)
     r2_out = out_of_sample_r2(cells.maps[0], cells.maps[1:], cells.lags, block_um=block_um)
@@ -475,15 +473,11 @@ def _row_of(cells: _Cells, model: Regression, *, declared: bool = False) -> Cell
     )
 
 
-def covariance_of_residuals(residuals: Floats, lags: Lags) -> ExponentialCovariance | None:
-    """Read an exponential covariance off residuals; None where the field is too small for one."""
-    try:
-        curve: Variogram = variogram_of(residuals, lags, None)
-    except CannotMeasure:
-        return None
+def covariance_of(curve: Variogram) -> ExponentialCovariance:
+    """Read an exponential covariance off a variogram."""
     shared = curve.sill - curve.nugget
     if not (shared > 0 and math.isfinite(curve.range_um)):
-        return ExponentialCovariance(shared=0.0, nugget=curve.sill, range_um=max(lags.pixel_um))
+        return ExponentialCovariance(shared=0.0, nugget=curve.sill, range_um=max(curve.cell_um))
     return ExponentialCovariance(shared=shared, nugget=curve.nugget, range_um=curve.range_um)
 
 

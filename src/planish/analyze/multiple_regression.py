@@ -208,17 +208,11 @@ def out_of_sample_r2(
         block_numbers = block_numbers * blocks + np.expand_dims(numbers, 1 - axis)
     block_of_cell = block_numbers[is_valid]
     x = np.stack([np.ones(lags.n), *(m[is_valid] for m in predictors)], axis=1)
-    x[:, 1:] = (x[:, 1:] - x[:, 1:].mean(axis=0)) / x[:, 1:].std(axis=0)
-    y = response[is_valid] - response[is_valid].mean()
-    squares, products = x.T @ x, x.T @ y
+    y = response[is_valid]
     unexplained = variation = 0.0
     for block in np.unique(block_of_cell):
         is_inside = block_of_cell == block
-        x_inside, y_inside = x[is_inside], y[is_inside]
-        squares_outside = squares - x_inside.T @ x_inside
-        products_outside = products - x_inside.T @ y_inside
-        coefficients = np.linalg.lstsq(squares_outside, products_outside, rcond=None)[0]
-        mean_outside = products_outside[0] / squares_outside[0, 0]
-        unexplained += float(np.sum((y_inside - x_inside @ coefficients) ** 2))
-        variation += float(np.sum((y_inside - mean_outside) ** 2))
+        coefficients = np.linalg.lstsq(x[~is_inside], y[~is_inside], rcond=None)[0]
+        unexplained += float(np.sum((y[is_inside] - x[is_inside] @ coefficients) ** 2))
+        variation += float(np.sum((y[is_inside] - y[~is_inside].mean()) ** 2))
     return 1 - unexplained / variation

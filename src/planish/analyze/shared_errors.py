@@ -7,11 +7,12 @@ stated errors of the maps follow those of the surfaces, and from these the covar
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
+from pydantic import Field
 from scipy import optimize
 
+from planish.core.facts import ResultModel, Value
 from planish.core.typing import Floats
 from planish.measure.registry import HEIGHTS, LENGTHS
 
@@ -19,13 +20,13 @@ _EVEN = 1e-6
 """Weight by which errors of surfaces that nothing tells apart are taken alike."""
 
 
-class Sharing(NamedTuple):
-    """Two maps whose errors go together."""
+class SharedError(ResultModel):
+    """Two maps whose errors go together, as they meet at one surface."""
 
-    a: str
-    b: str
-    surface: str
-    correlation: float  # of their errors
+    a: str = Field(description="First map.")
+    b: str = Field(description="Second map.")
+    surface: str = Field(description="Where they meet.")
+    correlation: Value = Field(description="Of their errors.")
 
 
 def _signs_of_surfaces() -> dict[str, dict[str, float]]:
@@ -80,15 +81,13 @@ def _variances_of_surfaces(stated: Mapping[str, float]) -> Floats:
     return optimize.nnls(np.array(equations), np.array(squares))[0]
 
 
-def sharings_of(names: Sequence[str], covariance: Floats) -> tuple[Sharing, ...]:
+def sharings_of(names: Sequence[str], covariance: Floats) -> tuple[SharedError, ...]:
     """Name the pairs of maps whose errors go together, with the surface that they share."""
-    sharings: list[Sharing] = []
-    for index, a in enumerate(names):
-        for other in range(index):
-            b, error = names[other], float(covariance[index, other])
-            if error == 0:
-                continue
-            surface = next(s for s in SIGNS[a] if s in SIGNS[b])
-            scale = float(np.sqrt(covariance[index, index] * covariance[other, other]))
-            sharings.append(Sharing(b, a, surface, error / scale))
+    sharings: list[SharedError] = []
+    deviations = np.sqrt(np.diag(covariance))
+    for first, second in np.argwhere(np.triu(covariance, 1)).tolist():
+        a, b = names[first], names[second]
+        surface = next(name for name in SIGNS[a] if name in SIGNS[b])
+        correlation = covariance[first, second] / (deviations[first] * deviations[second])
+        sharings.append(SharedError(a=a, b=b, surface=surface, correlation=float(correlation)))
     return tuple(sharings)

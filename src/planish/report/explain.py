@@ -57,24 +57,22 @@ def explain_page(model: AnyModel, *, source: str, version: str) -> tuple[str, li
 
     ``source``: name of the run or series; ``version``: of the program.
     """
-    pictures = [draw_coefficients(model), *details_of(model)]
+    section = explained_section(model)
     page = text.template("planish.report", "explain.html.j2").render(
         model=model,
         source=source,
         version=version,
-        answer=say_answer(model),
         surer=say_surer(model),
         reading=say_reading(model),
         notes=say_notes(model),
         tiles=tiles_of(model),
-        table=coefficient_rows(model),
-        pictures=pictures,
         is_series=isinstance(model, ExplainedSeries),
+        **section,
     )
-    return f"{page}\n", pictures
+    return f"{page}\n", section["pictures"]
 
 
-def explained_section(model: Explained | None) -> dict[str, Any]:
+def explained_section(model: AnyModel | None) -> dict[str, Any]:
     """Give what the report of a run shows of the model that its study declares; nothing of none."""
     if model is None:
         return {}

@@ -111,14 +111,12 @@ def with_declared_model(run: Run) -> Run:
 
 def residual_map(explained: Explained, like: xr.DataArray) -> xr.DataArray:
     """Residuals of a model on the pixels of a map: each pixel has that of its cell."""
-    rows, cols = (
-        np.floor((np.arange(count) + 0.5) * pixel_um / explained.cell_um).astype(np.intp)
-        for count, pixel_um in zip(like.shape, Grid.of(like).pixel_um, strict=True)
+    grid = Grid.of(like)
+    values = explained.cells["residual"].reindex(
+        cell_y=grid.y_um, cell_x=grid.x_um, method="nearest", tolerance=explained.cell_um / 2
     )
-    values = explained.cells["residual"].values
-    padded = np.pad(values, ((0, 1), (0, 1)), constant_values=np.nan)  # the incomplete last cells
     return xr.DataArray(
-        padded[np.ix_(rows, cols)].astype(np.float32),
+        values.values.astype(np.float32),
         dims=like.dims,
         coords={dim: like[dim] for dim in like.dims},
         attrs={
