@@ -15,6 +15,7 @@ from planish.core.numbers import (
     axis_label,
     count,
     fixed,
+    in_words,
     interval_text,
     length,
     number,
@@ -58,28 +59,32 @@ def explain_page(model: AnyModel, *, source: str, version: str) -> tuple[str, li
     ``source``: name of the run or series; ``version``: of the program.
     """
     section = explained_section(model)
-    page = text.template("planish.report", "explain.html.j2").render(
-        model=model,
+    question = f"What explains {in_words(model.title)}?"
+    trust = "ok" if isinstance(model, ExplainedSeries) else model.trust
+    page = text.template("planish.report", "answer.html.j2").render(
+        title=f"{question[:-1]}: {source}",
+        question=question,
+        about=", ".join(in_words(c.title) for c in model.coefficients.values()),
         source=source,
         version=version,
+        state="pass" if trust == "ok" else "look",
         surer=say_surer(model),
-        reading=say_reading(model),
-        notes=say_notes(model),
         tiles=tiles_of(model),
-        is_series=isinstance(model, ExplainedSeries),
+        heading="Coefficients",
         **section,
     )
     return f"{page}\n", section["pictures"]
 
 
 def explained_section(model: AnyModel | None) -> dict[str, Any]:
-    """Give what the report of a run shows of the model that its study declares; nothing of none."""
+    """Give what page and report show of a model; nothing of none."""
     if model is None:
         return {}
     return {
         "answer": say_answer(model),
-        "sentences": [*say_reading(model), *say_notes(model)],
-        "table": coefficient_rows(model),
+        "reading": say_reading(model),
+        "notes": say_notes(model),
+        "rows": coefficient_rows(model),
         "pictures": [draw_coefficients(model), *details_of(model)],
     }
 

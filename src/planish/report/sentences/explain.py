@@ -157,9 +157,18 @@ def say_reading(model: Explained | ExplainedSeries) -> list[str]:
 
 def say_notes(model: Explained | ExplainedSeries) -> list[str]:
     """What else stands beside a model: other cells, shared errors and parts, ranks and weights."""
+    columns_text = (
+        "Standardised: standard deviations of the response per standard deviation of the map, the"
+        " others held. Plain: units of the response per unit of the map. p is after Holm over all"
+        " maps of the model"
+    )
     if isinstance(model, ExplainedSeries):
-        return []
+        return [f"{columns_text}, and rests on the spread between sheets."]
     return [
+        f"{columns_text}, and rests on independent cells (n_eff), as the intervals do. VIF:"
+        " variance inflation, by how much the other maps widen the square of the interval. Explains"
+        " alone: share of the variance that no other map explains. Over ranks: the standardised"
+        " coefficient of ranks. GLS: with the covariance of the residuals as weights.",
         *_say_sizes(model),
         *_say_sharing(model),
         *_say_parts(model),
