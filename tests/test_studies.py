@@ -232,7 +232,7 @@ def test_a_study_states_a_number_with_its_interval(make, tmp_path, capsys, name)
         assert "1 declared region." in said
     if name == "fig-07":
         assert "over 3 sheets" in said
-        assert ("not distinguishable" in said) == (low <= 0 <= high)
+        assert ("they are not distinguishable" in said) == (low <= 0 <= high)
 
 
 @pytest.mark.nightly

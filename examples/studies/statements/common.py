@@ -6,7 +6,7 @@ The runs of a series, r of its fields, intervals as text, maps and clouds of poi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,10 @@ from matplotlib.axes import Axes
 
 import planish as pl
 from planish.analyze import Fields
+from planish.analyze.explain_sheets import explained_over_sheets
 from planish.core.area import area_mean
+from planish.core.numbers import in_ascii
+from planish.report.sentences.explain import say_answer
 from planish.results import CorrelationRow
 from planish.series_results import SeriesResults, SeriesSpecimen
 
@@ -64,6 +67,22 @@ def of_image(run: pl.Run) -> CorrelationRow:
         for row in run.results.correlations
         if row.a_map == "coating_top" and row.b_map == "image"
     ][-1]
+
+
+def explained(runs: Mapping[str, pl.Run]) -> str:
+    """What the model that the study declares says of one run, or of runs by their sheets."""
+    models = {
+        sheet: run.results.explained
+        for sheet, run in runs.items()
+        if run.results.explained is not None
+    }
+    if not models:
+        reasons = dict.fromkeys(run.results.explain_reason for run in runs.values())
+        return "".join(f" No model: {reason}" for reason in reasons if reason)
+    model = next(iter(models.values()))
+    if len(runs) > 1:
+        model = explained_over_sheets(models, {sheet: sheet for sheet in models}, {})
+    return f" {in_ascii(say_answer(model))}"
 
 
 def cloud(ax: Axes, run: pl.Run, label: str) -> None:

@@ -10,7 +10,7 @@ import planish as pl
 from planish.analyze import difference_of_pooled_r, pooled_r
 from planish.series_results import SeriesResults
 
-from .common import cloud, fields_of, interval, runs_of
+from .common import cloud, explained, fields_of, interval, runs_of
 from .truth import sentence
 
 VERDICT = {None: "no verdict", True: "they differ", False: "they are not distinguishable"}
@@ -41,6 +41,11 @@ def state(folder: Path, figure: Figure) -> str:
         f"{one.mean**2:.2f} {level} (r {one.mean:.2f}, 95 % interval {interval(one.interval)})"
         for one, level in zip(pooled, levels, strict=True)
     )
+    models: list[str] = []
+    for level in levels:
+        model_text = explained(of_level[level])
+        if model_text:
+            models.append(f" {level.capitalize()}:{model_text}")
     losses = [sentence(of_level[level].values(), f", {level}") for level in levels]
     return (
         f"r² is {each_says} over {of_r2.sheets[0]} sheets. Its difference is"
@@ -48,7 +53,7 @@ def state(folder: Path, figure: Figure) -> str:
         f" {of_r.difference:+.3f} ({interval(of_r.interval, 3)}):"
         f" {VERDICT[of_r2.distinguishable]}{f' ({of_r2.reason})' if of_r2.reason else ''}. In 80 %"
         f" of cases, such a study finds a difference of r² of {of_r2.smallest_seen():.3f}."
-        f"{''.join(losses)}"
+        f"{''.join(models)}{''.join(losses)}"
     )
 
 
