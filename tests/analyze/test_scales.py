@@ -191,7 +191,7 @@ def test_the_page_answers_and_its_table_holds_the_numbers():
         assert words in page
     table = tables_of(found)["octaves"]
     assert table["gain"] == [band.gain for band in found.bands["a"]]
-    assert table["sd_low"] == [band.interval[0] for band in found.bands["a"]]
+    assert table["low"] == [band.interval[0] for band in found.bands["a"]]
     assert len(pictures_of(found)) == 2
     formation = found.maps["a"].formation
     assert formation.number == pytest.approx(formation.cov / formation.random_cov)

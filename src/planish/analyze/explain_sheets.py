@@ -49,12 +49,11 @@ def explained_over_sheets(
     coefficients = {name: _pooled_coefficient(name, models, sheet_of_model) for name in names}
     lead = SheetMean(sheets=0, fields=0)
     if len(names) > 1:
-        largest, next_one = strongest(coefficients)[:2]
-        sizes = [
-            {name: abs(c.standardised) for name, c in model.coefficients.items()}
-            for model in models.values()
-        ]
-        lead = over([of_model[largest] - of_model[next_one] for of_model in sizes])
+        sizes: list[list[float]] = []
+        for name in strongest(coefficients)[:2]:
+            sign = math.copysign(1.0, coefficients[name].standardised)
+            sizes.append([sign * m.coefficients[name].standardised for m in models.values()])
+        lead = over([largest - next_one for largest, next_one in zip(*sizes, strict=True)])
     p_of_set = holm([c.p for c in coefficients.values()])
     declared = {model.declared for model in models.values()}
     model_fields = ("response", "title", "units", "of", "cell_um", "corrected")

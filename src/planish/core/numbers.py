@@ -141,6 +141,11 @@ def interval_text(limits: Pair | None, decimals: int = 2) -> str:
     )
 
 
+def numbers_text(ends: Pair, digits: int = 3) -> str:
+    """Write both ends of an interval as :func:`number` does; a dash where there is none."""
+    return " to ".join(number(end, digits) for end in ends) if is_known(ends) else NONE
+
+
 def with_article(layer: str) -> str:
     """Put a layer into a sentence.
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planish.core.area import area_mean
 from planish.core.axial import summable
-from planish.core.facts import is_known
+from planish.core.facts import ResultModel, is_known
 from planish.core.numbers import count, fixed, length, plain, round_step
 from planish.report.colours import MISSING, Array, Scale, image_uri
 
@@ -55,6 +55,27 @@ def columns(rows: Iterable[object], fields: Mapping[str, str]) -> Table:
 def or_blank(values: Iterable[float | None]) -> list[object]:
     """Return the numbers of a column; what is not known is empty."""
     return [value if is_known(value) else "" for value in values]
+
+
+def flat_row(facts: ResultModel) -> dict[str, object]:
+    """Numbers and words of a model, intervals as two of them."""
+    row: dict[str, object] = {}
+    for name, value in facts:
+        if isinstance(value, tuple):
+            prefix = name.removesuffix("interval")
+            row[f"{prefix}low"], row[f"{prefix}high"] = value
+        elif isinstance(value, str | float | int) and value != "":
+            row[name] = value
+    return row
+
+
+def table_of(rows: Sequence[Mapping[str, object]]) -> Table:
+    """Rows as columns; what is not known is empty."""
+    table: dict[str, list[object]] = {}
+    for name in dict.fromkeys(name for row in rows for name in row):
+        values = [row.get(name) for row in rows]
+        table[name] = ["" if v is None or v != v else v for v in values]
+    return table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

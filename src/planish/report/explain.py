@@ -19,11 +19,11 @@ from planish.core.numbers import (
     interval_text,
     length,
     number,
+    numbers_text,
     percent,
     plain,
     unit,
 )
-from planish.core.typing import Pair
 from planish.report import text
 from planish.report.colours import limits
 from planish.report.draw import (
@@ -38,7 +38,9 @@ from planish.report.draw import (
     Picture,
     Table,
     draw_map,
+    flat_row,
     row_axes,
+    table_of,
 )
 from planish.report.relation import draw_dots, draw_fit
 from planish.report.sentences.explain import say_answer, say_notes, say_reading, say_surer
@@ -128,7 +130,7 @@ def coefficient_rows(model: AnyModel) -> list[dict[str, str]]:
             "Standardised": fixed(c.standardised, 2),
             "95 %": interval_text(c.interval),
             "Plain": number(c.plain),
-            "95 % of plain": _numbers_of(c.plain_interval),
+            "95 % of plain": numbers_text(c.plain_interval),
             "p (Holm)": p_text(c.p_of_set),
         }
         if isinstance(model, ExplainedSeries):
@@ -146,57 +148,32 @@ def coefficient_rows(model: AnyModel) -> list[dict[str, str]]:
     return rows
 
 
-def _numbers_of(ends: Pair) -> str:
-    return " to ".join(number(end) for end in ends) if is_known(ends) else NONE
-
-
 def tables_of(model: AnyModel) -> dict[str, Table]:
     """What a model says as tables, by the name of a file."""
     coefficients: Mapping[str, ResultModel] = model.coefficients
-    rows = [{"map": name} | _flat(c) for name, c in coefficients.items()]
-    tables = {"coefficients": _table(rows)}
+    rows = [{"map": name} | flat_row(c) for name, c in coefficients.items()]
+    tables = {"coefficients": table_of(rows)}
     if isinstance(model, ExplainedSeries):
         specimen_rows = [
             {"specimen": name, "r2": m.r2, "n": m.n, "n_eff": m.n_eff}
             | {key: c.standardised for key, c in m.coefficients.items()}
             for name, m in model.specimens.items()
         ]
-        return tables | {"specimens": _table(specimen_rows)}
+        return tables | {"specimens": table_of(specimen_rows)}
     size_rows = [
-        _flat(row)
+        flat_row(row)
         | {"map": name, "standardised": value}
         | dict(zip(("low", "high"), row.intervals[name], strict=True))
         for row in model.sizes
         for name, value in row.standardised.items()
     ]
-    tables["sizes"] = _table(size_rows)
+    tables["sizes"] = table_of(size_rows)
     if model.cells is not None:
         cells = model.cells.drop_vars([k for k in model.cells if str(k).endswith(" freed")])
         known = cells.stack(cell=("cell_y", "cell_x")).dropna("cell")
         columns = {"y_um": known["cell_y"], "x_um": known["cell_x"], **dict(known.items())}
         tables["cells"] = {str(name): values.values.tolist() for name, values in columns.items()}
     return tables
-
-
-def _flat(facts: ResultModel) -> dict[str, object]:
-    """Numbers and words of a model, intervals as two of them."""
-    row: dict[str, object] = {}
-    for name, value in facts:
-        if isinstance(value, tuple):
-            prefix = name.removesuffix("interval")
-            row[f"{prefix}low"], row[f"{prefix}high"] = value
-        elif isinstance(value, str | float | int) and value != "":
-            row[name] = value
-    return row
-
-
-def _table(rows: list[dict[str, Any]]) -> Table:
-    """Rows as columns; what is not known is empty."""
-    table: dict[str, list[object]] = {}
-    for name in dict.fromkeys(name for row in rows for name in row):
-        values = [row.get(name) for row in rows]
-        table[name] = ["" if isinstance(v, float) and v != v else v for v in values]
-    return table
 
 
 def draw_coefficients(model: AnyModel) -> Picture:

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from planish.analyze.scales import ScaleBand, Scales
 from planish.core.facts import is_known
 from planish.core.numbers import (
-    NONE,
     axis_label,
     count,
     fixed,
     in_words,
     number,
+    numbers_text,
     percent,
     plain,
     unit,
@@ -21,7 +21,18 @@ from planish.core.numbers import (
 from planish.core.typing import Pair
 from planish.report import text
 from planish.report.diagnostics import draw_log_axes
-from planish.report.draw import ACCENT, HALF, POINT, SOFT, Axes, Canvas, Picture, Table, or_blank
+from planish.report.draw import (
+    ACCENT,
+    HALF,
+    POINT,
+    SOFT,
+    Axes,
+    Canvas,
+    Picture,
+    Table,
+    flat_row,
+    table_of,
+)
 from planish.report.sentences.scales import (
     leading,
     say_answer,
@@ -113,7 +124,7 @@ def band_rows(found: Scales) -> dict[str, list[dict[str, str]]]:
                 "Map": axis_label(facts.title, unit(facts.units)),
                 "Waves": waves(band),
                 "Standard deviation": number(band.sd),
-                "95 %": _numbers_of(band.interval),
+                "95 %": numbers_text(band.interval),
             }
             if has["cov"]:
                 row["COV / %"] = number(100 * band.cov)
@@ -133,34 +144,21 @@ def band_rows(found: Scales) -> dict[str, list[dict[str, str]]]:
 def _relation_cells(band: ScaleBand) -> dict[str, str]:
     return {
         "Gain": number(band.gain),
-        "95 % of gain": _numbers_of(band.gain_interval),
+        "95 % of gain": numbers_text(band.gain_interval),
         "Squared coherence": fixed(band.coherence, 2),
-        "95 % of coherence": _numbers_of(band.coherence_interval, 2),
+        "95 % of coherence": numbers_text(band.coherence_interval, 2),
         "Phase / °": fixed(band.phase_deg, 0),
     }
 
 
-def _numbers_of(ends: Pair, digits: int = 3) -> str:
-    return " to ".join(number(end, digits) for end in ends) if is_known(ends) else NONE
-
-
 def tables_of(found: Scales) -> dict[str, Table]:
     """The octaves as one table, by the name of its file."""
-    columns: dict[str, list[object]] = {}
-    pairs = ("interval", "gain_interval", "coherence_interval", "phase_interval")
-    for name, bands in found.bands.items():
-        for band in bands:
-            columns.setdefault("map", []).append(name)
-            columns.setdefault("units", []).append(found.maps[name].units)
-            for key in ScaleBand.model_fields:
-                value = getattr(band, key)
-                if key not in pairs:
-                    columns.setdefault(key, []).extend(or_blank([value]))
-                    continue
-                stem = key.removesuffix("interval") or "sd_"
-                for end, limit in zip(("low", "high"), value, strict=True):
-                    columns.setdefault(f"{stem}{end}", []).extend(or_blank([limit]))
-    return {"octaves": columns}
+    rows = [
+        {"map": name, "units": found.maps[name].units} | flat_row(band)
+        for name, bands in found.bands.items()
+        for band in bands
+    ]
+    return {"octaves": table_of(rows)}
 
 
 def pictures_of(found: Scales) -> list[Picture]:
