@@ -134,12 +134,10 @@ def wrapped(text: str, width: int) -> str:
         lines += textwrap.wrap(
             _WITH_UNIT.sub(_GLUE, line),
             max(width, _LEAST_WIDTH),
-            initial_indent="",
             subsequent_indent=f"{indent}  ",
             break_long_words=False,
             break_on_hyphens=False,
             replace_whitespace=False,
-            drop_whitespace=True,
         ) or [""]
     return "\n".join(lines).replace(_GLUE, " ")
 
@@ -153,7 +151,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
     others may end in one.
     """
     rows = [[shown(cell) for cell in row] for row in rows]
-    widths = [max(len(cell) for cell in cells) for cells in zip(columns, *rows, strict=True)]
+    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
     full_width = max(sum(widths) + _GAP * (len(widths) - 1), len(title))
     terminal_width = width()
     if terminal_width is not None and full_width > terminal_width:
@@ -176,25 +174,28 @@ def stacked(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], w
 
     The name of a row, and below it a line for each of its values.
     """
-    lines = wrapped(title, width).split("\n") if title else []
+    lines = [title] if title else []
     unit_column = columns.index("unit") if "unit" in columns else None
     for row in rows:
-        lines += wrapped(row[0], width).split("\n")
-        numeric = [
-            k
-            for k, heading in enumerate(columns)
-            if _NUMBER.fullmatch(row[k]) and heading not in _UNITLESS
-        ]
+        lines.append(row[0])
+        is_number = [_is_number(*column) for column in zip(columns, row, strict=True)]
         for k, (heading, cell) in enumerate(zip(columns, row, strict=True)):
-            if k == 0 or not cell or (k == unit_column and numeric):
+            if k == 0 or not cell or (k == unit_column and any(is_number)):
                 continue
-            name, _, heading_unit = heading.rpartition(" ")
-            has_unit = bool(name) and heading_unit in _UNITS and heading not in _UNITLESS
-            unit = ""
-            if has_unit:
-                unit = heading_unit
-            elif unit_column is not None and k in numeric:
+            name, unit = _name_and_unit(heading)
+            if not unit and unit_column is not None and is_number[k]:
                 unit = row[unit_column]
-            text = f"{cell} {unit}" if unit not in ("", "1") and cell != "-" else cell
-            lines += wrapped(f"  {name if has_unit else heading}  {text}", width).split("\n")
-    return "\n".join(lines)
+            is_written = unit not in ("", "1") and cell != "-"
+            lines.append(f"  {name}  {cell} {unit}" if is_written else f"  {name}  {cell}")
+    return "\n".join(wrapped(line, width) for line in lines)
+
+
+def _is_number(heading: str, cell: str) -> bool:
+    return _NUMBER.fullmatch(cell) is not None and heading not in _UNITLESS
+
+
+def _name_and_unit(heading: str) -> tuple[str, str]:
+    """A heading without its unit, and this; empty where it has none."""
+    name, _, unit = heading.rpartition(" ")
+    has_unit = bool(name) and unit in _UNITS and heading not in _UNITLESS
+    return (name, unit) if has_unit else (heading, "")

@@ -57,11 +57,8 @@ def info(path: Path, picture: Path | None, as_json: bool, **sizes: Any) -> None:
 
         open_results(path)  # says what is wrong with it
     sections: list[Section] = []
-    has_drawing = (
-        not as_json
-        and sys.stdout.isatty()
-        and (sys.stdout.encoding or "").lower().startswith("utf")
-    )
+    is_utf = (sys.stdout.encoding or "").lower().startswith("utf")
+    has_drawing = not as_json and is_utf and sys.stdout.isatty()
     if facts_of_run is None:
         needs_look = picture is not None or has_drawing
         facts = describe(

@@ -5,6 +5,7 @@ Files of marks of one program are turned into those of another.
 
 from __future__ import annotations
 
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -28,6 +29,8 @@ from planish.design.params import DesignParams, ImagingParams, StageParams
 from planish.marks.exchange.formats import FORMATS, TARGETS, target_of
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from planish.design import Pattern, Rule
 
 _POSITIVE = click.FloatRange(min=0, min_open=True)
@@ -170,25 +173,10 @@ def simulate(
             raise click.UsageError(f"--out: {out.name} is no .png, .svg or .pdf.")
         refuse_existing(out)
     run = dry_run(read_text(program, what="stage program"), stage, pulse_s=pulse_most_s)
-    difference, shots_um = None, run.fired_um
+    shots_um = run.fired_um
+    difference = None
     if pattern is not None:
-        import numpy as np
-
-        holes_um = read_pattern(pattern).points_um
-        if len(holes_um) != len(shots_um):
-            difference = (
-                f"the program fires {len(shots_um)} shots, the pattern has {len(holes_um)} holes."
-            )
-        else:
-            distance_um = np.hypot(*(shots_um[:, None] - holes_um[None]).transpose(2, 0, 1))
-            worst_um = max(
-                float(distance_um.min(axis=0).max()), float(distance_um.min(axis=1).max())
-            )
-            if worst_um > 0.001:  # um: a program states positions to 0.0005
-                difference = (
-                    f"a hole of the pattern is {worst_um:.3f} um from the nearest shot; write the"
-                    " program again."
-                )
+        difference = _difference(shots_um, read_pattern(pattern).points_um)
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         title = f"Path of the stage: {program.name}"
@@ -215,25 +203,36 @@ def simulate(
     return 4
 
 
+def _difference(shots_um: NDArray[Any], holes_um: NDArray[Any]) -> str | None:
+    """How the shots of a program differ from the holes of a pattern; None where they do not."""
+    import numpy as np
+
+    if len(holes_um) != len(shots_um):
+        return f"the program fires {len(shots_um)} shots, the pattern has {len(holes_um)} holes."
+    distance_um = np.hypot(*(shots_um[:, None] - holes_um[None]).transpose(2, 0, 1))
+    worst_um = max(float(distance_um.min(axis=axis).max()) for axis in (0, 1))
+    if worst_um <= 0.001:  # um: a program states positions to 0.0005
+        return None
+    return (
+        f"a hole of the pattern is {worst_um:.3f} um from the nearest shot; write the"
+        " program again."
+    )
+
+
 def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
     rows: list[tuple[str, ...]] = []
     for rule in rules:
         measured = f"{rule.value:.4g} {rule.unit}".strip()
-        rows.append(
-            (
-                rule.name,
-                measured,
-                f"{rule.sense} {rule.limit:g}",
-                "kept" if rule.passed else "BROKEN",
-            )
-        )
+        outcome = "kept" if rule.passed else "BROKEN"
+        rows.append((rule.name, measured, f"{rule.sense} {rule.limit:g}", outcome))
     title = f"{pattern.name}: {len(pattern.holes)} holes of {pattern.diameter_um:g} um"
     table(title, ("rule", "measured", "limit", ""), rows)
 
 
 def _rule_facts(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
     names = ("name", "value", "sense", "limit", "unit", "passed", "meaning")
-    return {"rules": [{name: getattr(rule, name) for name in names} for rule in rules]}
+    facts_of = attrgetter(*names)
+    return {"rules": [dict(zip(names, facts_of(rule), strict=True)) for rule in rules]}
 
 
 @marks.command()

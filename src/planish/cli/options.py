@@ -67,13 +67,10 @@ class Verb(click.Command):
         """
         from planish.io.run_folder import refuse_existing, refuse_inside
 
-        if isinstance(out := ctx.params.get("out"), Path):
-            inputs = [
-                value
-                for name, value in ctx.params.items()
-                if name != "out" and isinstance(value, Path)
-            ]
-            refuse_inside(out, inputs)
+        paths = {name: value for name, value in ctx.params.items() if isinstance(value, Path)}
+        out = paths.pop("out", None)
+        if out is not None:
+            refuse_inside(out, [*paths.values()])
             if not self.can_resume:
                 refuse_existing(out)
         try:
@@ -85,19 +82,15 @@ class Verb(click.Command):
 
 def with_commands(text: str, ctx: click.Context) -> str:
     """Add to a text the commands with the options that it names and this command has not."""
-    own_words = words_of_command(ctx.command)
-    root = ctx.find_root()
-    missing_names = {name for name in names_in(text) if name not in own_words}
+    missing_names = {*names_in(text)} - words_of_command(ctx.command)
     if not missing_names:
         return text
-    words_by_command = {
-        f"'{name}'": words_of_command(command)
-        for name, command in _commands_in(root.command, root, "planish")
-    }
-    for name, words in words_by_command.items():
-        if name.strip("'") in text:  # it is said already
-            missing_names -= words
-    sentences: list[str] = []
+    root = ctx.find_root()
+    words_by_command: dict[str, set[str]] = {}
+    for name, command in _commands_in(root.command, root, "planish"):
+        words_by_command[f"'{name}'"] = words_of_command(command)
+        if name in text:  # it is said already
+            missing_names -= words_of_command(command)
     while missing_names:
         # The command with most of them, and the next one that has these as well.
         shared_names = max((missing_names & words for words in words_by_command.values()), key=len)
@@ -106,9 +99,9 @@ def with_commands(text: str, ctx: click.Context) -> str:
         commands = [name for name, words in words_by_command.items() if shared_names <= words]
         flags_text = and_join(f"`{name}`" for name in names_in(text) if name in shared_names)
         verb_text = "is an option" if len(shared_names) == 1 else "are options"
-        sentences.append(f" {flags_text} {verb_text} of {' and '.join(commands[:2])}.")
+        text += f" {flags_text} {verb_text} of {' and '.join(commands[:2])}."
         missing_names -= shared_names
-    return text + "".join(sentences)
+    return text
 
 
 def _commands_in(
@@ -118,7 +111,8 @@ def _commands_in(
         yield name, command
         return
     for key in command.list_commands(ctx):
-        if (inner_command := command.get_command(ctx, key)) is not None:
+        inner_command = command.get_command(ctx, key)
+        if inner_command is not None:
             yield from _commands_in(inner_command, ctx, f"{name} {key}")
 
 
@@ -201,9 +195,8 @@ class Value(click.ParamType[Any]):
         try:
             return self.adapter.validate_python(texts)
         except ValidationError as error:
-            reasons = "; ".join(
-                dict.fromkeys(e["msg"].removeprefix("Value error, ") for e in error.errors())
-            )
+            messages = [fault["msg"].removeprefix("Value error, ") for fault in error.errors()]
+            reasons = "; ".join(dict.fromkeys(messages))
             self.fail(f"{value!r} is not {self.metavar}: {reasons}.", param, ctx)
 
 
@@ -218,7 +211,8 @@ def options(
     for name, field, option_display in options_of(model):
         if name not in without and (not only or name in only):
             decorators.append(_option(name, field, option_display, group))
-            if _is_params(inner_model := kinds_of(field.annotation)[0]):
+            inner_model = kinds_of(field.annotation)[0]
+            if _is_params(inner_model):
                 decorators.append(options(inner_model, group))
     return stack(*decorators)
 
@@ -233,34 +227,38 @@ def _none_if_empty(_context: Any, _option: Any, values: tuple[str, ...]) -> tupl
 
 
 def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> Command:
+    """An option of a command for a field of a model, by the type of its value."""
     types = kinds_of(field.annotation)
+    is_flag = types == [bool] or _is_params(types[0])
     settings: dict[str, Any] = {
-        "help": in_terminal_words(field.description or ""),
+        "help": in_terminal_words(field.description or "") + ("" if is_flag else _default(field)),
         "group": group,
         "required": field.is_required(),
     }
-    option = partial(click.option, *option_display.flags, cls=Option)
-    if types == [bool] or _is_params(types[0]):
-        return option(is_flag=True, default=None, **settings)
-    default = field.get_default()
-    if default not in (None, (), ...) and default is not PydanticUndefined:
-        values: tuple[Any, ...] = default if isinstance(default, tuple) else (default,)
-        texts = (f"{value:.7g}" if isinstance(value, float) else str(value) for value in values)
-        settings["help"] += f"  [default: {','.join(texts)}]"
+    option = partial(click.option, *option_display.flags, cls=Option, **settings)
+    if is_flag:
+        return option(is_flag=True, default=None)
+    metavar = option_display.metavar
     if types == [tuple[str, ...]]:
-        return option(
-            multiple=True, metavar=option_display.metavar, callback=_none_if_empty, **settings
-        )
+        return option(multiple=True, metavar=metavar, callback=_none_if_empty)
     if len(types) == 1 and get_origin(types[0]) is Literal:
-        return option(type=click.Choice([str(word) for word in get_args(types[0])]), **settings)
-    metavar = (unit_of(name) or "").upper() or None if types == [float] else None
-    value_type = (
-        Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
-    )  # pyright: ignore
-    return option(
-        type=Value(value_type, option_display.metavar or metavar, repeat=option_display.repeat),
-        **settings,
-    )
+        return option(type=click.Choice([str(word) for word in get_args(types[0])]))
+    if not metavar and types == [float]:
+        metavar = (unit_of(name) or "").upper() or None
+    value_type = field.annotation
+    if field.metadata:
+        value_type = Annotated[field.annotation, *field.metadata]  # pyright: ignore
+    return option(type=Value(value_type, metavar, repeat=option_display.repeat))
+
+
+def _default(field: FieldInfo) -> str:
+    """The default as the help writes it; empty where there is none."""
+    default = field.get_default()
+    if default in (None, (), ...) or default is PydanticUndefined:
+        return ""
+    values: tuple[Any, ...] = default if isinstance(default, tuple) else (default,)
+    texts = [f"{value:.7g}" if isinstance(value, float) else str(value) for value in values]
+    return f"  [default: {','.join(texts)}]"
 
 
 def given_options(
@@ -270,21 +268,14 @@ def given_options(
 
     Only options with a place are collected.
     """
-    given_values = {
-        name: value
-        for name in tables_of
-        if (value := values.get(name)) is not None and value is not False
-    }
+    stated_values = {name: values[name] for name in tables_of if values.get(name) is not None}
+    given_values = {name: value for name, value in stated_values.items() if value is not False}
+    switches = {table: name for name, table in tables_of.items()}
     for name in given_values:
-        switch = next(
-            (other for other, table in tables_of.items() if table == tables_of[name][:-1]), name
-        )
+        switch = switches.get(tables_of[name][:-1], name)
         if switch not in given_values:
-            flag = flag_of(name)
-            switch_flag = flag_of(switch)
-            raise click.UsageError(
-                f"{flag} is an option of {switch_flag}: give {switch_flag} as well."
-            )
+            flag = flag_of(switch)
+            raise click.UsageError(f"{flag_of(name)} is an option of {flag}: give {flag} as well.")
     tables: dict[str, Any] = {}
     put_options(tables, tables_of, given_values)
     return tables

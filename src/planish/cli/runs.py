@@ -231,6 +231,7 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) 
 
 
 def _compare(old_run: Path, new_run: Path) -> None:
+    """Say which files of a repeated run differ from those of the run before."""
     from planish.run.run import MAPS
 
     old_facts = run_facts(old_run)
@@ -239,33 +240,31 @@ def _compare(old_run: Path, new_run: Path) -> None:
         return
     if not (old_run / "results.json").is_file():
         return
-    # Not the hidden note of maps that outlived a refused link, which says what was asked; nor
-    # changes in the browser.
-    paths = [
-        p.relative_to(root) for root in (old_run, new_run) for p in root.rglob("*") if p.is_file()
-    ]
-    paths = [
-        p
-        for p in paths
-        if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)
-    ]
-    _, differing, unmatched = filecmp.cmpfiles(
-        old_run, new_run, {p.as_posix() for p in paths}, shallow=False
-    )
-    differing_names = sorted([*differing, *unmatched])
+    files = _files_of(old_run) | _files_of(new_run)
+    _, differing, unmatched = filecmp.cmpfiles(old_run, new_run, files, shallow=False)
+    names = sorted([*differing, *unmatched])
     # Files of the store, of which a map has many, as a count and their groups.
-    store_paths = [Path(name).parts for name in differing_names if name.startswith(f"{MAPS}/")]
-    phrases = [name for name in differing_names if not name.startswith(f"{MAPS}/")]
-    if store_paths:
-        groups = ", ".join(sorted({parts[1] for parts in store_paths if len(parts) > 2}))
+    stored = [Path(name).parts for name in names if name.startswith(f"{MAPS}/")]
+    phrases = [name for name in names if not name.startswith(f"{MAPS}/")]
+    if stored:
+        groups = ", ".join(sorted({parts[1] for parts in stored if len(parts) > 2}))
         store_text = f"{MAPS} ({groups})" if groups else MAPS
-        phrases.insert(0, f"{len(store_paths)} file{'s' * (len(store_paths) > 1)} of {store_text}")
-    verb = "differs" if len(differing_names) == 1 else "differ"
-    text = f"{', '.join(phrases)} {verb} from" if differing_names else "same bytes as"
+        phrases.insert(0, f"{len(stored)} file{'s' * (len(stored) > 1)} of {store_text}")
+    text = "same bytes as"
+    if names:
+        verb = "differs" if len(names) == 1 else "differ"
+        text = f"{', '.join(phrases)} {verb} from"
     origin_text = ""
     if old_facts is not None and not is_this_code(old_facts["planish"], old_facts["code"]):
         origin_text = f", which was made by other code (planish {old_facts['planish']})"
     click.echo(f"{new_run}: {text} {old_run}{origin_text}", err=True)
+
+
+def _files_of(run: Path) -> set[str]:
+    """Files of a run that are compared: no hidden note of maps, and no changes in the browser."""
+    files = [file.relative_to(run) for file in run.rglob("*") if file.is_file()]
+    visible = [file for file in files if not file.name.startswith(".")]
+    return {f.as_posix() for f in visible if f.parts[0] != EDITS or f.name in EDITS_APPLIED}
 
 
 @verb("planish demo", "planish demo --out try --seed 2")

@@ -31,6 +31,7 @@ from planish.series.declared import Declared
 
 if TYPE_CHECKING:
     from planish.series import PlannedSpecimen, SeriesState
+    from planish.series.jobs import Estimate
     from planish.series_results import Member, SeriesResults
 
 _STATE_TEXTS = {
@@ -155,9 +156,10 @@ def study(
     if as_json:
         click.echo(results.to_json(), nl=False)
     counts = Counter(member.state for member in finished)
-    states_text = ", ".join(
+    state_texts = [
         f"{counts[state]} {text}" for state, text in _STATE_TEXTS.items() if counts[state]
-    )
+    ]
+    states_text = ", ".join(state_texts)
     click.echo(
         f"{len(finished)} specimens: {states_text}; {time.monotonic() - start_s:.0f} s", err=True
     )
@@ -191,7 +193,8 @@ class _ProgressLines:
     def __call__(self, member: Member, seconds: float | None) -> None:
         """Say what became of a specimen; one that was done before took no time."""
         self.n_done += 1
-        state_text, remaining_text = _STATE_TEXTS[member.state], ""
+        state_text = _STATE_TEXTS[member.state]
+        remaining_text = ""
         if seconds is None and member.state in ("whole", "withheld"):
             state_text = f"{state_text}, kept"
         elif seconds is not None:
@@ -212,22 +215,26 @@ def _dry_run(
     state: SeriesState, specimens: Sequence[PlannedSpecimen], compute: Compute, jobs: int
 ) -> int:
     """A table of what would be done; nothing is written."""
-    estimates = [(specimen, state.estimate(specimen, compute)) for specimen in specimens]
     rows: list[tuple[str, ...]] = []
-    for specimen, estimate in estimates:
-        cells = "-", "-", "-"
+    to_do: list[Estimate] = []
+    n_kept = 0
+    for specimen in specimens:
+        estimate = state.estimate(specimen, compute)
+        cells = ("-", "-", "-")
         if estimate.seconds is not None:
-            memory_gb, disk_gb = estimate.memory_bytes / 1e9, estimate.disk_bytes / 1e9
-            cells = _duration(estimate.seconds), f"{memory_gb:.1f} GB", f"{disk_gb:.2f} GB"
+            to_do.append(estimate)
+            memory_gb = estimate.memory_bytes / 1e9
+            disk_gb = estimate.disk_bytes / 1e9
+            cells = (_duration(estimate.seconds), f"{memory_gb:.1f} GB", f"{disk_gb:.2f} GB")
+        n_kept += estimate.words.startswith("kept")
         rows.append((specimen.name, estimate.words, *cells))
     table("What would be done", ("specimen", "", "time", "memory", "disk"), rows)
-    to_do = [estimate for _, estimate in estimates if estimate.seconds is not None]
     time_text = _duration(sum(estimate.seconds or 0.0 for estimate in to_do) / jobs)
     memory_gb = jobs * max((estimate.memory_bytes for estimate in to_do), default=0.0) / 1e9
     disk_gb = sum(estimate.disk_bytes for estimate in to_do) / 1e9
     needs_text = f"about {time_text}, {memory_gb:.1f} GB of memory, {disk_gb:.2f} GB of disk"
-    click.echo(f"{len(to_do)} of {len(estimates)} to do: {needs_text}. Nothing was written.")
-    return 0 if to_do or any(estimate.words.startswith("kept") for _, estimate in estimates) else 3
+    click.echo(f"{len(to_do)} of {len(rows)} to do: {needs_text}. Nothing was written.")
+    return 0 if to_do or n_kept else 3
 
 
 def _duration(seconds: float) -> str:
@@ -339,54 +346,29 @@ def compare(
 
 
 def _show(results: SeriesResults) -> None:
+    """Print the figures of each specimen, the means of groups, and their differences."""
     from planish.report import series_words as words
 
-    quantities = results.quantities
-    quantity_names: list[str] = []
-    for q in quantities:
-        statistic = "thin" if q.what == "thin_share" else q.what
-        quantity_names.append(" ".join(filter(None, (q.layer, q.map, statistic, q.other_layer))))
-    columns = ["", *results.factors, "checks", *quantity_names]
-    rows: list[list[str]] = []
-    for specimen in results.specimens:
-        cells = ["-"] * len(quantities)
-        if specimen.cells:
-            cells = [_cell_text(specimen.cells[k], q.what) for k, q in enumerate(quantities)]
-        factors = [specimen.member.factors.get(factor, "") for factor in results.factors]
-        rows.append(
-            [specimen.member.name, *factors, specimen.light or specimen.member.state, *cells]
-        )
-    table("Specimens (sd: standard deviation; *: takes part in no mean)", columns, rows)
+    _show_specimens(results)
     means: list[list[str]] = []
     for group in sorted(results.groups, key=lambda group: group.quantity):
-        q = quantities[group.quantity]
-        numbers = (
-            _number_text(group.mean, q.what),
-            group.reason or _interval_text(group.interval, q.what),
-        )
-        means.append(
-            [
-                in_ascii(q.title),
-                words.label(group.group),
-                str(group.sheets),
-                str(group.fields),
-                *numbers,
-            ]
-        )
+        q = results.quantities[group.quantity]
+        row = [in_ascii(q.title), words.label(group.group), str(group.sheets), str(group.fields)]
+        interval = group.reason or _interval_text(group.interval, q.what)
+        means.append([*row, _number_text(group.mean, q.what), interval])
     if means:
         table("Means over sheets", ("", "group", "sheets", "fields", "mean", "95 %"), means)
-    if results.differences:
-        differences: list[list[str]] = []
-        for d in results.differences:
-            q = quantities[d.quantity]
-            within = f"{words.label(d.within)}: " if d.within else ""
-            p = f"{d.p_of_table:.2g}" if is_known(d.p_of_table) else "-"
-            numbers = _number_text(d.difference, q.what), _interval_text(d.interval, q.what), p
-            levels = f"{within}{d.levels[1]} - {d.levels[0]}"
-            differences.append([in_ascii(q.title), levels, *numbers, words.verdict(d)])
-        table(
-            "Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), differences
-        )
+    differences: list[list[str]] = []
+    for d in results.differences:
+        q = results.quantities[d.quantity]
+        within = f"{words.label(d.within)}: " if d.within else ""
+        levels = f"{within}{d.levels[1]} - {d.levels[0]}"
+        p = f"{d.p_of_table:.2g}" if is_known(d.p_of_table) else "-"
+        row = [in_ascii(q.title), levels, _number_text(d.difference, q.what)]
+        differences.append([*row, _interval_text(d.interval, q.what), p, words.verdict(d)])
+    if differences:
+        headings = ("", "levels", "difference", "95 %", "p", "")
+        table("Differences (p after Holm)", headings, differences)
     for pair in results.instruments:
         bias = _number_text(pair.bias, "mean")
         limits = _interval_text(pair.limits, "mean")
@@ -395,6 +377,21 @@ def _show(results: SeriesResults) -> None:
             f" {limits} {pair.unit}. {pair.sentence}".rstrip()
         )
     sentence(in_ascii(words.lead(results)))
+
+
+def _show_specimens(results: SeriesResults) -> None:
+    headings = ["", *results.factors, "checks"]
+    for q in results.quantities:
+        statistic = "thin" if q.what == "thin_share" else q.what
+        headings.append(" ".join(filter(None, (q.layer, q.map, statistic, q.other_layer))))
+    rows: list[list[str]] = []
+    for specimen in results.specimens:
+        cells = ["-"] * len(results.quantities)
+        for k, cell in enumerate(specimen.cells):
+            cells[k] = _cell_text(cell, results.quantities[k].what)
+        factors = [specimen.factor(factor) for factor in results.factors]
+        rows.append([specimen.name, *factors, specimen.light or specimen.member.state, *cells])
+    table("Specimens (sd: standard deviation; *: takes part in no mean)", headings, rows)
 
 
 def _number_text(value: float | None, statistic: str) -> str:

@@ -128,49 +128,53 @@ def install_script(shell: str) -> list[str]:
 
     FileError where a file or PowerShell is missing.
     """
-    home = Path.home()
-    data_folder = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share") / "planish"
-    config_folder = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
-    if shell == "fish":  # reads what lies there
-        script, profile, line = config_folder / "fish" / "completions" / "planish.fish", None, ""
-    elif shell == "powershell":
-        profile = _profile()
-        script = profile.with_name("planish.completion.ps1")
-        # Beside the profile: no letters that an old code page lacks.
-        line = f'. "$PSScriptRoot/{script.name}"'
-    else:
-        script = data_folder / f"completion.{shell}"
-        profile = (
-            Path(os.environ.get("ZDOTDIR") or home) / ".zshrc"
-            if shell == "zsh"
-            else home / ".bashrc"
-        )
-        line = f'source "{script}"'
-        if shell == "zsh":  # compdef is known after compinit only
-            line = f"autoload -Uz compinit && compinit && {line}"
-    report_lines: list[str] = []
+    script, profile, line = _places(shell)
+    report_lines = [f"{script}: written"]
     try:
         script.parent.mkdir(parents=True, exist_ok=True)
         script.write_text(script_of(shell), encoding="utf-8", newline="\n")
-        report_lines.append(f"{script}: written")
         if profile is not None:
-            content = profile.read_bytes() if profile.is_file() else b""
-            # As PowerShell 5 writes its files.
-            encoding = "utf-16-le" if content.startswith(b"\xff\xfe") else "utf-8"
-            text = content.decode(encoding, errors="replace")
-            if line in text.splitlines():
-                report_lines.append(f"{profile}: has the line already")
-            else:
-                separator = "" if text.endswith("\n") or not text else "\n"
-                with profile.open("ab") as file:
-                    file.write(f"{separator}{line}\n".encode(encoding))
-                report_lines.append(f"{profile}: one line added: {line}")
+            report_lines.append(f"{profile}: {_add_line(profile, line)}")
     except OSError as error:
         raise FileError(
             f"{error.filename or script} cannot be written: {error.strerror}. Print the script with"
             f" 'planish completion {shell}' and put it where {shell} reads it."
         ) from error
     return [*report_lines, "Open a new terminal; the Tab key then completes commands and options."]
+
+
+def _places(shell: str) -> tuple[Path, Path | None, str]:
+    """Where the script of a shell stands, the file that loads it, and by which line."""
+    home = Path.home()
+    if shell == "fish":  # reads what lies there
+        config_folder = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
+        return config_folder / "fish" / "completions" / "planish.fish", None, ""
+    if shell == "powershell":
+        profile = _profile()
+        script = profile.with_name("planish.completion.ps1")
+        # Beside the profile: no letters that an old code page lacks.
+        return script, profile, f'. "$PSScriptRoot/{script.name}"'
+    data_folder = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share") / "planish"
+    script = data_folder / f"completion.{shell}"
+    if shell == "zsh":
+        profile = Path(os.environ.get("ZDOTDIR") or home) / ".zshrc"
+        # compdef is known after compinit only
+        return script, profile, f'autoload -Uz compinit && compinit && source "{script}"'
+    return script, home / ".bashrc", f'source "{script}"'
+
+
+def _add_line(profile: Path, line: str) -> str:
+    """Add a line to a file that has it not; say what was done."""
+    content = profile.read_bytes() if profile.is_file() else b""
+    # As PowerShell 5 writes its files.
+    encoding = "utf-16-le" if content.startswith(b"\xff\xfe") else "utf-8"
+    text = content.decode(encoding, errors="replace")
+    if line in text.splitlines():
+        return "has the line already"
+    separator = "" if text.endswith("\n") or not text else "\n"
+    with profile.open("ab") as file:
+        file.write(f"{separator}{line}\n".encode(encoding))
+    return f"one line added: {line}"
 
 
 def _profile() -> Path:

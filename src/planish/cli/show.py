@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 from rich import progress as rich
@@ -83,7 +83,7 @@ def number(value: float | None, digits: int = 3) -> str:
     )
 
 
-def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:  # noqa: C901
+def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
     """Print the outcome of a run.
 
     The exit code is 4 when a check failed or, with ``strict``, asks for a look.
@@ -98,21 +98,7 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int: 
         for layer in results.moving:
             _registration(layer)
         _given_others(results)
-        if results.comparison:
-            if any(not r.n for r in results.comparison):
-                sentence(
-                    "Points that are larger than what both show have no correlation and are left"
-                    " out."
-                )
-            row, registrations = results.comparison[0], {r.registration for r in results.comparison}
-            title = (
-                f"Effect of flattening: {results.reference.name} against {row.property} by"
-                f" {len(registrations)} registrations, where all have values"
-            )
-            correlations(title, [(r.registration, r) for r in results.comparison if r.n])
-        elif results.correlations:
-            pairs = [(f"{r.a} {r.a_map} / {r.b} {r.b_map}", r) for r in results.correlations if r.n]
-            correlations("Layers against each other", pairs)
+        _all_correlations(results)
         click.echo(f"report: {out / 'report.html'}")
         if results.is_link:
             click.echo(f"check and correct it: planish view {quoted(str(out))}")
@@ -120,15 +106,31 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int: 
     states: tuple[State, ...] = ("fail", "look", "unknown")
     for state in states:
         for check in results.checks_in(state):
-            name = (
-                f"{check.name} ({' and '.join(check.layers)})"
-                if has_several_layers and check.layers
-                else check.name
-            )
+            name = check.name
+            if has_several_layers and check.layers:
+                name += f" ({' and '.join(check.layers)})"
             warn(f"{state}: {name}: {check.text}")
     if not as_json:
         _answer(run)
     return exit_code(results, strict=strict)
+
+
+def _all_correlations(results: Results) -> None:
+    """Print the correlations of a run, or how they compare before and after flattening."""
+    rows = results.comparison
+    if not rows:
+        pairs = [(f"{r.a} {r.a_map} / {r.b} {r.b_map}", r) for r in results.correlations if r.n]
+        if results.correlations:
+            correlations("Layers against each other", pairs)
+        return
+    if any(not row.n for row in rows):
+        sentence("Points that are larger than what both show have no correlation and are left out.")
+    n_registrations = len({row.registration for row in rows})
+    title = (
+        f"Effect of flattening: {results.reference.name} against {rows[0].property} by"
+        f" {n_registrations} registrations, where all have values"
+    )
+    correlations(title, [(row.registration, row) for row in rows if row.n])
 
 
 def _answer(run: Run) -> None:
@@ -305,10 +307,9 @@ def run_lines(facts: dict[str, Any]) -> list[str]:
     ]
 
 
-def fact_lines(facts: dict[str, Any]) -> list[str]:  # noqa: C901
+def fact_lines(facts: dict[str, Any]) -> list[str]:
     """Write the facts of ``planish info`` for a reader."""
     axes = ", ".join(facts["dims"])
-    pace = slowness()
     shape = " x ".join(map(str, facts["shape"]))
     size = f"{facts['bytes'] / 1e6:.1f} MB"
     lines = [f"{facts['file_name']}: {facts['kind']}, {shape} ({axes}), {facts['dtype']}, {size}"]
@@ -317,43 +318,51 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:  # noqa: C901
     element = "pixel" if facts["kind"] == "image" else "voxel"
     if facts["size_um"]:
         size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
-        lines += [
-            f"{element} size: {size} um ({axes}), from {facts['size_source']}",
-            f"extent: {extent} um",
-        ]
+        lines.append(f"{element} size: {size} um ({axes}), from {facts['size_source']}")
+        lines.append(f"extent: {extent} um")
     else:
         lines.append(f"{element} size: not stated")
-    if facts["min"] is not None:
-        percentiles = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
-        lines.append(f"grey: {facts['min']:.5g} to {facts['max']:.5g}; percentiles {percentiles}")
-    if facts["nan_share"]:
-        lines.append(f"missing: {100 * facts['nan_share']:.2f} % of the values are NaN or infinite")
-    if facts["saturated_share"]:
-        share = f"{100 * facts['saturated_share']:.2f} %"
-        lines.append(f"saturated: {share} of the values are the largest the type can store")
-    if facts.get("sampled"):
-        lines.append(f"grey values: of {facts['sampled']}")
+    lines += _grey_lines(facts)
     if facts.get("through"):
         option = "" if facts["through"] == "z" else f": planish map --through {facts['through']}"
         lines.append(f"sheet: across {facts['through']}, along which the grey changes most{option}")
-    if "link_bytes" in facts:
-        memory = f"{enough_gb(facts['link_bytes'])} GB"
-        time = duration(pace * facts["link_seconds"])
-        lines.append(
-            f"planish link: about {memory} of memory, and {time} after the volume was mapped"
-        )
-    if "run_bytes" in facts:
-        memory = f"{enough_gb(facts['run_bytes'])} GB"
-        seconds = pace * facts["run_seconds"]
-        lines.append(
-            f"planish map: {memory} of memory, or less with wider columns; about"
-            f" {duration(seconds)}, and some minutes more the first time, to compile"
-        )
+    lines += _needs(facts)
     for name, value in (facts.get("metadata") or {}).items():
-        text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value  # type: ignore[reportUnknownVariableType]
+        text = value
+        if isinstance(value, dict):
+            text = ", ".join(f"{k} {v}" for k, v in cast("dict[str, Any]", value).items())
         lines.append(f"{name}: {text}")
     lines += [f"note: {note}" for note in facts.get("notes", ())]
     return lines + [f"look: {warning}" for warning in facts["warnings"]]
+
+
+def _grey_lines(facts: dict[str, Any]) -> Iterator[str]:
+    if facts["min"] is not None:
+        percentiles = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
+        yield f"grey: {facts['min']:.5g} to {facts['max']:.5g}; percentiles {percentiles}"
+    if facts["nan_share"]:
+        yield f"missing: {100 * facts['nan_share']:.2f} % of the values are NaN or infinite"
+    if facts["saturated_share"]:
+        share = f"{100 * facts['saturated_share']:.2f} %"
+        yield f"saturated: {share} of the values are the largest the type can store"
+    if facts.get("sampled"):
+        yield f"grey values: of {facts['sampled']}"
+
+
+def _needs(facts: dict[str, Any]) -> Iterator[str]:
+    """Memory and time that linking or mapping a file takes."""
+    pace = slowness()
+    if "link_bytes" in facts:
+        memory = f"{enough_gb(facts['link_bytes'])} GB"
+        time = duration(pace * facts["link_seconds"])
+        yield f"planish link: about {memory} of memory, and {time} after the volume was mapped"
+    if "run_bytes" in facts:
+        memory = f"{enough_gb(facts['run_bytes'])} GB"
+        time = duration(pace * facts["run_seconds"])
+        yield (
+            f"planish map: {memory} of memory, or less with wider columns; about"
+            f" {time}, and some minutes more the first time, to compile"
+        )
 
 
 def duration(seconds: float) -> str:

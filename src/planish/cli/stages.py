@@ -351,10 +351,10 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
     from planish.run.run import is_run, open_results
 
     data = _read(linked, "linked", "'planish resample --onto' or 'planish link'")
-    if missing := [name for name in names if name not in data]:
-        raise InputError(
-            f"{linked} has no map {missing[0]!r}; it holds {', '.join(map(str, data.data_vars))}."
-        )
+    for name in names:
+        if name not in data:
+            maps = ", ".join(map(str, data.data_vars))
+            raise InputError(f"{linked} has no map {name!r}; it holds {maps}.")
     correlated = correlate_maps(data, params=build_params(CorrelateParams, values))
     code = 0
     if is_run(linked):

@@ -30,11 +30,9 @@ class TimeLeft:
     def __init__(
         self, stages: Sequence[Stage], clock: Clock = time.monotonic, guess: float | None = None
     ) -> None:
-        self._names, self._seconds, self._clock = (
-            [n for n, _ in stages],
-            [s for _, s in stages],
-            clock,
-        )
+        self._names = [name for name, _ in stages]
+        self._seconds = [seconds for _, seconds in stages]
+        self._clock = clock
         self._total = sum(self._seconds)
         self._at = -1
         self._share = 0.0
@@ -49,32 +47,32 @@ class TimeLeft:
         later = self._names[self._at + (share == 0) :] if self._at >= 0 else self._names
         if name not in later:
             return
-        at = len(self._names) - len(later) + later.index(name)
-        if at != self._at:
-            for k in range(self._at + 1, at):
+        stage = len(self._names) - len(later) + later.index(name)
+        if stage != self._at:
+            for k in range(self._at + 1, stage):
                 self._seconds[k] = 0.0
-            self._move(at)
-        if share >= 1 and at + 1 < len(self._names):
-            self._move(at + 1)
+            self._move(stage)
+        if share >= 1 and stage + 1 < len(self._names):
+            self._move(stage + 1)
         elif share:
             self._share = share
             self._rate = self._rate_at(self._passed(), self._clock())
 
-    def _move(self, at: int) -> None:
-        self._at = at
+    def _move(self, stage: int) -> None:
+        self._at = stage
         self._share = 0.0
         self._entered = self._clock()
         self._rate = self._rate_at(self._passed(), self._clock())
 
     def _rate_at(self, passed: float, now: float) -> float:
         # At first the guess counts more than the few seconds that passed.
-        known = 0.05 * self._total
-        return (now - self._start + known * self._guess) / (passed + known)
+        guessed = 0.05 * self._total
+        return (now - self._start + guessed * self._guess) / (passed + guessed)
 
     def _passed(self) -> float:
-        return sum(self._seconds[: max(self._at, 0)]) + self._share * (
-            self._seconds[self._at] if self._at >= 0 else 0
-        )
+        if self._at < 0:
+            return 0.0
+        return sum(self._seconds[: self._at]) + self._share * self._seconds[self._at]
 
     @property
     def seconds(self) -> float:

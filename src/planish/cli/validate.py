@@ -5,6 +5,7 @@ Specimens as files, and the calibration of the program itself on such specimens.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from planish.synthetic.presets import SpecimenOptions
 
 if TYPE_CHECKING:
     from planish.validate.certify import Certificate, Sensitivity
+    from planish.validate.scenario import Scenario
 
 _DEFAULT = "small"
 
@@ -106,7 +108,7 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
 @click.option("--list", "listed", is_flag=True, help="List the scenarios, and exit.")
 @options(Compute, "Resources")
 @json_option
-def validate(  # noqa: C901, PLR0912
+def validate(
     scenarios: tuple[str, ...],
     seeds: int | None,
     like: Path | None,
@@ -125,23 +127,13 @@ def validate(  # noqa: C901, PLR0912
     """
     from dataclasses import replace
 
-    from planish.io.run_folder import new_folder, refuse_existing, write_json
+    from planish.io.run_folder import refuse_existing
     from planish.validate import table as tables
     from planish.validate.certify import run_scenario, sensitivity
-    from planish.validate.page import render_page
-    from planish.validate.scenario import read_scenario, scenario_names
+    from planish.validate.scenario import read_scenario
 
     if listed:
-        all_scenarios = map(read_scenario, scenario_names())
-        rows = [{"name": s.name, "title": s.title, "seeds": s.seeds} for s in all_scenarios]
-        if as_json:
-            print_json(rows)
-        else:
-            table(
-                "Scenarios",
-                ("name", "title", "seeds"),
-                [tuple(map(str, row.values())) for row in rows],
-            )
+        _list_scenarios(as_json=as_json)
         return 0
     # All of them are read before the first is run: a wrong name should not cost the time of the
     # others.
@@ -151,50 +143,70 @@ def validate(  # noqa: C901, PLR0912
         raise click.UsageError("--scenario: the same scenario is given twice.")
     if out is not None:
         refuse_existing(out)
-    if like is not None:  # the paper and the instruments of a run in each scenario
-        from planish.validate.specimen_template import like_run
-
-        if any(scenario.kind != "line" for scenario in selected):
-            raise click.UsageError(
-                "--like is for scenarios that run the whole line, not for a mesh or a pair."
-            )
-        template = like_run(like)
-        for note in template.notes:
-            click.echo(note, err=True)
-        selected = [template.scenario(scenario) for scenario in selected]
-        notes = template.notes
-
-    def report(stage: str, detail: str) -> None:
-        click.echo(f"{stage}: {shown(detail)}", err=True)
-
-    settings: dict[str, Any] = {"progress": report, "compute": build_params(Compute, values)}
+    if like is not None:
+        selected, notes = _like_run(like, selected)
+    settings: dict[str, Any] = {"progress": _report, "compute": build_params(Compute, values)}
     results: list[tuple[Certificate, Sensitivity | None]] = []
     for scenario in selected:
         certificate = replace(run_scenario(scenario, seeds, **settings), notes=notes)
-        nuisances = (
-            sensitivity(scenario, 1, **settings) if alone and scenario.kind == "line" else None
-        )
+        nuisances = None
+        if alone and scenario.kind == "line":
+            nuisances = sensitivity(scenario, 1, **settings)
         results.append((certificate, nuisances))
         if not as_json:
             _show(certificate, nuisances)
     if as_json:
-        certificates = [
-            tables.as_json(certificate, nuisances) for certificate, nuisances in results
-        ]
+        certificates = [tables.as_json(*result) for result in results]
         print_json(certificates[0] if len(certificates) == 1 else certificates)
     if out is not None:
-        with new_folder(out) as folder:
-            for certificate, nuisances in results:
-                place = folder if len(results) == 1 else folder / certificate.scenario.name
-                place.mkdir(exist_ok=True)
-                write_json(place / "certificate.json", tables.as_json(certificate, nuisances))
-                text = tables.markdown(certificate, nuisances)
-                (place / "certificate.md").write_text(text, encoding="utf-8", newline="\n")
-                write_whole(
-                    place / "certificate.html", render_page(certificate, nuisances).encode()
-                )
-        click.echo(f"certificate: {out}", err=True)
+        _write(out, results)
     return 0 if all(certificate.passed for certificate, _ in results) else 4
+
+
+def _like_run(run: Path, scenarios: Sequence[Scenario]) -> tuple[list[Scenario], tuple[str, ...]]:
+    """Scenarios with the paper and the instruments of a run, and what it does not tell of them."""
+    from planish.validate.specimen_template import like_run
+
+    if any(scenario.kind != "line" for scenario in scenarios):
+        raise click.UsageError(
+            "--like is for scenarios that run the whole line, not for a mesh or a pair."
+        )
+    template = like_run(run)
+    for note in template.notes:
+        click.echo(note, err=True)
+    return [template.scenario(scenario) for scenario in scenarios], template.notes
+
+
+def _report(stage: str, detail: str) -> None:
+    click.echo(f"{stage}: {shown(detail)}", err=True)
+
+
+def _list_scenarios(*, as_json: bool) -> None:
+    from planish.validate.scenario import read_scenario, scenario_names
+
+    scenarios = map(read_scenario, scenario_names())
+    rows = [{"name": s.name, "title": s.title, "seeds": s.seeds} for s in scenarios]
+    if as_json:
+        print_json(rows)
+    else:
+        cells = [tuple(map(str, row.values())) for row in rows]
+        table("Scenarios", ("name", "title", "seeds"), cells)
+
+
+def _write(out: Path, results: Sequence[tuple[Certificate, Sensitivity | None]]) -> None:
+    """Write the certificates of all scenarios; of several, each into a folder of its own."""
+    from planish.io.run_folder import new_folder, write_json
+    from planish.validate import table as tables
+    from planish.validate.page import render_page
+
+    with new_folder(out) as folder:
+        for certificate, nuisances in results:
+            place = folder if len(results) == 1 else folder / certificate.scenario.name
+            place.mkdir(exist_ok=True)
+            write_json(place / "certificate.json", tables.as_json(certificate, nuisances))
+            write_whole(place / "certificate.md", tables.markdown(certificate, nuisances).encode())
+            write_whole(place / "certificate.html", render_page(certificate, nuisances).encode())
+    click.echo(f"certificate: {out}", err=True)
 
 
 def _show(certificate: Certificate, nuisances: Sensitivity | None) -> None:

@@ -86,8 +86,22 @@ def limits(
 ) -> Scale:
     """Return a colour scale with limits from percentiles, so single pixels do not flatten the rest.
 
-    ``percent`` of the values lie beyond either limit; ``symmetric`` puts zero in the middle,
-    ``low`` is the lower one.
+    Parameters
+    ----------
+    values : array
+        NaN is missing.
+    colours : str
+        Name of the colours.
+    percent : float
+        Of the values, which lie beyond either limit.
+    symmetric : bool
+        Zero is in the middle.
+    low : float, optional
+        The lower limit.
+
+    Returns
+    -------
+    Scale
     """
     data = np.asarray(values, dtype=np.float64).ravel()
     data = data[np.isfinite(data)]
@@ -100,9 +114,9 @@ def limits(
     bottom, top = (float(v) for v in np.percentile(data, [percent, 100 - percent]))
     if top - bottom <= 1e-9 * max(abs(bottom), abs(top), 1e-300):
         bottom, top = bottom - 0.5, top + 0.5
-    return Scale(
-        bottom if low is None else low, max(top, low + 1e-12) if low is not None else top, colours
-    )
+    if low is None:
+        return Scale(bottom, top, colours)
+    return Scale(low, max(top, low + 1e-12), colours)
 
 
 def colours_of(data: xr.DataArray, limit_values: Array) -> Scale:
@@ -116,16 +130,26 @@ def colours_of(data: xr.DataArray, limit_values: Array) -> Scale:
 def partner_of(name: str, map_names: Sequence[str]) -> str | None:
     """Return the map of the other side of the sheet: the two share their colours."""
     for side, opposite_side in (("_top", "_bottom"), ("_bottom", "_top")):
-        if (
-            name.endswith(side)
-            and (partner_name := name.removesuffix(side) + opposite_side) in map_names
-        ):
+        partner_name = name.removesuffix(side) + opposite_side
+        if name.endswith(side) and partner_name in map_names:
             return partner_name
     return None
 
 
 def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str:
-    """Return a map as an image in a ``data:`` address: PNG, or JPEG where it has many pixels."""
+    """Return a map as an image in a ``data:`` address: PNG, or JPEG where it has many pixels.
+
+    Parameters
+    ----------
+    values : array (rows, cols)
+    scale : Scale
+    missing : str
+        Colour of what is missing.
+
+    Returns
+    -------
+    str
+    """
     from PIL import Image
 
     palette = np.vstack(

@@ -88,21 +88,27 @@ def _scale_tables(evidence: EvidenceFacts) -> Mapping[str, Table]:
             "independent waves": "modes",
         },
     )
-    return ({"sizes": size_columns} if evidence.sizes else {}) | (
-        {"octaves": octave_columns} if evidence.bands else {}
-    )
+    tables: dict[str, Table] = {}
+    if evidence.sizes:
+        tables["sizes"] = size_columns
+    if evidence.bands:
+        tables["octaves"] = octave_columns
+    return tables
 
 
 def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
+    """Draw r by the size of a point, its intervals, and what chance reaches."""
     size_rows = [row for row in evidence.sizes if is_known(row.r)]
     if not size_rows:
         return
-    plotted_r = [v for row in size_rows for v in (*(row.band if is_known(row.band) else ()), row.r)]
-    r_min = min(0.0, *plotted_r)
-    r_max = max(0.0, *plotted_r)
+    plotted = [0.0, *(row.r for row in size_rows)]
+    for row in size_rows:
+        plotted += row.band if is_known(row.band) else ()
+    r_min = min(plotted)
+    r_max = max(plotted)
     margin = 0.06 * (r_max - r_min) or 0.1
     log_sizes = [math.log10(row.point_um) for row in size_rows]
-    extent = log_sizes[0] - 0.05, log_sizes[-1] + 0.05, r_min - margin, r_max + margin
+    extent = (log_sizes[0] - 0.05, log_sizes[-1] + 0.05, r_min - margin, r_max + margin)
     axes = canvas.axes(_LEFT, _TOP, _WIDE, _SCALE_HIGH, extent)
     axes.across(0.0)
     _draw_band(axes, log_sizes, [row.band for row in size_rows])
@@ -114,28 +120,20 @@ def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
 
 
 def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
+    """Draw the coherence and the gain of each octave of wavelengths."""
     if not evidence.bands:
         return
-    log_edges = [
-        math.log10(v) for band in evidence.bands for v in (band.shortest_um, band.longest_um)
-    ]
-    axes = canvas.axes(
-        _RIGHT,
-        _TOP,
-        _WIDE,
-        _SCALE_HIGH,
-        (min(log_edges) - 0.03, max(log_edges) + 0.03, -0.05, 1.02),
-    )
+    shortest = math.log10(min(band.shortest_um for band in evidence.bands))
+    longest = math.log10(max(band.longest_um for band in evidence.bands))
+    extent = (shortest - 0.03, longest + 0.03, -0.05, 1.02)
+    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _SCALE_HIGH, extent)
     axes.across(0.0)
     for band in evidence.bands:
         if not is_known(band.coherence):
             continue
-        log_shortest = math.log10(band.shortest_um)
-        log_longest = math.log10(band.longest_um)
-        axes.curve(
-            (log_shortest, log_longest), (band.coherence, band.coherence), colour=ACCENT, width=2.2
-        )
-        centre = (log_shortest + log_longest) / 2, band.coherence
+        ends = (math.log10(band.shortest_um), math.log10(band.longest_um))
+        axes.curve(ends, (band.coherence, band.coherence), colour=ACCENT, width=2.2)
+        centre = (sum(ends) / 2, band.coherence)
         axes.dots([centre], colour=ACCENT, size=8)
         if not band.p_of_bands < 0.05:
             axes.dots([centre], colour="white", size=5)
@@ -145,14 +143,14 @@ def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
 
 
 def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[tuple[float, float]]) -> None:
-    band_limits = [
-        (v, low, high) for v, (low, high) in zip(x, intervals, strict=True) if is_known((low, high))
-    ]
-    if len(band_limits) > 1:
-        outline = [(v, low) for v, low, _ in band_limits] + [
-            (v, high) for v, _, high in band_limits[::-1]
-        ]
-        axes.area(outline, colour=POINT, opacity=0.2)
+    lower: list[tuple[float, float]] = []
+    upper: list[tuple[float, float]] = []
+    for v, (low, high) in zip(x, intervals, strict=True):
+        if is_known((low, high)):
+            lower.append((v, low))
+            upper.append((v, high))
+    if len(lower) > 1:
+        axes.area(lower + upper[::-1], colour=POINT, opacity=0.2)
 
 
 def draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
@@ -171,6 +169,8 @@ def draw_variograms(
     ``titles`` are those of the maps.
     """
     canvas = Canvas(FULL, 345)
+    is_same_map = len({curve.map for curve in evidence.variograms}) < len(evidence.variograms)
+    data: dict[str, Table] = {}
     for left_px, curve, title in zip((_LEFT, _RIGHT), evidence.variograms, titles, strict=False):
         y_max = _ROOM * max(*curve.values, curve.sill, 1e-12)
         axes = canvas.axes(left_px, _TOP, _WIDE, _HIGH, (0.0, curve.distances_um[-1], 0.0, y_max))
@@ -181,11 +181,13 @@ def draw_variograms(
             (0.0, *curve.distances_um), (curve.nugget, *curve.values), colour=ACCENT, width=2.0
         )
         axes.dots([(0.0, curve.nugget)], colour=ACCENT, size=6)
-        canvas.ticks(
-            axes, "distance / µm", f"half mean square difference / {squared_unit(curve, title)}"
-        )
+        y_label = f"half mean square difference / {squared_unit(curve, title)}"
+        canvas.ticks(axes, "distance / µm", y_label)
         canvas.text(left_px, 22, title, bold=True)
-    is_same_map = len({curve.map for curve in evidence.variograms}) < len(evidence.variograms)
+        name = curve.map.replace("_", "-")
+        if is_same_map:
+            name = f"{curve.layer}-{name}"
+        data[name] = {"distance / µm": list(curve.distances_um), y_label: list(curve.values)}
     return canvas.picture(
         title=f"How {' and '.join(in_words(title) for title in titles)} vary with distance",
         caption=(
@@ -196,13 +198,7 @@ def draw_variograms(
             f" resemble each other. Means over {_cell_text(evidence.variograms[0].cell_um)} µm, in"
             f" both maps where both are valid: without {excluded_text}."
         ),
-        data={
-            (f"{curve.layer}-" if is_same_map else "") + curve.map.replace("_", "-"): {
-                "distance / µm": list(curve.distances_um),
-                f"half mean square difference / {squared_unit(curve, title)}": list(curve.values),
-            }
-            for curve, title in zip(evidence.variograms, titles, strict=True)
-        },
+        data=data,
     )
 
 

@@ -42,14 +42,13 @@ _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 Table = Mapping[str, Sequence[object]]
 
 
-def columns(rows: Iterable[object], fields: Mapping[str, str]) -> Table:
+def columns(rows: Sequence[object], fields: Mapping[str, str]) -> Table:
     """Return fields of rows as the columns of a table, by their headings.
 
     What is not known is empty.
     """
-    return {
-        heading: or_blank([getattr(row, name) for row in rows]) for heading, name in fields.items()
-    }
+    values = {heading: [getattr(row, name) for row in rows] for heading, name in fields.items()}
+    return {heading: or_blank(column) for heading, column in values.items()}
 
 
 def or_blank(values: Iterable[float | None]) -> list[object]:
@@ -285,20 +284,17 @@ class Axes:
             x_um, y_um, np.ma.masked_invalid(shown.values), line_type=LineType.Separate
         )
         label_pixels = self.place(avoided)
-        for level in levels[
-            (levels > np.nanmin(shown.values)) & (levels < np.nanmax(shown.values))
-        ]:
+        is_inside = (levels > np.nanmin(shown.values)) & (levels < np.nanmax(shown.values))
+        line_width, opacity = (1.4, 0.9) if labels else (0.8, 0.7)
+        for level in levels[is_inside]:
             lines = [line for line in generator.lines(float(level)) if isinstance(line, np.ndarray)]
-            path = map(_path, map(self.place, lines))
-            self._stroke(
-                "".join(path), "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7
-            )
+            path = "".join(map(_path, map(self.place, lines)))
+            self._stroke(path, "white", line_width, opacity=opacity)
             if labels and lines:  # where the line is farthest from the border and from other labels
                 line = max(lines, key=len)
                 line_pixels = self.place(line)
-                border_px = np.min(
-                    [line_pixels, np.array([self.width, self.height]) - line_pixels], axis=(0, 2)
-                )
+                size_px = np.array([self.width, self.height])
+                border_px = np.min([line_pixels, size_px - line_pixels], axis=(0, 2))
                 labels_px = [np.hypot(*(line_pixels - label).T) for label in label_pixels]
                 k = int(np.argmax(np.min([border_px, *labels_px], axis=0)))
                 label_pixels = np.vstack([label_pixels, line_pixels[k]])
@@ -325,7 +321,7 @@ class Axes:
             (np.diff(padded, axis=1).T, (1, 0)),
         ):
             ends = np.diff((edges != 0).astype(np.int8), axis=1)
-            (line, start) = np.nonzero(ends == 1)
+            line, start = np.nonzero(ends == 1)
             stop = np.nonzero(ends == -1)[1]
             runs.append(np.stack([start, line, stop, line], axis=1).reshape(-1, 2)[:, order])
         corners = (np.concatenate(runs) - 0.5) * (pitch(x), pitch(y)) + (x[0], y[0])

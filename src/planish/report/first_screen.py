@@ -41,32 +41,26 @@ def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Pict
     shown_pair = MapPair.of(run_maps.drawn, rows) if rows else None
     if shown_pair is None:
         return []
-    row, maps = shown_pair.coarse, (shown_pair.a, shown_pair.b)
+    row = shown_pair.coarse
+    maps = (shown_pair.a, shown_pair.b)
     masks = [mask.values.astype(bool) for mask in shown_pair.valid]
     is_valid = np.logical_and.reduce([*(np.isfinite(m.values) for m in maps), *masks])
     shown_maps = [
         m.copy(data=np.where(is_valid, m.values.astype(np.float64), np.nan)) for m in maps
     ]
     all_values = np.concatenate([m.values.ravel() for m in shown_maps])
-    pictures = [
-        _draw_map(
-            m,
-            all_values if row.same_quantity else m.values,
-            layer=name,
-            excluded_text=run_maps.excluded_text,
-        )
-        for m, name in zip(shown_maps, (row.a, row.b), strict=True)
-    ]
-    point_pair = pairs.get(key_of(row))
-    if point_pair is not None and row.trust != "withheld":
-        names = titles_of(
-            row, run_maps.titles, with_layers=row.same_quantity or row.a_map == row.b_map
-        )
-        pictures.append(
-            draw_points(
-                point_pair, names=names, height=pictures[0].height, registered=run_maps.registered
-            )
-        )
+    excluded_text = run_maps.excluded_text
+    pictures: list[Picture] = []
+    for m, layer in zip(shown_maps, (row.a, row.b), strict=True):
+        values = all_values if row.same_quantity else m.values
+        pictures.append(_draw_map(m, values, layer=layer, excluded_text=excluded_text))
+    pair = pairs.get(key_of(row))
+    if pair is not None and row.trust != "withheld":
+        with_layers = row.same_quantity or row.a_map == row.b_map
+        names = titles_of(row, run_maps.titles, with_layers=with_layers)
+        height = pictures[0].height
+        registered = run_maps.registered
+        pictures.append(draw_points(pair, names=names, height=height, registered=registered))
     return pictures
 
 
@@ -77,7 +71,8 @@ def _draw_map(
 
     The colours span those of ``colour_values``.
     """
-    x, map_px = data["x"].values, THIRD - MARGIN - 12
+    x = data["x"].values
+    map_px = THIRD - MARGIN - 12
     shown = reduced(data.values, data["y"].values, x, width=map_px)
     map_size = shown.fit(map_px, 330.0)
     scale = colours_of(data, colour_values)
@@ -107,18 +102,13 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
         for check in (*results.checks_in("fail"), *results.checks_in("look"))
         if check.advice
     ]
-    study_text = ""
-    if (
-        results.evidence
-        and not results.evidence[0].declared
-        and any(x.headline != "image" for x in results.layers)
-    ):
-        study_text = "Declare the map that leads in the study before you look at the next specimen."
-    advice += [
-        (text, None)
-        for text in (_field_advice(lead_pair(results)), _marks_advice(results), study_text)
-        if text
-    ]
+    texts = [_field_advice(lead_pair(results)), _marks_advice(results)]
+    has_leading_map = any(layer.headline != "image" for layer in results.layers)
+    if results.evidence and not results.evidence[0].declared and has_leading_map:
+        texts.append(
+            "Declare the map that leads in the study before you look at the next specimen."
+        )
+    advice += [(text, None) for text in texts if text]
     usual_text = (
         "A second specimen would show whether the relation holds beyond this one."
         if results.is_link
@@ -137,10 +127,9 @@ def operator_notes(results: Results) -> list[str]:
         for check in results.checks_in("fail", "look", "unknown")
         if check.remedy
     ]
-    for layer in results.moving:
-        r = layer.registration
-        if r is not None and r.orientation.remedy:
-            texts.append(f"{r.orientation.sentence} {r.orientation.remedy}")
+    registrations = [layer.registration for layer in results.moving if layer.registration]
+    orientations = [registration.orientation for registration in registrations]
+    texts += [f"{view.sentence} {view.remedy}" for view in orientations if view.remedy]
     notes = [typeset(in_terminal_words(text)) for text in texts]
     if results.evidence and not results.evidence[0].declared:
         notes.append("The map that leads is declared with --headline.")

@@ -60,6 +60,7 @@ def _draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
 
 
 def _draw_displacement(flat: xr.Dataset) -> draw.Picture:
+    """Draw how far, and where to, flattening moved each column of the projection."""
     y, x = flat["y"].values, flat["x"].values
     components = [
         _from_top(flat[a].values - flat[f"projected_{a}"].values, flat) for a in ("u", "v")

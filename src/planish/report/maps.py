@@ -151,13 +151,14 @@ def _draw_property(
     rim_um: float,
     partner: str | None,
 ) -> draw.Picture:
-    data, map_px = maps[name], width - draw.MARGIN - _BESIDE
+    """Draw a map of a sheet with its colours, which it shares with a partner, and a histogram."""
+    data = maps[name]
+    map_px = width - draw.MARGIN - _BESIDE
     values = data.values.astype(np.float64)
     shown = draw.reduced(data, data["v"].values, data["u"].values, width=map_px)
     size = shown.fit(map_px, 480.0 if width < draw.FULL else 640.0)
-    scale = colours_of(
-        data, np.concatenate([maps[k].values.ravel() for k in sorted({name, partner or name})])
-    )
+    names = sorted({name, partner or name})
+    scale = colours_of(data, np.concatenate([maps[k].values.ravel() for k in names]))
     bar_height = draw.panel_height(size, "colours")
     canvas = draw.Canvas(width, bar_height + draw.BELOW + 38)
     axes = canvas.map_axes(draw.MARGIN, 8, size, shown, scale)
@@ -180,11 +181,9 @@ def _draw_property(
             f"{number(mean)} ± {number(facts.sd)}{unit_text} (mean ± standard deviation of n ="
             f" {count(facts.n)} columns). "
         )
-    partner_text = (
-        f" of this map and {in_words(title_of(maps[partner]))} together"
-        if partner is not None
-        else ""
-    )
+    partner_text = ""
+    if partner is not None:
+        partner_text = f" of this map and {in_words(title_of(maps[partner]))} together"
     return canvas.picture(
         title=title_of(data),
         caption=(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.arrays import check_path, not_taken
 from planish.core.checks import trust_of
@@ -95,37 +94,39 @@ def write_report(
     if groups is None or results is None:
         if not all(hasattr(run, slug) for slug in ("groups", "results", "registrations")):
             raise not_taken(run, "a run", 'pl.write_report("page.html", run)', "pl.write_report")
-        groups, results = run.groups, run.results
+        groups = run.groups
+        results = run.results
         marks = {
-            slug: registration.with_tiles_named(r.pairs(), r.marks)
-            for slug, r in run.registrations.items()
+            name: registration.with_tiles_named(r.pairs(), r.marks)
+            for name, r in run.registrations.items()
         }
     assert groups is not None
     assert results is not None
     page, pictures = render_report(groups, marks or {}, results)
     write_whole(page_path, page.encode())
-    if figures is None:
-        return
-    folder = Path(figures)
+    if figures is not None:
+        _write_figures(Path(figures), pictures)
+
+
+def _write_figures(folder: Path, pictures: Sequence[Picture]) -> None:
+    """Write each figure as SVG, and the numbers that it shows as CSV."""
     folder.mkdir()
     for figure_number, picture in enumerate(pictures, 1):
-        # A title as it can be part of the name of a file anywhere.
-        ascii_title = (
-            unicodedata.normalize("NFKD", picture.title.replace("µ", "u"))
-            .encode("ascii", "ignore")
-            .decode()
-        )
-        slug = re.sub(r"[^a-z0-9]+", "-", ascii_title.lower()).strip("-")
-        short_slug = (
-            slug
-            if len(slug) <= _LONGEST
-            else slug[: _LONGEST + 1].rpartition("-")[0] or slug[:_LONGEST]
-        )
-        file_stem = f"{figure_number:02d}-{short_slug or 'figure'}"
+        file_stem = f"{figure_number:02d}-{_slug(picture.title) or 'figure'}"
         write_whole(folder / f"{file_stem}.svg", standalone(picture).encode())
         for table_name, table in picture.data.items():
             csv_text = table_text(list(table), zip(*table.values(), strict=True))
             write_whole(folder / f"{file_stem}-{table_name}.csv", csv_text.encode())
+
+
+def _slug(title: str) -> str:
+    """A title as it can be part of the name of a file anywhere."""
+    decomposed = unicodedata.normalize("NFKD", title.replace("µ", "u"))
+    ascii_title = decomposed.encode("ascii", "ignore").decode()
+    slug = re.sub(r"[^a-z0-9]+", "-", ascii_title.lower()).strip("-")
+    if len(slug) <= _LONGEST:
+        return slug
+    return slug[: _LONGEST + 1].rpartition("-")[0] or slug[:_LONGEST]
 
 
 def render_report(
@@ -133,14 +134,21 @@ def render_report(
 ) -> tuple[str, list[Picture]]:
     """Return the page of :func:`write_report` as text, and its figures in the order shown."""
     run_maps = maps.RunMaps(results, groups)
-    pictures = list[Picture]()
+    pictures: list[Picture] = []
 
     def numbered(picture: Picture) -> int:
         pictures.append(picture)
         return len(pictures)
 
-    sheets = [sheet for layer in results.layers if (sheet := _sheet_section(run_maps, layer))]
+    sheets = list(filter(None, (_sheet_section(run_maps, layer) for layer in results.layers)))
     pairs = _map_pairs(run_maps)
+    leading = first_screen.draw_first(run_maps, pairs)
+    if not leading:
+        leading = [picture for sheet in sheets for picture in sheet["leading"]]
+    blocks = [
+        _registration_section(run_maps, layer, marks.get(layer.name)) for layer in results.moving
+    ]
+    lit_layers = [layer.name for layer in results.layers if f"{LIGHT}/{layer.name}" in groups]
     page = text.template("planish.report", "report.html.j2").render(
         results=results,
         layers=results.layers,
@@ -155,19 +163,10 @@ def render_report(
         diagnostics=diagnostics,
         numbered=numbered,
         sheets=sheets,
-        leading=first_screen.draw_first(run_maps, pairs)
-        or [picture for sheet in sheets for picture in sheet["leading"]],
-        blocks=[
-            block
-            for layer in results.moving
-            if (block := _registration_section(run_maps, layer, marks.get(layer.name)))
-        ],
+        leading=leading,
+        blocks=list(filter(None, blocks)),
         pairs=[_draw_pair(run_maps, pair) for pair in pairs.values()],
-        lights=[
-            maps.draw_light(groups[name], layer.name)
-            for layer in results.layers
-            if (name := f"{LIGHT}/{layer.name}") in groups
-        ],
+        lights=[maps.draw_light(groups[f"{LIGHT}/{name}"], name) for name in lit_layers],
         evidence=[_evidence_section(run_maps, e, pairs) for e in results.evidence],
         explained=explained_section(results.explained),
     )
@@ -180,18 +179,13 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] 
     None for an image, and for a sheet whose groups are elsewhere.
     """
     facts = layer.sheet
-    sheet_data = {
-        name: part_data
-        for name in _SHEET_PARTS
-        if (part_data := run_maps.part(layer, name)) is not None
-    }
+    parts = {name: run_maps.part(layer, name) for name in _SHEET_PARTS}
+    sheet_data = {name: data for name, data in parts.items() if data is not None}
     if facts is None or len(sheet_data) < len(_SHEET_PARTS):
         return None
-    surfaces, strain, height = (
-        sheet_data["surfaces"],
-        sheet_data["strain"],
-        sheet_data["surfaces"]["centre"].values,
-    )
+    surfaces = sheet_data["surfaces"]
+    strain = sheet_data["strain"]
+    height = surfaces["centre"].values
     rim_um = facts.surfaces.rim_um or 0.0
     draw_maps = partial(
         maps.draw_maps, sheet_data["maps"], facts.properties, headline=layer.headline, rim_um=rim_um
@@ -213,6 +207,7 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] 
 def _registration_section(
     run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.Dataset | None
 ) -> dict[str, Any] | None:
+    """Draw how a layer lies on the reference; None where it is not known, or maps are elsewhere."""
     r = registration.judged(layer.registration)
     results = run_maps.results
     reference_layer = run_maps.results.reference
@@ -228,11 +223,9 @@ def _registration_section(
     )
     is_outlined = reference_layer.kind == "image" and layer.kind == "sheet"
     if is_outlined:
-        valid = (
-            layer_maps["valid"] & reference_maps["valid"]
-            if "valid" in reference_maps
-            else layer_maps["valid"]
-        )
+        valid = layer_maps["valid"]
+        if "valid" in reference_maps:
+            valid = valid & reference_maps["valid"]
         thin_um = float(results.parameters.get("correlate", {}).get("thin_um", 5.0))
         with_image = layer_maps.assign(image=reference_map, valid=valid)
         linked_pictures = maps.draw_outlines(
@@ -283,9 +276,9 @@ def _registration_pictures(
     hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))) / 2)
     has_window = "valid" in layer_maps and reference_layer.kind == "image"
     valid = layer_maps["valid"].values.astype(bool) if has_window else None
-    edge_name = next(
-        name for name in ("u", "image", "thickness", *layer_maps.data_vars) if name in layer_maps
-    )
+    edge_names = ("u", "image", "thickness", *layer_maps.data_vars)
+    edge_name = next(name for name in edge_names if name in layer_maps)
+    is_on_reference = r.to == reference_layer.name
     ground = registration.ground_of(
         reference_map,
         layer=reference_layer.name,
@@ -299,7 +292,7 @@ def _registration_pictures(
         pictures.append(
             registration.draw_registration(
                 r,
-                ground if r.to == reference_layer.name else blank,
+                ground if is_on_reference else blank,
                 marks,
                 hole_um=hole_um,
                 moving_layer=layer.name,
@@ -314,7 +307,7 @@ def _registration_pictures(
         pictures.append(
             registration.draw_expected_error(
                 layer_maps["expected_error"],
-                marks if r.to == reference_layer.name else None,
+                marks if is_on_reference else None,
                 hole_um=hole_um,
                 width=FULL if has_two_layers and lags is None else HALF,
                 reference=reference_layer.name,
@@ -351,26 +344,25 @@ def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
 def _evidence_section(
     run_maps: maps.RunMaps, e: EvidenceFacts, pairs: Mapping[summary.PairKey, MapPair]
 ) -> dict[str, Any]:
-    titles, excluded_text, is_same_map = run_maps.titles, run_maps.excluded_text, e.a_map == e.b_map
+    """Draw and say what is known of the relation of two maps beside its r, by section."""
+    titles = run_maps.titles
+    excluded_text = run_maps.excluded_text
+    is_same_map = e.a_map == e.b_map
     titles_text = summary.names_in_words(e, titles)
     pair = pairs.get(summary.key_of(e))
     names = (f"{titles_text[0]} of {e.a}", f"that of {e.b}") if is_same_map else titles_text
-    figures: dict[Section, list[Picture]] = {
-        "scale": [],
-        "distance": [],
-        "repeated": [],
-        "light": [],
-    }
+    sections: tuple[Section, ...] = ("scale", "distance", "repeated", "light")
+    figures: dict[Section, list[Picture]] = {section: [] for section in sections}
     if e.sizes or e.bands:
         figures["scale"].append(
             diagnostics.draw_scale(
                 e, names=names, excluded_text=excluded_text, registered=run_maps.registered
             )
         )
-    map_keys = [(curve.layer, curve.map) for curve in e.variograms]
-    map_titles = tuple(
-        titles.get(key, key[1]) + (f", {key[0]}" if is_same_map else "") for key in map_keys
-    )
+    map_titles: list[str] = []
+    for curve in e.variograms:
+        layer_text = f", {curve.layer}" if is_same_map else ""
+        map_titles.append(titles.get((curve.layer, curve.map), curve.map) + layer_text)
     if e.variograms:
         figures["distance"].append(
             diagnostics.draw_variograms(e, titles=map_titles, excluded_text=excluded_text)
@@ -397,16 +389,16 @@ def _evidence_section(
             )
         )
     point_um = float(run_maps.results.parameters.get("correlate", {}).get("point_um", "nan"))
-    wording = Wording(point_um, titles_text[1], map_titles)
+    wording = Wording(point_um, titles_text[1], tuple(map_titles))
     section_sentences = {section: [*sentences(e, section, wording)] for section in figures}
     return {"of": f"{e.a} and {e.b}", "figures": figures, "sentences": section_sentences}
 
 
 def _valid_values(maps: xr.Dataset, name: str) -> xr.DataArray:
-    is_valid: NDArray[np.bool_] | bool = (
-        maps["valid"].values.astype(bool) if "valid" in maps else True
-    )
-    return maps[name].copy(data=np.where(is_valid, maps[name].values.astype(np.float64), np.nan))
+    values = maps[name].values.astype(np.float64)
+    if "valid" in maps:
+        values = np.where(maps["valid"].values.astype(bool), values, np.nan)
+    return maps[name].copy(data=values)
 
 
 def _map_in_words(map_data: xr.DataArray, layer: LayerFacts) -> str:

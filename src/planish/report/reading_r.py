@@ -4,6 +4,7 @@ What it explains, how high errors would let it be, and which checks bear on it.
 """
 
 import math
+from collections.abc import Iterator
 
 from planish.analyze import LagNumbers
 from planish.analyze.correlograms import CorrelogramProfiles
@@ -29,9 +30,9 @@ def reading(results: Results) -> list[str]:
     if row is None or row.trust == "withheld" or not is_known(row.r2):
         return []
     limits = r2_limits(row)
-    limits_text = (
-        "" if limits is None else f" (95 %: {100 * limits[0]:.0f} to {100 * limits[1]:.0f} %)"
-    )
+    limits_text = ""
+    if limits is not None:
+        limits_text = f" (95 %: {100 * limits[0]:.0f} to {100 * limits[1]:.0f} %)"
     strength = (
         f"A straight line explains r² = {100 * row.r2:.0f} % of the variance{limits_text} over"
         f" points of {plain(round(row.point_um, 4))}; the rest has other causes."
@@ -50,9 +51,11 @@ def reading(results: Results) -> list[str]:
 def _limit_text(evidence: EvidenceFacts | None) -> str:
     if evidence is None or evidence.attenuation_limit is None:
         return ""
-    highest, causes = evidence.attenuation_limit_both, "misplacement and noise"
+    highest = evidence.attenuation_limit_both
+    causes = "misplacement and noise"
     if highest is None:
-        highest, causes = evidence.attenuation_limit, "misplacement"
+        highest = evidence.attenuation_limit
+        causes = "misplacement"
     text = f"an r of {fixed(highest, 2)} here; the rest is lost to {causes}"
     if highest > 0.99:
         text = f"an r above 0.99 here: little is lost to {causes}"
@@ -61,54 +64,46 @@ def _limit_text(evidence: EvidenceFacts | None) -> str:
 
 def _short_waves_text(row: CorrelationRow, evidence: EvidenceFacts | None) -> str:
     """Say that long waves change r, where that is certain."""
-    if (
-        evidence is None
-        or evidence.short_waves is None
-        or not is_known(evidence.short_waves.interval)
-    ):
+    short_waves = None if evidence is None else evidence.short_waves
+    limit_um = None if evidence is None else evidence.short_waves_um
+    if short_waves is None or not is_known(short_waves.interval) or not limit_um:
         return ""
-    short_r, (low, high) = evidence.short_waves.r, evidence.short_waves.interval
-    if low <= row.r <= high or not evidence.short_waves_um:
+    low, high = short_waves.interval
+    if low <= row.r <= high:
         return ""
-    change = "lower" if abs(short_r) > abs(row.r) else "raise"
+    change = "lower" if abs(short_waves.r) > abs(row.r) else "raise"
     return (
-        f"Waves below {plain(round(evidence.short_waves_um, -1))} alone have r ="
-        f" {fixed(short_r, 2)}: longer ones, of the sheet or of its light, {change} it."
+        f"Waves below {plain(round(limit_um, -1))} alone have r ="
+        f" {fixed(short_waves.r, 2)}: longer ones, of the sheet or of its light, {change} it."
     )
 
 
-def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) -> list[str]:
+def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) -> Iterator[str]:
     """Reconcile side light, the lag of the largest r and that with slopes allowed for.
 
     Then the strain.
     """
-    registration = None if moving is None else moving.registration
-    lag = None if registration is None else registration.lag
-    texts: list[str] = []
+    if moving is None:
+        return
+    lag = None if moving.registration is None else moving.registration.lag
     if lag is not None and is_known(lag.light):
         weight = "side light affects r" if lag.light >= SIDE_LIGHT else "too little to affect r"
-        texts.append(
+        yield (
             f"{100 * lag.light:.0f} % of what image and sheet share follows slopes of the face, as"
             f" under light from one side: {weight}."
         )
     profiles = None if evidence is None else evidence.correlogram
     if lag is not None and profiles is not None and profiles.inner:
-        texts.append(_lag_text(lag, profiles))
-    if (
-        moving is not None
-        and moving.sheet is not None
-        and is_known(moving.sheet.flatten.edge_strain_p95)
-    ):
-        strain, limit = (
-            moving.sheet.flatten.edge_strain_p95 or 0.0,
-            moving.sheet.flatten.curvature.limit,
-        )
-        texts.append(
+        yield _lag_text(lag, profiles)
+    flatten = None if moving.sheet is None else moving.sheet.flatten
+    if flatten is not None and is_known(flatten.edge_strain_p95):
+        strain = flatten.edge_strain_p95 or 0.0
+        limit = flatten.curvature.limit
+        yield (
             f"Flattening strains the sheet by {percent(strain, 2)} (95 % of its edges),"
             f" {'less' if strain < limit else 'more'} than the {percent(limit, 1)} that paper"
             " withstands."
         )
-    return texts
 
 
 def _lag_text(lag: LagNumbers, profiles: CorrelogramProfiles) -> str:

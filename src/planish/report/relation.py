@@ -267,24 +267,20 @@ def largest(rows: Sequence[Row]) -> Row:
 
 
 def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units: str) -> None:
-    mean, differences = (a + b) / 2, b - a
+    """Draw the differences of two maps of one quantity by their mean, with bias and limits."""
+    means = (a + b) / 2
+    differences = b - a
     units = unit(row.units or "") or units
     line_levels = [v for v in (row.difference_mean, *row.limits) if is_known(v)]
     low, high = _axis_limits(differences)
-    margin = 0.04 * (high - low)
-    y_limits = (
-        (min(low, *line_levels) - margin, max(high, *line_levels) + margin)
-        if line_levels
-        else (low, high)
-    )
-    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (*_axis_limits(mean), *y_limits))
+    if line_levels:
+        margin = 0.04 * (high - low)
+        low = min(low, *line_levels) - margin
+        high = max(high, *line_levels) + margin
+    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (*_axis_limits(means), low, high))
     axes.across(0.0, width=1)
-    axes.dots(
-        np.stack([mean, differences], axis=1),
-        colour=POINT,
-        size=3 if mean.size > 2000 else 4.4,
-        opacity=0.5,
-    )
+    size = 3 if means.size > 2000 else 4.4
+    axes.dots(np.stack([means, differences], axis=1), colour=POINT, size=size, opacity=0.5)
     for k, value in enumerate(line_levels):
         draw_fit(axes, [(x, value) for x in axes.extent[:2]], dash="7 4" if k else "", width=2)
     canvas.ticks(axes, axis_label("mean of the two", units), axis_label("difference", units))
@@ -294,9 +290,8 @@ def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, u
         f"mean {mean}{unit_text}\u2003s. d. {spread}{unit_text}\u2003limits {lower} to"
         f" {upper}{unit_text}"
     )
-    _draw_heading(
-        canvas, _RIGHT, f"Difference, points of {plain(round(row.point_um, 4))}", numbers_text
-    )
+    heading = f"Difference, points of {plain(round(row.point_um, 4))}"
+    _draw_heading(canvas, _RIGHT, heading, numbers_text)
 
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
@@ -331,7 +326,7 @@ def _draw_density(
     canvas: Canvas, box: tuple[float, float, float, float], points: Points, *, counted_text: str
 ) -> Axes:
     ranges = (_axis_limits(points[0]), _axis_limits(points[1]))
-    (left_px, top_px, width, height) = box
+    left_px, top_px, width, height = box
     bins = int(np.clip(np.sqrt(points[0].size) / 1.5, _LEAST_BINS, _BINS))
     counts = np.histogram2d(*points, bins=bins, range=ranges)[0].T[::-1]
     scale = Scale(0.0, float(np.log10(max(counts.max(initial=1.0), 10.0))), PROPERTY)

@@ -8,7 +8,6 @@ scale.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,13 +29,14 @@ from planish.report.draw import (
     LETTER_PX,
     POINT,
     SMALL,
+    Axes,
     Canvas,
     Picture,
     ShownMap,
     reduced,
     row_axes,
 )
-from planish.series_results import SeriesResults, SeriesSpecimen
+from planish.series_results import GroupFacts, SeriesResults, SeriesSpecimen
 
 _WIDEST_NAME = 190.0  # pixels
 _WIDE = 150.0  # CSS pixels of the widest small map
@@ -60,11 +60,10 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     """
     # Quantities of the table of specimens, and of figures.
     columns = list(range(min(len(results.quantities), 8)))
-    factors = [
-        name
-        for name in results.factors
-        if any(name in member.factors for member in results.members)
-    ]
+    given_factors = {name for member in results.members for name in member.factors}
+    factors = [name for name in results.factors if name in given_factors]
+    pictures = [draw_groups(results, k) for k in columns]
+    lines = [_specimen_line(s, factors, columns, results) for s in results.specimens]
     page = text.template("planish.report", "series.html.j2").render(
         results=results,
         words=words,
@@ -72,11 +71,9 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
         text=text,
         factors=factors,
         columns=columns,
-        lines=[
-            _specimen_line(specimen, factors, columns, results) for specimen in results.specimens
-        ],
+        lines=lines,
         orders=_specimen_orders(results, factors),
-        pictures=[picture for k in columns if (picture := draw_groups(results, k))],
+        pictures=[picture for picture in pictures if picture],
         tiled=_tile_maps(maps),
         out=[specimen for specimen in results.specimens if specimen.member.state != "whole"],
         linked=any(specimen.kind not in (None, "map") for specimen in results.specimens),
@@ -109,36 +106,41 @@ def _specimen_line(
     }
 
 
+def _values(results: SeriesResults, group: GroupFacts) -> list[tuple[str, float]]:
+    """Sheet and value of every specimen of a group that counts."""
+    values: list[tuple[str, float]] = []
+    for specimen in results.specimens:
+        cell = specimen.cells[group.quantity] if specimen.cells else None
+        is_member = all(specimen.factor(name) == level for name, level in group.group.items())
+        if cell is not None and cell.counts and is_member:
+            values.append((specimen.sheet, float(cell.value or 0.0)))
+    return values
+
+
+_STATISTICS = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin share", "r": "r"}
+
+
 def _specimen_orders(results: SeriesResults, factors: Sequence[str]) -> list[tuple[str, list[int]]]:
+    """Orders of the table of specimens, each with its name; those that change nothing are out."""
     specimens = results.specimens
     sort_keys: list[tuple[str, list[Any]]] = [
         ("name", [natural(s.name) for s in specimens]),
         ("state", [(s.member.state != "whole", s.member.state, s.light or "") for s in specimens]),
     ]
-    factor_names = sorted(factors, key=lambda name: name not in results.grouped_by)
-    sort_keys += [
-        (f, [(not s.factor(f), natural(s.factor(f))) for s in specimens]) for f in factor_names[:3]
-    ]
+    for factor in sorted(factors, key=lambda name: name not in results.grouped_by)[:3]:
+        levels = [specimen.factor(factor) for specimen in specimens]
+        sort_keys.append((factor, [(not level, natural(level)) for level in levels]))
     for k, q in enumerate(results.quantities):
         if q.map == results.quantities[0].map:
-            title = {
-                "mean": "mean",
-                "sd": "standard deviation",
-                "thin_share": "thin share",
-                "r": "r",
-            }[q.what]
-            map_values = [s.cells[k].value if s.cells else None for s in specimens]
-            finite_first = [
-                (False, v) if v is not None and math.isfinite(v) else (True, 0.0)
-                for v in map_values
-            ]
-            sort_keys.append((title, finite_first))
-    orders = [("as listed", list(range(len(specimens))))]
+            values = [s.cells[k].value if s.cells else None for s in specimens]
+            finite_first = [(False, v) if is_known(v) else (True, 0.0) for v in values]
+            sort_keys.append((_STATISTICS[q.what], finite_first))
+    orders = {"as listed": list(range(len(specimens)))}
     for name, sort_key in sort_keys:
         order = sorted(range(len(specimens)), key=sort_key.__getitem__)
-        if len(orders) < 9 and all(order != other_order for _, other_order in orders):
-            orders.append((name, order))
-    return orders
+        if len(orders) < 9 and order not in orders.values():
+            orders[name] = order
+    return list(orders.items())
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
@@ -158,19 +160,30 @@ class SmallMap:
 
 
 def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> SmallMap:
-    """Make a small map of a map (rows, cols), of at most so many pixels along its longer side."""
+    """Make a small map of a map.
+
+    Parameters
+    ----------
+    specimen : str
+    data : DataArray, dims (rows, cols), coords in um, optional
+        None where there is none.
+    pixels : float
+        Most pixels along the longer side.
+
+    Returns
+    -------
+    SmallMap
+    """
     if data is None:
         return SmallMap(specimen=specimen)
     y, x = (data[d].values.astype(np.float64) for d in data.dims)
-    ratio = min(
-        1.0, data.shape[1] * abs(float(x[1] - x[0])) / (data.shape[0] * abs(float(y[1] - y[0])))
-    )
+    height_um = data.shape[0] * abs(float(y[1] - y[0]))
+    ratio = min(1.0, data.shape[1] * abs(float(x[1] - x[0])) / height_um)
     shown = reduced(data.values, y, x, width=pixels * ratio / 1.35)
     values = np.round(shown.values.astype(np.float32), 6).astype(np.float64)  # a page needs no more
     shown = ShownMap(values, shown.extent)
-    return SmallMap(
-        specimen=specimen, shown=shown, title=text.title_of(data), unit=text.unit_of(data)
-    )
+    title = text.title_of(data)
+    return SmallMap(specimen=specimen, shown=shown, title=title, unit=text.unit_of(data))
 
 
 def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
@@ -181,88 +194,81 @@ def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
     ``images`` are specimen, address, width and height in CSS pixels; ``missing`` the specimens
     without.
     """
-    shown_maps = {
-        m.specimen: m.shown
-        for m in maps
-        if m.shown is not None and bool(np.isfinite(m.shown.values).any())
-    }
-    missing_names = [m.specimen for m in maps if m.specimen not in shown_maps]
+    shown_maps: dict[str, ShownMap] = {}
+    missing: list[str] = []
+    labels: list[str] = []
+    for m in maps:
+        if m.shown is not None and bool(np.isfinite(m.shown.values).any()):
+            shown_maps[m.specimen] = m.shown
+            labels.append(axis_label(m.title, m.unit))
+        else:
+            missing.append(m.specimen)
     if not shown_maps:
-        return {"images": [], "missing": missing_names}
+        return {"images": [], "missing": missing}
     scale = limits(np.concatenate([m.values.ravel() for m in shown_maps.values()]))
     um_per_px = max(max(m.width, m.height) for m in shown_maps.values()) / _WIDE
-    images = [
-        (
-            name,
-            image_uri(m.values, scale),
-            max(m.width / um_per_px, _LEAST),
-            max(m.height / um_per_px, _LEAST),
-        )
-        for name, m in shown_maps.items()
-    ]
+    images: list[tuple[str, str, float, float]] = []
+    for name, m in shown_maps.items():
+        width_px, height_px = (max(um / um_per_px, _LEAST) for um in (m.width, m.height))
+        images.append((name, image_uri(m.values, scale), width_px, height_px))
     # The colours of all small maps, and a length on them.
     canvas = Canvas(HALF, 62)
-    first_map = next(m for m in maps if m.specimen in shown_maps)
     canvas.colour_bar(8, 6, 300, 12, scale)
-    canvas.text(8, 54, axis_label(first_map.title, first_map.unit))
+    canvas.text(8, 54, labels[0])
     bar_um = round_step(0.5 * _WIDE * um_per_px)
     canvas.line([(350, 12), (350 + bar_um / um_per_px, 12)], colour=INK, width=3)
     canvas.text(350, 32, plain(bar_um), size=SMALL)
-    bar_picture = canvas.picture(title="Colours and scale of all maps", caption="")
-    return {"bar": bar_picture, "images": images, "missing": missing_names}
+    bar = canvas.picture(title="Colours and scale of all maps", caption="")
+    return {"bar": bar, "images": images, "missing": missing}
 
 
 def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     """Draw one quantity of every sheet, by group, with the mean over sheets and its interval."""
-    q, groups = results.quantities[k], [g for g in results.groups if g.quantity == k and g.fields]
-    if sum(g.fields for g in groups) < 2:
+    q = results.quantities[k]
+    groups = [group for group in results.groups if group.quantity == k and group.fields]
+    if sum(group.fields for group in groups) < 2:
         return None
     factor = 100.0 if q.what == "thin_share" else 1.0
-    fields = [  # sheet and value of every specimen of a group that counts
-        [
-            (s.sheet, float(s.cells[k].value or 0.0))
-            for s in results.specimens
-            if s.cells and s.cells[k].counts and all(s.factor(f) == v for f, v in g.group.items())
-        ]
-        for g in groups
-    ]
-    plotted = [v * factor for group_fields in fields for _, v in group_fields]
-    plotted += [v * factor for g in groups for v in g.interval if is_known(v)]
-    names = [_short_label(g.group) for g in groups]
-    label = axis_label(words.title(q), words.units(q))
-    canvas, axes = row_axes(names, plotted, label, widest_px=_WIDEST_NAME)
-    for i, (g, group_fields) in enumerate(zip(groups, fields, strict=True)):
-        y = i + 0.5
-        sheets = dict[str, list[float]]()
-        axes.dots([(v * factor, y - 0.18) for _, v in group_fields], colour="#9db4c6", size=4)
-        for sheet, v in group_fields:
-            sheets.setdefault(sheet, []).append(v * factor)
-        axes.dots([(float(np.mean(v)), y + 0.06) for v in sheets.values()], colour=POINT, size=6)
-        if is_known(g.interval):
-            axes.line([(v * factor, y + 0.3) for v in g.interval], colour=ACCENT, width=2)
-        if is_known(g.mean):
-            axes.dots([(g.mean * factor, y + 0.3)], colour=ACCENT, size=7)
-    rows = [
-        (words.label(g.group), *field)
-        for g, of_group in zip(groups, fields, strict=True)
-        for field in of_group
-    ]
-    means = [
-        f"{words.label(g.group)} {words.value(g.mean, q)} ({words.sheets_text(g.sheets)})"
-        for g in groups
-    ]
+    values = [_values(results, group) for group in groups]
+    plotted: list[float] = []
+    for group, group_values in zip(groups, values, strict=True):
+        plotted += [value * factor for _, value in group_values]
+        plotted += [value * factor for value in group.interval if is_known(value)]
+    title = words.title(q)
+    names = [_short_label(group.group) for group in groups]
+    x_label = axis_label(title, words.units(q))
+    canvas, axes = row_axes(names, plotted, x_label, widest_px=_WIDEST_NAME)
+    rows: list[tuple[str, str, float]] = []
+    means: list[str] = []
+    for i, (group, group_values) in enumerate(zip(groups, values, strict=True)):
+        _draw_group(axes, group, group_values, i + 0.5, factor)
+        label = words.label(group.group)
+        rows += [(label, *sheet_and_value) for sheet_and_value in group_values]
+        means.append(f"{label} {words.value(group.mean, q)} ({words.sheets_text(group.sheets)})")
+    columns = map(list, zip(*rows, strict=True))
     return canvas.picture(
-        title=words.title(q),
+        title=title,
         caption=(
             "Pale: single specimens; blue: sheets; red: mean over sheets with its 95 % interval,"
             f" where there are 3 sheets. Means: {'; '.join(means)}."
         ),
-        data={
-            "sheets": dict(
-                zip(("group", "sheet", "value"), map(list, zip(*rows, strict=True)), strict=True)
-            )
-        },
+        data={"sheets": dict(zip(("group", "sheet", "value"), columns, strict=True))},
     )
+
+
+def _draw_group(
+    axes: Axes, group: GroupFacts, values: Sequence[tuple[str, float]], y: float, factor: float
+) -> None:
+    """Draw the specimens, the sheets and the mean of a group, one below the other."""
+    sheets: dict[str, list[float]] = {}
+    for sheet, value in values:
+        sheets.setdefault(sheet, []).append(value * factor)
+    axes.dots([(value * factor, y - 0.18) for _, value in values], colour="#9db4c6", size=4)
+    axes.dots([(float(np.mean(v)), y + 0.06) for v in sheets.values()], colour=POINT, size=6)
+    if is_known(group.interval):
+        axes.line([(value * factor, y + 0.3) for value in group.interval], colour=ACCENT, width=2)
+    if is_known(group.mean):
+        axes.dots([(group.mean * factor, y + 0.3)], colour=ACCENT, size=7)
 
 
 def _short_label(group: Mapping[str, str]) -> str:
@@ -274,6 +280,8 @@ def _short_label(group: Mapping[str, str]) -> str:
     # Of each level, and what shorter ones leave over.
     letters = max(max_letters // len(group) - 3, 4)
     letters += sum(max(letters - len(level), 0) for level in group.values())
-    return words.label(
-        {f: v if len(v) <= letters else f"{v[: letters - 1]}…" for f, v in group.items()}
-    )
+    levels = dict(group)
+    for factor, level in group.items():
+        if len(level) > letters:
+            levels[factor] = f"{level[: letters - 1]}…"
+    return words.label(levels)

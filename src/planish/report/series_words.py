@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import groupby
+from typing import cast
 
 from planish.core.facts import is_known
 from planish.core.numbers import (
@@ -37,34 +38,42 @@ def lead(results: SeriesResults) -> str:
     if not any(specimen.kind for specimen in results.specimens):
         return f"No specimen has a run that can be read. {states(results)}"
     if results.differences:
-        same_quantity = [
-            d for d in results.differences if d.quantity == results.differences[0].quantity
-        ]
-        sentences = [difference(d, results) for d in same_quantity[:_LED]]
-        if len(same_quantity) > _LED:
-            sentences.append(f"{len(same_quantity) - _LED} more of this quantity are listed below.")
-        verdicts = [d.verdict for d in results.differences]
-        n_differences = len(verdicts)
-        n_differ = verdicts.count("differ")
-        n_unknown = verdicts.count("unknown")
-        if n_unknown == n_differences > 1:
-            sentences.append(f"None of {n_differences} differences is known.")
-        elif n_differences > 1:
-            differ_text = {0: "none is", 1: "1 is"}.get(n_differ, f"{n_differ} are")
-            unknown_text = f"; {n_unknown} not known" if n_unknown else ""
-            sentences.append(
-                f"Of {n_differences} differences, {differ_text} distinguishable after"
-                f" Holm{unknown_text}."
-            )
-        return " ".join(sentences)
-    groups = [g for g in results.groups if g.fields]
+        return _lead_of_differences(results)
+    groups = [group for group in results.groups if group.fields]
     if not groups:
         return f"Nothing can be compared: no figure of any specimen counts. {states(results)}"
-    main_groups = [g for g in groups if results.quantities[g.quantity].what in ("mean", "r")]
-    return " ".join(
-        group_sentence(g, results)
-        for g in [g for g in main_groups if g.group == groups[0].group][:2]
-    )
+    sentences = [
+        group_sentence(group, results)
+        for group in groups
+        if group.group == groups[0].group and results.quantities[group.quantity].what in _MAIN
+    ]
+    return " ".join(sentences[:2])
+
+
+_MAIN = ("mean", "r")
+
+
+def _lead_of_differences(results: SeriesResults) -> str:
+    """The differences of the first quantity, and how many of all are distinguishable."""
+    first_quantity = results.differences[0].quantity
+    same_quantity = [d for d in results.differences if d.quantity == first_quantity]
+    sentences = [difference(d, results) for d in same_quantity[:_LED]]
+    if len(same_quantity) > _LED:
+        sentences.append(f"{len(same_quantity) - _LED} more of this quantity are listed below.")
+    verdicts = [d.verdict for d in results.differences]
+    n_differences = len(verdicts)
+    n_differ = verdicts.count("differ")
+    n_unknown = verdicts.count("unknown")
+    if n_unknown == n_differences > 1:
+        sentences.append(f"None of {n_differences} differences is known.")
+    elif n_differences > 1:
+        differ_text = {0: "none is", 1: "1 is"}.get(n_differ, f"{n_differ} are")
+        unknown_text = f"; {n_unknown} not known" if n_unknown else ""
+        sentences.append(
+            f"Of {n_differences} differences, {differ_text} distinguishable after"
+            f" Holm{unknown_text}."
+        )
+    return " ".join(sentences)
 
 
 def states(results: SeriesResults) -> str:
@@ -73,10 +82,8 @@ def states(results: SeriesResults) -> str:
     total = len(results.specimens)
     if counts["whole"] == total:
         return f"All {total} specimens are complete." if total > 1 else "The specimen is complete."
-    return (
-        f"Of {total} specimens,"
-        f" {', '.join(f'{counts[s]} {text}' for s, text in _STATES.items() if counts[s])}."
-    )
+    texts = [f"{counts[state]} {text}" for state, text in _STATES.items() if counts[state]]
+    return f"Of {total} specimens, {', '.join(texts)}."
 
 
 def light_of(results: SeriesResults) -> str:
@@ -95,12 +102,13 @@ def value(v: float | None, q: Quantity, limits: tuple[float, float] | None = Non
     if v is None or not is_known(v):
         return NONE
     spread = (limits[1] - limits[0]) / 2 if limits is not None and is_known(limits) else None
-    if q.what == "thin_share":
-        return number(100 * v, 2) if spread is None else to_spread(100 * v, 100 * spread)
     if q.what == "r":
         ends = None if spread is None else (v - spread, v + spread)
         return fixed(v, _OF_CLOSE if abs(v) > _CLOSE and spread is None else decimals_of_r(ends))
-    return number(v) if spread is None else to_spread(v, spread)
+    factor = 100 if q.what == "thin_share" else 1
+    if spread is not None:
+        return to_spread(factor * v, factor * spread)
+    return number(factor * v, 2 if q.what == "thin_share" else 3)
 
 
 def units(q: Quantity, *, change: bool = False) -> str:
@@ -182,7 +190,8 @@ def group_sentence(g: GroupFacts, results: SeriesResults) -> str:
 
 def difference(d: DifferenceFacts, results: SeriesResults) -> str:
     """State one difference, and whether it is distinguishable."""
-    q, (first, second) = results.quantities[d.quantity], d.levels
+    q = results.quantities[d.quantity]
+    first, second = d.levels
     group_text = f"{label(d.within)}: " if d.within else ""
     quantity_text = typeset(q.title)
     names = f"{first} and {second}"
@@ -241,15 +250,15 @@ def equivalent(d: DifferenceFacts, q: Quantity) -> str:
     if e is None:
         return ""
     margin = margin_text(e.margin, q)
-    verdict_text = {
+    text = {
         "equivalent": f"equivalent within ± {margin}",
         "larger": f"larger than ± {margin}",
         "undecided": f"undecided at ± {margin}",
         "unknown": f"± {margin}: not known",
     }[e.verdict]
-    return verdict_text + (
-        f" (90 %: {interval(e.interval, q)}; p {p_text(e.p)})" if is_known(e.interval) else ""
-    )
+    if is_known(e.interval):
+        text += f" (90 %: {interval(e.interval, q)}; p {p_text(e.p)})"
+    return text
 
 
 def tiles(results: SeriesResults) -> list[KeyFigure]:
@@ -259,29 +268,30 @@ def tiles(results: SeriesResults) -> list[KeyFigure]:
     """
     figures: list[KeyFigure] = []
     for k, q in enumerate(results.quantities):
-        d = next((d for d in results.differences if d.quantity == k), None)
-        g = next((g for g in results.groups if g.quantity == k and g.fields), None)
-        if q.map != results.quantities[0].map or len(figures) == 4:
-            continue
-        if d is not None:
-            group_text = f"{label(d.within)}; " if d.within else ""
-            limits_text = (
-                f"95 %: {interval(d.interval, q)}; " if is_known(d.interval) else "no interval: "
-            )
-            label_text = f"{d.levels[1]} − {d.levels[0]}: {typeset(q.title)}"
-            note = f"{group_text}{limits_text}{verdict(d)}"
-            figures.append(KeyFigure(signed(d, q), units(q, change=True), label_text, note))
-        elif g is not None:
-            note = (
-                f"95 %: {interval(g.interval, q)}"
-                if is_known(g.interval)
-                else f"no interval: {g.reason}"
-            )
-            note = f"{f'{label(g.group)}, ' if g.group else ''}{sheets_text(g.sheets)}; {note}"
-            figures.append(
-                KeyFigure(value(g.mean, q, g.interval), units(q), typeset(q.title), note)
-            )
-    return figures
+        if q.map == results.quantities[0].map:
+            differences = [d for d in results.differences if d.quantity == k]
+            groups = [g for g in results.groups if g.quantity == k and g.fields]
+            if differences:
+                figures.append(_difference_figure(differences[0], q))
+            elif groups:
+                figures.append(_mean_figure(groups[0], q))
+    return figures[:4]
+
+
+def _difference_figure(d: DifferenceFacts, q: Quantity) -> KeyFigure:
+    group_text = f"{label(d.within)}; " if d.within else ""
+    limits = f"95 %: {interval(d.interval, q)}; " if is_known(d.interval) else "no interval: "
+    label_text = f"{d.levels[1]} − {d.levels[0]}: {typeset(q.title)}"
+    note = f"{group_text}{limits}{verdict(d)}"
+    return KeyFigure(signed(d, q), units(q, change=True), label_text, note)
+
+
+def _mean_figure(g: GroupFacts, q: Quantity) -> KeyFigure:
+    group_text = f"{label(g.group)}, " if g.group else ""
+    is_stated = is_known(g.interval)
+    limits = f"95 %: {interval(g.interval, q)}" if is_stated else f"no interval: {g.reason}"
+    note = f"{group_text}{sheets_text(g.sheets)}; {limits}"
+    return KeyFigure(value(g.mean, q, g.interval), units(q), typeset(q.title), note)
 
 
 def heterogeneous(g: GroupFacts, q: Quantity) -> str:
@@ -290,14 +300,9 @@ def heterogeneous(g: GroupFacts, q: Quantity) -> str:
         z = g.between_sheets
         if z is None:
             return "one sheet: nothing to compare" if g.sheets == 1 else NONE
-        verdict_text = (
-            "sheets differ beyond their own scatter"
-            if z.p < 0.05
-            else "no more than their own scatter"
-        )
-        return (
-            f"{verdict_text}: I² {number(100 * z.i2, 2)}\u202f%, Q {number(z.q)}, p {p_text(z.p)}"
-        )
+        text = "sheets differ beyond" if z.p < 0.05 else "no more than"
+        share = f"{number(100 * z.i2, 2)}\u202f%"
+        return f"{text} their own scatter: I² {share}, Q {number(z.q)}, p {p_text(z.p)}"
     v = g.variances
     if v is None or not is_known(v.sd_within) or not is_known(v.share):
         return (v.reason if v else "") or NONE
@@ -317,24 +322,17 @@ def spans(results: SeriesResults, columns: Sequence[int]) -> list[tuple[str, int
 
 def declared(results: SeriesResults) -> list[tuple[str, str]]:
     """What was declared, and what the program took where nothing was."""
-    options: Mapping[str, object] = results.declared
-    margins = options.get("margin")
+    options = results.declared
     compared_by = results.compared_by or "nothing: one group"
+    maps = dict.fromkeys(q.map for q in results.quantities)
+    margins = cast("dict[str, float]", options.get("margin") or {})
+    margin_texts = [f"{name} {margin:g}" for name, margin in margins.items()]
+    sheets = "named in the table" if results.sheets_given else "not all named: see the cautions"
     return [
         ("Compared by", f"{compared_by}{'' if options.get('compare') else ' (usual)'}"),
         ("Groups", ", ".join(results.grouped_by) or "one"),
-        ("Maps", ", ".join(dict.fromkeys(q.map for q in results.quantities)) or NONE),
-        (
-            "Margins",
-            (
-                ", ".join(f"{k} {v:g}" for k, v in margins.items())
-                if isinstance(margins, dict) and margins
-                else "none declared"
-            ),
-        ),
+        ("Maps", ", ".join(maps) or NONE),
+        ("Margins", ", ".join(margin_texts) or "none declared"),
         ("Doubtful figures", "included" if options.get("doubtful") else "left out"),
-        (
-            "Sheets",
-            "named in the table" if results.sheets_given else "not all named: see the cautions",
-        ),
+        ("Sheets", sheets),
     ]

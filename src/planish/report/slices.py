@@ -38,7 +38,8 @@ class Slice:
 
     def window(self, left: float, right: float, margin: float) -> Window:
         """Return the part between two places that holds the sheet."""
-        is_inside, (low, high) = (self.x >= left) & (self.x <= right), self.range
+        is_inside = (self.x >= left) & (self.x <= right)
+        low, high = self.range
         face_heights = np.concatenate([v[is_inside] for v in self.lines.values()])
         face_heights = face_heights[np.isfinite(face_heights)]
         if face_heights.size:
@@ -56,11 +57,8 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     """Draw every slice (slice, height, x) in true proportions, and a magnified stretch of each."""
     cuts = [take_slice(slices, surfaces, k) for k in range(slices.sizes["slice"])]
     thickness = float(np.nanmedian(surfaces["top"].values - surfaces["bottom"].values))
-    scale = limits(
-        np.concatenate([c.grey.ravel()[:: max(1, c.grey.size // 200_000)] for c in cuts]),
-        GREYS,
-        percent=0.3,
-    )
+    greys = [cut.grey.ravel()[:: max(1, cut.grey.size // 200_000)] for cut in cuts]
+    scale = limits(np.concatenate(greys), GREYS, percent=0.3)
     margin = 0.8 * abs(thickness)
     spans = [_overview_window(cut, margin) for cut in cuts]
     windows = _detail_windows(cuts, spans, 0.35 * margin)
@@ -84,15 +82,13 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
         )
         top_px += axes.height + 32
     canvas.scale_bar(1, top_px - 2, width=FULL, um=FULL / zoom)
-    is_whole = all(
-        s[1] - s[0] >= float(c.x[-1] - c.x[0]) - 1e-6 for s, c in zip(spans, cuts, strict=True)
-    )
-    stretch_um = spans[0][1] - spans[0][0]
-    stretch_text = (
-        ""
-        if is_whole
-        else f" Only a stretch of {length(stretch_um)} is drawn, so that the sheet shows."
-    )
+    stretch_text = ""
+    for cut, (left, right, _, _) in zip(cuts, spans, strict=True):
+        if right - left < float(cut.x[-1] - cut.x[0]) - 1e-6:
+            stretch_um = spans[0][1] - spans[0][0]
+            stretch_text = (
+                f" Only a stretch of {length(stretch_um)} is drawn, so that the sheet shows."
+            )
     overview = canvas.picture(
         title="Slices with the surfaces found",
         caption=(
@@ -115,14 +111,14 @@ def _draw_window(
     scale: Scale,
     width: float,
 ) -> Axes:
+    """Draw the grey values and the lines of a part of a slice."""
     left, right, low, high = window
     width_px = (right - left) * zoom
     axes = canvas.axes(*corner_px, width_px, (high - low) * zoom, window)
     cols = (cut.x >= left - 1e-6) & (cut.x <= right + 1e-6)
     rows = (cut.heights >= low - 1e-6) & (cut.heights <= high + 1e-6)
-    axes.image(
-        reduced(cut.grey[np.ix_(rows, cols)], cut.heights[rows], cut.x[cols], width=width_px), scale
-    )
+    grey = cut.grey[np.ix_(rows, cols)]
+    axes.image(reduced(grey, cut.heights[rows], cut.x[cols], width=width_px), scale)
     stride = slice(None, None, max(1, cut.x.size // 1400))  # points of a line
     for name, _, colour, dash in LINES:
         line = np.stack([cut.x, cut.lines[name]], axis=1)
@@ -136,6 +132,7 @@ def _draw_window(
 
 
 def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
+    """Draw a window of each slice, side by side, and say which line is which."""
     gap = 22.0
     widest_um = max(w[1] - w[0] for w in windows)
     width = (FULL - gap * (len(cuts) - 1)) / len(cuts) if len(cuts) > 1 else 0.6 * FULL
@@ -147,9 +144,8 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
         canvas.text(left_px, 18, f"Detail of slice {ascii_uppercase[k]}", bold=True)
         _draw_window(canvas, cut, window, (left_px, 26), zoom, scale, 2.0)
     canvas.scale_bar(1, 28 + height_px, width=width, um=width / zoom)
-    drawn_lines = [
-        line for line in LINES if any(np.isfinite(cut.lines[line[0]]).any() for cut in cuts)
-    ]
+    heights = {line[0]: np.concatenate([cut.lines[line[0]] for cut in cuts]) for line in LINES}
+    drawn_lines = [line for line in LINES if np.isfinite(heights[line[0]]).any()]
     canvas.box(0, height_px + 60, FULL, 28, fill="#2a2d30")
     for k, (_, name, colour, dash) in enumerate(drawn_lines):
         left_px = 14 + k * 205.0
@@ -196,7 +192,20 @@ def _detail_windows(cuts: list[Slice], spans: list[Window], margin: float) -> li
 
 
 def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
-    """Take one slice out, turned so that the top side is up."""
+    """Take one slice out, turned so that the top side is up.
+
+    Parameters
+    ----------
+    slices : Dataset, dims (slice, height, x), in um
+        As a run keeps them, each with the ``row`` of the surfaces that it lies in.
+    surfaces : Dataset, dims (y, x), in um
+    k : int
+        Number of the slice.
+
+    Returns
+    -------
+    Slice
+    """
     sign = 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
     heights = sign * slices["height"].values.astype(np.float64)
     order: NDArray[np.intp] = np.argsort(-heights)
@@ -205,16 +214,16 @@ def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
     # A column may be several voxels wide: each voxel shows the surfaces of its column.
     centres = surfaces["x"].values.astype(np.float64)
     cols = np.clip(np.rint((x - centres[0]) / pitch(centres)), 0, centres.size - 1).astype(int)
-    lines = {
-        name: sign * surfaces[name].values[row, cols].astype(np.float64)
-        for name, *_ in LINES
-        if name in surfaces
-    }
+    lines: dict[str, Array] = {}
+    for name, *_ in LINES:
+        lines[name] = np.full(x.shape, np.nan)
+        if name in surfaces:
+            lines[name] = sign * surfaces[name].values[row, cols].astype(np.float64)
     return Slice(
         grey=slices["grey"].values[k].astype(np.float64)[order],
         heights=heights[order],
         x=x,
-        lines={name: lines.get(name, np.full(x.shape, np.nan)) for name, *_ in LINES},
+        lines=lines,
         used=np.isfinite(surfaces["thickness"].values[row, cols]),
         place_um=float(slices["slice"].values[k]),
     )
@@ -225,41 +234,36 @@ def _overview_window(cut: Slice, margin: float) -> Window:
     left = float(cut.x[0])
     right = float(cut.x[-1])
     whole_window = cut.window(left, right, margin)
-    if (right - left) <= _FLATTEST * (whole_window[3] - whole_window[2]):
+    *_, low, high = whole_window
+    width_um = right - left
+    if width_um <= _FLATTEST * (high - low):
         return whole_window
     # A flat sheet: more air above and below first, then less of its length.
     floor, ceiling = cut.range
-    extra_um = (
-        max(
-            0.0,
-            min((right - left) / _FLATTEST, ceiling - floor) - (whole_window[3] - whole_window[2]),
-        )
-        / 2
-    )
-    low = max(whole_window[2] - extra_um, floor)
-    high = min(whole_window[3] + extra_um, ceiling)
+    height_um = min(width_um / _FLATTEST, ceiling - floor)
+    extra_um = max(0.0, height_um - (high - low)) / 2
+    low = max(low - extra_um, floor)
+    high = min(high + extra_um, ceiling)
     max_width_um = 2 * _FLATTEST * (high - low)
-    if right - left <= max_width_um:
+    if width_um <= max_width_um:
         return left, right, low, high
     centre_um = (left + right) / 2
     return cut.window(centre_um - max_width_um / 2, centre_um + max_width_um / 2, margin)
 
 
 def _clear_place(cut: Slice, span: Window) -> float:
+    """The middle of the window in a span that was measured best, of several the most central."""
     step = pitch(cut.x)
+    left, right, *_ = span
+    middle_um = (left + right) / 2
     n_columns = max(1, min(round(_WINDOW_UM / step), cut.x.size))
-    measured_share = np.convolve(
-        cut.used.astype(np.float64), np.ones(n_columns) / n_columns, mode="valid"
-    )
+    weights = np.ones(n_columns) / n_columns
+    measured_share = np.convolve(cut.used.astype(np.float64), weights, mode="valid")
     centres_um = cut.x[: measured_share.size] + (n_columns - 1) / 2 * step
-    is_inside = (centres_um - _WINDOW_UM / 2 >= span[0] - step) & (
-        centres_um + _WINDOW_UM / 2 <= span[1] + step
-    )
+    is_left_inside = centres_um - _WINDOW_UM / 2 >= left - step
+    is_inside = is_left_inside & (centres_um + _WINDOW_UM / 2 <= right + step)
     if not is_inside.any():
-        return (span[0] + span[1]) / 2
-    distance = np.abs(centres_um - (span[0] + span[1]) / 2) / max(span[1] - span[0], step)
-    return float(
-        centres_um[
-            int(np.argmax(np.where(is_inside, np.round(measured_share, 1) - distance, -np.inf)))
-        ]
-    )
+        return middle_um
+    distance = np.abs(centres_um - middle_um) / max(right - left, step)
+    score = np.where(is_inside, np.round(measured_share, 1) - distance, -np.inf)
+    return float(centres_um[int(np.argmax(score))])

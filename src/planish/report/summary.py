@@ -25,6 +25,7 @@ from planish.core.numbers import (
     typeset,
     unit,
 )
+from planish.core.text import and_join
 from planish.report.relation import largest, written_difference
 from planish.report.sentences.light_field import off_text
 from planish.report.sentences.partial import say_over_control
@@ -36,7 +37,14 @@ from planish.report.statement import (
     r_text,
 )
 from planish.report.text import LIGHT_OFF, as_compared, stated_of
-from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
+from planish.results import (
+    CorrelationRow,
+    EvidenceFacts,
+    LayerFacts,
+    RefinementR,
+    RegistrationFacts,
+    Results,
+)
 
 Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
 PairKey = tuple[str, str, str, str]  # a pair of maps: first layer, its map, second layer, its map
@@ -66,31 +74,27 @@ def summarise(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     """
     if not results.is_link:
         return _map_summary(results, titles)
-    return (
-        _pair_summary(results, titles)
-        if len(results.moving) == 1
-        else _layers_summary(results, titles)
-    )
+    if len(results.moving) == 1:
+        return _pair_summary(results, titles)
+    return _layers_summary(results, titles)
 
 
 def check_summary(results: Results) -> str:
     """State what the checks say, the worst first."""
     fail, look, unknown = (len(results.checks_in(state)) for state in ("fail", "look", "unknown"))
     total = len(results.checks)
-    if not (fail or look or unknown):
-        return f"All {total} checks passed." if total != 1 else "The check passed."
     subjects = {n: "it concerns" if n == 1 else "they concern" for n in (fail, look)}
-    clauses = [
-        f"{fail} failed, and what {subjects[fail]} is withheld" if fail else "",
-        (
-            f"{look} {'asks' if look == 1 else 'ask'} for a look, and what {subjects[look]} is"
-            " doubtful"
-            if look
-            else ""
-        ),
-        f"{unknown} could not be answered" if unknown else "",
-    ]
-    return f"Of {total} checks, {'; '.join(part for part in clauses if part)}."
+    clauses: list[str] = []
+    if fail:
+        clauses.append(f"{fail} failed, and what {subjects[fail]} is withheld")
+    if look:
+        verb = "asks" if look == 1 else "ask"
+        clauses.append(f"{look} {verb} for a look, and what {subjects[look]} is doubtful")
+    if unknown:
+        clauses.append(f"{unknown} could not be answered")
+    if clauses:
+        return f"Of {total} checks, {'; '.join(clauses)}."
+    return f"All {total} checks passed." if total != 1 else "The check passed."
 
 
 def doubt(results: Results, row: CorrelationRow) -> str:
@@ -113,12 +117,11 @@ def titles_of(
 
     On request with their layers.
     """
-
-    def title(layer: str, name: str) -> str:
-        text = as_compared(titles.get((layer, name), name), name)
-        return text + (f", {layer}" if with_layers else "")
-
-    return title(pair.a, pair.a_map), title(pair.b, pair.b_map)
+    first, second = (
+        as_compared(titles.get(key, key[1]), key[1])
+        for key in ((pair.a, pair.a_map), (pair.b, pair.b_map))
+    )
+    return (f"{first}, {pair.a}", f"{second}, {pair.b}") if with_layers else (first, second)
 
 
 def names_in_words(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> tuple[str, str]:
@@ -140,14 +143,12 @@ def headline_pair(results: Results, moving: LayerFacts) -> list[CorrelationRow]:
 
     Empty where there are none.
     """
-    map_keys = {
-        (moving.name, moving.headline),
-        (results.reference.name, results.reference.headline),
-    }
-    pair_groups = (
-        g for g in by_pair(results) if {(g[0].a, g[0].a_map), (g[0].b, g[0].b_map)} == map_keys
-    )
-    return next(pair_groups, [])
+    headlines = {(layer.name, layer.headline) for layer in (moving, results.reference)}
+    for group in by_pair(results):
+        a, a_map, b, b_map = key_of(group[0])
+        if {(a, a_map), (b, b_map)} == headlines:
+            return group
+    return []
 
 
 def lead_pair(results: Results) -> list[CorrelationRow]:
@@ -200,7 +201,9 @@ def _percent_text(share: float | None) -> str:
 
 
 def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
-    sheet, layer = results.reference.sheet, results.reference.name
+    """Of a sheet that is mapped and linked to nothing."""
+    layer = results.reference.name
+    sheet = results.reference.sheet
     assert sheet is not None
     measured_share = sheet.surfaces.shares.get("measured")
     strain = sheet.flatten.edge_strain_p95
@@ -220,72 +223,70 @@ def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]
     elif thickness is not None:
         spread_text = f"{thickness.trust}; see the checks"
     columns_text = f"of {count(sheet.surfaces.columns)}"
+    move = number(sheet.flatten.largest_move_um)
     return sentence, [
         KeyFigure(number(mean_um), "µm", "mean sheet thickness", spread_text),
         KeyFigure(
             _percent_text(measured_share), "%", "of the volume's columns are measured", columns_text
         ),
         KeyFigure(number(100 * strain, 2), "%", "edge strain", "95th percentile over the mesh"),
-        KeyFigure(
-            number(sheet.flatten.largest_move_um),
-            "µm",
-            "largest displacement",
-            "between projection and flat sheet",
-        ),
+        KeyFigure(move, "µm", "largest displacement", "between projection and flat sheet"),
     ]
 
 
 def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
-    moving, marks = results.moving[0], results.moving[0].registration
-    rows = headline_pair(results, moving)
+    """Of two layers: how they are related, and how well one lies on the other."""
+    marks = results.moving[0].registration
+    rows = headline_pair(results, results.moving[0])
+    pixel = rows[0] if rows else None
     sentence = _relation_sentence(rows, results, titles)
-    if rows and rows[0].trust == "ok" and rows[0].same_quantity:
+    if pixel is not None and pixel.trust == "ok":
         sentence += _difference_sentence(largest(rows), titles)
-    loo_um, marks_text = None, NONE
     held_out = None if marks is None else marks.held_out
     if held_out is not None:
         sentence = f"{held_out.sentence} With the place fitted to both: {sentence}"
+    error_figure = KeyFigure(NONE, "µm", "leave-one-out error", NONE)
     if marks is not None:
-        loo_um, marks_text, e = (
-            marks.leave_one_out_rms_um,
-            f"rms of {marks.matched} marks",
-            marks.expected_error,
-        )
-        sentence += (
-            f" {marks.matched} marks were used."
-            if loo_um is None
-            else (
+        loo_um = marks.leave_one_out_rms_um
+        error_figure = error_figure._replace(value=number(loo_um, 2), note=_marks_text(marks))
+        if loo_um is None:
+            sentence += f" {marks.matched} marks were used."
+        else:
+            sentence += (
                 f" Each of the {marks.matched} marks is predicted by the others to"
                 f" {length(loo_um, 2)} (rms)."
             )
-        )
-        if e and e.trust == "ok" and e.median_um is not None:
-            median = length(e.median_um, 2)
-            largest_error = length(e.largest_um, 2)
-            marks_text += f"; expected error of a pixel {median} (median), {largest_error} at most"
-    points_text, pixel_text = (
-        (f", points of {point_of(largest(rows))}", f", {point_of(rows[0])}") if rows else ("", "")
-    )
-    r_figures = [
-        _r_figure(results, largest(rows) if rows else None, f"r{points_text}"),
-        _r_figure(results, rows[0] if rows else None, f"r at the pixel{pixel_text}"),
-    ]
-    if held_out is not None and rows and rows[0].trust == "ok":
-        low, high = held_out.interval or (None, None)
-        note = (
-            f"95 %: {low:.2f} to {high:.2f}"
-            if is_known(low) and is_known(high)
-            else "beside unrelated maps"
-        )
-        label = "r on held-out tiles" if is_known(low) else "r after the search"
-        r_figures = [
-            KeyFigure(number(held_out.r, 2), "", label, f"{note}; without waves above 1 mm"),
-            r_figures[0],
-        ]
-    return sentence, [
-        *r_figures,
-        KeyFigure(number(loo_um, 2), "µm", "leave-one-out error", marks_text),
-    ]
+    figure = _r_figure(results, None, "r")
+    pixel_figure = _r_figure(results, None, "r at the pixel")
+    if pixel is not None:
+        row = largest(rows)
+        figure = _r_figure(results, row, f"r, points of {point_of(row)}")
+        pixel_figure = _r_figure(results, pixel, f"r at the pixel, {point_of(pixel)}")
+        if held_out is not None and pixel.trust == "ok":
+            return sentence, [_held_out_figure(held_out), figure, error_figure]
+    return sentence, [figure, pixel_figure, error_figure]
+
+
+def _marks_text(marks: RegistrationFacts) -> str:
+    """How many marks were used, and the expected error of a pixel."""
+    marks_text = f"rms of {marks.matched} marks"
+    errors = marks.expected_error
+    if errors and errors.trust == "ok" and errors.median_um is not None:
+        median = length(errors.median_um, 2)
+        largest_error = length(errors.largest_um, 2)
+        marks_text += f"; expected error of a pixel {median} (median), {largest_error} at most"
+    return marks_text
+
+
+def _held_out_figure(held_out: RefinementR) -> KeyFigure:
+    note = "beside unrelated maps"
+    label = "r after the search"
+    low, high = held_out.interval or (None, None)
+    if is_known(low):
+        label = "r on held-out tiles"
+        if is_known(high):
+            note = f"95 %: {low:.2f} to {high:.2f}"
+    return KeyFigure(number(held_out.r, 2), "", label, f"{note}; without waves above 1 mm")
 
 
 def point_of(row: CorrelationRow) -> str:
@@ -294,6 +295,7 @@ def point_of(row: CorrelationRow) -> str:
 
 
 def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
+    """State how two layers are related, in their words, with r and over which points."""
     if not pair_rows or (pair_rows[0].trust == "ok" and not is_known(pair_rows[0].r)):
         n = count(pair_rows[0].n if pair_rows else 0)
         return (
@@ -304,16 +306,16 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     row = largest(pair_rows)
     is_image = results.layer(pixel.b).kind == "image"
     are_images = is_image and results.layer(pixel.a).kind == "image"
-    a, b = (
-        map(numbers.with_article, (pixel.a, pixel.b))
-        if are_images
-        else names_in_words(pixel, titles)
-    )
+    a, b = names_in_words(pixel, titles)
+    if are_images:
+        a, b = map(numbers.with_article, (pixel.a, pixel.b))
     if pixel.trust != "ok":
         why = doubt(results, pixel)
         return f"The correlation of {a} and {b} {why}.{_light_text(results, row)}"
-    if not are_images:
-        a, b = (a, "the image") if is_image else (f"{a} of {pixel.a}", f"{b} of {pixel.b}")
+    if not is_image:
+        a, b = f"{a} of {pixel.a}", f"{b} of {pixel.b}"
+    elif not are_images:
+        b = "the image"
     points_text = f"{count(row.n)} points of {point_of(row)}"
     if is_known(row.n_eff):
         points_text += f", {count(round(row.n_eff))} of them independent"
@@ -323,11 +325,13 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({stated_of(results)})."
     if not row.direction:
         return f"It is not certain that {b} is related to {a}: {limits_text}"
-    comparative = (("lighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
+    comparatives = ("lighter", "darker") if is_image else ("larger", "smaller")
+    comparative = comparatives[row.direction < 0]
     title = titles.get((pixel.b, pixel.b_map)) if is_image else None
-    title_text = f" ({title[:1].lower()}{title[1:]})" if title else ""
+    if title:
+        comparative += f" ({title[:1].lower()}{title[1:]})"
     larger = "lighter" if are_images else "larger"
-    return f"{capital(b)} is {comparative}{title_text} where {a} is {larger}: {limits_text}"
+    return f"{capital(b)} is {comparative} where {a} is {larger}: {limits_text}"
 
 
 def _light_text(results: Results, row: CorrelationRow) -> str:
@@ -375,7 +379,7 @@ def _difference_sentence(row: CorrelationRow, titles: Titles) -> str:
     if not row.same_quantity or not is_known(row.limits):
         return ""
     units = unit(row.units or "")
-    (mean, _, low, high) = written_difference(row)
+    mean, _, low, high = written_difference(row)
     return (
         f" Over points of {point_of(row)}, {names_in_words(row, titles)[0]} of {row.b} minus that"
         f" of {row.a} is {mean} {units} on average, with 95 % limits of {low} to {high} {units}."
@@ -383,52 +387,50 @@ def _difference_sentence(row: CorrelationRow, titles: Titles) -> str:
 
 
 def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
-    reference, moving = results.reference.name, [layer.name for layer in results.moving]
+    """Of several layers: how well the worst lies on the reference, and the weakest relation."""
+    reference = results.reference.name
     sentence = (
-        f"The layers {', '.join(moving[:-1])} and {moving[-1]} were brought onto the pixels of"
-        f" {reference}."
+        f"The layers {and_join(layer.name for layer in results.moving)} were brought onto the"
+        f" pixels of {reference}."
     )
-    registrations = [layer.registration for layer in results.moving if layer.registration]
-    expected_errors = [e for r in registrations if (e := r.expected_error) and e.trust == "ok"]
-    expected_errors = expected_errors if len(registrations) == len(results.moving) else []
-    median_um = max((e.median_um for e in expected_errors if e.median_um is not None), default=None)
-    max_um = max((e.largest_um for e in expected_errors if e.largest_um is not None), default=None)
+    median_um, max_um = _worst_errors(results)
     median_text = f"median {number(median_um, 2)} µm in the worst layer"
     if median_um is not None:
         median = f"{length(median_um, 2)} (rms, median over the worst layer)"
         sentence += f" The expected error is {median}, at most {length(max_um, 2)}."
     rows = [largest(group) for group in by_pair(results)]
-    sentence += next(
-        (text for row in rows if row.trust == "ok" and (text := _difference_sentence(row, titles))),
-        "",
-    )
+    differences = [_difference_sentence(row, titles) for row in rows if row.trust == "ok"]
+    sentence += next(filter(None, differences), "")
+    r_figure = _r_figure(results, None, "r")
     lead = lead_pair(results)
-    weakest_row = largest(lead) if lead else None
-    r_figure = _r_figure(
-        results,
-        weakest_row,
-        f"weakest r, points of {point_of(weakest_row)}" if weakest_row else "r",
-    )
-    least_share = min(
-        (s for layer in results.moving if (s := layer.share_of_reference) is not None), default=None
-    )
+    if lead:
+        weakest = largest(lead)
+        figure = _r_figure(results, weakest, f"weakest r, points of {point_of(weakest)}")
+        r_figure = figure._replace(note=f"{weakest.a} and {weakest.b}: {figure.note}")
+    shares = [layer.share_of_reference for layer in results.moving]
+    covered = _percent_text(min((share for share in shares if share is not None), default=None))
+    n_layers = count(len(results.layers))
     return sentence, [
-        KeyFigure(
-            count(len(results.layers)), "", "layers on one grid", f"{reference} is the reference"
-        ),
+        KeyFigure(n_layers, "", "layers on one grid", f"{reference} is the reference"),
         KeyFigure(number(max_um, 2), "µm", "largest expected error", median_text),
-        KeyFigure(
-            _percent_text(least_share),
-            "%",
-            "of the reference is covered",
-            "by the layer that covers least",
-        ),
-        (
-            r_figure._replace(note=f"{weakest_row.a} and {weakest_row.b}: {r_figure.note}")
-            if weakest_row
-            else r_figure
-        ),
+        KeyFigure(covered, "%", "of the reference is covered", "by the layer that covers least"),
+        r_figure,
     ]
+
+
+def _worst_errors(results: Results) -> tuple[float | None, float | None]:
+    """Largest of the medians, and of the largest expected errors, of the layers in um.
+
+    None where none can be trusted, or a layer is not registered.
+    """
+    registrations = [layer.registration for layer in results.moving if layer.registration]
+    if len(registrations) < len(results.moving):
+        return None, None
+    errors = [registration.expected_error for registration in registrations]
+    trusted = [error for error in errors if error and error.trust == "ok"]
+    medians_um = [error.median_um for error in trusted if error.median_um is not None]
+    largest_um = [error.largest_um for error in trusted if error.largest_um is not None]
+    return max(medians_um, default=None), max(largest_um, default=None)
 
 
 def _r_figure(results: Results, row: CorrelationRow | None, label: str) -> KeyFigure:
@@ -456,13 +458,11 @@ def lag_verdict(
     if lag.agrees is None:
         state = "grey"
         end_text = (
-            "The marks give no expected error to compare the result with."
-            if is_known(lag.length_um)
-            else (
-                "The result is inconclusive: it speaks neither for nor against the registration,"
-                " whose error is known from the marks alone."
-            )
+            "The result is inconclusive: it speaks neither for nor against the registration,"
+            " whose error is known from the marks alone."
         )
+        if is_known(lag.length_um):
+            end_text = "The marks give no expected error to compare the result with."
     elif not lag.agrees:
         state = "amber"
         end_text = (

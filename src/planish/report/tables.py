@@ -43,10 +43,12 @@ def columns(surfaces: SurfaceFacts) -> list[tuple[str, float, str]]:
     Each entry gives the class of the style, the share of all columns, and what the status means.
     """
     names = {status.label: status.sentence for status in Status}
-    shares = {name: surfaces.shares.get(name) for name in (*_COLOURS, *surfaces.shares)}
-    return [
-        (_COLOURS.get(name, "lost"), v, names.get(name, name)) for name, v in shares.items() if v
-    ]
+    rows: list[tuple[str, float, str]] = []
+    for name in dict.fromkeys((*_COLOURS, *surfaces.shares)):
+        share = surfaces.shares.get(name)
+        if share:
+            rows.append((_COLOURS.get(name, "lost"), share, names.get(name, name)))
+    return rows
 
 
 def comparison(results: Results) -> list[PairLine]:
@@ -75,8 +77,7 @@ def comparison_sentence(results: Results) -> str:
     if not rows:
         return ""
     sizes = {row.point_um for row in rows}
-    pairs = [_flat_and_projected(rows, size) for size in (max(sizes), min(sizes))]
-    flat, projected = pairs[0]
+    flat, projected = _flat_and_projected(rows, max(sizes))
     if flat is None or projected is None:
         return ""
     text = (
@@ -88,15 +89,12 @@ def comparison_sentence(results: Results) -> str:
     low, high = projected.difference_interval
     verdict = "not distinguishable" if low <= 0 <= high else "distinguishable"
     text += f". The two r are {verdict}: r changes by {_change_text(projected)}."
-    of_pixels = pairs[1][1]
-    if len(sizes) > 1 and of_pixels is not None and is_known(of_pixels.difference_interval):
-        text += (
-            f" At the pixel, {plain(of_pixels.point_um)}, it changes by {_change_text(of_pixels)}."
-        )
+    pixel = _flat_and_projected(rows, min(sizes))[1] if len(sizes) > 1 else None
+    if pixel is not None and is_known(pixel.difference_interval):
+        text += f" At the pixel, {plain(pixel.point_um)}, it changes by {_change_text(pixel)}."
     # Slopes brighten one side of a thick place, and a shift can raise r.
-    lag = next(
-        (layer.registration.lag for layer in results.layers if layer.registration is not None), None
-    )
+    registrations = [layer.registration for layer in results.layers if layer.registration]
+    lag = registrations[0].lag if registrations else None
     if lag is not None and lag.light >= SIDE_LIGHT:
         share_text = f"{100 * lag.light:.0f} % of what it shares with the sheet is slopes alone"
         text += (
@@ -132,26 +130,28 @@ def correlations(results: Results, titles: Titles) -> list[PairLine]:
     lines: list[PairLine] = []
     for group in by_pair(results):
         row = largest(group)
-        (a, b) = titles_of(group[0], titles)
-        rows_by_size = {round(r.point_um, 4): r for r in group}
+        a, b = titles_of(group[0], titles)
+        name = f"{row.a}: {in_words(a)}"
+        second = f"{row.b}: {in_words(b)}"
         # One quantity of two layers needs its name only once.
-        is_short = has_two_layers and (
-            a == b if row.same_quantity else results.layer(row.b).kind == "image"
-        )
-        difference_text = NONE
-        units = unit(row.units or "")
+        needs_one = a == b if row.same_quantity else results.layer(row.b).kind == "image"
+        if has_two_layers and needs_one:
+            name = a
+            second = ""
+        difference = NONE
         if row.same_quantity:
+            units = unit(row.units or "")
             mean, spread, low, high = written_difference(row)
-            difference_text = f"{mean} ± {spread} {units}\n{low} to {high} {units}"
+            difference = f"{mean} ± {spread} {units}\n{low} to {high} {units}"
+        is_best = has_two_layers and group in headlines
+        rows_by_size = {round(r.point_um, 4): r for r in group}
         lines.append(
             PairLine(
-                name=a if is_short else f"{row.a}: {in_words(a)}",
-                second="" if is_short else f"{row.b}: {in_words(b)}",
-                rows=[rows_by_size.get(s) for s in sizes],
-                after=(difference_text,) if has_differences else (),
-                best=has_two_layers
-                and group in headlines
-                and len(results.correlations) > len(group),
+                name=name,
+                second=second,
+                rows=[rows_by_size.get(size) for size in sizes],
+                after=(difference,) if has_differences else (),
+                best=is_best and len(results.correlations) > len(group),
             )
         )
     return lines
@@ -172,19 +172,14 @@ def parameters(values: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str
     unsectioned: dict[str, Any] = {}
     for section, value in values.items():
         if isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
-            tables = cast("Sequence[Mapping[str, Any]]", value)
-            sections += [
-                (f"{section}, {table.get('name', k)}", table) for k, table in enumerate(tables, 1)
-            ]
+            for k, table in enumerate(cast("Sequence[Mapping[str, Any]]", value), 1):
+                sections.append((f"{section}, {table.get('name', k)}", table))
         elif isinstance(value, Mapping):
             sections.append((section, cast("Mapping[str, Any]", value)))
         else:
             unsectioned[section] = value
-    return [
-        (name, rows)
-        for name, table in [*sections, ("others", unsectioned)]
-        if (rows := [*_flat_rows(table)])
-    ]
+    rows = [(name, [*_flat_rows(table)]) for name, table in [*sections, ("others", unsectioned)]]
+    return [section for section in rows if section[1]]
 
 
 def _flat_rows(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -281,7 +281,7 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
             np.count_nonzero(mask_part)
             for mask_part in (is_sheet, is_sheet & mask(grid.part(rows)), valid)
         ]
-    (n_on_sheet, n_off_holes, valid) = map(int, counts)
+    n_on_sheet, n_off_holes, valid = map(int, counts)
     pixels = math.prod(grid.shape)
     return LinkedArea(
         pixels=pixels,

@@ -3,6 +3,7 @@
 That is names, numbers that an option needs, and images beyond the memory.
 """
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +23,14 @@ from planish.measure import PROPERTIES, check_maps, possible_maps, registered
 from planish.measure.registry import SUMS
 from planish.run.compute import Compute
 from planish.run.sheet import asked_corrections
-from planish.run.study import Study
+from planish.run.study import GivenLayer, Study
 
 # Bytes a pixel: refining holds image and map in double precision, filtered, several times; without
 # a folder, all linked maps are held; beside an image, its values as compared and, while a screen is
 # taken off, two means and their weights.
-_REFINED_BYTES, _HELD_BYTES, _COMPARED_BYTES = 120, 130, 24
+_REFINED_BYTES = 120
+_HELD_BYTES = 130
+_COMPARED_BYTES = 24
 # White and dark, each with its error and the means that are tried, and what they make of the image.
 _LIGHT_BYTES = 64
 
@@ -42,48 +45,56 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
     beyond the memory.
     """
     for layer in study.layers:
-        if layer.kind != "volume":
-            continue
-        is_labels = layer.surface.labels is not None
-        check_maps(layer.properties, labels=is_labels)
-        asked_corrections(layer)
-        map_names = sorted(
-            {*PROPERTIES, *layer.properties.maps} if is_labels else possible_maps(layer.properties)
-        )
-        correlate = study.correlate
-        for word, requested in (
-            ("headline", (correlate.headline,)),
-            ("beside", correlate.beside),
-        ):
-            if absent_names := sorted(
-                {name for name in requested if name is not None} - {*map_names}
-            ):
-                raise InputError(
-                    f"`{word}={', '.join(absent_names)}`: there will be no such map. Give some of "
-                    f"{', '.join(map_names)}, or ask for it with `property` as well."
-                    + "".join(map(renamed, absent_names))
-                )
+        if layer.kind == "volume":
+            is_labels = layer.surface.labels is not None
+            check_maps(layer.properties, labels=is_labels)
+            asked_corrections(layer)
+            names = {*PROPERTIES, *layer.properties.maps}
+            maps = sorted(names) if is_labels else sorted(possible_maps(layer.properties))
+            headline = study.correlate.headline
+            _check_names("headline", () if headline is None else (headline,), maps)
+            _check_names("beside", study.correlate.beside, maps)
     _check_beside(study)
     _check_light(study)
     if study.registration.design is not None:
         read_pattern(study.registration.design)
     regions = None if study.correlate.regions is None else read_regions(study.correlate.regions)
+    bytes_per_pixel = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
+    bytes_per_pixel += _HELD_BYTES * held
     for layer in study.layers:
         if layer.image is not None:
-            rows, cols = load_picture(Path(layer.path), decode=False).values.shape[:2]
-            options = layer.image
-            is_changed = bool(options.dark_grey is not None or options.screen_um or options.white)
-            bytes_per_pixel = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
-            bytes_per_pixel += _HELD_BYTES * held + _COMPARED_BYTES * is_changed
-            bytes_per_pixel += _LIGHT_BYTES * (options.white is not None)
-            if (needed_bytes := bytes_per_pixel * rows * cols + LINK_BYTES) > compute.memory:
-                raise ResourceError(
-                    f"The {layer.name} of {rows * cols / 1e6:.0f} million pixels takes"
-                    f" {needed_bytes / 1e9:.1f} GB of memory, {compute.memory / 1e9:.1f} GB are"
-                    f" allowed. Give more with `memory={enough_gb(needed_bytes)}GB`, or crop or"
-                    " bin it."
-                )
+            _check_memory(layer, layer.image, bytes_per_pixel, compute)
     return regions
+
+
+def _check_names(parameter: str, names: Iterable[str], maps: Sequence[str]) -> None:
+    """Raise InputError for names of maps that there will not be."""
+    absent = sorted({*names}.difference(maps))
+    if absent:
+        raise InputError(
+            f"`{parameter}={', '.join(absent)}`: there will be no such map. Give some of "
+            f"{', '.join(maps)}, or ask for it with `property` as well."
+            + "".join(map(renamed, absent))
+        )
+
+
+def _check_memory(
+    layer: GivenLayer, image: ImageParams, pixel_bytes: int, compute: Compute
+) -> None:
+    """Raise ResourceError for an image that takes more than the memory."""
+    rows, cols = load_picture(Path(layer.path), decode=False).values.shape[:2]
+    if image.dark_grey is not None or image.screen_um or image.white:
+        pixel_bytes += _COMPARED_BYTES
+    if image.white is not None:
+        pixel_bytes += _LIGHT_BYTES
+    needed_bytes = pixel_bytes * rows * cols + LINK_BYTES
+    if needed_bytes > compute.memory:
+        raise ResourceError(
+            f"The {layer.name} of {rows * cols / 1e6:.0f} million pixels takes"
+            f" {needed_bytes / 1e9:.1f} GB of memory, {compute.memory / 1e9:.1f} GB are"
+            f" allowed. Give more with `memory={enough_gb(needed_bytes)}GB`, or crop or"
+            " bin it."
+        )
 
 
 def _check_beside(study: Study) -> None:
@@ -92,19 +103,18 @@ def _check_beside(study: Study) -> None:
     Also where one of them, or the map that is to lead, has no r.
     """
     names = study.correlate.beside
-    for name in (study.correlate.headline, *names):
+    declared = study.correlate.headline
+    for name in (declared, *names):
         refuse_axial(registered().get(str(name)))
-    is_bottom = any(
-        layer.image is not None and layer.image.side == "bottom" for layer in study.layers
-    )
     if not names:
         return
-    side = "bottom" if is_bottom else "top"
-    declared = study.correlate.headline
+    sides = [layer.image.side for layer in study.layers if layer.image is not None]
+    side = "bottom" if "bottom" in sides else "top"
     expected_names = ("thickness", f"coating_{side}", declared or "thickness")
     measured = (("y", "x"), np.ones((1, 1)))
     headline = leading_map(xr.Dataset(dict.fromkeys(expected_names, measured)), side, declared)
-    if repeated := sorted({name for name in names if (headline, *names).count(name) > 1}):
+    repeated = sorted({name for name in names if (headline, *names).count(name) > 1})
+    if repeated:
         raise InputError(
             f"`beside={', '.join(repeated)}`: the map leads already, or stands there twice. Leave"
             " it out of `beside`."
@@ -135,34 +145,33 @@ def _check_reflectance(image: ImageParams) -> None:
 
 def _check_light(study: Study) -> None:
     """Raise InputError where an option needs an image, references or volumes the study lacks."""
-    correlate, reference = study.correlate, study.layers[-1].image
-    sheets = [layer for layer in study.layers if layer.kind != "image"]
+    correlate = study.correlate
+    reference = study.layers[-1].image
+    images = [layer.image for layer in study.layers if layer.image is not None]
+    n_sheets = len(study.layers) - len(images)
     options = {"kubelka_munk": correlate.kubelka_munk, "light_spread_um": correlate.light_spread_um}
-    names_text = " and ".join(f"`{name}`" for name, value in options.items() if value is not None)
-    of_image = names_text or "`light`" * (correlate.light is not None)
-    if of_image and (reference is None or not sheets):
+    optics = " and ".join(f"`{name}`" for name, value in options.items() if value is not None)
+    if (optics or correlate.light is not None) and (reference is None or not n_sheets):
         raise InputError(
-            f"{of_image}: no image stands last, to which a map of a sheet is compared. Link a"
-            " volume or a run to an image, or leave it out."
+            f"{optics or '`light`'}: no image stands last, to which a map of a sheet is compared."
+            " Link a volume or a run to an image, or leave it out."
         )
-    if names_text and correlate.headline is not None and not correlate.headline.startswith("coat"):
+    if optics and correlate.headline is not None and not correlate.headline.startswith("coat"):
         raise InputError(
-            f"{names_text}: {correlate.headline} leads, which is no coating. Leave `headline` out,"
+            f"{optics}: {correlate.headline} leads, which is no coating. Leave `headline` out,"
             " or name a coating."
         )
     if correlate.kubelka_munk is not None and reference is not None:
         _check_reflectance(reference)
-    images = [layer.image for layer in study.layers if layer.image is not None]
-    if study.registration.refine is not None and any(
-        image.screen_um is not None for image in images
-    ):
+    is_refined = study.registration.refine is not None
+    if is_refined and any(image.screen_um is not None for image in images):
         raise InputError(
             "`refine` aligns the fine texture of both layers, which `screen_um` takes off the"
             " image. Leave one of them out."
         )
-    if correlate.mottle and not any(layer.kind == "image" for layer in study.layers):
+    if correlate.mottle and not images:
         raise InputError("`mottle`: no layer is an image. Link one, or leave it out.")
-    if correlate.error_ratio is not None and (reference is not None or len(sheets) < 2):
+    if correlate.error_ratio is not None and (reference is not None or n_sheets < 2):
         raise InputError(
             "`error_ratio` is for two measurements of one quantity: the last layer and another one"
             " have to be volumes or runs. Leave it out."

@@ -156,17 +156,19 @@ class Study(Params):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
+        """The study, if its layers and options fit together; ValueError says what does not."""
         names = [layer.name for layer in self.layers]
         if not names:
             raise ValueError("a study needs a layer: a volume to map, or several layers to link")
         # Names of files: on Windows, CT and ct are one.
         small = [name.casefold() for name in names]
-        if twice := sorted({name for name in names if small.count(name.casefold()) > 1}):
+        twice = sorted({name for name in names if small.count(name.casefold()) > 1})
+        if twice:
             raise ValueError(
                 "every layer needs a name of its own (NAME=PATH); more than one is"
                 f" {', '.join(twice)}"
             )
-        if fault := next(filter(None, map(fault_of_name, names)), None):
+        for fault in filter(None, map(fault_of_name, names)):
             raise ValueError(f"a layer cannot have one of the names {', '.join(names)}: {fault}")
         if len(names) == 1 and self.layers[0].kind != "volume":
             raise ValueError(
@@ -286,8 +288,16 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
     ``surface.cutoff_um=600`` changes one, ``NAME.surface.cutoff_um=600`` changes it for one layer
     only.
 
-    Values are written as in a study file; text needs no quotes, and nothing behind the sign takes a
-    parameter out.
+    Parameters
+    ----------
+    study : Study
+    changes : sequence of str
+        Values are written as in a study file; text needs no quotes, and nothing behind the sign
+        takes a parameter out.
+
+    Returns
+    -------
+    Study
 
     Raises
     ------
@@ -295,34 +305,17 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
         If a name means nothing in this study, or a value does not fit; all faults are named.
     """
     data = to_dict(study)
-    kinds = {layer.name: layer.kind for layer in study.layers}
-    faults = list[str]()
-    layer_sections = ("volume", "image", *MAP_SECTIONS)
+    faults: list[str] = []
     for text in changes:
-        key, equals, value = (word.strip() for word in text.partition("="))
-        keys = key.split(".")
-        name = keys.pop(0) if len(keys) > 2 and keys[0] in kinds else None
-        if keys[0] in layer_sections:
-            kind = "image" if keys[0] == "image" else "volume"
-            root_tables = [
-                m for m in data["layers"] if name in (None, m["name"]) and kinds[m["name"]] == kind
-            ]
-        else:
-            root_tables = (
-                [data]
-                if name is None and keys[0] in Study.model_fields and keys[0] != "layers"
-                else []
-            )
-        if not (equals and root_tables):
-            sections = ", ".join((*layer_sections, *LINK_SECTIONS, "about"))
-            hint_text = (
-                "; no layer of this study has it" if equals and keys[0] in layer_sections else ""
-            )
-            faults.append(
-                f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}{hint_text}"
-            )
+        key, equals_sign, value = (word.strip() for word in text.partition("="))
+        tables, keys = _tables_of(study, data, key.split("."))
+        if not (equals_sign and tables):
+            sections = ", ".join((*_LAYER_SECTIONS, *LINK_SECTIONS, "about"))
+            faults.append(f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}")
+            if equals_sign and keys[0] in _LAYER_SECTIONS:
+                faults[-1] += "; no layer of this study has it"
             continue
-        for root in root_tables:
+        for root in tables:
             table = root
             for table_key in keys[:-1]:
                 table = table.setdefault(table_key, {}) if isinstance(table, dict) else {}
@@ -336,6 +329,26 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
         return Study.model_validate(data)
     except ValidationError as error:
         raise StudyError("; ".join(fault_texts(error, Study)) + ".") from error
+
+
+_LAYER_SECTIONS = ("volume", "image", *MAP_SECTIONS)
+
+
+def _tables_of(
+    study: Study, data: dict[str, Any], keys: list[str]
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """The tables of a study that a key is in, and the rest of the key."""
+    names = [layer.name for layer in study.layers]
+    name = None
+    if len(keys) > 2 and keys[0] in names:
+        name, *keys = keys
+    if keys[0] in _LAYER_SECTIONS:
+        kind = "image" if keys[0] == "image" else "volume"
+        layers = zip(study.layers, data["layers"], strict=True)
+        tables = [t for layer, t in layers if layer.kind == kind and name in (None, layer.name)]
+        return tables, keys
+    is_of_study = name is None and keys[0] in Study.model_fields and keys[0] != "layers"
+    return ([data] if is_of_study else []), keys
 
 
 def in_study_words(text: str) -> str:
@@ -367,14 +380,22 @@ def _value(text: str) -> Any:
 
 
 def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None:
-    """Write ``run.toml`` into ``folder``, with paths relative to ``home``.
+    """Write ``run.toml``.
 
-    ``home`` is the place where the folder will stand.
+    Parameters
+    ----------
+    study : Study
+        With absolute paths.
+    folder : path
+        The file is written into it.
+    home : path
+        Place where the folder will stand: paths in the file are relative to it.
+    version : str
+        Of planish.
     """
     study = with_paths(study, lambda path: relative_path(path, home))
-    (folder / RUN_TOML).write_text(
-        tomli_w.dumps({"planish": version} | to_dict(study)), encoding="utf-8", newline="\n"
-    )
+    text = tomli_w.dumps({"planish": version} | to_dict(study))
+    (folder / RUN_TOML).write_text(text, encoding="utf-8", newline="\n")
 
 
 def relative_path(path: str | Path, base_folder: Path) -> str:

@@ -192,7 +192,7 @@ def _fitted(
     The holes are taken by ``pairs`` of their rows.
     """
     count = len(tiles.moving_um)
-    (a_holes, b_holes) = holes or (None, None)
+    a_holes, b_holes = holes or (None, None)
     if layers.swapped:
         a_holes, b_holes = b_holes, a_holes
     sides = [
