@@ -178,7 +178,7 @@ def test_every_map_package_exit_code_and_message_is_collected():
     used = {found.exit_code for found in kinds} | {0, 2, 4, 130}
     assert {
         int(code)
-        for code in re.findall(r"^\| (\d+) \|", page("reference/exit-codes.md"), re.MULTILINE)
+        for code in re.findall(r"^\| (\d+) \|", page("cli.md"), re.MULTILINE)
     } == used
     texts = {message.text for message in messages.messages()}
     assert "Labels are integers; this volume holds …. Give the label volume, not the grey." in texts

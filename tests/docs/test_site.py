@@ -48,7 +48,7 @@ SOUGHT = {
         "Flächengewicht",
         "Strichgewicht",
     ),
-    "how-to/image-of-the-back": (
+    "how-to/sides": (
         "back side",
         "backside",
         "wire side",
@@ -67,7 +67,7 @@ SOUGHT = {
         "multi-point tool",
     ),
     "how-to/open-in-fiji": ("ImageJ", "Fiji"),
-    "how-to/open-in-matlab": ("MATLAB", "Octave"),
+    "how-to/open-in-python": ("MATLAB", "Octave"),
     "how-to/windows": ("Windows", "PowerShell", "execution policy"),
     "how-to/install": ("install", "offline", "uninstall"),
     "how-to/volumes-larger-than-memory": ("out of memory", "RAM"),
@@ -94,7 +94,7 @@ ANSWERS = (
     "how-to/two-holes",
     "how-to/marks-from-imagej",
     "how-to/red-run",
-    "how-to/image-of-the-back",
+    "how-to/sides",
     "how-to/my-scanner-writes",
     "explanation/a-report-in-hand",
     "how-to/windows",
