@@ -12,7 +12,6 @@ import xarray as xr
 
 from planish.analyze.explain import Explained, ModelMaps, explain_maps
 from planish.analyze.params import ExplainParams
-from planish.core.arrays import check_dataset
 from planish.core.bands import thinned
 from planish.core.checks import CORRELATION, POSITION, trust_of
 from planish.core.errors import InputError, PlanishError
@@ -21,7 +20,7 @@ from planish.core.text import and_join
 from planish.core.typing import Pair
 from planish.marks.regions import read_regions
 from planish.resample.maps import se_of_mean
-from planish.run.named_maps import NamedMap, maps_of, named, on_known_axes
+from planish.run.named_maps import NamedMap, maps_of, maps_of_dataset, named
 from planish.run.regions import regions_on
 from planish.run.run import Run
 
@@ -32,18 +31,10 @@ EXPLAINED = "explained"
 def explain_dataset(data: xr.Dataset, params: ExplainParams) -> Explained:
     """Explain a map of a Dataset on one grid by others; errors as of :func:`explain_run`."""
     check_model(params)
-    data = on_known_axes(data)
-    check_dataset(
-        data,
-        expected="maps on one grid",
-        call_format="pl.explain({})",
-        source="pl.resample_maps(...)",
-    )
-    maps = {str(name): NamedMap(values=m, layer="", group=data) for name, m in data.items()}
+    maps = maps_of_dataset(data, "explain")
+    errors = _errors_in(named(maps, params.response).group, params.cell_um)
     return explain_maps(
-        _model_maps(params, maps, _errors_in(data, params.cell_um)),
-        cell_um=params.cell_um,
-        corrected=params.corrected,
+        _model_maps(params, maps, errors), cell_um=params.cell_um, corrected=params.corrected
     )
 
 

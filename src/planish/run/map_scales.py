@@ -23,20 +23,18 @@ from planish.analyze.scales import (
 )
 from planish.analyze.sheet_columns import SheetColumns
 from planish.analyze.split_half import row_difference
-from planish.core.arrays import check_dataset, check_path
+from planish.core.arrays import check_path
 from planish.core.axial import is_axial
 from planish.core.checks import trust_of
 from planish.core.errors import CannotMeasure, InputError
-from planish.core.files import write_whole
 from planish.core.grid import Grid, pitch
 from planish.core.options import params_of
-from planish.core.tables import table_text
 from planish.core.transform import Similarity
 from planish.core.typing import Array, Pair
-from planish.io.run_folder import new_folder
 from planish.measure.registry import NEGATIVE_CONTROLS, has_true_zero
 from planish.report.scales import scales_page, tables_of
-from planish.run.named_maps import NamedMap, choices, maps_of, named, on_known_axes
+from planish.run.answers import write_answer
+from planish.run.named_maps import NamedMap, choices, maps_of, maps_of_dataset, named
 from planish.run.run import Run, open_run
 
 ROWS = "rows"
@@ -118,14 +116,7 @@ def scales(
 
 def scales_of_dataset(data: xr.Dataset, params: ScalesParams, halves: Halves) -> Scales:
     """Octaves of maps of a Dataset; errors as of :func:`scales`."""
-    data = on_known_axes(data)
-    check_dataset(
-        data,
-        expected="maps on one grid",
-        call_format="pl.scales({})",
-        source="pl.resample_maps(...)",
-    )
-    maps = {str(name): NamedMap(values=m, layer="", group=data) for name, m in data.items()}
+    maps = maps_of_dataset(data, "scales")
     of_halves = {name for pair in halves.values() if pair != ROWS for name in pair}
     all_names = [name for name in choices(maps) if name not in of_halves]
 
@@ -348,9 +339,4 @@ def write_scales(found: Scales, out: Path, *, source: str) -> None:
     ``source``: name of the run.
     """
     page = scales_page(found, source=source, version=__version__)
-    with new_folder(out) as folder:
-        write_whole(folder / "scales.html", page.encode())
-        write_whole(folder / "scales.json", f"{found.model_dump_json(indent=2)}\n".encode())
-        for name, columns in tables_of(found).items():
-            rows = zip(*columns.values(), strict=True)
-            write_whole(folder / f"{name}.csv", table_text(list(columns), rows).encode())
+    write_answer(out, "scales", page=page, facts=found, tables=tables_of(found))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import xarray as xr
 
 from planish.analyze.explain import bare_name
+from planish.core.arrays import check_dataset
 from planish.core.errors import InputError
 from planish.run.overlay import LINKED
 from planish.run.run import Run
@@ -45,6 +46,18 @@ def maps_of(run: Run) -> dict[str, NamedMap]:
     return {bare_name(key): m for key, m in maps.items() if counts[bare_name(key)] == 1} | maps
 
 
+def maps_of_dataset(data: xr.Dataset, verb: str) -> dict[str, NamedMap]:
+    """All maps of a Dataset on one grid, by name; errors call ``pl.VERB``."""
+    data = _on_known_axes(data)
+    check_dataset(
+        data,
+        expected="maps on one grid",
+        call_format=f"pl.{verb}({{}})",
+        source="pl.resample_maps(...)",
+    )
+    return {str(name): NamedMap(values=m, layer="", group=data) for name, m in data.items()}
+
+
 def named(maps: Mapping[str, NamedMap], name: str) -> NamedMap:
     """The map of a name; InputError where there is none."""
     if name in maps:
@@ -57,7 +70,7 @@ def choices(maps: Mapping[str, NamedMap]) -> list[str]:
     return [key for key in maps if not _NO_PROPERTY.match(bare_name(key))]
 
 
-def on_known_axes(data: xr.Dataset) -> xr.Dataset:
+def _on_known_axes(data: xr.Dataset) -> xr.Dataset:
     """The same maps with axes (v, u) where theirs have other names than planish's own."""
     for values in data.data_vars.values():
         if values.ndim == 2 and values.dims not in (("y", "x"), ("v", "u")):

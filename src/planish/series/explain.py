@@ -13,11 +13,9 @@ from planish.analyze.explain_sheets import ExplainedSeries, explained_over_sheet
 from planish.analyze.params import ExplainParams
 from planish.core.arrays import check_path
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.files import write_whole
 from planish.core.options import params_of
-from planish.core.tables import table_text
-from planish.io.run_folder import new_folder
 from planish.report import explain_page, tables_of
+from planish.run.answers import write_answer
 from planish.run.explain import explain_dataset, explain_run
 from planish.run.run import Run, is_run, open_run
 from planish.series.pages import RESULTS
@@ -140,9 +138,4 @@ def write_explained(model: Explained | ExplainedSeries, out: Path, *, source: st
     ``source``: name of the run or series.
     """
     page, _ = explain_page(model, source=source, version=__version__)
-    with new_folder(out) as folder:
-        write_whole(folder / "explain.html", page.encode())
-        write_whole(folder / "explain.json", f"{model.model_dump_json(indent=2)}\n".encode())
-        for name, columns in tables_of(model).items():
-            rows = zip(*columns.values(), strict=True)
-            write_whole(folder / f"{name}.csv", table_text(list(columns), rows).encode())
+    write_answer(out, "explain", page=page, facts=model, tables=tables_of(model))
