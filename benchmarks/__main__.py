@@ -35,6 +35,7 @@ _ALL = (
     "evidence",
     "explain",
     "explain_fibres",
+    "scales",
     "uneven",
     "even_light",
     "scanner",

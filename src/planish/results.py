@@ -20,6 +20,7 @@ from planish.analyze.image_values import ImageFacts
 from planish.analyze.lag import LagNumbers
 from planish.analyze.mottle import Mottle
 from planish.analyze.refinement import RefinementFacts, RefinementR
+from planish.analyze.scales import Scales
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
 from planish.core.facts import (
@@ -339,6 +340,8 @@ class Results(ResultModel):
     refinement: RefinementFacts | None = optional("Where the registration was refined by the maps.")
     explained: Explained | None = optional("The model that the study declares.")
     explain_reason: str = Field(default="", description="Why there is no such model.")
+    scales: Scales | None = optional("Octaves of the maps that the study declares.")
+    scales_reason: str = Field(default="", description="Why there are no such octaves.")
     checks: tuple[Check, ...] = Field(description="Every check with its state.")
     parameters: dict[str, Any] = Field(
         description="Every parameter of the study; paths are left out."

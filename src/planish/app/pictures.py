@@ -38,7 +38,7 @@ from planish.io.light import read_corrected
 from planish.io.map_store import CHUNK, overviews_of, stored_group
 from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
-from planish.run.explain import EXPLAINED
+from planish.run.named_maps import EXPLAINED, OCTAVES
 from planish.run.overlay import LINKED
 from planish.run.run import MAPS, open_results, study_of
 
@@ -103,7 +103,8 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
     if not results.is_link:
         name = results.layers[0].name
         yield from _sheet(run, layer=name, prefix="")
-        yield from group_pictures(run, EXPLAINED, plane="moving", layer=name)
+        for group in (EXPLAINED, OCTAVES):
+            yield from group_pictures(run, group, plane="moving", layer=name)
         return
     for name in (layer.name for layer in results.moving):
         image = next(params.image for params in study.layers if params.name == name)
@@ -118,7 +119,8 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
         for layer in results.layers:
             group, prefix = f"layers/{layer.name}", f"{layer.name}/"
             yield from group_pictures(run, group, plane="fixed", layer=layer.name, prefix=prefix)
-    yield from group_pictures(run, EXPLAINED, plane="fixed", layer=results.reference.name)
+    for group in (EXPLAINED, OCTAVES):
+        yield from group_pictures(run, group, plane="fixed", layer=results.reference.name)
     yield from group_pictures(run, "refined", plane="fixed", layer="refined", prefix="refined/")
 
 

@@ -40,6 +40,7 @@ from planish.report import (
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.explain import explained_section
 from planish.report.relation import MapPair, draw_pair
+from planish.report.scales import scales_section
 from planish.report.sentences.table import Section, sentences
 from planish.report.sentences.wording import Wording
 from planish.results import EvidenceFacts, LayerFacts, RegistrationFacts, Results
@@ -169,6 +170,7 @@ def render_report(
         lights=[maps.draw_light(groups[f"{LIGHT}/{name}"], name) for name in lit_layers],
         evidence=[_evidence_section(run_maps, e, pairs) for e in results.evidence],
         explained=explained_section(results.explained),
+        scales=scales_section(results.scales),
     )
     return f"{page}\n", pictures
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from planish.analyze.scales import ScaleBand, Scales
 from planish.core.facts import is_known
@@ -58,6 +59,7 @@ def scales_page(found: Scales, *, source: str, version: str) -> str:
     titles = [in_words(facts.title) for facts in found.maps.values()]
     about = ", ".join(titles) if len(titles) <= _MOST_NAMED else f"{len(titles)} maps"
     is_doubtful = any(facts.trust != "ok" for facts in found.maps.values())
+    section = scales_section(found)
     page = text.template("planish.report", "answer.html.j2").render(
         title=f"At which wavelength? {source}",
         question="At which wavelength?",
@@ -65,16 +67,28 @@ def scales_page(found: Scales, *, source: str, version: str) -> str:
         source=source,
         version=version,
         state="look" if is_doubtful else "pass",
-        answer=say_answer(found),
+        answer=section["answer"],
         tiles=tiles_of(found),
-        pictures=pictures_of(found),
+        pictures=section["pictures"],
         surer=say_surer(found),
         reading=say_reading(found),
         heading="Octaves",
-        rows=[row for rows in band_rows(found).values() for row in rows],
+        rows=section["table"],
         notes=say_notes(found),
     )
     return f"{page}\n"
+
+
+def scales_section(found: Scales | None) -> dict[str, Any]:
+    """Give what the report of a run shows of the octaves that its study declares."""
+    if found is None:
+        return {}
+    return {
+        "answer": say_answer(found),
+        "sentences": [*say_reading(found), *say_notes(found)],
+        "table": [row for rows in band_rows(found).values() for row in rows],
+        "pictures": pictures_of(found),
+    }
 
 
 def tiles_of(found: Scales) -> list[KeyFigure]:

@@ -20,12 +20,9 @@ from planish.core.text import and_join
 from planish.core.typing import Pair
 from planish.marks.regions import read_regions
 from planish.resample.maps import se_of_mean
-from planish.run.named_maps import NamedMap, maps_of, maps_of_dataset, named
+from planish.run.named_maps import EXPLAINED, NamedMap, maps_of, maps_of_dataset, named
 from planish.run.regions import regions_on
 from planish.run.run import Run
-
-EXPLAINED = "explained"
-"""Group of a run with the residuals of the model that its study declares."""
 
 
 def explain_dataset(data: xr.Dataset, params: ExplainParams) -> Explained:

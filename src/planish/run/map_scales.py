@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,16 +26,18 @@ from planish.analyze.split_half import row_difference
 from planish.core.arrays import check_path
 from planish.core.axial import is_axial
 from planish.core.checks import trust_of
-from planish.core.errors import CannotMeasure, InputError
+from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.grid import Grid, pitch
 from planish.core.options import params_of
 from planish.core.transform import Similarity
 from planish.core.typing import Array, Pair
 from planish.measure.registry import NEGATIVE_CONTROLS, has_true_zero
 from planish.report.scales import scales_page, tables_of
+from planish.report.sentences.scales import leading
 from planish.run.answers import write_answer
-from planish.run.named_maps import NamedMap, choices, maps_of, maps_of_dataset, named
+from planish.run.named_maps import OCTAVES, NamedMap, choices, maps_of, maps_of_dataset, named
 from planish.run.run import Run, open_run
+from planish.texture.octave_spectra import OctaveField
 
 ROWS = "rows"
 """The halves of a map whose odd and even rows are two measurements."""
@@ -148,6 +150,46 @@ def scales_of_dataset(data: xr.Dataset, params: ScalesParams, halves: Halves) ->
         return Reading(scaled, pixel_um, found)
 
     return _scales(params, maps, all_names, read)
+
+
+def with_declared_scales(run: Run) -> Run:
+    """The same run with the octaves that its study declares, and their bands as maps.
+
+    Where there can be none the run stands, and its results say why.
+    """
+    params = run.study.scales
+    if not params.is_declared:
+        return run
+    try:
+        found = scales_of_run(run, params)
+    except PlanishError as fault:
+        results = run.results.model_copy(update={"scales_reason": fault.text})
+        return replace(run, results=results)
+    results = run.results.model_copy(update={"scales": found})
+    maps = maps_of(run)
+    bands: dict[str, xr.DataArray] = {}
+    for name in leading(found):
+        if found.bands[name]:
+            bands |= _band_maps(named(maps, name), name)
+    if not bands:
+        return replace(run, results=results)
+    return replace(run, results=results, groups={**run.groups, OCTAVES: xr.Dataset(bands)})
+
+
+def _band_maps(source: NamedMap, name: str) -> dict[str, xr.DataArray]:
+    """A map by octaves on its pixels, by names that state their waves."""
+    values, like = _counted(source), source.values
+    field = OctaveField(np.isfinite(values), Grid.of(like).pixel_um)
+    title = str(like.attrs.get("long_name", name))
+    bands: dict[str, xr.DataArray] = {}
+    for (low_um, high_um), band in zip(field.octaves, field.band_maps(values), strict=True):
+        attrs = {
+            "units": str(like.attrs.get("units", "1")),
+            "long_name": f"{title}, waves of {low_um:g} to {high_um:g} um",
+        }
+        coords = {dim: like[dim] for dim in like.dims}
+        bands[f"{name}_{low_um:g}_{high_um:g}_um"] = xr.DataArray(band, coords, attrs=attrs)
+    return bands
 
 
 def scales_of_run(run: Run, params: ScalesParams) -> Scales:

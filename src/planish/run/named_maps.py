@@ -15,6 +15,9 @@ from planish.core.errors import InputError
 from planish.run.overlay import LINKED
 from planish.run.run import Run
 
+EXPLAINED, OCTAVES = "explained", "octaves"
+"""Groups of a run by what its study asks: residuals of its model, and bands of its maps."""
+
 _NO_PROPERTY = re.compile(
     "valid$|status$|[uv]$|volume_|projected_|presence|expected_error|error_|.*_se$"
 )

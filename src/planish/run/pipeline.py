@@ -11,6 +11,7 @@ from planish.run.compare import compare_layers
 from planish.run.compute import Compute, Progress, silent
 from planish.run.explain import with_declared_model
 from planish.run.judging import judge_link, judge_sheet
+from planish.run.map_scales import with_declared_scales
 from planish.run.mapping import map_layers
 from planish.run.overlay import overlay_layers, take_light_off
 from planish.run.reading import read_inputs
@@ -67,7 +68,7 @@ def run_study(
                 run = judge_link(study, overlay, comparison, inputs.holes)
             else:
                 run = judge_sheet(study, layers[0])
-            run = with_declared_model(run)
+            run = with_declared_scales(with_declared_model(run))
         return write_run(
             run,
             work.out,

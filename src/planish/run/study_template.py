@@ -26,6 +26,7 @@ _TITLES = {
     "registration": "How image and sheet are registered",
     "correlate": "How image and maps are compared",
     "explain": "Which maps explain another one, declared before the run",
+    "scales": "Which maps are described by octaves of wavelength",
 }
 _NOT_IN_FILES = {
     "volume": {

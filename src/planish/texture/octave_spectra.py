@@ -74,6 +74,7 @@ class OctaveField:
 
     def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
         self.is_valid = is_valid
+        self._pixel_um = pixel_um
         self.octaves = octaves_of(is_valid, pixel_um)
         self._shares: Levels = [is_valid.astype(np.float32)]
         while min(self._shares[-1].shape) > 1:
@@ -97,6 +98,24 @@ class OctaveField:
             window.power([pyramid[window.step] for pyramid in pyramids], is_of_rows)
             for window in self._windows
         ]
+
+    def band_maps(self, values: Array) -> list[Array]:
+        """A map (rows, cols) with the waves of each octave alone; NaN where the field has none.
+
+        Missing pixels are filled from those around them, and borders are mirrors.
+        """
+        waves = fft.dctn(self._filled(values)[0], norm="ortho")
+        rows, cols = (
+            np.arange(count) / (2.0 * count * pixel)
+            for count, pixel in zip(values.shape, self._pixel_um, strict=True)
+        )
+        frequency = np.hypot(rows[:, None], cols)
+        maps: list[Array] = []
+        for low_um, high_um in self.octaves:
+            is_in_octave = (frequency >= 1 / high_um) & (frequency < 1 / low_um)
+            band = fft.idctn(np.where(is_in_octave, waves, 0.0), norm="ortho")
+            maps.append(np.where(self.is_valid, band, np.nan).astype(np.float32))
+        return maps
 
     def _filled(self, values: Array) -> Levels:
         """Means of a map at each level, 0 in all; what is missing is filled from the next one."""

@@ -26,7 +26,7 @@ from planish.io.map_store import overviews_of
 from planish.report.colours import Scale, colours_of
 from planish.report.text import as_compared, title_of, unit_of
 from planish.results import LayerFacts, Results
-from planish.run.explain import EXPLAINED
+from planish.run.named_maps import EXPLAINED, OCTAVES
 from planish.run.run import MAPS, Run
 
 Codes = NDArray[np.unsignedinteger[Any]]
@@ -218,7 +218,7 @@ def _map_names(run: Run) -> list[tuple[str, list[str]]]:
     group_names = [group for group in group_names if group in groups] or [
         group for group in groups if group == "maps"
     ]
-    group_names += [group for group in (EXPLAINED,) if group in groups]
+    group_names += [group for group in (EXPLAINED, OCTAVES) if group in groups]
     if not group_names:
         raise InputError(
             f"The run holds no maps to show; it holds {', '.join(groups) or 'nothing'}."
