@@ -10,6 +10,7 @@ import planish as pl
 from planish.analyze.formation import RandomSheet, formation_number
 from planish.core.errors import CannotMeasure, InputError
 from planish.report.scales import pictures_of, scales_page, tables_of
+from planish.texture.octave_spectra import OctaveField
 
 PIXEL_UM = 10.0
 SHAPE = (300, 320)  # octaves of 500 to 250, of 250 to 125, of 125 to 62.5 um
@@ -196,3 +197,16 @@ def test_the_page_answers_and_its_table_holds_the_numbers():
     formation = found.maps["a"].formation
     assert formation.number == pytest.approx(formation.cov / formation.random_cov)
     assert f"{formation.number:.2f}" in page
+
+
+def test_band_maps_hold_the_waves_of_their_octaves():
+    values = texture(np.random.default_rng(8))[0]
+    is_valid = np.ones(SHAPE, dtype=bool)
+    is_valid[40:70, 50:90] = False
+    field = OctaveField(is_valid, (PIXEL_UM, PIXEL_UM))
+    bands = pl.scales(dataset(a=np.where(is_valid, values, np.nan))).bands["a"]
+    for band, array in zip(bands, field.band_maps(values), strict=True):
+        assert np.isnan(array).sum() == (~is_valid).sum()
+        assert np.nanstd(array) == pytest.approx(band.sd, rel=0.15)
+    long_wave = field.band_maps(wave(350.0))
+    assert np.nanstd(long_wave[0]) > 20 * np.nanstd(long_wave[2])

@@ -15,7 +15,7 @@ from pydantic import Field
 from scipy import special
 
 from planish.analyze.distributions import t_95
-from planish.analyze.formation import Formation
+from planish.analyze.formation import Formation, RandomSheet
 from planish.core.facts import Interval, ResultModel, Trust, Value, optional
 from planish.core.typing import Array, Complexes, Floats, Pair
 from planish.texture.octave_spectra import OctaveField, OctavePower
@@ -254,12 +254,9 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
     return fields
 
 
-def with_formation(
-    facts: MapScales, bands: Sequence[ScaleBand], formation: Formation
-) -> tuple[MapScales, tuple[ScaleBand, ...]]:
-    """The same with the formation number, of each octave, too."""
-    rows: list[ScaleBand] = []
-    for band in bands:
-        random_cov = formation.sheet.cov_of(band.low_um, band.high_um)
-        rows.append(band.model_copy(update={"formation": band.cov / random_cov}))
-    return facts.model_copy(update={"formation": formation}), tuple(rows)
+def with_formation(bands: Sequence[ScaleBand], sheet: RandomSheet) -> tuple[ScaleBand, ...]:
+    """The same octaves, each with the formation number of its waves."""
+    return tuple(
+        band.model_copy(update={"formation": band.cov / sheet.cov_of(band.low_um, band.high_um)})
+        for band in bands
+    )

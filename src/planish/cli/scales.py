@@ -30,7 +30,7 @@ def scales(run: Path, out: Path | None, as_json: bool, **values: Any) -> None:
     scales.html, scales.json and the octaves as CSV.
     """
     from planish.report.scales import band_rows
-    from planish.report.sentences.scales import say_answer, say_surer
+    from planish.report.sentences.scales import say_answer, say_notes, say_surer
     from planish.run.map_scales import scales_of_run, write_scales
     from planish.run.run import open_run
 
@@ -46,7 +46,7 @@ def scales(run: Path, out: Path | None, as_json: bool, **values: Any) -> None:
     else:
         for name, rows in band_rows(found).items():
             table(f"Octaves of {name}", [*rows[0]], [[*row.values()] for row in rows])
-        for text in (say_answer(found), *say_surer(found)):
+        for text in (say_answer(found), *say_surer(found), *say_notes(found)):
             sentence(in_ascii(text))
     if out is not None:
         click.echo(f"page: {out / 'scales.html'}", err=as_json)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -265,8 +266,9 @@ def _scales(
         reading = read([name] if against is None else [name, against])
         fact, rows = octaves_of_map(reading.maps, reading.pixel_um, reading.halves)
         sheet = _random_sheet(params)
-        if sheet is not None and reading.maps[0].is_mass and rows:
-            fact, rows = _with_formation(fact, rows, reading, sheet, params.formation_cell_um)
+        if sheet is not None and reading.maps[0].is_mass:
+            rows = with_formation(rows, sheet)
+            fact = fact.model_copy(update=_formation(reading, sheet, params.formation_cell_um))
         facts[name], bands[name] = fact, rows
     found = Scales(bands=bands, maps=facts, against=against)
     if against is None:
@@ -275,21 +277,23 @@ def _scales(
     return found.model_copy(update={"against_title": other.title, "against_units": other.units})
 
 
-def _with_formation(
-    fact: MapScales,
-    rows: tuple[ScaleBand, ...],
-    reading: Reading,
-    sheet: RandomSheet,
-    cell_um: float,
-) -> tuple[MapScales, tuple[ScaleBand, ...]]:
-    """The same with the formation number, or with the reason why there is none."""
+def _formation(reading: Reading, sheet: RandomSheet, cell_um: float) -> dict[str, Any]:
+    """The formation number of the first map, or the reason why there is none."""
+    values, difference = reading.maps[0].values, None
+    for half in reading.halves:
+        if 0 in half.of_maps and half.of_maps[0].shape == values.shape:
+            difference = half.of_maps[0]
     try:
         formation = formation_number(
-            reading.maps[0].values, pixel_um=reading.pixel_um, sheet=sheet, cell_um=cell_um
+            values,
+            pixel_um=reading.pixel_um,
+            sheet=sheet,
+            cell_um=cell_um,
+            half_difference=difference,
         )
     except CannotMeasure as fault:
-        return fact.model_copy(update={"reason": fault.text}), rows
-    return with_formation(fact, rows, formation)
+        return {"reason": fault.text}
+    return {"formation": formation}
 
 
 def _random_sheet(params: ScalesParams) -> RandomSheet | None:

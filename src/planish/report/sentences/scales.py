@@ -97,6 +97,9 @@ def _say_relation(found: Scales, facts: MapScales, bands: Sequence[ScaleBand]) -
         f" {with_unit_of(size, facts.units)} (95 %:"
         f" {fixed(ends[0], digits)} to {fixed(ends[1], digits)})."
     )
+    is_coating = facts.map.startswith("coating_") and "base_surface" in str(found.against)
+    if is_coating and best.gain < 0:
+        text += f" It levels {percent(-best.gain, 2)} of the height of these waves."
     silent = [waves(band) for band in known if not band.coherence_interval[0] > 0]
     if silent:
         text += f" In waves of {and_join(silent)} it does not follow beyond chance."
