@@ -29,7 +29,7 @@ class CellColumn:
     """What one number of a cell is made of: a map, or the pixels of a map that have a label."""
 
     name: str
-    values: Rows
+    values: xr.DataArray
     label: int | None = None  # of a factor
 
     @property
@@ -42,15 +42,12 @@ class CellColumn:
         """The map in words."""
         if self.is_factor:
             return self.name
-        long_name = getattr(self.values, "attrs", {}).get("long_name", "")
-        return str(long_name or self.name.replace("_", " "))
+        return str(self.values.attrs.get("long_name", self.name.replace("_", " ")))
 
     @property
     def units(self) -> str:
         """Unit of the numbers."""
-        if self.is_factor:
-            return "1"
-        return str(getattr(self.values, "attrs", {}).get("units", "1"))
+        return "1" if self.is_factor else str(self.values.attrs.get("units", "1"))
 
     def of(self, values: NDArray[Any]) -> NDArray[Any]:
         """Numbers of some pixels of the map."""

@@ -80,19 +80,15 @@ class _Inverse:
 
     def __init__(self, is_valid: Bools, pixel_um: Pair, covariance: ExponentialCovariance) -> None:
         self._is_valid = is_valid
-        self._size = [fft.next_fast_len(2 * count, real=True) for count in is_valid.shape]
-        lag_um = [
-            fft.fftfreq(count, 1.0 / count) * size
-            for count, size in zip(self._size, pixel_um, strict=True)
-        ]
-        distance_um = np.hypot(lag_um[0][:, None], lag_um[1])
-        self._power = np.asarray(fft.rfft2(covariance(distance_um))).real
-        least = _LEAST_POWER * float(self._power.max())
-        n = int(np.count_nonzero(is_valid))
-        self._product = linalg.LinearOperator((n, n), self._convolved(self._power), dtype=float)
-        self._guess = linalg.LinearOperator(
-            (n, n), self._convolved(1 / np.maximum(self._power, least)), dtype=float
+        size = [fft.next_fast_len(2 * count, real=True) for count in is_valid.shape]
+        y_um, x_um = (
+            fft.fftfreq(count, 1.0 / count) * step
+            for count, step in zip(size, pixel_um, strict=True)
         )
+        power = np.asarray(fft.rfft2(covariance(np.hypot(y_um[:, None], x_um)))).real
+        self._product = self._convolution(power, size)
+        least = _LEAST_POWER * float(power.max())
+        self._guess = self._convolution(1 / np.maximum(power, least), size)
 
     def __call__(self, values: Floats) -> Floats:
         """Apply the inverse; CannotMeasure where it is not found."""
@@ -106,13 +102,16 @@ class _Inverse:
             )
         return np.asarray(solution)
 
-    def _convolved(self, power: Floats):
-        rows, cols = self._is_valid.shape
+    def _convolution(self, power: Floats, size: Sequence[int]) -> linalg.LinearOperator:
+        """A convolution of values on the mask, by its Fourier transform."""
+        is_valid = self._is_valid
+        rows, cols = is_valid.shape
+        n = int(np.count_nonzero(is_valid))
 
         def convolve(values: Floats) -> Floats:
-            placed = np.zeros(self._size)
-            placed[:rows, :cols][self._is_valid] = np.ravel(values)
-            product = fft.irfft2(fft.rfft2(placed) * power, self._size)
-            return np.asarray(product)[:rows, :cols][self._is_valid]
+            placed = np.zeros(size)
+            placed[:rows, :cols][is_valid] = np.ravel(values)
+            product = np.asarray(fft.irfft2(fft.rfft2(placed) * power, size))
+            return product[:rows, :cols][is_valid]
 
-        return convolve
+        return linalg.LinearOperator((n, n), convolve, dtype=float)

@@ -27,6 +27,9 @@ BESIDE = 86.0  # to the right of a map on half a page: its colour bar
 MARGIN, BELOW = 44.0, 18.0  # to the left of a map and below it: the numbers of its axes
 INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
 ACCENT, POINT = "#b3402a", "#2f6690"
+COLOURS = (POINT, ACCENT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
+"""Of curves in one figure."""
+LINE_PX = 17.0  # of their names, one below the other
 SMALL, BIG = 11.0, 12.0  # font sizes
 _FONTS = (
     "font-family=\"'Source Sans 3','Segoe UI','Helvetica Neue','Liberation Sans',Arial,sans-serif\""
@@ -515,6 +518,14 @@ class Canvas(Axes):
             self.colour_bar(x + box[0] + 11, y, 12, high, scale)
             self.text(x + box[0] + BESIDE - 5, y + high / 2, label, anchor="middle", upwards=True)
         return axes
+
+    def name_curves(self, titles: Iterable[str], x: float, y: float) -> None:
+        """Name curves by their colours, one below the other."""
+        for index, title in enumerate(titles):
+            place = y + LINE_PX * index
+            colour = COLOURS[index % len(COLOURS)]
+            self.line([(x, place - 4), (x + 18, place - 4)], colour=colour, width=2.5)
+            self.text(x + 26, place, title)
 
     def picture(
         self, *, title: str, caption: str, data: Mapping[str, Table] | None = None

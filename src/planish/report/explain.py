@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -26,11 +27,14 @@ from planish.core.numbers import (
 )
 from planish.report import text
 from planish.report.colours import limits
+from planish.report.diagnostics import draw_log_axes
 from planish.report.draw import (
     ACCENT,
+    COLOURS,
     FAINT,
     HALF,
     INK,
+    LINE_PX,
     POINT,
     SMALL,
     SOFT,
@@ -51,7 +55,6 @@ AnyModel = Explained | ExplainedSeries
 
 _WIDEST_NAME = 245.0  # pixels, of a row
 _MOST_LETTERS = 36  # of that name
-_COLOURS = (POINT, ACCENT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
 _BOX = (86.0, 14.0, HALF - 106.0, 226.0)  # of a diagram on half a page of 310 pixels
 
 
@@ -221,29 +224,22 @@ def draw_sizes(model: Explained) -> Picture:
     all_ends = [end for row in rows for ends in row.intervals.values() for end in ends]
     known = [0.0, *(end for end in all_ends if is_known(end))]
     low, high = min(known) - 0.05, max(known) + 0.05
-    logs = [float(np.log2(row.cell_um)) for row in rows]
-    canvas = Canvas(HALF, 310)
-    axes = canvas.axes(*_BOX, (min(logs) - 0.4, max(logs) + 0.4, low, high))
-    declared = float(np.log2(model.cell_um))
+    logs = [math.log10(row.cell_um) for row in rows]
+    names = strongest(model.coefficients)
+    canvas = Canvas(HALF, 290 + LINE_PX * len(names))
+    axes = canvas.axes(*_BOX, (min(logs) - 0.1, max(logs) + 0.1, low, high))
+    declared = math.log10(model.cell_um)
     axes.line([(declared, low), (declared, high)], colour=FAINT, width=24)
     axes.across(0.0, dash="4 3")
-    names = strongest(model.coefficients)
     for index, name in enumerate(names):
-        colour = _COLOURS[index % len(_COLOURS)]
-        places = [log + 0.06 * (index - (len(names) - 1) / 2) for log in logs]
+        colour = COLOURS[index % len(COLOURS)]
+        places = [log + 0.02 * (index - (len(names) - 1) / 2) for log in logs]
         for place, row in zip(places, rows, strict=True):
             axes.line([(place, end) for end in row.intervals[name]], colour=colour, width=1.4)
         values = [row.standardised[name] for row in rows]
         axes.curve(places, values, colour=colour, width=1.2, dot_px=6)
-        column, line = index % 2, index // 2
-        title = model.coefficients[name].title
-        canvas.text(86 + 210 * column, 294 + 13 * line, f"● {title}", colour=colour, size=11)
-    canvas.ticks(
-        axes,
-        "Edge of the cells / µm",
-        "Standardised coefficient",
-        x_ticks=[(log, f"{row.cell_um:g}") for log, row in zip(logs, rows, strict=True)],
-    )
+    draw_log_axes(canvas, axes, "Edge of the cells / µm", "Standardised coefficient")
+    canvas.name_curves((model.coefficients[name].title for name in names), _BOX[0], 298)
     word = "declared" if model.declared else "stated"
     return canvas.picture(
         title="The same model over other cells",
@@ -263,7 +259,7 @@ def draw_partial(model: Explained, name: str) -> Picture:
     x = freed[is_valid]
     y = model.cells["residual"].values[is_valid] + coefficient.plain * x
     canvas = Canvas(HALF, 310)
-    axes = draw_dots(canvas, (x, y), _BOX)
+    axes = draw_dots(canvas, (x, y), _BOX, bar_px=55.0)
     draw_fit(axes, [(float(v), coefficient.plain * float(v)) for v in (x.min(), x.max())])
     canvas.ticks(
         axes,

@@ -23,10 +23,9 @@ from planish.core.typing import Pair
 from planish.report import text
 from planish.report.diagnostics import draw_log_axes
 from planish.report.draw import (
-    ACCENT,
+    COLOURS,
     HALF,
-    POINT,
-    SOFT,
+    LINE_PX,
     Axes,
     Canvas,
     Picture,
@@ -44,10 +43,8 @@ from planish.report.sentences.scales import (
 )
 from planish.report.summary import KeyFigure
 
-_COLOURS = (ACCENT, POINT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
 _LEFT, _TOP, _WIDE, _HIGH = 74.0, 16.0, 416.0, 200.0
 _MOST_NAMED = 3  # maps in the heading
-_LINE = 17.0  # of the names of maps below a figure
 
 
 def scales_page(found: Scales, *, source: str, version: str) -> str:
@@ -204,7 +201,7 @@ def draw_spread(found: Scales, names: Sequence[str], *, is_cov: bool) -> Picture
             for band in found.bands[name]
         ]
         highest = max(highest, factor * max(tops))
-    canvas = Canvas(HALF, _TOP + _HIGH + 58 + _LINE * len(names))
+    canvas = Canvas(HALF, _TOP + _HIGH + 58 + LINE_PX * len(names))
     axes = canvas.axes(
         _LEFT, _TOP, _WIDE, _HIGH, (*_log_limits(found, names), 0.0, 1.06 * highest or 1.0)
     )
@@ -215,7 +212,7 @@ def draw_spread(found: Scales, names: Sequence[str], *, is_cov: bool) -> Picture
         ]
         _draw_octaves(axes, found.bands[name], values, intervals, index, len(names))
     draw_log_axes(canvas, axes, "wavelength / µm", label)
-    _name_maps(canvas, found, names, _TOP + _HIGH + 58)
+    canvas.name_curves([found.maps[name].title for name in names], _LEFT, _TOP + _HIGH + 58)
     return canvas.picture(
         title="How much the maps vary by octave of wavelength",
         caption=(
@@ -231,7 +228,7 @@ def draw_spread(found: Scales, names: Sequence[str], *, is_cov: bool) -> Picture
 def draw_relation(found: Scales) -> Picture:
     """Draw gain and squared coherence of maps for the other one, by octave."""
     names = [name for name, bands in found.bands.items() if bands]
-    canvas = Canvas(HALF, 2 * (_HIGH - 40) + 2 * _TOP + 100 + _LINE * len(names))
+    canvas = Canvas(HALF, 2 * (_HIGH - 40) + 2 * _TOP + 100 + LINE_PX * len(names))
     gains = [
         end
         for name in names
@@ -262,7 +259,7 @@ def draw_relation(found: Scales) -> Picture:
         )
     draw_log_axes(canvas, upper, "", "gain")
     draw_log_axes(canvas, lower, "wavelength / µm", "squared coherence")
-    _name_maps(canvas, found, names, bottom + _HIGH + 18)
+    canvas.name_curves([found.maps[name].title for name in names], _LEFT, bottom + _HIGH + 18)
     return canvas.picture(
         title=f"What the maps show of {in_words(found.against_title)}, by octave of wavelength",
         caption=(
@@ -285,7 +282,7 @@ def _draw_octaves(
     number_of_maps: int,
 ) -> None:
     """Draw values of octaves with their intervals, beside those of other maps."""
-    colour = _COLOURS[index % len(_COLOURS)]
+    colour = COLOURS[index % len(COLOURS)]
     for band, value, interval in zip(bands, values, intervals, strict=True):
         if not is_known(value):
             continue
@@ -302,14 +299,6 @@ def _log_limits(found: Scales, names: Sequence[str]) -> Pair:
         edge for name in names for band in found.bands[name] for edge in (band.low_um, band.high_um)
     ]
     return math.log10(min(edges)) - 0.03, math.log10(max(edges)) + 0.03
-
-
-def _name_maps(canvas: Canvas, found: Scales, names: Sequence[str], top: float) -> None:
-    for index, name in enumerate(names):
-        y = top + _LINE * index
-        colour = _COLOURS[index % len(_COLOURS)]
-        canvas.line([(_LEFT, y - 4), (_LEFT + 18, y - 4)], colour=colour, width=2.5)
-        canvas.text(_LEFT + 26, y, found.maps[name].title)
 
 
 def _pixels_of(found: Scales, names: Sequence[str]) -> str:
