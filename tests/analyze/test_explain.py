@@ -202,7 +202,7 @@ def test_a_map_of_labels_is_a_factor(maps):
 def test_other_cell_sizes_stand_beside_the_declared_one(maps):
     model = explained(maps, cell_um=2 * PIXEL_UM)
     assert [row.cell_um for row in model.sizes] == [20.0, 40.0, 80.0, 160.0]
-    (declared,) = [row for row in model.sizes if row.declared]
+    (declared,) = [row for row in model.sizes if row.cell_um == model.cell_um]
     assert declared.standardised["a"] == model.coefficients["a"].standardised
     finest = explained(maps).coefficients["a"].standardised
     assert model.sizes[0].standardised["a"] == pytest.approx(finest, rel=1e-12)
@@ -260,4 +260,4 @@ def test_out_of_sample_is_below_in_sample_and_near_the_truth():
     model = explained(dataset(y=0.6 * a + 0.8 * rest, a=a, b=b))
     assert model.r2_out < model.r2
     assert model.r2_out == pytest.approx(0.36, abs=0.06)
-    assert model.block_um > 2 * model.residual_range_um
+    assert model.block_um > 2 * model.residuals.range_um

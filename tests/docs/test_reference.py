@@ -176,10 +176,7 @@ def test_every_map_package_exit_code_and_message_is_collected():
     assert [name for name in public_names.packages() if f"[`{name}`]({name}.md)" not in text] == []
     kinds = [found for _, found in inspect.getmembers(errors, inspect.isclass)]
     used = {found.exit_code for found in kinds} | {0, 2, 4, 130}
-    assert {
-        int(code)
-        for code in re.findall(r"^\| (\d+) \|", page("cli.md"), re.MULTILINE)
-    } == used
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", page("cli.md"), re.MULTILINE)} == used
     texts = {message.text for message in messages.messages()}
     assert "Labels are integers; this volume holds …. Give the label volume, not the grey." in texts
     assert any("The disk is full while writing …" in text for text in texts)

@@ -41,7 +41,6 @@ COLLINEAR = 10.0
 _IS_SUM = 1e6  # variance inflation that no two measured maps reach: a thousandth of sd is left
 _SIZES = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the curve, in declared cells
 _LEFT = 3.0  # ranges after which a twentieth of an exponential covariance is left
-_CORRELOGRAM_POINTS = 40
 
 
 class CoefficientFacts(ResultModel):
@@ -73,7 +72,6 @@ class Coefficient(CoefficientFacts):
     vif: Value = optional("Variance inflation: how much the other predictors widen the interval.")
     unique: Value = optional("Share of the response's variance that it alone explains.")
     rank: Value = optional("The standardised coefficient over the ranks of all maps.")
-    rank_interval: Interval = optional("Its 95 % interval.")
     weighed: Value = optional(
         "The standardised coefficient by generalised least squares, with the covariance of the"
         " residuals as weights."
@@ -96,7 +94,6 @@ class CellSizeRow(ResultModel):
     """The model over cells of one size."""
 
     cell_um: float = Field(description="Edge of a cell.")
-    declared: bool = Field(description="Whether it is the size of the model.")
     n: int = Field(description="Cells.")
     n_eff: Value = optional("Independent cells.")
     r2: Value = optional("Share of the variance that is explained.")
@@ -133,19 +130,11 @@ class Explained(ModelFacts):
     """A response explained by several maps, on cells of one size."""
 
     block_um: Value = optional("Width of these blocks, beyond the reach of the residuals.")
-    residual_range_um: Value = optional(
-        "Distance at which the covariance of the residuals has fallen to 1/e."
-    )
+    residuals: Variogram | None = optional("How far its residuals resemble each other.")
     intercept: Value = Field(description="Of the plain model.")
     shared: Value = optional("Share of the variance that the predictors explain only together.")
     coefficients: dict[str, Coefficient] = Field(description="By predictor.")
     sizes: tuple[CellSizeRow, ...] = Field(default=(), description="The same over other cells.")
-    correlogram_um: tuple[float, ...] = Field(
-        default=(), description="Distances of the residuals' correlogram."
-    )
-    correlogram: tuple[Value, ...] = Field(
-        default=(), description="Correlation of residuals at these distances."
-    )
     shared_errors: tuple[SharedError, ...] = Field(
         default=(), description="Predictors whose errors go together."
     )
@@ -221,7 +210,7 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
     curve = _variogram_of_residuals(cells, model)
     coefficients = _coefficients(cells, model, errors, curve, corrected=corrected)
     rows = [_size_row(_Cells.of(columns, means, size_um)) for size_um, means in models.items()]
-    rows.append(_row_of(cells, model, declared=True))
+    rows.append(_row_of(cells, model))
     response = columns[0]
     explained = Explained(
         response=response.name,
@@ -370,7 +359,6 @@ def _coefficients(
             vif=float(model.vif[index]),
             unique=float(model.unique[index]),
             rank=float(ranked.standardised[index]),
-            rank_interval=ranked.interval(index, standardised=True),
             weighed=float(weighed[index]),
             by_errors=float(by_errors[index]),
         )
@@ -439,32 +427,22 @@ def _of_residuals(cells: _Cells, curve: Variogram | None) -> dict[str, Any]:
             f"No R2 out of sample: the field holds no 2 x 2 blocks of {block_um:.0f} um, beyond"
             " which residuals are independent."
         )
-    count = len(curve.values)
-    chosen = np.unique(np.geomspace(1, count, _CORRELOGRAM_POINTS).round().astype(np.intp)) - 1
-    return {
-        "r2_out": r2_out,
-        "block_um": block_um,
-        "residual_range_um": curve.range_um,
-        "correlogram_um": tuple(curve.distances_um[k] for k in chosen),
-        "correlogram": tuple(1 - curve.values[k] / curve.sill for k in chosen),
-        "reason": reason,
-    }
+    return {"r2_out": r2_out, "block_um": block_um, "residuals": curve, "reason": reason}
 
 
 def _size_row(cells: _Cells) -> CellSizeRow:
     try:
         return _row_of(cells, _bearable(cells, None))
     except CannotMeasure as fault:
-        return CellSizeRow(cell_um=cells.cell_um, declared=False, n=cells.lags.n, reason=fault.text)
+        return CellSizeRow(cell_um=cells.cell_um, n=cells.lags.n, reason=fault.text)
 
 
-def _row_of(cells: _Cells, model: Regression, *, declared: bool = False) -> CellSizeRow:
+def _row_of(cells: _Cells, model: Regression) -> CellSizeRow:
     intervals = {
         name: model.interval(index, standardised=True) for index, name in enumerate(cells.names)
     }
     return CellSizeRow(
         cell_um=cells.cell_um,
-        declared=declared,
         n=cells.lags.n,
         n_eff=float(model.n_eff.min()),
         r2=model.r2,

@@ -10,6 +10,7 @@ import numpy as np
 
 from planish.analyze.explain import Explained, strongest
 from planish.analyze.explain_sheets import ExplainedSeries
+from planish.analyze.variograms import Variogram
 from planish.core.facts import ResultModel, is_known
 from planish.core.numbers import (
     NONE,
@@ -102,8 +103,8 @@ def details_of(model: AnyModel) -> list[Picture]:
     if model.cells is not None:
         pictures += [draw_partial(model, name) for name in strongest(model.coefficients)]
         pictures.append(draw_residuals(model))
-    if model.correlogram:
-        pictures.append(draw_correlogram(model))
+    if model.residuals is not None:
+        pictures.append(draw_correlogram(model, model.residuals))
     return pictures
 
 
@@ -292,24 +293,23 @@ def draw_residuals(model: Explained) -> Picture:
     )
 
 
-def draw_correlogram(model: Explained) -> Picture:
+def draw_correlogram(model: Explained, curve: Variogram) -> Picture:
     """Draw how far the residuals resemble each other."""
-    distances = [0.0, *model.correlogram_um]
-    values = [1.0, *model.correlogram]
-    low = min(*values, -0.1) - 0.05
+    distances = [0.0, *curve.distances_um]
+    values = [1.0, *(1 - value / curve.sill for value in curve.values)]
     canvas = Canvas(HALF, 310)
-    axes = canvas.axes(*_BOX, (0.0, distances[-1] * 1.02, low, 1.05))
+    axes = canvas.axes(*_BOX, (0.0, distances[-1] * 1.02, min(*values, -0.1) - 0.05, 1.05))
     axes.across(0.0)
-    axes.curve(distances, values, colour=POINT, width=1.4, dot_px=5)
+    axes.curve(distances, values, colour=POINT, width=1.4, dot_px=3)
     canvas.ticks(axes, "Distance / µm", "Correlation of residuals")
     range_text = ""
-    if is_known(model.residual_range_um):
-        range_text = f" It falls to 1/e at {length(model.residual_range_um)}."
-    block_text = ""
-    if is_known(model.block_um):
-        block_text = f" Blocks of R² out of sample: {length(model.block_um)} and wider."
+    if is_known(curve.range_um):
+        range_text = f" It falls to 1/e at {length(curve.range_um)}."
     return canvas.picture(
         title="Correlogram of the residuals",
-        caption=f"Why n is no sample size.{range_text}{block_text}",
+        caption=(
+            f"Why n is no sample size.{range_text} Blocks of R² out of sample:"
+            f" {length(model.block_um)} and wider."
+        ),
         data={"correlogram": {"distance_um": distances, "r": values}},
     )
