@@ -172,6 +172,7 @@ class Applying:
             _wait_and_close(process)
 
     def _follow_progress(self, process: subprocess.Popen[str], out: Path) -> None:
+        """Take over what the process reports, until it ends, and clean up where it made nothing."""
         assert process.stdout is not None
         last_message: dict[str, Any] = {}
         for line in process.stdout:

@@ -53,7 +53,8 @@ def main() -> None:
         os.nice(5)  # the page and whatever else a person does come first
     try:
         _warm_up()
-        if order := sys.stdin.readline():
+        order = sys.stdin.readline()
+        if order:
             threading.Thread(target=interrupt_after_input, daemon=True).start()
             _make_run(json.loads(order), send)
     except KeyboardInterrupt:
@@ -61,6 +62,7 @@ def main() -> None:
 
 
 def _warm_up() -> None:
+    """Load what a run needs, before there is one to make."""
     gc.disable()  # all that is loaded stays
     import_module("contourpy")
     import numpy as np
@@ -85,6 +87,7 @@ def _warm_up() -> None:
 
 
 def _make_run(order: Mapping[str, Any], send: Any) -> None:
+    """Make the run of an order, and send its progress and its end."""
     from planish.run import run_study
     from planish.run.study import Study, in_study_words
 
@@ -93,7 +96,8 @@ def _make_run(order: Mapping[str, Any], send: Any) -> None:
 
     out = Path(order["out"])
     staging = Path(order["staging"])
-    outcome, ignored_errors = {"state": "done"}, () if order["files"] else (PlanishError,)
+    outcome = {"state": "done"}
+    ignored_errors = () if order["files"] else (PlanishError,)
     try:
         with suppress(*ignored_errors), writing(staging):
             staging.mkdir(parents=True, exist_ok=True)
@@ -107,10 +111,8 @@ def _make_run(order: Mapping[str, Any], send: Any) -> None:
         )
     except Exception as error:  # noqa: BLE001  the page gets a sentence
         remedy = "Close other programs, or apply it on a machine with more memory."
-        outcome = {
-            "state": "failed",
-            "message": in_study_words(as_sentence(error, "the new run", remedy).text),
-        }
+        message = in_study_words(as_sentence(error, "the new run", remedy).text)
+        outcome = {"state": "failed", "message": message}
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     send(outcome)

@@ -223,10 +223,9 @@ def fitted(
     warnings = [*coincident]
     n_used = int(is_used.sum())
     if n_used < 3:
+        pairs_text = f"{n_used} pair{'s' * (n_used != 1)} of marks in use"
         needed_text = "a registration needs 3, far apart, and more to say how good it is."
-        warnings.append(
-            FitWarning(text=f"{n_used} pair{'s' * (n_used != 1)} of marks in use: {needed_text}")
-        )
+        warnings.append(FitWarning(text=f"{pairs_text}: {needed_text}"))
     unfitted = Fitted(
         fit=None,
         pairs=pairs,

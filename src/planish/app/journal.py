@@ -36,7 +36,9 @@ class Journal:
     """
 
     def __init__(self, path: Path, *, subject: str, write: bool) -> None:
-        self.path, self.subject = path, subject
+        """Read what was written before; with ``write``, keep others out."""
+        self.path = path
+        self.subject = subject
         self._lock = None
         if write:
             with writing(path):

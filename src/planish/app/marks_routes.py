@@ -9,7 +9,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import anyio
-import numpy as np
 from anyio.to_thread import run_sync
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
@@ -20,7 +19,7 @@ from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Import, La
 from planish.app.exchange import MarkFile, exported, imported
 from planish.app.picture import PLANES, finite_or_none
 from planish.app.served import Served, open_new_run, served_of
-from planish.app.session import Stale, pairs_of
+from planish.app.session import Session, Stale, pairs_of
 from planish.app.snap import not_snapped, snapped
 from planish.app.view_routes import required_numbers, route
 from planish.core.tables import naming_faults
@@ -70,30 +69,9 @@ def get_session(request: Request) -> Response:
     limits_um = {
         name: finite_or_none(check.limit) for check in marks_checks for name in check.layers[:1]
     }
-    layers: list[dict[str, Any]] = []
-    for layer in session.layers:
-        circles = {
-            plane: (
-                np.stack([holes[name].values for name in ("x", "y", "diameter")], axis=1).tolist()
-            )
-            for plane, holes in session.holes(layer).items()
-        }
-        layers.append(
-            {
-                "name": layer,
-                "to": session.target(layer),
-                "headline": session.results.layer(layer).headline,
-                "holes": circles,
-                "names": session.view_names(layer),
-                "limit_um": limits_um.get(layer),
-                "shown": {
-                    plane: dict(
-                        zip(("plane", "layer"), session.shown_by(layer, plane), strict=True)
-                    )
-                    for plane in PLANES
-                },
-            }
-        )
+    layers = [
+        _layer_facts(session, name) | {"limit_um": limits_um.get(name)} for name in session.layers
+    ]
     return Answer(
         {
             "run": served.run,
@@ -108,6 +86,25 @@ def get_session(request: Request) -> Response:
             "pictures": [picture.described() for picture in session.pictures],
         }
     )
+
+
+def _layer_facts(session: Session, layer: str) -> dict[str, Any]:
+    """Where a layer is shown, and its holes as circles (x, y, diameter), by plane."""
+    circles: dict[str, Any] = {}
+    shown: dict[str, dict[str, str]] = {}
+    for plane, holes in session.holes(layer).items():
+        circles[plane] = holes[["x", "y", "diameter"]].to_array().values.T.tolist()
+    for plane in PLANES:
+        shown_plane, shown_layer = session.shown_by(layer, plane)
+        shown[plane] = {"plane": shown_plane, "layer": shown_layer}
+    return {
+        "name": layer,
+        "to": session.target(layer),
+        "headline": session.results.layer(layer).headline,
+        "holes": circles,
+        "names": session.view_names(layer),
+        "shown": shown,
+    }
 
 
 def _layer_name(request: Request) -> str:
@@ -170,6 +167,18 @@ def _changing(
         return await run_sync(act)
 
     return handle
+
+
+def _change(request: Request, body: _ChangeBody) -> None:
+    served_of(request).session.change(body.change, version=body.version)
+
+
+def _undo(request: Request, body: _Body) -> None:
+    served_of(request).session.undo(version=body.version)
+
+
+def _redo(request: Request, body: _Body) -> None:
+    served_of(request).session.redo(version=body.version)
 
 
 def _snap(request: Request, body: _SnapBody) -> str:
@@ -276,24 +285,9 @@ ROUTES = [
     route("/api/session", get_session),
     route("/api/state", lambda r: Answer(_state_of(r))),
     route("/api/events", get_events),
-    route(
-        "/api/change",
-        _changing(
-            _ChangeBody,
-            lambda r, body: served_of(r).session.change(body.change, version=body.version),
-        ),
-        "POST",
-    ),
-    route(
-        "/api/undo",
-        _changing(_Body, lambda r, body: served_of(r).session.undo(version=body.version)),
-        "POST",
-    ),
-    route(
-        "/api/redo",
-        _changing(_Body, lambda r, body: served_of(r).session.redo(version=body.version)),
-        "POST",
-    ),
+    route("/api/change", _changing(_ChangeBody, _change), "POST"),
+    route("/api/undo", _changing(_Body, _undo), "POST"),
+    route("/api/redo", _changing(_Body, _redo), "POST"),
     route("/api/snap", _changing(_SnapBody, _snap), "POST"),
     route("/api/predict", get_predict),
     route("/api/marks/texture", _changing(_TextureBody, _find_texture), "POST"),

@@ -322,10 +322,9 @@ def trim(root: Path, *, keep: Path, most_bytes: int = CACHE_BYTES) -> None:
     """Remove copies unused for the longest time until the others take at most ``most_bytes``."""
     with suppress(OSError):
         folders = sorted({*root.iterdir()} - {keep}, key=lambda folder: folder.stat().st_mtime)
-        sizes = {
-            folder: sum(file.stat().st_size for file in folder.iterdir())
-            for folder in [*folders, keep]
-        }
+        sizes: dict[Path, int] = {}
+        for folder in [*folders, keep]:
+            sizes[folder] = sum(file.stat().st_size for file in folder.iterdir())
         for folder in folders:
             if sum(sizes.values()) <= most_bytes:
                 return

@@ -98,6 +98,7 @@ class Pictures:
 
 
 def _of_run(run: Path) -> Iterator[PlanePicture]:
+    """Pictures of a run: of each layer by itself, on the reference, and of what was made of all."""
     results = open_results(run)
     study = study_of(run, results)
     if not results.is_link:
@@ -145,7 +146,24 @@ def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:
 def group_pictures(
     run: Path, group: str, *, plane: Plane, layer: str, prefix: str = ""
 ) -> Iterator[PlanePicture]:
-    """The maps of a group of a run: images and properties first, places last."""
+    """The maps of a group of a run: images and properties first, places last.
+
+    Parameters
+    ----------
+    run : path
+    group : str
+        Name of the group in the store of the run.
+    plane : {"moving", "fixed"}
+        Plane that they are shown in.
+    layer : str
+        Layer that they are of.
+    prefix : str
+        Begins their names.
+
+    Yields
+    ------
+    PlanePicture
+    """
     store = run / MAPS
     if not (store / group).is_dir():
         return

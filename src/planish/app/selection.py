@@ -115,10 +115,10 @@ def profile(
     lines: list[dict[str, Any]] = []
     for picture in pictures:
         values = np.full(distances_um.size, np.nan)
-        at = (level, rows[is_inside], cols[is_inside])
-        values[is_inside] = tiles.values_at(picture, *at)
+        place = (level, rows[is_inside], cols[is_inside])
+        values[is_inside] = tiles.values_at(picture, *place)
         for mask in tiles.pictures.valid_of(picture):
-            values[is_inside] = np.where(tiles.values_at(mask, *at), values[is_inside], np.nan)
+            values[is_inside] = np.where(tiles.values_at(mask, *place), values[is_inside], np.nan)
         samples = [*map(finite_or_none, values)]
         lines.append(
             {"id": picture.id, "name": picture.name, "units": picture.units, "values": samples}
@@ -286,21 +286,9 @@ def select(
     x, y = (computed(p.full[window], partial(_read_until, stop, p.full[window])) for p in (a, b))
     masks = [p.full[window] for p in tiles.pictures.valid_of(a, b)]
     if brushes or is_axial(a.full) or is_axial(b.full):
-        brush_values = [brush.picture.full[window] for brush in brushes]
-        n = 0
-        for _, (a_values, b_values, *bands) in read_bands(x, y, *brush_values, *masks):
-            is_selected = valid_in_all((a_values, b_values), bands[len(brushes) :])
-            for brush, values in zip(brushes, bands, strict=False):
-                is_selected &= (values >= brush.low) & (values <= brush.high)
-            n += int(np.count_nonzero(is_selected))
-        return {
-            "n": n,
-            "pixel_um": pixel_um,
-            "r": None,
-            "n_eff": None,
-            "interval": None,
-            "warnings": [],
-        }
+        unstated = dict.fromkeys(("r", "n_eff", "interval"))
+        n = _n_selected(x, y, window, brushes, masks)
+        return {"n": n, "pixel_um": pixel_um, **unstated, "warnings": []}
     mask = None
     if masks:
         mask = computed(
@@ -321,6 +309,24 @@ def select(
         "interval": row.interval if is_known(row.interval) else None,
         "warnings": [*warnings, *row.warnings],
     }
+
+
+def _n_selected(
+    x: xr.DataArray,
+    y: xr.DataArray,
+    window: Window,
+    brushes: Sequence[Brush],
+    masks: Sequence[xr.DataArray],
+) -> int:
+    """Count the pixels that are valid in both pictures and within all brushes."""
+    brush_values = [brush.picture.full[window] for brush in brushes]
+    n = 0
+    for _, (x_values, y_values, *bands) in read_bands(x, y, *brush_values, *masks):
+        is_selected = valid_in_all((x_values, y_values), bands[len(brushes) :])
+        for brush, values in zip(brushes, bands, strict=False):
+            is_selected &= (values >= brush.low) & (values <= brush.high)
+        n += int(np.count_nonzero(is_selected))
+    return n
 
 
 def _read_until(stop: threading.Event, level: xr.DataArray, window: Where) -> NDArray[np.floating]:

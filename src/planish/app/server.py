@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.resources import files
 from urllib.parse import unquote
 
@@ -113,21 +114,16 @@ class Guard:
             await Answer({"error": text} | more, status)(scope, receive, answer)
 
     def _check(self, scope: Scope, served_run: str) -> None:
+        """Raise Refused for a request that is not let in."""
         headers = Headers(raw=[(name.lower(), text) for name, text in scope["headers"]])
-
-        def single(name: str) -> str:
-            """The text of a header that is there once."""
-            texts = headers.getlist(name)
-            return texts[0] if len(texts) == 1 else ""
-
+        single = partial(_single, headers)
         host = single("host")
         if host not in self.hosts:
             raise Refused(421, "This server is not called by that name.")
         # All but the files of the page, and a report, whose address is a secret itself.
         is_data = f"{scope['path']}/".startswith("/api/")
-        if is_data and not hmac.compare_digest(
-            single("authorization").encode(), f"Bearer {self.token}".encode()
-        ):
+        authorization = single("authorization").encode()
+        if is_data and not hmac.compare_digest(authorization, f"Bearer {self.token}".encode()):
             raise Refused(
                 401, "The token of this start is missing. Open the address that planish printed."
             )
@@ -150,6 +146,12 @@ class Guard:
                 f" changed in either. Reload the page to go on with {served_run}.",
                 {"served": served_run},
             )
+
+
+def _single(headers: Headers, name: str) -> str:
+    """The text of a header that is there once."""
+    texts = headers.getlist(name)
+    return texts[0] if len(texts) == 1 else ""
 
 
 def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlette:
@@ -185,8 +187,9 @@ def _static() -> list[BaseRoute]:
             media_type = media_types.get(file.name.rpartition(".")[2])
             if file.is_file() and media_type is not None:
                 response = Response(file.read_bytes(), media_type=f"{media_type}; charset=utf-8")
-                paths = [f"{prefix}{file.name}", *(["/"] if file.name == "index.html" else [])]
-                routes += [Route(path, response, methods=["GET"]) for path in paths]
+                routes.append(Route(f"{prefix}{file.name}", response, methods=["GET"]))
+                if file.name == "index.html":
+                    routes.append(Route("/", response, methods=["GET"]))
     return routes
 
 

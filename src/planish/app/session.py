@@ -292,7 +292,9 @@ class Session:
             return self.state
 
     def _step(self, journal_line: bytes, *, save: bool) -> None:
-        states, position = self._states, self._position + 1
+        """Go to the state before or after, or to a new one; ChangeError where there is none."""
+        states = self._states
+        position = self._position + 1
         if journal_line == _UNDO:
             position -= 2
             if position < 0:
@@ -439,22 +441,20 @@ def measured_holes(marks: xr.Dataset, plane: Plane) -> xr.Dataset:
 
 def dataset_of(marks: Sequence[Mark], **options: Any) -> xr.Dataset:
     """Give marks of a session as files have them; ``options`` is for `make_marks`."""
+    labels = [mark.label for mark in marks]
+    places = {plane: _places_of([getattr(mark, plane) for mark in marks]) for plane in PLANES}
+    return make_marks(labels, places, used=[mark.used for mark in marks], **options)
 
-    def column(plane: Plane, name: str) -> Floats:
-        return np.array(
-            [getattr(getattr(mark, plane), name, None) for mark in marks], dtype=np.float64
-        )
 
-    places = {
-        plane: MarkPlaces(
-            um=np.stack([column(plane, "x"), column(plane, "y")], axis=1),
-            source=[getattr(getattr(mark, plane), "source", "imported") for mark in marks],
-            extras={name: column(plane, name) for name in EXTRAS},
-        )
-        for plane in PLANES
-    }
-    return make_marks(
-        [mark.label for mark in marks], places, used=[mark.used for mark in marks], **options
+def _places_of(ends: Sequence[End | None]) -> MarkPlaces:
+    """Places of the ends of marks in one plane; NaN where one is missing."""
+    columns: dict[str, Floats] = {}
+    for name in ("x", "y", *EXTRAS):
+        columns[name] = np.array([getattr(end, name, None) for end in ends], dtype=np.float64)
+    return MarkPlaces(
+        um=np.stack([columns.pop("x"), columns.pop("y")], axis=1),
+        source=[getattr(end, "source", "imported") for end in ends],
+        extras=columns,
     )
 
 

@@ -143,7 +143,9 @@ class SlicedSheet:
         contours: Mapping[str, Floats] | None = None,
         **axes: AxisFacts,
     ) -> SheetSlice:
-        lines, contours = lines or {}, contours or {}
+        """A slice as the page takes it: grey in 16 bits, curves in 32, and what both mean."""
+        lines = lines or {}
+        contours = contours or {}
         if codes is None:
             pixels = values.astype(np.uint16)
             scale = 1.0
@@ -167,9 +169,8 @@ class SlicedSheet:
             segments={name: len(array) for name, array in contours.items()},
             **axes,
         )
-        curves, segments = (
-            [array.astype(np.float32) for array in group.values()] for group in (lines, contours)
-        )
+        curves = [array.astype(np.float32) for array in lines.values()]
+        segments = [array.astype(np.float32) for array in contours.values()]
         return SheetSlice(facts=facts, pixels=pixels, lines=curves, contours=segments)
 
     def cut(
@@ -200,6 +201,7 @@ class SlicedSheet:
     def _across(
         self, direction: Axis, index: int, near_um: Near, corrections: Corrections | None
     ) -> SheetSlice:
+        """One slice across the sheet, with the lines of its surfaces."""
         frame = self.frame
         axis: Axis = frame.cols if direction == frame.rows else frame.rows
         depth_um = self.voxels_um(frame.through)
@@ -249,6 +251,7 @@ class SlicedSheet:
         )
 
     def _straight(self, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
+        """One row of columns, sampled along the normals: the sheet as if it were flat."""
         frame = self.frame
         columns_um = self._columns_um(frame.cols)
         window = _window(columns_um, near_um[0])
@@ -266,14 +269,12 @@ class SlicedSheet:
         )
         _, faces = meet(surfaces, "normal")
         for name in HEIGHTS:
-            lines[name] = (
-                np.zeros(columns_um[window].size)
-                if name == "centre"
-                else faces[name][index - first_row]
-            )
-        lines = {
-            name: line for name, line in lines.items() if not name.startswith(("preview", "found"))
-        }
+            if name != "centre":
+                lines[name] = faces[name][index - first_row]
+        lines["centre"] = np.zeros(columns_um[window].size)
+        for name in [*lines]:
+            if name.startswith(("preview", "found")):
+                del lines[name]
         finite = values[np.isfinite(values)]
         codes = self.codes or Codes(-1.0, 1.0)
         if self.codes is None and finite.size:
@@ -348,20 +349,16 @@ class SlicedSheet:
     def _lines(
         self, along: str, index: int, columns: slice, corrections: Corrections | None
     ) -> dict[str, Floats]:
-        is_row = along == self.frame.cols
+        """What is known of a row or column of the surfaces, and the normals of the sheet there."""
+        axis = 0 if along == self.frame.cols else 1
         neighbours = slice(max(index - 1, 0), index + 2)
-        neighbourhood = self._surfaces_in(
-            *((neighbours, columns) if is_row else (columns, neighbours))
-        )
-        profile = neighbourhood.isel({"y" if is_row else "x": index - neighbours.start})
+        offset = index - neighbours.start
+        neighbourhood = self._surfaces_in(*_in_order(neighbours, columns, axis))
+        profile = neighbourhood.isel({"yx"[axis]: offset})
         lines = {name: profile[name].values.astype(np.float64) for name in HEIGHTS}
         centre = self.frame.sign * neighbourhood["centre"].values.astype(np.float64)
         all_normals = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
-        normals = (
-            all_normals[index - neighbours.start]
-            if is_row
-            else all_normals[:, index - neighbours.start]
-        )
+        normals = np.take(all_normals, offset, axis=axis)
         lines |= {
             "place": lines["centre"],
             "normal_rows": normals[:, 0],
@@ -371,21 +368,18 @@ class SlicedSheet:
         names = [str(name) for name in profile.data_vars if str(name).startswith(_READ_PREFIXES)]
         for name in ("thickness_se", "status", *names):
             if name in profile:
-                values = profile[name].values.astype(np.float64)
-                lines[name] = (
-                    np.where(values == 255, np.nan, values) if name == "found_status" else values
-                )
+                lines[name] = profile[name].values.astype(np.float64)
+        if "found_status" in lines:
+            lines["found_status"][lines["found_status"] == 255] = np.nan
         if corrections is not None and corrections.stretches:
-            rows, cols = (
-                (slice(index, index + 1), columns) if is_row else (columns, slice(index, index + 1))
-            )
-            lines |= self._preview(rows, cols, corrections)
+            window = _in_order(slice(index, index + 1), columns, axis)
+            lines |= self._preview(*window, corrections)
         return lines
 
     def _preview(self, rows: slice, cols: slice, corrections: Corrections) -> dict[str, Floats]:
-        if (
-            preview := preview_faces(self.surfaces, self.volume, corrections, (rows, cols))
-        ) is None:
+        """The faces of some columns as corrections would move them."""
+        preview = preview_faces(self.surfaces, self.volume, corrections, (rows, cols))
+        if preview is None:
             return {}
         window, corrected = preview
         measured = uncorrected(self._surfaces_in(rows, cols))
@@ -401,6 +395,11 @@ class SlicedSheet:
                 values[target] = corrected[face][source]
             faces[f"preview_{face}"] = values.ravel()
         return faces
+
+
+def _in_order(across: slice, along: slice, axis: int) -> tuple[slice, slice]:
+    """Rows and columns of a part that runs along rows (``axis`` 0) or along columns."""
+    return (along, across) if axis else (across, along)
 
 
 _READ_NAMES = (*HEIGHTS, "status", "thickness_se")

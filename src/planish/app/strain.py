@@ -149,10 +149,8 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
     for line in (*uv, *uv.transpose(1, 0, 2)):
         is_sheet = np.isfinite(line).all(axis=1)
         run_ends = np.flatnonzero(np.diff(np.concatenate([[0], is_sheet.astype(np.int8), [0]])))
-        segments = (
-            line[first:last] for first, last in run_ends.reshape(-1, 2).tolist() if last - first > 1
-        )
-        lines += [
-            [(round(float(x), 1), round(float(y), 1)) for x, y in segment] for segment in segments
-        ]
+        for first, last in run_ends.reshape(-1, 2).tolist():
+            if last - first > 1:
+                segment = line[first:last].tolist()
+                lines.append([(round(x, 1), round(y, 1)) for x, y in segment])
     return lines, line_step

@@ -95,7 +95,8 @@ async def get_selection(request: Request) -> Response:
     tiles = _tiles(request)
     brushes: list[Brush] = []
     for key, picture in (("brush_a", a), ("brush_b", b)):
-        if limits := _numbers(request, key, 2):
+        limits = _numbers(request, key, 2)
+        if limits:
             brushes.append(Brush(picture, min(limits), max(limits)))
     stop = threading.Event()
 
@@ -252,9 +253,8 @@ def _shown_corrections(request: Request, layer: str) -> Corrections | None:
     saved = stretches_of(session.state.corrections, layer, first_sheet)
     points_text = request.query_params.get("points", "")
     if not points_text:
-        return (
-            None if saved == stretches_of(session.first.corrections, layer, first_sheet) else saved
-        )
+        original = stretches_of(session.first.corrections, layer, first_sheet)
+        return None if saved == original else saved
     if len(points_text) > 4000:
         raise InputError(
             "There are too many points for one stretch. Save it, and go on with another."
@@ -284,9 +284,8 @@ def slice_message(sheet_slice: SheetSlice) -> bytes:
     pixels = np.ascontiguousarray(sheet_slice.pixels, dtype="<u2").tobytes()
     blocks = [struct.pack("<I", len(header)), header, pixels, b"\0" * (-len(pixels) % 4)]
     curves = (*sheet_slice.lines, *sheet_slice.contours)
-    return b"".join(
-        [*blocks, *(np.ascontiguousarray(curve, dtype="<f4").tobytes() for curve in curves)]
-    )
+    blocks += [np.ascontiguousarray(curve, dtype="<f4").tobytes() for curve in curves]
+    return b"".join(blocks)
 
 
 def flattening(request: Request) -> Response:
@@ -299,17 +298,10 @@ def flattening(request: Request) -> Response:
     if sheet_run(session.folder, layer) is None:
         return Answer(None)
     ids = {p.variable: p.id for p in session.pictures.on("moving", layer)}
-    excluded = {*SPACE, *STRAINS, "valid"}
-    colour_names = [
-        name
-        for name in ids
-        if name not in excluded and not name.startswith(("volume_", "presence"))
-    ]
-    preferred = [
-        name
-        for name in (session.results.layer(layer).headline, "thickness", "warp")
-        if name in colour_names
-    ]
+    names = [name for name in ids if not name.startswith(("volume_", "presence"))]
+    colour_names = [name for name in names if name not in (*SPACE, *STRAINS, "valid")]
+    headline = session.results.layer(layer).headline
+    preferred = [name for name in (headline, "thickness", "warp") if name in colour_names]
     return Answer(
         {
             "strain": [ids[name] for name in STRAINS if name in ids],

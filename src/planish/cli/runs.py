@@ -116,8 +116,8 @@ def _run_and_show(
     _reuse_freed_memory()
     with wrong_usage("--set: "):
         study = with_values(study, changes) if changes else study
-    left = TimeLeft(expected_stages(study)) if animated() else None
-    with stages(8 + 3 * len(study.layers), left) as progress:
+    time_left = TimeLeft(expected_stages(study)) if animated() else None
+    with stages(8 + 3 * len(study.layers), time_left) as progress:
         compute = build_params(Compute, values)
         figures = values.get("figures", False)
         run = run_study(

@@ -31,28 +31,28 @@ if TYPE_CHECKING:
 class _LeftColumn(rich.ProgressColumn):
     """The time that is left, for a bar behind it that shows the share of the time."""
 
-    def __init__(self, left: TimeLeft) -> None:
+    def __init__(self, time_left: TimeLeft) -> None:
         super().__init__()
-        self.left = left
+        self.time_left = time_left
 
     def render(self, task: rich.Task) -> str:
         """Write it roughly."""
-        task.completed = self.left.share * (task.total or 1)
-        return f"about {duration(self.left.seconds)} left"
+        task.completed = self.time_left.share * (task.total or 1)
+        return f"about {duration(self.time_left.seconds)} left"
 
 
 @contextmanager
-def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
+def stages(total: int, time_left: TimeLeft | None = None) -> Generator[Tell]:
     """Show a progress bar on a terminal, one line a stage otherwise; always on standard error.
 
-    ``total`` stages count alike, unless ``left`` knows their times. What has the name ``look`` is
-    no stage: it stays.
+    ``total`` stages count alike, unless ``time_left`` knows their times. What has the name ``look``
+    is no stage: it stays.
     """
     if not animated():
         yield lambda stage, detail: click.echo(f"{stage}: {shown(detail)}", err=True)
         return
     spinner = "dots" if letters() else "line"
-    amount = rich.MofNCompleteColumn() if left is None else _LeftColumn(left)
+    amount = rich.MofNCompleteColumn() if time_left is None else _LeftColumn(time_left)
     name = rich.TextColumn("{task.description}", markup=False)
     columns = (
         rich.SpinnerColumn(spinner),
@@ -68,11 +68,11 @@ def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
             if stage == "look":
                 bar.console.print(f"look: {shown(detail)}")
                 return
-            if left is not None:
-                left.enter(stage)
+            if time_left is not None:
+                time_left.enter(stage)
             bar.update(task, advance=1, description=f"{stage}: {shown(detail)}")
 
-        with nullcontext() if left is None else tiles_told(left.enter):
+        with nullcontext() if time_left is None else tiles_told(time_left.enter):
             yield tell
 
 
@@ -150,25 +150,21 @@ def exit_code(results: Results, *, strict: bool = False) -> int:
 
 
 def _properties(name: str, sheet: SheetFacts) -> None:
+    """Print the distribution of each property, the uncovered areas, and how it was flattened."""
     rows: list[tuple[str, ...]] = []
+    labels: dict[str, str] = {}
     for key, p in sheet.properties.items():
-        label = key if p.trust == "ok" else f"{key} ({p.trust})"
+        labels[key] = key if p.trust == "ok" else f"{key} ({p.trust})"
         cov = None if p.coefficient_of_variation is None else 100 * p.coefficient_of_variation
-        percentiles = number(p.p5, 2), number(p.p95, 2), str(p.n)
-        rows.append(
-            (label, p.units, number(p.mean, 2), number(p.sd, 2), number(cov, 1), *percentiles)
-        )
-    table(
-        f"Properties of the {name} along its normals",
-        ("", "unit", "mean", "sd", "cov %", "p5", "p95", "columns"),
-        rows,
-    )
+        figures = (number(p.mean, 2), number(p.sd, 2), number(cov, 1))
+        percentiles = (number(p.p5, 2), number(p.p95, 2), str(p.n))
+        rows.append((labels[key], p.units, *figures, *percentiles))
+    headings = ("", "unit", "mean", "sd", "cov %", "p5", "p95", "columns")
+    table(f"Properties of the {name} along its normals", headings, rows)
     for key, (share, error) in sheet.uncovered_areas.items():
-        trust = sheet.properties[key].trust
-        if share is not None and trust != "withheld":
-            label = key if trust == "ok" else f"{key} ({trust})"
+        if share is not None and sheet.properties[key].trust != "withheld":
             error_text = "" if error is None else f" +- {100 * error:.2g}"
-            sentence(f"uncovered area ratio of {label}: {100 * share:.3g}{error_text} %")
+            sentence(f"uncovered area ratio of {labels[key]}: {100 * share:.3g}{error_text} %")
     f = sheet.flatten
     sentence(
         f"flattened: {f.sentence} Edge strain {100 * (f.edge_strain_p95 or 0):.3f} % (p95); points"
@@ -177,11 +173,14 @@ def _properties(name: str, sheet: SheetFacts) -> None:
 
 
 def _registration(layer: LayerFacts) -> None:
+    """Print how a layer lies on another one, how well that is known, and what is odd about it."""
     r = layer.registration
     if r is None:
         return
-    error_text, notes = "", [*r.warnings]
-    if (expected := r.expected_error) is not None:
+    error_text = ""
+    notes = [*r.warnings]
+    expected = r.expected_error
+    if expected is not None:
         trust = "" if expected.trust == "ok" else f", {expected.trust}"
         error_text = f", expected error {number(expected.median_um, 2)} um (median{trust})"
         notes += [] if expected.shares is None else [expected.shares.sentence]
@@ -191,9 +190,9 @@ def _registration(layer: LayerFacts) -> None:
         f" {r.scale:.4f}, rotation {r.rotation_deg:.2f} deg{', mirrored' if r.mirrored else ''}"
     )
     if r.source != "found" and r.match_sentence:
-        notes = (r.match_sentence, *notes)
+        notes.insert(0, r.match_sentence)
     if r.held_out is not None:
-        notes = (*notes, r.held_out.sentence)
+        notes.append(r.held_out.sentence)
     for note in (*notes, f"{r.orientation.sentence} {r.orientation.remedy}".rstrip()):
         sentence(f"  {note}")
 
@@ -249,41 +248,8 @@ def run_facts(path: Path) -> dict[str, Any] | None:
     if not (path / "run.toml").is_file():
         return None
     try:
-        results: dict[str, Any] = json.loads((path / "results.json").read_text(encoding="utf-8"))
-        version = str(results["planish"])
-        is_old = version.startswith("0.1.")
-        repeat_text = "'planish run' repeats it with this version."
-        checks_key = next(key for key in ("checks", "gates", "quality") if key in results)
-        checks: list[dict[str, Any]] = results[checks_key]
-        states = {
-            state: [str(c["name"]) for c in checks if c.get("state") == state]
-            for state in ("fail", "look")
-        }
-        states["fail"] += [str(c["name"]) for c in checks if c.get("passed") is False]
-        if not is_old or "layers" in results:
-            inputs = {
-                str(layer["name"]): str(layer["source"]["name"]) for layer in results["layers"]
-            }
-        else:
-            inputs = {str(k): str(v["name"]) for k, v in results["inputs"].items()}
-        warning = None
-        if is_old:
-            warning = (
-                "made by planish 0.1.0: the errors stated in it are about 1.5 times too small;"
-                f" {repeat_text}"
-            )
-        elif results.get("format", 0) < FORMAT:
-            warning = f"made by planish {version}: its results have an older format; {repeat_text}"
-        return {
-            "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),
-            "file_name": path.absolute().name,
-            "inputs": inputs,
-            "checks": len(checks),
-            **states,
-            "planish": version,
-            "code": str(results.get("code", "")),
-            "warning": warning,
-        }
+        results = json.loads((path / "results.json").read_text(encoding="utf-8"))
+        return _facts_of(results, path.absolute().name)
     except (
         OSError,
         ValueError,
@@ -296,15 +262,50 @@ def run_facts(path: Path) -> dict[str, Any] | None:
         return None
 
 
+def _facts_of(results: dict[str, Any], file_name: str) -> dict[str, Any]:
+    """Facts of the results of a run, also of one by planish 0.1.0."""
+    version = str(results["planish"])
+    repeat_text = "'planish run' repeats it with this version."
+    warning = None
+    if version.startswith("0.1."):
+        warning = (
+            "made by planish 0.1.0: the errors stated in it are about 1.5 times too small;"
+            f" {repeat_text}"
+        )
+    elif results.get("format", 0) < FORMAT:
+        warning = f"made by planish {version}: its results have an older format; {repeat_text}"
+    checks_key = next(key for key in ("checks", "gates", "quality") if key in results)
+    checks: list[dict[str, Any]] = results[checks_key]
+    names: dict[str, list[str]] = {"fail": [], "look": []}
+    for check in checks:
+        state = "fail" if check.get("passed") is False else check.get("state")
+        if state in names:
+            names[state].append(str(check["name"]))
+    if version.startswith("0.1.") and "layers" not in results:
+        sources = results["inputs"]
+    else:
+        sources = {layer["name"]: layer["source"] for layer in results["layers"]}
+    inputs = {str(name): str(source["name"]) for name, source in sources.items()}
+    return {
+        "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),
+        "file_name": file_name,
+        "inputs": inputs,
+        "checks": len(checks),
+        **names,
+        "planish": version,
+        "code": str(results.get("code", "")),
+        "warning": warning,
+    }
+
+
 def run_lines(facts: dict[str, Any]) -> list[str]:
     """Write the facts of a run for a reader."""
-    return [
-        f"{facts['file_name']}: {facts['kind']}, planish {facts['planish']}",
-        *([facts["warning"]] if facts["warning"] else []),
-        *(f"{name}: {file}" for name, file in facts["inputs"].items()),
-        f"checks: {facts['checks']}"
-        + "".join(f"; {k}: {', '.join(facts[k])}" for k in ("fail", "look") if facts[k]),
-    ]
+    lines = [f"{facts['file_name']}: {facts['kind']}, planish {facts['planish']}"]
+    if facts["warning"]:
+        lines.append(facts["warning"])
+    lines += [f"{name}: {file}" for name, file in facts["inputs"].items()]
+    states = [f"; {k}: {', '.join(facts[k])}" for k in ("fail", "look") if facts[k]]
+    return [*lines, f"checks: {facts['checks']}{''.join(states)}"]
 
 
 def fact_lines(facts: dict[str, Any]) -> list[str]:

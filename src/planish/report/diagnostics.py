@@ -203,7 +203,8 @@ def draw_variograms(
 
 
 def _cell_text(sides_um: Iterable[float]) -> str:
-    return " × ".join(f"{v:g}" for v in dict.fromkeys(round(v, 3) for v in sides_um))
+    rounded = dict.fromkeys(round(side_um, 3) for side_um in sides_um)
+    return " × ".join(f"{side_um:g}" for side_um in rounded)
 
 
 def draw_correlogram(

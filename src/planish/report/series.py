@@ -9,7 +9,7 @@ scale.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote
@@ -122,25 +122,29 @@ _STATISTICS = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin s
 
 def _specimen_orders(results: SeriesResults, factors: Sequence[str]) -> list[tuple[str, list[int]]]:
     """Orders of the table of specimens, each with its name; those that change nothing are out."""
+    orders = [("as listed", list(range(len(results.specimens))))]
+    for name, keys in _sort_keys(results, factors):
+        order = sorted(range(len(results.specimens)), key=keys.__getitem__)
+        if len(orders) < 9 and all(order != earlier for _, earlier in orders):
+            orders.append((name, order))
+    return orders
+
+
+def _sort_keys(
+    results: SeriesResults, factors: Sequence[str]
+) -> Iterator[tuple[str, Sequence[Any]]]:
+    """What specimens can be sorted by: a name, and a key of each specimen."""
     specimens = results.specimens
-    sort_keys: list[tuple[str, list[Any]]] = [
-        ("name", [natural(s.name) for s in specimens]),
-        ("state", [(s.member.state != "whole", s.member.state, s.light or "") for s in specimens]),
-    ]
+    yield "name", [natural(s.name) for s in specimens]
+    yield "state", [(s.member.state != "whole", s.member.state, s.light or "") for s in specimens]
     for factor in sorted(factors, key=lambda name: name not in results.grouped_by)[:3]:
         levels = [specimen.factor(factor) for specimen in specimens]
-        sort_keys.append((factor, [(not level, natural(level)) for level in levels]))
+        yield factor, [(not level, natural(level)) for level in levels]
     for k, q in enumerate(results.quantities):
         if q.map == results.quantities[0].map:
             values = [s.cells[k].value if s.cells else None for s in specimens]
             finite_first = [(False, v) if is_known(v) else (True, 0.0) for v in values]
-            sort_keys.append((_STATISTICS[q.what], finite_first))
-    orders = {"as listed": list(range(len(specimens)))}
-    for name, sort_key in sort_keys:
-        order = sorted(range(len(specimens)), key=sort_key.__getitem__)
-        if len(orders) < 9 and order not in orders.values():
-            orders[name] = order
-    return list(orders.items())
+            yield _STATISTICS[q.what], finite_first
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:

@@ -328,11 +328,13 @@ def declared(results: SeriesResults) -> list[tuple[str, str]]:
     margins = cast("dict[str, float]", options.get("margin") or {})
     margin_texts = [f"{name} {margin:g}" for name, margin in margins.items()]
     sheets = "named in the table" if results.sheets_given else "not all named: see the cautions"
+    usual = "" if options.get("compare") else " (usual)"
+    doubtful = "included" if options.get("doubtful") else "left out"
     return [
-        ("Compared by", f"{compared_by}{'' if options.get('compare') else ' (usual)'}"),
+        ("Compared by", f"{compared_by}{usual}"),
         ("Groups", ", ".join(results.grouped_by) or "one"),
         ("Maps", ", ".join(maps) or NONE),
         ("Margins", ", ".join(margin_texts) or "none declared"),
-        ("Doubtful figures", "included" if options.get("doubtful") else "left out"),
+        ("Doubtful figures", doubtful),
         ("Sheets", sheets),
     ]

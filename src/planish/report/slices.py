@@ -144,8 +144,9 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
         canvas.text(left_px, 18, f"Detail of slice {ascii_uppercase[k]}", bold=True)
         _draw_window(canvas, cut, window, (left_px, 26), zoom, scale, 2.0)
     canvas.scale_bar(1, 28 + height_px, width=width, um=width / zoom)
-    heights = {line[0]: np.concatenate([cut.lines[line[0]] for cut in cuts]) for line in LINES}
-    drawn_lines = [line for line in LINES if np.isfinite(heights[line[0]]).any()]
+    drawn_lines = [
+        line for line in LINES if np.isfinite(np.stack([cut.lines[line[0]] for cut in cuts])).any()
+    ]
     canvas.box(0, height_px + 60, FULL, 28, fill="#2a2d30")
     for k, (_, name, colour, dash) in enumerate(drawn_lines):
         left_px = 14 + k * 205.0

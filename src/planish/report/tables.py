@@ -92,17 +92,21 @@ def comparison_sentence(results: Results) -> str:
     pixel = _flat_and_projected(rows, min(sizes))[1] if len(sizes) > 1 else None
     if pixel is not None and is_known(pixel.difference_interval):
         text += f" At the pixel, {plain(pixel.point_um)}, it changes by {_change_text(pixel)}."
-    # Slopes brighten one side of a thick place, and a shift can raise r.
+    return text + _side_light_text(results)
+
+
+def _side_light_text(results: Results) -> str:
+    """Say that slopes brighten one side of a thick place, and that a shift can raise r."""
     registrations = [layer.registration for layer in results.layers if layer.registration]
     lag = registrations[0].lag if registrations else None
-    if lag is not None and lag.light >= SIDE_LIGHT:
-        share_text = f"{100 * lag.light:.0f} % of what it shares with the sheet is slopes alone"
-        text += (
-            " The image also shows the slopes of the face, as light from one side does"
-            f" ({share_text}): then a map that is displaced towards the light can have a larger r."
-            " Judge the registration by its marks."
-        )
-    return text
+    if lag is None or lag.light < SIDE_LIGHT:
+        return ""
+    share_text = f"{100 * lag.light:.0f} % of what it shares with the sheet is slopes alone"
+    return (
+        " The image also shows the slopes of the face, as light from one side does"
+        f" ({share_text}): then a map that is displaced towards the light can have a larger r."
+        " Judge the registration by its marks."
+    )
 
 
 def _flat_and_projected(

@@ -64,6 +64,9 @@ class ArraySource:
             tifffile.imwrite(self.path, values, photometric="minisblack", metadata=None)
 
 
+_FILE_NAMES = {"volume": ("sheet", ".zarr"), "image": ("image", ".tif")}
+
+
 def inputs_folder(out: Path) -> Path:
     """Folder of the arrays of a run."""
     return out.with_name(f"{out.name}-inputs")
@@ -93,10 +96,9 @@ def layer_sources(
     try:
         for k, source in enumerate(sources):
             if isinstance(source, ArraySource):
-                default_name, suffix = (
-                    ("sheet", ".zarr") if source.kind == "volume" else ("image", ".tif")
-                )
-                stem = default_name if kinds.count(source.kind) == 1 else f"{source.kind}{k + 1}"
+                stem, suffix = _FILE_NAMES[source.kind]
+                if kinds.count(source.kind) > 1:
+                    stem = f"{source.kind}{k + 1}"
                 sources[k] = replace(source, path=folder / f"{stem}{suffix}")
         yield sources
     except BaseException:

@@ -132,9 +132,8 @@ def _make(
     chain: bool = False,
 ) -> Run:
     section_options, compute = sections_of(options, sections, compute, call=call_text)
-    with layer_sources(
-        layers, out, f"{call_text}({{}}{', ...' if len(layers) > 1 else ''})"
-    ) as sources:
+    more_text = ", ..." if len(layers) > 1 else ""
+    with layer_sources(layers, out, f"{call_text}({{}}{more_text})") as sources:
         study = study_of(sources, section_options, chain=chain)
         for source in sources:
             if isinstance(source, ArraySource):
@@ -151,6 +150,19 @@ def study_of(
 ) -> Study:
     """Put a study together of paths, or arrays that will have one, and options.
 
+    Parameters
+    ----------
+    layers : sequence of path or ArraySource
+        The reference last; a text may be ``NAME=PATH``.
+    sections : mapping of name to mapping
+        Options by section, as in a study file.
+    chain : bool
+        Register each layer to the next one instead of the reference.
+
+    Returns
+    -------
+    Study
+
     Raises
     ------
     StudyError
@@ -158,38 +170,43 @@ def study_of(
         named.
     """
     options = {name: dict(values) for name, values in sections.items()}
-    if unknown := sorted(set(options) - set(SECTIONS)):
+    unknown = sorted(set(options) - set(SECTIONS))
+    if unknown:
         raise StudyError(
             f"There is no group of options called {', '.join(unknown)}; there are"
             f" {', '.join(SECTIONS)}."
         )
     sources = [_source(layer, is_link=len(layers) > 1) for layer in layers]
-    # What is given and means nothing without a volume.
-    unused = [name for group in MAP_SECTIONS for name in options.get(group, {})]
-    unused += [name for name in options.get("volume", {}) if name not in (*_OF_BOTH, "md_deg")]
-    if unused and all(source.kind != "volume" for source in sources):
-        names_text = ", ".join(f"`{word}`" for word in unused)
-        files_text = ", ".join(source.path.name for source in sources)
-        raise StudyError(
-            f"{names_text}: for volumes only, and {files_text} is none. A run keeps the options"
-            " that it was made with; map the volume again to change them."
-        )
+    if all(source.kind != "volume" for source in sources):
+        _refuse_options_of_volumes(options, [source.path for source in sources])
     if len(sources) > 2 and options.get("registration", {}).get("marks"):
         raise StudyError(
             "`marks` holds pairs of two layers, but more are given. Write them into a study file"
             " (docs/linking.md)."
         )
-    tables = [
-        _table(name, source, options)
-        for name, source in zip(_all_names(sources), sources, strict=True)
-    ]
-    link_options = {k: options[k] for k in ("about", *LINK_SECTIONS) if k in options}
+    names = _all_names(sources)
+    tables = [_table(name, source, options) for name, source in zip(names, sources, strict=True)]
+    link_options = {name: options[name] for name in ("about", *LINK_SECTIONS) if name in options}
     try:
         return Study.model_validate({"layers": tables, "chain": chain, **link_options})
     except ValidationError as error:
+        faults = dict.fromkeys(fault_texts(error, Study, as_words(words_of())))
+        raise StudyError("; ".join(faults)) from error
+
+
+def _refuse_options_of_volumes(
+    options: Mapping[str, Mapping[str, Any]], files: Sequence[Path]
+) -> None:
+    """Raise StudyError for what is given and means nothing without a volume."""
+    names = [name for section in MAP_SECTIONS for name in options.get(section, {})]
+    names += [name for name in options.get("volume", {}) if name not in (*_OF_BOTH, "md_deg")]
+    if names:
+        names_text = ", ".join(f"`{name}`" for name in names)
+        files_text = ", ".join(file.name for file in files)
         raise StudyError(
-            "; ".join(dict.fromkeys(fault_texts(error, Study, as_words(words_of()))))
-        ) from error
+            f"{names_text}: for volumes only, and {files_text} is none. A run keeps the options"
+            " that it was made with; map the volume again to change them."
+        )
 
 
 class PathSource(NamedTuple):
@@ -209,8 +226,8 @@ def _source(layer: str | Path | ArraySource, *, is_link: bool) -> PathSource | A
         return layer
     name = None
     path = Path(layer)
-    prefix, equals, path_text = str(layer).partition("=")
-    if equals and path_text and not find_place(str(layer)).path.exists():
+    prefix, _, path_text = str(layer).partition("=")
+    if path_text and not find_place(str(layer)).path.exists():
         if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}", prefix):
             name = prefix
             path = Path(path_text)
@@ -222,8 +239,10 @@ def _source(layer: str | Path | ArraySource, *, is_link: bool) -> PathSource | A
     kind: Kind = "volume"
     if is_link and is_run(path):
         kind = "run"
-    elif is_link and not is_section_folder((place := find_place(path)).path) and is_image(place):
-        kind = "image"
+    elif is_link:
+        place = find_place(path)
+        if not is_section_folder(place.path) and is_image(place):
+            kind = "image"
     return PathSource(path, kind, name)
 
 
@@ -250,23 +269,22 @@ def _all_names(sources: Sequence[PathSource | ArraySource]) -> list[str]:
 
     Sheet and image where there is one of each; else of the files, with folders where those agree.
     """
+    names = ["image" if source.kind == "image" else "sheet" for source in sources]
+    if len(set(names)) < len(names):
+        places = [find_place(source.path.absolute()) for source in sources]
+        stems = [
+            source.name or _as_name(place.stem)
+            for source, place in zip(sources, places, strict=True)
+        ]
+        names = list(stems)
+        for k, place in enumerate(places):
+            if stems.count(stems[k]) > 1:
+                names[k] = f"{_as_name(place.path.parent.name)}-{stems[k]}"[:40]
+    return [source.name or name for source, name in zip(sources, names, strict=True)]
 
-    def as_name(text: str) -> str:
-        return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:40] or "layer"
 
-    default_names = ["image" if source.kind == "image" else "sheet" for source in sources]
-    if len(set(default_names)) == len(default_names):
-        return [source.name or word for source, word in zip(sources, default_names, strict=True)]
-    data_places = [find_place(source.path.absolute()) for source in sources]
-    stems = [
-        source.name or as_name(place.stem)
-        for source, place in zip(sources, data_places, strict=True)
-    ]
-    return [
-        source.name
-        or (f"{as_name(place.path.parent.name)}-{stem}"[:40] if stems.count(stem) > 1 else stem)
-        for source, place, stem in zip(sources, data_places, stems, strict=True)
-    ]
+def _as_name(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:40] or "layer"
 
 
 def sections_of(
@@ -277,22 +295,23 @@ def sections_of(
     StudyError names all faults.
     """
     word_places = words_of([*sections, "compute"])
-    tables: dict[str, Any] = (
-        {} if compute is None else {"compute": params_of(Compute, compute, call).model_dump()}
-    )
-    given_words = {
-        word: value for word, value in options.items() if value is not None and word in word_places
-    }
+    tables: dict[str, Any] = {}
+    if compute is not None:
+        tables["compute"] = params_of(Compute, compute, call).model_dump()
+    given_words: dict[str, Any] = {}
     faults: list[str] = []
     for word, value in options.items():
-        if isinstance(value, Params) and word in sections:
-            tables[word] = value.model_dump(exclude_unset=True)
-        elif isinstance(value, Mapping) and word in sections:
-            tables[word] = deepcopy(dict[str, Any](value))
-        elif word in sections:
-            faults.append(
-                f"{word}={value!r}: needed is a dict of options, or one of them by itself."
-            )
+        if word in word_places and value is not None:
+            given_words[word] = value
+        if word in sections:
+            if isinstance(value, Params):
+                tables[word] = value.model_dump(exclude_unset=True)
+            elif isinstance(value, Mapping):
+                tables[word] = deepcopy(dict[str, Any](value))
+            else:
+                faults.append(
+                    f"{word}={value!r}: needed is a dict of options, or one of them by itself."
+                )
         elif word not in word_places and value is not None:
             faults.append(_unknown(word, [*sections, *word_places, "out", "progress", "chain"]))
     repeated = put_options(tables, word_places, given_words)
@@ -317,7 +336,8 @@ def words_of(sections: Iterable[str] = SECTIONS) -> dict[str, tuple[str, ...]]:
 
 
 def _unknown(word: str, known_words: list[str]) -> str:
-    if likely := difflib.get_close_matches(word.casefold(), known_words, 1, 0.7):
+    likely = difflib.get_close_matches(word.casefold(), known_words, 1, 0.7)
+    if likely:
         return f"{word}= is unknown; did you mean {likely[0]}=?"
     if word in SECTIONS or word in words_of():
         return f"{word}= is for pl.link, which has an image and marks. Leave it out."

@@ -44,25 +44,20 @@ class CachedMaps(NamedTuple):
         Each is the folder with the maps of the volume as the link asks for them, or a name that is
         free.
         """
-        caches = dict[str, CachedMaps]()
-        is_link = study.is_link
-        volumes = [
-            pair
-            for pair in zip(study.layers, hashes, strict=True)
-            if pair[0].kind == "volume" and is_link
-        ]
+        caches: dict[str, CachedMaps] = {}
+        if not study.is_link:
+            return caches
+        pairs = zip(study.layers, hashes, strict=True)
+        volumes = [pair for pair in pairs if pair[0].kind == "volume"]
         for layer, sha256 in volumes:
             name = out.name if len(volumes) == 1 else f"{out.name}-{layer.name}"
-            mapping_params = changed(layer, marks=None, surface={"corrections": None})
+            mapping = Study(layers=(changed(layer, marks=None, surface={"corrections": None}),))
             # The memory decides how wide the columns are.
-            input_hashes = [
-                sha256,
-                str(compute.memory_bytes),
-                *filter(None, [asked_corrections(layer)]),
-            ]
-            request_key = run_key(
-                to_dict(with_packages(Study(layers=(mapping_params,)))), input_hashes
-            )
+            input_hashes = [sha256, str(compute.memory_bytes)]
+            corrections = asked_corrections(layer)
+            if corrections:
+                input_hashes.append(corrections)
+            request_key = run_key(to_dict(with_packages(mapping)), input_hashes)
             path = out.with_name(f"{name}-map")
             k = 1
             while path.exists() and _request(path)[:1] != [request_key]:
@@ -93,31 +88,29 @@ def sheets_of(
     The first have the same parameters; the second the same surface, and other properties,
     flattening, or corrections.
     """
-    ready_sheets = dict[str, MappedLayer]()
-    similar_sheets = dict[str, MappedLayer]()
+    ready_sheets: dict[str, MappedLayer] = {}
+    similar_sheets: dict[str, MappedLayer] = {}
     try:
         results = open_results(old)
         old_study = read_study(old / RUN_TOML)
     except PlanishError:
         return ready_sheets, similar_sheets
-    if old_study.packages != study.packages:
+    if old_study.packages != study.packages or not results.is_of_this_code:
         return ready_sheets, similar_sheets
     old_layers = {layer.name: layer for layer in old_study.layers}
     sources = {layer.name: layer.source.sha256 for layer in results.layers}
-    is_own_map = len(results.layers) == 1 or [layer.kind for layer in results.layers] == [
-        "sheet",
-        "image",
-    ]
+    kinds = [layer.kind for layer in results.layers]
+    is_own_map = len(kinds) == 1 or kinds == ["sheet", "image"]
     for layer, sha256 in zip(study.layers, hashes, strict=True):
         old_layer = old_layers.get(layer.name)
-        if layer.kind != "volume" or old_layer is None or not results.is_of_this_code:
+        if layer.kind != "volume" or old_layer is None:
             continue
         sheet_folder = old if is_own_map else old / "layers" / layer.name
         old_surface, new_surface = (
             changed(params.surface, corrections=None) for params in (old_layer, layer)
         )
         is_same_file = old_layer.volume == layer.volume and sources.get(layer.name) == sha256
-        if not (is_same_file and old_surface == new_surface and is_run(sheet_folder)):
+        if not is_same_file or old_surface != new_surface or not is_run(sheet_folder):
             continue
         is_same = changed(old_layer, marks=layer.marks, surface=layer.surface) == layer
         with suppress(PlanishError):  # damaged: it is mapped again
@@ -134,35 +127,30 @@ def next_step(
 
     Where none are, how to get them without the image.
     """
-
-    def view(map_folder: str) -> str:
-        return f"planish view {quoted(map_folder)} {quoted(study.layers[-1].path)}"
-
     inputs = inputs_folder(out.absolute())
     # The files of arrays are removed when this is read.
     has_arrays = any(Path(layer.path).parent == inputs for layer in study.layers)
-    if map_folders := [str(cache.path) for cache in caches.values() if cache.path.exists()]:
+    reference = quoted(study.layers[-1].path)
+    kept = [str(cache.path) for cache in caches.values() if cache.path.exists()]
+    if kept:
         text = (
-            f"The maps of the volume are kept in {' and '.join(map_folders)}; the same command goes"
+            f"The maps of the volume are kept in {' and '.join(kept)}; the same command goes"
             " on from there."
         )
-        marks_refused = isinstance(error, CannotRegister | MarkError) and study.is_sheet_on_image
-        if not marks_refused:
+        if not isinstance(error, CannotRegister | MarkError) or not study.is_sheet_on_image:
             return text
         if has_arrays:
             return f"{text} To set the marks by hand, write the arrays to files and link those."
-        return f"{text} To set the marks by hand: {view(map_folders[0])}"
+        return f"{text} To set the marks by hand: planish view {quoted(kept[0])} {reference}"
     volume = next((layer for layer in study.layers if layer.kind == "volume"), None)
     if volume is None or has_arrays or not isinstance(error, CannotRegister):
         return ""
-    map_folder = str(caches[volume.name].path)
-    command = f"planish map {quoted(volume.path)} --out {quoted(map_folder)}"
+    map_folder = quoted(str(caches[volume.name].path))
+    command = f"planish map {quoted(volume.path)} --out {map_folder}"
     text = f"To map the volume without it, with the same options: {command}"
-    return (
-        f"{text}; then, to set the marks by hand: {view(map_folder)}"
-        if study.is_sheet_on_image
-        else text
-    )
+    if study.is_sheet_on_image:
+        text += f"; then, to set the marks by hand: planish view {map_folder} {reference}"
+    return text
 
 
 def noted_study(path: Path) -> Study | None:

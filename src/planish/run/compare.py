@@ -131,6 +131,7 @@ def _facts_of_layers(study: Study, overlay: Overlay, textures: Textures) -> tupl
 def _with_held_out(
     linked: LinkedLayer, facts: Mapping[str, LayerFacts], overlay: Overlay
 ) -> LayerFacts:
+    """A layer with the r that its place, found by texture, was not tuned on."""
     layer = facts[linked.name]
     registration = layer.registration
     if registration is None or registration.source not in ("texture", "both"):
@@ -138,17 +139,17 @@ def _with_held_out(
     fixed_layer = facts[registration.path[-1]]
     sheet, fixed = overlay.maps[layer.name], overlay.maps[fixed_layer.name]
     name, fixed_name = leading_pair(layer.headline, fixed_layer.headline, sheet, fixed)
-    seen = _bounds(sheet["valid"])
-    valid = sheet["valid"][seen].values & fixed["valid"][seen].values
+    window = _bounds(sheet["valid"])
+    valid = sheet["valid"][window].values & fixed["valid"][window].values
     if not valid.any():
         return layer
     face = height_map(overlay.reference.layer.side, sheet)
     heights = None
     if face in sheet and fixed_name == "image":
-        heights = sheet[face][seen].values.astype(np.float64)
+        heights = sheet[face][window].values.astype(np.float64)
     held_out = held_out_r(
-        sheet[name][seen].values.astype(np.float64),
-        fixed[fixed_name][seen].values.astype(np.float64),
+        sheet[name][window].values.astype(np.float64),
+        fixed[fixed_name][window].values.astype(np.float64),
         heights,
         valid,
         overlay.grid.pixel_um,

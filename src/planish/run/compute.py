@@ -44,7 +44,13 @@ Progress = Callable[[str, str], None]
 
 
 def silent(_stage: str, _detail: str) -> None:
-    """Report nothing."""
+    """Report nothing.
+
+    Parameters
+    ----------
+    _stage, _detail : str
+        Name of a stage, and a few words.
+    """
 
 
 # a column wider than this would be coarser than the maps that are compared with images.
@@ -116,6 +122,20 @@ def column_step(
 
     The columns are as wide as ``column_um``, or single voxels, or as wide as the memory demands.
 
+    Parameters
+    ----------
+    volume : DataArray, dims (z, y, x)
+    frame : Frame
+        Which axes run across the sheet.
+    column_um : float, optional
+        Width of a column.
+    compute : Compute
+        Gives the memory.
+
+    Returns
+    -------
+    int
+
     Raises
     ------
     InputError
@@ -159,7 +179,23 @@ def return_memory(compute: Compute) -> None:
 def engine(compute: Compute, *, tiles: Path | None = None) -> Generator[Engine]:
     """Give the engine that works on tiles.
 
-    InputError without scheduler or library, ResourceError if it is lost.
+    Parameters
+    ----------
+    compute : Compute
+        Threads of this computer, or a scheduler.
+    tiles : path, optional
+        Folder for tiles that are done.
+
+    Yields
+    ------
+    Engine
+
+    Raises
+    ------
+    InputError
+        Without scheduler or library.
+    ResourceError
+        If the scheduler is lost.
     """
     memory = int((1 - MAPS_SHARE) * compute.for_work)
     if compute.scheduler is None:

@@ -69,6 +69,22 @@ def surface_facts(surfaces: xr.Dataset) -> SurfaceFacts:
     )
 
 
+def _error_facts(errors: xr.DataArray, column_um2: float) -> dict[str, Any]:
+    """Error of a column, how many of them are independent, and the error of their mean."""
+    values = errors.values[np.isfinite(errors.values)].astype(np.float64)
+    if not values.size:
+        return {}
+    facts: dict[str, Any] = {"standard_error": float(np.median(values))}
+    if "patch_um2" in errors.attrs:
+        patches_per_column = column_um2 / float(errors.attrs["patch_um2"])
+        n_independent = max(1.0, values.size * min(1.0, patches_per_column))
+        common_um = float(errors.attrs["common_um"])
+        variance = float(np.mean(np.maximum(values**2 - common_um**2, 0.0)))
+        mean_error = float(np.sqrt(variance / n_independent + common_um**2))
+        facts |= {"n_independent": int(n_independent), "mean_standard_error": mean_error}
+    return facts
+
+
 def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
     """Distribution of each property over the columns.
 
@@ -84,20 +100,9 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
         vectors = summable_of(surfaces, name)[np.isfinite(data.values)]
         mean, sd, near_mean = distribution(values, vectors)
         p5, p50, p95 = np.percentile(near_mean, [5, 50, 95])
-        error = surfaces.get(f"{name}_se")
-        errors = (
-            np.empty(0)
-            if error is None
-            else error.values[np.isfinite(error.values)].astype(np.float64)
-        )
-        mean_facts: dict[str, Any] = {}
-        if error is not None and errors.size and "patch_um2" in error.attrs:
-            patches_per_column = math.prod(pitch(surfaces)) / float(error.attrs["patch_um2"])
-            n_independent = max(1.0, errors.size * min(1.0, patches_per_column))
-            common_um = float(error.attrs["common_um"])
-            variance = float(np.mean(np.maximum(errors**2 - common_um**2, 0.0)))
-            mean_error = float(np.sqrt(variance / n_independent + common_um**2))
-            mean_facts = {"n_independent": int(n_independent), "mean_standard_error": mean_error}
+        error_facts: dict[str, Any] = {}
+        if f"{name}_se" in surfaces:
+            error_facts = _error_facts(surfaces[f"{name}_se"], math.prod(pitch(surfaces)))
         units = str(data.attrs["units"])
         has_cov = has_true_zero(str(name)) and mean > 0
         facts[str(name)] = PropertyFacts(
@@ -111,8 +116,7 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
             p95=float(p95),
             support_um=data.attrs.get("support_um"),
             period_deg=data.attrs.get("period_deg"),
-            standard_error=float(np.median(errors)) if errors.size else None,
-            **mean_facts,
+            **error_facts,
         )
     return facts
 
@@ -277,10 +281,8 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
     counts = np.zeros(3, dtype=np.int64)
     for rows, (u, valid) in read_bands(linked["u"], linked["valid"]):
         is_sheet = np.isfinite(u)
-        counts += [
-            np.count_nonzero(mask_part)
-            for mask_part in (is_sheet, is_sheet & mask(grid.part(rows)), valid)
-        ]
+        masks = (is_sheet, is_sheet & mask(grid.part(rows)), valid)
+        counts += [np.count_nonzero(part) for part in masks]
     n_on_sheet, n_off_holes, valid = map(int, counts)
     pixels = math.prod(grid.shape)
     return LinkedArea(

@@ -113,27 +113,30 @@ def _results(
     by_this_code: bool = True,
     **fields: Any,
 ) -> Results:
+    if by_this_code:
+        fields |= {"code": hash_sources(), "commit": find_commit()}
+    versions = {name: version(name) for name in _LIBRARIES} | study.packages
+    # Paths say where files lie and not what was done.
+    parameters = to_dict(with_paths(study, lambda _: None))
     results = Results(
         planish=__version__,
-        code=hash_sources() if by_this_code else "",
-        commit=find_commit() if by_this_code else "",
         layers=tuple(layers),
         checks=tuple(checks),
-        versions={name: version(name) for name in _LIBRARIES} | study.packages,
-        # Paths say where files lie and not what was done.
-        parameters=to_dict(with_paths(study, lambda _: None)),
+        versions=versions,
+        parameters=parameters,
         **fields,
     )
     return apply_checks(results)
 
 
 def _checks_of_link(overlay: Overlay, comparison: Comparison, holes: HoleSearch) -> Iterator[Check]:
+    """Checks of each layer and its registration, of what two layers share, and of all together."""
     for linked, facts in zip(overlay.layers, comparison.layers, strict=True):
         scale_checks = [*_scale_checks(overlay, linked)]
-        scale_check_names = {check.name for check in scale_checks}
-        own_checks = [c for c in linked.layer.checks if c.name not in scale_check_names]
-        own_checks = [_with_fit(check, linked, comparison.layers) for check in own_checks]
-        yield from for_layers(own_checks, linked.name)
+        names = [check.name for check in scale_checks]
+        map_checks = [check for check in linked.layer.checks if check.name not in names]
+        map_checks = [_with_fit(check, linked, comparison.layers) for check in map_checks]
+        yield from for_layers(map_checks, linked.name)
         yield from scale_checks
         if linked.link is not None:
             yield from _registration_checks(linked.link, facts, holes)

@@ -78,10 +78,9 @@ def _on_tiles(
             maps = xr.Dataset({"image": image}, coords=Grid.of(layer_data).coords)
         else:
             maps = layer_data["maps"].rename({"v": "y", "u": "x"})
+            names = map(str, maps.data_vars)
             dropped_prefixes = ("projected_", "presence", "valid")
-            maps = maps.drop_vars(
-                [name for name in maps.data_vars if str(name).startswith(dropped_prefixes)]
-            )
+            maps = maps.drop_vars([name for name in names if name.startswith(dropped_prefixes)])
         return lambda tile, _: maps.isel(y=tile.rows, x=tile.cols)
     errors = PositionErrors(
         None if is_image else layer_data,
@@ -249,11 +248,10 @@ def resample_layers(
 
     tiles = map_tiles(grid.shape)
     for tile, maps in zip(tiles, read_ahead(bring, tiles), strict=True):
-        absent = [
-            k
-            for k in absent
-            if not np.isfinite(maps[k]["image" if "image" in maps[k] else "u"].values).any()
-        ]
+        for name in [*absent]:
+            maps_here = maps[name]
+            if np.isfinite(maps_here["image" if "image" in maps_here else "u"].values).any():
+                absent.remove(name)
         if joint_group is None:
             for name, data in maps.items():
                 sink.add(f"layers/{name}", grid, tile, data)

@@ -76,6 +76,7 @@ class PositionErrors:
         *,
         is_scan: bool = False,
     ) -> None:
+        """Compute the shares of the error at the places of the lattice."""
         self._lattice = Lattice(grid)
         places = self._lattice.places
         uv = chain.inverse(places)
@@ -112,11 +113,9 @@ class PositionErrors:
         }
         total_um = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
         maps = {"expected_error": (total_um, "Expected error of the place, rms")}
-        if not self._whole:
-            maps |= {
-                f"error_{k}": (share, f"Expected error by {_SHARES[k][0]}")
-                for k, share in shares.items()
-            }
+        for k, share in shares.items():
+            if not self._whole:
+                maps[f"error_{k}"] = (share, f"Expected error by {_SHARES[k][0]}")
         return {
             name: xr.DataArray(
                 values.astype(np.float32),

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from planish.analyze.leading_map import leading_map
+from planish.analyze.params import CorrelateParams
 from planish.core.axial import refuse_axial
 from planish.core.errors import InputError, ResourceError
 from planish.core.memory import enough_gb
@@ -149,22 +150,9 @@ def _check_light(study: Study) -> None:
     reference = study.layers[-1].image
     images = [layer.image for layer in study.layers if layer.image is not None]
     n_sheets = len(study.layers) - len(images)
-    options = {"kubelka_munk": correlate.kubelka_munk, "light_spread_um": correlate.light_spread_um}
-    optics = " and ".join(f"`{name}`" for name, value in options.items() if value is not None)
-    if (optics or correlate.light is not None) and (reference is None or not n_sheets):
-        raise InputError(
-            f"{optics or '`light`'}: no image stands last, to which a map of a sheet is compared."
-            " Link a volume or a run to an image, or leave it out."
-        )
-    if optics and correlate.headline is not None and not correlate.headline.startswith("coat"):
-        raise InputError(
-            f"{optics}: {correlate.headline} leads, which is no coating. Leave `headline` out,"
-            " or name a coating."
-        )
-    if correlate.kubelka_munk is not None and reference is not None:
-        _check_reflectance(reference)
-    is_refined = study.registration.refine is not None
-    if is_refined and any(image.screen_um is not None for image in images):
+    _check_optics(correlate, reference if n_sheets else None)
+    is_screened = any(image.screen_um is not None for image in images)
+    if is_screened and study.registration.refine is not None:
         raise InputError(
             "`refine` aligns the fine texture of both layers, which `screen_um` takes off the"
             " image. Leave one of them out."
@@ -176,3 +164,22 @@ def _check_light(study: Study) -> None:
             "`error_ratio` is for two measurements of one quantity: the last layer and another one"
             " have to be volumes or runs. Leave it out."
         )
+
+
+def _check_optics(correlate: CorrelateParams, reference: ImageParams | None) -> None:
+    """Raise InputError for options of light without the image, or the coating, that they need."""
+    options = {"kubelka_munk": correlate.kubelka_munk, "light_spread_um": correlate.light_spread_um}
+    optics = " and ".join(f"`{name}`" for name, value in options.items() if value is not None)
+    if reference is None:
+        if optics or correlate.light is not None:
+            raise InputError(
+                f"{optics or '`light`'}: no image stands last, to which a map of a sheet is"
+                " compared. Link a volume or a run to an image, or leave it out."
+            )
+    elif optics and not (correlate.headline or "coating").startswith("coat"):
+        raise InputError(
+            f"{optics}: {correlate.headline} leads, which is no coating. Leave `headline` out,"
+            " or name a coating."
+        )
+    elif correlate.kubelka_munk is not None:
+        _check_reflectance(reference)

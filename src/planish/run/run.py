@@ -103,13 +103,14 @@ class Run:
                 " from 'planish map' or 'planish link VOLUME IMAGE'."
             )
         params = next(layer for layer in self.study.layers if layer.name == facts.name)
+        checks = [check for check in self.checks if check.layers == (facts.name,)]
         return MappedLayer(
             params=params,
             source=facts.source,
-            md_deg=params.md_deg if params.volume is None else params.volume.md_deg,
+            md_deg=(params.volume or params).md_deg,
             groups={k: v for k, v in self.groups.items() if k in _SHEET_GROUPS},
             facts=facts.sheet,
-            checks=tuple(check for check in self.checks if check.layers == (facts.name,)),
+            checks=tuple(checks),
         )
 
     def __repr__(self) -> str:
@@ -120,26 +121,24 @@ class Run:
         states = Counter(check.state for check in self.checks)
         checks = ", ".join(f"{count} {state}" for state, count in states.items()) or "none"
         lines = ["Run" if self.folder is None else f"Run in {self.folder}"]
-        lines += [
-            f"{layer.name}: {layer.source.name}" for layer in self.results.layers[:_MOST_LAYERS]
-        ]
-        if omitted_layers := self.results.layers[_MOST_LAYERS:]:
-            lines.append(f"and {len(omitted_layers)} more layers")
+        layers = self.results.layers
+        lines += [f"{layer.name}: {layer.source.name}" for layer in layers[:_MOST_LAYERS]]
+        if len(layers) > _MOST_LAYERS:
+            lines.append(f"and {len(layers) - _MOST_LAYERS} more layers")
         lines.append(f"checks: {checks}")
-        if pair := lead_pair(self.results):
+        pair = lead_pair(self.results)
+        if pair:
             row = largest(pair)
             r = f"{row.r:.2f}" if is_known(row.r) else "withheld"
             lines.append(
                 f"r = {r}: {row.a_map} of {row.a}, {row.b_map} of {row.b}, points of"
                 f" {row.point_um:g} um"
             )
-        groups = ", ".join(
-            f"{name} {'x'.join(map(str, data.sizes.values()))}"
-            for name, data in self.groups.items()
-        )
-        lines.append(
-            f"groups: {groups if len(groups) < _MOST_LETTERS else f'{groups[:_MOST_LETTERS]} ...'}"
-        )
+        sizes = {name: data.sizes.values() for name, data in self.groups.items()}
+        groups = ", ".join(f"{name} {'x'.join(map(str, size))}" for name, size in sizes.items())
+        if len(groups) >= _MOST_LETTERS:
+            groups = f"{groups[:_MOST_LETTERS]} ..."
+        lines.append(f"groups: {groups}")
         return "\n  ".join(lines)
 
     def _repr_html_(self) -> str:
@@ -148,16 +147,12 @@ class Run:
         return run_html(self.results, self.groups)
 
     def _group(self, name: str) -> xr.Dataset:
-        if name not in self.groups:
-            raise FileError(
-                f"The run has no {name}; it holds {', '.join(self.groups)}."
-                + (
-                    " Link it to an image first: planish link RUN IMAGE --out OTHER."
-                    if name == "linked"
-                    else ""
-                )
-            )
-        return self.groups[name]
+        if name in self.groups:
+            return self.groups[name]
+        remedy = ""
+        if name == "linked":
+            remedy = " Link it to an image first: planish link RUN IMAGE --out OTHER."
+        raise FileError(f"The run has no {name}; it holds {', '.join(self.groups)}.{remedy}")
 
 
 def is_run(path: Path) -> bool:
@@ -217,7 +212,18 @@ def open_sheet(path: str | Path) -> MappedLayer:
 
 
 def study_of(folder: Path, results: Results) -> Study:
-    """The study of a run folder; its maps have the names of today."""
+    """The study of a run folder; its maps have the names of today.
+
+    Parameters
+    ----------
+    folder : path
+    results : Results
+        Of the run.
+
+    Returns
+    -------
+    Study
+    """
     study = read_study(folder / RUN_TOML)
     if not results.is_older:
         return study

@@ -1,7 +1,10 @@
 """Write a run folder, whole or not at all."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+
+import xarray as xr
 
 from planish import __version__
 from planish.core.area import overviews
@@ -50,14 +53,23 @@ def write_run(
 def save_run(
     run: Run, folder: Path, *, home: Path, store: StoredMaps | None = None, figures: bool = False
 ) -> None:
-    """Write all files of a run into ``folder``, which will stand at ``home``.
+    """Write all files of a run.
 
-    On request, the files of its figures are written, too.
+    A volume that was mapped on the way to a link of several layers stands in ``layers/NAME`` as a
+    run of its own. Maps get smaller copies beside them, ``overviews/GROUP/1`` half as fine, ``/2``
+    half of that, and so on.
 
-    The store ``store``, which holds some of its groups, becomes that of the run. A volume that was
-    mapped on the way to a link of several layers stands in ``layers/NAME`` as a run of its own.
-    Maps get smaller copies beside them, ``overviews/GROUP/1`` half as fine, ``/2`` half of that,
-    and so on.
+    Parameters
+    ----------
+    run : Run
+    folder : path
+        The files are written into it.
+    home : path
+        Place where the folder will stand.
+    store : StoredMaps, optional
+        Holds some of its groups; it becomes that of the run.
+    figures : bool
+        The files of its figures are written, too.
     """
     for name, sheet in run.sheets.items():
         sheet_folder = folder / "layers" / name
@@ -73,62 +85,68 @@ def save_run(
     if run.regions is not None:
         (folder / REGIONS).write_text(geojson_text(run.regions), encoding="utf-8", newline="\n")
         study = changed(study, correlate={"regions": str(home / REGIONS)})
-    write_study(
-        _with_files_of_run(study, run, folder, home), folder, home=home, version=__version__
-    )
+    study = _with_corrections(_with_marks(study, run, home), run, folder, home)
+    write_study(study, folder, home=home, version=__version__)
     write_report(folder / "report.html", run, figures=folder / FIGURES if figures else None)
     stored = [] if store is None else store.stored
     if store is not None and store.path is not None and stored:
         move(store.path, folder / MAPS)
-    for name, other_store in run.unchanged.items():
-        take_group(folder / MAPS, other_store, name)
+    for name, unchanged_store in run.unchanged.items():
+        take_group(folder / MAPS, unchanged_store, name)
     groups = {name: data for name, data in run.groups.items() if name not in run.unchanged}
-    for name, data in [*groups.items()]:
-        has_overviews = name in ("maps", LINKED, "refined") or name.startswith("layers/")
-        if has_overviews and f"{OVERVIEWS}/{name}/1" not in groups:
-            groups |= {
-                f"{OVERVIEWS}/{name}/{k}": smaller for k, smaller in enumerate(overviews(data), 1)
-            }
+    groups |= _missing_overviews(groups)
     write_tree(folder / MAPS, {name: data for name, data in groups.items() if name not in stored})
 
 
-def _with_files_of_run(study: Study, run: Run, folder: Path, final_folder: Path) -> Study:
-    """Name the run's own files of marks and corrections in its study.
+def _missing_overviews(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
+    """Smaller copies of the maps that have none."""
+    copies: dict[str, xr.Dataset] = {}
+    for name, data in groups.items():
+        has_maps = name in ("maps", LINKED, "refined") or name.startswith("layers/")
+        if has_maps and f"{OVERVIEWS}/{name}/1" not in groups:
+            for k, smaller in enumerate(overviews(data), 1):
+                copies[f"{OVERVIEWS}/{name}/{k}"] = smaller
+    return copies
 
-    They stand in place of those that they came from.
 
-    Marks of another run are in this one too, with all that is known of them. Corrections of
-    ``run.sheets`` stand in their folders by now.
+def _with_marks(study: Study, run: Run, home: Path) -> Study:
+    """Name the run's own files of marks in its study, in place of those of another run.
+
+    All that is known of these marks is in them.
     """
-
-    def is_of_a_run(path: str | None) -> bool:  # such as edits/NAME/FILE of it
-        return path is not None and any(is_run(folder) for folder in Path(path).parents[:3])
-
-    marks_files = {
-        name: str(final_folder / marks_file(run.results, name))
+    files = {
+        name: str(home / marks_file(run.results, name))
         for name, registration in run.registrations.items()
         if registration.source == "json"
     }
-    correction_files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
-    corrections_files = {
-        name: str(final_folder / file) if (folder / file).is_file() else None
-        for name, file in correction_files.items()
-    }
-    if "surfaces" in run.groups:
-        corrections_text = made_corrections(run.groups["surfaces"])
-        corrections_files[study.layers[0].name] = (
-            str(final_folder / CORRECTIONS) if corrections_text else None
-        )
-        if corrections_text:
-            (folder / CORRECTIONS).parent.mkdir(exist_ok=True)
-            (folder / CORRECTIONS).write_text(corrections_text, encoding="utf-8", newline="\n")
     for layer in study.layers:
-        if layer.name in marks_files and is_of_a_run(layer.marks):
-            study = with_layer(study, layer.name, marks=marks_files[layer.name])
-        if layer.kind == "volume" and layer.name in corrections_files:
-            study = with_layer(
-                study, layer.name, surface={"corrections": corrections_files[layer.name]}
-            )
-    if len(run.registrations) == 1 and marks_files and is_of_a_run(study.registration.marks):
-        study = changed(study, registration={"marks": next(iter(marks_files.values()))})
+        if layer.name in files and _is_of_a_run(layer.marks):
+            study = with_layer(study, layer.name, marks=files[layer.name])
+    if len(run.registrations) == 1 and files and _is_of_a_run(study.registration.marks):
+        study = changed(study, registration={"marks": next(iter(files.values()))})
+    return study
+
+
+def _is_of_a_run(path: str | None) -> bool:
+    """Whether a file lies in a run, such as edits/NAME/FILE of it."""
+    return path is not None and any(is_run(folder) for folder in Path(path).parents[:3])
+
+
+def _with_corrections(study: Study, run: Run, folder: Path, home: Path) -> Study:
+    """Name the run's own files of corrections in its study.
+
+    Those of ``run.sheets`` stand in their folders by now.
+    """
+    files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
+    if "surfaces" in run.groups:
+        files[study.layers[0].name] = CORRECTIONS
+        text = made_corrections(run.groups["surfaces"])
+        if text:
+            (folder / CORRECTIONS).parent.mkdir(exist_ok=True)
+            (folder / CORRECTIONS).write_text(text, encoding="utf-8", newline="\n")
+    for layer in study.layers:
+        if layer.kind == "volume" and layer.name in files:
+            file = files[layer.name]
+            path = str(home / file) if (folder / file).is_file() else None
+            study = with_layer(study, layer.name, surface={"corrections": path})
     return study

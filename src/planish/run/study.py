@@ -271,15 +271,17 @@ def as_study(data: dict[str, Any]) -> Study:
         return Study.model_validate({"layers": [{"name": "sheet", **sheet}, *image], **data})
     data.pop("rim_um", None)
     if isinstance(data["layers"], list):
-        layers: list[Any] = []
-        for layer in data["layers"]:
-            tables = layer.get("map") if isinstance(layer, dict) else None
-            if isinstance(tables, dict):  # planish 0.1.0 had the volume one level deeper
-                tables = {k: v for k, v in tables.items() if k in ("volume", *MAP_SECTIONS)}
-                layer = {k: v for k, v in layer.items() if k != "map"} | tables
-            layers.append(layer)
-        data["layers"] = layers
+        data["layers"] = list(map(_with_volume, data["layers"]))
     return Study.model_validate(data)
+
+
+def _with_volume(layer: Any) -> Any:
+    """A layer; planish 0.1.0 had the volume one level deeper."""
+    tables = layer.get("map") if isinstance(layer, dict) else None
+    if not isinstance(tables, dict):
+        return layer
+    outer = {name: table for name, table in layer.items() if name != "map"}
+    return outer | {name: tables[name] for name in ("volume", *MAP_SECTIONS) if name in tables}
 
 
 def with_values(study: Study, changes: Sequence[str]) -> Study:

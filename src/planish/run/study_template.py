@@ -127,14 +127,12 @@ def _head(name: str, missing: list[Missing]) -> list[str]:
             " stand in single quotes."
         ),
     ]
-    for is_needed, title in (
-        (True, "To fill in:"),
-        (False, "Stated in no file; is the default right?"),
-    ):
-        if item_lines := [
-            f"#   line {m.line}: {m.key}: {m.why}" for m in missing if m.needed is is_needed
-        ]:
-            lines += ["#", f"# {title}", *item_lines]
+    titles = {True: "To fill in:", False: "Stated in no file; is the default right?"}
+    for is_needed, title in titles.items():
+        items = [m for m in missing if m.needed is is_needed]
+        if items:
+            lines += ["#", f"# {title}"]
+        lines += [f"#   line {m.line}: {m.key}: {m.why}" for m in items]
     return lines
 
 
@@ -145,6 +143,7 @@ def _input(
     path: Path,
     home: Path,
 ) -> None:
+    """Add the options of an input with what its file says, and note what no file states."""
     if is_run(path):
         raise StudyError(
             f"{path} is a run, which was mapped already. Link it: planish link {path} IMAGE --out"
@@ -158,18 +157,10 @@ def _input(
             " VOLUME IMAGE."
         )
     # A path stands in single quotes, which Windows' paths need; as any text where it holds one.
-    path_toml = relative_path(path.absolute(), home.absolute())
-    path_toml = (
-        f"'{path_toml}'" if "'" not in path_toml and path_toml.isprintable() else _value(path_toml)
-    )
-    lines += [
-        "",
-        "",
-        *_comment(_description(facts, section)),
-        "",
-        f"[{section}]",
-        f"path = {path_toml}",
-    ]
+    relative = relative_path(path.absolute(), home.absolute())
+    is_plain = "'" not in relative and relative.isprintable()
+    lines += ["", "", *_comment(_description(facts, section)), "", f"[{section}]"]
+    lines.append(f"path = '{relative}'" if is_plain else f"path = {_value(relative)}")
     size_key = "voxel_um" if section == "volume" else "pixel_um"
     for key, field, shown in _options(SECTIONS[section]):
         *comment_lines, option_line = _option(key, field, shown, section)
@@ -190,6 +181,7 @@ def _input(
 
 
 def _description(facts: dict[str, Any], section: str) -> list[str]:
+    """What the file of an input holds, in sentences."""
     elements, axes = ("voxels", "z, y, x") if section == "volume" else ("pixels", "y, x")
     format_name = facts.get("format") or facts["kind"]
     shape_text = " x ".join(map(str, facts["shape"]))
@@ -198,9 +190,8 @@ def _description(facts: dict[str, Any], section: str) -> list[str]:
     )
     sentences = [f"{file_text}, {facts['bytes'] / 1e6:.1f} MB."]
     if facts["size_um"]:
-        size_text, extent_text = (
-            " x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um")
-        )
+        size_text = " x ".join(f"{um:.6g}" for um in facts["size_um"])
+        extent_text = " x ".join(f"{um:.6g}" for um in facts["extent_um"])
         sentences.append(
             f"{elements.capitalize()} of {size_text} um ({axes}), from {facts['size_source']};"
             f" extent {extent_text} um."
@@ -208,12 +199,8 @@ def _description(facts: dict[str, Any], section: str) -> list[str]:
     else:
         sentences.append(f"No {elements[:-1]} size is stated in it.")
     if facts["min"] is not None:
-        percentiles_text = ", ".join(
-            f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items()
-        )
-        sentences.append(
-            f"Grey {facts['min']:.5g} to {facts['max']:.5g}; percentiles {percentiles_text}."
-        )
+        levels = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
+        sentences.append(f"Grey {facts['min']:.5g} to {facts['max']:.5g}; percentiles {levels}.")
     return sentences + [
         in_study_words(f"Look: {warning}")
         for warning in facts["warnings"]
@@ -222,6 +209,7 @@ def _description(facts: dict[str, Any], section: str) -> list[str]:
 
 
 def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]:
+    """Lines of an option: a blank one, what it is, and its default behind a #."""
     nested_models = models_in(field.annotation)
     lines = ["", *_comment([in_study_words(str(field.description))])]
     if nested_models:
@@ -230,26 +218,23 @@ def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]
             lines += _option(name, nested_field, nested_shown, f"{section}.{key}")[1:]
         return lines
     kinds = kinds_of(field.annotation)
-    literals = [
-        str(word) for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)
-    ]
+    words = [str(word) for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
     default = field.get_default()
-    note_text = (
-        "names in quotes, with commas between them"
-        if kinds == [tuple[str, ...]]
-        else unit_of(key) or ""
-    )
-    if default is None and literals and len(kinds) == 1:
-        default = literals[0]
     value = _placeholder(kinds, shown) if default is None else _value(default)
-    if alternatives := [
-        word for word in literals if word != str(literals[0] if default is None else default)
-    ]:
-        choices_text = " or ".join(map(_value, alternatives)) + (
-            " or a number" if float in kinds else ""
-        )
-        note_text = f"{note_text}; or {choices_text}" if note_text else f"or {choices_text}"
-    return [*lines, f"#{key} = {value}" + (f"  # {note_text}" if note_text else "")]
+    if default is None and words:
+        default = words[0]
+        if len(kinds) == 1:
+            value = _value(default)
+    unit = unit_of(key)
+    notes = [unit] if unit else []
+    if kinds == [tuple[str, ...]]:
+        notes = ["names in quotes, with commas between them"]
+    choices = [_value(word) for word in words if word != str(default)]
+    if choices:
+        choices += ["a number"] if float in kinds else []
+        notes.append(f"or {' or '.join(choices)}")
+    note_text = f"  # {'; '.join(notes)}" if notes else ""
+    return [*lines, f"#{key} = {value}{note_text}"]
 
 
 def _placeholder(kinds: list[Any], shown: Shown) -> str:
@@ -257,13 +242,14 @@ def _placeholder(kinds: list[Any], shown: Shown) -> str:
 
     This is no value, so that the study cannot be run by mistake.
     """
-    count = next((len(get_args(kind)) for kind in kinds if get_origin(kind) is tuple), 0)
-    if count:
-        words = (shown.metavar or "").rpartition("|")[2].split(",")
-        return f"[{', '.join(words if len(words) == count else ['NUMBER'] * count)}]"
-    if str in kinds:
-        return f"'{shown.metavar or 'TEXT'}'"
     word = shown.metavar or ""
+    for kind in kinds:
+        if get_origin(kind) is tuple:
+            count = len(get_args(kind))
+            words = word.rpartition("|")[2].split(",")
+            return f"[{', '.join(words if len(words) == count else ['NUMBER'] * count)}]"
+    if str in kinds:
+        return f"'{word or 'TEXT'}'"
     return word if word.isalpha() and word.isupper() else "NUMBER"
 
 

@@ -107,12 +107,12 @@ def register_texture(
         tiles = tiles_near(layers, start, off_um=TUNED_UM, strain=fit_params.scale_tolerance)
         search = None
     else:
-        layers, found = find_places(moving, fixed, fit_params, mirrored, holes)
-        search = found.search
+        layers, textured = find_places(moving, fixed, fit_params, mirrored, holes)
+        search = textured.search
         tiles = tiles_near(
             layers,
-            found.place,
-            scaled=found.scaled,
+            textured.place,
+            scaled=textured.scaled,
             names=search.best.names,
             off_um=TUNED_UM,
             strain=fit_params.scale_tolerance,
@@ -125,10 +125,8 @@ def register_texture(
         )
     registration = _fitted(layers, tiles, holes, np.empty((0, 2), dtype=np.intp), fit_params)
     if search is None:
-        return replace(
-            registration,
-            sentence=f"The place was given; {len(tiles.moving_um)} tiles of the texture show it.",
-        )
+        sentence = f"The place was given; {len(tiles.moving_um)} tiles of the texture show it."
+        return replace(registration, sentence=sentence)
     return replace(
         registration, sentence=_decided(search, tiles), false_probability=search.false_probability
     )
@@ -161,8 +159,10 @@ def register_by_texture(
     assert isinstance(image, xr.Dataset | xr.DataArray)
     is_mirrored = layer.side != fixed.side
     if params.by == "both":
-        known = register_by_marks(layer, fixed, holes, study)
-        return _with_tiles(known, moving, image, params, pair, "bottom" if is_mirrored else "top")
+        by_holes = register_by_marks(layer, fixed, holes, study)
+        return _with_tiles(
+            by_holes, moving, image, params, pair, "bottom" if is_mirrored else "top"
+        )
     knows_side = layer.kind == fixed.kind or any(
         of.side_given for of in (layer, fixed) if of.kind == "image"
     )
@@ -210,15 +210,13 @@ def _fitted(
         sources = np.full(marks.sizes["mark"], "detected", dtype=object)
         sources[: len(rows)][rows[:, k] < count] = "tile"
         marks[f"{side}_source"] = marks[f"{side}_source"].copy(data=sources)
-    # Holes show what all tiles share.
-    fit = (
-        fit if len(pairs) else replace(fit, shared_um=math.sqrt(float(np.trace(tiles.shared_um2))))
-    )
+    if not len(pairs):  # holes show what all tiles share
+        fit = replace(fit, shared_um=math.sqrt(float(np.trace(tiles.shared_um2))))
     return Registration(fit=fit, marks=with_residuals(marks, fit), source="texture")
 
 
 def _with_tiles(
-    known: Registration,
+    by_holes: Registration,
     moving: xr.Dataset | xr.DataArray,
     fixed: xr.Dataset | xr.DataArray,
     params: RegistrationParams,
@@ -230,7 +228,7 @@ def _with_tiles(
     The tiles are those that are found at the place by holes.
     """
     layers = PlanePair.of(moving, fixed, side, holes)
-    place = known.fit.transform.similarity
+    place = by_holes.fit.transform.similarity
     start = in_unit(place.inverse if layers.swapped else place, layers.unit_um)
     tiles = tiles_near(layers, start, strain=params.scale_tolerance)
     if len(tiles.moving_um) < _LEAST_TILES:
@@ -238,36 +236,30 @@ def _with_tiles(
             f"{len(tiles.moving_um)} parts of the texture show where they lie, and {_LEAST_TILES}"
             " are needed beside the holes. Link by the holes alone (`by=holes`)."
         )
-    is_paired = paired(known.marks)
-    pairs = np.stack(
-        [
-            np.array(
-                [
-                    int(np.argmin(np.hypot(h["x"].values - x, h["y"].values - y)))
-                    for x, y in points_of(known.marks, layer)[is_paired].tolist()
-                ]
-            )
-            for h, layer in zip(holes, ("moving", "fixed"), strict=True)
-        ],
-        axis=1,
-    )
-    pairs = pairs[known.fit.weights > 0]
+    is_paired = paired(by_holes.marks)
+    rows: list[Ints] = []
+    for layer_holes, side_name in zip(holes, ("moving", "fixed"), strict=True):
+        xy = points_of(by_holes.marks, side_name)[is_paired]
+        holes_xy = np.stack([layer_holes["x"].values, layer_holes["y"].values], axis=1)
+        distances = np.hypot(*(holes_xy[None] - xy[:, None]).transpose(2, 0, 1))
+        rows.append(np.argmin(distances, axis=1))
+    pairs = np.stack(rows, axis=1)[by_holes.fit.weights > 0]
     alone = _fitted(layers, tiles, None, np.empty((0, 2), dtype=np.intp), params).fit
     middle = TexturedPlane.of(moving, side).middle_um
-    apart_um = float(np.linalg.norm(alone(middle) - known.fit(middle)))
-    expected_um = math.hypot(*(float(f.expected_error_um(middle)) for f in (alone, known.fit)))
+    apart_um = float(np.linalg.norm(alone(middle) - by_holes.fit(middle)))
+    expected_um = math.hypot(*(float(f.expected_error_um(middle)) for f in (alone, by_holes.fit)))
     count = len(tiles.moving_um)
     # An error that tiles share does not get smaller with their number.
     tiles = tiles._replace(covariance_um2=tiles.covariance_um2 + count * tiles.shared_um2)
-    sentence = f"{known.sentence or ''} {count} tiles of the texture are fitted with the holes."
+    sentence = f"{by_holes.sentence or ''} {count} tiles of the texture are fitted with the holes."
     return replace(
         _fitted(layers, tiles, holes, pairs, params),
         source="both",
         apart_um=(apart_um, expected_um),
         sentence=sentence.strip(),
-        second_best=known.second_best,
-        design=known.design,
-        tilt=known.tilt,
+        second_best=by_holes.second_best,
+        design=by_holes.design,
+        tilt=by_holes.tilt,
     )
 
 

@@ -66,7 +66,18 @@ def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr
 
     What does not fit into memory is worked out in parts.
 
-    What was done to sections is in the attributes, in short.
+    Parameters
+    ----------
+    params : VolumeParams
+    compute : Compute
+        Gives the memory.
+    progress : callable
+        Called with the name of a stage and a few words.
+
+    Returns
+    -------
+    DataArray, dims (z, y, x), in um
+        What was done to sections is in its attributes, in short.
     """
     if not is_section_folder(params.path):
         return _read(params, compute)
@@ -138,15 +149,13 @@ def _join_sections(
         "aligned": (poses.aligned, "Aligned; others count as missing", None),
         "gain": (gains.gain, "Gain put on the grey", "1"),
     }
+    variables: dict[str, Any] = {}
+    for name, (values, title, units) in section_columns.items():
+        units_attr = {} if units is None else {"units": units}
+        variables[name] = ("section", values, units_attr | {"long_name": title})
+    fixed = zip(("row", "col", "rotation"), poses.fixed, strict=True)
     sections = xr.Dataset(
-        {
-            name: (
-                "section",
-                values,
-                ({} if units is None else {"units": units}) | {"long_name": title},
-            )
-            for name, (values, title, units) in section_columns.items()
-        },
+        variables,
         attrs={
             "kind": stack.kind,
             "first_position_um": first_um,
@@ -156,11 +165,7 @@ def _join_sections(
             "jitter_estimator": "median section",
             "pairs_used": poses.pairs_used,
             "pairs_refused": poses.pairs_refused,
-            "fixed": [
-                name
-                for name, is_fixed in zip(("row", "col", "rotation"), poses.fixed, strict=True)
-                if is_fixed
-            ],
+            "fixed": [name for name, is_fixed in fixed if is_fixed],
         },
     )
     return volume, sections

@@ -99,7 +99,7 @@ def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[s
     by_volumes: dict[tuple[str, ...], list[SeriesSpecimen]] = {}
     for specimen in counted:
         by_volumes.setdefault(gathered.runs[specimen.name].volumes, []).append(specimen)
-    without = _without("sheet", counted)
+    without = specimens_without("sheet", counted)
     if without and len(counted) > 1:
         kind = "volume" if len(by_volumes) < len(counted) else "specimen"
         which = "The table names no sheets"
@@ -166,7 +166,7 @@ def _factors(
                 f" over all its levels. Groups by {name} compare them."
             )
     for name in grouped_by:
-        without = _without(name, counted)
+        without = specimens_without(name, counted)
         if without:
             yield (
                 f"No {name} is given for {listed(without)}; they make a group of their own,"
@@ -205,7 +205,8 @@ def _comparison(
         )
 
 
-def _without(factor: str, counted: Sequence[SeriesSpecimen]) -> list[str]:
+def specimens_without(factor: str, counted: Sequence[SeriesSpecimen]) -> list[str]:
+    """Names of the specimens for which a factor is not given."""
     return [specimen.name for specimen in counted if not specimen.factor(factor)]
 
 

@@ -173,16 +173,19 @@ def as_judged(member: Member, results: Results) -> Member:
 
 def _summary(member: Member, results: Results) -> RunSummary:
     sheets = [layer for layer in results.layers if layer.kind == "sheet"]
-    widths_um = [um for layer in sheets for um in layer.source.size_um[1:]]
+    widths_um: list[float] = []
     for layer in sheets:
+        widths_um += layer.source.size_um[1:]
         if layer.sheet is not None and layer.sheet.numbers is not None:
             widths_um += [thin.support_um for thin in layer.sheet.numbers.thin.values()]
     thin_um = results.parameters.get("correlate", {}).get("thin_um")
+    headlines = dict.fromkeys(layer.headline for layer in sheets)
+    images = [layer.name for layer in results.layers if layer.kind == "image"]
     return RunSummary(
         specimen=_specimen(member, results),
         sheets=tuple(layer.name for layer in sheets),
-        images=tuple(layer.name for layer in results.layers if layer.kind == "image"),
-        headlines=tuple(dict.fromkeys(layer.headline for layer in sheets)),
+        images=tuple(images),
+        headlines=tuple(headlines),
         volumes=tuple(layer.source.sha256 for layer in sheets),
         thin_um=float(thin_um) if isinstance(thin_um, int | float) else None,
         column_um=max(widths_um, default=None),

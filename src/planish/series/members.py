@@ -114,29 +114,30 @@ class _TableOfRuns:
     def factors(self, folders: Sequence[Path]) -> list[dict[str, str]]:
         """Factors of each run; InputError unless each has one row, and each row a run."""
         table = self._table
+        rows = [self._row_of(folder) for folder in folders]
+        names = [name for name in table.header if name not in ("run", "name", "")]
         factors: list[dict[str, str]] = []
-        used_lines: set[int] = set()
-        for folder in folders:
-            rows = [row for row in table.rows if self._is_of(row, folder)]
-            if len(rows) != 1:
-                few = f"{len(rows)} rows" if rows else "no row"
-                raise InputError(
-                    f"{table.name} has {few} for the run {folder.name}. Give it one row: its path"
-                    f" or name in the column {'run' if 'run' in table.header else 'name'}."
-                )
-            used_lines.add(rows[0].line)
-            cells = {name: table.text(rows[0], name) for name in table.header}
-            names = [name for name in cells if name not in ("run", "name", "")]
-            factors.append({name: cells[name] for name in names if cells[name]})
-        idle = [row for row in table.rows if row.line not in used_lines]
+        for row in rows:
+            cells = {name: table.text(row, name) for name in names}
+            factors.append({name: cell for name, cell in cells.items() if cell})
+        idle = [row for row in table.rows if row not in rows]
         if idle:
-            names = [table.text(row, "run") or table.text(row, "name") for row in idle[:5]]
+            texts = [table.text(row, "run") or table.text(row, "name", "empty") for row in idle[:5]]
             raise InputError(
                 f"{table.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that"
-                f" was given: {', '.join(name or 'empty' for name in names)}. Give these runs, too,"
-                " or take the rows out."
+                f" was given: {', '.join(texts)}. Give these runs, too, or take the rows out."
             )
         return factors
+
+    def _row_of(self, folder: Path) -> CsvRow:
+        rows = [row for row in self._table.rows if self._is_of(row, folder)]
+        if len(rows) == 1:
+            return rows[0]
+        few = f"{len(rows)} rows" if rows else "no row"
+        raise InputError(
+            f"{self._table.name} has {few} for the run {folder.name}. Give it one row: its path"
+            f" or name in the column {'run' if 'run' in self._table.header else 'name'}."
+        )
 
     def _is_of(self, row: CsvRow, folder: Path) -> bool:
         cell = self._table.text(row, "run")

@@ -62,26 +62,10 @@ def open_study(path: str | Path) -> xr.Dataset:
             " 'planish compare --out' made."
         )
     results = SeriesResults.read(folder / RESULTS)
-    text = read_bytes(folder / VALUES, what="table of a series", most_bytes=2 * 10**9).decode(
-        "utf-8", errors="replace"
-    )
-    table = parse_table(text, VALUES, needed=("specimen", *OF_A_ROW[:-1]), error=FileError)
-    figure_rows = [dict(zip(table.header, row.cells, strict=True)) for row in table.rows]
-    table.check("Write the series again.")
-    if results.stored_format < FORMAT:
-        figure_rows = todays_names(figure_rows)
     names = [specimen.name for specimen in results.specimens]
-    unknown = {row["specimen"] for row in figure_rows} - set(names)
-    if unknown:
-        raise FileError(
-            f"{VALUES} has figures of {', '.join(sorted(unknown)[:3])}, which {RESULTS} does not"
-            " know: the two files are of different series. Write the series again."
-        )
+    rows_by_quantity = _rows_of(folder, results, names)
     kinds = {specimen.kind for specimen in results.specimens}
     has_several_sheets = not kinds.isdisjoint(("two volumes", "layers"))
-    rows_by_quantity: dict[str, list[dict[str, str]]] = {}
-    for row in figure_rows:
-        rows_by_quantity.setdefault(row["quantity"], []).append(row)
     arrays: dict[str, xr.DataArray] = {}
     for quantity, rows in rows_by_quantity.items():
         arrays |= _arrays(quantity, rows, names, has_several_sheets)
@@ -94,6 +78,30 @@ def open_study(path: str | Path) -> xr.Dataset:
     study = study.assign_coords(specimen=np.array(names, dtype=object))
     study = study.assign_coords({name: ("specimen", texts) for name, texts in coords.items()})
     return study.assign_attrs(planish=results.planish, compared_by=results.compared_by or "")
+
+
+def _rows_of(
+    folder: Path, results: SeriesResults, names: Sequence[str]
+) -> dict[str, list[dict[str, str]]]:
+    """Rows of values.csv, by quantity; FileError where they are not of these specimens."""
+    text = read_bytes(folder / VALUES, what="table of a series", most_bytes=2 * 10**9).decode(
+        "utf-8", errors="replace"
+    )
+    table = parse_table(text, VALUES, needed=("specimen", *OF_A_ROW[:-1]), error=FileError)
+    figure_rows = [dict(zip(table.header, row.cells, strict=True)) for row in table.rows]
+    table.check("Write the series again.")
+    if results.stored_format < FORMAT:
+        figure_rows = todays_names(figure_rows)
+    unknown = {row["specimen"] for row in figure_rows}.difference(names)
+    if unknown:
+        raise FileError(
+            f"{VALUES} has figures of {', '.join(sorted(unknown)[:3])}, which {RESULTS} does not"
+            " know: the two files are of different series. Write the series again."
+        )
+    rows_by_quantity: dict[str, list[dict[str, str]]] = {}
+    for row in figure_rows:
+        rows_by_quantity.setdefault(row["quantity"], []).append(row)
+    return rows_by_quantity
 
 
 def _labels(row: Mapping[str, str], has_several_sheets: bool) -> dict[str, Any]:

@@ -204,24 +204,26 @@ def parquet_bytes(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes
     return data.getvalue()
 
 
-def _specimens_text(results: SeriesResults) -> str:
-    """Give the text of specimens.csv, one row a specimen.
+def _columns_of(q: Quantity) -> list[str]:
+    """Columns of a quantity in specimens.csv, named by map, statistic and unit."""
+    name_parts = [q.layer, q.map, q.what]
+    suffixes = ("", "_trust")
+    if q.what == "r":
+        name_parts += [q.other_layer, q.other_map if q.other_map != q.map else ""]
+        suffixes = ("", "_low", "_high", "_n_eff", "_trust")
+    if q.at_um is not None:
+        name_parts += [f"{q.at_um:g}", "um"]
+    elif q.unit != "1":
+        name_parts.append(q.unit.replace("/", "_per_"))
+    name = "_".join(filter(None, name_parts)).replace(" ", "_")
+    return [f"{name}{suffix}" for suffix in suffixes]
 
-    Its quantities are in columns named by map, statistic and unit.
-    """
+
+def _specimens_text(results: SeriesResults) -> str:
+    """Give the text of specimens.csv, one row a specimen."""
     header = ["specimen", *factor_columns(results.factors, _OF_A_SPECIMEN), *_OF_A_SPECIMEN[1:]]
-    for q in results.quantities:
-        name_parts = [q.layer, q.map, q.what]
-        suffixes = ("", "_trust")
-        if q.what == "r":
-            name_parts += [q.other_layer, q.other_map if q.other_map != q.map else ""]
-            suffixes = ("", "_low", "_high", "_n_eff", "_trust")
-        if q.at_um is not None:
-            name_parts += [f"{q.at_um:g}", "um"]
-        elif q.unit != "1":
-            name_parts.append(q.unit.replace("/", "_per_"))
-        name = "_".join(filter(None, name_parts)).replace(" ", "_")
-        header += [f"{name}{suffix}" for suffix in suffixes]
+    for quantity in results.quantities:
+        header += _columns_of(quantity)
     rows: list[list[Any]] = []
     for specimen in results.specimens:
         member = specimen.member

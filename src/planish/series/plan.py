@@ -5,7 +5,7 @@ That is a table of specimens with their files and factors, and the options that 
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -123,6 +123,10 @@ class _TableRow:
     layers: tuple[str, ...] = ()
 
     @property
+    def named_files(self) -> list[str]:
+        return [self.cells[kind] for kind in ("volume", "image") if kind in self.cells]
+
+    @property
     def factors(self) -> dict[str, str]:
         return {name: cell for name, cell in self.cells.items() if name not in _NO_FACTORS}
 
@@ -238,35 +242,41 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
     faults: list[str] = []
     specimens: list[PlannedSpecimen] = []
     for row, name in zip(rows, _names(rows, plan.home), strict=True):
-        named_files = [row.cells[kind] for kind in ("volume", "image") if kind in row.cells]
-        if row.layers and named_files:
-            faults.append(f"{row.location}: give layers, or volume and image, not both")
-        if not row.layers and "volume" not in row.cells:
-            faults.append(f"{row.location}: no volume")
-        fault = _fault_of(name)
-        if fault:
-            faults.append(
-                f"{row.location}: {name!r} cannot name a specimen: {fault}; give it another name"
-            )
-        files = tuple(_absolute(file, plan.home) for file in row.layers or named_files)
+        faults += [f"{row.location}: {fault}" for fault in _faults_of(row, name)]
+        files = tuple(_absolute(file, plan.home) for file in row.layers or row.named_files)
         specimens.append(
             PlannedSpecimen(name=name, files=files, changes=row.changes, factors=row.factors)
         )
-    first_locations: dict[Any, str] = {}
-    for row, specimen in zip(rows, specimens, strict=True):
-        clashes: dict[Any, str] = {
-            specimen.name.casefold(): f"the name {specimen.name!r}",
-            (specimen.files, specimen.changes): "the same files and options",
-        }
-        for key, clash in clashes.items():
-            location = first_locations.setdefault(key, row.location)
-            if location != row.location:
-                faults.append(f"{row.location}: {clash} as {location}")
+    faults += _clashes([row.location for row in rows], specimens)
     raise_faults(path.name, faults, "Correct the table.", error=InputError)
     compared = plan.declared.compare
     if compared is not None and not plan.watch:
         _check_compared(path, compared, specimens)
     return replace(plan, specimens=tuple(specimens))
+
+
+def _faults_of(row: _TableRow, name: str) -> Iterator[str]:
+    if row.layers and row.named_files:
+        yield "give layers, or volume and image, not both"
+    if not row.layers and "volume" not in row.cells:
+        yield "no volume"
+    fault = _fault_of(name)
+    if fault:
+        yield f"{name!r} cannot name a specimen: {fault}; give it another name"
+
+
+def _clashes(locations: Sequence[str], specimens: Sequence[PlannedSpecimen]) -> Iterator[str]:
+    """Say which specimens have the name, or the files and options, of an earlier one."""
+    first_locations: dict[Any, str] = {}
+    for location, specimen in zip(locations, specimens, strict=True):
+        keys: dict[Any, str] = {
+            specimen.name.casefold(): f"the name {specimen.name!r}",
+            (specimen.files, specimen.changes): "the same files and options",
+        }
+        for key, text in keys.items():
+            first_location = first_locations.setdefault(key, location)
+            if first_location != location:
+                yield f"{location}: {text} as {first_location}"
 
 
 def _check_compared(path: Path, compared: str, specimens: Sequence[PlannedSpecimen]) -> None:

@@ -222,12 +222,11 @@ def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -
     r = row_by_quantity["r"]
     n_eff_interval = row_by_quantity["n_eff_interval"].value
     reason = _why_not(r, with_doubtful=with_doubtful)
-    if not reason and not _alike(at_um, q.at_um):
-        reason = f"points of {at_um:g} um, others of {q.at_um:g} um"
+    if not _alike(at_um, q.at_um):
+        reason = reason or f"points of {at_um:g} um, others of {q.at_um:g} um"
     # With more than 4 independent points the scatter of Fisher's z is known.
-    has_scatter = (n_eff_interval or 0.0) > 4.0 and abs(r.value or 0.0) < 1
-    if not reason and not has_scatter:
-        reason = "too few independent points"
+    if (n_eff_interval or 0.0) <= 4.0 or abs(r.value or 0.0) >= 1:
+        reason = reason or "too few independent points"
     return Cell(
         value=r.value,
         low=r.low,

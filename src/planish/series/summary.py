@@ -16,7 +16,7 @@ from planish import analyze
 from planish.core.axial import angle_of, doubled, has_axes, near_axis
 from planish.core.errors import InputError
 from planish.core.text import likely
-from planish.series.cautions import NEST, cautions_of
+from planish.series.cautions import NEST, cautions_of, specimens_without
 from planish.series.declared import Declared
 from planish.series.gather import FigureRow, Gathered
 from planish.series.quantities import cell_of, margin_of, quantities_of
@@ -69,13 +69,14 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     for group, members in _by_levels(counted, grouped_by).items():
         levels = dict(zip(grouped_by, group, strict=True))
         groups += [_group(members, k, q, levels) for k, q in enumerate(quantities)]
-    differences: list[DifferenceFacts] = []
+    pairs: list[tuple[dict[str, Any], analyze.SheetDifference]] = []
     if compared_by is not None:
         pairs = [*_pairs(counted, quantities, compared_by, grouped_by)]
-        adjusted = analyze.p_of_tables([difference for _, difference in pairs])
-        for (labels, _), difference in zip(pairs, adjusted, strict=True):
-            margin = margin_of(quantities[labels["quantity"]], declared)
-            differences.append(_difference(difference, margin, labels))
+    adjusted = analyze.p_of_tables([difference for _, difference in pairs])
+    differences: list[DifferenceFacts] = []
+    for (labels, _), difference in zip(pairs, adjusted, strict=True):
+        margin = margin_of(quantities[labels["quantity"]], declared)
+        differences.append(_difference(difference, margin, labels))
     cautions = cautions_of(gathered, specimens, quantities, grouped_by, compared_by, _MOST_LEVELS)
     return SeriesResults(
         planish=planish.__version__,
@@ -85,7 +86,7 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
         factors=factors,
         grouped_by=grouped_by,
         compared_by=compared_by,
-        sheets_given=bool(counted) and all(specimen.factor("sheet") for specimen in counted),
+        sheets_given=bool(counted) and not specimens_without("sheet", counted),
         specimens=tuple(specimens),
         groups=tuple(groups),
         differences=tuple(differences),

@@ -186,12 +186,12 @@ class MapsOfPage:
 
     def letters(self) -> int:
         """Size of all that is packed."""
-        grids = [
-            grid for group in self.groups for grid in (group.valid, *group.coordinates.values())
-        ]
-        return sum(
-            len(grid.text) for grid in (*(m.packed for m in self.maps), *grids) if grid is not None
-        )
+        grids = [m.packed for m in self.maps]
+        for group in self.groups:
+            grids += group.coordinates.values()
+            if group.valid is not None:
+                grids.append(group.valid)
+        return sum(len(grid.text) for grid in grids)
 
 
 def maps_of(run: Run) -> MapsOfPage:
@@ -209,68 +209,72 @@ def maps_of(run: Run) -> MapsOfPage:
     return maps
 
 
+def _group_names(run: Run) -> list[str]:
+    """Groups whose maps are shown: what was linked, or was mapped, and what a model made of it."""
+    names = [f"layers/{layer.name}" for layer in run.results.layers]
+    if "linked" in run.groups:
+        names = ["linked"]
+    elif "maps" in run.groups and not any(name in run.groups for name in names):
+        names = ["maps"]
+    names = [name for name in (*names, EXPLAINED, OCTAVES) if name in run.groups]
+    if not names:
+        raise InputError(
+            f"The run holds no maps to show; it holds {', '.join(run.groups) or 'nothing'}."
+        )
+    return names
+
+
 def _map_names(run: Run) -> list[tuple[str, list[str]]]:
     """Groups and the names of their maps: each headline first, then what it is compared with."""
-    results, groups = run.results, run.groups
-    group_names = (
-        ["linked"] if "linked" in groups else [f"layers/{layer.name}" for layer in results.layers]
-    )
-    group_names = [group for group in group_names if group in groups] or [
-        group for group in groups if group == "maps"
-    ]
-    group_names += [group for group in (EXPLAINED, OCTAVES) if group in groups]
-    if not group_names:
-        raise InputError(
-            f"The run holds no maps to show; it holds {', '.join(groups) or 'nothing'}."
-        )
+    layers = run.results.layers
+    properties = [name for layer in layers if layer.sheet for name in layer.sheet.properties]
     map_names: list[tuple[str, list[str]]] = []
-    properties = [
-        name for layer in results.layers if layer.sheet for name in layer.sheet.properties
-    ]
-    hidden = re.compile("volume_|projected_|presence|error_|[uv]$|.*_se$")
-    for group in group_names:
-        variables = groups[group].data_vars.items()
-        float_maps = [
-            str(name) for name, data in variables if data.ndim == 2 and data.dtype.kind == "f"
-        ]
-        headlines = [
-            layer.headline
-            for layer in results.layers
-            if group in ("linked", "maps", f"layers/{layer.name}")
-        ]
-        ranks = {name: rank for rank, name in reversed([*enumerate([*headlines, *properties])])}
-        names = [name for name in float_maps if not hidden.match(name)]
-        map_names.append(
-            (group, sorted(names, key=lambda name: (ranks.get(name, len(ranks)), name)))
-        )
+    for group in _group_names(run):
+        ranks: dict[str, int] = {}
+        of_all = group in ("linked", "maps")
+        headlines = [x.headline for x in layers if of_all or group == f"layers/{x.name}"]
+        for rank, name in enumerate([*headlines, *properties]):
+            ranks.setdefault(name, rank)
+        variables = run.groups[group].data_vars.items()
+        names = [str(name) for name, data in variables if _is_shown(data)]
+        names.sort(key=lambda name: (ranks.get(name, len(ranks)), name))
+        map_names.append((group, names))
     return map_names
 
 
+_HIDDEN = re.compile("volume_|projected_|presence|error_|[uv]$|.*_se$")
+
+
+def _is_shown(data: xr.DataArray) -> bool:
+    return data.ndim == 2 and data.dtype.kind == "f" and not _HIDDEN.match(str(data.name))
+
+
 def _packed_maps(run: Run, map_names: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
+    """Pack the maps of all groups, those that lead first."""
     results = run.results
     maps: list[PageMap] = []
     groups: list[Group] = []
-    grid, headline = None, None
-    volume_names = {axis: f"volume_{axis}" for axis in "xyz"}
+    grid = headline = None
     for group_index, (group, names) in enumerate(map_names):
-        variables = run.groups[group]
-        coordinates = (
-            volume_names if all(name in variables for name in volume_names.values()) else {}
-        )
-        extra_names = [*coordinates.values(), *(["valid"] if "valid" in variables else [])]
+        volume_names = [f"volume_{axis}" for axis in "xyz"]
+        has_places = all(name in run.groups[group] for name in volume_names)
+        extra_names = volume_names if has_places else []
+        if "valid" in run.groups[group]:
+            extra_names = [*extra_names, "valid"]
         dataset = _halved_maps(run, group, names + extra_names, halvings)
         grid = grid or Grid.of(dataset)
-        is_valid = dataset["valid"].values.astype(bool) if "valid" in dataset else np.True_
-        groups.append(
-            Group(
-                valid=packed(np.where(is_valid, 1.0, np.nan)) if "valid" in dataset else None,
-                coordinates={
-                    axis: packed(dataset[name].values, bits=16)
-                    for axis, name in coordinates.items()
-                },
-                sheet=_layer_of_map(results, group, "").name if coordinates else "",
-            )
-        )
+        is_valid = np.True_
+        valid = None
+        if "valid" in dataset:
+            is_valid = dataset["valid"].values.astype(bool)
+            valid = packed(np.where(is_valid, 1.0, np.nan))
+        coordinates: dict[str, Packed] = {}
+        sheet = ""
+        if has_places:
+            sheet = _layer_of_map(results, group, "").name
+            for axis, name in zip("xyz", volume_names, strict=True):
+                coordinates[axis] = packed(dataset[name].values, bits=16)
+        groups.append(Group(valid=valid, coordinates=coordinates, sheet=sheet))
         for name in names:
             layer = _layer_of_map(results, group, name)
             layer_map = dataset[name].rename(name)

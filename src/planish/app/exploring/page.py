@@ -104,15 +104,14 @@ def _data(
         groups.append({"sheet": group.sheet, "valid": valid, "places": coordinates})
     stack_specs: list[dict[str, Any]] = []
     for k, stack in enumerate(stacks):
-        stack_specs.append(
-            stack.spec
-            | {
-                "pictures": f"s{k}pictures",
-                "lines": {name: block(f"s{k}{name}", line) for name, line in stack.lines.items()},
-                "used": block(f"s{k}used", stack.measured),
-            }
-        )
-        blocks.append({"name": f"s{k}pictures", "text": "".join(stack.pictures)})
+        pictures = f"s{k}pictures"
+        lines = {name: block(f"s{k}{name}", line) for name, line in stack.lines.items()}
+        used = block(f"s{k}used", stack.measured)
+        stack_specs.append(stack.spec | {"pictures": pictures, "lines": lines, "used": used})
+        blocks.append({"name": pictures, "text": "".join(stack.pictures)})
+    colours = sorted({m.scale.colours for m in maps.maps})
+    palettes = {name: base64.b64encode(colours_in_steps(name).tobytes()) for name in colours}
+    line_keys = ("name", "title", "colour", "dash")
     grid = maps.grid
     data = {
         "maps": map_specs,
@@ -130,13 +129,8 @@ def _data(
         "halved": maps.halvings > 0,
         "several": len(results.layers) > 2 or len(stacks) > 1,
         "stacks": stack_specs,
-        "lines": [
-            dict(zip(("name", "title", "colour", "dash"), line, strict=True)) for line in LINES
-        ],
-        "palettes": {
-            name: base64.b64encode(colours_in_steps(name).tobytes()).decode("ascii")
-            for name in sorted({m.scale.colours for m in maps.maps})
-        },
+        "lines": [dict(zip(line_keys, line, strict=True)) for line in LINES],
+        "palettes": {name: text.decode("ascii") for name, text in palettes.items()},
         "missing": MISSING,
     }
     return data, blocks

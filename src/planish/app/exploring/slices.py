@@ -63,24 +63,21 @@ def stack_of(
 ) -> Stack | None:
     """The slices of a sheet; None where the run that holds its surfaces is not there."""
     mapped = sheet_run(run, layer.name)
-    if mapped is None or (sheet := sheet_facts(mapped)) is None:
+    sheet = None if mapped is None else sheet_facts(mapped)
+    if mapped is None or sheet is None:
         return None
-    run_slices, surfaces = mapped.groups["slices"], mapped.groups["surfaces"]
-    scale = limits(
-        run_slices["grey"].values.ravel()[:: max(1, run_slices["grey"].size // 600_000)],
-        GREYS,
-        percent=0.3,
-    )
+    run_slices = mapped.groups["slices"]
+    surfaces = mapped.groups["surfaces"]
+    greys = run_slices["grey"].values.ravel()
+    scale = limits(greys[:: max(1, greys.size // 600_000)], GREYS, percent=0.3)
     file_name = layer.source.name
     try:
         slices, slice_surfaces, row_step = _from_volume(
             mapped, sheet, surfaces, scale, compute, progress
         )
-        rows_text = (
-            f"one in {row_step} rows of {file_name}"
-            if row_step > 1
-            else f"every row of {file_name}"
-        )
+        rows_text = f"every row of {file_name}"
+        if row_step > 1:
+            rows_text = f"one in {row_step} rows of {file_name}"
     except _VolumeUnavailable as unavailable:
         stored_rows = run_slices["row"].values
         slice_surfaces = surfaces[_read_names(surfaces)].isel(y=stored_rows).load()
@@ -91,7 +88,7 @@ def stack_of(
         rows_text = f"the {stored_rows.size} that the run keeps, as {unavailable}"
     sheet_slices = [take_slice(slices, slice_surfaces, k) for k in range(slices.sizes["slice"])]
     sheet_slices = [
-        cut for cut in sheet_slices if any(np.isfinite(line).any() for line in cut.lines.values())
+        cut for cut in sheet_slices if np.isfinite(np.stack([*cut.lines.values()])).any()
     ]
     thinned_text = ""
     while sheet_slices:
@@ -260,33 +257,25 @@ def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     x_um, heights_um = slices[0].x, slices[0].heights
     dx_um = _pitch(x_um)
     dz_um = abs(_pitch(heights_um))
-    margin_um = _margin_um(
-        np.stack([np.abs(cut.lines["top"] - cut.lines["bottom"]) for cut in slices])
-    )
+    thickness_um = np.stack([np.abs(cut.lines["top"] - cut.lines["bottom"]) for cut in slices])
+    margin_um = _margin_um(thickness_um)
     windows = [cut.window(float(x_um[0]), float(x_um[-1]), margin_um) for cut in slices]
-    n_rows = min(
-        math.ceil(max(high_um - low_um for _, _, low_um, high_um in windows) / dz_um) + 1,
-        heights_um.size,
-    )
-    middles_um = [(low_um + high_um) / 2 for _, _, low_um, high_um in windows]
-    rows = [
-        round((heights_um[0] - middle_um) / dz_um - (n_rows - 1) / 2) for middle_um in middles_um
-    ]
-    top_rows = np.clip(rows, 0, heights_um.size - n_rows)
-    image_format, pictures = _pictures(
-        [cut.grey[k : k + n_rows] for cut, k in zip(slices, top_rows, strict=True)]
-    )
+    lows_um = np.array([low_um for *_, low_um, _ in windows])
+    highs_um = np.array([high_um for *_, high_um in windows])
+    n_rows = min(math.ceil((highs_um - lows_um).max() / dz_um) + 1, heights_um.size)
+    first_rows = (heights_um[0] - (lows_um + highs_um) / 2) / dz_um - (n_rows - 1) / 2
+    top_rows = np.clip(np.rint(first_rows).astype(int), 0, heights_um.size - n_rows)
+    greys = [cut.grey[k : k + n_rows] for cut, k in zip(slices, top_rows, strict=True)]
+    image_format, pictures = _pictures(greys)
     point_step = max(1, math.ceil(x_um.size / _MAX_POINTS))
+    is_measured = np.stack([cut.used[::point_step] for cut in slices])
     step_um = dz_um / 16
-    lines = {
-        name: packed(
-            np.round(np.stack([cut.lines[name][::point_step] for cut in slices]) / step_um)
-            * step_um,
-            bits=16,
-        )
-        for name, *_ in LINES
-        if any(np.isfinite(cut.lines[name]).any() for cut in slices)
-    }
+    lines: dict[str, Packed] = {}
+    for name, *_ in LINES:
+        line_um = np.stack([cut.lines[name] for cut in slices])
+        if np.isfinite(line_um).any():
+            whole_steps = np.round(line_um[:, ::point_step] / step_um)
+            lines[name] = packed(whole_steps * step_um, bits=16)
     spec = {
         "sheet": sheet,
         "rows": frame.rows,
@@ -306,9 +295,7 @@ def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
         spec=spec,
         pictures=pictures,
         lines=lines,
-        measured=packed(
-            np.where(np.stack([cut.used[::point_step] for cut in slices]), 1.0, np.nan)
-        ),
+        measured=packed(np.where(is_measured, 1.0, np.nan)),
         note=(
             f"{len(slices)} slices across {frame.rows}: {note}; pixels of {dx_um:.4g} um, lossy"
             " pictures"
