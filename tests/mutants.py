@@ -84,8 +84,8 @@ MUTANTS = [
     ),
     Mutant(
         "core/transform.py",
-        "x, y = (-linear @ np.asarray(self.shift_um))",
-        "x, y = (linear @ np.asarray(self.shift_um))",
+        "pair_of(-linear @ np.asarray(self.shift_um))",
+        "pair_of(linear @ np.asarray(self.shift_um))",
         "core/test_transform.py register/test_models.py",
     ),
     Mutant(

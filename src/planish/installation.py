@@ -105,7 +105,8 @@ def check_installation() -> Iterator[Check]:
 
     Names of folders are not in it, but for a folder that cannot be written.
     """
-    version, bits = platform.python_version(), struct.calcsize("P") * 8
+    version = platform.python_version()
+    bits = struct.calcsize("P") * 8
     is_supported = bits == 64 and (3, 11) <= sys.version_info[:2] <= (3, 14)
     advice = "" if is_supported else "Needed is a 64-bit Python from 3.11 to 3.14."
     yield _check(
@@ -194,6 +195,7 @@ def _libraries() -> Check:
 
 
 def _version_and_fault(requirement: Requirement) -> tuple[str, str | None]:
+    """Version of a library, and what is wrong with it, if anything."""
     try:
         version = metadata.version(requirement.name)
     except metadata.PackageNotFoundError:
@@ -201,28 +203,27 @@ def _version_and_fault(requirement: Requirement) -> tuple[str, str | None]:
     if not requirement.specifier.contains(version, prereleases=True):
         return version, f"{requirement.name} is {version}, needed is {requirement.specifier}"
     try:
-        # Names by which the packages of a library are imported, which need not be its own.
-        files = [str(file) for file in metadata.files(requirement.name) or ()]
-        packages = [file.split("/")[0] for file in files if file.endswith("/__init__.py")]
-        module_files = [
-            file.removesuffix(".py") for file in files if "/" not in file and file.endswith(".py")
-        ]
-        modules = dict.fromkeys([*packages, *module_files])
-        plain = {
-            name: re.sub("[-_.]", "", name.casefold()) for name in (*modules, requirement.name)
-        }
-        library = plain[requirement.name]
-        matching = [name for name in modules if plain[name] in library or library in plain[name]]
-        for module in (
-            matching or [name for name in modules if name.isidentifier() and name[0] != "_"][:1]
-        ):
+        for module in _modules_of(requirement.name):
             importlib.import_module(module)
     except Exception as error:  # noqa: BLE001  # a library that does not load may raise anything
-        return (
-            version,
-            f"{requirement.name} {version} cannot be loaded ({' '.join(str(error).split())[:120]})",
-        )
+        reason = " ".join(str(error).split())[:120]
+        return version, f"{requirement.name} {version} cannot be loaded ({reason})"
     return version, None
+
+
+def _modules_of(library: str) -> list[str]:
+    """Names by which a library is imported, which need not be its own."""
+    files = [str(file) for file in metadata.files(library) or ()]
+    packages = [file.split("/")[0] for file in files if file.endswith("/__init__.py")]
+    module_files = [file for file in files if "/" not in file and file.endswith(".py")]
+    modules = dict.fromkeys([*packages, *(file.removesuffix(".py") for file in module_files)])
+    plain = _plain(library)
+    matching = [name for name in modules if _plain(name) in plain or plain in _plain(name)]
+    return matching or [name for name in modules if name.isidentifier() and name[0] != "_"][:1]
+
+
+def _plain(name: str) -> str:
+    return re.sub("[-_.]", "", name.casefold())
 
 
 def _requirements(extra: str | None) -> list[Requirement] | None:
@@ -246,6 +247,7 @@ def _requirements(extra: str | None) -> list[Requirement] | None:
 
 
 def _compile_cache() -> Check:
+    """Whether kernels can be loaded, and kept where they are compiled."""
     name = "compile cache"
     try:
         kernels = list(_kernels())
@@ -257,46 +259,35 @@ def _compile_cache() -> Check:
         if not is_no_cache(error):
             raise
         return _check(name, NO_CACHE, state="fail", advice=ANOTHER_CACHE)
-    folders, n_compiled = set[Path](), 0
+    folders = set[Path]()
+    n_compiled = 0
     for kernel in kernels:
-        folders.add(folder := Path(kernel.stats.cache_path))
-        index_pattern = (
-            f"{kernel.py_func.__module__.rpartition('.')[2]}.{kernel.py_func.__qualname__}-*.nbi"
-        )
-        n_compiled += any(folder.glob(index_pattern))
+        folder = Path(kernel.stats.cache_path)
+        folders.add(folder)
+        module_name = kernel.py_func.__module__.rpartition(".")[2]
+        n_compiled += any(folder.glob(f"{module_name}.{kernel.py_func.__qualname__}-*.nbi"))
     for folder in sorted(folders):
         if not _is_writable(folder):
-            return _check(
-                name,
-                f"{_without_user(folder)} cannot be written.",
-                state="fail",
-                advice=ANOTHER_CACHE,
-            )
+            sentence = f"{_without_user(folder)} cannot be written."
+            return _check(name, sentence, state="fail", advice=ANOTHER_CACHE)
     is_beside = all(folder.name == "__pycache__" for folder in folders)
     place_text = "beside the program" if is_beside else "in the user's folder for caches"
     cache_dir = os.environ.get("NUMBA_CACHE_DIR")
     if cache_dir and all(folder.is_relative_to(cache_dir) for folder in folders):
         place_text = "in NUMBA_CACHE_DIR"
-    first_run_text = (
-        "" if n_compiled else " The first run takes about a minute longer, to compile them."
-    )
-    return _check(
-        name,
-        f"{n_compiled} of {len(kernels)} kernels are compiled and kept"
-        f" {place_text}.{first_run_text}",
-    )
+    sentence = f"{n_compiled} of {len(kernels)} kernels are compiled and kept {place_text}."
+    if not n_compiled:
+        sentence += " The first run takes about a minute longer, to compile them."
+    return _check(name, sentence)
 
 
 def _kernels() -> Iterator[Any]:
     for info in pkgutil.walk_packages(planish.__path__, "planish."):
         if info.name.rpartition(".")[2].startswith("_") and info.name.endswith("kernels"):
-            module = importlib.import_module(info.name)
-            kernels = [
-                function for function in vars(module).values() if hasattr(function, "py_func")
-            ]
-            yield from (
-                k for k in kernels if k.py_func.__module__ == info.name and k.stats.cache_path
-            )
+            for function in vars(importlib.import_module(info.name)).values():
+                module_name = getattr(getattr(function, "py_func", None), "__module__", "")
+                if module_name == info.name and function.stats.cache_path:
+                    yield function
 
 
 def _without_user(folder: Path) -> str:
@@ -356,7 +347,8 @@ def _packages() -> Check:
         "format": (FunctionType, {end[1:] for end in endings}),
         "export": (exports.ExportFormat, exports.FORMATS),
     }
-    faults, names = list[str](), list[str]()
+    faults = list[str]()
+    names = list[str]()
     for plugin in chain.from_iterable(map(plugins, GROUPS)):
         names.append(f"{plugin.package} {plugin.version} ({plugin.kind} {plugin.name})")
         expected, planish_names = planish_kinds[plugin.kind]

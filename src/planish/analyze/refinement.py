@@ -358,7 +358,7 @@ def held_out_r(
         if face is not None:
             moving, light = moving.with_slopes("face"), ("face_x", "face_y")
         place = tuned_place(
-            moving, fixed, ("map", "image"), Similarity(), reach_um=_TUNED_UM, beside=light
+            moving, fixed, ("map", "image"), Similarity(), reach_um=_TUNED_UM, other_maps=light
         )
         at = np.moveaxis(place(points)[..., ::-1] / step, -1, 0)
         is_seen = ndimage.map_coordinates(b_known, at, order=1) >= 0.99

@@ -65,7 +65,8 @@ def _lowest(field, first, second):
     rows, cols = field.shape
     half = np.empty(field.shape)
     turned = np.empty((cols, rows))
-    at, edge = np.empty(max(rows, cols), np.int64), np.empty(max(rows, cols))
+    at = np.empty(max(rows, cols), np.int64)
+    edge = np.empty(max(rows, cols))
     for i in range(rows):
         _lower(field[i], second, half[i], at, edge)
     lines = np.ascontiguousarray(half.T)

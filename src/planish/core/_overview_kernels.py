@@ -20,10 +20,14 @@ def halve_values(values, out):
         pair = up + 1 < rows
         low = up + 1 if pair else up
         for j in range(cols // 2):
-            a, b = np.float64(values[up, 2 * j]), np.float64(values[up, 2 * j + 1])
-            c, d = np.float64(values[low, 2 * j]), np.float64(values[low, 2 * j + 1])
-            p, q = np.isfinite(a), np.isfinite(b)
-            r, s = pair and np.isfinite(c), pair and np.isfinite(d)
+            a = np.float64(values[up, 2 * j])
+            b = np.float64(values[up, 2 * j + 1])
+            c = np.float64(values[low, 2 * j])
+            d = np.float64(values[low, 2 * j + 1])
+            p = np.isfinite(a)
+            q = np.isfinite(b)
+            r = pair and np.isfinite(c)
+            s = pair and np.isfinite(d)
             total = (
                 0.0 + (a if p else 0.0) + (b if q else 0.0) + (c if r else 0.0) + (d if s else 0.0)
             )
@@ -67,7 +71,8 @@ def halve_voxels(values, out, whole):
             a, b = values[2 * k, 2 * i], values[2 * k, i1]
             c, d = values[k1, 2 * i], values[k1, i1]
             for j in range(out.shape[2]):
-                p, q = 2 * j, min(2 * j + 1, cols - 1)
+                p = 2 * j
+                q = min(2 * j + 1, cols - 1)
                 total = (np.float64(a[p]) + a[q] + b[p] + b[q]) + (
                     np.float64(c[p]) + c[q] + d[p] + d[q]
                 )

@@ -52,7 +52,8 @@ class AreaMeans:
 
     def means(self) -> list[Floats]:
         """The means of each map; angles where what ``summable`` makes of an axis was added."""
-        is_covered, weight = self._weight >= self._least_weight, np.maximum(self._weight, 1e-12)
+        is_covered = self._weight >= self._least_weight
+        weight = np.maximum(self._weight, 1e-12)
         means = [np.where(is_covered, total / weight, np.nan) for total in self._totals]
         return [angle_of(m) if np.iscomplexobj(m) else m for m in means]
 

@@ -173,20 +173,21 @@ def map_pixel_um(name: str, values: Any, pixel_um: Sequence[float] | None) -> Pa
         steps = [float(size) for size in values.attrs[IMAGE.size_attribute]]
         source = f"attribute {IMAGE.size_attribute}"
     sizes = zip(steps, pixel_um or (None, None), strict=True)
-    if any(step and given and not agree(step, given) for step, given in sizes):
-        stated_text, given_text = (
-            " x ".join(f"{size:.6g}" for size in pair if size is not None)
-            for pair in (steps, pixel_um or ())
-        )
+    if not all(agree(step, size) for step, size in sizes if step and size):
         drop_text = f"{name}.drop_vars({axes})" if source == "coordinates" else f"{name}.values"
         raise SizeError(
-            f"`pixel_um` gives {given_text} um, but the {source} of {name} say {stated_text} um"
-            f" ({', '.join(axes)}). Leave `pixel_um` out, or write {drop_text} if they are wrong."
+            f"`pixel_um` gives {_sizes_text(pixel_um or (), ' x ')} um, but the {source} of {name}"
+            f" say {_sizes_text(steps, ' x ')} um ({', '.join(axes)}). Leave `pixel_um` out, or"
+            f" write {drop_text} if they are wrong."
         )
     has_units = source != "coordinates" or all(_unit_of(values[axis]) for axis in axes)
     if steps[0] is None or steps[1] is None or not has_units:
         return None
     return steps[0], steps[1]
+
+
+def _sizes_text(sizes: Sequence[float | None], separator: str) -> str:
+    return separator.join(f"{size:.6g}" for size in sizes if size is not None)
 
 
 def _unit_of(values: xr.DataArray) -> object:
@@ -206,8 +207,10 @@ def step_um(array: xr.DataArray | xr.Dataset, axis: str) -> float | None:
     """
     if axis not in array.coords or array.sizes[axis] < 2:
         return None
-    unit, values = _unit_of(array[axis]), array[axis].values
-    fault_text, fix = "", f"array.assign_coords({axis}=...)"
+    unit = _unit_of(array[axis])
+    values = array[axis].values
+    fault_text = ""
+    fix = f"array.assign_coords({axis}=...)"
     if not _is_um(unit):
         fault_text = f"are in {unit}; needed are lengths in um"
     elif values.dtype.kind not in "uif":
@@ -215,10 +218,8 @@ def step_um(array: xr.DataArray | xr.Dataset, axis: str) -> float | None:
     else:
         steps = np.diff(values.astype(np.float64))
         if steps.max() < 0:
-            fault_text, fix = (
-                "descend; needed are ascending ones",
-                f"array.isel({axis}=slice(None, None, -1))",
-            )
+            fault_text = "descend; needed are ascending ones"
+            fix = f"array.isel({axis}=slice(None, None, -1))"
         elif not np.abs(steps - steps.mean()).max() <= TOLERANCE * steps.mean():
             fault_text = (
                 f"are not regular: their steps are {steps.min():.4g} to {steps.max():.4g} um;"
@@ -237,10 +238,10 @@ def conversion_call(value: object, kind: ArrayKind) -> str:
     """Give the call to write for an object that is no volume, or no image."""
     if isinstance(value, str | Path):
         return f"pl.read_{kind.name}({str(value)!r})"
-    array_code = 'dataset["NAME"]' if isinstance(value, xr.Dataset) else "array"
-    if not isinstance(getattr(value, "dtype", None), np.dtype) and not isinstance(
-        value, xr.Dataset
-    ):
+    array_code = "array"
+    if isinstance(value, xr.Dataset):
+        array_code = 'dataset["NAME"]'
+    elif not isinstance(getattr(value, "dtype", None), np.dtype):
         array_code = "np.asarray(array)"
         # Of a picture of Pillow in a palette, the numbers are places in it.
         if hasattr(value, "getbands") and getattr(value, "mode", None) not in _PICTURE_MODES:
@@ -260,11 +261,12 @@ def described(value: object) -> str:
         return f"a Dataset with {', '.join(map(str, value.data_vars))[:60] or 'nothing'}"
     if isinstance(value, xr.DataArray):
         return f"a DataArray with the dims ({', '.join(map(str, value.dims))})"
-    if isinstance(shape := getattr(value, "shape", None), tuple):
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple):
         return f"an array ({type_name}) of {' x '.join(map(str, shape)) or 'no'} values"
-    return (
-        "None" if value is None else f"{'an' if type_name[0] in 'AEIOUaeiou' else 'a'} {type_name}"
-    )
+    if value is None:
+        return "None"
+    return f"{'an' if type_name[0] in 'AEIOUaeiou' else 'a'} {type_name}"
 
 
 def not_taken(value: object, expected: str, fix: str, call_format: str) -> InputError:
@@ -274,31 +276,28 @@ def not_taken(value: object, expected: str, fix: str, call_format: str) -> Input
 
 
 def _checked_size(array: object, kind: ArrayKind, call_format: str) -> tuple[float, ...]:
+    """Size of the voxels or pixels in um, by coordinates and the attribute, which have to agree."""
     fix = call_format.format(conversion_call(array, kind))
     if not isinstance(array, xr.DataArray):
         raise not_taken(array, kind.with_article, fix, call_format)
     check_values(array, kind, [str(name) for name in array.dims])
     stated_um: Sequence[float] | None = array.attrs.get(kind.size_attribute)
     steps = [step_um(array, axis) for axis in kind.axes]
-    # An image may be known by its size alone; faces are heights along the coordinates of a volume.
-    is_sized = (
-        None not in steps
-        if stated_um is None
-        else kind is IMAGE or all(axis in array.coords for axis in kind.axes)
-    )
+    is_sized = None not in steps
+    if stated_um is not None:
+        # An image may be known by its size alone; faces are heights along a volume's coordinates.
+        is_sized = kind is IMAGE or all(axis in array.coords for axis in kind.axes)
     if not is_sized:
         raise SizeError(f"The {kind.name} has no size along its axes. Write {fix}.")
     if stated_um is None:
         return tuple(step or 1.0 for step in steps)
     size_um = tuple(float(step or stated) for step, stated in zip(steps, stated_um, strict=True))
     if not all(map(agree, size_um, stated_um)):
-        step_text, stated_text = (
-            ", ".join(f"{size:.6g}" for size in sizes) for sizes in (size_um, stated_um)
-        )
+        step_text = _sizes_text(size_um, ", ")
         raise SizeError(
             f"The {kind.name} contradicts itself: its coordinates have steps of {step_text} um"
-            f" ({', '.join(kind.axes)}), its attribute {kind.size_attribute} says {stated_text}. If"
-            f" the coordinates are right, write pl.{kind.name}({kind.name},"
-            f" {kind.size_attribute}=({step_text}))."
+            f" ({', '.join(kind.axes)}), its attribute {kind.size_attribute} says"
+            f" {_sizes_text(stated_um, ', ')}. If the coordinates are right, write"
+            f" pl.{kind.name}({kind.name}, {kind.size_attribute}=({step_text}))."
         )
     return tuple(map(float, stated_um))

@@ -24,7 +24,8 @@ PERIOD_DEG = 180.0
 
 def is_axial(data: Any) -> bool:
     """Whether a map holds angles of an axis; InputError where they repeat after another angle."""
-    attrs, name = getattr(data, "attrs", {}), str(getattr(data, "name", ""))
+    attrs = getattr(data, "attrs", {})
+    name = str(getattr(data, "name", ""))
     return has_axes(name, attrs.get("period_deg"))
 
 

@@ -36,36 +36,30 @@ def read_bands(*maps: Rows) -> Iterator[tuple[slice, list[NDArray[Any]]]]:
     The next band is read while one is worked on.
     """
     parts = [*bands(maps[0].shape[0])]
-    yield from zip(
-        parts,
-        read_ahead(lambda rows: [band_of(pixels, rows) for pixels in maps], parts),
-        strict=True,
-    )
+    values = read_ahead(lambda rows: [band_of(pixels, rows) for pixels in maps], parts)
+    yield from zip(parts, values, strict=True)
 
 
 def any_finite(pixels: Rows, where: Rows | None = None) -> bool:
     """Return True if a map has a value where ``where`` is true."""
-    bands_of_maps = read_bands(*_given(pixels, where))
-    return any(
-        np.logical_and.reduce([np.isfinite(values), *masks]).any()
-        for _, (values, *masks) in bands_of_maps
-    )
+    return any(values.size for values in _values_in(pixels, where))
 
 
 def rms_of(pixels: Rows, where: Rows | None = None) -> float | None:
     """Root mean square of a map, where ``where`` is true; None where it has no value."""
-    count, square_sum = 0, 0.0
-    for _, (values, *masks) in read_bands(*_given(pixels, where)):
-        values = values[np.logical_and.reduce([np.isfinite(values), *masks])]
-        count, square_sum = (
-            count + values.size,
-            square_sum + float(np.sum(values.astype(np.float64) ** 2)),
-        )
+    count = 0
+    square_sum = 0.0
+    for values in _values_in(pixels, where):
+        count += values.size
+        square_sum += float(np.sum(values.astype(np.float64) ** 2))
     return float(np.sqrt(square_sum / count)) if count else None
 
 
-def _given(*maps: Rows | None) -> list[Rows]:
-    return [pixels for pixels in maps if pixels is not None]
+def _values_in(pixels: Rows, where: Rows | None) -> Iterator[NDArray[Any]]:
+    """Finite values of a map where ``where`` is true, band by band."""
+    maps = [pixels] if where is None else [pixels, where]
+    for _, (values, *masks) in read_bands(*maps):
+        yield values[np.logical_and.reduce([np.isfinite(values), *masks])]
 
 
 def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
@@ -77,8 +71,9 @@ def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
     k = max(1, math.ceil(math.sqrt(rows * cols / SAMPLE_PIXELS)))
     if k == 1:
         return 1, [np.asarray(pixels) for pixels in maps]
-    # The band's own rows, so that a stored map is read chunk by chunk and once.
-    return k, [
-        np.concatenate([band_of(pixels, b)[-b.start % k :: k, ::k] for b in bands(rows)])
-        for pixels in maps
-    ]
+    thin_maps: list[NDArray[Any]] = []
+    for pixels in maps:
+        # The band's own rows, so that a stored map is read chunk by chunk and once.
+        parts = [band_of(pixels, band)[-band.start % k :: k, ::k] for band in bands(rows)]
+        thin_maps.append(np.concatenate(parts))
+    return k, thin_maps

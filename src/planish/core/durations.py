@@ -55,11 +55,11 @@ def slowness() -> float:
     """Time that this machine takes now for a plain loop, in times of that of the table's."""
     # Windows counts processor time in steps of 15 ms.
     seconds = time.perf_counter if os.name == "nt" else time.thread_time
-    found: list[float] = []
+    times: list[float] = []
     for _ in range(3):
         start = seconds()
         total = 0
         for i in range(_LOOPS):
             total += i * i
-        found.append(seconds() - start)
-    return min(found) / LOOP_SECONDS
+        times.append(seconds() - start)
+    return min(times) / LOOP_SECONDS

@@ -40,7 +40,8 @@ def fault_of_name(name: str, *, windows: bool = os.name == "nt") -> str | None:
         return "Windows keeps that name for a device"
     if name != name.rstrip(". "):
         return "Windows drops a dot or a blank at the end of a name"
-    if windows and (forbidden := [c for c in name if c in _NOT_ON_WINDOWS or ord(c) < 32]):
+    forbidden = [c for c in name if c in _NOT_ON_WINDOWS or ord(c) < 32]
+    if windows and forbidden:
         return f"Windows takes no {' '.join(map(repr, forbidden))} in a name"
     return None
 
@@ -70,7 +71,8 @@ def check_name(path: Path) -> None:
 def refuse_name(path: PurePath, names: list[str], *, windows: bool = os.name == "nt") -> None:
     """Raise FileError for the first of the names that cannot be."""
     for name in names:
-        if name and (fault := fault_of_name(name, windows=windows)):
+        fault = fault_of_name(name, windows=windows)
+        if name and fault:
             raise FileError(
                 f"{path} cannot be written: {fault}. Choose another name than {name!r}."
             )
@@ -83,12 +85,8 @@ def check_length(folder: PurePath, *, longest: int | None = None) -> None:
     """
     longest = longest_path() if longest is None else longest
     # While it is written it stands in a hidden folder of twice its name.
-    needed = (
-        len(str(folder.parent))
-        + 2 * len(folder.name)
-        + len("/..work/..01234567.partial/")
-        + DEEPEST_PATH_LENGTH
-    )
+    path_length = len(f"{folder.parent}{2 * folder.name}/..work/..01234567.partial/")
+    needed = path_length + DEEPEST_PATH_LENGTH
     if longest is not None and needed > longest:
         raise FileError(
             f"{folder} is too deep: its files would have paths of up to {needed} characters, and"
@@ -149,8 +147,8 @@ def new_file(
 
 def free_path(path: Path) -> Path:
     """Give the first of path, path-2, path-3 ... that does not exist."""
-    others = (path.with_name(f"{path.name}-{k}") for k in count(2))
-    return next(candidate for candidate in chain([path], others) if not candidate.exists())
+    numbered = (path.with_name(f"{path.name}-{k}") for k in count(2))
+    return next(candidate for candidate in chain([path], numbered) if not candidate.exists())
 
 
 @contextmanager

@@ -124,23 +124,20 @@ def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | Non
     slice_indices = np.unique(np.linspace(0, values.shape[0] - 1, 24).astype(int))
     steps = [max(1, n // 200) for n in values.shape[1:]]
     starts = height * np.linspace(0, values.shape[1] // height - 1, 3).astype(int)
-    bands = (
-        [slice(k, k + height) for k in starts]
-        if depth > 1 and 6 * height < values.shape[1]
-        else [slice(None)]
-    )
+    bands = [slice(None)]
+    if depth > 1 and 6 * height < values.shape[1]:
+        bands = [slice(k, k + height) for k in starts]
     planes: list[NDArray[Any]] = []
     for layer in np.unique(slice_indices // depth):
         indices = slice_indices[slice_indices // depth == layer]
-        parts = [
-            np.asarray(values[indices[0] : indices[-1] + 1, band])[indices - indices[0]]
-            for band in bands
-        ]
-        planes += [*np.concatenate([part[:, :: steps[0], :: steps[1]] for part in parts], axis=1)]
+        parts: list[NDArray[Any]] = []
+        for band in bands:
+            part = np.asarray(values[indices[0] : indices[-1] + 1, band])[indices - indices[0]]
+            parts.append(part[:, :: steps[0], :: steps[1]])
+        planes += [*np.concatenate(parts, axis=1)]
     sample: NDArray[np.float64] = np.stack(planes).astype(np.float64)
-    sample[~np.isfinite(sample)] = (
-        np.nanmean(sample[np.isfinite(sample)]) if np.isfinite(sample).any() else 0.0
-    )
+    is_value = np.isfinite(sample)
+    sample[~is_value] = np.mean(sample[is_value]) if is_value.any() else 0.0
     variances = [float(sample.mean(axis=tuple({0, 1, 2} - {k})).var()) for k in range(3)]
     order = np.argsort(variances)[::-1]
     # The second axis may have this share of the variance along the first.
@@ -152,8 +149,6 @@ def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | Non
 def other_axis(volume: xr.DataArray, through: str) -> str:
     """Name the axis that looks like the sheet's normal, where another one was given."""
     axis = likely_through(volume.variable)
-    return (
-        ""
-        if axis in (None, through)
-        else f"The grey changes most along {axis}: try `through={axis}`."
-    )
+    if axis in (None, through):
+        return ""
+    return f"The grey changes most along {axis}: try `through={axis}`."

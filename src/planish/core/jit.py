@@ -28,10 +28,8 @@ class Locator:
     """Tells numba where the code of a function of this package lies."""
 
     def __init__(self, folder: str, function: Any, file: Path) -> None:
-        self.folder, self.line = (
-            Path(folder) / ".".join(file.parent.parts),
-            function.__code__.co_firstlineno,
-        )
+        self.folder = Path(folder) / ".".join(file.parent.parts)
+        self.line = function.__code__.co_firstlineno
 
     @classmethod
     def from_function(cls, function: Any, file: str) -> "Locator | None":

@@ -51,26 +51,21 @@ class LazyArray:
     def __getitem__(self, key: Any) -> NDArray[Any]:
         """Read what integers and slices select."""
         keys = key if isinstance(key, tuple) else (key,)
-        if Ellipsis in keys:
-            ellipsis_axis = keys.index(Ellipsis)
-            keys = (
-                keys[:ellipsis_axis]
-                + (slice(None),) * (len(self.shape) - len(keys) + 1)
-                + keys[ellipsis_axis + 1 :]
-            )
-        keys += (slice(None),) * (len(self.shape) - len(keys))
+        if Ellipsis not in keys:
+            keys = (*keys, Ellipsis)
+        k = keys.index(Ellipsis)
+        whole_axes = (slice(None),) * (self.ndim - len(keys) + 1)
+        keys = keys[:k] + whole_axes + keys[k + 1 :]
         slices: list[slice] = []
         part_keys: list[Any] = []
         for axis_key, length in zip(keys, self.shape, strict=True):
             if isinstance(axis_key, slice):
                 indices = range(length)[axis_key]
-                ordered = indices if indices.step > 0 else indices[::-1]
-                slices.append(
-                    slice(
-                        ordered.start, ordered[-1] + 1 if ordered else ordered.start, ordered.step
-                    )
-                )
-                part_keys.append(slice(None, None, 1 if indices.step > 0 else -1))
+                direction = 1 if indices.step > 0 else -1
+                ordered = indices[::direction]
+                stop = ordered[-1] + 1 if ordered else ordered.start
+                slices.append(slice(ordered.start, stop, ordered.step))
+                part_keys.append(slice(None, None, direction))
             else:
                 index = range(length)[int(axis_key)]
                 slices.append(slice(index, index + 1, 1))
@@ -80,21 +75,18 @@ class LazyArray:
             part = self.read(tuple(slices)) if all(shape) else np.empty(shape, self.dtype)
             chosen = part[tuple(part_keys)]
             # A view would keep the whole file mapped, or the slice that it was cut from.
-            is_copy = chosen.base is None or (
-                chosen.base is part and part.base is None and chosen.size == part.size
-            )
-            return (
-                np.ascontiguousarray(chosen, self.dtype)
-                if is_copy
-                else np.array(chosen, dtype=self.dtype)
-            )
+            is_whole = chosen.base is part and part.base is None and chosen.size == part.size
+            if chosen.base is None or is_whole:
+                return np.ascontiguousarray(chosen, self.dtype)
+            return np.array(chosen, dtype=self.dtype)
 
 
 class ReadOnDemand(Mapping[str, T]):
     """Values by name, each read when it is first asked for, and their names as well."""
 
     def __init__(self, names: Callable[[], Iterable[str]], read: Callable[[str], T]) -> None:
-        self._names, self._read = cache(lambda: tuple(names())), cache(read)
+        self._names = cache(lambda: tuple(names()))
+        self._read = cache(read)
 
     def __getitem__(self, name: str) -> T:
         """Read a value, or give it once more; KeyError where there is none of that name."""

@@ -58,6 +58,7 @@ NUMBERS = {  # Classes of real numbers and their types.
     **{name: np.dtype(name) for name in _CLASSES if "int" in name},
 }
 
+_CLASS_OF_TYPE = {dtype: name for name, dtype in NUMBERS.items()}
 _COMPLEX, _LOGICAL = 0x08, 0x02
 
 
@@ -147,6 +148,7 @@ def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
 
 
 def _variables_new(file: BinaryIO) -> Iterator[Variable]:
+    """Variables of a file of version 7.3."""
     import h5py  # pyright: ignore[reportMissingTypeStubs]
 
     with h5py.File(file, "r") as hdf5:
@@ -156,34 +158,24 @@ def _variables_new(file: BinaryIO) -> Iterator[Variable]:
             if not isinstance(root.get(key, getlink=True), h5py.HardLink):
                 continue
             member: Any = root[key]
-            if (
-                not isinstance(member, h5py.Dataset)
-                or member.external
-                or member.is_virtual
-                or member.shape is None
-            ):
-                yield Variable(
-                    name=str(key),
-                    shape=(),
-                    kind="struct" if isinstance(member, h5py.Group) else "opaque",
-                )
+            if isinstance(member, h5py.Group):
+                yield Variable(name=str(key), shape=(), kind="struct")
+                continue
+            shape: Any = getattr(member, "shape", None)
+            if shape is None or member.external or member.is_virtual:
+                yield Variable(name=str(key), shape=(), kind="opaque")
                 continue
             class_name: Any = member.attrs.get("MATLAB_class", b"")
-            kind = (
-                class_name.decode(errors="replace")
-                if isinstance(class_name, bytes)
-                else str(class_name)
-            )
-            kind = kind or next(
-                (name for name, dtype in NUMBERS.items() if dtype == member.dtype),
-                str(member.dtype),
-            )
+            if isinstance(class_name, bytes):
+                class_name = class_name.decode(errors="replace")
+            kind = str(class_name) or _CLASS_OF_TYPE.get(member.dtype, str(member.dtype))
             is_real = member.dtype.kind in "uif" and kind in NUMBERS
-            shape = tuple(int(n) for n in member.shape[::-1])
-            yield Variable(name=str(key), shape=shape, kind=kind, real=is_real)
+            matlab_shape = tuple(int(n) for n in shape[::-1])
+            yield Variable(name=str(key), shape=matlab_shape, kind=kind, real=is_real)
 
 
 def _variables_5(file: BinaryIO, endian_mark: bytes) -> Iterator[Variable]:
+    """Variables of a file of version 5 to 7; the bytes of a long one are not all read."""
     byte_order = "<" if endian_mark == b"IM" else ">"
     file_bytes = file.seek(0, 2)
     offset = 128  # bytes of text, version and byte order
@@ -193,15 +185,15 @@ def _variables_5(file: BinaryIO, endian_mark: bytes) -> Iterator[Variable]:
         if offset + 8 + size > file_bytes:
             raise Damaged("a variable is longer than the file")
         if element_type == _COMPRESSED:
-            header = zlib.decompressobj().decompress(
-                file.read(min(size, 4 * _HEADER_BYTES)), _HEADER_BYTES
-            )
+            packed = file.read(min(size, 4 * _HEADER_BYTES))
+            header = zlib.decompressobj().decompress(packed, _HEADER_BYTES)
         elif element_type == _MATRIX:
             file.seek(offset)
             header = file.read(min(8 + size, _HEADER_BYTES))
         else:
             raise Damaged(f"it holds an element of type {element_type} where a variable should be")
-        if variable := _variable_5(header, byte_order):
+        variable = _variable_5(header, byte_order)
+        if variable is not None:
             yield variable
         offset += 8 + size
 
@@ -235,10 +227,8 @@ def _variable_5(header: bytes, byte_order: str) -> Variable | None:  # noqa: C90
     if class_name not in NUMBERS or not math.prod(shape):
         return Variable(name=name, shape=shape, kind=class_name, real=class_name in NUMBERS)
     element_type, _, size, _ = _element(header, offset, byte_order)
-    if (
-        element_type not in _TYPES
-        or size != math.prod(shape) * np.dtype(_TYPES[element_type]).itemsize
-    ):
+    value_type = _TYPES.get(element_type)
+    if value_type is None or size != math.prod(shape) * np.dtype(value_type).itemsize:
         raise Damaged(f"a variable of shape {shape} holds {size} bytes of type {element_type}")
     if size > matrix_bytes:
         raise Damaged("the values of a variable are longer than the variable")
@@ -250,11 +240,11 @@ def _variable_5(header: bytes, byte_order: str) -> Variable | None:  # noqa: C90
 
 def _element(header: bytes, offset: int, byte_order: str) -> tuple[int, int, int, int]:
     element_type, size = struct.unpack_from(f"{byte_order}II", header, offset)
-    if element_type >> 16:  # a small one: size and type share a word, four bytes follow
-        element_type, size = element_type & 0xFFFF, element_type >> 16
-        if size > 4:
-            raise Damaged("a small element is too long")
-        return element_type, offset + 4, size, offset + 8
+    small_size = element_type >> 16
+    if small_size > 4:
+        raise Damaged("a small element is too long")
+    if small_size:  # size and type share a word, four bytes follow
+        return element_type & 0xFFFF, offset + 4, small_size, offset + 8
     return element_type, offset + 8, size, offset + 8 + (size + 7) // 8 * 8
 
 

@@ -21,11 +21,9 @@ _UNITS = {
 }
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
 _NARROW_WIDTH = 0.02  # width of an interval of r, below which two decimals hide it
-_MICROMETRES, _DEGREES, _MINUS = (
-    re.compile(r" um\b"),
-    re.compile(r" deg\b"),
-    re.compile(r"(?<=[ (])-(?=\d)"),
-)
+_MICROMETRES = re.compile(r" um\b")
+_DEGREES = re.compile(r" deg\b")
+_MINUS = re.compile(r"(?<=[ (])-(?=\d)")
 _ASCII_FORMS = {
     "−": "-",
     _SPACE: " ",

@@ -59,16 +59,15 @@ def params_of(model: type[P], options: P | Mapping[str, Any] | None, call_name: 
         )
     from planish.core.parameter_faults import fault_texts
 
-    paths_by_word, tables = words_in(model), dict[str, Any]()
+    paths_by_word = words_in(model)
+    tables = dict[str, Any]()
     put_options(tables, paths_by_word, options)
     try:
         return model.model_validate(tables)
     except ValidationError as error:
         faults_text = "; ".join(fault_texts(error, model, as_words(paths_by_word)))
-        prefix, suffix = (
-            f"{call_name}: " if call_name else "",
-            "" if faults_text.endswith("?") else ".",
-        )
+        prefix = f"{call_name}: " if call_name else ""
+        suffix = "" if faults_text.endswith("?") else "."
         raise StudyError(f"{prefix}{faults_text}{suffix}") from error
 
 
@@ -101,9 +100,9 @@ def option(
     None; ``metavar`` and ``repeat`` as in :class:`Shown`. ``limits`` are ``gt``, ``ge``, ``lt``,
     ``le``, ``min_length`` ..., as for :func:`pydantic.Field`.
     """
-    extra: Any = (
-        None if cli is None else {"planish": {"flags": cli, "metavar": metavar, "repeat": repeat}}
-    )
+    extra: Any = None
+    if cli is not None:
+        extra = {"planish": {"flags": cli, "metavar": metavar, "repeat": repeat}}
     return Field(default, description=help, json_schema_extra=extra, **limits)
 
 
@@ -112,12 +111,8 @@ def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
     for name, field in model.model_fields.items():
         extra: Any = field.json_schema_extra
         if extra is not None:
-            appearance = extra["planish"]
-            yield (
-                name,
-                field,
-                Shown(**appearance | {"flags": (appearance["flags"] or flag_of(name),)}),
-            )
+            flag = extra["planish"]["flags"] or flag_of(name)
+            yield name, field, Shown(**extra["planish"] | {"flags": (flag,)})
 
 
 def words_in(model: type[Params], *outer_names: str) -> dict[str, tuple[str, ...]]:

@@ -44,10 +44,12 @@ def key_lines(text: str) -> KeyLines:
     lines: dict[Key, int] = {}
     table_counts: dict[Key, int] = {}
     table_key: Key = ()
-    statement, first_line = "", 1
+    statement = ""
+    first_line = 1
     for line_number, line in enumerate(text.split("\n"), 1):
         statement += f"{line}\n"
-        if (names := _key_names(statement)) is None:  # a value that goes on
+        names = _key_names(statement)
+        if names is None:  # a value that goes on
             continue
         if statement.lstrip().startswith("["):
             key = table_key = _table_key(
@@ -61,7 +63,8 @@ def key_lines(text: str) -> KeyLines:
             key = (*table_key, *next(filter(None, parsed), ()))
         for k in range(1, len(key) + 1):
             lines.setdefault(key[:k], first_line)
-        statement, first_line = "", line_number + 1
+        statement = ""
+        first_line = line_number + 1
     return KeyLines(lines)
 
 
@@ -108,7 +111,7 @@ _ADVICE = (
     ),
     (
         re.compile(r"=\s*-?\d+,\d"),
-        (),
+        ("",),
         "Numbers have a decimal point, several stand in brackets: [3.0, 1.5, 1.5].",
     ),
     (
@@ -137,17 +140,12 @@ def toml_fault(error: tomllib.TOMLDecodeError | RecursionError, text: str) -> st
     if position is None or not 0 < int(position[1]) <= len(lines):
         return f"{error_text}."
     line = lines[int(position[1]) - 1]
-    advice = next(
-        (
-            f" {advice_text}"
-            for pattern, triggers, advice_text in _ADVICE
-            if pattern.search(line)
-            and (not triggers or any(trigger in error_text for trigger in triggers))
-        ),
-        "",
-    )
     reason = error_text[: position.start()].strip()
-    return f"line {position[1]}, column {position[2]}: {reason}: {line.strip()[:80]}.{advice}"
+    fault = f"line {position[1]}, column {position[2]}: {reason}: {line.strip()[:80]}."
+    for pattern, triggers, advice in _ADVICE:
+        if pattern.search(line) and any(trigger in error_text for trigger in triggers):
+            return f"{fault} {advice}"
+    return fault
 
 
 def fault_texts(
@@ -170,15 +168,14 @@ def fault_texts(
             continue
         reported_keys.add(key)
         line_text = f"line {line}" if line is not None else ""
-        texts = (
-            ", ".join(filter(None, (line_text, ".".join(map(str, key))))),
-            _fault_text(fault, loc, model),
-        )
+        place_text = ", ".join(filter(None, (line_text, ".".join(map(str, key)))))
+        texts = (place_text, _fault_text(fault, loc, model))
         sentences.append((line or 0, ": ".join(filter(None, texts))))
     return [text for _, text in sorted(sentences, key=lambda sentence: sentence[0])]
 
 
 def _fault_text(fault: Any, loc: Key, model: type[BaseModel]) -> str:
+    """A fault in words, with the value that was meant where there is one much like it."""
     message = str(fault["msg"]).removeprefix("Value error, ")
     value = fault.get("input")
     if fault["type"] == "extra_forbidden":
@@ -189,49 +186,39 @@ def _fault_text(fault: Any, loc: Key, model: type[BaseModel]) -> str:
         return f"{value!r} is not possible; needed are values in brackets, such as [1.5, 1.5]"
     if fault["type"] == "literal_error":
         expected = str(fault["ctx"]["expected"])
-        matches = difflib.get_close_matches(
-            str(value).casefold(), re.findall(r"'([^']*)'", expected), 1, _ALIKE
-        )
-        suggestion = f"; did you mean {matches[0]!r}?" if matches else "."
-        return f"{value!r} is not possible; needed is {expected}{suggestion}".removesuffix(".")
-    return (
-        f"{message} (found {value!r})" if isinstance(value, str | int | float | bool) else message
-    )
+        possible_words = re.findall(r"'([^']*)'", expected)
+        words = difflib.get_close_matches(str(value).casefold(), possible_words, 1, _ALIKE)
+        suggestion = f"; did you mean {words[0]!r}?" if words else ""
+        return f"{value!r} is not possible; needed is {expected}{suggestion}"
+    return f"{message} (found {value!r})" if isinstance(value, str | int | float) else message
 
 
 def _unknown_text(name: str, table: Key, model: type[BaseModel]) -> str:
     """Say that a name is unknown: the closest one of its table, or the table that has it."""
     names_by_table = dict(_tables_of(model, ()))
-    # A place has names of fields, numbers, and names of alternatives.
+    all_names = sorted(set(chain(*names_by_table.values())))
+    possible_names = _names_in(table, model)
+    del names_by_table[()]
+    if not table:
+        possible_names += [path[0] for path in names_by_table]
+    for word in difflib.get_close_matches(name.casefold(), possible_names, 1, _ALIKE):
+        return f"unknown; did you mean {word}?"
+    for word in difflib.get_close_matches(name, all_names, 1, 0.8):
+        owners = [path for path, fields in names_by_table.items() if word in fields]
+        if owners:
+            tables = " or ".join(f"[{'.'.join(path)}]" for path in owners)
+            return f"unknown here; {word} belongs to {tables}"
+    verb = "is" if len(possible_names) == 1 else "are"
+    return f"unknown; there {verb} {', '.join(sorted(set(possible_names))[:30])}"
+
+
+def _names_in(table: Key, model: type[BaseModel]) -> list[str]:
+    """Names that a table may hold; its key has names of fields, numbers, and alternatives."""
     models: Sequence[type[BaseModel]] = [model]
-    for name_of_table in (key for key in table if isinstance(key, str)):
-        fields = [
-            model.model_fields[name_of_table]
-            for model in models
-            if name_of_table in model.model_fields
-        ]
+    for name in map(str, table):
+        fields = [m.model_fields[name] for m in models if name in m.model_fields]
         models = [inner for field in fields for inner in models_in(field.annotation)] or models
-    possible_names = [field for m in models for field in m.model_fields]
-    possible_names += [] if table else [path[0] for path in names_by_table if path]
-    matches = difflib.get_close_matches(name.casefold(), possible_names, 1, _ALIKE)
-    if matches:
-        return f"unknown; did you mean {matches[0]}?"
-    owners = [path for path, fields in names_by_table.items() if name in fields and path]
-    if not owners:
-        close = difflib.get_close_matches(
-            name, sorted(set(chain(*names_by_table.values()))), 1, 0.8
-        )
-        owners = [
-            path for path, fields in names_by_table.items() if close and close[0] in fields and path
-        ]
-        name = close[0] if owners else name
-    if owners:
-        tables = " or ".join(f"[{'.'.join(path)}]" for path in owners)
-        return f"unknown here; {name} belongs to {tables}"
-    return (
-        f"unknown; there {'is' if len(possible_names) == 1 else 'are'}"
-        f" {', '.join(sorted(set(possible_names))[:30])}"
-    )
+    return [field for m in models for field in m.model_fields]
 
 
 def _tables_of(
@@ -241,11 +228,9 @@ def _tables_of(
 
     Those of an array stand where the array does.
     """
-    yield (
-        path,
-        [name for name, field in model.model_fields.items() if not models_in(field.annotation)],
-    )
-    for name, field in model.model_fields.items():
+    fields = model.model_fields.items()
+    yield path, [name for name, field in fields if not models_in(field.annotation)]
+    for name, field in fields:
         is_array = get_origin(field.annotation) in (tuple, list)
         for inner_model in models_in(field.annotation):
             yield from _tables_of(inner_model, path if is_array else (*path, name))

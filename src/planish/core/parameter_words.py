@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 # At the ends of words alone, so that names of files with backticks stay.
 _NAMED = re.compile(r"(?<![\w`])`([a-z][a-z0-9_]*)(?:=([^`\n]*))?`(?!\.?[\w`])(?=(:?))")
-_BARE = re.compile(r"[A-Z]+|[\d.]+")  # a placeholder, a number: without quotes
+_BARE = re.compile(r"[A-Z]+|[\d.]+|True")  # a placeholder, a number: without quotes
 
 
 def flag_of(word: str) -> str:
@@ -66,8 +66,9 @@ def _keyword(named: re.Match[str]) -> str:
     word, value, colon = named.groups()
     if value is None:  # of a faulty value the name alone is said
         return word if colon else f"{word}="
-    literals = [
-        part if part == "True" or _BARE.fullmatch(part) else f'"{part}"'
-        for part in (part.strip() for part in value.split(","))
-    ]
+    literals = [_literal(part.strip()) for part in value.split(",")]
     return f"{word}={literals[0]}" if len(literals) == 1 else f"{word}=({', '.join(literals)})"
+
+
+def _literal(part: str) -> str:
+    return part if _BARE.fullmatch(part) else f'"{part}"'

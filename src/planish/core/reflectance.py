@@ -30,7 +30,8 @@ def layer_over(
     rate = np.sqrt(k * (k + 2 * s))  # b s
     depth = rate * w
     thin = depth < 1e-8  # there tanh(x) / x is 1 to the last digit
-    depth, rate = np.where(thin, 1.0, depth), np.where(thin, 1.0, rate)
+    depth = np.where(thin, 1.0, depth)
+    rate = np.where(thin, 1.0, rate)
     reach = np.where(thin, w, np.tanh(depth) / rate)  # tanh(b s W) / (b s): W of a thin layer
     loss = (s + k) * reach
     return (below + s * reach - below * loss) / (1 + loss - below * s * reach)

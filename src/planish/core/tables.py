@@ -107,7 +107,8 @@ def heading_of(cell: str) -> Heading:
     >>> heading_of("Centroid X \N{MICRO SIGN}m").name, heading_of("x_mm").um, heading_of("Y [px]")
     ('centroid_x', 1000.0, Heading(name='y', unit='pixel'))
     """
-    in_brackets, at_the_end = _IN_BRACKETS.fullmatch(cell), _AT_THE_END.fullmatch(cell)
+    in_brackets = _IN_BRACKETS.fullmatch(cell)
+    at_the_end = _AT_THE_END.fullmatch(cell)
     name, unit = cell, ""
     if in_brackets:
         name, unit = in_brackets.groups()
@@ -182,36 +183,36 @@ def split_rows(text: str) -> Rows:
     Cells without blanks at their ends; without rows and last columns that are empty throughout.
     """
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
-    delimiter = ""
     # Excel's own line in front of a table.
-    if lines and (match := re.fullmatch(r'"?sep=(.)"?[,;\s]*', lines[0][1], re.IGNORECASE)):
-        delimiter = match[1]
+    own_line = re.fullmatch(r'"?sep=(.)"?[,;\s]*', lines[0][1], re.IGNORECASE) if lines else None
+    if own_line:
         lines = lines[1:]
+    table_lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
+    delimiter = own_line[1] if own_line else _delimiter_of([line for _, line in table_lines[:20]])
     comments: list[str] = []
-    table_lines: list[tuple[int, str]] = []
+    faults: list[str] = []
     for number, line in lines:
-        if line.lstrip().startswith("#"):
-            comments.append(line.strip().lstrip("#").strip())
-        else:
-            table_lines.append((number, line))
-    delimiter = delimiter or _delimiter_of([line for _, line in table_lines[:20]])
-    # A label such as #1, and no comment.
-    faults = [
-        f"row {number} begins with #: write '# ' before a comment, a label in quotation marks"
-        for number, line in lines
-        if re.match(r"\s*#\d", line) and delimiter in line
-    ]
+        comment = line.strip()
+        if not comment.startswith("#"):
+            continue
+        comments.append(comment.lstrip("#").strip())
+        # A label such as #1, and no comment.
+        if comment[1:2].isdecimal() and delimiter in line:
+            faults.append(
+                f"row {number} begins with #: write '# ' before a comment, a label in quotation"
+                " marks"
+            )
     rows: list[CsvRow] = []
-    for line_number, line in table_lines:
+    for number, line in table_lines:
         try:
             cells = _cells(line, delimiter)
         except csv.Error as error:
             is_open = "end of data" in str(error)
-            text = "a quotation mark is not closed on its line" if is_open else str(error)
-            faults.append(f"row {line_number}: {text}")
+            reason = "a quotation mark is not closed on its line" if is_open else str(error)
+            faults.append(f"row {number}: {reason}")
             continue
         if any(cells):
-            rows.append(CsvRow(line_number, cells))
+            rows.append(CsvRow(number, cells))
     width = max((_width(row.cells) for row in rows), default=0)
     rows = [CsvRow(row.line, row.cells[:width]) for row in rows]
     return Rows(rows=rows, comments=comments, delimiter=delimiter, faults=faults)
@@ -282,7 +283,7 @@ class CsvTable:
 
     def numbers(self, columns: Sequence[str]) -> NDArray[np.float64]:
         """Give the finite numbers of several columns, shape (rows, columns)."""
-        values = [[self.number(row, column) for column in columns] for row in self.rows]
+        values = [self.number(row, column) for row in self.rows for column in columns]
         return np.array(values, dtype=np.float64).reshape(-1, len(columns))
 
     def fault(self, row: CsvRow, words: str) -> None:
@@ -314,34 +315,30 @@ def parse_table(
     content = split_rows(text)
     if not content.rows:
         raise error(f"{name} is empty. {advice}")
-    header_row, *body_rows = content.rows
-    header = [cell.lower() for cell in header_row.cells]
-    um: dict[str, float] = {}
-    for k, heading in enumerate(map(heading_of, header_row.cells)):
-        column = f"{heading.name}_um"
-        if column in (*needed, *optional) and column not in header and heading.um:
-            header[k] = column
-            um[column] = heading.um
+    header, um = _columns_of(content.rows[0].cells, (*needed, *optional))
     faults: list[str] = []
-    if missing := [column for column in needed if column not in header]:
+    missing = [column for column in needed if column not in header]
+    if missing:
         faults.append(
             f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]})."
             f" {advice.rstrip('.')}"
         )
-    if duplicates := sorted({column for column in header if column and header.count(column) > 1}):
+    duplicates = sorted({column for column in header if column and header.count(column) > 1})
+    if duplicates:
         faults.append(f"columns given twice: {', '.join(duplicates)}")
     faults += content.faults
-    body_rows = [
-        CsvRow(row.line, row.cells[: max(len(header), _width(row.cells))]) for row in body_rows
-    ]
-    ragged_rows = [row for row in body_rows if len(row.cells) != len(header)]
-    faults += [
-        f"row {row.line} has {len(row.cells)} columns, the header {len(header)}"
-        for row in ragged_rows
-    ]
-    if content.delimiter == "," and any(len(row.cells) > len(header) for row in ragged_rows):
+    rows: list[CsvRow] = []
+    widest = 0
+    for line, cells in content.rows[1:]:
+        width = max(len(header), _width(cells))
+        row = CsvRow(line, cells[:width])
+        if len(row.cells) == len(header):
+            rows.append(row)
+            continue
+        widest = max(widest, len(row.cells))
+        faults.append(f"row {line} has {len(row.cells)} columns, the header {len(header)}")
+    if content.delimiter == "," and widest > len(header):
         faults[-1] += f" ({DECIMAL_COMMAS})"
-    rows = [row for row in body_rows if len(row.cells) == len(header)]
     return CsvTable(
         name=name,
         header=header,
@@ -351,6 +348,20 @@ def parse_table(
         um=um,
         faults=faults,
     )
+
+
+def _columns_of(
+    headings: Sequence[str], possible: Sequence[str]
+) -> tuple[list[str], dict[str, float]]:
+    """Columns of a header, and the unit in um of those that are one of ``possible`` in another."""
+    header = [cell.lower() for cell in headings]
+    um: dict[str, float] = {}
+    for k, heading in enumerate(map(heading_of, headings)):
+        column = f"{heading.name}_um"
+        if column in possible and column not in header and heading.um:
+            header[k] = column
+            um[column] = heading.um
+    return header, um
 
 
 def raise_faults(
@@ -384,10 +395,7 @@ def model_faults(error: ValidationError, key_prefix: Sequence[str] = ()) -> list
     faults = error.errors(include_url=False, include_input=False, include_context=False)
     fault_keys = [".".join(map(str, (*key_prefix, *fault["loc"]))) for fault in faults]
     messages = [str(fault["msg"]).removeprefix("Value error, ") for fault in faults]
-    return [
-        f"{key}: {message}" if key else message
-        for key, message in zip(fault_keys, messages, strict=True)
-    ]
+    return [f"{k}: {m}" if k else m for k, m in zip(fault_keys, messages, strict=True)]
 
 
 def table_text(
@@ -398,12 +406,10 @@ def table_text(
     Floats are written so that they read back to the same number.
     """
     text = io.StringIO()
-    writer = csv.writer(
-        text, lineterminator="\n", quoting=csv.QUOTE_ALL if quote_all else csv.QUOTE_MINIMAL
-    )
+    quoting = csv.QUOTE_ALL if quote_all else csv.QUOTE_MINIMAL
+    writer = csv.writer(text, lineterminator="\n", quoting=quoting)
     if header:
         writer.writerow(header)
-    writer.writerows(
-        [repr(float(c)) if isinstance(c, (float, np.floating)) else c for c in row] for row in rows
-    )
+    for row in rows:
+        writer.writerow([float(c) if isinstance(c, np.floating) else c for c in row])
     return text.getvalue()

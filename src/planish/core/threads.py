@@ -93,9 +93,9 @@ def available() -> int:
     setting = os.environ.get("PYTHON_CPU_COUNT", "")
     if setting.isdigit() and int(setting) > 0:
         return int(setting)
-    count = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
+    count = os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        count = len(os.sched_getaffinity(0))
     return max(1, min([count, *_quotas(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup"))]))
 
 
@@ -110,22 +110,21 @@ def control_groups(
         lines = membership_file.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return
-    for _, controllers, group_path in (
-        line.split(":", 2) for line in lines if line.count(":") >= 2
-    ):
+    for line in lines:
+        if line.count(":") < 2:
+            continue
+        _, controllers, group_path = line.split(":", 2)
         if controllers and controller not in controllers.split(","):
             continue
+        roots = [groups_folder]
+        if controllers:
+            roots = [groups_folder / controller, groups_folder / controllers]
         # Inside a container the path may be the one outside: the group's own files then lie at the
         # top.
         folder = Path(group_path.lstrip("/"))
-        for root in (
-            (groups_folder / controller, groups_folder / controllers)
-            if controllers
-            else (groups_folder,)
-        ):
-            yield from (
-                (root / subfolder, bool(controllers)) for subfolder in (folder, *folder.parents)
-            )
+        for root in roots:
+            for subfolder in (folder, *folder.parents):
+                yield root / subfolder, bool(controllers)
 
 
 def _quotas(membership_file: Path, groups_folder: Path) -> list[int]:

@@ -64,7 +64,8 @@ class Tile(NamedTuple):
 
         It grows only as far as a grid of ``shape`` reaches.
         """
-        r0, r1 = max(self.r0 - rows, 0), min(self.r1 + rows, shape[0])
+        r0 = max(self.r0 - rows, 0)
+        r1 = min(self.r1 + rows, shape[0])
         return Tile(r0, r1, max(self.c0 - cols, 0), min(self.c1 + cols, shape[1]))
 
     @property

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats, Pair, pair_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +32,8 @@ class Similarity:
 
     def matrix(self) -> Floats:
         """Return the 2 x 2 linear part."""
-        cos, sin = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
+        cos = np.cos(self.rotation_rad)
+        sin = np.sin(self.rotation_rad)
         flip = -1.0 if self.mirrored else 1.0
         return self.scale * np.array([[cos * flip, -sin], [sin * flip, cos]])
 
@@ -54,8 +55,8 @@ class Similarity:
         # The inverse is a similarity of the same handedness; its rotation is that of the y column,
         # which M keeps.
         rotation = float(np.arctan2(-linear[0, 1], linear[1, 1]))
-        x, y = (-linear @ np.asarray(self.shift_um)).tolist()
-        return replace(self, scale=1.0 / self.scale, rotation_rad=rotation, shift_um=(x, y))
+        shift_um = pair_of(-linear @ np.asarray(self.shift_um))
+        return replace(self, scale=1.0 / self.scale, rotation_rad=rotation, shift_um=shift_um)
 
 
 def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Similarity:
@@ -67,8 +68,7 @@ def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Simila
     plain = linear @ np.diag([-1.0, 1.0]) if det < 0 else linear
     rotation = float(np.arctan2(plain[1, 0] - plain[0, 1], plain[0, 0] + plain[1, 1]))
     turn = Similarity(scale=float(np.sqrt(abs(det))), rotation_rad=rotation, mirrored=det < 0)
-    x, y = (target - turn(source)).tolist()
-    return replace(turn, shift_um=(x, y))
+    return replace(turn, shift_um=pair_of(target - turn(source)))
 
 
 class NearSimilarity(ABC):

@@ -1,4 +1,4 @@
-"""Short names for the types that most modules use."""
+"""Short names for the types that most modules use, and a pair out of an array."""
 
 from typing import Any
 
@@ -13,3 +13,9 @@ Pixel = float | Pair  # edge of a pixel in um, or its edges along y and x
 Array = NDArray[Any]
 Window = tuple[slice, slice]  # rows and columns of a part
 Complexes = NDArray[np.complex128]
+
+
+def pair_of(values: Array) -> Pair:
+    """Two numbers of an array, such as x and y, as Python's own."""
+    first, second = values.tolist()
+    return first, second

@@ -88,12 +88,13 @@ class Page:
     def __init__(
         self, title: str, subtitle: str, low_um: Point, size_um: Point, *, note: str = ""
     ) -> None:
-        self.figure = Figure(
-            figsize=(self.width / 25.4, self.height / 25.4), dpi=150, facecolor="white"
-        )
+        """Begin a page with its headings, the plan and a bar of its scale."""
+        size_inches = (self.width / 25.4, self.height / 25.4)
+        self.figure = Figure(figsize=size_inches, dpi=150, facecolor="white")
         self.text(12, 13, title, fontsize=14, fontweight="bold")
         self.text(12, 19.5, subtitle, color=SOFT, fontsize=9)
-        room_mm, plan_size = np.array([180.0, 148.0]), np.asarray(size_um)
+        room_mm = np.array([180.0, 148.0])
+        plan_size = np.asarray(size_um)
         max_scale = float(min(1000 * room_mm / plan_size))
         self.scale = max((scale for scale in _SCALES if scale <= max_scale), default=max_scale)
         x_mm, y_mm = np.array([24.0, 36.0]) + (room_mm - plan_size * self.scale / 1000) / 2
@@ -296,10 +297,8 @@ def error_page(
     page.aside("Error", rows, ("error² = hole² / N · (1 + r² / f²),", "r from the holes' centroid"))
     rows.clear()
     for rule in rules:
-        sign_text, decimals = (
-            "≥" if rule.sense == "at least" else "≤",
-            0 if rule.unit in ("um", "holes") else 2,
-        )
+        sign_text = "≥" if rule.sense == "at least" else "≤"
+        decimals = 0 if rule.unit in ("um", "holes") else 2
         value_text = f"{rule.value:.{decimals}f} {rule.unit.replace('um', 'µm')}".strip()
         rows.append((rule.name, f"{value_text}  {sign_text} {rule.limit:.4g}"))
     page.aside("Rules", rows)
@@ -307,6 +306,7 @@ def error_page(
 
 
 def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
+    """Draw the predicted error over the field, with contours and a colour bar."""
     axes, field_low = page.plan, pattern.field_low_um
     x_um, y_um = (  # 200 pixels along the longer side of the map.
         low_um + np.linspace(0, side_um, max(20, round(200 * side_um / max(pattern.field_um))))
@@ -341,7 +341,8 @@ def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
     shots_um, path_um = run.fired_um, run.path_um
     size = np.maximum(np.ptp(path_um, axis=0), 1000.0)
     border = 0.03 * float(size.max())
-    low, size = path_um.min(axis=0) - border, size + 2 * border
+    low = path_um.min(axis=0) - border
+    size = size + 2 * border
     page = Page(title, run.sentence(), low, size, note="; numbers: order of the shots")
     axes = page.plan
     axes.plot(*path_um.T, "-", color=SOFT, lw=0.8, clip_on=False)
@@ -472,10 +473,8 @@ def write_design(
     program = stage_program(pattern, stage)
     # The pulse that is asked for here is meant; a program from elsewhere is held to the usual
     # length.
-    run, predicted = (
-        dry_run(program, stage, pulse_s=max(0.05, pattern.pulse_s)),
-        predict(pattern, imaging),
-    )
+    run = dry_run(program, stage, pulse_s=max(0.05, pattern.pulse_s))
+    predicted = predict(pattern, imaging)
     files: dict[str, bytes] = {
         "pattern.json": pattern.to_json().encode(),
         "holes.csv": holes_csv(pattern).encode(),

@@ -5,6 +5,7 @@ A stage program in a dialect of G-code (docs/marks.md), its dry run, a drawing f
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -21,17 +22,24 @@ Groups = list[tuple[int, Any]]
 
 
 def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
-    """Write the program that burns a pattern on a short path from the stage's origin and back."""
+    """Write the program that burns a pattern on a short path from the stage's origin and back.
+
+    Parameters
+    ----------
+    pattern : Pattern; its holes, in um
+    stage : StageParams, optional; codes and speed of the machine
+
+    Returns
+    -------
+    str; the text of the program, positions in mm
+    """
     stage = stage or StageParams()
-    is_m3 = stage.pulse_code == "m3"
-    on, off, codes_text = (
-        ("M3", "M5", "M3 and M5") if is_m3 else ("M64 P0", "M65 P0", "M64 P0, M65 P0")
-    )
+    on, off, codes_text = "M64 P0", "M65 P0", "M64 P0, M65 P0"
+    if stage.pulse_code == "m3":
+        on, off, codes_text = "M3", "M5", "M3 and M5"
     if stage.power is not None:
         on = f"M3 S{_plain(stage.power, 3)}"
     points, origin = pattern.points_um, pattern.origin_um
-    sizes_um = pattern.view_um, pattern.field_um
-    view_text, field_text = (" x ".join(f"{side / 1000:g}" for side in size) for size in sizes_um)
     home_move = _move(*origin)
     lines = [
         f"; planish stage program, {ascii_only(pattern.name)}",
@@ -39,9 +47,9 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
         "; positions in mm, absolute, x to the right and y up as the laser sees the sheet",
         (
             f"; origin {home_move.removeprefix('G0 ')}, lower left corner of what is used:"
-            f" {view_text} mm"
+            f" {_size_text(pattern.view_um)} mm"
         ),
-        f"; field {field_text} mm, without holes",
+        f"; field {_size_text(pattern.field_um)} mm, without holes",
         (
             f"; hole {pattern.diameter_um:g} um, pulse {pattern.pulse_s:g} s, pause"
             f" {pattern.pause_s:g} s; G4 P is in seconds"
@@ -65,10 +73,21 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
     return "\n".join([*lines, "; back to the origin", home_move, "M2"]) + "\n"
 
 
-def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
-    """Sort the points (n, 2) into a short path from ``start_um`` and back.
+def _size_text(size_um: Iterable[float]) -> str:
+    return " x ".join(f"{side / 1000:g}" for side in size_um)
 
-    Nearest neighbour, then 2-opt.
+
+def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
+    """Sort points into a short path: nearest neighbour, then 2-opt.
+
+    Parameters
+    ----------
+    points_um : array_like, shape (n, 2), in um
+    start_um : (x, y) in um; where the path begins and ends
+
+    Returns
+    -------
+    array, shape (n,); numbers of the points in the order of the path
     """
     places = np.vstack([start_um, np.asarray(points_um, dtype=np.float64).reshape(-1, 2)])
     distances = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
@@ -83,7 +102,10 @@ def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
         is_shorter = False
         for i in range(len(tour) - 1):
             # Turn round what lies between i + 1 and j: two stretches are replaced.
-            a, b, c, d = tour[i], tour[i + 1], tour[i + 1 :], np.append(tour[i + 2 :], tour[0])
+            a = tour[i]
+            b = tour[i + 1]
+            c = tour[i + 1 :]
+            d = np.append(tour[i + 2 :], tour[0])
             gain = distances[a, b] + distances[c, d] - distances[a, c] - distances[b, d]
             best = int(np.argmax(gain))
             if gain[best] > 1e-6:
@@ -171,9 +193,8 @@ def pattern_dxf(pattern: Pattern) -> str:
     ):
         for start, end in pairwise(corners):
             groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
-    groups += _text("ORIGIN", x0 + arm, y0, diameter, "x") + _text(
-        "ORIGIN", x0, y0 + arm, diameter, "y"
-    )
+    groups += _text("ORIGIN", x0 + arm, y0, diameter, "x")
+    groups += _text("ORIGIN", x0, y0 + arm, diameter, "y")
     groups += [(0, "ENDSEC"), (0, "EOF")]
     return "".join(f"{code:3d}\n{value}\n" for code, value in groups)
 
@@ -291,8 +312,28 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
     )
 
 
+def _words_of(text: str) -> tuple[list[str], dict[str, float]]:
+    """Commands of a line and its other words; MarkError where they are not in the dialect."""
+    foreign_text = _WORD.sub("", text)
+    if foreign_text:
+        raise MarkError(f"{foreign_text[:20]!r} is not in the dialect ({_KNOWN})")
+    words = [(letter, float(number)) for letter, number in _WORD.findall(text) if letter != "N"]
+    commands = [f"{letter}{number:g}" for letter, number in words if letter in "GM"]
+    arguments = {letter: number for letter, number in words if letter not in "GM"}
+    for command in commands:
+        if command not in _COMMANDS:
+            raise MarkError(f"{command} is not known; the dialect has {_KNOWN}")
+    if len(arguments) + len(commands) != len(words):
+        raise MarkError("a letter is given twice")
+    if sum(command not in ("G21", "G90") for command in commands) > 1:
+        raise MarkError("two commands stand in one line; give each a line of its own")
+    return commands, arguments
+
+
 @dataclass
 class _Machine:
+    """A stage and its laser, which carry out a program line by line."""
+
     range_um: tuple[float, float, float, float]
     longest_pulse_s: float
     position_um: dict[str, float] = field(default_factory=dict[str, float])
@@ -310,26 +351,14 @@ class _Machine:
         """Carry out one line."""
         if self.executed & {"M2", "M30"}:
             raise MarkError("the program goes on after its end; remove what follows M2")
-        if foreign_text := _WORD.sub("", text):
-            raise MarkError(f"{foreign_text[:20]!r} is not in the dialect ({_KNOWN})")
-        # Of a line.
-        words = [(letter, float(number)) for letter, number in _WORD.findall(text) if letter != "N"]
-        commands = [f"{letter}{number:g}" for letter, number in words if letter in "GM"]
-        arguments = {letter: number for letter, number in words if letter not in "GM"}
-        if unknown_commands := [command for command in commands if command not in _COMMANDS]:
-            raise MarkError(f"{unknown_commands[0]} is not known; the dialect has {_KNOWN}")
-        if len(arguments) + len(commands) != len(words):
-            raise MarkError("a letter is given twice")
-        if sum(command not in ("G21", "G90") for command in commands) > 1:
-            raise MarkError("two commands stand in one line; give each a line of its own")
+        commands, arguments = _words_of(text)
         # After the first move a position without a command is one, too.
-        if not commands and self.executed & {"G0", "G1"}:
-            commands = ["G0"] if arguments.keys() & {"X", "Y"} else []
-        allowed_letters = "".join(_COMMANDS[command] for command in commands) or "F" * (
-            not commands
-        )
-        if useless_letters := [letter for letter in arguments if letter not in allowed_letters]:
-            raise MarkError(f"{useless_letters[0]} has no meaning here")
+        if not commands and self.executed & {"G0", "G1"} and arguments.keys() & {"X", "Y"}:
+            commands = ["G0"]
+        allowed_letters = "".join(_COMMANDS[command] for command in commands) if commands else "F"
+        for letter in arguments:
+            if letter not in allowed_letters:
+                raise MarkError(f"{letter} has no meaning here")
         if arguments.get("F", 1.0) <= 0:
             raise MarkError("the speed F is not positive")
         self.speed_mm_min = arguments.get("F", self.speed_mm_min)
@@ -337,50 +366,61 @@ class _Machine:
         for command in commands:
             self._command(command, arguments)
 
-    def _command(self, command: str, arguments: dict[str, float]) -> None:  # noqa: C901, PLR0912
+    def _command(self, command: str, arguments: dict[str, float]) -> None:
+        """Carry out one command; G21 and G90 say only how numbers are meant."""
         if command in ("G0", "G1"):
             if arguments.keys() & {"X", "Y"}:
                 self._move(arguments)
             elif "F" not in arguments:
                 raise MarkError("a move without a position")
         elif command == "G4":
-            seconds = arguments.get("P", -1.0)
-            if seconds < 0:
-                raise MarkError("G4 needs a time P in seconds")
-            self.clock_s += seconds
-            self.laser_on_s += seconds
-            if self.on_command and self.laser_on_s > self.longest_pulse_s + 1e-12:
-                raise MarkError(
-                    f"a pulse of {self.laser_on_s:g} s is longer than {self.longest_pulse_s:g} s"
-                    " and would burn the sheet; P is in seconds"
-                )
+            self._wait(arguments.get("P", -1.0))
         elif command in ("M64", "M65") and "P" not in arguments:
             raise MarkError(f"{command} needs the number P of the output")
         elif command in _OFF:
-            if not self.corners_um:
-                raise MarkError("the laser fires before both X and Y are known")
-            if self.on_command:
-                raise MarkError("the laser is on already")
-            x, y = self.corners_um[-1]
-            # Two shots so close together go through one hole.
-            if any(math.hypot(x - a, y - b) < 1.0 for a, b in self.shots_um):
-                raise MarkError(f"a second shot at X {x / 1000:g} Y {y / 1000:g} mm")
-            self.on_command, self.laser_on_s = command, 0.0
-            self.switched_s.append(self.clock_s)
-            self.shots_um.append((x, y))
+            self._switch_on(command)
         # a program may make sure that the laser is off.
         elif command in _OFF.values() and self.on_command:
-            if _OFF[self.on_command] != command:
-                raise MarkError(f"{command} does not switch off what {self.on_command} switched on")
-            if self.laser_on_s <= 0:
-                raise MarkError("a pulse without a length; put G4 P between on and off")
-            self.on_command = ""
-            self.switched_s.append(self.clock_s)
-            self.pulses_s.append(self.laser_on_s)
+            self._switch_off(command)
         elif command in ("M2", "M30") and self.on_command:
             raise MarkError("the program ends with the laser on; switch it off before")
 
+    def _wait(self, seconds: float) -> None:
+        if seconds < 0:
+            raise MarkError("G4 needs a time P in seconds")
+        self.clock_s += seconds
+        self.laser_on_s += seconds
+        if self.on_command and self.laser_on_s > self.longest_pulse_s + 1e-12:
+            raise MarkError(
+                f"a pulse of {self.laser_on_s:g} s is longer than {self.longest_pulse_s:g} s"
+                " and would burn the sheet; P is in seconds"
+            )
+
+    def _switch_on(self, command: str) -> None:
+        if not self.corners_um:
+            raise MarkError("the laser fires before both X and Y are known")
+        if self.on_command:
+            raise MarkError("the laser is on already")
+        x, y = self.corners_um[-1]
+        # Two shots so close together go through one hole.
+        if any(math.hypot(x - a, y - b) < 1.0 for a, b in self.shots_um):
+            raise MarkError(f"a second shot at X {x / 1000:g} Y {y / 1000:g} mm")
+        self.on_command = command
+        self.laser_on_s = 0.0
+        self.switched_s.append(self.clock_s)
+        self.shots_um.append((x, y))
+
+    def _switch_off(self, command: str) -> None:
+        if _OFF[self.on_command] != command:
+            raise MarkError(f"{command} does not switch off what {self.on_command} switched on")
+        if self.laser_on_s <= 0:
+            raise MarkError("a pulse without a length; put G4 P between on and off")
+        self.on_command = ""
+        self.switched_s.append(self.clock_s)
+        self.pulses_s.append(self.laser_on_s)
+
     def _move(self, arguments: dict[str, float]) -> None:
+        """Go to a position, within the stage's range and with the laser off."""
         if not {"G21", "G90"} <= self.executed:
             raise MarkError("a move before G21 (millimetres) and G90 (absolute positions)")
         if self.on_command:

@@ -328,8 +328,17 @@ class Predicted:
 def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> float:
     """Predict the error of one hole's position in one map against the other.
 
-    It is the rms in the plane, in um.
+    Parameters
+    ----------
+    diameter_um : float
+    imaging : ImagingParams, optional; pixels of the two maps, roughness of the rims
 
+    Returns
+    -------
+    float; rms in the plane, in um
+
+    Notes
+    -----
     A rim whose radius varies by ``s`` over a length ``l`` has ``n = pi d / l`` independent arcs; a
     circle through them is off by ``2 s / sqrt(n)``. The pixels add 0.1 pixel along each axis. Both
     count once for each of the two maps: the two instruments do not see the same rim.
@@ -341,7 +350,17 @@ def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> f
 
 
 def predict(pattern: Pattern, imaging: ImagingParams | None = None) -> Predicted:
-    """Predict the error of a registration by a similarity over the pattern's field."""
+    """Predict the error of a registration by a similarity over the pattern's field.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    imaging : ImagingParams, optional; as for :func:`hole_error_um`
+
+    Returns
+    -------
+    Predicted; error in um, at the field's middle, its corners, or any point
+    """
     fle_um = hole_error_um(pattern.diameter_um, imaging)
     field_points = (
         np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]]) * pattern.field_um

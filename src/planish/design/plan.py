@@ -46,15 +46,15 @@ def _place_side(
     spacing_steps = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker_steps = max(spacing_steps, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
     # The corner between the last side and the first stays empty.
-    has_start, has_end = int(side != 0), int(side != 3)
+    has_start = int(side != 0)
+    has_end = int(side != 3)
     low_step = spacing_steps if has_start else marker_steps
     high_step = n_steps - (spacing_steps if has_end else marker_steps)
     for _ in range(1 if rate else 6):
         if rate:
             pitches = 1 + rate * np.arange(n_holes + 1) / n_holes
-            inner_positions = np.round(n_steps * np.cumsum(pitches) / pitches.sum()).astype(
-                np.int64
-            )[None, :-1]
+            ends = np.round(n_steps * np.cumsum(pitches) / pitches.sum())
+            inner_positions = ends.astype(np.int64)[None, :-1]
         else:
             inner_positions = _draw_positions(blank, side, low_step, n_holes, rng)
         positions = np.pad(
@@ -84,20 +84,18 @@ def _draw_positions(
     it; each other hole near the start has a partner not quite a window's length away, so that one
     enters before the other leaves.
     """
-    view_steps, border_steps = float(blank.view_um[side % 2]) / STEP_UM, blank.border_um / STEP_UM
+    view_steps = float(blank.view_um[side % 2]) / STEP_UM
+    border_steps = blank.border_um / STEP_UM
     radius = 0.5 * blank.diameter_um / STEP_UM
     window_steps, edge_steps = 0.7 * view_steps, 0.3 * view_steps
     n_middle = min(n_holes, max(8 - n_holes, n_holes % 2))
     pair_shape = (4000, (n_holes - n_middle) // 2)
-    start_positions = rng.uniform(
-        low_step, max(edge_steps - border_steps, low_step + 1), pair_shape
-    )
+    start_high = max(edge_steps - border_steps, low_step + 1)
+    start_positions = rng.uniform(low_step, start_high, pair_shape)
     gaps = rng.uniform(0, 0.4, pair_shape) ** 2 * view_steps
     end_positions = start_positions + (window_steps - 2 * radius - 1) - gaps
-    middle_low, middle_high = (
-        edge_steps - border_steps + radius,
-        window_steps - border_steps - radius,
-    )
+    middle_low = edge_steps - border_steps + radius
+    middle_high = window_steps - border_steps - radius
     middle_positions = rng.uniform(middle_low, max(middle_high, middle_low + 1), (4000, n_middle))
     positions = np.concatenate([start_positions, end_positions, middle_positions], axis=1)
     return np.sort(np.round(positions).astype(np.int64), axis=1)
@@ -144,10 +142,9 @@ def design_pattern(params: DesignParams) -> Design:
     """
     blanks = [_blank_pattern(params)]  # the margin as it is given, or wider and wider
     if params.margin_um is None:
-        margins = (min(blanks[0].margin_um) + extra_um for extra_um in range(250, 3001, 250))
-        blanks += [
-            _blank_pattern(params.model_copy(update={"margin_um": margin})) for margin in margins
-        ]
+        for extra_um in range(250, 3001, 250):
+            margin_um = min(blanks[0].margin_um) + extra_um
+            blanks.append(_blank_pattern(params.model_copy(update={"margin_um": margin_um})))
     hole_counts = (params.holes,) if params.holes is not None else _COUNTS[params.layout]
     reasons: dict[int, str] = {}
     for blank in blanks:
@@ -156,9 +153,9 @@ def design_pattern(params: DesignParams) -> Design:
             if not isinstance(design, str):
                 return design
             reasons[hole_count] = design
-        if not any(
-            "rule 'area'" in reason or "rule 'spacing'" in reason for reason in reasons.values()
-        ):
+        # More room around the field helps where one of these rules is broken.
+        reasons_text = " ".join(reasons.values())
+        if "rule 'area'" not in reasons_text and "rule 'spacing'" not in reasons_text:
             break
     size_text = " x ".join(f"{v / 1000:g}" for v in params.field_um)
     layout_text = " The layout 'coded' takes less room." if params.layout == "line" else ""
@@ -167,16 +164,15 @@ def design_pattern(params: DesignParams) -> Design:
 
 
 def _blank_pattern(params: DesignParams) -> Pattern:
-    min_spacing_um, rim_reach_um = (
-        SPACING_DIAMETERS * params.diameter_um,
-        0.5 * params.diameter_um + params.rim_um,
-    )
-    spacing_um = params.spacing_um if params.spacing_um is not None else max(500.0, min_spacing_um)
-    margin = (
-        params.margin_um
-        if params.margin_um is not None
-        else max(1.5 * params.diameter_um, rim_reach_um)
-    )
+    """A pattern without holes; MarkError where spacing or margin are too small for them."""
+    min_spacing_um = SPACING_DIAMETERS * params.diameter_um
+    rim_reach_um = 0.5 * params.diameter_um + params.rim_um
+    spacing_um = params.spacing_um
+    if spacing_um is None:
+        spacing_um = max(500.0, min_spacing_um)
+    margin = params.margin_um
+    if margin is None:
+        margin = max(1.5 * params.diameter_um, rim_reach_um)
     faults: list[str] = []
     if spacing_um < min_spacing_um:
         faults.append(
@@ -216,28 +212,22 @@ def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design
         pattern = _draw_pattern(blank, hole_count, rng)
         if pattern is None:
             continue
-        rules: tuple[Rule, ...] = ()
-        broken: list[Rule] = []
-        for apply_rules in (simple_rules, code_rules, matching_rules):  # The quick ones first.
-            n_searched += apply_rules is matching_rules
-            rules += apply_rules(pattern)
-            broken = [rule for rule in rules if not rule.passed]
-            if broken:
-                break
+        rules = simple_rules(pattern)  # The quick ones first.
+        if not _broken(rules):
+            rules += code_rules(pattern)
+        if not _broken(rules):
+            rules += matching_rules(pattern)
+            n_searched += 1
+        broken = _broken(rules)
         if not broken:
-            rival_share = max(
-                rule.value for rule in rules if rule.sense == "at most" and not rule.unit
-            )
-            code_misfit = next(rule.value for rule in rules if rule.name == "code")
-            candidates.append(((round(rival_share, 6), -code_misfit), (pattern, rules)))
+            candidates.append((_rank(rules), (pattern, rules)))
             if len(candidates) == 6:
                 break
         elif not fewest_broken or len(broken) < len(fewest_broken):
             fewest_broken = broken
         # No other draw is better with these rules.
-        if n_searched == 25 or {"count", "spacing", "around"} & {
-            rule.name for rule in fewest_broken
-        }:
+        names = {rule.name for rule in fewest_broken}
+        if n_searched == 25 or names & {"count", "spacing", "around"}:
             break
     if candidates:
         return min(candidates, key=lambda entry: entry[0])[1]
@@ -246,15 +236,24 @@ def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design
             f"rule 'spacing': {hole_count} holes do not fit with {blank.spacing_um:g} um between"
             " any two: take fewer or smaller holes, a larger field, or a smaller `spacing_um`."
         )
-    return (
-        f"With {hole_count} holes, "
-        + "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in fewest_broken)
-        + "."
-    )
+    faults = "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in fewest_broken)
+    return f"With {hole_count} holes, {faults}."
+
+
+def _broken(rules: tuple[Rule, ...]) -> list[Rule]:
+    return [rule for rule in rules if not rule.passed]
+
+
+def _rank(rules: tuple[Rule, ...]) -> Pair:
+    """Share of holes met in the best rival, and minus the misfit of the code: least is best."""
+    rival_share = max(rule.value for rule in rules if rule.sense == "at most" and not rule.unit)
+    code_misfit = next(rule.value for rule in rules if rule.name == "code")
+    return round(rival_share, 6), -code_misfit
 
 
 def _draw_pattern(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Pattern | None:
-    width_steps, height_steps = (round(side_number / STEP_UM) for side_number in blank.frame_um)
+    """Draw a pattern, side by side; None where the holes of a side do not fit."""
+    width_steps, height_steps = (round(side_um / STEP_UM) for side_um in blank.frame_um)
     side_steps = (width_steps, height_steps, width_steps, height_steps)
     hole_counts = [min(4, max(1, (hole_count - 3) // 4))] * 4  # Three corners hold holes too.
     for _ in range(max(0, hole_count - 3 - sum(hole_counts))):

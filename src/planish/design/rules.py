@@ -39,7 +39,8 @@ def self_motions(points_um: Floats) -> Motions:
     """Lay the holes (n, 2) on themselves by every wrong motion that two pairs of holes propose."""
     z = points_um[:, 0] + 1j * points_um[:, 1]
     start, end = np.triu_indices(len(z), 1)
-    base_pairs, length = np.stack([start, end], axis=1), np.abs(z[end] - z[start])
+    base_pairs = np.stack([start, end], axis=1)
+    length = np.abs(z[end] - z[start])
     order = np.argsort(length, kind="stable")
     first = np.searchsorted(length[order], (1 - SCALE) * length, side="left")
     last = np.searchsorted(length[order], (1 + SCALE) * length, side="right")
@@ -54,10 +55,9 @@ def self_motions(points_um: Floats) -> Motions:
     bases = np.tile(base_pairs[repeated_numbers], (2, 1))
     goals = np.concatenate([goal_pairs, goal_pairs[:, ::-1]])
     tree = cKDTree(points_um)
-    hits, kinds = zip(
-        *(_motion_hits(z, bases, goals, tree, mirrored) for mirrored in (False, True)), strict=True
-    )
-    return Motions(np.concatenate(hits), np.concatenate(kinds))
+    hits, kinds = _motion_hits(z, bases, goals, tree, mirrored=False)
+    mirrored_hits, mirrored_kinds = _motion_hits(z, bases, goals, tree, mirrored=True)
+    return Motions(np.concatenate([hits, mirrored_hits]), np.concatenate([kinds, mirrored_kinds]))
 
 
 def _motion_hits(
@@ -67,6 +67,7 @@ def _motion_hits(
     tree: cKDTree,
     mirrored: bool,
 ) -> tuple[Bools, NDArray[np.str_]]:
+    """Holes (motions, n) met by a motion from each base pair to its goal, and its kind."""
     source = np.conj(z) if mirrored else z
     is_motion = source[base_pairs[:, 1]] != source[base_pairs[:, 0]]
     if not mirrored:
@@ -82,7 +83,8 @@ def _motion_hits(
         return is_hit, np.full(len(is_hit), "mirror")
     turn_deg = np.abs(np.degrees(np.angle(alpha)))
     is_hit &= ~((turn_deg < _TURN_DEG)[:, None] & (holes == np.arange(len(z))))
-    is_half_turn, is_quarter_turn = turn_deg >= 180 - _TURN_DEG, np.abs(turn_deg - 90) <= _TURN_DEG
+    is_half_turn = turn_deg >= 180 - _TURN_DEG
+    is_quarter_turn = np.abs(turn_deg - 90) <= _TURN_DEG
     return is_hit, np.select(
         [is_half_turn, is_quarter_turn], ["half turn", "quarter turn"], "shift"
     )
@@ -279,7 +281,8 @@ def code_rules(pattern: Pattern) -> tuple[Rule, ...]:
 
 def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
     """Apply the rules against taking the pattern for itself in another position."""
-    points, crop_masks = pattern.points_um, crops(pattern)
+    points = pattern.points_um
+    crop_masks = crops(pattern)
     motions = self_motions(points)
     kinds = ("half turn", "quarter turn", "mirror", "shift")
     # Of each crop, the holes that the best motion without a mirror explains.

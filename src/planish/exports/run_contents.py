@@ -19,6 +19,7 @@ from planish.core.errors import FileError, InputError
 from planish.core.grid import Grid
 from planish.core.text import likely
 from planish.core.transform import Affine, Similarity
+from planish.core.typing import pair_of
 from planish.exports.content import ExportHistory
 from planish.exports.transforms import DirectedTransform, TransformPair
 from planish.io import VolumeParams, find_place, fingerprint
@@ -240,9 +241,8 @@ def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
     transform = fit.transform
     centre = np.zeros(2) if isinstance(transform, Similarity) else np.array(transform.source)
     (a, b), (c, d) = transform.matrix().tolist()
-    x, y = centre.tolist()
-    target_x, target_y = transform(centre).tolist()
-    affine = Affine(linear=((a, b), (c, d)), source=(x, y), target=(target_x, target_y))
+    target_um = pair_of(transform(centre))
+    affine = Affine(linear=((a, b), (c, d)), source=pair_of(centre), target=target_um)
     is_affine = isinstance(transform, Similarity | Affine)
     moving = grid_of(run, layer.name) or _grid_around(fit.moving)
     fixed = grid_of(run, target) or _grid_around(fit.fixed)
@@ -307,5 +307,4 @@ def _grid_around(marks: np.ndarray) -> Grid:
     pixel_um = max(extent_um / 2000, 1e-6)
     counts = np.ceil((high_um - low_um + 2 * margin_um) / pixel_um).astype(int) + 1
     cols, rows = counts.tolist()
-    x, y = (low_um - margin_um).tolist()
-    return Grid.regular((rows, cols), pixel_um, (x, y))
+    return Grid.regular((rows, cols), pixel_um, pair_of(low_um - margin_um))

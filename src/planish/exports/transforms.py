@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planish.core.grid import Grid
 from planish.core.transform import Affine
-from planish.core.typing import Bools, Floats, Ints
+from planish.core.typing import Bools, Floats, Ints, pair_of
 from planish.exports.content import ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
 from planish.marks.exchange import write_any
@@ -138,9 +138,7 @@ def _sampled(
             break
         pitch_um /= 2
     n_filled = int(np.count_nonzero(~has_image))
-    return DisplacementField(
-        vectors @ factor.T, (float(low_um[0]), float(low_um[1])), pitch_um, error_um, n_filled
-    )
+    return DisplacementField(vectors @ factor.T, pair_of(low_um), pitch_um, error_um, n_filled)
 
 
 UNITS = {"um": 1.0, "mm": 1e-3}

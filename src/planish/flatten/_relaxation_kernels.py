@@ -56,11 +56,9 @@ def set_force(x, rest, stiff, f):
         here, above = pulls[i % 2], pulls[1 - i % 2]
         # One call for all: each would be compiled into this function once more.
         for family in range(4):
-            at, to, row = (
-                1 if family == 3 else 0,
-                1 if family == 0 or family == 2 else 0,
-                i if family == 0 else i + 1,
-            )
+            at = 1 if family == 3 else 0
+            to = 1 if family == 0 or family == 2 else 0
+            row = i if family == 0 else i + 1
             _pull(
                 x[0, i, at:],
                 x[1, i, at:],

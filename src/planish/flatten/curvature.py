@@ -86,10 +86,7 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
     inside = np.isfinite(angle_deficit)
     curvature = np.full(inside.shape, np.nan)
     if inside.any():
-        lengths = (np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1))
-        pitch = [
-            float(np.median(k)) if k.size else np.inf for k in (e[np.isfinite(e)] for e in lengths)
-        ]
+        pitch = [_median_pitch(points, axis) for axis in (0, 1)]
         # Weights rise smoothly from 0 beside the nodes without a full turn to 1 a third of the
         # half-side from them.
         distance_um = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
@@ -118,6 +115,13 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
         largest=largest,
         verdict=_verdict(patch_um, share_above, largest),
     )
+
+
+def _median_pitch(points: Floats, axis: int) -> float:
+    """Median distance of neighbours along an axis; infinite where none has a neighbour."""
+    lengths = np.linalg.norm(np.diff(points, axis=axis), axis=-1)
+    finite = lengths[np.isfinite(lengths)]
+    return float(np.median(finite)) if finite.size else np.inf
 
 
 def _verdict(patch_um: float, share_above: float, largest: float) -> str:

@@ -353,9 +353,10 @@ def cell_strain(points: Floats, uv: Floats) -> xr.Dataset:
     2.3.1).
     """
     blocks = [_block_strain(points[nodes], uv[nodes]) for nodes in node_blocks(points)]
-    return xr.Dataset(
-        {name: (("row", "col"), np.concatenate([b[name] for b in blocks])) for name in blocks[0]}
-    )
+    strain = xr.Dataset()
+    for name in blocks[0]:
+        strain[name] = ("row", "col"), np.concatenate([block[name] for block in blocks])
+    return strain
 
 
 def node_blocks(points: Floats) -> Iterator[slice]:
@@ -371,21 +372,24 @@ def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
     row_edges = is_cell[1:, 1:-1] != is_cell[:-1, 1:-1]  # (rows, cols - 1): edges along rows
     col_edges = is_cell[1:-1, 1:] != is_cell[1:-1, :-1]  # (rows - 1, cols)
     in_space, in_plane = (
-        sum(
-            float(np.linalg.norm(np.diff(nodes, axis=axis)[edges], axis=1).sum())
-            for edges, axis in ((row_edges, 1), (col_edges, 0))
-        )
+        _edge_length(nodes, row_edges, 1) + _edge_length(nodes, col_edges, 0)
         for nodes in (points, uv)
     )
     return in_space, in_plane
 
 
+def _edge_length(nodes: Floats, edges: Bools, axis: int) -> float:
+    """Length of all edges along an axis that are marked."""
+    return float(np.linalg.norm(np.diff(nodes, axis=axis)[edges], axis=1).sum())
+
+
 def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
+    """Strain maps (rows - 1, cols - 1) of some rows of nodes, as of :func:`cell_strain`."""
     across, down = _cell_edges(points)
     (au, av), (du, dv) = (np.moveaxis(e, -1, 0) for e in _cell_edges(uv))
-    g11, g12, g22 = (
-        np.einsum("ijk,ijk->ij", p, q) for p, q in ((across, across), (across, down), (down, down))
-    )
+    g11 = np.einsum("ijk,ijk->ij", across, across)
+    g12 = np.einsum("ijk,ijk->ij", across, down)
+    g22 = np.einsum("ijk,ijk->ij", down, down)
     with np.errstate(divide="ignore", invalid="ignore"):
         side = np.sqrt(g11)
         height = np.sqrt(np.maximum(g22 - g12 * g12 / g11, 0.0))  # of the cell over its edge across

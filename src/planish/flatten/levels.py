@@ -15,7 +15,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from planish.core.errors import CannotFlatten
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints
 from planish.flatten._kernels import FAR
 from planish.flatten._mesh_kernels import coarsen, rest_lengths
 
@@ -243,45 +243,43 @@ def impute_nodes(
     points = np.where(is_trusted[..., None], points, np.nan)
     if not is_missing.any():
         return points, weights
-    is_near = ndimage.binary_dilation(
-        is_missing, structure=np.ones((3, 3), dtype=bool), iterations=2
-    )
+    is_near = ndimage.binary_dilation(is_missing, np.ones((3, 3), dtype=bool), iterations=2)
     is_local = is_missing | (is_trusted & is_near)
     rows, cols = np.nonzero(is_local)
     n_nodes = rows.size
     node_number = np.full(is_missing.shape, -1)
     node_number[is_local] = np.arange(n_nodes)
 
-    def differences(coefficients: tuple[float, ...]) -> sparse.csr_array:
-        """Give the sums of nodes along a row or a column with these coefficients.
-
-        A sum takes as many nodes as there are coefficients, wherever all of them take part.
-        """
-        order = len(coefficients)
-        runs = [
-            [n[k : len(n) + 1 + k - order].ravel() for k in range(order)]
-            for n in (node_number, node_number.T)
-        ]
-        nodes = np.concatenate([np.stack(run) for run in runs], axis=1)
-        nodes = nodes[:, (nodes >= 0).all(axis=0)]
-        indices = (np.tile(np.arange(nodes.shape[1]), order), nodes.ravel())
-        return sparse.csr_array(
-            (np.repeat(coefficients, nodes.shape[1]), indices), shape=(nodes.shape[1], n_nodes)
-        )
-
-    diff2 = differences((1.0, -2.0, 1.0))
+    diff2 = _differences(node_number, (1.0, -2.0, 1.0))
     # A faint pull towards the neighbours settles what no second difference reaches.
-    diff1 = differences((1.0, -1.0))
+    diff1 = _differences(node_number, (1.0, -1.0))
     is_free = is_missing[is_local]
     # The pull acts on the deviation from a plane, which leaves linear maps alone.
     fixed_points = points[is_local][~is_free]
     plane_basis = np.stack([np.ones(n_nodes), rows, cols], axis=1)
     plane = plane_basis @ np.linalg.lstsq(plane_basis[~is_free], fixed_points, rcond=None)[0]
-    matrix = (diff2.T @ diff2 + 1e-8 * (diff1.T @ diff1)).tocsc()
-    solve = splu(
-        (matrix[is_free][:, is_free] + 1e-14 * sparse.eye_array(int(is_free.sum()))).tocsc()
-    ).solve
-    deviations = solve(-(matrix[is_free][:, ~is_free] @ (fixed_points - plane[~is_free])))
-    points[is_missing] = plane[is_free] + deviations
+    matrix = (diff2.T @ diff2 + 1e-8 * (diff1.T @ diff1)).tocsc()[is_free]
+    free_matrix = matrix[:, is_free] + 1e-14 * sparse.eye_array(int(is_free.sum()))
+    pull = -(matrix[:, ~is_free] @ (fixed_points - plane[~is_free]))
+    points[is_missing] = plane[is_free] + splu(free_matrix.tocsc()).solve(pull)
     # Stiff enough to hold a loose corner, too weak to steer the sheet.
     return points, np.where(is_missing, 0.01 * weights.max(), weights)
+
+
+def _differences(node_number: Ints, coefficients: tuple[float, ...]) -> sparse.csr_array:
+    """Sums of nodes along a row or a column with these coefficients, shape (sums, nodes).
+
+    A sum takes as many nodes as there are coefficients, wherever all of them take part;
+    ``node_number`` is -1 where none does.
+    """
+    order = len(coefficients)
+    runs: list[Ints] = []
+    for numbers in (node_number, node_number.T):
+        length = len(numbers) + 1 - order
+        runs.append(np.stack([numbers[k : length + k].ravel() for k in range(order)]))
+    nodes = np.concatenate(runs, axis=1)
+    nodes = nodes[:, (nodes >= 0).all(axis=0)]
+    n_sums = nodes.shape[1]
+    indices = (np.tile(np.arange(n_sums), order), nodes.ravel())
+    shape = (n_sums, int(node_number.max()) + 1)
+    return sparse.csr_array((np.repeat(coefficients, n_sums), indices), shape=shape)

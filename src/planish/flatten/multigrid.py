@@ -11,6 +11,7 @@ Chebyshev smoothing (Adams et al. 2003, doi:10.1016/S0021-9991(03)00194-3).
 
 import itertools
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from scipy import ndimage
@@ -74,6 +75,31 @@ def _dot(a: Single, b: Single) -> float:
     Numpy's own order of summation, where BLAS would share it out among its threads.
     """
     return float(np.sum(a * b, dtype=np.float64))
+
+
+def _largest_ratio(gains: list[float]) -> float:
+    """Largest ratio of a gain to the one before it, as the rate of the steps to come."""
+    ratios = [b / a if a else 1.0 for a, b in itertools.pairwise(gains)]
+    return float(np.clip(max(ratios), 0.01, 0.95))
+
+
+# Forces, move and their product at a step.
+_Direction = tuple[Single, Single, float]
+
+
+def _make_conjugate(level: Level, previous: _Direction | None) -> _Direction:
+    """Make the move conjugate to the one before it (Polak and Ribiere), and give its direction.
+
+    A cycle deals badly with a few movements only, of parts that hang together by a strip, or near
+    many holes; these are what the method collects.
+    """
+    work = _dot(level.force, level.move)
+    if previous is not None:
+        previous_force, previous_move, previous_work = previous
+        if previous_work > 0:
+            beta = max((work - _dot(previous_force, level.move)) / previous_work, 0.0)
+            level.move += np.float32(beta) * previous_move
+    return level.force.copy(), level.move.copy(), work
 
 
 class Multigrid:
@@ -156,8 +182,7 @@ class Multigrid:
         count = level.rows * level.cols
         gains: list[float] = []
         slow_steps = 0
-        # Forces, move and their product at the step before.
-        previous: tuple[Single, Single, float] | None = None
+        previous: _Direction | None = None
         for step in range(300):
             energy = self.balance(level)
             is_smoothing_only = k == 0 and step == 0 and self._is_rough
@@ -173,19 +198,14 @@ class Multigrid:
             wanted_gain = 0.0
             if self.guarded:
                 wanted_gain = self._guard(level, energy)
+                gain, square_move = self.advance(level)
             elif slow_steps:
-                # By conjugate gradients (Polak and Ribiere): a cycle deals badly with a few
-                # movements only, of parts that hang together by a strip, or near many holes; these
-                # are what the method collects.
-                work = _dot(level.force, level.move)
-                if previous is not None and previous[2] > 0:
-                    beta = max((work - _dot(previous[0], level.move)) / previous[2], 0.0)
-                    level.move += np.float32(beta) * previous[1]
-                previous = level.force.copy(), level.move.copy(), work
-            gain, square_move = self.advance(level)
-            if slow_steps and not self.guarded:
-                gain, square_move = self._reach(level, gain, square_move)
-            self.history.append(Step(count, energy, gain, float(np.sqrt(square_move / count))))
+                previous = _make_conjugate(level, previous)
+                gain, square_move = self._reach(level, *self.advance(level))
+            else:
+                gain, square_move = self.advance(level)
+            mean_move = float(np.sqrt(square_move / count))
+            self.history.append(Step(count, energy, gain, mean_move))
             if not np.isfinite(gain):
                 return Outcome.NOT_FINITE
             if step == 0:
@@ -196,31 +216,27 @@ class Multigrid:
             gains.append(gain)
             if len(gains) > 1:
                 # One lucky step is no proof where progress is slow.
-                ratios = [
-                    b / a if a else 1.0
-                    for a, b in itertools.pairwise(gains[-4 if slow_steps else -2 :])
-                ]
-                self.rate = float(np.clip(max(ratios), 0.01, 0.95))
+                self.rate = _largest_ratio(gains[-4 if slow_steps else -2 :])
             # Excess of energy and, as its square root, distance from the minimum: the steps to
             # come, summed.
             excess_energy = gain * self.rate / (1 - self.rate)
             root_rate = np.sqrt(self.rate)
-            distance = np.sqrt(square_move / count) * (root_rate / (1 - root_rate))
+            distance = mean_move * (root_rate / (1 - root_rate))
             if excess_energy <= tolerance * energy or distance <= _STILL:
-                return (
-                    Outcome.RESTED
-                    if wanted_gain <= max(100 * tolerance * energy, gain)
-                    else Outcome.HELD_OPEN
-                )
+                if wanted_gain <= max(100 * tolerance * energy, gain):
+                    return Outcome.RESTED
+                return Outcome.HELD_OPEN
             slow_steps += slow_steps > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
-            if (
-                slow_steps
-                and slow_steps % 4 == 0
-                and not self.guarded
-                and count_folds(level, self.team, self.side)[1]
-            ):
+            # Slow progress may be that of a mesh that folds.
+            if self._has_folds(level, slow_steps):
                 return Outcome.FOLDED
         return Outcome.OUT_OF_STEPS
+
+    def _has_folds(self, level: Level, slow_steps: int) -> bool:
+        """Whether cells are folded, which is looked for after every fourth slow step."""
+        if self.guarded or not slow_steps or slow_steps % 4:
+            return False
+        return count_folds(level, self.team, self.side)[1] > 0
 
     def _reach(self, level: Level, gain: float, square_move: float) -> tuple[float, float]:
         """Go on along the move just made, or back, to where the forces no longer act along it."""
@@ -309,9 +325,7 @@ class Multigrid:
             n_coarser = len(self.levels) - 1 - k
             descent_levels = [*self.levels[k:], *self.levels[-1:] * (7 - n_coarser)]
             array_names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
-            arrays = (
-                tuple(getattr(level, name) for level in descent_levels) for name in array_names
-            )
+            arrays = [tuple(map(attrgetter(name), descent_levels)) for name in array_names]
             node_indices = (1 + index for index in np.nonzero(self._network.mask))
             descend(*arrays, n_coarser, self._exact.inverse, *node_indices, *_TWICE, _ONCE)
             return
@@ -353,12 +367,11 @@ class Multigrid:
         if len(level.parts) > 1:
             # Rows that two threads share are copied before either of them moves its own.
             borders = [np.ascontiguousarray(level.move[:, [r0 - 1, r1]]) for r0, r1 in level.parts]
-        call_args = [
-            (*shared_args, border_rows, first, weight, level.cols) for border_rows in borders
+        calls = [
+            (*shared_args, border_rows, first, weight, level.cols, *rows)
+            for border_rows, rows in zip(borders, level.parts, strict=True)
         ]
-        self.team.each(
-            smooth, [(*args, *rows) for args, rows in zip(call_args, level.parts, strict=True)]
-        )
+        self.team.each(smooth, calls)
 
 
 def count_folds(level: Level, team: Team, side: float) -> tuple[float, int]:

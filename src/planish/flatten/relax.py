@@ -134,10 +134,7 @@ def relax_grid(  # noqa: C901
         else:
             steps, outcome, history = _relaxation(level, points, points[..., :2] / pitch, method)
         if is_brace is not None:
-            stiffen(
-                level,
-                np.where(is_brace, 0.0, np.ones(is_brace.shape) if weights is None else weights),
-            )
+            stiffen(level, np.where(is_brace, 0.0, 1.0 if weights is None else weights))
         energy, n_folded = count_folds(level, team, side)
         level.drop_springs()
         uv = _lay_on_projection(level, points, pitch, team)
@@ -225,9 +222,8 @@ def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | Non
         )
     labels, n_pieces = ndimage.label(is_node, structure=np.ones((3, 3)))
     if n_pieces > 1:
-        sized_pieces = zip(
-            np.bincount(labels.ravel())[1:], ndimage.find_objects(labels), strict=True
-        )
+        sizes = np.bincount(labels.ravel())[1:]
+        sized_pieces = zip(sizes, ndimage.find_objects(labels), strict=True)
         piece_texts = [
             f"{size} nodes in rows {rows.start}-{rows.stop - 1} and columns"
             f" {cols.start}-{cols.stop - 1}"

@@ -135,12 +135,8 @@ def relax_dynamically(
     start = np.asarray(start, dtype=np.float64)
     rest = np.asarray(rest, dtype=np.float64)
     stiff = np.ones_like(rest) if stiffness is None else np.asarray(stiffness, dtype=np.float64)
-    if (
-        start.ndim != 3
-        or start.shape[2] != 2
-        or rest.shape != (4, *start.shape[:2])
-        or stiff.shape != rest.shape
-    ):
+    is_mesh = start.ndim == 3 and start.shape[2] == 2
+    if not is_mesh or not rest.shape == stiff.shape == (4, *start.shape[:2]):
         raise CannotFlatten(
             f"Nodes {start.shape}, rest lengths {rest.shape} and stiffness {stiff.shape} do not fit"
             " together; needed are (rows, cols, 2) and twice (4, rows, cols). Make all of them"
@@ -177,6 +173,26 @@ def relax_dynamically(
     )
 
 
+def _difference_weights(mask: Floats) -> Floats:
+    """Weights of the differences to the neighbours right, left, below and above (4, rows, cols)."""
+    weights: list[Floats] = []
+    for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0)):
+        side = np.roll(mask, shift, axis)
+        opposite = np.roll(mask, -shift, axis)
+        weights.append(mask * side * (1.0 - 0.5 * opposite))
+    return np.stack(weights)
+
+
+def _time_step(p: RelaxationParams, dt: float, gradient: float) -> float:
+    """Time step by Eq. (4) as ``control`` reads it, after one of ``dt``."""
+    if p.control == "scale":
+        return min(p.dt_max, p.a / gradient if gradient > 0.0 else np.inf)
+    if p.control == "feedback":
+        # The paper has no numbers for it; any come to a halt.
+        return dt * 0.5 if gradient >= p.a else min(p.dt_max, dt * 1.1)
+    return dt
+
+
 def _motion(  # noqa: C901
     x: Floats, springs: Springs, mask: Floats, p: RelaxationParams
 ) -> tuple[Outcome, float, Floats]:
@@ -184,13 +200,7 @@ def _motion(  # noqa: C901
 
     Give the energy, and time step, damping ... of each step.
     """
-    # Weights of the differences to the neighbours right, left, below and above (4, rows + 2, cols +
-    # 2).
-    right, left, below, above = (
-        np.roll(mask, shift, axis) for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0))
-    )
-    opposite_pairs = ((right, left), (left, right), (below, above), (above, below))
-    weights = np.stack([mask * side * (1.0 - 0.5 * opposite) for side, opposite in opposite_pairs])
+    weights = _difference_weights(mask)
     nodes = np.count_nonzero(mask)
     period = 2.0 * (max(mask.shape) - 2)
     v = np.zeros_like(x)
@@ -219,11 +229,7 @@ def _motion(  # noqa: C901
     while outcome is Outcome.OUT_OF_STEPS and len(step_log) < p.most_steps:
         if p.control != "fixed":
             c = max(p.c_min, gradient / p.b, p.c_fall * c)
-        if p.control == "scale":
-            dt = min(p.dt_max, p.a / gradient if gradient > 0.0 else np.inf)
-        elif p.control == "feedback":
-            # The paper has no numbers for it; any come to a halt.
-            dt = dt * 0.5 if gradient >= p.a else min(p.dt_max, dt * 1.1)
+        dt = _time_step(p, dt, gradient)
         gradient, fastest, speed_sum = accelerate()
         if p.control == "scale" and dt * gradient > p.a:
             dt = p.a / gradient

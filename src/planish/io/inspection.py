@@ -20,7 +20,7 @@ PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
 
 @dataclass(kw_only=True)
-class _Seen:
+class _Totals:
     """What the values of some planes are."""
 
     low: float = math.inf
@@ -47,31 +47,31 @@ def inspect_values(
         if n_sampled < n_planes:
             plane_numbers = [int(n) for n in np.linspace(0, n_planes - 1, n_sampled).round()]
             sampled_text = f"{n_sampled} of {n_planes} slices"
-    seen = _look(values, plane_numbers, full_scale)
+    totals = _look(values, plane_numbers, full_scale)
     facts: dict[str, Any] = declared_facts(values, dims) | {
-        "nan_share": 1 - seen.n_finite / seen.n_values,
-        "saturated_share": seen.n_saturated / seen.n_values,
-        "bottom_share": seen.n_bottom / seen.n_values,
+        "nan_share": 1 - totals.n_finite / totals.n_values,
+        "saturated_share": totals.n_saturated / totals.n_values,
+        "bottom_share": totals.n_bottom / totals.n_values,
         "sampled": sampled_text,
         "percentiles": dict.fromkeys(map(str, PERCENTILES)),
     }
-    if seen.n_finite:
-        facts["percentiles"] = {str(p): float(np.percentile(seen.sample, p)) for p in PERCENTILES}
-        facts |= {"min": seen.low, "max": seen.high}
-    warnings += _what_looks_wrong(seen, facts, full_scale, is_whole=values.dtype.kind in "ui")
+    if totals.n_finite:
+        facts["percentiles"] = {str(p): float(np.percentile(totals.sample, p)) for p in PERCENTILES}
+        facts |= {"min": totals.low, "max": totals.high}
+    warnings += _what_looks_wrong(totals, facts, full_scale, is_whole=values.dtype.kind in "ui")
     return facts
 
 
 def _what_looks_wrong(
-    seen: _Seen, facts: dict[str, Any], full_scale: int | None, *, is_whole: bool
+    totals: _Totals, facts: dict[str, Any], full_scale: int | None, *, is_whole: bool
 ) -> list[str]:
     """Say what looks wrong in values, whole numbers or not, with their shares among the facts."""
     warnings: list[str] = []
-    n_levels = int(np.count_nonzero(np.diff(seen.sample)) + 1)
-    if not seen.n_finite:
+    n_levels = int(np.count_nonzero(np.diff(totals.sample)) + 1)
+    if not totals.n_finite:
         warnings.append("There is no number in it, all values are missing.")
-    elif seen.low == seen.high:
-        warnings.append(f"All values are {seen.low:g}.")
+    elif totals.low == totals.high:
+        warnings.append(f"All values are {totals.low:g}.")
     elif is_whole and n_levels < 16:
         warnings.append(
             f"It has {n_levels} grey levels only. Is it a segmentation? planish needs the grey"
@@ -80,7 +80,7 @@ def _what_looks_wrong(
     if facts["nan_share"] > 0:
         missing_text = f"{100 * facts['nan_share']:.3g} % of the values are missing"
         warnings.append(f"{missing_text} (NaN or infinite).")
-    if seen.low == seen.high:
+    if totals.low == totals.high:
         return warnings
     # Above this share of values at the end of the range, grey levels were lost.
     if facts["saturated_share"] > 0.001:
@@ -88,56 +88,57 @@ def _what_looks_wrong(
             f"{100 * facts['saturated_share']:.3g} % of the values are at {full_scale}, the largest"
             " the file can store: grey levels were cut there."
         )
-    if seen.constant_numbers:
+    if totals.constant_numbers:
         warnings.append(
-            f"{len(seen.constant_numbers)} slices have one grey value only (black or empty), z "
-            f"{first_few(seen.constant_numbers)}: look at them, and leave out what shows no sheet."
+            f"{len(totals.constant_numbers)} slices have one grey value only (black or empty), z"
+            f" {first_few(totals.constant_numbers)}: look at them, and leave out what shows no"
+            " sheet."
         )
-    if seen.copy_numbers:
+    if totals.copy_numbers:
         warnings.append(
-            f"{len(seen.copy_numbers)} slices hold the same values as a slice before them, z"
-            f" {first_few(seen.copy_numbers)}: were they copied to fill gaps?"
+            f"{len(totals.copy_numbers)} slices hold the same values as a slice before them, z"
+            f" {first_few(totals.copy_numbers)}: were they copied to fill gaps?"
         )
     return warnings
 
 
-def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _Seen:
+def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _Totals:
     """Read planes one by one, and note what their values are."""
     share = len(plane_numbers) / values.shape[0]
     n_values = math.prod(values.shape) * share
     stride = max(1, math.ceil((n_values / SAMPLE_VALUES) ** (1 / values.ndim)))
-    seen = _Seen()
+    totals = _Totals()
     samples = list[NDArray[Any]]()
     digests = set[bytes]()
     for index, number in enumerate(plane_numbers):
         plane = np.asarray(values[number])
         finite_values = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
-        seen.n_values += plane.size
-        seen.n_finite += finite_values.size
+        totals.n_values += plane.size
+        totals.n_finite += finite_values.size
         plane_low = plane_high = math.nan
         if finite_values.size:
             plane_low = float(finite_values.min())
             plane_high = float(finite_values.max())
-            seen.low = min(seen.low, plane_low)
-            seen.high = max(seen.high, plane_high)
+            totals.low = min(totals.low, plane_low)
+            totals.high = max(totals.high, plane_high)
         if full_scale is not None:
-            seen.n_saturated += int(np.count_nonzero(plane == full_scale))
-            seen.n_bottom += int(np.count_nonzero(plane == 0))
+            totals.n_saturated += int(np.count_nonzero(plane == full_scale))
+            totals.n_bottom += int(np.count_nonzero(plane == 0))
         if index % stride == 0:
             samples.append(_finite_sample(plane, stride))
         # Slices with fewer pixels may well be alike, or of one grey.
         if plane.ndim == 2 and plane.size >= 1000:
             digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
             if not plane_low < plane_high:
-                seen.constant_numbers.append(number)
+                totals.constant_numbers.append(number)
             elif digest in digests:
-                seen.copy_numbers.append(number)
+                totals.copy_numbers.append(number)
             digests.add(digest)
-    seen.sample = np.sort(np.concatenate(samples))
-    if seen.n_finite and not seen.sample.size:  # the grid met no number
+    totals.sample = np.sort(np.concatenate(samples))
+    if totals.n_finite and not totals.sample.size:  # the grid met no number
         planes = [_finite_sample(np.asarray(values[number]), 1) for number in plane_numbers]
-        seen.sample = np.sort(np.concatenate(planes))
-    return seen
+        totals.sample = np.sort(np.concatenate(planes))
+    return totals
 
 
 def _finite_sample(plane: NDArray[Any], stride: int) -> NDArray[Any]:

@@ -36,7 +36,10 @@ _METADATA = "zarr.json"
 def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     """Write datasets as groups of a zarr store for ``xarray.open_datatree(path, engine="zarr")``.
 
-    Others in it stay.
+    Parameters
+    ----------
+    path : Path; the store, whose other groups stay
+    groups : mapping of str to Dataset
     """
     zarr.open_group(path, mode="a", attributes=ROOT)
     for name, data in groups.items():
@@ -163,24 +166,30 @@ def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
             _check_chunks(path, present)
             return present
         _check_chunks(path)
-        members = sorted(root.members(max_depth=None))
-        groups = {
-            name: [*node.array_values()] for name, node in members if isinstance(node, zarr.Group)
-        }
-        names = [
-            name
-            for name, arrays in groups.items()
-            if arrays and not name.startswith(f"{OVERVIEWS}/")
-        ]
-        return names + [
-            copy for name in names if is_large(groups[name]) for copy in overviews_of(path, name)
-        ]
+        names: list[str] = []
+        copies: list[str] = []
+        for name, node in sorted(root.members(max_depth=None)):
+            arrays = [*node.array_values()] if isinstance(node, zarr.Group) else []
+            if not arrays or name.startswith(f"{OVERVIEWS}/"):
+                continue
+            names.append(name)
+            if is_large(arrays):
+                copies += overviews_of(path, name)
+        return names + copies
 
 
 def read_group(path: Path, name: str, variables: Iterable[str] | None = None) -> xr.Dataset:
     """Read one group of a store, or some of its variables.
 
-    Of half a gigabyte and more, part by part when asked for.
+    Parameters
+    ----------
+    path : Path; the store
+    name : str; of the group
+    variables : iterable of str, optional; all of them where not given
+
+    Returns
+    -------
+    Dataset; of half a gigabyte and more, each part is read when it is asked for
 
     Raises
     ------

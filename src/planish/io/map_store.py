@@ -175,7 +175,15 @@ def create_array(
 def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Dataset:
     """Give a group of a store whose maps stay there: each part is read when it is asked for.
 
-    Parts that were read stay in memory as far as ``cache`` has room for them.
+    Parameters
+    ----------
+    path : Path; the store
+    name : str; of the group
+    cache : PartCache, optional; keeps parts in memory as far as it has room for them
+
+    Returns
+    -------
+    Dataset
 
     Raises
     ------

@@ -127,13 +127,13 @@ def orientation_attrs(orientations: Sequence[Orientation]) -> Mapping[str, str]:
     ``hand`` where it is left-handed by one source at least, ``turned`` where it is not, but its
     axes run another way than usual.
     """
-    known = [orientation for orientation in orientations if not orientation.is_flat]
-    left_names = [o.source for o in known if o.is_left_handed]
-    right_names = [o.source for o in known if not o.is_left_handed]
+    oriented = [orientation for orientation in orientations if not orientation.is_flat]
+    left_names = [o.source for o in oriented if o.is_left_handed]
+    right_names = [o.source for o in oriented if not o.is_left_handed]
     if left_names:
         text = f"left, by {and_join(left_names)}"
         return {"hand": f"{text}; but right, by {and_join(right_names)}" if right_names else text}
-    turned_names = [o.source for o in known if not o.is_usual]
+    turned_names = [o.source for o in oriented if not o.is_usual]
     return {"turned": f"by {and_join(turned_names)}"} if turned_names else {}
 
 

@@ -40,10 +40,20 @@ def new_folder(
 
     It becomes ``path`` when the block ends well, and vanishes when not.
 
-    ``inside`` is an existing folder beside ``path`` where it may stand meanwhile, such as that of
-    :func:`work_folder`, which sweeps up what a killed process has left. ``needed`` is about how
-    many bytes it takes. FileError if ``path`` exists or cannot be written, ResourceError if the
-    disk is full.
+    Parameters
+    ----------
+    path : Path
+    inside : Path, optional
+        Existing folder beside ``path`` where it may stand meanwhile, such as that of
+        :func:`work_folder`, which sweeps up what a killed process has left.
+    needed : int, optional; about how many bytes it takes
+
+    Raises
+    ------
+    FileError
+        If ``path`` exists or cannot be written.
+    ResourceError
+        If the disk is full.
     """
     refuse_existing(path)
     check_length(path.absolute())
@@ -65,11 +75,21 @@ def new_folder(
 def work_folder(path: Path, key: str) -> Generator[Path]:
     """Give a hidden folder for what a run would not like to work out twice.
 
-    It vanishes when the block ends, well or not. Only a process that was killed leaves it behind;
-    the next run to ``path`` with the same ``key`` then finds what was in it, and with another key
-    an empty one. FileError if another process is writing to ``path`` at this moment, the folder
-    cannot be made, or something that is not planish's has its name: a link, a file, or a folder
-    without the marker. Nothing is touched then.
+    It vanishes when the block ends, well or not. Only a process that was killed leaves it behind.
+
+    Parameters
+    ----------
+    path : Path; of the run
+    key : str
+        The next run to ``path`` with the same key finds what was in it, and with another key an
+        empty one.
+
+    Raises
+    ------
+    FileError
+        If another process is writing to ``path`` at this moment, the folder cannot be made, or
+        something that is not planish's has its name: a link, a file, or a folder without the
+        marker. Nothing is touched then.
     """
     check_length(path.absolute())
     work = path.with_name(f".{path.name}.work")
@@ -82,15 +102,13 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
             name for name in names if is_link(work / name) or not _is_work_name(name)
         )
         # Versions before the marker wrote a key of 64 digits and a lock.
-        is_marked = (
-            _has_text(marker, _WORK_TEXT) if marker.name in names else {"key", "lock"} <= names
-        )
-        if foreign_names or not is_marked:
-            fault_text = (
-                f"holds {', '.join(foreign_names[:3])}"
-                if foreign_names
-                else f"has no file {WORK_MARKER}"
-            )
+        is_marked = {"key", "lock"} <= names
+        if marker.name in names:
+            is_marked = _has_text(marker, _WORK_TEXT)
+        fault_text = "" if is_marked else f"has no file {WORK_MARKER}"
+        if foreign_names:
+            fault_text = f"holds {', '.join(foreign_names[:3])}"
+        if fault_text:
             raise FileError(
                 f"{work} was not made by planish (it {fault_text}). {_IN_THE_WAY.format(path.name)}"
             )
@@ -199,7 +217,18 @@ def remove(folder: Path) -> None:
 
 
 def refuse_inside(path: Path, inputs: Iterable[str | Path]) -> None:
-    """Raise FileError if ``path`` lies in a folder that is an input."""
+    """Refuse to write into a folder that is read.
+
+    Parameters
+    ----------
+    path : Path; what is to be written
+    inputs : iterable of str or Path; what is read
+
+    Raises
+    ------
+    FileError
+        If ``path`` lies in one of the inputs.
+    """
     place = path.absolute().resolve()
     for source in (find_place(name).path for name in inputs):
         if source.is_dir() and source.resolve() in (place, *place.parents):
@@ -221,7 +250,13 @@ def refuse_existing(*paths: Path) -> None:
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write JSON with sorted keys off, two spaces, and no NaN (they are errors: use None)."""
+    """Write a file of JSON, keys in their order, indented by two spaces.
+
+    Parameters
+    ----------
+    path : Path
+    data : mapping; NaN in it is an error: use None
+    """
     path.write_text(
         json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n"
     )

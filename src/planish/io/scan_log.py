@@ -176,8 +176,8 @@ def read_scan(folder: Path) -> Scan | None:
         return _scan_by_projections(logs, slices)
     log, *copies = _naming_logs(reconstructions, folder)
     # Copies, and the log of the whole scan beside that of a part, have to state the same size.
-    others = [o for o in reconstructions if o in copies or log.stem.startswith(o.stem)]
-    further = [Stated(o.name, (None, o.size_um, o.size_um)) for o in others if o is not log]
+    repeats = [o for o in reconstructions if o in copies or log.stem.startswith(o.stem)]
+    further = [Stated(o.name, (None, o.size_um, o.size_um)) for o in repeats if o is not log]
     return Scan(log, (_stated_by(log), *further), _note_on_others(log, slices))
 
 
@@ -205,11 +205,11 @@ def _naming_logs(reconstructions: list[Log], folder: Path) -> list[Log]:
 def _note_on_others(log: Log, slices: list[Path]) -> tuple[str, ...]:
     """Say which pictures of a folder a log does not name."""
     named_files = {path for _, path in log.named_slices}
-    others = [p for p in slices if p not in named_files and not is_preview(p)]
-    if not named_files or not others:
+    unnamed = [p for p in slices if p not in named_files and not is_preview(p)]
+    if not named_files or not unnamed:
         return ()
-    others_text = f"Pictures left aside: {len(others)}, first {others[0].name}."
-    return (f"{log.name} names {len(named_files)} slices. {others_text}",)
+    unnamed_text = f"Pictures left aside: {len(unnamed)}, first {unnamed[0].name}."
+    return (f"{log.name} names {len(named_files)} slices. {unnamed_text}",)
 
 
 def _is_log(path: Path) -> bool:

@@ -204,8 +204,8 @@ def _check_present(files: list[Path], folder: Path) -> None:
             f" {first_few(missing_names)}. Add them, or take their rows out: a gap in the positions"
             " is understood as a missing section."
         )
-    others = {*folder.iterdir()} - {*files}
-    unlisted = sorted(p.name for p in others if is_slice_name(p.name) and p.is_file())
+    members = {*folder.iterdir()} - {*files}
+    unlisted = sorted(p.name for p in members if is_slice_name(p.name) and p.is_file())
     if unlisted:
         raise VolumeError(
             f"{folder.name} holds {len(unlisted)} pictures that {COUNTER} does not name:"

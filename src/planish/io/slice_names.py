@@ -49,9 +49,9 @@ def list_slices(folder: Path) -> SliceOrder:
     by_pattern: dict[str, list[Path]] = defaultdict(list)
     for file in files:
         by_pattern[NUMBER.sub("#", file.stem.casefold()) + file.suffix.lower()].append(file)
-    alike, *others = sorted(by_pattern.values(), key=len, reverse=True)
-    if others:
-        odd_files = sorted(chain(*others))
+    alike, *odd = sorted(by_pattern.values(), key=len, reverse=True)
+    if odd:
+        odd_files = sorted(chain(*odd))
         raise VolumeError(
             f"{folder.name} holds {len(alike)} images named like {alike[0].name}, and"
             f" {len(odd_files)} named otherwise, first {odd_files[0].name}. Leave only the slices"
@@ -112,8 +112,8 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str
         )
     numbers = min(reversed(counters), key=slice_step)
     order = sorted(range(len(files)), key=numbers.__getitem__)
-    others = [*zip(*(c for c in changing_columns if c is not numbers), strict=True)]
-    if not all(_rises(column, order) for column in [*counters, others]):
+    changing = [*zip(*(c for c in changing_columns if c is not numbers), strict=True)]
+    if not all(_rises(column, order) for column in [*counters, changing]):
         raise VolumeError(
             f"{folder.name}: {changes_text}, and they ask for different orders. Rename the slices"
             " with one running number."

@@ -176,6 +176,7 @@ class TiffPages(PagedArray):
     """Pages of one checked series that is still open, each with one plane of pixels as stored."""
 
     def __init__(self, path: Path, series: TiffPageSeries) -> None:
+        """Note where the strips or tiles of each page lie, so that threads read them at once."""
         key = series.keyframe
         self._segments: list[tuple[Any, Any, dict[str, Any]]] = []
         for page in filter(None, series):

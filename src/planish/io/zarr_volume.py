@@ -123,11 +123,11 @@ def _group_attrs(path: Path, name: str) -> Keys:
 
 def _said_at_import(group_attrs: Keys) -> tuple[dict[str, str], list[str]]:
     """Hand and notes of the file from which planish imported a volume."""
-    own: Any = group_attrs.get("planish")
-    if not isinstance(own, dict):
+    stated: Any = group_attrs.get("planish")
+    if not isinstance(stated, dict):
         return {}, []
-    notes: Any = own.get("notes")
-    hand = {key: own[key] for key in ("hand", "turned") if isinstance(own.get(key), str)}
+    notes: Any = stated.get("notes")
+    hand = {key: stated[key] for key in ("hand", "turned") if isinstance(stated.get(key), str)}
     return hand, [str(note) for note in notes] if isinstance(notes, list) else []
 
 
@@ -310,10 +310,10 @@ def _coordinates_along(
     group_name = name.rpartition("/")[0]
     for naming in named.namings:
         axis_name = naming.names[axis]
-        beside = f"{group_name}/{axis_name}".strip("/")
-        if not re.fullmatch(r"\w+", axis_name) or not _is_node(path / beside):
+        array_name = f"{group_name}/{axis_name}".strip("/")
+        if not re.fullmatch(r"\w+", axis_name) or not _is_node(path / array_name):
             continue
-        node = _open_node(path, beside)
+        node = _open_node(path, array_name)
         if isinstance(node, zarr.Array) and node.shape == (count,) and node.dtype.kind in "uif":
             return Coordinates(axis_name, np.asarray(node[:]), word_of(node.attrs.get("units", "")))
     return None

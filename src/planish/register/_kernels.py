@@ -63,13 +63,22 @@ def refine(seeds, a, b, reaches, soft, ridge, raster, start, index):  # noqa: C9
 
     Each is refitted once for each reach.
 
-    ``seeds (h, 4)`` are ``i, j, k, q``; ``reaches (r,)`` in um, the last of which holds; ``soft``
-    in um2 is the squared distance at which a mark counts half; ``ridge`` in um2 is what holds the
-    stretch small. Three marks are fitted without stretch. ``raster`` are ``x0, y0, size, rows,
-    columns`` of cells whose marks within reach are ``index[start[cell]:start[cell + 1]]``.
+    Parameters
+    ----------
+    seeds : (h, 4); ``i, j, k, q``
+    a, b : (n,) and (m,), complex, in um; marks of either side
+    reaches : (r,), in um; the last holds
+    soft : float, in um2; squared distance at which a mark counts half
+    ridge : float, in um2; holds the stretch small; three marks are fitted without stretch
+    raster : ``x0, y0, size, rows, columns`` of cells
+    start, index : marks within reach of a cell are ``index[start[cell]:start[cell + 1]]``
 
-    Returns ``partner (h, n)`` int32 with -1 where there is none, ``squares (h, n)`` squared
-    distances in um2, and ``alpha, gamma, beta (h,)``, ``power (h,)`` in um2.
+    Returns
+    -------
+    partner : (h, n), int32; -1 where there is none
+    squares : (h, n), in um2; squared distances
+    alpha, gamma, beta : (h,)
+    power : (h,), in um2
     """
     n, total = a.size, seeds.shape[0]
     x0, y0, size, rows, columns = raster

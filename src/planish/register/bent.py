@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from planish.core.errors import CannotRegister
 from planish.core.threads import map_threads
 from planish.core.transform import Affine, NearSimilarity, Similarity, Transform
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats, Pair, pair_of
 
 Kernel = Callable[[Floats], Floats]
 
@@ -112,6 +112,7 @@ class _Inverse:
     """The inverse of a bent map; where Newton's method begins is worked out once."""
 
     def __init__(self, bent: Bent) -> None:
+        """Work out the images of a grid about the nodes, at which the search begins."""
         from scipy.spatial import KDTree
 
         nodes = bent.nodes * bent.size + np.array(bent.source)
@@ -139,17 +140,14 @@ class _Inverse:
         return sources
 
     def _newton(self, targets: Floats) -> Floats:
+        """Sources (n, 2) of target points, in um; NaN where the steps lead nowhere."""
         bent = self.bent
-        nearest_nodes = np.asarray(self.tree.query(targets)[1])
-        step = _solve(self.slopes[nearest_nodes], self.images[nearest_nodes] - targets)
-        sources = self.grid[nearest_nodes] - np.clip(
-            step, -0.125 * self.around, 0.125 * self.around
-        )
+        nearest = np.asarray(self.tree.query(targets)[1])
+        starts = self.grid[nearest]
+        step = _solve(self.slopes[nearest], self.images[nearest] - targets)
+        sources = starts - np.clip(step, -0.125 * self.around, 0.125 * self.around)
         if bent.everywhere:
-            is_edge = np.any(
-                (self.grid[nearest_nodes] == self.low) | (self.grid[nearest_nodes] == self.high),
-                axis=1,
-            )
+            is_edge = np.any((starts == self.low) | (starts == self.high), axis=1)
             scaled = (targets[is_edge] - bent.affine[0]) @ np.linalg.inv(bent.affine[1:])
             sources[is_edge] = scaled * bent.size + bent.source
         error = bent(sources) - targets
@@ -167,20 +165,17 @@ class _Inverse:
             is_better = np.zeros(active.size, dtype=np.bool_)
             # Where the whole step does not help, a quarter of it may.
             for step_share in (1.0, 0.25):
-                retried_rows = np.flatnonzero(
-                    ~is_better & ((start_errors > tolerance) | (step_share == 1.0))
-                )
-                if not retried_rows.size:
+                is_tried = ~is_better & ((start_errors > tolerance) | (step_share == 1.0))
+                rows = np.flatnonzero(is_tried)
+                if not rows.size:
                     continue
-                trial = active_sources[retried_rows] - step_share * step[retried_rows]
-                trial_error = bent(trial) - targets[active[retried_rows]]
-                is_improved = np.linalg.norm(trial_error, axis=1) < start_errors[retried_rows]
-                improved_rows = active[retried_rows[is_improved]]
-                sources[improved_rows], error[improved_rows] = (
-                    trial[is_improved],
-                    trial_error[is_improved],
-                )
-                is_better[retried_rows[is_improved]] = True
+                trial = active_sources[rows] - step_share * step[rows]
+                trial_error = bent(trial) - targets[active[rows]]
+                is_improved = np.linalg.norm(trial_error, axis=1) < start_errors[rows]
+                improved_rows = rows[is_improved]
+                sources[active[improved_rows]] = trial[is_improved]
+                error[active[improved_rows]] = trial_error[is_improved]
+                is_better[improved_rows] = True
             active = active[is_better & (np.linalg.norm(error[active], axis=1) > tolerance)]
             if not active.size:
                 break
@@ -229,7 +224,7 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
         return LocalStrain(
             area=(1.0, 1.0),
             stretch=(0.0, 0.0),
-            at_um=(float(worst_place[0]), float(worst_place[1])),
+            at_um=pair_of(worst_place),
         )
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     jacobians = transform.jacobian(points)
@@ -255,7 +250,7 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     return LocalStrain(
         area=(float(areas.min() / mean), float(areas.max() / mean)),
         stretch=(float(stretches.min()), float(stretches.max())),
-        at_um=(float(worst_place[0]), float(worst_place[1])),
+        at_um=pair_of(worst_place),
     )
 
 

@@ -83,6 +83,7 @@ class DeviationField:
     """
 
     def __init__(self, pairs: Pairs, mirrored: bool, mixture: Floats | None = None) -> None:
+        """Fit each kernel; ``mixture`` holds the probabilities of them all, if they are known."""
         self._all_pairs, self.mirrored = pairs, mirrored
         # (n,), which marks were taken together; more than `MOST` are.
         self.group = _groups(pairs.fixed, MOST)
@@ -103,11 +104,9 @@ class DeviationField:
         floor = (COINCIDENT * float(np.hypot(*self._first[2:4]))) ** 2
         which = [k for k in range(len(KERNELS)) if mixture is None or mixture[k].any()]
         kernel_fits = {k: self._fit(KERNELS[k], squares, columns, y, floor) for k in which}
-        self.mixture = (
-            _shares(np.array([v.log_posterior for v in kernel_fits.values()]))
-            if mixture is None
-            else mixture
-        )
+        if mixture is None:
+            mixture = _shares(np.array([v.log_posterior for v in kernel_fits.values()]))
+        self.mixture = mixture
         self._kernel_fits = {k: v for k, v in kernel_fits.items() if self.mixture[k].any()}
         self._mark_variances = {
             k: v.misfit / max(self.freedom, 1) for k, v in self._kernel_fits.items()
@@ -134,6 +133,7 @@ class DeviationField:
         y: Floats,
         misfit_floor: float,
     ) -> _KernelFit:
+        """Fit one kernel at all strengths of the field and of the affine part."""
         covariances = covariance(kernel, squares)
         if self._pairs.isotropic:
             weight_roots = self._whitening[:, 0, 0]
@@ -141,12 +141,9 @@ class DeviationField:
             eigenvalues: Floats = np.repeat(spectrum[0], 2)
             eigenvectors = np.asarray(np.kron(spectrum[1], np.eye(2)), dtype=np.float64)
         else:
-            rows = whitened(
-                self._whitening, np.asarray(np.kron(covariances, np.eye(2)), dtype=np.float64)
-            )
-            eigenvalues, eigenvectors = (
-                np.asarray(v) for v in np.linalg.eigh(whitened(self._whitening, rows.T))
-            )
+            both_axes = np.asarray(np.kron(covariances, np.eye(2)), dtype=np.float64)
+            rows = whitened(self._whitening, both_axes)
+            eigenvalues, eigenvectors = np.linalg.eigh(whitened(self._whitening, rows.T))
         eigenvalues = np.maximum(eigenvalues, 0.0)
         design, y = eigenvectors.T @ design, eigenvectors.T @ y
         shrinkage = 1.0 / (1.0 + _FIELD[:, None] * eigenvalues)

@@ -196,6 +196,7 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
 
 
 def _warn_of_marks(fit: FittedTransform, repeated_rows: Ints) -> Iterator[str]:
+    """Say which marks do not count, and why, and where few are left."""
     excluded = np.flatnonzero(fit.robust_weights < 1.0)
     if excluded.size:
         distances_um = np.linalg.norm(fit.residuals_um, axis=1)[excluded[:8]]

@@ -131,12 +131,7 @@ def fit_pairs(
     weights = None
     if all(name in h and np.isfinite(h[name].values).all() for h in sides for name in cov_names):
         rotation = fit_transform(source, target, mirrored=mirrored, robust=False).transform.matrix()
-        moving_cov, fixed_cov = (
-            np.stack([h[f"cov_{k}"].values for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(
-                -1, 2, 2
-            )
-            for h in sides
-        )
+        moving_cov, fixed_cov = map(_covariances, sides)
         weights = rotation @ moving_cov @ rotation.T + fixed_cov
     fit = fit_transform(
         source, target, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity"
@@ -162,10 +157,20 @@ def _centres(holes: xr.Dataset) -> Floats:
     return np.stack([holes["x"].values, holes["y"].values], axis=1).astype(np.float64)
 
 
+def _covariances(holes: xr.Dataset) -> Floats:
+    """Covariances (n, 2, 2) of the centres, along x and y."""
+    entries = [holes[f"cov_{axes}"].values for axes in ("xx", "xy", "xy", "yy")]
+    return np.stack(entries, axis=-1).reshape(-1, 2, 2)
+
+
 def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> None:
     """Stop early where there cannot be a match.
 
-    ``name`` is that of the layer, if its attributes do not say it.
+    Parameters
+    ----------
+    holes : Dataset (mark); of one layer
+    hole_um : (float, float), in um; diameters that were searched
+    name : str, optional; of the layer, if its attributes do not say it
 
     Raises
     ------

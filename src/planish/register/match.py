@@ -240,13 +240,11 @@ def match_by_design(
         raise MarkError(
             f"{len(labels)} labels are given for {len(holes)} designed holes. Give one for each."
         )
-    choices = [
-        {
-            hand: choose(holes, side, scale_tolerance, tolerance_um, hands=(hand,))
-            for hand in (False, True)
-        }
-        for side in side_points
-    ]
+    choices: list[dict[bool, BestMatch]] = []
+    for side in side_points:
+        as_designed = choose(holes, side, scale_tolerance, tolerance_um, hands=(False,))
+        turned_over = choose(holes, side, scale_tolerance, tolerance_um, hands=(True,))
+        choices.append({False: as_designed, True: turned_over})
     (first_match, second_match), is_ambiguous = _choose_hands(choices, names, mirror)
     (first_transform, sentence), (second_transform, second_sentence) = (
         _fit_on_design(choice, side, holes, scale_tolerance, layer)

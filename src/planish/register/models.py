@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from planish.core.errors import MarkError
-from planish.core.typing import Floats
+from planish.core.typing import Floats, pair_of
 from planish.register.base_model import Model
 from planish.register.bent import Bent, Kernel
 from planish.register.field import DeviationField, covariance, covariance_slope
@@ -58,18 +58,14 @@ class AveragedModel(Model):
     def of(self, field: DeviationField) -> Averaged:
         """The mean of a field."""
         affine, kernels, bend = field.mean()
-        x, y = field.middle.tolist()
-        gauss, matern = (
-            np.array([v for n, v in kernels if n == name]) for name in ("gauss", "matern")
-        )
         return Averaged(
-            source=(x, y),
+            source=pair_of(field.middle),
             size=field.size,
             nodes=field.nodes,
             affine=affine + 0.0,
             bend=bend + 0.0,
-            gauss=gauss,
-            matern=matern,
+            gauss=np.array([v for name, v in kernels if name == "gauss"]),
+            matern=np.array([v for name, v in kernels if name == "matern"]),
         )
 
     def refit(self, pairs: Pairs, _transform: Averaged, field: DeviationField, /) -> Averaged:

@@ -16,7 +16,7 @@ from scipy import ndimage
 from planish.core.area import area_mean
 from planish.core.errors import CannotRegister, SizeError
 from planish.core.transform import Affine
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats, Pair, pair_of
 from planish.register.bent import NOTABLE
 from planish.register.result import FittedTransform
 
@@ -351,19 +351,19 @@ def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affi
     if hasattr(fitted, "GetMatrix"):
         a, b, c, d = fitted.GetMatrix()
         centre = np.array(fitted.GetCenter())
-        (x, y), (u, v) = (
-            p * unit_um + first_um for p in (centre, centre + np.array(fitted.GetTranslation()))
-        )
+        target = centre + np.array(fitted.GetTranslation())
         return Affine(
-            linear=((a, b), (c, d)), source=(float(x), float(y)), target=(float(u), float(v))
+            linear=((a, b), (c, d)),
+            source=pair_of(centre * unit_um + first_um),
+            target=pair_of(target * unit_um + first_um),
         )
     coefficient_images = fitted.GetCoefficientImages()
-    x, y = (np.array(coefficient_images[0].GetOrigin()) * unit_um + first_um).tolist()
-    mesh_x, mesh_y = (np.array(coefficient_images[0].GetSpacing()) * unit_um).tolist()
+    origin_um = pair_of(np.array(coefficient_images[0].GetOrigin()) * unit_um + first_um)
+    mesh_um = pair_of(np.array(coefficient_images[0].GetSpacing()) * unit_um)
     coefficients = np.stack(
         [itk.GetArrayFromImage(c).astype(np.float64) * unit_um for c in coefficient_images]
     )
-    return FreeForm(coefficients_um=coefficients, origin_um=(x, y), mesh_um=(mesh_x, mesh_y))
+    return FreeForm(coefficients_um=coefficients, origin_um=origin_um, mesh_um=mesh_um)
 
 
 def _prepare(
@@ -373,18 +373,14 @@ def _prepare(
 
     Also gives their masks, the pixel, and (x, y) of the first one's middle.
     """
-    if (
-        linked.ndim != 2
-        or linked.shape != image.shape
-        or (valid is not None and valid.shape != linked.shape)
-    ):
+    is_allowed = np.ones(linked.shape, dtype=bool) if valid is None else valid
+    if linked.ndim != 2 or not linked.shape == image.shape == is_allowed.shape:
         raise CannotRegister(
             f"The maps have the shapes {linked.shape} and {image.shape}. Link them first: a"
             " refinement needs maps and mask on one grid."
         )
     if not all(math.isfinite(v) and v > 0 for v in (*pixel_um, grid_um)):
         raise SizeError(f"Pixel {pixel_um} um and mesh {grid_um} um: positive lengths are needed.")
-    is_allowed = True if valid is None else valid
     maps = [
         np.where(np.isfinite(m) & is_allowed, m, np.nan).astype(np.float64) for m in (linked, image)
     ]
@@ -398,11 +394,12 @@ def _prepare(
         raise CannotRegister(
             f"{count} pixels are known in both maps; a refinement needs 400. Keep the marks only."
         )
-    if any(float(m[k].std()) == 0 for m, k in zip(maps, masks, strict=True)):
-        raise CannotRegister(
-            "One of the maps is constant: nothing can be refined on it. Keep the marks only."
-        )
-    filled = [
-        np.where(k, (m - m[k].mean()) / m[k].std(), 0.0) for m, k in zip(maps, masks, strict=True)
-    ]
+    filled: list[Floats] = []
+    for values, mask in zip(maps, masks, strict=True):
+        sd = values[mask].std()
+        if float(sd) == 0:
+            raise CannotRegister(
+                "One of the maps is constant: nothing can be refined on it. Keep the marks only."
+            )
+        filled.append(np.where(mask, (values - values[mask].mean()) / sd, 0.0))
     return filled, masks, (factor * pixel_um[0], factor * pixel_um[1]), first_um

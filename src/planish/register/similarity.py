@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Affine, Projective, Similarity, Transform
-from planish.core.typing import Floats
+from planish.core.typing import Floats, pair_of
 from planish.register.base_model import Frame, ParametricModel, least_squares, refuse_line
 from planish.register.pairs import COINCIDENT, Pairs, as_complex
 
@@ -94,8 +94,8 @@ class SimilarityModel(ParametricModel):
             rotation_rad=float(np.arctan2(b, a)),
             mirrored=mirrored,
         )
-        x, y = (target + np.array([beta_x, beta_y]) - turn(middle)).tolist()
-        return replace(turn, shift_um=(x, y))
+        shift_um = target + np.array([beta_x, beta_y]) - turn(middle)
+        return replace(turn, shift_um=pair_of(shift_um))
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, stretch, turn."""

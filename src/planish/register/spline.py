@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from planish.core.errors import CannotRegister
-from planish.core.typing import Floats
+from planish.core.typing import Floats, pair_of
 from planish.register.base_model import Model, refuse_line
 from planish.register.bent import Bent, Kernel
 from planish.register.field import DeviationField
@@ -94,6 +94,7 @@ class Smoothing:
     """
 
     def __init__(self, pairs: Pairs) -> None:
+        """Set up the system; CannotRegister where the marks are too few, or on one line."""
         from scipy.linalg import eigh, qr
 
         n = len(pairs)
@@ -108,13 +109,11 @@ class Smoothing:
         self.nodes = (pairs.moving - self.middle) / self.size
         self.whitening = pairs.whitening()
         # Whitened covariance (2n, 2n) of both coordinates.
-        kernel_matrix = _on_both_axes(
-            bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1))
-        )
-        self.kernel = whitened(self.whitening, whitened(self.whitening, kernel_matrix).T)
-        full, triangle = qr(
-            whitened(self.whitening, _on_both_axes(np.column_stack([np.ones(n), self.nodes])))
-        )
+        squares = np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)
+        half_whitened = whitened(self.whitening, _on_both_axes(bending(squares)))
+        self.kernel = whitened(self.whitening, half_whitened.T)
+        affine_part = _on_both_axes(np.column_stack([np.ones(n), self.nodes]))
+        full, triangle = qr(whitened(self.whitening, affine_part))
         self.span, self.triangle = full[:, :6], triangle[:6]
         self.target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
         self.y = whitened(self.whitening, (pairs.fixed - self.target).reshape(-1, 1))[:, 0]
@@ -151,26 +150,27 @@ class Smoothing:
         """
         from scipy.optimize import minimize_scalar
 
-        def cost(smoothing_um2: float) -> float:
-            return float(np.nansum(self.missed(smoothing_um2) ** 2))
-
         top = float(self.eigenvalues.max()) * self.size**2
         logs = np.linspace(np.log(1e-9 * top), np.log(1e3 * top), 33)
-        costs = np.array([cost(float(np.exp(v))) for v in logs])
+        costs = np.array([self._cost(float(np.exp(v))) for v in logs])
         best = int(np.flatnonzero(costs <= costs.min() * (1 + 1e-9))[-1])
         chosen = float(np.exp(logs[best]))
         least = float(costs[best])
         if 0 < best < len(logs) - 1:
             bracket = (float(logs[best - 1]), float(logs[best + 1]))
             optimum = minimize_scalar(
-                lambda v: cost(float(np.exp(v))), bounds=bracket, method="bounded"
+                lambda v: self._cost(float(np.exp(v))), bounds=bracket, method="bounded"
             )
             if float(optimum.fun) < least:
                 chosen = float(np.exp(optimum.x))
                 least = float(optimum.fun)
-        if cost(np.inf) <= least * (1 + 1e-9):
+        if self._cost(np.inf) <= least * (1 + 1e-9):
             return np.inf
-        return 0.0 if cost(0.0) < least * (1 - 1e-6) else chosen
+        return 0.0 if self._cost(0.0) < least * (1 - 1e-6) else chosen
+
+    def _cost(self, smoothing_um2: float) -> float:
+        """Sum of squares of the marks left out."""
+        return float(np.nansum(self.missed(smoothing_um2) ** 2))
 
     def spline(self, smoothing_um2: float) -> ThinPlate:
         """Return the spline of a smoothing."""
@@ -185,7 +185,7 @@ class Smoothing:
         ).reshape(3, 2)
         affine[0] += self.target
         return ThinPlate(
-            source=(float(self.middle[0]), float(self.middle[1])),
+            source=pair_of(self.middle),
             size=self.size,
             nodes=self.nodes,
             affine=affine,

@@ -221,22 +221,23 @@ class Lattice:
 
 
 def _variable_names(surfaces: xr.Dataset) -> Names:
-    attributes = {str(name): variable.attrs for name, variable in surfaces.data_vars.items()}
-    properties = [name for name, attrs in attributes.items() if attrs.get("role") == "property"]
-    supported = [
-        name
-        for name, attrs in attributes.items()
-        if "support_um" in attrs and name not in properties
-    ]
-    if not properties + supported:
+    """Names of the maps, of their standard errors, and of the layers' own."""
+    properties: list[str] = []
+    supported: list[str] = []
+    layers: list[str] = []
+    for name, variable in surfaces.data_vars.items():
+        if variable.attrs.get("role") == "property":
+            properties.append(str(name))
+        elif "support_um" in variable.attrs:
+            supported.append(str(name))
+        if "layer" in variable.attrs:
+            layers.append(str(name))
+    maps = properties + supported
+    if not maps:
         raise SurfaceError("The surfaces hold no properties. Measure them first (planish measure).")
-    errors = [f"{name}_se" for name in [*properties, *supported] if f"{name}_se" in surfaces]
+    errors = [f"{name}_se" for name in maps if f"{name}_se" in surfaces]
     errors = [name for name in errors if np.isfinite(surfaces[name].values).any()]
-    return (
-        properties + supported,
-        errors,
-        [name for name, attrs in attributes.items() if "layer" in attrs],
-    )
+    return maps, errors, layers
 
 
 def se_of_mean(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:

@@ -198,7 +198,16 @@ class Mesh:
 
 
 def covering_grid(uv: Floats, pixel_um: float) -> Grid:
-    """Return the grid that covers the mesh; its origin (u, v) is a multiple of the pixel.
+    """Return the grid that covers a mesh.
+
+    Parameters
+    ----------
+    uv : (rows, cols, 2), in um; flat coordinates of the nodes, NaN where there is no sheet
+    pixel_um : float
+
+    Returns
+    -------
+    Grid; its origin (u, v) is a multiple of the pixel
 
     Raises
     ------

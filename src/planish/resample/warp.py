@@ -269,9 +269,8 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
         quarters = (y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1)
         bounds = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
         bounds = bounds[(bounds[:, 1] > bounds[:, 0]) & (bounds[:, 3] > bounds[:, 2])]
-    return np.concatenate([bounds for bounds, _ in patches]), np.concatenate(
-        [nodes for _, nodes in patches]
-    )
+    all_bounds, all_nodes = zip(*patches, strict=True)
+    return np.concatenate(all_bounds), np.concatenate(all_nodes)
 
 
 def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
@@ -286,7 +285,8 @@ def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
 
 def _weights(shares: Floats) -> Floats:
     """Weights (n, 4) of the nodes in the polynomial through them, at shares (n,) of the way."""
-    return np.stack(
-        [np.prod([(shares - b) / (a - b) for b in _NODES if b != a], axis=0) for a in _NODES],
-        axis=-1,
-    )
+    weights: list[Floats] = []
+    for node in _NODES:
+        factors = [(shares - other) / (node - other) for other in _NODES if other != node]
+        weights.append(np.prod(factors, axis=0))
+    return np.stack(weights, axis=-1)

@@ -38,13 +38,17 @@ def straighten(section, height, first, rows, cols, pose, out):
                     r = height[c] + first + s
                     y = r + pose[0] + pose[2] * (c - middle_c)
                     x = c + pose[1] - pose[3] * (r - middle_r)
-                    i, j = int(floor(y)), int(floor(x))
+                    i = int(floor(y))
+                    j = int(floor(x))
                     if i < 0 or j < 0 or i >= high - 1 or j >= wide - 1:
                         total = np.float32(np.nan)
                     else:
-                        p, q = np.float32(y - i), np.float32(x - j)
-                        a0, a1 = np.float32(section[i, j]), np.float32(section[i, j + 1])
-                        b0, b1 = np.float32(section[i + 1, j]), np.float32(section[i + 1, j + 1])
+                        p = np.float32(y - i)
+                        q = np.float32(x - j)
+                        a0 = np.float32(section[i, j])
+                        a1 = np.float32(section[i, j + 1])
+                        b0 = np.float32(section[i + 1, j])
+                        b1 = np.float32(section[i + 1, j + 1])
                         low = a0 + q * (a1 - a0)
                         total += low + p * (b0 + q * (b1 - b0) - low)
                 out[k, b] += share * total
@@ -96,14 +100,19 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
     the section; both and the samples' distances, pitch (row, col), in um.
     """
     rows, cols = a.shape
-    half_r, half_c = np.float32(0.25 / pitch[0]), np.float32(0.25 / pitch[1])
+    half_r = np.float32(0.25 / pitch[0])
+    half_c = np.float32(0.25 / pitch[1])
     sums[:] = 0.0
-    zero, one, less = np.float32(0.0), np.float32(1.0), np.float32(shared)
-    four, five = np.float32(4.0), np.float32(5.0)
+    zero = np.float32(0.0)
+    one = np.float32(1.0)
+    less = np.float32(shared)
+    four = np.float32(4.0)
+    five = np.float32(5.0)
     for k in range(1, rows - 1):
         a0, a1, a2 = a[k - 1], a[k], a[k + 1]
         b0, b1, b2 = b[k - 1], b[k], b[k + 1]
-        steep, heavy = np.float32(1.0 / (limit[k] * limit[k])), np.float32(trust[k])
+        steep = np.float32(1.0 / (limit[k] * limit[k]))
+        heavy = np.float32(trust[k])
         off = np.float32((k - 0.5 * (rows - 1)) * pitch[0])
         for chunk in range(chunks):
             s0 = s1 = s2 = s3 = s4 = s5 = t0 = t1 = t2 = dd = ss = used = held = n0 = n1 = zero
@@ -173,7 +182,8 @@ def _line(section, r, pose, grade, line):
     """
     high, wide = section.shape
     middle_r, middle_c = 0.5 * (high - 1), 0.5 * (wide - 1)
-    gain, offset = np.float32(grade[0]), np.float32(grade[1])
+    gain = np.float32(grade[0])
+    offset = np.float32(grade[1])
     shift = pose[1] - pose[3] * (r - middle_r)
     step = int(floor(shift))
     q = np.float32(shift - step)
@@ -196,10 +206,13 @@ def _line(section, r, pose, grade, line):
             stop = min(end, max(c + 1, int((i - y0) / pose[2])))
         start = np.float32(min(max(y, 0.0), float(high - 1)) - i)
         slope = np.float32(pose[2])
-        low, up = section[i], section[min(i + 1, high - 1)]
+        low = section[i]
+        up = section[min(i + 1, high - 1)]
         for n in range(c, stop):
-            a0, a1 = np.float32(low[n + step]), np.float32(low[n + step + 1])
-            b0, b1 = np.float32(up[n + step]), np.float32(up[n + step + 1])
+            a0 = np.float32(low[n + step])
+            a1 = np.float32(low[n + step + 1])
+            b0 = np.float32(up[n + step])
+            b1 = np.float32(up[n + step + 1])
             v = a0 + q * (a1 - a0)
             line[n] = v + (start + slope * np.float32(n - c)) * (b0 + q * (b1 - b0) - v)
         c = stop
@@ -207,9 +220,12 @@ def _line(section, r, pose, grade, line):
         if c < begin or c >= end:
             i, p = _clamped(y0 + pose[2] * c, high - 1)
             j, f = _clamped(c + shift, wide - 1)
-            k, n = min(i + 1, high - 1), min(j + 1, wide - 1)
-            a0, a1 = np.float32(section[i, j]), np.float32(section[i, n])
-            b0, b1 = np.float32(section[k, j]), np.float32(section[k, n])
+            k = min(i + 1, high - 1)
+            n = min(j + 1, wide - 1)
+            a0 = np.float32(section[i, j])
+            a1 = np.float32(section[i, n])
+            b0 = np.float32(section[k, j])
+            b1 = np.float32(section[k, n])
             v = a0 + f * (a1 - a0)
             line[c] = v + p * (b0 + f * (b1 - b0) - v)
     if gain != 1.0 or offset != 0.0:
@@ -224,7 +240,8 @@ def interpolate(first, second, share, poses, grades, low, high, is_integer, out)
     Integers are rounded and kept in low..high.
     """
     cols = out.shape[1]
-    first_line, second_line = np.empty(cols, np.float32), np.empty(cols, np.float32)
+    first_line = np.empty(cols, np.float32)
+    second_line = np.empty(cols, np.float32)
     t = np.float32(share)
     for r in range(out.shape[0]):
         if share < 1.0:

@@ -319,11 +319,9 @@ def fixed_places(
 
 def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple[Floats, Floats]:
     """Place in um and slope of the line of each section, against their mean."""
-    across_um, length_px, strip_slice = (
-        pixel_um[axis],
-        stack.shape[2 - axis],
-        slice(strip[0], strip[1] + 1),
-    )
+    across_um = pixel_um[axis]
+    length_px = stack.shape[2 - axis]
+    strip_slice = slice(strip[0], strip[1] + 1)
     piece_edges = np.linspace(0, length_px, _PARTS + 1).astype(int)
 
     def cut(i: int) -> Floats:
@@ -358,7 +356,8 @@ def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple
     ]
     # The mean course of all sections is the line's own and is taken off.
     shift *= across_um
-    line_course, has_line = np.zeros(_PARTS), shows_line.any(axis=0)
+    line_course = np.zeros(_PARTS)
+    has_line = shows_line.any(axis=0)
     line_course[has_line] = np.nanmedian(np.where(shows_line, shift, np.nan)[:, has_line], axis=0)
     line_fits = np.full((is_clear.size, 2), np.nan)
     for i in np.flatnonzero(is_clear):
@@ -386,8 +385,12 @@ def _match_template(profiles: Floats, template: Floats) -> tuple[Floats, Floats]
     interior = slice(2, -2)
     t, g, f = template[:, interior], gradient[:, interior], profiles[..., interior]
     t, g, f = (v - v.mean(axis=-1, keepdims=True) for v in (t, g, f))
-    tt, tg, gg = (t * t).sum(axis=-1), (t * g).sum(axis=-1), (g * g).sum(axis=-1)
-    ft, fg, ff = (f * t).sum(axis=-1), (f * g).sum(axis=-1), (f * f).sum(axis=-1)
+    tt = (t * t).sum(axis=-1)
+    tg = (t * g).sum(axis=-1)
+    gg = (g * g).sum(axis=-1)
+    ft = (f * t).sum(axis=-1)
+    fg = (f * g).sum(axis=-1)
+    ff = (f * f).sum(axis=-1)
     det = np.maximum(tt * gg - tg * tg, 1e-12)
     gain, shift = (ft * gg - fg * tg) / det, (fg * tt - ft * tg) / det
     correlation = ft / np.sqrt(np.maximum(ff * tt, 1e-12))

@@ -157,15 +157,15 @@ class SectionSeries:
 
 
 def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools, Floats]:
+    """Blocks (sections, rows, cols) in which the sheet lies, and how far they are from resin."""
     difference = np.abs(blocks - background[:, None, None])
     difference[~np.isfinite(difference)] = 0.0
     smoothed_difference: Floats = gaussian_filter(difference, 1.0)
     sample = smoothed_difference[:: max(1, len(blocks) // 200)].ravel()
     bin_counts, bin_edges = np.histogram(sample, 512)
-    of_bins = (bin_counts, bin_counts * (0.5 * (bin_edges[1:] + bin_edges[:-1])))
-    (border,) = otsu_borders(
-        *(np.concatenate([[0.0], np.cumsum(values)]) for values in of_bins), classes=2
-    )
+    bin_sums = bin_counts * (0.5 * (bin_edges[1:] + bin_edges[:-1]))
+    cum_count, cum_grey = (np.cumsum([0.0, *values]) for values in (bin_counts, bin_sums))
+    (border,) = otsu_borders(cum_count, cum_grey, classes=2)
     labels, n_labels = label(smoothed_difference > float(bin_edges[border]))
     if n_labels == 0:
         raise VolumeError(
@@ -251,7 +251,8 @@ def normalise_sections(series: SectionSeries) -> Gains:
     n, rows, cols = series.stack.shape
     # The core lies away from the faces and their coatings, the background beyond the faces.
     near, far = 0.7 * band.half_um / pixel, (band.half_um + 30.0) / pixel
-    inside, outside = 2 * near * cols, max(1.0, rows - 2 * far) * cols
+    inside = 2 * near * cols
+    outside = max(1.0, rows - 2 * far) * cols
     step = max(1, round(inside / _MOST)), max(1, round(outside / _MOST))
 
     def levels(i: int) -> tuple[float, float]:
@@ -283,7 +284,8 @@ def core_and_background(
     strides[0]-th is taken; those beyond ``far_px`` are the background, of which every strides[1]-th
     is.
     """
-    row, sheet_row = np.arange(section.shape[0])[:, None], height.astype(np.float64)
+    row = np.arange(section.shape[0])[:, None]
+    sheet_row = height.astype(np.float64)
     is_core = (row >= sheet_row - near_px) & (row <= sheet_row + near_px)
     is_background = (row <= sheet_row - far_px) | (row >= sheet_row + far_px)
     samples = (
@@ -302,7 +304,8 @@ def _crowd_mean(greys: NDArray[np.float32]) -> float:
     if greys.size < 50:
         return np.nan
     values = greys.astype(np.float64)
-    crowd_mean, sd = float(np.median(values)), mad_sd(values)
+    crowd_mean = float(np.median(values))
+    sd = mad_sd(values)
     for _ in range(6 if sd > 0 else 0):
         crowd_mean = float(values[np.abs(values - crowd_mean) <= 2.0 * sd].mean())
     return crowd_mean

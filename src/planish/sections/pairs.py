@@ -8,6 +8,7 @@ error of an offset.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -161,7 +162,8 @@ class Bands(NamedTuple):
         deviation = np.abs(profile - median_filter(profile, window, mode="nearest"))
         is_marked = deviation > 5.0 * 1.4826 * float(np.median(deviation))
         is_marked = np.convolve(is_marked, np.ones(2 * margin + 1), mode="same") > 0
-        clean_cols, marked_cols = np.flatnonzero(~is_marked), np.flatnonzero(is_marked)
+        clean_cols = np.flatnonzero(~is_marked)
+        marked_cols = np.flatnonzero(is_marked)
         if marked_cols.size == 0 or marked_cols.size > 0.3 * is_marked.size:
             return
         right_index = np.clip(np.searchsorted(clean_cols, marked_cols), 1, clean_cols.size - 1)
@@ -174,26 +176,20 @@ class Bands(NamedTuple):
 
         (pairs, parts, 15).
         """
-        cols = self.stack.shape[2] // self.step[1]
-        x = (
-            (np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)
-        ) * self.pixel_um[1]
-        n_parts = int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
-
+        width = self.stack.shape[2]
+        centres = (np.arange(width // self.step[1]) + 0.5) * self.step[1] - 0.5
+        x_um = ((centres - 0.5 * (width - 1)) * self.pixel_um[1]).astype(np.float32)
+        n_parts = int(np.clip(width * self.pixel_um[1] / _PART_UM, *_PARTS))
         # A block of sections at a time: each band is made once or twice, and few are held.
-        def block(k: int) -> Floats:
-            block_pairs = slice(
-                np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK)
-            )
-            return self._block_sums(
-                pose, first[block_pairs], second[block_pairs], x.astype(np.float32), n_parts
-            )
-
-        return np.concatenate(map_threads(block, range(-(-pose.shape[0] // _BLOCK))))
+        begins = range(0, pose.shape[0], _BLOCK)
+        ends = np.searchsorted(first, begins)[1:]
+        sums = partial(self._block_sums, pose, x_um=x_um, n_parts=n_parts)
+        return np.concatenate(map_threads(sums, np.split(first, ends), np.split(second, ends)))
 
     def _block_sums(
         self, pose: Floats, first: Ints, second: Ints, x_um: Samples, n_parts: int
     ) -> Floats:
+        """Sums (pairs, parts, 15) of some pairs; bands are made when they are first needed."""
         sums = np.zeros((first.size, n_parts, 15))
         bands: dict[int, tuple[Samples, Samples]] = {}
         for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
@@ -208,16 +204,12 @@ class Bands(NamedTuple):
             # or the empty resin would count.
             difference = np.abs(a[:, ::4] - b[:, ::4])
             is_valid = np.isfinite(difference)
-            mean_difference = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(
-                is_valid.sum(axis=1), 1
-            )
-            mean_difference = np.maximum(
-                mean_difference, max(float(np.median(mean_difference)), 1e-6)
-            )
-            limit, trust = (
-                _OUTLIER_SIGMAS * 1.2533 * mean_difference,
-                (mean_difference.min() / mean_difference) ** 2,
-            )
+            difference_sum = np.where(is_valid, difference, 0.0).sum(axis=1)
+            mean_difference = difference_sum / np.maximum(is_valid.sum(axis=1), 1)
+            least = max(float(np.median(mean_difference)), 1e-6)
+            mean_difference = np.maximum(mean_difference, least)
+            limit = _OUTLIER_SIGMAS * 1.2533 * mean_difference
+            trust = (mean_difference.min() / mean_difference) ** 2
             # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its
             # faces would else tell the shift along the columns, and every unevenness of the smooth
             # surface would count as one. What this neglects vanishes with the shift itself, after
@@ -239,13 +231,8 @@ class Bands(NamedTuple):
 
 def _smoothed(samples: Samples, row_weights: Samples, col_weights: Samples) -> Samples:
     out = np.empty_like(samples)
-    smooth(
-        samples,
-        row_weights,
-        col_weights,
-        np.empty(samples.shape[1] + col_weights.size, np.float32),
-        out,
-    )
+    padded_row = np.empty(samples.shape[1] + col_weights.size, np.float32)
+    smooth(samples, row_weights, col_weights, padded_row, out)
     return out
 
 
@@ -277,6 +264,7 @@ def _solve(
     is_same_sheet: Bools,
     is_fine: bool,
 ) -> SectionPairs:
+    """Solve for the offset of each pair by least squares, in which torn parts weigh less."""
     n_unknowns = 2 if is_fine else 3
     scale = np.array([1.0, 1.0, _TURN_UM])[:n_unknowns]
     rows, cols = np.triu_indices(3)
@@ -291,18 +279,16 @@ def _solve(
     for _ in range(3):
         total_matrix = (part_weights[..., None, None] * normal_matrix).sum(axis=1) + ridge
         inverse = np.linalg.inv(total_matrix)
-        solution = np.einsum(
-            "pij,pj->pi", inverse, (part_weights[..., None] * right_side).sum(axis=1)
-        )
+        total_right_side = (part_weights[..., None] * right_side).sum(axis=1)
+        solution = np.einsum("pij,pj->pi", inverse, total_right_side)
         # What each part would still pull: the spread of these is the error, and a part that pulls
         # too far is torn.
         residual = right_side - np.einsum("pkij,pj->pki", normal_matrix, solution)
         scatter = np.einsum("pk,pki,pkj->pij", part_weights**2, residual, residual)
         covariance = np.einsum("pij,pjk,pkl->pil", inverse, scatter, inverse)
         # A part of the columns weighs less where it pulls farther than the others.
-        pull = np.abs(
-            residual / np.sqrt(np.maximum(np.einsum("pkii->pki", normal_matrix), 0.0) + 1e-12)
-        )
+        stiffness = np.maximum(np.einsum("pkii->pki", normal_matrix), 0.0)
+        pull = np.abs(residual / np.sqrt(stiffness + 1e-12))
         sigmas = np.max(pull / (1.4826 * np.median(pull, axis=1, keepdims=True) + 1e-12), axis=2)
         part_weights = np.where(
             sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0

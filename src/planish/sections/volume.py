@@ -185,7 +185,8 @@ class Planes(LazyArray):
         second = first if pair_indices[0] == pair_indices[1] else self.stack[pair_indices[1]]
         is_integer, low, high = self.dtype.kind != "f", -np.inf, np.inf
         if is_integer:
-            low, high = float(np.iinfo(self.dtype).min), float(np.iinfo(self.dtype).max)
+            low = float(np.iinfo(self.dtype).min)
+            high = float(np.iinfo(self.dtype).max)
         poses, grades = self.poses[pair_indices], self.grades[pair_indices]
         interpolate(first, second, float(self.weight[k]), poses, grades, low, high, is_integer, out)
 

@@ -19,16 +19,15 @@ def _trace(x, y, angle, length, half_width, curl, stamp, fibre_number, nodes, to
 
     The nodes are (row, col, step, place across).
     """
-    n_nodes, n_steps = 0, max(int(length), 1)
+    n_nodes = 0
+    n_steps = max(int(length), 1)
     n_across = int(half_width / 0.7) + 1
     for t in range(n_steps):
         step_height[t] = -1e9
         for k in range(-n_across, n_across + 1):
             offset = half_width * k / n_across
-            i, j = (
-                int(floor(y + offset * cos(angle) + 0.5)),
-                int(floor(x - offset * sin(angle) + 0.5)),
-            )
+            i = int(floor(y + offset * cos(angle) + 0.5))
+            j = int(floor(x - offset * sin(angle) + 0.5))
             if (
                 i < 0
                 or j < 0
@@ -51,7 +50,8 @@ def _trace(x, y, angle, length, half_width, curl, stamp, fibre_number, nodes, to
 
 @njit(cache=True, nogil=True)
 def _fill(column, bottom, top, cell):
-    first, last = max(int(floor(bottom / cell)), 0), min(int(floor(top / cell)), column.size - 1)
+    first = max(int(floor(bottom / cell)), 0)
+    last = min(int(floor(top / cell)), column.size - 1)
     for k in range(first, last + 1):
         overlap = min(top, (k + 1) * cell) - max(bottom, k * cell)
         if overlap > 0:
@@ -155,7 +155,8 @@ def press(out, low, sign, shares, heights, ground, pressed, cell, void_floor):  
     for i in range(rows):
         for j in range(cols):
             base = ground[i, j]
-            height, target = heights[i, j] - base, max(pressed[i, j] - base, 0.5)
+            height = heights[i, j] - base
+            target = max(pressed[i, j] - base, 0.5)
             solid = 0.0
             for k in range(n_cells):
                 solid += shares[i, j, k] * cell / FULL
@@ -182,7 +183,8 @@ def press(out, low, sign, shares, heights, ground, pressed, cell, void_floor):  
                 z += thickness
                 if density <= 0.0:
                     continue
-                first, last = int(floor((a - low) / cell)), int(floor((b - low) / cell))
+                first = int(floor((a - low) / cell))
+                last = int(floor((b - low) / cell))
                 for m in range(max(first, 0), min(last, pressed_shares.size - 1) + 1):
                     overlap = min(b, low + (m + 1) * cell) - max(a, low + m * cell)
                     pressed_shares[m] += density * max(overlap, 0.0) / cell

@@ -48,7 +48,8 @@ def frame_at(w, curve, u, v):
     )
     psi = w[14] + w[2] * sin(w[3] * p + w[4])
     psi += 0.5 * w[15] * (1.0 + tanh((p - w[16]) / (2.0 * w[17]))) if w[15] != 0.0 else 0.0
-    c, s = cos(psi), sin(psi)
+    c = cos(psi)
+    s = sin(psi)
     du, dv = u - w[11], v - w[12]
     bump = w[10] * exp(-(du * du + dv * dv) / (2 * w[13] * w[13])) if w[10] != 0.0 else 0.0
     bu = -bump * du / (w[13] * w[13])
@@ -134,7 +135,9 @@ def columns(w, curve, ys, xs):
                 v += dv
                 if abs(du) + abs(dv) < _CLOSE_UM:
                     break
-            out[i, j, 0], out[i, j, 1], out[i, j, 2] = u, v, frame_at(w, curve, u, v)[2]
+            out[i, j, 0] = u
+            out[i, j, 1] = v
+            out[i, j, 2] = frame_at(w, curve, u, v)[2]
     return out
 
 
@@ -207,10 +210,12 @@ def paint(
                 ddu, ddv = (du - du0, dv - dv0) if k > k0 + 1 else (0.0, 0.0)
                 fx = min(max((u - origin[0]) / pitch, 0.0), last_col)
                 fy = min(max((v - origin[1]) / pitch, 0.0), last_row)
-                c, r = int(fx), int(fy)
+                c = int(fx)
+                r = int(fy)
                 fx -= c
                 fy -= r
-                top, low = _bilinear(fields, r, c, fy, fx, 0), _bilinear(fields, r, c, fy, fx, 3)
+                top = _bilinear(fields, r, c, fy, fx, 0)
+                low = _bilinear(fields, r, c, fy, fx, 3)
                 crack = _bilinear(fields, r, c, fy, fx, 8)
                 high = max(top + max(crack, 0.0), structure_high)
                 if (
@@ -271,7 +276,8 @@ def _bilinear(fields, r, c, fy, fx, n):
 
 @njit(cache=True, nogil=True)
 def _cells_between(cells, r, c, fy, fx, low, high):
-    first, last = max(int(floor(low)), 0), min(int(floor(high)), cells.shape[2] - 1)
+    first = max(int(floor(low)), 0)
+    last = min(int(floor(high)), cells.shape[2] - 1)
     density_sum = 0.0
     for k in range(first, last + 1):
         upper_row = cells[r, c, k] * (1 - fx) + cells[r, c + 1, k] * fx
@@ -303,7 +309,8 @@ def lay_fibres(field, starts, angles, lengths, widths, curls):
             x += 0.5 * cos(a)
             y += 0.5 * sin(a)
             a += 0.5 * curls[n]
-            cx, cy = int(floor(x + 0.5)), int(floor(y + 0.5))
+            cx = int(floor(x + 0.5))
+            cy = int(floor(y + 0.5))
             if cx == px and cy == py:
                 continue
             px, py = cx, cy

@@ -126,11 +126,26 @@ def photograph(
     seed: np.random.SeedSequence,
     printed: bool = False,
 ) -> Field:
-    """Reflectance (y, x) of the sheet's top side, 0 to 1 in steps of ``camera.bits``.
+    """Photograph the sheet's top side.
 
-    What is 0 in ``camera`` is off and changes nothing else; with ``printed`` the sheet carries
-    ``camera.screen``, or the usual screen where that is None. ``seed`` is not changed: the same one
-    gives the same image. ValueError if ``camera.oracle_r2`` is out of reach.
+    Parameters
+    ----------
+    sheet : DrawnSheet
+    pose : CameraPose
+    camera : CameraParams; what is 0 is off and changes nothing else
+    shape : (rows, cols) of the image
+    seed : SeedSequence; it is not changed: the same one gives the same image
+    printed : bool
+        Whether the sheet carries ``camera.screen``, or the usual screen where that is None.
+
+    Returns
+    -------
+    (rows, cols), reflectance from 0 to 1 in steps of ``camera.bits``
+
+    Raises
+    ------
+    ValueError
+        If ``camera.oracle_r2`` is out of reach.
     """
     # As ``seed.spawn`` makes them, which counts in the caller's object and gives others next time.
     seeds = (np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in range(5))
@@ -139,22 +154,25 @@ def photograph(
     )
     u, v = image_material(pose, shape, camera.pixel_um)
     top, coating, rim, hole, image = _bare_sheet(sheet, camera, u, v, for_scatter)
-    nuisance, gain = _coarse_noise(sheet, _PAPER_UM, for_nuisance), camera.nuisance_sd
+    nuisance = _coarse_noise(sheet, _PAPER_UM, for_nuisance)
+    gain = camera.nuisance_sd
     if camera.oracle_r2 is not None:
         truth_maps = (coating, image, _sample(sheet, nuisance, u, v))
         gain = _oracle_gain(truth_maps, rim > _HOLE_CLEARANCE_UM, camera.pixel_um, camera.oracle_r2)
     screen = (camera.screen or PrintParams()) if printed else None
     tone = _coarse_noise(sheet, _TONE_UM, for_tone)
-    first_cell, radius_um = (
-        _dot_radii(sheet, screen, tone) if screen else ((0, 0), np.empty((0, 0)))
-    )
+    first_cell = (0, 0)
+    radius_um = np.empty((0, 0))
+    if screen:
+        first_cell, radius_um = _dot_radii(sheet, screen, tone)
     # What is not due to the coating, the print, and the burnt rims.
     for rows in _row_blocks(len(image)):
         uv = (u[rows], v[rows])
         reflectance = image[rows] + gain * _sample(sheet, nuisance, *uv)
         if screen:
             a, b = _screen_coordinates(*uv, screen)
-            col, row = np.floor(a), np.floor(b)
+            col = np.floor(a)
+            row = np.floor(b)
             distance = 1e4 / screen.screen_per_cm * np.hypot(a - col - 0.5, b - row - 0.5)
             i = np.clip(row.astype(int) - first_cell[0], 0, radius_um.shape[0] - 1)
             j = np.clip(col.astype(int) - first_cell[1], 0, radius_um.shape[1] - 1)
@@ -223,7 +241,17 @@ def _expose(
 
 
 def vignette(shape: tuple[int, int], loss: float) -> Field:
-    """Share of the light (y, x): 1 in the middle of an image, ``1 - loss`` in its corners."""
+    """Share of the light in an image.
+
+    Parameters
+    ----------
+    shape : (rows, cols)
+    loss : float; share that is lost in the corners
+
+    Returns
+    -------
+    (rows, cols); 1 in the middle, ``1 - loss`` in the corners
+    """
     y, x = (np.linspace(-1, 1, n) * n for n in shape)
     radius_squared = (y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)
     return 1 - loss * radius_squared.astype(np.float32)
@@ -232,11 +260,20 @@ def vignette(shape: tuple[int, int], loss: float) -> Field:
 def image_material(
     pose: CameraPose, shape: tuple[int, int], pixel_um: float
 ) -> tuple[Floats, Floats]:
-    """Return the material coordinates (u, v) in um shown by each pixel of an image.
+    """Return the material coordinates shown by each pixel of an image.
 
-    The image is of ``shape`` (rows, cols).
+    Parameters
+    ----------
+    pose : CameraPose
+    shape : (rows, cols) of the image
+    pixel_um : float
+
+    Returns
+    -------
+    u, v : (rows, cols), in um
     """
-    u, v = np.empty(shape), np.empty(shape)
+    u = np.empty(shape)
+    v = np.empty(shape)
     y, x = (np.arange(n) * pixel_um for n in shape)
     for rows in _row_blocks(shape[0]):
         material_uv = pose.inverse(np.stack(np.meshgrid(x, y[rows]), axis=-1))
@@ -314,11 +351,10 @@ def _dot_radii(
         ),
         indexing="ij",
     )
-    pitch, angle = 1e4 / screen.screen_per_cm, np.deg2rad(screen.angle_deg)
-    u, v = (
-        pitch * (a * np.cos(angle) - b * np.sin(angle)),
-        pitch * (a * np.sin(angle) + b * np.cos(angle)),
-    )
+    pitch = 1e4 / screen.screen_per_cm
+    angle = np.deg2rad(screen.angle_deg)
+    u = pitch * (a * np.cos(angle) - b * np.sin(angle))
+    v = pitch * (a * np.sin(angle) + b * np.cos(angle))
     coating = np.maximum(sheet.at(sheet.faces[0], u, v) - sheet.at(sheet.faces[1], u, v), 0)
     mean_coating_um = float(np.mean(sheet.faces[0] - sheet.faces[1], dtype=np.float64))
     tone_change = screen.gain_sd * _sample(sheet, tone, u, v) - screen.gain_per_um * (
@@ -333,8 +369,10 @@ def _dot_radii(
 
 
 def _screen_coordinates(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floats, Floats]:
-    pitch, angle = 1e4 / screen.screen_per_cm, np.deg2rad(screen.angle_deg)
-    cos, sin = np.cos(angle) / pitch, np.sin(angle) / pitch
+    pitch = 1e4 / screen.screen_per_cm
+    angle = np.deg2rad(screen.angle_deg)
+    cos = np.cos(angle) / pitch
+    sin = np.sin(angle) / pitch
     return u * cos + v * sin, v * cos - u * sin
 
 

@@ -92,7 +92,8 @@ class Structure:
         rows, cols, n_cells = self.density.shape
         face = np.full((rows, cols), np.nan, dtype=np.float32)
         for start in range(0, rows, _FACE_ROWS):
-            halo_start, stop = max(start - halo_rows, 0), min(start + _FACE_ROWS, rows)
+            halo_start = max(start - halo_rows, 0)
+            stop = min(start + _FACE_ROWS, rows)
             wall_share = (
                 self.density[halo_start : min(stop + halo_rows, rows)].astype(np.float32) / 100.0
             )
@@ -139,6 +140,7 @@ class FibreMat:
     def _lay(
         self, shape: tuple[int, int], ground: Floats, rng: np.random.Generator
     ) -> tuple[NDArray[np.uint8], Floats]:
+        """Lay the fibres of one half: their shares of the cells, and the heights they reach."""
         from planish.synthetic import _fibre_kernels
 
         p, pitch = self._fibres, self._pitch
@@ -189,7 +191,8 @@ class FibreMat:
         """Draw lengths, widths, walls and lumens of more fibres than are laid."""
         p, pitch = self._fibres, self._pitch
         area = float(shape[0] * shape[1]) * pitch**2
-        volume_um3, batches = 0.0, list[tuple[Floats, ...]]()
+        volume_um3 = 0.0
+        batches = list[tuple[Floats, ...]]()
         # A fibre begins outside as often as inside: the field grows by its length, which its middle
         # may lie in.
         while volume_um3 < 1.1 * solid_um * area:
@@ -212,20 +215,15 @@ class FibreMat:
         to their mean, as far as walls and the height before the press allow.
         """
         p = self._paper
-        solids = [
-            shares.sum(axis=2, dtype=np.float64) * self._fibres.cell_um / 100
-            for shares in self._shares
-        ]
-        solids = [
-            np.minimum(solid, h - g)
-            for solid, h, g in zip(solids, self.heights, self._grounds, strict=True)
-        ]
-        voids = [
-            h - g - solid for h, g, solid in zip(self.heights, self._grounds, solids, strict=True)
-        ]
+        solids: list[Floats] = []
+        voids: list[Floats] = []
+        for shares, height, ground in zip(self._shares, self.heights, self._grounds, strict=True):
+            solid = shares.sum(axis=2, dtype=np.float64) * self._fibres.cell_um / 100
+            solids.append(np.minimum(solid, height - ground))
+            voids.append(height - ground - solids[-1])
 
         def faces(flattening: float) -> list[Floats]:
-            """Faces whose distances from their mean are multiplied by ``flat``."""
+            """Faces whose distances from their mean are multiplied by ``flattening``."""
             open_share = (p.base_um - float(sum(s.mean() for s in solids))) / float(
                 sum(v.mean() for v in voids)
             )

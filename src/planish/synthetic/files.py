@@ -21,11 +21,21 @@ _NODES_UM = 10.0
 def write_instruments(
     specimen: Specimen, folder: Path, *, volume: Instrument = "stack", image: bool = True
 ) -> InstrumentFiles:
-    """Write a volume as ``volume`` says, and an image: ``image.tif``.
+    """Write the files of an instrument for volumes, and an image: ``image.tif``.
 
-    "stack": ``volume.tif`` with ImageJ's calibration; "scanner": slices and a log as NRecon writes
-    them, across the axis of rotation, so their rows run through the sheet; "sections": photographs
-    with the microtome's counter.
+    Parameters
+    ----------
+    specimen : Specimen
+    folder : Path; made where it is missing
+    volume : {"stack", "scanner", "sections"}
+        ``volume.tif`` with ImageJ's calibration; slices and a log as NRecon writes them, across the
+        axis of rotation, so their rows run through the sheet; photographs with the microtome's
+        counter.
+    image : bool; whether an image is written
+
+    Returns
+    -------
+    InstrumentFiles
     """
     folder.mkdir(parents=True, exist_ok=True)
     write = {"stack": _write_stack, "scanner": _write_scan, "sections": _write_sections}[volume]
@@ -46,6 +56,7 @@ def _write_stack(specimen: Specimen, folder: Path) -> InstrumentFiles:
 
 
 def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
+    """Write slices across the axis of rotation, with a log as of NRecon."""
     scanner, voxel = specimen.scanner, specimen.params.scanner.voxel_um
     scan_folder = folder / "scan"
     scan_folder.mkdir()
@@ -95,14 +106,14 @@ def _rec_log(specimen: Specimen) -> str:
         },
         "File name convention": {"Filename Index Length": "8", "Filename Prefix": _PREFIX},
     }
-    lines = [
-        f"[{name}]\n" + "".join(f"{k}={v}\n" for k, v in keys.items())
-        for name, keys in sections.items()
-    ]
-    return "".join(lines)
+    lines: list[str] = []
+    for name, settings in sections.items():
+        lines += [f"[{name}]", *(f"{key}={value}" for key, value in settings.items())]
+    return "\n".join(lines) + "\n"
 
 
 def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
+    """Write photographs of the block's face, and the counter of the microtome."""
     p, poses, microtome = specimen.params.sections, specimen.poses, specimen.microtome
     photo_folder = folder / "sections"
     photo_folder.mkdir()
@@ -144,7 +155,15 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
 def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Path:
     """Write the image with 16 bit and its pixel size.
 
-    A name that ends in ``.ome.tif`` makes it OME-TIFF.
+    Parameters
+    ----------
+    specimen : Specimen
+    path : Path; a name that ends in ``.ome.tif`` makes it OME-TIFF
+    printed : bool; whether the sheet carries a print
+
+    Returns
+    -------
+    Path; the one given
     """
     reflectance = (specimen.printed if printed else specimen.image).values
     grey = np.clip(np.rint(reflectance * 65535), 0, 65535).astype(np.uint16)
@@ -164,7 +183,17 @@ def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Pat
 
 
 def write_flatbed(specimen: Specimen, path: Path) -> Path:
-    """Write the scan of the office scanner as TIFF with its dpi and a name that says so."""
+    """Write the scan of the office scanner as TIFF with its dpi and a name that says so.
+
+    Parameters
+    ----------
+    specimen : Specimen
+    path : Path
+
+    Returns
+    -------
+    Path; the one given
+    """
     dpi = specimen.params.flatbed.dpi
     tifffile.imwrite(
         path,
@@ -178,9 +207,13 @@ def write_flatbed(specimen: Specimen, path: Path) -> Path:
 
 
 def write_nodes(specimen: Specimen, path: Path) -> None:
-    """Write ``.npz`` for a sheet too large for voxels.
+    """Write nodes of the centre surface, for a sheet too large for voxels.
 
-    It holds ``points`` (rows, cols, 3), ``u, v`` and ``coating_top``, in um.
+    Parameters
+    ----------
+    specimen : Specimen
+    path : Path
+        Of the ``.npz`` file: ``points`` (rows, cols, 3), ``u, v`` and ``coating_top``, in um.
     """
     x, y, _ = specimen.extent_um
     columns = specimen.warp.columns(np.arange(0.0, y, _NODES_UM), np.arange(0.0, x, _NODES_UM))
@@ -195,7 +228,10 @@ def write_nodes(specimen: Specimen, path: Path) -> None:
 def write_truth(specimen: Specimen, folder: Path) -> None:
     """Write all that is true: maps on the image's pixels, holes, poses and parameters.
 
-    The maps are float TIFF.
+    Parameters
+    ----------
+    specimen : Specimen
+    folder : Path; it is made. Maps are written as float TIFF, in um.
     """
     folder.mkdir(parents=True)
     pixel = specimen.params.camera.pixel_um
@@ -208,7 +244,8 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
             metadata={"unit": "um", "axes": "YX"},
         )
     holes = specimen.sheet.holes
-    image_xy, volume_xyz = specimen.pose(holes), specimen.warp.points(holes[:, 0], holes[:, 1])
+    image_xy = specimen.pose(holes)
+    volume_xyz = specimen.warp.points(holes[:, 0], holes[:, 1])
     names = ("u_um", "v_um", "image_x_um", "image_y_um", "x_um", "y_um", "z_um")
     _table(folder / "holes.csv", names, np.concatenate([holes, image_xy, volume_xyz], axis=1))
     poses = specimen.poses

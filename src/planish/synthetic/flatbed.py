@@ -141,7 +141,8 @@ def _carriage(
         int((n * pixel_um - 2 * _MARGIN_UM) / (pitch_um * (1 + params.scale_range))) for n in shape
     )
     ramp_um = pitch_um * np.arange(rows)
-    jitter, white = rng.standard_normal(rows), rng.standard_normal(int(_TRACK_UM / pitch_um))
+    jitter = rng.standard_normal(rows)
+    white = rng.standard_normal(int(_TRACK_UM / pitch_um))
     wander = ndimage.gaussian_filter1d(white, 0.5 * _WANDER_UM / pitch_um, mode="wrap")
     lines_um = (
         _MARGIN_UM

@@ -166,7 +166,8 @@ class Scanner:
         # Made once, before threads ask for them.
         _ = self.sheet.packed, self._rings_image, self._cupping_factor
         tile_rows = tile_rows or max(_TILE_VOXELS // (self.shape[0] * self.shape[2]), _LEAST_ROWS)
-        starts, threads = range(0, self.shape[1], tile_rows), count_threads()
+        starts = range(0, self.shape[1], tile_rows)
+        threads = count_threads()
         with thread_pool() as pool:
             for batch_start in range(0, len(starts), threads):
                 batch = starts[batch_start : batch_start + threads]
@@ -199,6 +200,7 @@ class Scanner:
         return slab.astype(p.dtype)
 
     def _sheet(self, start: int, stop: int) -> Slab:
+        """Slices of the sheet as the scanner blurs it, with fringes at its edges, without noise."""
         p = self.params
         psf = gaussian_taps(p.fwhm_um / _FWHM / p.voxel_um)
         ring = gaussian_taps(_FRINGE_PX)
@@ -250,10 +252,12 @@ class Scanner:
 
     @cached_property
     def _rings_image(self) -> Slab:
-        rng, radius = generator(self.seed, "rings"), self._radius()
+        rng = generator(self.seed, "rings")
+        radius = self._radius()
         plane = np.zeros(radius.shape)
         for _ in range(self.params.rings):
-            ring_radius, sign = rng.uniform(0.05, 0.6) * radius.max(), rng.choice([-1.0, 1.0])
+            ring_radius = rng.uniform(0.05, 0.6) * radius.max()
+            sign = rng.choice([-1.0, 1.0])
             plane += sign * self.params.ring * np.exp(-0.5 * (radius - ring_radius) ** 2)
         return plane.astype(np.float32)
 
@@ -272,7 +276,8 @@ class Scanner:
                 (1, n_knots, self.shape[0] + 2 * (taps.size - 1)), dtype=np.float32
             )
             lines = smooth(white, taps, (2,))[0] / np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))
-            j, f = knot_position.astype(int), (knot_position % 1)[:, None]
+            j = knot_position.astype(int)
+            f = (knot_position % 1)[:, None]
             return (lines[j] * (1 - f) + lines[j + 1] * f) / np.sqrt((1 - f) ** 2 + f**2)
 
         knots = {k: knot(k) for k in range(start // _STREAK_ROWS, (stop - 1) // _STREAK_ROWS + 2)}
@@ -369,7 +374,8 @@ class Microtome:
     def pictures(self) -> Iterator[NDArray[np.uint8]]:
         """Give the pictures (rows, cols) or (rows, cols, 3), one after the other."""
         _ = self.sheet.packed
-        count, step = self.poses.index.size, 8 * count_threads()
+        count = self.poses.index.size
+        step = 8 * count_threads()
         with thread_pool() as pool:
             for start in range(0, count, step):
                 yield from pool.map(self.picture, range(start, min(start + step, count)))
@@ -390,14 +396,11 @@ class Microtome:
         ).astype(np.float32)
         if not p.colour:
             return self._exposed(k, p.grey, float(gains[1]), texture, rng)
-        channels = [
-            tuple(float(level * tint[c]) for level, tint in zip(p.grey, _TINTS, strict=True))
-            for c in range(3)
-        ]
-        return np.stack(
-            [self._exposed(k, g, float(gains[c]), texture, rng) for c, g in enumerate(channels)],
-            axis=-1,
-        )
+        channels: list[NDArray[np.uint8]] = []
+        for tints, gain in zip(zip(*_TINTS, strict=True), gains.tolist(), strict=True):
+            grey = tuple(float(level * tint) for level, tint in zip(p.grey, tints, strict=True))
+            channels.append(self._exposed(k, grey, gain, texture, rng))
+        return np.stack(channels, axis=-1)
 
     def _exposed(
         self, k: int, grey: tuple[float, ...], gain: float, texture: Slab, rng: np.random.Generator

@@ -132,9 +132,13 @@ def make_specimen(
 def write_specimen(
     options: SpecimenOptions, folder: Path, *, progress: Callable[[str], None]
 ) -> None:
-    """Make the specimen that ``options`` order, and write it.
+    """Make the specimen that a user orders, and write it.
 
-    Written are scan/, sections/, images, and truth/ apart from them.
+    Parameters
+    ----------
+    options : SpecimenOptions
+    folder : Path; for scan/, sections/, images, and truth/ apart from them
+    progress : callable; called with the name of what is written next
     """
     specimen = make_specimen(options.params())
     large = options.size == "T3"  # without voxels: nodes of the centre surface instead
@@ -168,5 +172,6 @@ def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
     margin_um = (0.5 * thickness_um + 20.0 + film_depth_um) * float(
         np.hypot(1.0, warp.steepest)
     ) + 60.0
-    low_z, high_z = float(uvz[..., 2].min()) - margin_um, float(uvz[..., 2].max()) + margin_um
+    low_z = float(uvz[..., 2].min()) - margin_um
+    high_z = float(uvz[..., 2].max()) + margin_um
     return replace(warp, shift_um=(width_um / 2, height_um / 2, -low_z)), uvz, high_z - low_z

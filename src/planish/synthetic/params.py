@@ -151,8 +151,11 @@ class Warp(Strict):
 
 @lru_cache(maxsize=8)
 def _packed(warp: Warp) -> tuple[Floats, Floats]:
+    """Numbers of a warp as the kernels take them, and places and directions (steps, 4) of it."""
     angle = np.deg2rad(warp.ruling_deg)
-    psi, k, tilt = np.arctan(warp.slope), 2 * np.pi / warp.wavelength_um, np.deg2rad(warp.tilt_deg)
+    psi = np.arctan(warp.slope)
+    k = 2 * np.pi / warp.wavelength_um
+    tilt = np.deg2rad(warp.tilt_deg)
     curl = np.deg2rad(warp.curl_deg)
 
     def turn_at(p: NDArray[Any]) -> Floats:

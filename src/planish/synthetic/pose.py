@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.transform import Similarity
-from planish.core.typing import Floats
+from planish.core.typing import Floats, pair_of
 from planish.synthetic.params import CameraParams
 
 _TALL, _WIDE = 1.30, 1.12  # of the frame, over the height and width of what the volume shows
@@ -39,7 +39,8 @@ class CameraPose:
 
         NaN stays NaN.
         """
-        middle, centre = np.array(self.middle_um), np.array(self.centre_um)
+        middle = np.array(self.middle_um)
+        centre = np.array(self.centre_um)
         stretched = middle + (np.asarray(points, dtype=np.float64) - middle) * self._strain()
         offset = self.similarity(stretched) - centre
         radius_squared = np.sum(offset * offset, axis=-1, keepdims=True) / self.half_diagonal_um**2
@@ -50,7 +51,8 @@ class CameraPose:
 
         NaN where the lens shows none.
         """
-        middle, centre = np.array(self.middle_um), np.array(self.centre_um)
+        middle = np.array(self.middle_um)
+        centre = np.array(self.centre_um)
         offset = np.asarray(points, dtype=np.float64) - centre
         if self.radial != 0:
             offset = (
@@ -92,12 +94,20 @@ def draw_pose(
 
     It is turned, stands beside it, and has errors of its own.
 
-    Every number is drawn whatever its size, in a fixed order: one that is switched off does not
-    move the others.
+    Parameters
+    ----------
+    camera : CameraParams
+    spread : (u0, v0, u1, v1), in um
+        Material that the volume shows. At least 85 % of it lies in the frame: the drawn shift is
+        shortened as far as that needs.
+    rng : Generator
+        Every number is drawn whatever its size, in a fixed order: one that is switched off does
+        not move the others.
 
-    ``spread`` is the material (u0, v0, u1, v1) in um that the volume shows. At least 85 % of it
-    lies in the frame: the drawn shift is shortened as far as that needs. Gives rows and columns of
-    the image, and the pose.
+    Returns
+    -------
+    shape : (rows, cols) of the image
+    pose : CameraPose
     """
     turn, shift_x, shift_y, scale, stretch = rng.uniform(-1.0, 1.0, 5)
     field = np.asarray(spread, dtype=np.float64)
@@ -110,26 +120,20 @@ def draw_pose(
     def posed(shape: tuple[int, int], shift: Floats) -> CameraPose:
         centre = 0.5 * camera.pixel_um * (np.array(shape[::-1]) - 1.0)
         linear = Similarity(scale=scale_factor, rotation_rad=rotation, mirrored=camera.mirrored)
-        x, y = centre + shift - linear(middle)
         return CameraPose(
-            similarity=replace(linear, shift_um=(float(x), float(y))),
+            similarity=replace(linear, shift_um=pair_of(centre + shift - linear(middle))),
             stretch=float(camera.stretch * stretch),
-            middle_um=(float(middle[0]), float(middle[1])),
+            middle_um=pair_of(middle),
             radial=camera.radial,
-            centre_um=(float(centre[0]), float(centre[1])),
+            centre_um=pair_of(centre),
             half_diagonal_um=float(np.hypot(*centre)),
         )
 
     def in_view(shape: tuple[int, int], shift: Floats) -> float:
         pose = posed(shape, shift)
         image_points = pose(grid)
-        return float(
-            np.mean(
-                np.all(
-                    (image_points >= 0) & (image_points <= 2 * np.array(pose.centre_um)), axis=-1
-                )
-            )
-        )
+        is_inside = (image_points >= 0) & (image_points <= 2 * np.array(pose.centre_um))
+        return float(np.mean(np.all(is_inside, axis=-1)))
 
     no_shift = np.zeros(2)
     shape = (
@@ -138,16 +142,19 @@ def draw_pose(
     )
     while in_view(shape, no_shift) < _CENTRED_IN_VIEW:
         shape = (int(_GROWTH * shape[0]) + 1, int(_GROWTH * shape[1]) + 1)
-    drawn_shift, low, high = camera.shift_range_um * np.array([shift_x, shift_y]), 0.0, 1.0
+    drawn_shift = camera.shift_range_um * np.array([shift_x, shift_y])
+    low = 0.0
+    high = 1.0
     if in_view(shape, drawn_shift) >= _LEAST_IN_VIEW:
         return shape, posed(shape, drawn_shift)
     # A frame that moves away from the middle of a rectangle loses field all the way, so halving
     # finds the limit.
     for _ in range(30):
         share = 0.5 * (low + high)
-        low, high = (
-            (share, high) if in_view(shape, share * drawn_shift) >= _LEAST_IN_VIEW else (low, share)
-        )
+        if in_view(shape, share * drawn_shift) >= _LEAST_IN_VIEW:
+            low = share
+        else:
+            high = share
     return shape, posed(shape, low * drawn_shift)
 
 
@@ -161,5 +168,6 @@ def _frame_sides(field: Floats, rotation: float) -> tuple[float, float]:
     turn = np.deg2rad(
         np.clip((off_upright - _UPRIGHT_DEG) / (90.0 - 2 * _UPRIGHT_DEG), 0.0, 1.0) * 90.0
     )
-    cos, sin = np.cos(turn), np.sin(turn)
+    cos = np.cos(turn)
+    sin = np.sin(turn)
     return float(width * cos + height * sin), float(width * sin + height * cos)

@@ -219,9 +219,12 @@ NUISANCES: dict[str, Nuisance] = {
 
 
 def nuisances_of(params: SpecimenParams, instrument: str) -> list[str]:
-    """Return names of the nuisances that are on in ``params`` and act on ``instrument``.
+    """Return names of the nuisances that are on and act on an instrument.
 
-    The instrument is "scanner" or "sections".
+    Parameters
+    ----------
+    params : SpecimenParams
+    instrument : {"scanner", "sections"}
     """
     other = {"scanner", "sections"} - {instrument}
     return [
@@ -232,7 +235,13 @@ def nuisances_of(params: SpecimenParams, instrument: str) -> list[str]:
 
 
 def without(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
-    """Switch the named nuisances off."""
+    """Switch nuisances off.
+
+    Parameters
+    ----------
+    params : SpecimenParams
+    names : iterable of str; keys of :data:`NUISANCES`
+    """
     for _, section, fields in (NUISANCES[name] for name in names):
         off = {field: _OFF.get(field, 0.0) for field in fields}
         params = replace(params, **{section: replace(getattr(params, section), **off)})
@@ -240,7 +249,13 @@ def without(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
 
 
 def with_only(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
-    """Switch every nuisance off but the named ones."""
+    """Switch every nuisance off but some.
+
+    Parameters
+    ----------
+    params : SpecimenParams
+    names : iterable of str; keys of :data:`NUISANCES`, which stay on
+    """
     kept_names = set(names)
     assert kept_names <= NUISANCES.keys(), (
         f"unknown nuisances {sorted(kept_names - NUISANCES.keys())}"
@@ -284,11 +299,9 @@ class SpecimenOptions(Params):
             "nuisance": ("nuisance", (*NUISANCES, "none")),
             "without": ("nuisance", (*NUISANCES,)),
         }[str(info.field_name)]
-        if unknown := [
-            name
-            for name in ([value] if isinstance(value, str) else value or ())
-            if name not in names
-        ]:
+        given_names = [value] if isinstance(value, str) else value or ()
+        unknown = [name for name in given_names if name not in names]
+        if unknown:
             raise ValueError(
                 f"there is no {kind} {', '.join(unknown)}; there are {', '.join(names)}"
             )

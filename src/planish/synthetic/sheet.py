@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from planish.core.grid import bilinear
-from planish.core.typing import Floats
+from planish.core.typing import Floats, pair_of
 from planish.synthetic import _kernels
 from planish.synthetic.fibres import FibreMat, Structure
 from planish.synthetic.params import BurnParams, FilmParams, PaperParams, generator
@@ -124,15 +124,15 @@ def hole_pattern(params: BurnParams, low: Floats, high: Floats, seed: int) -> Fl
     """
     if params.count == 0:
         return np.zeros((0, 2))
-    designed = (
-        _coded(params, low, high)
-        if params.pattern == "coded"
-        else _scattered(params, low, high, seed)
-    )
+    if params.pattern == "coded":
+        designed = _coded(params, low, high)
+    else:
+        designed = _scattered(params, low, high, seed)
     return designed + params.stage_um * generator(seed, "stage").standard_normal(designed.shape)
 
 
 def _coded(params: BurnParams, low: Floats, high: Floats) -> Floats:
+    """Holes on three sides whose distances identify any few of them."""
     per_line = -(-params.count // 3)
     corner, side_start_v = low + _BORDER_UM, low[1] + (_BORDER_UM + 520.0)
     starts = (corner, (corner[0], side_start_v), (high[0] - _BORDER_UM, side_start_v))
@@ -152,6 +152,7 @@ def _coded(params: BurnParams, low: Floats, high: Floats) -> Floats:
 
 
 def _scattered(params: BurnParams, low: Floats, high: Floats, seed: int) -> Floats:
+    """Holes drawn one after the other, none close to another or to the border."""
     rng = generator(seed, "pattern")
     border = min(_BORDER_UM, 0.2 * float((high - low).min()))
     inner = np.maximum(high - low - 2 * border, 0.0)
@@ -224,7 +225,8 @@ def _hole(
     def distance(x: Floats, y: Floats, radius: float) -> Floats:
         # cos(k angle) + i sin(k angle) from one order to the next, without a sine for each
         spin: NDArray[np.complex128] = np.exp(1j * np.arctan2(y, x))
-        harmonic, roughness = spin, np.zeros(spin.shape)
+        harmonic = spin
+        roughness = np.zeros(spin.shape)
         for a, b in waves:
             harmonic = harmonic * spin
             roughness += a * harmonic.real + b * harmonic.imag
@@ -233,7 +235,8 @@ def _hole(
         return np.hypot(p, q) - radius - roughness
 
     top = distance(x, y, radius)
-    x, y = x - lean_um * np.cos(lean_angle), y - lean_um * np.sin(lean_angle)
+    x = x - lean_um * np.cos(lean_angle)
+    y = y - lean_um * np.sin(lean_angle)
     bottom = distance(x, y, radius * (1 - params.taper))
     if is_half_closed:
         bottom = np.maximum(bottom, x * np.cos(closed_angle) + y * np.sin(closed_angle))
@@ -347,11 +350,23 @@ def make_sheet(
     film: FilmParams | None = None,
     crack_um: float = 0.0,
 ) -> DrawnSheet:
-    """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um.
+    """Draw one sheet.
 
-    ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its
-    lengths. ``film`` lies below a base of single fibres; ``crack_um``: spread of the width of
-    cracks between the faces and resin.
+    Parameters
+    ----------
+    paper : PaperParams
+    holes : BurnParams
+    low, high : (2,), in um; corners (u, v) of the material rectangle that it covers
+    centres : (n, 2), in um; of the holes
+    seed : int
+    stiffness : float
+        Of the coatings over the base's; it says where the surface lies that keeps its lengths.
+    film : FilmParams, optional; below a base of single fibres
+    crack_um : float; spread of the width of cracks between the faces and resin
+
+    Returns
+    -------
+    DrawnSheet
     """
     shape = (
         int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2,
@@ -391,7 +406,7 @@ def make_sheet(
         outer = outer.mean() + paper.calendering * (outer - outer.mean())
         faces += [outer, outer - coating]
     depth_um = float(np.mean(faces[0] + faces[2]))
-    rim, char = burn(holes, centres, shape, (float(low[0]), float(low[1])), depth_um, seed)
+    rim, char = burn(holes, centres, shape, pair_of(low), depth_um, seed)
     crack = noise(shape, _CRACK_UM, generator(seed, "cracks")) if crack_um else np.zeros(shape)
     density = noise(shape, 300.0, generator(seed, "grain"))
     density = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * density
@@ -405,7 +420,7 @@ def make_sheet(
     return DrawnSheet(
         params=paper,
         seed=seed,
-        origin=(float(low[0]), float(low[1])),
+        origin=pair_of(low),
         faces=np.stack([faces[0], faces[1], -faces[3], -faces[2]]).astype(np.float32)
         - np.float32(neutral_um),
         rim_um=rim,
@@ -421,11 +436,21 @@ def make_sheet(
 
 
 def neutral_height(base_um: float, top_um: float, bottom_um: float, stiffness: float) -> float:
-    """Height of a bent laminate's unstrained surface over the middle of its base, in um.
+    """Height of a bent laminate's unstrained surface over the middle of its base.
 
+    Parameters
+    ----------
+    base_um, top_um, bottom_um : float; thickness of the base and of the coatings
+    stiffness : float; the coatings' modulus over the base's
+
+    Returns
+    -------
+    float, in um; with a stiffness of 1 the mean of the outer faces
+
+    Notes
+    -----
     The layers bend together and no force acts along the sheet: the mean of their middles, weighted
-    with thickness times modulus; ``stiffness`` is the coatings' modulus over the base's. With 1 it
-    is the mean of the outer faces.
+    with thickness times modulus.
     """
     moment = top_um * (base_um + top_um) - bottom_um * (base_um + bottom_um)
     return 0.5 * stiffness * moment / (base_um + stiffness * (top_um + bottom_um))

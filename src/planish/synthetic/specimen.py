@@ -147,7 +147,8 @@ class Specimen:
         )
 
     def _photograph(self, *, printed: bool) -> xr.DataArray:
-        p, seed = self.params.camera, stream(self.params.seed, "camera")
+        p = self.params.camera
+        seed = stream(self.params.seed, "camera")
         values = photograph(
             self.sheet, self.pose, p, shape=self.image_shape, seed=seed, printed=printed
         )

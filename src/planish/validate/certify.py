@@ -5,8 +5,10 @@ Specimens go into files, files through the whole program, and errors are taken a
 
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from planish.core.parameter_words import in_terminal_words
 from planish.report.draw import Picture
 from planish.run import run_study
 from planish.run.compute import Compute, Progress, silent
-from planish.synthetic import make_specimen, write_instruments
+from planish.synthetic import InstrumentFiles, Specimen, make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams
 from planish.synthetic.presets import NUISANCES
 from planish.validate.errors import LINK_STAGES, MAP_STAGES, pair_errors
@@ -177,12 +179,9 @@ def run_scenario(
         if scenario.kind == "mesh":
             entries.append(Entry(seed=seed, values=in_order(mesh_values(seed, once=k == 0))))
         else:
-            drawn = any(entry.pictures for entry in entries)
-            entries.append(
-                run_specimen(
-                    scenario, scenario.params(seed), seed, progress, compute, draw=not drawn
-                )
-            )
+            draw = not any(entry.pictures for entry in entries)
+            params = scenario.params(seed)
+            entries.append(run_specimen(scenario, params, seed, progress, compute, draw=draw))
     return Certificate(scenario=scenario, entries=tuple(entries))
 
 
@@ -204,30 +203,11 @@ def run_specimen(
     ) as name:
         folder = Path(name)
         try:
-            specimen = make_specimen(params)
-            if scenario.second is None:
-                specimens = [
-                    (
-                        specimen,
-                        write_instruments(
-                            specimen, folder / "specimen", volume=scenario.instrument
-                        ),
-                    )
-                ]
-            else:
-                both = specimen, make_specimen(scenario.second_params(seed), sheet=specimen.sheet)
-                layers = zip(
-                    PAIR, both, (scenario.instrument, scenario.second.instrument), strict=True
-                )
-                specimens = [
-                    (s, write_instruments(s, folder / name, volume=volume, image=False))
-                    for name, s, volume in layers
-                ]
+            specimens = _write_specimens(scenario, params, seed, folder)
         except ValueError as error:
             raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
-        study = scenario.study_of(
-            [(files.volume, files.through) for _, files in specimens], specimens[0][1].image
-        )
+        volumes = [(files.volume, files.through) for _, files in specimens]
+        study = scenario.study_of(volumes, specimens[0][1].image)
         try:
             run = run_study(study, folder / "run", progress=progress, compute=compute)
         except ResourceError:
@@ -240,9 +220,8 @@ def run_specimen(
         failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("fail"))
         looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("look"))
         if scenario.second is not None:
-            return Entry(
-                seed=seed, values=in_order(pair_errors(specimens, run)), failed=failed, looks=looks
-            )
+            values = in_order(pair_errors(specimens, run))
+            return Entry(seed=seed, values=values, failed=failed, looks=looks)
         comparison = Comparison(*specimens[0], run)
         pictures = ()
         if draw and "linked" in run.groups:
@@ -252,6 +231,23 @@ def run_specimen(
         return Entry(
             seed=seed, values=make_ledger(comparison), failed=failed, looks=looks, pictures=pictures
         )
+
+
+def _write_specimens(
+    scenario: Scenario, params: SpecimenParams, seed: int, folder: Path
+) -> list[tuple[Specimen, InstrumentFiles]]:
+    """Specimen of a scenario, or the two of one sheet, with the files that are made of them."""
+    specimen = make_specimen(params)
+    if scenario.second is None:
+        files = write_instruments(specimen, folder / "specimen", volume=scenario.instrument)
+        return [(specimen, files)]
+    second = make_specimen(scenario.second_params(seed), sheet=specimen.sheet)
+    volumes = (scenario.instrument, scenario.second.instrument)
+    specimens: list[tuple[Specimen, InstrumentFiles]] = []
+    for name, layer, volume in zip(PAIR, (specimen, second), volumes, strict=True):
+        files = write_instruments(layer, folder / name, volume=volume, image=False)
+        specimens.append((layer, files))
+    return specimens
 
 
 def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[int]:
@@ -325,84 +321,93 @@ def sensitivity(
             " small."
         )
 
-    def measure(label: str, nuisances: str | tuple[str, ...]) -> tuple[Values, str | None]:
-        """Return the rms of each figure over the seeds, and the first refusal."""
-        entries: list[Entry] = []
-        for seed in seed_list:
-            progress("sensitivity", f"{label}, seed {seed}")
-            entries.append(
-                run_specimen(scenario, scenario.params(seed, nuisances), seed, compute=compute)
-            )
-        seed_values = {
-            name: [e.values.get(name) for e in entries]
-            for entry in entries
-            for name in entry.values
-        }
-        figures = {
-            name: rms(np.array(values, dtype=np.float64)) for name, values in seed_values.items()
-        }
-        return figures, next(
-            (entry.refusal for entry in entries if entry.refusal is not None), None
-        )
-
+    measure = partial(_rms_figures, scenario, seed_list, progress, compute)
     base_figures, refusal = measure("no nuisance", NONE)
     if refusal is not None:
         raise InputError(
             f"The scenario {scenario.name} does not even come through without nuisances: {refusal}"
         )
     measured = {name: value for name, value in base_figures.items() if value is not None}
-    keys = {
-        stage: next((k for k in candidates if k in measured), "")
-        for stage, candidates in KEYS.items()
-    }
-    keys = {stage: name for stage, name in keys.items() if name}
+    keys = _key_figures(measured)
     quiet = {stage: measured[name] for stage, name in keys.items()}
-    rows = [
-        make_row(name, keys, quiet, *measure(f"{NUISANCES[name].title} alone", (name,)))
-        for name in names
-    ]
+    rows: list[NuisanceRow] = []
+    for name in names:
+        figures, refusal = measure(f"{NUISANCES[name].title} alone", (name,))
+        rows.append(make_row(name, keys, quiet, figures, refusal))
     # All that are on: scenario.nuisances may be a list.
-    all_figures, _ = measure(
-        "all together", scenario.nuisances if scenario.nuisances != NONE else ALL
-    )
+    all_nuisances = scenario.nuisances if scenario.nuisances != NONE else ALL
+    all_figures, _ = measure("all together", all_nuisances)
     loud = {stage: all_figures.get(name) for stage, name in keys.items()}
     ratio = {stage: _ratio(stage, keys, quiet, loud, rows) for stage in keys}
     deviating = [
         stage for stage, r in ratio.items() if r is not None and not 1 / _AGREES <= r <= _AGREES
     ]
-    together: dict[str, tuple[str, ...]] = {}
-    if deviating and len(names) > 1:
-        figures_without = {
-            name: measure(
-                f"all but {NUISANCES[name].title}", tuple(other for other in names if other != name)
-            )[0]
-            for name in names
-        }
-        together = {
-            stage: _most_changing(loud[stage] or 0.0, keys[stage], figures_without)
-            for stage in deviating
-        }
+    if len(names) == 1:
+        deviating = []  # without it nothing is left to compare
+    figures_without: dict[str, Values] = {}
+    if deviating:
+        for name in names:
+            remaining = tuple(other for other in names if other != name)
+            figures_without[name], _ = measure(f"all but {NUISANCES[name].title}", remaining)
     return Sensitivity(
         keys=keys,
         quiet=quiet,
         loud=loud,
         rows=tuple(rows),
         ratio=ratio,
-        together=together,
+        together=_together(deviating, keys, loud, figures_without),
         seeds=tuple(seed_list),
     )
 
 
-def _most_changing(
-    all_error: float, key: str, figures_without: dict[str, Values]
-) -> tuple[str, ...]:
-    """Name the two nuisances without which a key figure's error changes most.
+def _key_figures(measured: Container[str]) -> dict[str, str]:
+    """The figure that speaks for each stage: the first of its candidates that was measured."""
+    keys: dict[str, str] = {}
+    for stage, candidates in KEYS.items():
+        present = [name for name in candidates if name in measured]
+        if present:
+            keys[stage] = present[0]
+    return keys
+
+
+def _rms_figures(
+    scenario: Scenario,
+    seeds: Sequence[int],
+    progress: Progress,
+    compute: Compute | None,
+    label: str,
+    nuisances: str | tuple[str, ...],
+) -> tuple[Values, str | None]:
+    """Return the rms of each figure over the seeds, and the first refusal."""
+    entries: list[Entry] = []
+    for seed in seeds:
+        progress("sensitivity", f"{label}, seed {seed}")
+        params = scenario.params(seed, nuisances)
+        entries.append(run_specimen(scenario, params, seed, compute=compute))
+    figures: Values = {}
+    for name in dict.fromkeys(chain.from_iterable(entry.values for entry in entries)):
+        seed_values = [entry.values.get(name) for entry in entries]
+        figures[name] = rms(np.array(seed_values, dtype=np.float64))
+    refusals = [entry.refusal for entry in entries if entry.refusal is not None]
+    return figures, refusals[0] if refusals else None
+
+
+def _together(
+    stages: Sequence[str], keys: dict[str, str], loud: Values, figures_without: dict[str, Values]
+) -> dict[str, tuple[str, ...]]:
+    """Name the two nuisances without which the error of a stage's key figure changes most.
 
     A missing one changes nothing.
     """
-    errors = {name: figures.get(key) for name, figures in figures_without.items()}
-    changes = {name: 0.0 if e is None else abs(all_error**2 - e**2) for name, e in errors.items()}
-    return tuple(sorted(changes, key=lambda name: -changes[name])[:2])
+    together: dict[str, tuple[str, ...]] = {}
+    for stage in stages:
+        all_error = loud[stage] or 0.0
+        changes: dict[str, float] = {}
+        for name, figures in figures_without.items():
+            error = figures.get(keys[stage])
+            changes[name] = 0.0 if error is None else abs(all_error**2 - error**2)
+        together[stage] = tuple(sorted(changes, key=lambda name: -changes[name])[:2])
+    return together
 
 
 def make_row(
@@ -421,15 +426,12 @@ def make_row(
         if added_um is not None
     }
     max_growth = max(growth.values(), default=0.0)
+    suffers = None
     # With less growth, in baselines, no stage is said to suffer.
-    affected = (
-        stage
-        for stage, factor in growth.items()
-        if max_growth >= 0.25 and factor >= _CARRIED * max_growth
-    )
-    return NuisanceRow(
-        nuisance=name, added=added, growth=growth, suffers=next(affected, None), refusal=refusal
-    )
+    if max_growth >= 0.25:
+        hit = (stage for stage, factor in growth.items() if factor >= _CARRIED * max_growth)
+        suffers = next(hit, None)
+    return NuisanceRow(nuisance=name, added=added, growth=growth, suffers=suffers, refusal=refusal)
 
 
 def added_error(error: float | None, base: float) -> float | None:

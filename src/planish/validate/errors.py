@@ -99,13 +99,10 @@ def surface_errors(comparison: Comparison) -> Values:
     status = comparison.at_columns(surfaces["status"].values)
     has_sheet = is_off_holes & (status != Status.RIM)
     has_faces = (status == 0) | (status == Status.NORMAL_LEAVES_SHEET)
-    for share_name, is_counted in (
-        ("found_share", has_faces),
-        ("measured_share", comparison.measured),
-    ):
-        values[share_name] = (
-            100.0 * float(np.mean(is_counted[has_sheet])) if has_sheet.any() else None
-        )
+    values |= dict.fromkeys(("found_share", "measured_share"))
+    if has_sheet.any():
+        values["found_share"] = 100.0 * float(np.mean(has_faces[has_sheet]))
+        values["measured_share"] = 100.0 * float(np.mean(comparison.measured[has_sheet]))
     return values
 
 
@@ -168,12 +165,15 @@ def thickness_errors(comparison: Comparison) -> Values:
     return values
 
 
+def _flat_places(comparison: Comparison, names: tuple[str, str]) -> Floats:
+    """Flat places of the columns, (rows, cols, 2) in um."""
+    flat = comparison.groups["flat"]
+    return np.stack([comparison.at_columns(flat[name].values) for name in names], axis=-1)
+
+
 def flattening_errors(comparison: Comparison) -> Values:
     """Compare flat places of measured columns with the true ones, after the best turn and shift."""
-    flat_uv = np.stack(
-        [comparison.at_columns(comparison.groups["flat"][name].values) for name in ("u", "v")],
-        axis=-1,
-    )
+    flat_uv = _flat_places(comparison, ("u", "v"))
     flat_uv[~comparison.measured] = np.nan
     true_uv = comparison.material[..., :2]
     is_valid = np.isfinite(flat_uv).all(axis=-1) & np.isfinite(true_uv).all(axis=-1)
@@ -263,14 +263,12 @@ def contour_points(values: Floats, level: float) -> Floats:
     """Points (n, 2) as (row, col), in pixels, close together on the contour lines of a map."""
     from contourpy import LineType, contour_generator
 
-    lines = contour_generator(z=np.ma.masked_invalid(values), line_type=LineType.Separate).lines(
-        level
-    )
+    contours = contour_generator(z=np.ma.masked_invalid(values), line_type=LineType.Separate)
     share = (np.arange(_PARTS) + 0.5)[:, None] / _PARTS
-    points = [
-        start + share * (end - start) for line in lines for start, end in pairwise(np.asarray(line))
-    ]
-    return np.concatenate(points)[:, ::-1] if points else np.empty((0, 2))
+    points = [np.empty((0, 2))]
+    for line in contours.lines(level):
+        points += [start + share * (end - start) for start, end in pairwise(np.asarray(line))]
+    return np.concatenate(points)[:, ::-1]
 
 
 def hole_errors(comparison: Comparison) -> Values:
@@ -303,9 +301,9 @@ def hole_errors(comparison: Comparison) -> Values:
     values |= _side_errors(
         volume_uv, true_uv, np.all(distances_um < 2.0 * max(comparison.pitch_um), axis=1), "volume"
     )
-    localisation = [values.get(f"fle_{side}") for side in ("image", "volume")]
-    if localisation[0] is not None and localisation[1] is not None:
-        values["fle_pair"] = float(np.hypot(localisation[0], localisation[1]))
+    image_um, volume_um = values.get("fle_image"), values.get("fle_volume")
+    if image_um is not None and volume_um is not None:
+        values["fle_pair"] = float(np.hypot(image_um, volume_um))
     return values
 
 
@@ -377,9 +375,7 @@ def _projection_error(
     if scale is None or not np.isfinite(marks_uv).all():
         return None
     projected = fit_transform(marks_uv, fit.fixed, mirrored=fit.transform.mirrored, robust=False)
-    run_uv = np.stack(
-        [comparison.at_columns(comparison.groups["flat"][name].values) for name in names], axis=-1
-    )
+    run_uv = _flat_places(comparison, names)
     is_valid = (
         comparison.measured
         & np.isfinite(comparison.material[..., 0])
@@ -433,20 +429,25 @@ def statistic_errors(comparison: Comparison) -> Values:
     ]
     values = Values()
     for key, (r_measured, r_true) in (("pixel", pixel_r), ("point", point_r)):
-        is_finite = np.isfinite(r_measured) and np.isfinite(r_true)
-        correlations = (
-            (r_measured, r_true, r_measured - r_true) if is_finite else (None, None, None)
-        )
-        values |= dict(
-            zip((f"r_{key}", f"r_true_{key}", f"r_difference_{key}"), correlations, strict=True)
-        )
+        names = (f"r_{key}", f"r_true_{key}", f"r_difference_{key}")
+        correlations = (r_measured, r_true, r_measured - r_true)
+        values |= dict.fromkeys(names)
+        if np.isfinite(correlations).all():
+            values |= zip(names, correlations, strict=True)
     return values
 
 
 def pair_errors(specimens: Sequence[tuple[Specimen, InstrumentFiles]], run: Run) -> Values:
-    """Errors of two linked volumes of one sheet.
+    """Errors of two linked volumes of one sheet against its truth.
 
-    Places and thicknesses against the truth of the sheet.
+    Parameters
+    ----------
+    specimens : pairs of a specimen and its files, in the order of the run's layers
+    run : Run; the two volumes, linked
+
+    Returns
+    -------
+    dict; figure name to error of places and thicknesses, in um, and of statistics
     """
     maps = [run.groups[f"layers/{name}"] for name in PAIR]
     valid = maps[0]["valid"].values & maps[1]["valid"].values

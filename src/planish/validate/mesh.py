@@ -114,13 +114,13 @@ def size_errors(uv: Floats, flat: Floats) -> Floats:
 
     A size is the mean distance between opposite edges' nodes.
     """
+    return _sizes(uv) / _sizes(flat) - 1
 
-    def size(nodes: Floats) -> Floats:
-        width = np.linalg.norm(nodes[:, -1] - nodes[:, 0], axis=-1).mean()
-        height = np.linalg.norm(nodes[-1] - nodes[0], axis=-1).mean()
-        return np.array([width, height, width / height])
 
-    return size(uv) / size(flat) - 1
+def _sizes(nodes: Floats) -> Floats:
+    width = np.linalg.norm(nodes[:, -1] - nodes[:, 0], axis=-1).mean()
+    height = np.linalg.norm(nodes[-1] - nodes[0], axis=-1).mean()
+    return np.array([width, height, width / height])
 
 
 def node_error(uv: Floats, flat: Floats) -> float:

@@ -97,7 +97,17 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
 
 
 def render_page(certificate: Certificate, table: Sensitivity | None = None) -> str:
-    """Return the page of a certificate as text; the same certificate gives the same bytes."""
+    """Render a certificate as a page; the same certificate gives the same bytes.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    table : Sensitivity, optional; shown below the figures
+
+    Returns
+    -------
+    str; the text of an HTML file
+    """
     heat_rows: list[list[tuple[str, bool]]] = []
     if table is not None:
         for row in table.rows:

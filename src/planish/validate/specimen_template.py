@@ -135,13 +135,13 @@ class SpecimenTemplate:
                 f"Blur of {blur:.2g} um (standard deviation), learnt by the surface search."
             )
         air, base, noise = surfaces.grey_air, surfaces.grey_base, surfaces.grey_noise
-        coating = (
-            surfaces.grey_coating_bottom
-            if surfaces.grey_coating_top is None
-            else surfaces.grey_coating_top
-        )
+        if air is None or base is None or noise is None:
+            return
+        coating = surfaces.grey_coating_top
+        if coating is None:
+            coating = surfaces.grey_coating_bottom
         bright = base if coating is None else coating
-        if air is None or base is None or noise is None or bright is None or bright == air:
+        if bright == air:
             return
         self.change("scanner", noise=noise / abs(bright - air))
         self.derived.append(
@@ -225,11 +225,11 @@ class SpecimenTemplate:
             f"The sheet is bent in one direction only; across it the slopes are {share:.2g} times"
             " as large."
         )
-        spans = [
-            [np.ptp(_finite(flat[f"{view}{a}"].values)) for view in ("", "projected_")]
-            for a in "uv"
-        ]
-        growth_um = [float(flattened - projected) for flattened, projected in spans]
+        growth_um: list[float] = []
+        for axis in "uv":
+            flattened = np.ptp(_finite(flat[axis].values))
+            projected = np.ptp(_finite(flat[f"projected_{axis}"].values))
+            growth_um.append(float(flattened - projected))
         self.derived.append(
             f"For comparison: flattening made the run's sheet longer by {growth_um[0]:.0f} x"
             f" {growth_um[1]:.0f} um."

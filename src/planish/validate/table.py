@@ -1,6 +1,7 @@
 """A certificate as rows and sentences: for the terminal, for a page in Markdown, and as JSON."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import groupby
 from typing import Any
@@ -44,19 +45,14 @@ def by_stage(certificate: Certificate) -> list[tuple[str, list[LedgerLine]]]:
 
     Those that no specimen has are included.
     """
-    lines = certificate.lines().values()
-    return [
-        (STAGES[stage], list(group))
-        for stage, group in groupby(lines, key=lambda line: line.figure.stage)
-    ]
+    groups = groupby(certificate.lines().values(), key=lambda line: line.figure.stage)
+    return [(STAGES[stage], list(group)) for stage, group in groups]
 
 
 def cells(line: LedgerLine) -> tuple[str, ...]:
     """Return title, unit, mean, standard deviation, worst value, limit and state, as written."""
-    numbers = (
-        NONE if v is None else number(v, n)
-        for v, n in ((line.mean, 3), (line.sd, 2), (line.worst, 3))
-    )
+    values = ((line.mean, 3), (line.sd, 2), (line.worst, 3))
+    numbers = (NONE if value is None else number(value, digits) for value, digits in values)
     return line.figure.title, unit(line.figure.unit), *numbers, limit_text(line), STATES[line.met]
 
 
@@ -76,27 +72,23 @@ def sensitivity_rows(table: Sensitivity) -> tuple[tuple[str, ...], list[tuple[st
 
     The rows also say where it comes in.
     """
-
-    def write(values: Values) -> list[str]:
-        return [
-            fixed(values[s], 4 if FIGURES[name].unit == "1" else 2)
-            for s, name in table.keys.items()
-        ]
-
-    rows = [("no nuisance", *write(dict(table.quiet)), "")]
+    rows = [("no nuisance", *_key_cells(dict(table.quiet), table.keys), "")]
     for row in table.rows:
-        added_cells = ["refused"] * len(table.keys) if row.refusal else write(row.added)
-        rows.append(
-            (
-                NUISANCES[row.nuisance].title,
-                *added_cells,
-                STAGES[row.suffers] if row.suffers else NONE,
-            )
-        )
-    rows.append(("all together", *write(table.loud), ""))
+        added_cells = ["refused"] * len(table.keys)
+        if not row.refusal:
+            added_cells = _key_cells(row.added, table.keys)
+        suffers = STAGES[row.suffers] if row.suffers else NONE
+        rows.append((NUISANCES[row.nuisance].title, *added_cells, suffers))
+    rows.append(("all together", *_key_cells(table.loud, table.keys), ""))
     rows.append(("sum / all", *(number(table.ratio[s], 2) for s in table.keys), ""))
     heading = ("", *(_SHORT.get(s, s) for s in table.keys), "suffers")
-    return heading, [tuple(in_ascii(cell) for cell in row) for row in rows]
+    return heading, [tuple(map(in_ascii, row)) for row in rows]
+
+
+def _key_cells(values: Values, keys: dict[str, str]) -> list[str]:
+    """Value of each stage, with the decimals of its key figure."""
+    decimals = {stage: 4 if FIGURES[name].unit == "1" else 2 for stage, name in keys.items()}
+    return [fixed(values[stage], decimals[stage]) for stage in keys]
 
 
 def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
@@ -107,17 +99,16 @@ def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
         f"{verdict(certificate)} {summary(certificate)}",
         "",
     ]
-    note_lines = [f"- {note}" for note in certificate.notes]
-    outcome_lines = [
-        f"- Seed {entry.seed}: {entry.refusal}" for entry in certificate.entries if entry.refusal
-    ]
-    outcome_lines += [
-        f"- Seed {entry.seed}, failed: {check}"
-        for entry in certificate.entries
-        for check in entry.failed
-    ]
-    for bullet_lines in (note_lines, outcome_lines):
-        lines += [*bullet_lines, ""] if bullet_lines else []
+    notes = [f"- {note}" for note in certificate.notes]
+    refusals: list[str] = []
+    failures: list[str] = []
+    for entry in certificate.entries:
+        if entry.refusal:
+            refusals.append(f"- Seed {entry.seed}: {entry.refusal}")
+        failures += [f"- Seed {entry.seed}, failed: {check}" for check in entry.failed]
+    for bullets in (notes, refusals + failures):
+        if bullets:
+            lines += [*bullets, ""]
     lines += [
         "| Stage | Figure | Unit | Mean | sd | Worst | Limit | |",
         "|---|---|---|---:|---:|---:|---:|---|",
@@ -125,25 +116,28 @@ def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
     for stage, group in by_stage(certificate):
         for k, line in enumerate(group):
             *row, limit, state = cells(line)
-            source = f" ({line.limit.source})" if line.limit and line.limit.source else ""
-            row_cells = (
-                "" if k else stage,
-                *row,
-                limit + source,
-                f"**{state}**" if line.met is False else state,
-            )
-            lines.append(f"| {' | '.join(row_cells)} |")
+            if line.limit and line.limit.source:
+                limit = f"{limit} ({line.limit.source})"
+            if line.met is False:
+                state = f"**{state}**"
+            lines.append(_table_line(["" if k else stage, *row, limit, state]))
     if table is not None:
         heading, rows = sensitivity_rows(table)
         lines += [
             "",
             "What each nuisance alone adds to the key figure of each stage, in squares:",
             "",
+            _table_line(heading),
+            "|---|" + "---:|" * (len(heading) - 2) + "---|",
+            *map(_table_line, rows),
+            "",
+            *(f"- {sum_sentence(stage, table)}" for stage in table.keys),
         ]
-        lines += [f"| {' | '.join(heading)} |", "|---|" + "---:|" * (len(heading) - 2) + "---|"]
-        lines += [f"| {' | '.join(row)} |" for row in rows]
-        lines += ["", *(f"- {sum_sentence(stage, table)}" for stage in table.keys)]
     return "\n".join(lines) + "\n"
+
+
+def _table_line(row: Sequence[str]) -> str:
+    return f"| {' | '.join(row)} |"
 
 
 def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[str, Any]:
@@ -160,19 +154,7 @@ def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[
         "summary": summary(certificate),
         "passed": certificate.passed,
         "notes": list(certificate.notes),
-        "figures": {
-            name: (
-                {key: getattr(line.figure, key) for key in ("stage", "unit", "title", "sentence")}
-                | {
-                    "mean": line.mean,
-                    "sd": line.sd or 0.0,
-                    "worst": line.worst,
-                    "n": len(line.measured),
-                }
-            )
-            for name, line in lines.items()
-            if line.measured
-        },
+        "figures": {name: _figure_json(line) for name, line in lines.items() if line.measured},
         "limits": [
             {
                 "name": name,
@@ -205,21 +187,25 @@ def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[
     return data
 
 
+def _figure_json(line: LedgerLine) -> dict[str, Any]:
+    figure = line.figure._asdict()
+    del figure["name"], figure["better"]
+    numbers = {"mean": line.mean, "sd": line.sd or 0.0, "worst": line.worst}
+    return {**figure, **numbers, "n": len(line.measured)}
+
+
 def verdict(certificate: Certificate) -> str:
     """Say in one or two sentences which errors a user may expect."""
     lines = certificate.lines()
     means = {name: line.mean for name, line in lines.items() if line.mean is not None}
     if certificate.scenario.kind == "mesh":
-        worst = [
-            abs(lines[name].worst or 0.0)
-            for name in ("mesh_width", "mesh_height", "mesh_aspect")
-            if name in means
-        ]
-        if not worst:
+        sizes = [name for name in ("mesh_width", "mesh_height", "mesh_aspect") if name in means]
+        if not sizes:
             return "The mesh came to no rest."
+        worst = max(abs(lines[name].worst or 0.0) for name in sizes)
         return (
             "The deformed mesh of Fig. 5 comes back to its size within"
-            f" {percent(max(worst) / 100, 2)}, in {number(means['mesh_seconds'], 2)} s."
+            f" {percent(worst / 100, 2)}, in {number(means['mesh_seconds'], 2)} s."
         )
     if not means:
         return "The program gave no result on specimens like these."
@@ -236,23 +222,24 @@ def verdict(certificate: Certificate) -> str:
         sentences.append(
             f"At a pixel {', '.join(clauses)} (rms).".replace(" by ", " is off by ", 1)
         )
-    return (
-        " ".join(sentences)
-        or "The maps of specimens like these were made, but not linked to an image."
-    )
+    if not sentences:
+        return "The maps of specimens like these were made, but not linked to an image."
+    return " ".join(sentences)
 
 
 def summary(certificate: Certificate) -> str:
     """Count the specimens that came through and the limits that are met, in sentences."""
     entries = certificate.entries
-    n = len(certificate.entries)
+    n = len(entries)
     limits_met = [line.met for line in certificate.lines().values() if line.met is not None]
     noun = "deformation" if certificate.scenario.kind == "mesh" else "specimen"
-    refused, failed = (
-        sum(bool(getattr(entry, field)) for entry in entries) for field in ("refusal", "failed")
-    )
-    sentences = [f"On {refused} of {n} {noun}s the program gave no result."] if refused else []
-    sentences += [f"On {failed} of {n} {noun}s a check of the run failed."] if failed else []
+    refused = sum(bool(entry.refusal) for entry in entries)
+    failed = sum(bool(entry.failed) for entry in entries)
+    sentences: list[str] = []
+    if refused:
+        sentences.append(f"On {refused} of {n} {noun}s the program gave no result.")
+    if failed:
+        sentences.append(f"On {failed} of {n} {noun}s a check of the run failed.")
     missed = limits_met.count(False)
     if not limits_met:
         sentences.append("The scenario sets no limits.")
@@ -308,10 +295,9 @@ def row_sentence(row: NuisanceRow) -> str:
     title = NUISANCES[row.nuisance].title
     if row.refusal is not None:
         return f"{title}: the program gives no result. {row.refusal}"
-    return (
-        f"{title}:"
-        f" {f'{STAGES[row.suffers].lower()} suffers first' if row.suffers else 'no stage notices'}."
-    )
+    if row.suffers is None:
+        return f"{title}: no stage notices."
+    return f"{title}: {STAGES[row.suffers].lower()} suffers first."
 
 
 def sum_sentence(stage: str, table: Sensitivity) -> str:

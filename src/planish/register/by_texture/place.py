@@ -16,7 +16,7 @@ from planish.register.by_texture.rotations import Names, compared
 from planish.texture.detrend import PhaseSurrogate
 from planish.texture.lag_field import lag_field
 from planish.texture.lag_search import LagSearch
-from planish.texture.ncc import MARGIN, Peak, find_peak, within
+from planish.texture.ncc import MARGIN, find_peak, within
 from planish.texture.textures import Textures, relate, standard
 
 _LEAST_PIXELS, _MOST_PIXELS = 100, 15_000  # that both layers show; of them, used for tuning
@@ -36,9 +36,9 @@ def tuned_place(
     start: Similarity,
     *,
     reach_um: float,
-    beside: tuple[str, ...],
+    other_maps: tuple[str, ...],
 ) -> Similarity:
-    """Climb from a place to where a map, with those ``beside`` it, explains most of the image.
+    """Climb from a place to where a map, with those ``other_maps``, explains most of the image.
 
     What an image shows of other maps, and of the face's slopes in light from one side, moves one
     map's best place. ``reach_um`` is about how far off the corners of the map are at the start.
@@ -47,7 +47,7 @@ def tuned_place(
     every = max(rows.size // _MOST_PIXELS, 1)  # neighbours say the same
     rows, cols = rows[::every], cols[::every]
     points = np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=1)
-    maps = np.stack([moving.maps[k][rows, cols] for k in (names[0], *beside)])
+    maps = np.stack([moving.maps[k][rows, cols] for k in (names[0], *other_maps)])
     middle = points.mean(axis=0)
     image = _Sampled(fixed, names[1])
     arm_um = float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1))))
@@ -71,7 +71,7 @@ def tuned_place(
             products @ np.linalg.pinv(centred @ centred.T) @ products / (grey @ grey)
         )
 
-    found = optimize.minimize(
+    optimum = optimize.minimize(
         lambda p: unexplained(placed(p)),
         np.zeros(4),
         method="Nelder-Mead",
@@ -82,7 +82,7 @@ def tuned_place(
             "maxfev": 400,
         },
     )
-    return placed(found.x)
+    return placed(optimum.x)
 
 
 def shifted_place(
@@ -92,17 +92,17 @@ def shifted_place(
     place: Similarity,
     *,
     reach_um: float,
-    beside: tuple[str, ...],
+    other_maps: tuple[str, ...],
 ) -> Similarity:
-    """Shift a place to where a map, with those ``beside`` it, explains most of the image.
+    """Shift a place to where a map, with those ``other_maps``, explains most of the image.
 
     A map goes with its own slopes a quarter of a wave off. Where those are much of what an image
     shows, it is found there, and cannot climb back.
     """
-    seen, is_valid = _seen(moving, fixed, names[1], place)
-    shown = np.stack([standard(moving.maps[k], is_valid) for k in (names[0], *beside)])
+    image, is_valid = _on_moving_pixels(moving, fixed, names[1], place)
+    shown = np.stack([standard(moving.maps[k], is_valid) for k in (names[0], *other_maps)])
     rows, cols = (round(reach_um / p) for p in moving.pixel_um)
-    search = LagSearch(shown, seen, is_valid, (rows + MARGIN, cols + MARGIN))
+    search = LagSearch(shown, image, is_valid, (rows + MARGIN, cols + MARGIN))
     peak = find_peak(search.share, within((rows, cols)))
     if peak is None:
         return place
@@ -114,8 +114,8 @@ def clearest_maps(moving: Textures, fixed: Textures, place: Similarity) -> Names
     """The maps that go together most clearly at a place."""
 
     def z(names: Names) -> float:
-        seen, is_valid = _seen(moving, fixed, names[1], place)
-        return abs(relate(moving.maps[names[0]], seen, is_valid, moving.pixel_um).z)
+        image, is_valid = _on_moving_pixels(moving, fixed, names[1], place)
+        return abs(relate(moving.maps[names[0]], image, is_valid, moving.pixel_um).z)
 
     return max(compared(moving, fixed), key=z)
 
@@ -142,28 +142,27 @@ def tile_places(
     names: Names,
     place: Placing,
     *,
-    beside: tuple[str, ...],
+    other_maps: tuple[str, ...],
     light: tuple[str, ...],
     strain: float = 0.0,
 ) -> TilePlaces:
     """Find where tiles of a map lie in the image, near the place of the whole.
 
     Tiles share no pixel. Their side follows from how far the whole stands out from chance: each has
-    to by itself. What the maps ``beside`` it and ``light``, the slopes of the face, explain is
+    to by itself. What the maps ``other_maps`` and ``light``, the slopes of the face, explain is
     taken with it: light moves no tile. ``strain`` is that by which the layers may differ from the
     place: tiles are sought as far off as it takes the corners, and none is so large that it blurs
     them.
     """
     pixel_um = moving.pixel_um
-    b, is_valid = _seen(moving, fixed, names[1], place)
+    b, is_valid = _on_moving_pixels(moving, fixed, names[1], place)
     a = standard(moving.maps[names[0]], is_valid)
     relation = relate(a, b, is_valid, pixel_um)
     shared_um2 = np.zeros((2, 2))
-    if beside or light:
-        shown = np.stack([a, *(standard(moving.maps[k], is_valid) for k in (*beside, *light))])
-        shared_um2 = (
-            _shared(shown, b, is_valid, pixel_um, slopes=len(light)) if light else shared_um2
-        )
+    if other_maps or light:
+        shown = np.stack([a, *(standard(moving.maps[k], is_valid) for k in (*other_maps, *light))])
+        if light:
+            shared_um2 = _shared(shown, b, is_valid, pixel_um, slopes=len(light))
         weights = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)[0]
         a = standard(math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1), is_valid)
         relation = replace(relation, r=math.copysign(relation.r, weights[0]))
@@ -188,22 +187,20 @@ def tile_places(
     at_um, lag_um = field.at_um[field.distinct], field.lag_um[field.distinct]
     turn = place.matrix()
     off_um = np.hypot(*field.lag_um.T)
-    covariance, shared = (
-        turn @ field.covariance_um2[field.distinct] @ turn.T,
-        turn @ shared_um2 @ turn.T,
-    )
     return TilePlaces(
         at_um,
         place(at_um + lag_um),
-        covariance,
-        shared,
+        turn @ field.covariance_um2[field.distinct] @ turn.T,
+        turn @ shared_um2 @ turn.T,
         relation.r,
         place.similarity,
         bool(np.count_nonzero(off_um <= max(pixel_um)) >= _MOST_TILES * off_um.size),
     )
 
 
-def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair, *, slopes: int) -> Floats:
+def _shared(
+    shown: Floats, image: Floats, is_valid: Bools, pixel_um: Pair, *, slopes: int
+) -> Floats:
     """Covariance (2, 2) of a shift of all tiles, ``(x, y)`` in um.
 
     It is due to what light from one side leaves.
@@ -212,30 +209,28 @@ def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair, *, slo
     regression leaves some of it undecided; and what the slopes take off is known to a fifth, as no
     light is quite what they are.
     """
-    reach = (3, 3)
-
-    def peak(maps: Floats) -> tuple[LagSearch, Peak | None]:
-        search = LagSearch(maps, seen, is_valid, (reach[0] + MARGIN, reach[1] + MARGIN))
-        return search, find_peak(search.share, within(reach))
-
-    search, with_slopes = peak(shown)
-    _, without = peak(shown[:-slopes])
+    reach = 3  # pixels along either axis
+    lags = (reach + MARGIN, reach + MARGIN)
+    search = LagSearch(shown, image, is_valid, lags)
+    search_without = LagSearch(shown[:-slopes], image, is_valid, lags)
+    with_slopes = find_peak(search.share, within((reach, reach)))
+    without = find_peak(search_without.share, within((reach, reach)))
     if with_slopes is None or without is None or not with_slopes.inner:
-        return np.diag([(0.5 * k * p) ** 2 for k, p in zip(reach, pixel_um, strict=True)])[
-            ::-1, ::-1
-        ]
+        return np.diag([(0.5 * reach * p) ** 2 for p in pixel_um[::-1]])
     taken_off = _OF_LIGHT * (with_slopes.summit_px - without.summit_px)
     covariance = search.covariance(with_slopes, pixel_um) + np.outer(taken_off, taken_off)
     return covariance[::-1, ::-1] * np.outer(pixel_um[::-1], pixel_um[::-1])
 
 
-def _seen(moving: Textures, fixed: Textures, name: str, place: Placing) -> tuple[Floats, Bools]:
+def _on_moving_pixels(
+    moving: Textures, fixed: Textures, name: str, place: Placing
+) -> tuple[Floats, Bools]:
     """What a map of the fixed layer shows on the pixels of the moving one, and where both do."""
     rows, cols = np.indices(moving.known.shape)
     points = np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=-1)
-    seen, is_known = _Sampled(fixed, name)(place(points))
+    values, is_known = _Sampled(fixed, name)(place(points))
     is_valid = moving.known & is_known
-    return standard(np.where(is_valid, seen, 0.0), is_valid), is_valid
+    return standard(np.where(is_valid, values, 0.0), is_valid), is_valid
 
 
 class _Sampled:
@@ -248,6 +243,6 @@ class _Sampled:
 
     def __call__(self, points: Floats) -> tuple[Floats, Bools]:
         """Values at points (..., 2), ``(x, y)`` in um, and which of them are known."""
-        at = np.moveaxis(points / self._pixel_um, -1, 0)[::-1]
-        grey = ndimage.map_coordinates(self._spline, at, order=3, prefilter=False)
-        return grey, ndimage.map_coordinates(self._known, at, order=1) >= 0.5
+        pixels = np.moveaxis(points / self._pixel_um, -1, 0)[::-1]
+        grey = ndimage.map_coordinates(self._spline, pixels, order=3, prefilter=False)
+        return grey, ndimage.map_coordinates(self._known, pixels, order=1) >= 0.5

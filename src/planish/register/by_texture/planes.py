@@ -138,11 +138,11 @@ class TexturedPlane:
         coarse_um: Pair = factors[0] * self.grid.pixel_um[0], factors[1] * self.grid.pixel_um[1]
         is_known = np.any([np.isfinite(m) for m in shown.values()], axis=0)
         first = [0.5 * (c - p) for c, p in zip(coarse_um, self.grid.pixel_um, strict=True)]
-        found = textures(shown, is_known, coarse_um, band_um=BAND_UM, most_pixels=np.inf)
-        for name in faces.keys() & found.maps.keys():
+        layer = textures(shown, is_known, coarse_um, band_um=BAND_UM, most_pixels=np.inf)
+        for name in faces.keys() & layer.maps.keys():
             # Light spreads in paper: an image shows short waves of slopes less than long ones.
-            found = found.with_slopes(name).halved(f"{name}_x", f"{name}_y")
-        return found, np.array(self.grid.origin_um) + first[::-1]
+            layer = layer.with_slopes(name).halved(f"{name}_x", f"{name}_y")
+        return layer, np.array(self.grid.origin_um) + first[::-1]
 
 
 class PlanePair(NamedTuple):

@@ -253,10 +253,10 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: i
     best_of_cells = sorted((max(cell, key=z) for cell in cells), key=z, reverse=True)
     best = best_of_cells[0]
     reach_um = scanner.reach_um(best.names)
-    others = np.array(
-        [z(p) for p in best_of_cells if scanner.turned_um(p.turn, best.turn) > reach_um]
-    )
-    probability = _exceeded(z(best), others) if others.size >= _LEAST_ROTATIONS else 1.0
+    unrelated = [p for p in best_of_cells if scanner.turned_um(p.turn, best.turn) > reach_um]
+    probability = 1.0
+    if len(unrelated) >= _LEAST_ROTATIONS:
+        probability = _exceeded(z(best), np.array([z(p) for p in unrelated]))
     finest = best
     for turn, scales in steps.about(best.turn):
         finer = [p for p in scanner.peaks(turn, scales, best.near) if p.names == best.names]
@@ -273,27 +273,28 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: i
     )
 
 
-def _exceeded(z: float, others: Floats) -> float:
+def _exceeded(z: float, chance_z: Floats) -> float:
     """Probability that any of so many rotations, and one more, of unrelated textures reaches z.
 
     The best of a rotation is distributed as ``exp(-A x exp(-x**2 / 2))`` with x = z / s. Few
     rotations leave A and s uncertain, and the tail more so: both are integrated over.
     """
-    if not np.quantile(others, 0.5) > 0.0:  # a constant image, or none of it known, is like nothing
+    # a constant image, or none of it known, is like nothing
+    if not np.quantile(chance_z, 0.5) > 0.0:
         return 1.0
-
-    def log_rates(x: Floats) -> Floats:
-        return np.log(np.maximum(x, 1e-9)) - 0.5 * x**2
-
     s = np.geomspace(0.8, 3.0, 67)[:, None]  # below 0.8 it is chance among few rotations
-    x = np.maximum(others / s, 1.2)
-    log_sums = special.logsumexp(log_rates(others / s), axis=1)
-    independent = _INDEPENDENT * others.size
+    x = np.maximum(chance_z / s, 1.2)
+    log_sums = special.logsumexp(_log_rates(chance_z / s), axis=1)
+    independent = _INDEPENDENT * chance_z.size
     log_likelihood = -_INDEPENDENT * np.sum(np.log(s) + 0.5 * x**2 - np.log(x**2 - 1.0), axis=1)
     weights = special.softmax(log_likelihood - independent * log_sums)
-    rates = np.exp(np.minimum(log_rates(z / s[:, 0]) - log_sums, 700.0))
-    expected = (others.size + 1) / _INDEPENDENT * rates
+    rates = np.exp(np.minimum(_log_rates(z / s[:, 0]) - log_sums, 700.0))
+    expected = (chance_z.size + 1) / _INDEPENDENT * rates
     return float(np.sum(weights * -np.expm1(-independent * np.log1p(expected))))
+
+
+def _log_rates(x: Floats) -> Floats:
+    return np.log(np.maximum(x, 1e-9)) - 0.5 * x**2
 
 
 class _Window(NamedTuple):
@@ -317,6 +318,7 @@ class _Scanner:
         *,
         is_near: bool,
     ) -> None:
+        """Take ``share`` of the map, from its middle; and spectra of the image unless near."""
         self.middle_um = moving.middle_um
         moving = moving.middle_part(share)
         self._moving = moving
@@ -402,9 +404,9 @@ class _Scanner:
         """The highest correlation of each map at each scale."""
         for scaled, names, height, window, shifts in self._heights(turn, scales, near):
             row, col = divmod(int(np.argmax(np.abs(height))), height.shape[1])
-            at = row + window.first[0], col + window.first[1]
+            pixel = row + window.first[0], col + window.first[1]
             squares = float(np.vdot(height, height))
-            yield _Peak(scaled, names, float(height[row, col]), at, near, squares, shifts)
+            yield _Peak(scaled, names, float(height[row, col]), pixel, near, squares, shifts)
 
     def rivals(self, best: _Peak) -> Iterator[_Peak]:
         """Summits at the turn of the best one that are nearly as high, also beside its window.
@@ -421,19 +423,18 @@ class _Scanner:
             height = np.abs(signed) * (names == best.names)
             is_high = height > RIVAL * abs(best.height)
             is_summit = height == ndimage.maximum_filter(height, 3)
-            for at in np.argwhere(is_high & is_summit).tolist():
-                row, col = at[0] + window.first[0], at[1] + window.first[1]
-                yield best._replace(height=float(height[*at]), at=(row, col))
+            for row, col in np.argwhere(is_high & is_summit).tolist():
+                pixel = row + window.first[0], col + window.first[1]
+                yield best._replace(height=float(height[row, col]), at=pixel)
 
     def candidate(self, peak: _Peak, z: float) -> Candidate:
         """The place of a peak that is so high."""
         return Candidate(names=peak.names, z=z, place=self.place(peak.turn, peak.at))
 
-    def place(self, turn: Similarity, at: tuple[int, int]) -> Similarity:
+    def place(self, turn: Similarity, pixel: tuple[int, int]) -> Similarity:
         """Transformation that puts the middle of the map on a pixel of the image."""
-        return nearest_similarity(
-            turn.matrix(), self.middle_um, np.array(at[::-1]) * self._fixed_px
-        )
+        target_um = np.array(pixel[::-1]) * self._fixed_px
+        return nearest_similarity(turn.matrix(), self.middle_um, target_um)
 
     def _heights(
         self, turn: Similarity, scales: tuple[float, ...], near: Near | None

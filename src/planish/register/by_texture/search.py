@@ -18,7 +18,7 @@ import xarray as xr
 from planish.core.errors import CannotRegister, InputError
 from planish.core.text import plain_numbers
 from planish.core.transform import Similarity
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats, Pair, pair_of
 from planish.register.by_texture.place import (
     TilePlaces,
     clearest_maps,
@@ -110,10 +110,10 @@ def find_places(
             break
         for near in _nears(layers, params, holes):
             hand = None if params.mirror else is_bottom
-            found = _searched(layers, params, mirrored=hand, near=near, looks=1 + by_pixel)
-            if found.search.is_sure:
-                return layers, found
-            tried.append((layers, found))
+            result = _searched(layers, params, mirrored=hand, near=near, looks=1 + by_pixel)
+            if result.search.is_sure:
+                return layers, result
+            tried.append((layers, result))
     layers, best = min(tried, key=lambda t: t[1].search.false_probability)
     raise _undecided(best, layers)
 
@@ -135,22 +135,25 @@ def _nears(
             )
         x, y, radius_um = (length_um / layers.unit_um for length_um in (x, y, radius_um))
         if layers.swapped:  # the middle of the second layer lies there in the first one
-            mx, my = layers.b.middle_um.tolist()
-            yield [Near(fixed_um=(mx, my), radius_um=radius_um, moving_um=(x, y))]
+            middle_um = pair_of(layers.b.middle_um)
+            yield [Near(fixed_um=middle_um, radius_um=radius_um, moving_um=(x, y))]
         else:
             yield [Near(fixed_um=(x, y), radius_um=radius_um)]
         return
     if holes is not None and all(1 <= h.sizes["mark"] <= _FEW_HOLES for h in holes):
-        places = [
-            (np.stack([h["x"].values, h["y"].values], axis=1) / layers.unit_um).tolist()
-            for h in holes
-        ]
-        first, second = reversed(places) if layers.swapped else places
+        first, second = reversed(holes) if layers.swapped else holes
         yield [
-            Near(fixed_um=(b[0], b[1]), radius_um=_HOLE_UM, moving_um=(a[0], a[1]))
-            for a, b in product(first, second)
+            Near(fixed_um=b_um, radius_um=_HOLE_UM, moving_um=a_um)
+            for a_um, b_um in product(
+                _centres_of(first, layers.unit_um), _centres_of(second, layers.unit_um)
+            )
         ]
     yield ()
+
+
+def _centres_of(holes: xr.Dataset, unit_um: float) -> list[Pair]:
+    x, y = ((holes[axis].values / unit_um).tolist() for axis in ("x", "y"))
+    return list(zip(x, y, strict=True))
 
 
 def _searched(
@@ -172,10 +175,8 @@ def _searched(
     tolerance = min(params.scale_tolerance, _GUESS_TOLERANCE)
     beyond = math.log((1.0 + params.scale_tolerance) / (1.0 + _GUESS_TOLERANCE))
     count = max(math.ceil(beyond / math.log(_SCALE_GUESS)), 0)
-    guesses = sorted(
-        (_SCALE_GUESS**k for k in range(-count, count + 1)), key=lambda g: abs(math.log(g))
-    )
-    for guess in guesses:
+    guesses = [_SCALE_GUESS**k for k in range(-count, count + 1)]
+    for guess in sorted(guesses, key=lambda g: abs(math.log(g))):
         b = layers.b.scaled(guess)
         if near:
             b = _seen_from(b, a, near, guess)
@@ -190,22 +191,20 @@ def _searched(
                 Near(fixed_um=n.moving_um or (0, 0), radius_um=n.radius_um, moving_um=n.fixed_um)
                 for n in places
             ]
-            found = search_place(
+            search = search_place(
                 b_texture, a_texture, mirrored=mirrored, scale_tolerance=tolerance, near=inverse
-            )
-            search = found.inverse
+            ).inverse
         else:
             search = search_place(
                 a_texture, b_texture, mirrored=mirrored, scale_tolerance=tolerance, near=places
             )
-        search = replace(
-            search, false_probability=min(looks * len(guesses) * search.false_probability, 1.0)
-        )
-        places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
-        if best is None or search.false_probability < best.search.false_probability:
+        probability = min(looks * len(guesses) * search.false_probability, 1.0)
+        if best is None or probability < best.search.false_probability:
+            places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
             fixed_places = tuple(
                 _between_layers(p, guess, swapped=layers.swapped) for p in places_um
             )
+            search = replace(search, false_probability=probability)
             best = Found(search, places_um[0], guess, fixed_places)
         if best.search.is_sure:
             break
@@ -248,15 +247,14 @@ def _of_textures(
     near: Near, a: TexturedPlane, a_first: Floats, b_first: Floats, guess: float
 ) -> Near:
     """A rough place between layers, between their textures, whose first pixels lie elsewhere."""
-    ax, ay = ((near.moving_um or a.middle_um) - a_first).tolist()
-    bx, by = (guess * np.array(near.fixed_um) - b_first).tolist()
-    return Near(fixed_um=(bx, by), radius_um=guess * near.radius_um, moving_um=(ax, ay))
+    moving_um = pair_of((near.moving_um or a.middle_um) - a_first)
+    fixed_um = pair_of(guess * np.array(near.fixed_um) - b_first)
+    return Near(fixed_um=fixed_um, radius_um=guess * near.radius_um, moving_um=moving_um)
 
 
 def _moved(place: Similarity, moving_first: Floats, fixed_first: Floats) -> Similarity:
     """A place between textures, between layers in which their first pixels lie elsewhere."""
-    x, y = (place(-moving_first) + fixed_first).tolist()
-    return replace(place, shift_um=(x, y))
+    return replace(place, shift_um=pair_of(place(-moving_first) + fixed_first))
 
 
 def tiles_near(
@@ -275,8 +273,8 @@ def tiles_near(
     """
     a = layers.a
     b = layers.b.scaled(scaled)
-    seen = place(a.corners_um)
-    b = _part_of(b, seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
+    corners = place(a.corners_um)
+    b = _part_of(b, corners.min(axis=0) - _AROUND_UM, corners.max(axis=0) + _AROUND_UM)
     has_light = not b.is_sheet
     moving, moving_first = a.texture(_FINE_UM, slopes=has_light)
     fixed, fixed_first = b.texture(_FINE_UM)
@@ -284,14 +282,14 @@ def tiles_near(
     place = _moved(place, -moving_first, -fixed_first)
     names = names or clearest_maps(moving, fixed, place)
     # Two sheets are compared map by map; an image shows the other maps, too.
-    beside = tuple(k for k in a.maps if has_light and k in moving.maps and k != names[0])
-    with_light = (*beside, *light)
+    other_maps = tuple(k for k in a.maps if has_light and k in moving.maps and k != names[0])
+    with_light = (*other_maps, *light)
     if off_um and light:
         reach_um = off_um + BAND_UM[1] / 4
-        place = shifted_place(moving, fixed, names, place, reach_um=reach_um, beside=with_light)
+        place = shifted_place(moving, fixed, names, place, reach_um=reach_um, other_maps=with_light)
     if off_um:
-        place = tuned_place(moving, fixed, names, place, reach_um=off_um, beside=with_light)
-    tiles_at = partial(tile_places, moving, fixed, names, beside=beside, light=light)
+        place = tuned_place(moving, fixed, names, place, reach_um=off_um, other_maps=with_light)
+    tiles_at = partial(tile_places, moving, fixed, names, other_maps=other_maps, light=light)
     tiles = tiles_at(place)
     if not tiles.is_there:
         # Chance may have moved the tiles of a weak pair; then the map goes worse with the image.
@@ -326,12 +324,13 @@ def _bent_tiles(
     return tiles_at(fit.transform)
 
 
-def _undecided(found: Found, layers: PlanePair) -> Undecided:
-    search, middle = found.search, (layers.b if layers.swapped else layers.a).middle_um
+def _undecided(best: Found, layers: PlanePair) -> Undecided:
+    search = best.search
+    middle = (layers.b if layers.swapped else layers.a).middle_um
     places: list[FoundPlace] = []
-    for candidate, place in zip(search.candidates, found.places, strict=True):
-        x, y = (layers.unit_um * place(middle)).tolist()
-        places.append(FoundPlace(in_unit(place, 1.0 / layers.unit_um), (x, y), candidate.z))
+    for candidate, place in zip(search.candidates, best.places, strict=True):
+        middle_um = pair_of(layers.unit_um * place(middle))
+        places.append(FoundPlace(in_unit(place, 1.0 / layers.unit_um), middle_um, candidate.z))
     text = (
         "Best places, in standard deviations of chance:"
         f" {'; '.join(place.sentence for place in places[:3])}."
