@@ -248,6 +248,11 @@ def test_correction_takes_the_shared_error_off():
         assert put_right.plain_interval[0] < value < put_right.plain_interval[1]
         assert found.by_errors == pytest.approx(found.plain - put_right.plain, rel=1e-9)
         assert abs(found.plain - value) > 3 * abs(put_right.plain - value)
+    of_layer = {name: f"ct.{name}" for name in names}
+    named = explained(data.rename(of_layer), of=[*of_layer.values()], corrected=True)
+    for name in names:
+        assert named.coefficients[of_layer[name]].plain == corrected.coefficients[name].plain
+    assert named.shared_errors[0].a == "ct.coating_top"
     too_large = data.assign({k: 3 * data[k] for k in stated})
     with pytest.raises(CannotMeasure, match="as large as what varies"):
         explained(too_large, of=names, corrected=True)

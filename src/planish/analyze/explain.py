@@ -24,7 +24,7 @@ from planish.analyze.distributions import ranks
 from planish.analyze.generalised_least_squares import ExponentialCovariance, weighed_regression
 from planish.analyze.multiple_regression import Regression, out_of_sample_r2, regress
 from planish.analyze.quadratic_field import points_of
-from planish.analyze.shared_errors import SharedError, covariance_of_errors, sharings_of
+from planish.analyze.shared_errors import SharedError, bare_name, covariance_of_errors, sharings_of
 from planish.analyze.variograms import Variogram, variogram_of
 from planish.core.bands import Rows
 from planish.core.errors import CannotMeasure, InputError, SizeError
@@ -465,11 +465,6 @@ def _parts_in_common(names: Sequence[str], sheet: xr.Dataset) -> tuple[SharedPar
         if parts := shared_parts(bare_name(a), bare_name(b), sheet):
             shared.append(SharedPart(a=a, b=b, parts=parts))
     return tuple(shared)
-
-
-def bare_name(name: str) -> str:
-    """Name of a map without that of its layer."""
-    return name.rpartition(".")[2]
 
 
 def _dataset(cells: _Cells, model: Regression, maps: ModelMaps) -> xr.Dataset:

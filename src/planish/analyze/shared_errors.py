@@ -43,12 +43,18 @@ SIGNS = _signs_of_surfaces()
 SURFACES = ("top", "interface_top", "interface_bottom", "bottom")
 
 
+def bare_name(name: str) -> str:
+    """Name of a map without that of its layer."""
+    return name.rpartition(".")[2]
+
+
 def covariance_of_errors(names: Sequence[str], stated: Mapping[str, float]) -> Floats:
     """Give the covariance of the errors of some maps, (names, names).
 
     Parameters
     ----------
     names : sequence of str
+        With or without those of their layer.
     stated : mapping of str to float
         Standard errors of maps, of these and of others, and of surfaces, such as ``interface_top``.
         A map whose error neither is stated nor follows from that of surfaces counts as exact.
@@ -60,12 +66,13 @@ def covariance_of_errors(names: Sequence[str], stated: Mapping[str, float]) -> F
     most even ones.
     """
     variances = _variances_of_surfaces(stated)
+    bare_names = [bare_name(name) for name in names]
     signs = np.zeros((len(names), len(SURFACES)))
-    for row, name in zip(signs, names, strict=True):
+    for row, name in zip(signs, bare_names, strict=True):
         for surface, sign in SIGNS.get(name, {}).items():
             row[SURFACES.index(surface)] = sign
     covariance = signs * variances @ signs.T
-    for index, name in enumerate(names):
+    for index, name in enumerate(bare_names):
         if name in stated:
             covariance[index, index] = stated[name] ** 2
     return covariance
@@ -87,7 +94,7 @@ def sharings_of(names: Sequence[str], covariance: Floats) -> tuple[SharedError, 
     deviations = np.sqrt(np.diag(covariance))
     for first, second in np.argwhere(np.triu(covariance, 1)).tolist():
         a, b = names[first], names[second]
-        surface = next(name for name in SIGNS[a] if name in SIGNS[b])
+        surface = next(name for name in SIGNS[bare_name(a)] if name in SIGNS[bare_name(b)])
         correlation = covariance[first, second] / (deviations[first] * deviations[second])
         sharings.append(SharedError(a=a, b=b, surface=surface, correlation=float(correlation)))
     return tuple(sharings)

@@ -46,9 +46,10 @@ def explain_run(run: Run, params: ExplainParams) -> Explained:
     check_model(params)
     maps = maps_of(run)
     layers = {named(maps, name).layer for name in (params.response, *params.of)}
-    errors: dict[str, float] = {}
-    for layer in sorted(layers):
-        errors |= _errors_of_sheet(run, layer, params.cell_um)
+    stated = [_errors_of_sheet(run, layer, params.cell_um) for layer in sorted(layers)]
+    known = [errors for errors in stated if errors]
+    # Maps of one name, of two sheets, share no surface.
+    errors = known[0] if len(known) == 1 else {}
     explained = explain_maps(
         _model_maps(params, maps, errors), cell_um=params.cell_um, corrected=params.corrected
     )

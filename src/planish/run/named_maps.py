@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import xarray as xr
 
-from planish.analyze.explain import bare_name
+from planish.analyze.shared_errors import bare_name
 from planish.core.arrays import check_dataset
 from planish.core.errors import InputError
 from planish.run.overlay import LINKED
