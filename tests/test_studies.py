@@ -77,9 +77,8 @@ def test_every_study_has_its_specimens_statement_and_figure(make):
             found.rsplit("/", 1)[0] for found in re.findall(r"specimens/[\w-]+/[\w-]+/\w+", text)
         } == made
     page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
-    assert re.findall(
-        r"```\npython examples/studies/make\.py ([\w-]+)(?: --size full)?\n```", page
-    ) == list(NAMES)
+    studies = re.findall(r"\(\.\./examples/studies/([\w-]+)\.toml\)", page)
+    assert (*studies, "large") == tuple(NAMES)
     assert re.findall(r"\(images/studies/([\w-]+)\.png\)", page) == list(NAMES)
     assert {path.stem for path in (ROOT / "docs" / "images" / "studies").glob("*.png")} == set(
         NAMES
