@@ -16,6 +16,7 @@ from planish.app.pictures import Pictures
 from planish.core.errors import InputError
 from planish.report import explain_page, tables_of
 from planish.run.explain import with_declared_model
+from planish.series.explain import declared_model
 
 MODEL = {"response": "image", "of": ["coating_top"], "cell_um": 50.0}
 
@@ -130,6 +131,8 @@ def test_a_declared_model_stands_in_run_page_and_layers(kinds, tmp_path, passes)
         passes("explain", out, "--of", "coating_top", "--cell-um", "100", "--json")[0]
     )
     assert other["declared"] is False
+    passes("compare", out, kinds("laid"), "--out", tmp_path / "series")
+    assert declared_model(tmp_path / "series") == declared.study.explain
 
 
 @pytest.mark.ci
