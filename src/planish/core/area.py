@@ -5,16 +5,14 @@ Also what a larger pixel sees of smaller ones.
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import sparse
 
 from planish.core.axial import angle_of, axial_angle, summable, summable_of
 from planish.core.bands import Rows, read_bands
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Array, Bools, Floats, Pair
 
 
 class AreaMeans:
@@ -36,7 +34,7 @@ class AreaMeans:
         self._weight = np.zeros((self._row_overlap.shape[0], self._col_overlap.shape[0]))
         self._totals: list[Floats] = []
 
-    def add(self, first_row: int, is_known: Bools, *maps: NDArray[Any]) -> None:
+    def add(self, first_row: int, is_known: Bools, *maps: Array) -> None:
         """Add the rows from ``first_row`` on of maps, which count where ``is_known``."""
         self._totals = self._totals or [
             np.zeros(self._weight.shape, np.result_type(np.float64, m)) for m in maps
@@ -86,7 +84,7 @@ def common_means(
     return area_means.means()
 
 
-def valid_in_all(maps: Sequence[NDArray[Any]], masks: Sequence[NDArray[Any]]) -> Bools:
+def valid_in_all(maps: Sequence[Array], masks: Sequence[Array]) -> Bools:
     """Where all maps have a value and all masks are true."""
     return np.logical_and.reduce([*map(np.isfinite, maps), *(mask.astype(bool) for mask in masks)])
 
@@ -156,7 +154,7 @@ def middles(centres: Floats) -> Floats:
     return centres[0] + (centres[1] - centres[0]) * (0.5 + 2 * np.arange((centres.size + 1) // 2))
 
 
-def halved_values(values: NDArray[Any]) -> NDArray[Any]:
+def halved_values(values: Array) -> Array:
     """Values (rows, cols) of pixels twice as wide, as :func:`overviews` has them.
 
     Floats, truth values, or what ``summable`` makes of an axis, whose angles are given then.

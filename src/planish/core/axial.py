@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import InputError
-from planish.core.typing import Floats
+from planish.core.typing import Array, Floats
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -52,12 +51,12 @@ def refuse_axial(data: Any) -> None:
         )
 
 
-def summable(data: Any, values: NDArray[Any]) -> NDArray[Any]:
+def summable(data: Any, values: Array) -> Array:
     """Values of a map that have a mean: of an axis, unit vectors of the doubled angles."""
     return doubled(values) if is_axial(data) else values
 
 
-def summable_of(maps: xr.Dataset, name: Any) -> NDArray[Any]:
+def summable_of(maps: xr.Dataset, name: Any) -> Array:
     """The same of one of several maps: NAME_angle by NAME_cos2 and NAME_sin2, where they are there.
 
     Those are vectors as long as the direction prevails.
@@ -69,7 +68,7 @@ def summable_of(maps: xr.Dataset, name: Any) -> NDArray[Any]:
     return summable(maps[name], maps[name].values)
 
 
-def doubled(angles_deg: NDArray[Any]) -> NDArray[Any]:
+def doubled(angles_deg: Array) -> Array:
     """Unit vectors of the doubled angles, as complex numbers."""
     return np.exp(2j * np.deg2rad(angles_deg))
 
@@ -92,9 +91,7 @@ def near_axis(angles_deg: Floats | float, axis_deg: Floats | float) -> Any:
     return axis_deg + (angles_deg - axis_deg + PERIOD_DEG / 2) % PERIOD_DEG - PERIOD_DEG / 2
 
 
-def distribution(
-    values: Floats, vectors: NDArray[Any], *, ddof: int = 0
-) -> tuple[float, float, Floats]:
+def distribution(values: Floats, vectors: Array, *, ddof: int = 0) -> tuple[float, float, Floats]:
     """Mean and standard deviation of values of a map, and the values for percentiles.
 
     ``vectors`` are what ``summable`` makes of them. Of an axis: its mean, half of the circular

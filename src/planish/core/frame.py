@@ -14,15 +14,15 @@ from the other side one is reversed.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from planish.core.errors import InputError, check_choice
 
 if TYPE_CHECKING:
     import xarray as xr
-    from numpy.typing import NDArray
 
     from planish.core.lazy import LazyArray
+    from planish.core.typing import Array, Floats
 
 Axis = Literal["z", "y", "x"]
 End = Literal["high", "low"]
@@ -108,7 +108,7 @@ class Frame:
         return frame
 
 
-def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | None:
+def likely_through(values: Array | LazyArray | xr.Variable) -> Axis | None:
     """Name the axis along which the mean grey changes most.
 
     None where two do, as with a round field of view.
@@ -127,15 +127,15 @@ def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | Non
     bands = [slice(None)]
     if depth > 1 and 6 * height < values.shape[1]:
         bands = [slice(k, k + height) for k in starts]
-    planes: list[NDArray[Any]] = []
+    planes: list[Array] = []
     for layer in np.unique(slice_indices // depth):
         indices = slice_indices[slice_indices // depth == layer]
-        parts: list[NDArray[Any]] = []
+        parts: list[Array] = []
         for band in bands:
             part = np.asarray(values[indices[0] : indices[-1] + 1, band])[indices - indices[0]]
             parts.append(part[:, :: steps[0], :: steps[1]])
         planes += [*np.concatenate(parts, axis=1)]
-    sample: NDArray[np.float64] = np.stack(planes).astype(np.float64)
+    sample: Floats = np.stack(planes).astype(np.float64)
     is_value = np.isfinite(sample)
     sample[~is_value] = np.mean(sample[is_value]) if is_value.any() else 0.0
     variances = [float(sample.mean(axis=tuple({0, 1, 2} - {k})).var()) for k in range(3)]

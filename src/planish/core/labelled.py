@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core.indexing import IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 from planish.core.lazy import LazyArray, Where
+from planish.core.typing import Array
 
 
 def labelled(
-    values: NDArray[Any] | LazyArray,
+    values: Array | LazyArray,
     dims: Sequence[str],
     size_um: Sequence[float],
     *,
@@ -42,9 +42,7 @@ def chunks_of(volume: xr.DataArray) -> tuple[int, ...]:
     return volume.encoding.get("chunks") or (1, 1, 1)
 
 
-def computed(
-    like: xr.DataArray, read: Callable[[Where], NDArray[Any]], dtype: Any = None
-) -> xr.DataArray:
+def computed(like: xr.DataArray, read: Callable[[Where], Array], dtype: Any = None) -> xr.DataArray:
     """Give the same array with other values, of which ``read`` gives the part that is asked for."""
     values = LazyArray(like.shape, np.dtype(dtype or like.dtype), read)
     array = xr.DataArray(
@@ -56,7 +54,7 @@ def computed(
     return array
 
 
-def read_box(volume: xr.DataArray, box: Mapping[str, slice]) -> NDArray[Any]:
+def read_box(volume: xr.DataArray, box: Mapping[str, slice]) -> Array:
     """Read a part of a volume, with its axes in the order of ``box``."""
     box_array = volume.isel(box)
     # Turned only after it was read: what is read lazily may not know how to turn.
@@ -67,12 +65,12 @@ class _Backend(BackendArray):
     def __init__(self, values: LazyArray) -> None:
         self.values, self.shape, self.dtype = values, values.shape, values.dtype
 
-    def __getitem__(self, key: Any) -> NDArray[Any]:
+    def __getitem__(self, key: Any) -> Array:
         return explicit_indexing_adapter(
             key, self.shape, IndexingSupport.BASIC, self.values.__getitem__
         )
 
 
-def variable_data(values: NDArray[Any] | LazyArray) -> Any:
+def variable_data(values: Array | LazyArray) -> Any:
     """Wrap values for a variable: an array, or a lazy one that stays one."""
     return LazilyIndexedArray(_Backend(values)) if isinstance(values, LazyArray) else values

@@ -10,7 +10,8 @@ from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+
+from planish.core.typing import Array
 
 T = TypeVar("T")
 Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
@@ -26,7 +27,7 @@ class LazyArray:
     whole_slices: bool = False  # whether a few rows of a slice cost as much as all of them
 
     def __init__(
-        self, shape: tuple[int, ...], dtype: np.dtype[Any], read: Callable[[Where], NDArray[Any]]
+        self, shape: tuple[int, ...], dtype: np.dtype[Any], read: Callable[[Where], Array]
     ) -> None:
         self.shape, self.dtype, self._read = shape, dtype, read
 
@@ -40,7 +41,7 @@ class LazyArray:
         """Size of the whole array."""
         return math.prod(self.shape) * self.dtype.itemsize
 
-    def read(self, where: Where) -> NDArray[Any]:
+    def read(self, where: Where) -> Array:
         """Read a part, in the array's own type."""
         return self._read(where)
 
@@ -48,7 +49,7 @@ class LazyArray:
         """Context in which parts are read, which may turn errors into others."""
         return nullcontext()
 
-    def __getitem__(self, key: Any) -> NDArray[Any]:
+    def __getitem__(self, key: Any) -> Array:
         """Read what integers and slices select."""
         keys = key if isinstance(key, tuple) else (key,)
         if Ellipsis not in keys:

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from typing import Any, BinaryIO, cast
 
 import numpy as np
-from numpy.typing import NDArray
+
+from planish.core.typing import Array
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 # Bytes in which flags, shape, name and the tag of the values of any variable lie.
@@ -119,7 +120,7 @@ def variables(file: BinaryIO) -> list[Variable]:
         raise Damaged(str(error) or type(error).__name__) from error
 
 
-def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
+def values(file: BinaryIO, variable: Variable) -> Array:
     """Read a full real array that :func:`variables` listed, in its class and MATLAB's order.
 
     Damaged if not there.
@@ -137,9 +138,7 @@ def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
 
     file.seek(0)
     try:
-        array: NDArray[Any] = loadmat(cast("Any", file), variable_names=[variable.name])[
-            variable.name
-        ]
+        array: Array = loadmat(cast("Any", file), variable_names=[variable.name])[variable.name]
     except (OSError, zlib.error, ValueError, TypeError, KeyError, OverflowError) as error:
         raise Damaged(f"the values of {variable.name} cannot be read: {error}") from error
     if array.shape != variable.shape or array.dtype.kind not in "uif":

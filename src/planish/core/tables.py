@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.files import check_exists
+from planish.core.typing import Floats
 from planish.core.units import unit_um
 
 LARGEST_FILE = 10_000_000  # bytes; no table of marks, holes or sections is larger
@@ -281,7 +281,7 @@ class CsvTable:
             return math.nan
         return value * self.um.get(column, 1.0)
 
-    def numbers(self, columns: Sequence[str]) -> NDArray[np.float64]:
+    def numbers(self, columns: Sequence[str]) -> Floats:
         """Give the finite numbers of several columns, shape (rows, columns)."""
         values = [self.number(row, column) for row in self.rows for column in columns]
         return np.array(values, dtype=np.float64).reshape(-1, len(columns))

@@ -13,16 +13,16 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.files import move
 from planish.core.threads import count_threads, thread_pool
+from planish.core.typing import Array
 
 Job = TypeVar("Job")
-Result = NDArray[Any]
+Result = Array
 Listener = Callable[[str, float], None]
 _listeners: list[Listener] = []
 

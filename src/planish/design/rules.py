@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planish.core.errors import MarkError
-from planish.core.typing import Bools, Floats, Ints
+from planish.core.typing import Bools, Complexes, Floats, Ints
 from planish.design.pattern import Pattern
 
 TOLERANCE_UM = 25.0  # within which two marks are taken for one
@@ -61,7 +61,7 @@ def self_motions(points_um: Floats) -> Motions:
 
 
 def _motion_hits(
-    z: NDArray[np.complex128],
+    z: Complexes,
     base_pairs: Ints,
     goal_pairs: Ints,
     tree: cKDTree,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from planish.core.bands import band_of, bands
 from planish.core.errors import SizeError
 from planish.core.threads import thread_pool
-from planish.core.typing import Floats
+from planish.core.typing import Array, Floats
 from planish.report.colours import Scale
 
 
@@ -130,7 +130,7 @@ class Maps:
 
     def bands(
         self, name: str, dtype: np.dtype[Any] | type[np.generic] | None = None
-    ) -> Iterator[tuple[slice, NDArray[Any]]]:
+    ) -> Iterator[tuple[slice, Array]]:
         """Give a map band by band, reading ahead, as ``dtype``.
 
         Its own type where not given, truth values as bytes.
@@ -140,7 +140,7 @@ class Maps:
         row_slices = list(bands(self.shape[0]))
         with thread_pool() as pool:
 
-            def read_rows(rows: slice) -> Future[NDArray[Any]]:
+            def read_rows(rows: slice) -> Future[Array]:
                 return pool.submit(
                     lambda: np.ascontiguousarray(band_of(pixels, rows), dtype=target)
                 )

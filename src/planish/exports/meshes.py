@@ -7,7 +7,7 @@ import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from planish.core.errors import StudyError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.typing import Array
 from planish.exports.content import ExportHistory, column_of, units_of
 from planish.exports.formats import ExportParams
 from planish.report.colours import Scale
@@ -54,7 +55,7 @@ def write_ply(surface: Surface, path: Path, history: ExportHistory, params: Expo
     Binary, with its history in comments.
     """
     mesh = mesh_of(surface, params)
-    columns: dict[str, NDArray[Any]] = dict(zip("xyz", mesh.points.T, strict=True))
+    columns: dict[str, Array] = dict(zip("xyz", mesh.points.T, strict=True))
     if mesh.colours is not None:
         columns |= zip(("red", "green", "blue"), mesh.colours.T, strict=True)
     columns |= mesh.maps
@@ -165,7 +166,7 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
         file.write("</PointData>\n</Piece></UnstructuredGrid>\n</VTKFile>\n")
 
 
-def _write_vtk_array(file: IO[str], name: str, array: NDArray[Any]) -> None:
+def _write_vtk_array(file: IO[str], name: str, array: Array) -> None:
     vtk_type = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}[array.dtype.str[1:]]
     components_attr = ' NumberOfComponents="3"' if name == "Points" else ""
     file.write(

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import tifffile
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import ResourceError
 from planish.core.memory import STACK_BYTES
+from planish.core.typing import Array
 from planish.exports.content import ExportHistory, Maps, exact
 from planish.exports.formats import ExportParams
 
@@ -159,7 +159,7 @@ class _Stack:
             facts=facts | {"missing": "NaN"},
         )
 
-    def parts(self) -> Iterator[tuple[int, int, NDArray[Any]]]:
+    def parts(self) -> Iterator[tuple[int, int, Array]]:
         """Give plane, first row, and values (rows, cols) of each part."""
         if isinstance(self.content, Maps):
             for k, name in enumerate(self.content.names):

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 import zarr
-from numpy.typing import NDArray
 
 from planish.core.grid import Grid
 from planish.core.transform import Affine
-from planish.core.typing import Bools, Floats, Ints, pair_of
+from planish.core.typing import Array, Bools, Floats, Ints, pair_of
 from planish.exports.content import ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
 from planish.marks.exchange import write_any
@@ -343,7 +342,7 @@ def write_nrrd(
         dtype, components, shape = field.vectors.dtype, ["vector"], field.shape
         (x, y), dx_um, dy_um = field.origin_um, field.pitch_um, field.pitch_um
         key_values = {"value_unit": unit, "planish": history.json(**field.facts())}
-        blocks: Iterable[NDArray[Any]] = [field.vectors * UNITS[unit]]
+        blocks: Iterable[Array] = [field.vectors * UNITS[unit]]
     else:
         (name,) = content.names
         title = content.titles[name]

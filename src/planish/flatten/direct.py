@@ -9,11 +9,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints
 from planish.flatten.levels import Level
 
 # Weak tie of every node to its place, in spring constants: the sheet as a whole is free to shift
@@ -28,8 +27,8 @@ class Network(NamedTuple):
     """The springs of a level as lists: ends by node number, rest lengths and stiffness."""
 
     mask: Bools
-    first: NDArray[np.intp]
-    second: NDArray[np.intp]
+    first: Ints
+    second: Ints
     rest: Floats
     stiff: Floats
 

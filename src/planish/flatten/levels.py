@@ -15,7 +15,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from planish.core.errors import CannotFlatten
-from planish.core.typing import Bools, Floats, Ints
+from planish.core.typing import Array, Bools, Floats, Ints
 from planish.flatten._kernels import FAR
 from planish.flatten._mesh_kernels import coarsen, rest_lengths
 
@@ -50,7 +50,7 @@ class Team(ThreadPoolExecutor):
             done.result()
 
 
-def padded(components: int, rows: int, cols: int, dtype: type) -> NDArray[Any]:
+def padded(components: int, rows: int, cols: int, dtype: type) -> Array:
     """Zeros (components, rows + 2, width), with a ring of padding.
 
     Rows start on a multiple of 64 bytes.
@@ -58,7 +58,7 @@ def padded(components: int, rows: int, cols: int, dtype: type) -> NDArray[Any]:
     return np.zeros((components, rows + 2, (cols + 3 + 15) // 16 * 16), dtype)
 
 
-def bordered(rows: int, cols: int, dtype: type) -> NDArray[Any]:
+def bordered(rows: int, cols: int, dtype: type) -> Array:
     """Array (2, rows + 2, width) with FAR in the padding and no values yet inside."""
     out = np.empty_like(padded(2, rows, cols, dtype))
     out[:, [0, rows + 1]] = FAR
@@ -97,7 +97,7 @@ class Level:
         """Give back the memory of the springs, which only the forces need."""
         self.rest = np.empty((4, 0, 0))
 
-    def inside(self, padded: NDArray[Any]) -> NDArray[Any]:
+    def inside(self, padded: Array) -> Array:
         """View of an array without its padding."""
         return padded[..., 1 : self.rows + 1, 1 : self.cols + 1]
 
@@ -112,9 +112,7 @@ class Level:
         return self.inside(is_held)
 
 
-def of_springs(
-    nodes: NDArray[Any], pair: Callable[[Any, Any], Any], out: NDArray[Any]
-) -> NDArray[Any]:
+def of_springs(nodes: Array, pair: Callable[[Any, Any], Any], out: Array) -> Array:
     """Set ``out`` (4, rows, cols) to ``pair`` of the two ends of each spring."""
     out[0, :, :-1] = pair(nodes[:, :-1], nodes[:, 1:])
     out[1, :-1] = pair(nodes[:-1], nodes[1:])
@@ -197,7 +195,7 @@ def stiffen(level: Level, weights: Floats) -> None:
     level.stiff = stiff
 
 
-def loose_nodes(is_node: Bools) -> tuple[Bools, NDArray[np.intp]]:
+def loose_nodes(is_node: Bools) -> tuple[Bools, Ints]:
     """Find the nodes whose place the springs do not settle.
 
     They hang on the sheet by a single node or spring.

@@ -15,7 +15,7 @@ from planish.core.facts import ResultModel, Value
 from planish.core.frame import Frame
 from planish.core.grid import bilinear, filled, pitch
 from planish.core.options import params_of
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints
 from planish.flatten.curvature import CurvatureVerdict, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
 from planish.flatten.params import FlattenParams
@@ -167,8 +167,8 @@ class SheetMesh(NamedTuple):
     bridged.
     """
 
-    rows: NDArray[np.intp]
-    cols: NDArray[np.intp]
+    rows: Ints
+    cols: Ints
     y_um: Floats
     x_um: Floats
     pitch_um: float
@@ -225,9 +225,7 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     )
 
 
-def node_weights(
-    surfaces: xr.Dataset, rows: NDArray[np.intp], cols: NDArray[np.intp]
-) -> Floats | None:
+def node_weights(surfaces: xr.Dataset, rows: Ints, cols: Ints) -> Floats | None:
     """Weights of the mesh's nodes, less where the centre surface was bridged.
 
     None where the surfaces do not tell.
@@ -270,7 +268,7 @@ def _largest_piece(mask: Bools) -> Bools:
     return labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:])) if count > 1 else mask
 
 
-def _mesh_indices(n_columns: int, step: int) -> NDArray[np.intp]:
+def _mesh_indices(n_columns: int, step: int) -> Ints:
     indices = np.arange(0, n_columns, step)
     if indices[-1] == n_columns - 1:
         return indices

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.arrays import (
     IMAGE,
@@ -28,6 +27,7 @@ from planish.core.facts import SIDES, Side
 from planish.core.frame import Axis, End, Frame
 from planish.core.labelled import labelled, variable_data
 from planish.core.lazy import LazyArray, Where
+from planish.core.typing import Array
 from planish.io.formats import full_scale
 from planish.io.lazy import read_if_small, supported_type
 from planish.io.sizes import PIXEL, VOXEL, Stated, agreed_size
@@ -80,7 +80,7 @@ def volume(
     raster = _array(array, VOLUME)
     stored_data: Any = raster.variable._data  # pyright: ignore  `values` would read them
     dtype = supported_type(raster.dtype).newbyteorder("=")
-    values: NDArray[Any] | LazyArray
+    values: Array | LazyArray
     if isinstance(stored_data, np.ndarray) and stored_data.dtype == dtype:
         values = read_if_small(stored_data, memory_bytes=None)
     elif isinstance(stored_data, np.ndarray) and not isinstance(stored_data, np.memmap):
@@ -176,7 +176,7 @@ def _unnamed(array: Any) -> xr.DataArray:
     return raster
 
 
-def _read_part(source: Any, dtype: np.dtype[Any], where: Where) -> NDArray[Any]:
+def _read_part(source: Any, dtype: np.dtype[Any], where: Where) -> Array:
     return np.asarray(source[where], dtype)
 
 
@@ -203,7 +203,7 @@ def _array(array: Any, kind: ArrayKind) -> xr.DataArray:
 
 
 def _labelled(
-    values: NDArray[Any] | LazyArray,
+    values: Array | LazyArray,
     raster: xr.DataArray,
     kind: ArrayKind,
     size_um: Size | None,

@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
+from planish.core.typing import Array
 from planish.io.axes import AxisNames, extended_axes, letter_of
 from planish.io.orientation import Orientation, orientation_by_steps
 from planish.io.sizes import Stated, bare_unit, stated_in
@@ -50,7 +50,7 @@ class Coordinates(NamedTuple):
     """Places of the values along an axis, as a file has them beside the array."""
 
     name: str
-    values: NDArray[Any]
+    values: Array
     unit: str
 
 
@@ -270,7 +270,7 @@ def stated_by_coordinates(
     return [stated], orientation_by_steps(source, [steps[axis] for axis in order])
 
 
-def _step_of(coordinates: NDArray[Any]) -> float | None:
+def _step_of(coordinates: Array) -> float | None:
     """Step along an axis, with its sign; None where the coordinates are not evenly spaced."""
     steps = np.diff(coordinates.astype(np.float64))
     step = float(np.median(steps))

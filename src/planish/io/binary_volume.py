@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
+from planish.core.typing import Array, Floats
 from planish.io.axes import AxisNames
 from planish.io.formats import LoadedVolume, Place
 from planish.io.guard import quiet, reading
@@ -83,7 +83,7 @@ def _load_nifti(path: Path) -> LoadedVolume:
     return header.volume(values)
 
 
-def _affines(fields: Any) -> dict[str, NDArray[np.float64]]:
+def _affines(fields: Any) -> dict[str, Floats]:
     """Columns x, y, z of the affines that were written, by their name."""
     # Without a code none was written, and nibabel would make one up.
     getters = {"sform": fields.get_sform, "qform": fields.get_qform}
@@ -112,7 +112,7 @@ def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:
         return header_class(head[:n_bytes], check=False), n_bytes
 
 
-def _scaled(values: NDArray[Any], *, slope: float, intercept: float) -> NDArray[Any]:
+def _scaled(values: Array, *, slope: float, intercept: float) -> Array:
     return (values * np.float64(slope) + np.float64(intercept)).astype(np.float32)
 
 

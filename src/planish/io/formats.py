@@ -20,12 +20,12 @@ from types import FunctionType, MappingProxyType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError, VolumeError
 from planish.core.plugins import Plugin, faults_named, find_plugin
 from planish.core.reflectance import LUMINANCE
 from planish.core.text import printable
+from planish.core.typing import Array
 from planish.io.guard import quiet
 from planish.io.lazy import Values
 from planish.io.orientation import Orientation
@@ -326,7 +326,7 @@ def check_channel(channel: str | None) -> str | None:
     return word
 
 
-def grey_of(colour: NDArray[Any], *, channel: str | None) -> NDArray[Any]:
+def grey_of(colour: Array, *, channel: str | None) -> Array:
     """Turn the last axis, red, green and blue, into grey.
 
     Luminance, where none is chosen, is rounded in integers.

@@ -16,10 +16,10 @@ from typing import Any
 
 import h5py  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
+from planish.core.typing import Array
 from planish.io.attributes import (
     Coordinates,
     names_by_attributes,
@@ -243,7 +243,7 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
     return array, check_chunks(positions, array.shape, chunks, name=f"{path.name}: {dataset.name}")
 
 
-def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> NDArray[Any]:
+def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> Array:
     with opened(path) as file:
         # Parts of a virtual data set are looked for beside the file first, wherever planish was
         # started.

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.memory import PACKED_BYTES, UNPACKED_BYTES
+from planish.core.typing import Array
 from planish.io.axes import AxisNames, extended_axes, place_axes
 from planish.io.formats import ADVICE, LoadedVolume
 from planish.io.guard import check_blown_up, head_of, reading, size_of_file
@@ -107,7 +107,7 @@ def values_behind(header: Header) -> Values:
     return mapped(data_file, header.shape, header.stored_dtype, offset=offset)
 
 
-def _unpacked(header: Header) -> NDArray[Any]:
+def _unpacked(header: Header) -> Array:
     values = np.empty(header.needed_bytes, np.uint8)
     n_unpacked = 0
     for part in unpacked_parts(header):

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
 from planish.core.parameter_faults import toml_tables
 from planish.core.tables import read_text
+from planish.core.typing import Array
 from planish.io.axes import AxisNames
 from planish.io.formats import LoadedVolume, Place, extra, referenced_file
 from planish.io.guard import head_of, memory_limit, reading, size_of_file
@@ -348,7 +348,7 @@ def _oriented_by_meta(
     return orientation_by_words(f"the AnatomicalOrientation {letters}", words_by_axis)
 
 
-def _read_meta(path: Path, where: Where) -> NDArray[Any]:
+def _read_meta(path: Path, where: Where) -> Array:
     itk: Any = extra("SimpleITK", path)
     reader = itk.ImageFileReader()
     reader.SetImageIO("MetaImageIO")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, InputError, check_choice
 from planish.core.facts import SIDES, Side
 from planish.core.reflectance import LUMINANCE
-from planish.core.typing import Pair
+from planish.core.typing import Array, Pair
 from planish.io.formats import COLOURS, full_scale
 from planish.io.guard import check_memory, size_of_file
 from planish.io.orientation import orientation_attrs, tag_orientation
@@ -198,7 +198,7 @@ def channel_of(
     )
 
 
-def _of_colours(samples: NDArray[Any], name: str) -> NDArray[np.float32]:
+def _of_colours(samples: Array, name: str) -> NDArray[np.float32]:
     """One of red, green and blue, or their luminance."""
     if name in COLOURS:
         return _as_float32(samples[..., COLOURS[name]])
@@ -208,7 +208,7 @@ def _of_colours(samples: NDArray[Any], name: str) -> NDArray[np.float32]:
     return luminance
 
 
-def _as_float32(values: NDArray[Any]) -> NDArray[np.float32]:
+def _as_float32(values: Array) -> NDArray[np.float32]:
     """Convert to a new float32 array in which everything that is no finite number is NaN."""
     with np.errstate(over="ignore"):
         converted = np.array(values, dtype=np.float32)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planish.core.files import write_whole
 from planish.core.memory import EAGER_BYTES, SAMPLE_BYTES, SAMPLE_VALUES
 from planish.core.text import first_few
-from planish.core.typing import Ints
+from planish.core.typing import Array, Ints
 from planish.io.lazy import Values
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -31,7 +31,7 @@ class _Totals:
     n_saturated: int = 0
     constant_numbers: list[int] = field(default_factory=list)  # of planes
     copy_numbers: list[int] = field(default_factory=list)
-    sample: NDArray[Any] = field(default_factory=lambda: np.empty(0))  # finite, sorted
+    sample: Array = field(default_factory=lambda: np.empty(0))  # finite, sorted
 
 
 def inspect_values(
@@ -108,7 +108,7 @@ def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _
     n_values = math.prod(values.shape) * share
     stride = max(1, math.ceil((n_values / SAMPLE_VALUES) ** (1 / values.ndim)))
     totals = _Totals()
-    samples = list[NDArray[Any]]()
+    samples = list[Array]()
     digests = set[bytes]()
     for index, number in enumerate(plane_numbers):
         plane = np.asarray(values[number])
@@ -141,7 +141,7 @@ def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _
     return totals
 
 
-def _finite_sample(plane: NDArray[Any], stride: int) -> NDArray[Any]:
+def _finite_sample(plane: Array, stride: int) -> Array:
     """Finite values of a plane, one in so many along each axis."""
     sample = plane[(slice(None, None, stride),) * plane.ndim].ravel()
     return sample[np.isfinite(sample)]
@@ -245,7 +245,7 @@ def as_text(section: Section) -> list[str]:
     return [*lines, f"middle of the volume: {section.down} down, {section.across} across"]
 
 
-def _section(down: str, across: str, plane: NDArray[Any], step: tuple[int, int]) -> Section:
+def _section(down: str, across: str, plane: Array, step: tuple[int, int]) -> Section:
     strides = [max(1, -(-n * k // _SIDE) // k) for n, k in zip(plane.shape, step, strict=True)]
     plane = plane[:: strides[0], :: strides[1]].astype(np.float64)
     finite_values = plane[np.isfinite(plane)]

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.lazy import LazyArray, Where
 from planish.core.memory import DECODED_BYTES, EAGER_BYTES
 from planish.core.threads import map_threads
+from planish.core.typing import Array
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.tiff import damaged
 
@@ -30,7 +30,7 @@ class FileArray(LazyArray):
         path: Path,
         shape: tuple[int, ...],
         dtype: np.dtype[Any],
-        read: Callable[[Where], NDArray[Any]],
+        read: Callable[[Where], Array],
     ) -> None:
         super().__init__(shape, dtype, read)
         self.path = path  # for the messages
@@ -40,8 +40,8 @@ class FileArray(LazyArray):
         return reading(self.path)
 
 
-Values = NDArray[Any] | FileArray  # values in memory, mapped, or left in their file
-Change = Callable[[NDArray[Any]], NDArray[Any]]
+Values = Array | FileArray  # values in memory, mapped, or left in their file
+Change = Callable[[Array], Array]
 
 
 class PagedArray(FileArray):
@@ -56,7 +56,7 @@ class PagedArray(FileArray):
         shape: tuple[int, ...],
         dtype: np.dtype[Any],
         unit_rows: int,
-        rows: Callable[[int, int, int], NDArray[Any]],
+        rows: Callable[[int, int, int], Array],
     ) -> None:
         self.path, self.shape, self.dtype, self.unit_rows, self.rows = (
             path,
@@ -73,7 +73,7 @@ class PagedArray(FileArray):
         """Another process decodes anew."""
         return PagedArray, (self.path, self.shape, self.dtype, self.unit_rows, self.rows)
 
-    def read(self, where: Where) -> NDArray[Any]:
+    def read(self, where: Where) -> Array:
         """Read a part page by page."""
         pages, rows, *across = where
         first_strip, end_strip = rows.start // self.unit_rows, -(-rows.stop // self.unit_rows)
@@ -90,7 +90,7 @@ class PagedArray(FileArray):
             ]
         return values
 
-    def _decoded(self, page: int, number: int) -> NDArray[Any]:
+    def _decoded(self, page: int, number: int) -> Array:
         return self.rows(
             page, number * self.unit_rows, min((number + 1) * self.unit_rows, self.shape[1])
         )
@@ -112,7 +112,7 @@ class StoredArray(FileArray):
         self.path = planes[0][0]
         self.dtype = stored_dtype.newbyteorder("=")
 
-    def read(self, where: Where) -> NDArray[Any]:
+    def read(self, where: Where) -> Array:
         """Read whole rows, plane by plane, and keep a part of them."""
         planes, rows, *across = where
         values = np.empty(lengths(where), self.dtype)
@@ -176,12 +176,12 @@ class WholeArray(FileArray):
         path: Path,
         shape: tuple[int, ...],
         dtype: np.dtype[Any],
-        decode: Callable[[], NDArray[Any]],
+        decode: Callable[[], Array],
     ) -> None:
         self.path, self.shape, self.dtype, self.decode = path, shape, dtype, decode
         self.piece_bytes = self.nbytes
 
-    def read(self, where: Where) -> NDArray[Any]:
+    def read(self, where: Where) -> Array:
         """Decode everything and take a part."""
         return self.decode()[where]
 
@@ -193,7 +193,7 @@ class WholeArray(FileArray):
         return WholeArray(self.path, shape, self.dtype, partial(_turned, self.decode, tuple(order)))
 
 
-def _turned(decode: Callable[[], NDArray[Any]], order: Sequence[int]) -> NDArray[Any]:
+def _turned(decode: Callable[[], Array], order: Sequence[int]) -> Array:
     return decode().transpose(order)
 
 
@@ -222,7 +222,7 @@ class ViewArray(FileArray):
         self.chunks = None if inner.chunks is None else tuple(inner.chunks[axis] for axis in order)
         self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
 
-    def read(self, where: Where) -> NDArray[Any]:
+    def read(self, where: Where) -> Array:
         """Read a part, turn it and change its values."""
         inner_slices = [slice(0, n, 1) for n in self.inner.shape]
         for axis_slice, axis in zip(where, self.order, strict=True):

@@ -13,10 +13,10 @@ import numpy as np
 import zarr
 from google_crc32c import value as crc32c
 from numcodecs import Blosc
-from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 
 from planish.core.lazy import Where
+from planish.core.typing import Array
 
 _BLOSC = Blosc(cname="lz4", clevel=1, shuffle=Blosc.SHUFFLE)
 # Noisy maps, bytes sorted by weight, take a fifth less room than by zstd, in a fifth of the time;
@@ -33,7 +33,7 @@ def is_ours(array: zarr.Array[Any]) -> bool:
     )
 
 
-def write_chunks(folder: Path, array: zarr.Array[Any], where: Where, values: NDArray[Any]) -> None:
+def write_chunks(folder: Path, array: zarr.Array[Any], where: Where, values: Array) -> None:
     """Write a part of an array like ``array`` into its folder.
 
     Where a chunk holds more than that, what was written before stays.
@@ -46,7 +46,7 @@ def write_chunks(folder: Path, array: zarr.Array[Any], where: Where, values: NDA
         file.write_bytes(packed + crc32c(packed).to_bytes(4, "little"))
 
 
-def read_chunks(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[Any]:
+def read_chunks(folder: Path, array: zarr.Array[Any], where: Where) -> Array:
     """Read a part of an array that :func:`is_ours` from its folder.
 
     ValueError, RuntimeError or OSError where it is damaged.
@@ -57,7 +57,7 @@ def read_chunks(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[A
     return values
 
 
-def _unpacked(file: Path, array: zarr.Array[Any]) -> NDArray[Any]:
+def _unpacked(file: Path, array: zarr.Array[Any]) -> Array:
     """What a file holds, which cannot be written to; where there is none, missing values."""
     if not file.is_file():
         return np.full(array.chunks, array.fill_value, array.dtype)

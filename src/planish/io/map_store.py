@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 import zarr
-from numpy.typing import NDArray
 
 from planish.core.area import halved, middles, overview_count
 from planish.core.errors import FileError, PlanishError
@@ -27,6 +26,7 @@ from planish.core.memory import LARGE_BYTES
 from planish.core.older_names import FORMAT, todays_names
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
+from planish.core.typing import Array
 from planish.io.map_chunks import CODECS, is_ours, read_chunks, write_chunks
 
 CHUNK = 512  # pixels along the edge of a chunk of a map
@@ -253,14 +253,14 @@ class PartCache:
 
     def __init__(self, room_bytes: int) -> None:
         self._room = room_bytes
-        self._parts = dict[Any, NDArray[Any]]()
+        self._parts = dict[Any, Array]()
 
     def forget(self) -> None:
         """Read all parts anew, as what they are read from is written."""
         self._room += sum(values.nbytes for values in self._parts.values())
         self._parts.clear()
 
-    def part(self, path: Path, array: Any, where: Where) -> NDArray[Any]:
+    def part(self, path: Path, array: Any, where: Where) -> Array:
         """A part of an array of the store at ``path``, which the caller may write to."""
         key = (array.path, *((s.start, s.stop, s.step) for s in where))
         if key in self._parts:
@@ -274,7 +274,7 @@ class PartCache:
         return values
 
 
-def _read_part(path: Path, array: Any, cache: PartCache, where: Where) -> NDArray[Any]:
+def _read_part(path: Path, array: Any, cache: PartCache, where: Where) -> Array:
     with readable(path):
         return cache.part(path, array, where)
 

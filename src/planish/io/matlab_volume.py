@@ -7,13 +7,12 @@ from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core import matlab
 from planish.core.errors import FileError, VolumeError
+from planish.core.typing import Array
 from planish.io.axes import extended_axes
 from planish.io.formats import LoadedVolume, Place, describe_volumes, only_volume
 from planish.io.guard import check_blown_up, reading, size_of_file
@@ -85,7 +84,7 @@ def _name_of_volume(variables: Mapping[str, matlab.Variable], place: Place) -> s
     return wanted
 
 
-def _decoded(path: Path, variable: matlab.Variable) -> NDArray[Any]:
+def _decoded(path: Path, variable: matlab.Variable) -> Array:
     with _damage(path), path.open("rb") as file:
         return np.squeeze(matlab.values(file, variable)).transpose(2, 0, 1)
 

@@ -12,11 +12,11 @@ from typing import Any, Literal, NamedTuple
 
 import imagecodecs
 import numpy as np
-from numpy.typing import NDArray
 from PIL import BmpImagePlugin, Image, ImageFile, JpegImagePlugin, PngImagePlugin
 from tifffile import PHOTOMETRIC, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError
+from planish.core.typing import Array
 from planish.io.formats import HEAD_BYTES, PICTURES, TIFF, format_by_bytes
 from planish.io.guard import check_blown_up, check_memory, head_of, reading
 from planish.io.resolution import writer_of
@@ -48,7 +48,7 @@ Colour = Literal["grey", "rgb", "other"]
 class DecodedPicture(NamedTuple):
     """A decoded picture."""
 
-    values: NDArray[Any]  # dims (y, x) or (y, x, sample), as stored; palettes are looked up
+    values: Array  # dims (y, x) or (y, x, sample), as stored; palettes are looked up
     # Meaning of the samples: the first is grey, the first three are red, green, blue, or neither.
     colour: Colour
     bits: int  # of a sample, if it is a whole number
@@ -139,7 +139,7 @@ def _colour_of(page: TiffPage, axes: str, n_samples: int) -> Colour:
     return "grey" if is_grey and "S" in axes and n_samples == 2 else "other"
 
 
-def _look_up(values: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], Colour]:
+def _look_up(values: Array, colormap: Array) -> tuple[Array, Colour]:
     """Entries of a palette by their 16-bit colours, or 8-bit where nothing is lost.
 
     Grey stays grey.
@@ -158,7 +158,7 @@ def _tone_of_page(page: TiffPage) -> Tone:
     return tone_of(tags, photo.get("ColorSpace"), {})
 
 
-def _with_gaps(values: NDArray[Any], page: TiffPage, *, is_image: bool) -> NDArray[Any]:
+def _with_gaps(values: Array, page: TiffPage, *, is_image: bool) -> Array:
     """Values of an image with NaN where GDAL says that there is none."""
     if not is_image or NO_DATA not in page.tags:
         return values
@@ -174,7 +174,7 @@ def is_mapped(path: Path) -> bool:
         return mapped_from(series) is not None and not palette
 
 
-def constant_zeros(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
+def constant_zeros(shape: Sequence[int], dtype: np.dtype[Any]) -> Array:
     """An array of any size in no memory; all its values are the same 0."""
     return np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), tuple(shape))
 
@@ -236,7 +236,7 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
     )
 
 
-def _raster_values(image: Image.Image, data: bytes, *, is_16_bit: bool) -> NDArray[Any]:
+def _raster_values(image: Image.Image, data: bytes, *, is_16_bit: bool) -> Array:
     """Values of a raster as stored, those of a palette by their colours, or grey where all are."""
     image.load()
     if is_16_bit:  # Pillow cuts 16-bit colour to 8 bits
@@ -247,7 +247,7 @@ def _raster_values(image: Image.Image, data: bytes, *, is_16_bit: bool) -> NDArr
     return colours[..., 0].copy() if np.all(colours == colours[..., :1]) else colours
 
 
-def _raster_zeros(image: Image.Image, *, is_16_bit: bool) -> NDArray[Any]:
+def _raster_zeros(image: Image.Image, *, is_16_bit: bool) -> Array:
     """Zeros of the shape and type that a raster has when it is decoded."""
     mode_types = {
         "1": "bool",

@@ -14,7 +14,6 @@ import numpy as np
 import zarr
 from google_crc32c import value as crc32c
 from imagecodecs import zstd_decode
-from numpy.typing import NDArray
 from zarr.codecs import (
     BytesCodec,
     Crc32cCodec,
@@ -23,6 +22,7 @@ from zarr.codecs import (
 )
 
 from planish.core.lazy import Where
+from planish.core.typing import Array
 
 _ABSENT = np.uint64(2**64 - 1)  # place of a chunk that holds the fill value
 
@@ -45,7 +45,7 @@ def is_plain(array: zarr.Array[Any]) -> bool:
     return is_index_last and array.dtype.newbyteorder("<") == array.dtype
 
 
-def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[Any]:
+def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> Array:
     """Read a part (slices without steps) of an array that :func:`is_plain`.
 
     ValueError or OSError if it is damaged.
@@ -73,7 +73,7 @@ def _read_shard(
     per_shard: list[int],
     chunk: tuple[int, ...],
     where: Where,
-    values: NDArray[Any],
+    values: Array,
 ) -> None:
     """Put what lies ``where`` of the chunks of one shard into ``values``.
 

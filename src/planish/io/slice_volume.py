@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from tifffile import PHOTOMETRIC
 
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.memory import EAGER_BYTES
 from planish.core.numbers import agree
 from planish.core.threads import map_threads
+from planish.core.typing import Array
 from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.lazy import PagedArray, StoredArray, Values, supported_type, widened
@@ -119,7 +119,7 @@ def _slice_rows(
     page: int,
     start: int,
     stop: int,
-) -> NDArray[Any]:
+) -> Array:
     file = files[page]
     grey = _grey_values(load_one(file), file, channel)
     _check_unchanged(file, grey.shape, shape)
@@ -132,7 +132,7 @@ def _strip_rows(
     page: int,
     start: int,
     stop: int,
-) -> NDArray[Any]:
+) -> Array:
     """Decode the strips of a grey TIFF slice in which some rows lie."""
     with open_series(files[page], error=FileError, advice=ADVICE) as (_, series):
         _check_unchanged(files[page], series.keyframe.shape, shape)
@@ -183,7 +183,7 @@ def _slice_header(file: Path) -> SliceHeader:
         return SliceHeader(key, dtype, strip_rows=strip_rows)
 
 
-def _grey_values(picture: DecodedPicture, file: Path, channel: str | None) -> NDArray[Any]:
+def _grey_values(picture: DecodedPicture, file: Path, channel: str | None) -> Array:
     """Grey values of a picture in its own type.
 
     Colour becomes luminance where no channel is chosen.

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tifffile import PHOTOMETRIC, TIFF, TiffFile, TiffFrame, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError, InputError
+from planish.core.typing import Array
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
 
 JPEG_COMPRESSIONS = frozenset({6, 7, 34892, 33007})
@@ -326,7 +326,7 @@ def _checked_bytes(
     return stored_bytes
 
 
-def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> NDArray[Any]:
+def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> Array:
     """Return the values of a checked series, mapped where they lie in the file as they are."""
     with reading(path):
         if (offset := mapped_from(series)) is not None:
@@ -353,9 +353,7 @@ def mapped_from(series: TiffPageSeries) -> int | None:
     return series.dataoffset if is_native and not is_turned else None
 
 
-def turn_white(
-    values: NDArray[Any], *, path: Path, bits: int, out: NDArray[Any] | None = None
-) -> NDArray[Any]:
+def turn_white(values: Array, *, path: Path, bits: int, out: Array | None = None) -> Array:
     """Make black zero."""
     if values.dtype.kind == "b":
         return np.logical_not(values, out=out)

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError, VolumeError
+from planish.core.typing import Array
 from planish.io.axes import LEAST_SLICES, slices_note
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
@@ -198,7 +198,7 @@ class TiffPages(PagedArray):
         """Open the file again in another process."""
         return _open_pages, (self.path,)
 
-    def _decoded_rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
+    def _decoded_rows(self, page: int, start: int, stop: int) -> Array:
         """Rows of a page, which begin with a strip or a row of tiles."""
         values = np.empty((stop - start, *self.shape[2:]), self.dtype)
         pixels = values.reshape(*values.shape[:2], -1)

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import zarr
-from numpy.typing import NDArray
 from zarr.storage import LocalStore
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
+from planish.core.typing import Array
 from planish.io.attributes import (
     Coordinates,
     names_by_attributes,
@@ -131,7 +131,7 @@ def _said_at_import(group_attrs: Keys) -> tuple[dict[str, str], list[str]]:
     return hand, [str(note) for note in notes] if isinstance(notes, list) else []
 
 
-def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> NDArray[Any]:
+def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> Array:
     changed_ns = max(
         (file.stat().st_mtime_ns for m in METADATA if (file := path / name / m).is_file()),
         default=0,

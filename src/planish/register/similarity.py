@@ -6,11 +6,10 @@ Projective.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Affine, Projective, Similarity, Transform
-from planish.core.typing import Floats, pair_of
+from planish.core.typing import Complexes, Floats, pair_of
 from planish.register.base_model import Frame, ParametricModel, least_squares, refuse_line
 from planish.register.pairs import COINCIDENT, Pairs, as_complex
 
@@ -160,7 +159,7 @@ def _refuse_no_rotation(product: complex, square: float) -> None:
         )
 
 
-def similarity_columns(z: NDArray[np.complex128], *, only_turn: bool = False) -> Floats:
+def similarity_columns(z: Complexes, *, only_turn: bool = False) -> Floats:
     """Derivatives of ``beta + alpha z`` by the parts of beta and alpha: (..., 2, 4 or 3).
 
     The turn alone may take the place of alpha.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -21,7 +21,7 @@ from planish.core.errors import SurfaceError
 from planish.core.facts import ResultModel
 from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Array, Bools, Floats, Pair
 from planish.resample._kernels import locate, sample
 
 Indices = NDArray[np.int32]
@@ -293,7 +293,7 @@ def _locate_in_delaunay(
     return np.ascontiguousarray(finite_nodes[triangulation.simplices], dtype=np.int32)
 
 
-def resample(field: NDArray[Any], places: Places) -> Floats:
+def resample(field: Array, places: Places) -> Floats:
     """Give the values of a mesh field on the grid.
 
     The field is linear in each triangle, and a pixel gets the mean over its sub-pixels.
@@ -340,7 +340,7 @@ def support(known: Bools, places: Places) -> Floats:
 
 
 def resample_dataset(
-    data: xr.Dataset, places: Places, *, dims: tuple[str, str], coords: Mapping[str, NDArray[Any]]
+    data: xr.Dataset, places: Places, *, dims: tuple[str, str], coords: Mapping[str, Array]
 ) -> xr.Dataset:
     """Resample every floating variable of ``data`` (rows, cols).
 
@@ -366,7 +366,7 @@ def resample_dataset(
     return xr.Dataset(variables, coords={k: (k, v, {"units": "um"}) for k, v in coords.items()})
 
 
-def _sampled(field: NDArray[Any], places: Places, share: Floats) -> Floats:
+def _sampled(field: Array, places: Places, share: Floats) -> Floats:
     """Values; ``share`` is set to the share of each pixel that is known where it is not empty."""
     if field.shape != places.mesh:
         raise SurfaceError(

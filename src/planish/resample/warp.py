@@ -16,7 +16,7 @@ from planish.core.errors import CannotRegister, InputError, ResourceError, SizeE
 from planish.core.grid import Grid
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Array, Floats, Pair
 from planish.resample._kernels import integrals, interpolate
 
 Integers = NDArray[np.int64]
@@ -146,7 +146,7 @@ def warp_image(
     )
 
 
-def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: Tile) -> None:
+def _warp_tile(image: Array, mapping: Mapping, out: Array, tile: Tile) -> None:
     """Set one tile of ``out``, which is NaN before."""
     for (y0, y1, x0, x1), nodes in zip(*find_patches(mapping, tile, image.shape), strict=True):
         sides = y1 - y0, x1 - x0
@@ -171,7 +171,7 @@ def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: T
             interpolate(image, nodes, down, across, 1.0 - _EDGE, out[y0:y1, x0:x1])
 
 
-def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[Any], Floats]:
+def _part(image: Array, positions: Floats, margin: int) -> tuple[Array, Floats]:
     """Part of an image under places (..., 2) and ``more`` pixels around, NaN beside it.
 
     And its first pixel (x, y).
@@ -193,7 +193,7 @@ def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[
     return part, low.astype(np.float64)
 
 
-def _averaged(image: NDArray[Any], nodes: Floats) -> Floats:
+def _averaged(image: Array, nodes: Floats) -> Floats:
     """Means over the quadrilaterals between nodes (rows + 1, cols + 1, 2).
 
     NaN where less than half is known.
@@ -214,7 +214,7 @@ def _averaged(image: NDArray[Any], nodes: Floats) -> Floats:
     return np.where(share >= 0.5 - _EDGE, total / np.where(share > 0, weight, 1.0), np.nan)
 
 
-def _sums(values: NDArray[Any]) -> Floats:
+def _sums(values: Array) -> Floats:
     sums = np.zeros((values.shape[0] + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=sums[1:])
     return sums

@@ -8,7 +8,6 @@ of its own.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +23,10 @@ from planish.core.errors import VolumeError
 from planish.core.lazy import LazyArray
 from planish.core.robust import mad_sd, otsu_borders
 from planish.core.threads import map_threads
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats
 from planish.sections.network import slow_part
 
-Stack = NDArray[Any] | LazyArray
+Stack = Array | LazyArray
 """Sections (section, row, col): an array, or photographs that are decoded when they are asked
 for."""
 
@@ -176,7 +175,7 @@ def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools,
     return is_sheet, np.where(is_sheet, difference, 0.0)
 
 
-def block_means(section: NDArray[Any], rows: int, cols: int) -> NDArray[np.float32]:
+def block_means(section: Array, rows: int, cols: int) -> NDArray[np.float32]:
     """Means of blocks of rows x cols pixels.
 
     NaN where a block holds a NaN, and what is left over is left out.
@@ -191,7 +190,7 @@ def block_means(section: NDArray[Any], rows: int, cols: int) -> NDArray[np.float
     return (total / (rows * cols)).astype(np.float32)
 
 
-def _row_medians(values: NDArray[Any]) -> Floats:
+def _row_medians(values: Array) -> Floats:
     is_valid = np.isfinite(values)
     return np.array(
         [np.median(v[h]) if h.any() else np.nan for v, h in zip(values, is_valid, strict=True)],
@@ -202,7 +201,7 @@ def _row_medians(values: NDArray[Any]) -> Floats:
 def _smooth_surface(middle_row: Floats, away_um: Floats) -> Floats:
     """Smooth the sheet's middle (sections, blocks) along both axes and fill it where it is NaN."""
     is_valid = np.isfinite(middle_row)
-    nearest_indices: NDArray[Any] = distance_transform_edt(
+    nearest_indices: Array = distance_transform_edt(
         ~is_valid, return_distances=False, return_indices=True
     )
     filled_row = median_filter(middle_row[tuple(nearest_indices)], size=(1, 3), mode="nearest")
@@ -272,7 +271,7 @@ def normalise_sections(series: SectionSeries) -> Gains:
 
 
 def core_and_background(
-    section: NDArray[Any],
+    section: Array,
     height: NDArray[np.float32],
     near_px: float,
     far_px: float,

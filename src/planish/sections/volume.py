@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
 from planish.core.labelled import labelled
 from planish.core.lazy import LazyArray, Where
 from planish.core.threads import map_threads
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Ints
 from planish.sections._kernels import interpolate
 from planish.sections.align import Alignment
 from planish.sections.band import Gains, SectionSeries, Stack
@@ -87,7 +86,7 @@ def regular_volume(
             " each part as a volume of its own."
         )
     planes = _place_planes(series, used_sections, gaps, alignment, gains)
-    values: NDArray[Any] | Planes = planes
+    values: Array | Planes = planes
     if isinstance(stack, np.ndarray):
         values = np.empty(planes.shape, stack.dtype)
         map_threads(planes.fill, range(planes.shape[0]), values)
@@ -110,8 +109,8 @@ def regular_volume(
 
 def _place_planes(
     series: SectionSeries,
-    used_sections: NDArray[np.intp],
-    gaps: NDArray[np.intp],
+    used_sections: Ints,
+    gaps: Ints,
     alignment: Alignment | None,
     gains: Gains | None,
 ) -> Planes:
@@ -163,8 +162,8 @@ class Planes(LazyArray):
 
     whole_slices = True
     stack: Stack
-    before: NDArray[np.intp]
-    after: NDArray[np.intp]
+    before: Ints
+    after: Ints
     weight: Floats
     empty: Bools
     poses: Floats
@@ -175,7 +174,7 @@ class Planes(LazyArray):
         self.shape = (self.before.size, *self.stack.shape[1:])
         self.dtype = self.stack.dtype
 
-    def fill(self, k: int, out: NDArray[Any]) -> None:
+    def fill(self, k: int, out: Array) -> None:
         """Compute plane ``k`` into ``out`` (rows, cols)."""
         if self.empty[k]:
             out[...] = np.nan
@@ -190,7 +189,7 @@ class Planes(LazyArray):
         poses, grades = self.poses[pair_indices], self.grades[pair_indices]
         interpolate(first, second, float(self.weight[k]), poses, grades, low, high, is_integer, out)
 
-    def read(self, where: Where) -> NDArray[Any]:
+    def read(self, where: Where) -> Array:
         """Compute a part."""
         plane = np.empty(self.shape[1:], self.dtype)
         plane_numbers = range(where[0].start, where[0].stop, where[0].step)

@@ -10,12 +10,12 @@ of its own in each.
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.reflectance import layer_over
-from planish.core.typing import Floats
+from planish.core.typing import Bools, Floats
 from planish.synthetic.params import CameraParams, PaperParams, PrintParams
 from planish.synthetic.pose import CameraPose
 from planish.synthetic.sheet import PITCH_UM, DrawnSheet, Field, noise
@@ -282,7 +282,7 @@ def image_material(
 
 
 def _oracle_gain(
-    maps: tuple[Field, Field, Floats], is_clear: NDArray[np.bool_], pixel_um: float, target: float
+    maps: tuple[Field, Field, Floats], is_clear: Bools, pixel_um: float, target: float
 ) -> float:
     """Return the size of the nuisance that brings r2 of thickness and reflectance to ``target``.
 

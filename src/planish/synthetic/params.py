@@ -15,9 +15,8 @@ from typing import Any, ClassVar, Literal
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planish.core.typing import Floats
+from planish.core.typing import Array, Floats
 
 
 def stream(seed: int, *names: str) -> np.random.SeedSequence:
@@ -158,7 +157,7 @@ def _packed(warp: Warp) -> tuple[Floats, Floats]:
     tilt = np.deg2rad(warp.tilt_deg)
     curl = np.deg2rad(warp.curl_deg)
 
-    def turn_at(p: NDArray[Any]) -> Floats:
+    def turn_at(p: Array) -> Floats:
         curled = 0.5 * (1 + np.tanh((p - warp.curl_p_um) / (2 * warp.curl_width_um)))
         return tilt + psi * np.sin(k * p + warp.phase_rad) + curl * curled
 

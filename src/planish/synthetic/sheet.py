@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from planish.core.grid import bilinear
-from planish.core.typing import Floats, pair_of
+from planish.core.typing import Complexes, Floats, pair_of
 from planish.synthetic import _kernels
 from planish.synthetic.fibres import FibreMat, Structure
 from planish.synthetic.params import BurnParams, FilmParams, PaperParams, generator
@@ -224,7 +224,7 @@ def _hole(
 
     def distance(x: Floats, y: Floats, radius: float) -> Floats:
         # cos(k angle) + i sin(k angle) from one order to the next, without a sine for each
-        spin: NDArray[np.complex128] = np.exp(1j * np.arctan2(y, x))
+        spin: Complexes = np.exp(1j * np.arctan2(y, x))
         harmonic = spin
         roughness = np.zeros(spin.shape)
         for a, b in waves:

@@ -6,7 +6,6 @@ Which material a place of a file shows, and what is true there.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.typing import Bools, Floats, Ints
+from planish.core.typing import Array, Bools, Floats, Ints
 from planish.register import FittedTransform
 from planish.run import Run
 from planish.synthetic import DrawnSheet, InstrumentFiles, Specimen
@@ -64,7 +63,7 @@ class Comparison:
         down, across = pitch(self.surfaces)
         return step * down, step * across
 
-    def at_columns(self, values: NDArray[Any]) -> Floats:
+    def at_columns(self, values: Array) -> Floats:
         """Values (y, x) of the run at the chosen columns, as float64."""
         return np.asarray(values[np.ix_(*self.columns)], dtype=np.float64)
 
