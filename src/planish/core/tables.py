@@ -189,19 +189,14 @@ def split_rows(text: str) -> Rows:
         lines = lines[1:]
     table_lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
     delimiter = own_line[1] if own_line else _delimiter_of([line for _, line in table_lines[:20]])
-    comments: list[str] = []
-    faults: list[str] = []
-    for number, line in lines:
-        comment = line.strip()
-        if not comment.startswith("#"):
-            continue
-        comments.append(comment.lstrip("#").strip())
-        # A label such as #1, and no comment.
-        if comment[1:2].isdecimal() and delimiter in line:
-            faults.append(
-                f"row {number} begins with #: write '# ' before a comment, a label in quotation"
-                " marks"
-            )
+    hash_lines = [(number, line) for number, line in lines if line.lstrip()[0] == "#"]
+    comments = [line.strip().lstrip("#").strip() for _, line in hash_lines]
+    # A label such as #1, and no comment.
+    faults = [
+        f"row {number} begins with #: write '# ' before a comment, a label in quotation marks"
+        for number, line in hash_lines
+        if line.lstrip()[1:2].isdecimal() and delimiter in line
+    ]
     rows: list[CsvRow] = []
     for number, line in table_lines:
         try:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
+Singles = NDArray[np.float32]  # of single precision
 Pair = tuple[float, float]
 Pixel = float | Pair  # edge of a pixel in um, or its edges along y and x
 Array = NDArray[Any]

@@ -5,7 +5,6 @@ A stage program in a dialect of G-code (docs/marks.md), its dry run, a drawing f
 
 import math
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike
 from planish.core.errors import MarkError
 from planish.core.typing import Floats, Ints, Pair
 from planish.design.params import StageParams
-from planish.design.pattern import Pattern
+from planish.design.pattern import Pattern, size_text
 
 Groups = list[tuple[int, Any]]
 
@@ -47,9 +46,9 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
         "; positions in mm, absolute, x to the right and y up as the laser sees the sheet",
         (
             f"; origin {home_move.removeprefix('G0 ')}, lower left corner of what is used:"
-            f" {_size_text(pattern.view_um)} mm"
+            f" {size_text(pattern.view_um)} mm"
         ),
-        f"; field {_size_text(pattern.field_um)} mm, without holes",
+        f"; field {size_text(pattern.field_um)} mm, without holes",
         (
             f"; hole {pattern.diameter_um:g} um, pulse {pattern.pulse_s:g} s, pause"
             f" {pattern.pause_s:g} s; G4 P is in seconds"
@@ -71,10 +70,6 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
     for k in short_route(points, origin):
         lines += [f"; hole {pattern.labels[k]}", _move(*points[k]), *pulse_lines]
     return "\n".join([*lines, "; back to the origin", home_move, "M2"]) + "\n"
-
-
-def _size_text(size_um: Iterable[float]) -> str:
-    return " x ".join(f"{side / 1000:g}" for side in size_um)
 
 
 def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:

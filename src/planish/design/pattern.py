@@ -11,7 +11,7 @@ which no hole reaches into.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -323,6 +323,11 @@ class Predicted:
             f" {self.corner_um:.2f} um in its worst corner (95 % below {P95 * self.corner_um:.2f}"
             f" um), from {self.fle_um:.2f} um for a hole"
         )
+
+
+def size_text(size_um: Iterable[float]) -> str:
+    """Write the sides of a field in mm: ``10 x 8``."""
+    return " x ".join(f"{side / 1000:g}" for side in size_um)
 
 
 def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> float:

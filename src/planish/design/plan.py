@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planish.core.errors import MarkError
 from planish.core.typing import Pair
 from planish.design.params import DesignParams
-from planish.design.pattern import BORDER_DIAMETERS, BURN, SIDES, Pattern
+from planish.design.pattern import BORDER_DIAMETERS, BURN, SIDES, Pattern, size_text
 from planish.design.rules import (
     MARKER_DIAMETERS,
     SPACING_DIAMETERS,
@@ -157,10 +157,13 @@ def design_pattern(params: DesignParams) -> Design:
         reasons_text = " ".join(reasons.values())
         if "rule 'area'" not in reasons_text and "rule 'spacing'" not in reasons_text:
             break
-    size_text = " x ".join(f"{v / 1000:g}" for v in params.field_um)
-    layout_text = " The layout 'coded' takes less room." if params.layout == "line" else ""
-    reason = f"{reasons[min(reasons)]}{layout_text}"
-    raise MarkError(f"No {params.layout} pattern around {size_text} mm keeps the rules. {reason}")
+    reason = reasons[min(reasons)]
+    if params.layout == "line":
+        reason += " The layout 'coded' takes less room."
+    raise MarkError(
+        f"No {params.layout} pattern around {size_text(params.field_um)} mm keeps the rules."
+        f" {reason}"
+    )
 
 
 def _blank_pattern(params: DesignParams) -> Pattern:

@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.bands import band_of, bands
 from planish.core.errors import SizeError
 from planish.core.threads import thread_pool
-from planish.core.typing import Array, Floats
+from planish.core.typing import Array, Floats, Singles
 from planish.report.colours import Scale
 
 
@@ -153,7 +152,7 @@ class Maps:
                 yield rows, band
 
 
-def percentile_limits(pixels: NDArray[np.float32]) -> tuple[float, float]:
+def percentile_limits(pixels: Singles) -> tuple[float, float]:
     """1st and 99th percentile of a map, between which it is shown first.
 
     0 to 1 where it has no value.

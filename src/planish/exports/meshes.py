@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planish.core.errors import StudyError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.typing import Array
+from planish.core.typing import Array, Singles
 from planish.exports.content import ExportHistory, column_of, units_of
 from planish.exports.formats import ExportParams
 from planish.report.colours import Scale
@@ -41,10 +41,10 @@ class Surface:
 class SurfaceMesh:
     """A mesh."""
 
-    points: NDArray[np.float32]  # (n, 3): x, y, z in um
+    points: Singles  # (n, 3): x, y, z in um
     quads: NDArray[np.int32]  # (m, 4): nodes of each cell, anticlockwise as seen from outside
     # (n,), by name and unit (``coating_top_um``); NaN is missing.
-    maps: dict[str, NDArray[np.float32]]
+    maps: dict[str, Singles]
     colours: NDArray[np.uint8] | None  # (n, 3): red, green, blue of the first map
     description: str  # what places and colours are, in one line
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import zarr
-from numpy.typing import NDArray
 
 from planish.core.area import halved_values, overview_count
 from planish.core.axial import summable
 from planish.core.bands import BAND, bands
+from planish.core.typing import Singles
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
 from planish.io.map_chunks import CODECS
@@ -62,7 +62,7 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
     group.attrs.update(_attributes(maps, windows, len(arrays), history))
 
 
-def _window(overview: NDArray[np.float32]) -> dict[str, float]:
+def _window(overview: Singles) -> dict[str, float]:
     low, high = percentile_limits(overview)
     finite = overview[np.isfinite(overview)]
     extremes = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)

@@ -10,10 +10,10 @@ from matplotlib import style
 from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from planish.core.area import area_mean
 from planish.core.numbers import round_step, unit
+from planish.core.typing import Singles
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
 from planish.report.colours import MISSING, Scale
@@ -70,7 +70,7 @@ def colormap_of(scale: Scale) -> Colormap:
     return mpl.colormaps[scale.colours].with_extremes(bad=MISSING)
 
 
-def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:
+def _reduced(maps: Maps, name: str) -> tuple[Singles, float]:
     """Give a map's values, at most as fine as a picture shows, and how much they were reduced."""
     reduction = max(1.0, max(maps.shape) / MOST)
     if reduction > 1:
@@ -78,7 +78,7 @@ def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:
     return np.concatenate([band for _, band in maps.bands(name, np.float32)]), reduction
 
 
-def _figure(maps: Maps, pixels: NDArray[np.float32], reduction: float, scale: Scale) -> Figure:
+def _figure(maps: Maps, pixels: Singles, reduction: float, scale: Scale) -> Figure:
     """Lay the picture out in pixels.
 
     Every pixel of the map is the same number of whole pixels wide and high.

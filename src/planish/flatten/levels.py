@@ -10,16 +10,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from planish.core.errors import CannotFlatten
-from planish.core.typing import Array, Bools, Floats, Ints
+from planish.core.typing import Array, Bools, Floats, Ints, Singles
 from planish.flatten._kernels import FAR
 from planish.flatten._mesh_kernels import coarsen, rest_lengths
-
-Single = NDArray[np.float32]
 
 
 class Team(ThreadPoolExecutor):
@@ -78,7 +75,7 @@ class Level:
     cols: int
     parts: list[tuple[int, int]]
     rest: Floats
-    stiff: Single
+    stiff: Singles
 
     def open(self) -> None:
         """Make the arrays of the solver.

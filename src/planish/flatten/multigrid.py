@@ -17,7 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from planish.core.status import Outcome
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Singles
 from planish.flatten._kernels import (
     FAR,
     advance,
@@ -30,7 +30,7 @@ from planish.flatten._kernels import (
 )
 from planish.flatten._mesh_kernels import hold_open, interpolate
 from planish.flatten.direct import Network, StiffnessSolver, relax_exactly
-from planish.flatten.levels import Level, Single, Team, halve
+from planish.flatten.levels import Level, Team, halve
 
 # Smoothing works on the part of the spectrum that the coarser mesh does not see: a node's own
 # stiffness divides its matrix so that eigenvalues reach 2 (a little more near borders); those of
@@ -69,7 +69,7 @@ class Step:
     move: float
 
 
-def _dot(a: Single, b: Single) -> float:
+def _dot(a: Singles, b: Singles) -> float:
     """Sum of the products.
 
     Numpy's own order of summation, where BLAS would share it out among its threads.
@@ -84,7 +84,7 @@ def _largest_ratio(gains: list[float]) -> float:
 
 
 # Forces, move and their product at a step.
-_Direction = tuple[Single, Single, float]
+_Direction = tuple[Singles, Singles, float]
 
 
 def _make_conjugate(level: Level, previous: _Direction | None) -> _Direction:

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError, check_choice
 from planish.core.facts import SIDES, Side
 from planish.core.reflectance import LUMINANCE
-from planish.core.typing import Array, Pair
+from planish.core.typing import Array, Pair, Singles
 from planish.io.formats import COLOURS, full_scale
 from planish.io.guard import check_memory, size_of_file
 from planish.io.orientation import orientation_attrs, tag_orientation
@@ -145,7 +144,7 @@ def across(stated: Sequence[Stated]) -> list[Stated]:
 
 def pick_channel(
     picture: DecodedPicture, channel: str, *, file_name: str, gamma: Gamma | None = None
-) -> tuple[NDArray[np.float32], str]:
+) -> tuple[Singles, str]:
     """Take one channel as float32, and name it; FileError where no pixel has a number."""
     picked = channel_of(picture, channel, file_name=file_name, gamma=gamma)
     if not np.isfinite(picked[0]).any():
@@ -157,7 +156,7 @@ def pick_channel(
 
 def channel_of(
     picture: DecodedPicture, channel: str, *, file_name: str, gamma: Gamma | None = None
-) -> tuple[NDArray[np.float32], str]:
+) -> tuple[Singles, str]:
     """One channel as float32, of a whole picture or a window of it, and its name.
 
     In linear grey where the curve is given that it is coded with.
@@ -198,7 +197,7 @@ def channel_of(
     )
 
 
-def _of_colours(samples: Array, name: str) -> NDArray[np.float32]:
+def _of_colours(samples: Array, name: str) -> Singles:
     """One of red, green and blue, or their luminance."""
     if name in COLOURS:
         return _as_float32(samples[..., COLOURS[name]])
@@ -208,7 +207,7 @@ def _of_colours(samples: Array, name: str) -> NDArray[np.float32]:
     return luminance
 
 
-def _as_float32(values: Array) -> NDArray[np.float32]:
+def _as_float32(values: Array) -> Singles:
     """Convert to a new float32 array in which everything that is no finite number is NaN."""
     with np.errstate(over="ignore"):
         converted = np.array(values, dtype=np.float32)

@@ -23,13 +23,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 
 from planish.core.arrays import check_image, values_of
 from planish.core.errors import InputError
 from planish.core.facts import Number, ResultModel, optional
+from planish.core.typing import Singles
 from planish.io.hashes import fingerprint
 from planish.io.image import read_image
 
@@ -49,7 +49,7 @@ _BLOCK = 16  # pixels of a block of which the noise is the median
 _LAG = 4  # pixels, beyond the correlation that colour filters leave in the noise
 _DARKEST = 3.0  # standard deviations of a pixel's noise: less light cannot be told from none
 
-Grey = NDArray[np.float32]
+Grey = Singles
 
 
 class LightFacts(ResultModel):

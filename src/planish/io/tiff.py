@@ -69,28 +69,32 @@ def open_series(
             full_series = [s for s in all_series if not s.keyframe.is_reduced] or all_series
             if not full_series:
                 raise damaged(path, "it holds no image")
-            series = first_series = full_series[0]
-            # Slices may be written one by one, each as an image of its own.
-            if len(full_series) > 1:
-                layouts = {(len(s.pages), s.ndim, s.keyframe.hash) for s in full_series}
-                if layouts != {(1, 2, first_series.keyframe.hash)}:
-                    odd_series = next(
-                        (s for s in full_series[1:] if s.shape != first_series.shape),
-                        full_series[1],
-                    )
-                    odd_page = next((page.index + 1 for page in odd_series if page is not None), 0)
-                    raise error(
-                        f"{path.name} holds {len(full_series)} different images:"
-                        f" {shape_words(first_series)} from page 1 on, {shape_words(odd_series)} at"
-                        f" page {odd_page}. {advice}"
-                    )
-                shape = (len(full_series), *first_series.shape)
-                slice_pages = [s.pages[0] for s in full_series]
-                series = TiffPageSeries(
-                    slice_pages, shape, first_series.dtype, "IYX", kind="uniform"
-                )
+            series, fault_text = _as_one(full_series)
+            if fault_text:
+                raise error(f"{path.name} holds {fault_text}. {advice}")
             _check_data(series, path)
         yield tif, series
+
+
+def _as_one(all_series: list[TiffPageSeries]) -> tuple[TiffPageSeries, str]:
+    """Slices that were written one by one, each as an image of its own, as one series.
+
+    Images that differ are the fault that is given.
+    """
+    first = all_series[0]
+    if len(all_series) == 1:
+        return first, ""
+    layouts = {(len(s.pages), s.ndim, s.keyframe.hash) for s in all_series}
+    if layouts == {(1, 2, first.keyframe.hash)}:
+        shape = (len(all_series), *first.shape)
+        pages = [s.pages[0] for s in all_series]
+        return TiffPageSeries(pages, shape, first.dtype, "IYX", kind="uniform"), ""
+    odd = next((s for s in all_series if s.shape != first.shape), all_series[1])
+    odd_page = next((page.index + 1 for page in odd if page is not None), 0)
+    return first, (
+        f"{len(all_series)} different images: {shape_words(first)} from page 1 on,"
+        f" {shape_words(odd)} at page {odd_page}"
+    )
 
 
 def is_tiff(head: bytes) -> bool:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import (
     distance_transform_edt,
     gaussian_filter,
@@ -23,7 +22,7 @@ from planish.core.errors import VolumeError
 from planish.core.lazy import LazyArray
 from planish.core.robust import mad_sd, otsu_borders
 from planish.core.threads import map_threads
-from planish.core.typing import Array, Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Singles
 from planish.sections.network import slow_part
 
 Stack = Array | LazyArray
@@ -45,7 +44,7 @@ class SheetBand:
     background: Floats  #: (sections,): rough grey level off the sheet.
     contrast: Floats  #: (sections,): that of the sheet less that of the background.
 
-    def heights(self, section: int, cols: int) -> NDArray[np.float32]:
+    def heights(self, section: int, cols: int) -> Singles:
         """Row of the sheet in each of ``cols`` columns of a section, in pixels."""
         return np.interp(np.arange(cols), self.at_col, self.row[section]).astype(np.float32)
 
@@ -112,7 +111,7 @@ class SectionSeries:
         block_rows = max(1, min(round(5.0 / self.pixel_um[0]), rows // 16))
         block_cols = max(1, min(round(80.0 / self.pixel_um[1]), cols // 8))
 
-        def means(i: int) -> NDArray[np.float32]:
+        def means(i: int) -> Singles:
             return block_means(self.stack[i], block_rows, block_cols)
 
         blocks = np.stack(map_threads(means, range(n)))
@@ -155,7 +154,7 @@ class SectionSeries:
         )
 
 
-def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools, Floats]:
+def _find_sheet(blocks: Singles, background: Floats) -> tuple[Bools, Floats]:
     """Blocks (sections, rows, cols) in which the sheet lies, and how far they are from resin."""
     difference = np.abs(blocks - background[:, None, None])
     difference[~np.isfinite(difference)] = 0.0
@@ -175,7 +174,7 @@ def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools,
     return is_sheet, np.where(is_sheet, difference, 0.0)
 
 
-def block_means(section: Array, rows: int, cols: int) -> NDArray[np.float32]:
+def block_means(section: Array, rows: int, cols: int) -> Singles:
     """Means of blocks of rows x cols pixels.
 
     NaN where a block holds a NaN, and what is left over is left out.
@@ -272,11 +271,11 @@ def normalise_sections(series: SectionSeries) -> Gains:
 
 def core_and_background(
     section: Array,
-    height: NDArray[np.float32],
+    height: Singles,
     near_px: float,
     far_px: float,
     strides: tuple[int, int],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Singles, Singles]:
     """Grey levels of the sheet's core and of the background.
 
     height[c] is the row of the sheet: pixels within ``near_px`` of it are the core, of which every
@@ -295,7 +294,7 @@ def core_and_background(
     return core, background
 
 
-def _crowd_mean(greys: NDArray[np.float32]) -> float:
+def _crowd_mean(greys: Singles) -> float:
     """Value around which most of the data lie, by iteration from the median.
 
     NaN for a few pixels.

@@ -12,15 +12,14 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from planish.core.threads import map_threads
-from planish.core.typing import Bools, Floats, Ints
+from planish.core.typing import Bools, Floats, Ints, Singles
 from planish.sections._kernels import pair_sums, smooth, straighten
 from planish.sections.band import SectionSeries, SheetBand, Stack
 
-Samples = NDArray[np.float32]
+Samples = Singles
 FINEST_UM = 3.0  # with wider pixels the fine bands would show no more than the others
 _MARGIN_UM = 30.0  # beyond the faces
 _PART_UM = 150.0  # five times the reach of the texture

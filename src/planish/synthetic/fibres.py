@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Singles
 from planish.synthetic.params import FilmParams, PaperParams, generator
 
 WALL_G_PER_CM3 = 1.5
@@ -80,7 +80,7 @@ class Structure:
             film_um=film_top_um,
         )
 
-    def face(self, blur_um: float, pitch_um: float, *, top: bool) -> NDArray[np.float32]:
+    def face(self, blur_um: float, pitch_um: float, *, top: bool) -> Singles:
         """Height (rows, cols) of a face without coating, NaN where there is none.
 
         It is the outermost place at which the wall, under a Gaussian blur of ``blur_um`` full

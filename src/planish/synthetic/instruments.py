@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.threads import count_threads, thread_pool
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Singles
 from planish.synthetic import _kernels
 from planish.synthetic.params import ScannerParams, SectionsParams, Warp, generator
 from planish.synthetic.sheet import PITCH_UM, DrawnSheet
 
-Slab = NDArray[np.float32]
+Slab = Singles
 _CRACK = -0.5  # grey of a crack less that of resin, over the contrast of the coating
 _BLOCK = 192  # columns painted together: the sheet then fills much of the box around it
 
@@ -89,7 +89,7 @@ def painted(
     return blocks
 
 
-def gaussian_taps(sigma: float) -> NDArray[np.float32]:
+def gaussian_taps(sigma: float) -> Singles:
     """Symmetric taps [centre, 1, 2, ...] of a Gaussian of ``sigma`` voxels, cut at four sigma.
 
     [1] for 0.
@@ -99,7 +99,7 @@ def gaussian_taps(sigma: float) -> NDArray[np.float32]:
     return (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
 
 
-def smooth(slab: Slab, taps: NDArray[np.float32], axes: tuple[int, ...]) -> Slab:
+def smooth(slab: Slab, taps: Singles, axes: tuple[int, ...]) -> Slab:
     """Filter along the axes; the result is shorter by the taps' reach at each end of them."""
     reach = taps.size - 1
     if not reach:

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from planish.core.grid import bilinear
-from planish.core.typing import Complexes, Floats, pair_of
+from planish.core.typing import Complexes, Floats, Singles, pair_of
 from planish.synthetic import _kernels
 from planish.synthetic.fibres import FibreMat, Structure
 from planish.synthetic.params import BurnParams, FilmParams, PaperParams, generator
@@ -178,7 +177,7 @@ def burn(
     low: tuple[float, float],
     depth_um: float,
     seed: int,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Singles, Singles]:
     """Burn the holes into a sheet of mean thickness ``depth_um``: its ``rim_um`` and ``char``."""
     rim = np.full((2, *shape), 1e4, dtype=np.float32)
     char = np.ones(shape, dtype=np.float32)
@@ -245,7 +244,7 @@ def _hole(
 
 _DISC = np.hypot(*np.mgrid[-3:4, -3:4]) < 3.5  # nodes: 20 um
 _MIDDLE_UM = 3.0  # sd of the height of the middle of a base of fibres
-Field = NDArray[np.float32]
+Field = Singles
 # Of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick.
 LAYERS = 10
 _FLOC_UM, _STREAK_UM, _DEPOSIT_UM, _CRACK_UM = 1500.0, 2000.0, 100.0, 300.0  # correlation lengths

@@ -9,11 +9,10 @@ from functools import cached_property
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.typing import Array, Bools, Floats, Ints
+from planish.core.typing import Array, Bools, Floats, Ints, Singles
 from planish.register import FittedTransform
 from planish.run import Run
 from planish.synthetic import DrawnSheet, InstrumentFiles, Specimen
@@ -190,7 +189,7 @@ def true_thickness(sheet: DrawnSheet, name: str, u: Floats, v: Floats) -> Floats
     return field_at(sheet, sheet.faces[outer] - sheet.faces[inner], u, v)
 
 
-def field_at(sheet: DrawnSheet, field: NDArray[np.float32], u: Floats, v: Floats) -> Floats:
+def field_at(sheet: DrawnSheet, field: Singles, u: Floats, v: Floats) -> Floats:
     """Value of a field of the sheet at material (u, v); NaN where that is."""
     is_finite = np.isfinite(u) & np.isfinite(v)
     sampled = np.full(u.shape, np.nan)

@@ -24,7 +24,7 @@ from scipy import fft, ndimage, special
 from planish.core.errors import CannotRegister
 from planish.core.threads import map_threads
 from planish.core.transform import Similarity, nearest_similarity
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats, Pair, Singles
 from planish.texture.textures import Textures, tile_sums
 
 BAND_UM = (18.0, 150.0)
@@ -48,7 +48,7 @@ _LEAST_ROTATIONS = 20  # that show how high chance gets
 # Of the rotations, measured on unrelated fields; those beside each other are alike.
 _INDEPENDENT = 0.25
 _KNOWN = "known pixels"
-Slab = NDArray[np.float32]
+Slab = Singles
 Names = tuple[str, str]
 """A map of the moving layer, and that of the fixed one which it is compared with."""
 
