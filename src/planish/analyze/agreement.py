@@ -105,9 +105,11 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     check_varying(is_valid)
     x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
-    sums, differences = sums_of(x[is_valid], y[is_valid]), y - x
+    sums = sums_of(x[is_valid], y[is_valid])
+    differences = y - x
     slope, _, slope_x_on_y = sums.lines
-    bias, sd = float(differences[is_valid].mean()), sums.difference[1]
+    bias = float(differences[is_valid].mean())
+    sd = sums.difference[1]
     estimates: dict[str, Any] = {
         "n": sums.n,
         "bias": bias,
@@ -117,7 +119,8 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
     if np.ptp(differences[is_valid]) <= 1e-12 * max(
         np.abs(x[is_valid]).max(), np.abs(y[is_valid]).max()
     ):
-        zero_width, n_eff = (bias, bias), float(sums.n)
+        zero_width = (bias, bias)
+        n_eff = float(sums.n)
         return Agreement(
             **estimates,
             sd=0.0,
@@ -135,7 +138,8 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
     n_eff_sd = PairCovariances(differences, differences, lags).n_eff(sums.n)
     if min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
         quantile = t_95(min(n_eff / _POINTS_A_FREE, _MOST_FREE))
-        bias_half_width, sigma = quantile * math.sqrt(variance / n_eff), math.sqrt(variance)
+        bias_half_width = quantile * math.sqrt(variance / n_eff)
+        sigma = math.sqrt(variance)
         # sd of Gaussian values scatters by sd / sqrt(2 df).
         log_sd_half_width = quantile / math.sqrt(2 * (n_eff_sd - 1))
         width = quantile * math.sqrt(variance / n_eff + variance * LIMIT**2 / (2 * (n_eff_sd - 1)))
@@ -216,22 +220,25 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
         raise InputError(
             f"x has the shape {np.shape(x)}, y {np.shape(y)}. Bring both onto one grid first."
         )
-    x, y = values_of(x, "x"), values_of(y, "y")
+    x = values_of(x, "x")
+    y = values_of(y, "y")
     is_valid = np.isfinite(x) & np.isfinite(y)
     n = int(np.count_nonzero(is_valid))
     if n < LEAST:
         raise CannotMeasure(f"{n} points are known in x and y. Give {LEAST} or more.")
     scale = math.sqrt(error_ratio)
-    a, b = (
-        x[is_valid].astype(np.float64),
-        y[is_valid].astype(np.float64) / scale,
-    )
-    xx, xy, yy = float(np.var(a)), float(np.mean((a - a.mean()) * (b - b.mean()))), float(np.var(b))
+    a = x[is_valid].astype(np.float64)
+    b = y[is_valid].astype(np.float64) / scale
+    xx = float(np.var(a))
+    xy = float(np.mean((a - a.mean()) * (b - b.mean())))
+    yy = float(np.var(b))
     eigenvalue_gap = math.hypot(yy - xx, 2 * xy)
     if xy == 0 or not min(xx, yy) > 0 or eigenvalue_gap < 1e-12 * (xx + yy):
         raise CannotMeasure("x and y do not vary together: any slope fits. Look at the maps.")
     axis_angle = math.atan2(2 * xy, xx - yy) / 2
-    slope, interval, n_eff = math.tan(axis_angle) * scale, (math.nan, math.nan), min(n_eff, n)
+    slope = math.tan(axis_angle) * scale
+    interval = (math.nan, math.nan)
+    n_eff = min(n_eff, n)
     if n_eff >= LEAST_CLAIMED:
         sin_2_half_width = (
             2
@@ -362,7 +369,8 @@ def compare_instruments(
     points, size = (x, y), pixel
     if point_um is not None:
         factor = (point_um / pixel[0], point_um / pixel[1])
-        points, size = (area_mean(x, factor), area_mean(y, factor)), (point_um, point_um)
+        points = (area_mean(x, factor), area_mean(y, factor))
+        size = (point_um, point_um)
     agreement = bland_altman(*points, pixel_um=size)
     rings: RingCorrelation | None = None
     line: Deming | None = None

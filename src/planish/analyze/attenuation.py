@@ -86,7 +86,8 @@ def attenuation_limit(
     def at_zero(spectrum: Floats) -> float:
         return float(np.sum(spectrum * counts)) / covariance.size
 
-    variance, quantiles = at_zero(spectrum), errors
+    variance = at_zero(spectrum)
+    quantiles = errors
     if errors.size > 1:
         quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     # Along an axis the standard deviation is the error over the square root of 2.
@@ -109,10 +110,8 @@ def answer_attenuation(pair: ComparedMaps) -> dict[str, Any]:
     )
     errors_um = errors_um[np.isfinite(errors_um)]
     if error_maps and errors_um.size:
-        size_um, errors_um = (
-            pair.point_um if pair.has_points else None,
-            np.quantile(errors_um, np.linspace(0, 1, 65)),
-        )
+        size_um = pair.point_um if pair.has_points else None
+        errors_um = np.quantile(errors_um, np.linspace(0, 1, 65))
         answers["attenuation_limit"] = attenuation_limit(
             pair.x,
             error_um=errors_um,

@@ -241,7 +241,8 @@ def comparison_rows(
     ``away`` gives the pixels away from holes. All marks count, as in the paper: misfits show a
     wrong registration.
     """
-    grid, sheet_map = Grid.of(linked), sheet["surfaces"][name].values
+    grid = Grid.of(linked)
+    sheet_map = sheet["surfaces"][name].values
     variants = [*_variants(sheet, fit), _Variant(f"flattened, {fit.model}", fit.rms_um, None)]
     sums = [
         PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS)

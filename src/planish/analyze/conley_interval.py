@@ -85,16 +85,21 @@ def conley_interval(
     if point_um is not None:
         factor = point_um / pixel[0], point_um / pixel[1]
         a, b = (area_mean(np.where(is_valid, m, np.nan), factor) for m in (a, b))
-        pixel, is_valid = (point_um, point_um), np.isfinite(a)
+        pixel = (point_um, point_um)
+        is_valid = np.isfinite(a)
     x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
-    r, critical, error, ratio = pearson(x[is_valid], y[is_valid]), math.nan, math.nan, math.nan
+    r = pearson(x[is_valid], y[is_valid])
+    critical = math.nan
+    error = math.nan
+    ratio = math.nan
     if correlation.n_eff >= LEAST_CLAIMED and 1 - r * r >= 1e-14:
         reach_um = BANDWIDTH * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
         spatial_error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(
             r, reach_um
         )
         if spatial_error > 0:
-            error, critical = spatial_error, critical_value(is_valid, pixel)
+            error = spatial_error
+            critical = critical_value(is_valid, pixel)
     z = math.atanh(r) if critical > 0 else math.nan
     return ConleyInterval(
         point_um=correlation.point_um,

@@ -402,7 +402,8 @@ class PairAtSizes:
 
         Of none where they would be smaller than a pixel.
         """
-        points, size = self.points(), self._point_um or math.nan
+        points = self.points()
+        size = self._point_um or math.nan
         is_valid = np.isfinite(points[0]) & np.isfinite(points[1])
         return _stated(
             sums_of(*points), points, np.stack([m[is_valid] for m in points]), (size, size), size
@@ -446,7 +447,8 @@ def _stated(
         if sums.n < LEAST:
             warnings = [f"Only {sums.n} points are valid in both maps."]
         return Correlation(**fields, warnings=tuple(warnings))
-    rho, warnings = math.nan, list[str]()
+    rho = math.nan
+    warnings = list[str]()
     if ranked.size:
         rho = pearson(ranks(ranked[0]), ranks(ranked[1]))
         median_shares = (float(np.mean(values == np.median(values))) for values in ranked)
@@ -486,7 +488,8 @@ def _certainty(
         warnings.append(f"Only {n_eff:.0f} independent points. Measure a larger field.")
     if 1 - r * r < 1e-14:
         return {"n_eff": n_eff, "p": 0.0, "interval": (r, r)}
-    r_of_cells, error_ratio = pearson(x[is_valid], y[is_valid]), 1.0
+    r_of_cells = pearson(x[is_valid], y[is_valid])
+    error_ratio = 1.0
     if 1 - r_of_cells**2 > 1e-14:
         reach = BANDWIDTH * min(k * p for k, p in zip(is_valid.shape, pitch_um, strict=True))
         error_ratio = max(pair.spatial_error(r_of_cells, reach)[1], 1.0)
@@ -495,10 +498,8 @@ def _certainty(
             f"The maps vary unevenly, which makes the interval {error_ratio:.1f} times as wide."
             " Look at them, and mask what does not belong."
         )
-    variance_of_z, quantile = (
-        error_ratio**2 * pair.variance_of_z(r, sums.variances),
-        float(special.ndtri(0.975)),
-    )
+    variance_of_z = error_ratio**2 * pair.variance_of_z(r, sums.variances)
+    quantile = float(special.ndtri(0.975))
     width = quantile / math.sqrt(n_eff - 3)
     if 0 < variance_of_z < 1 / 3:  # the quantile needs degrees of freedom above 1
         width = max(width, t_95(1 / variance_of_z - 2) * math.sqrt(variance_of_z))

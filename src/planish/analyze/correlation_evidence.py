@@ -182,7 +182,8 @@ def correlation_diagnostics(
         If a sheet lacks a map that is to stand beside.
     """
     a_maps, b_maps = maps[a[0]], maps[b[0]]
-    grid, is_same_quantity = Grid.of(a_maps), a[1] == b[1] and "image" not in (a[1], b[1])
+    grid = Grid.of(a_maps)
+    is_same_quantity = a[1] == b[1] and "image" not in (a[1], b[1])
     accumulator = PairAtSizes(
         grid.shape,
         pixel_um=grid.pixel_um,

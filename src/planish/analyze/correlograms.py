@@ -197,7 +197,8 @@ def _summit(r: Floats) -> tuple[Pair, float, bool]:
         return pixel_peak
     y, x = (m.ravel() for m in np.mgrid[-1:2, -1:2])
     terms = np.stack([np.ones(9), y, x, y * y / 2, x * y, x * x / 2], axis=1).astype(np.float64)
-    c, sign = np.linalg.lstsq(terms, neighbours.ravel(), rcond=None)[0], math.copysign(1.0, highest)
+    c = np.linalg.lstsq(terms, neighbours.ravel(), rcond=None)[0]
+    sign = math.copysign(1.0, highest)
     curvature = c[[[3, 4], [4, 5]]] * sign
     if curvature[0, 0] >= 0 or np.linalg.det(curvature) <= 0:
         return pixel_peak
@@ -251,7 +252,8 @@ def _limits(
     """Independent points, and the limits of ``|r|`` by lag: at this lag alone, and at any lag."""
     x, y = (np.where(lags.is_valid, m, 0.0).astype(np.float64) for m in maps)
     pair = PairCovariances(x, y, lags)
-    n_eff, unknown = pair.n_eff(lags.n), np.full(pairs.shape, math.nan)
+    n_eff = pair.n_eff(lags.n)
+    unknown = np.full(pairs.shape, math.nan)
     if not n_eff >= LEAST_CLAIMED:
         return n_eff, unknown, unknown
     # Fewer pairs hold as many fewer independent ones.
@@ -259,7 +261,8 @@ def _limits(
     over = [np.asarray(fft.rfft2(m)) for m in (pair.xx, pair.yy)]
     together = np.asarray(fft.irfft2(over[0] * over[1], pair.xx.shape))
     smooth = [2 * max(1 - float(v / together[0, 0]), 0.0) for v in (together[1, 0], together[0, 1])]
-    sides, count = [n - 1 for n in pairs.shape], int(np.count_nonzero(looked_at))
+    sides = [n - 1 for n in pairs.shape]
+    count = int(np.count_nonzero(looked_at))
 
     def chance(u: float) -> float:
         """Of exceeding u standard deviations anywhere, on either side."""

@@ -67,7 +67,8 @@ def size_curve(
             f"A point of {min(sizes_um, default=0):g} um is smaller than a pixel of"
             f" {max(pixel):g} um."
         )
-    rows, tile_sums = list[Correlation](), list[Floats]()
+    rows = list[Correlation]()
+    tile_sums = list[Floats]()
     for size in map(float, sorted(sizes_um)):
         means = AreaMeans((a.shape[0], a.shape[1]), (size / pixel[0], size / pixel[1]))
         means.add(0, is_valid, a, b)
@@ -75,11 +76,13 @@ def size_curve(
         rows.append(correlate(x, y, pixel_um=size))
         if not math.isnan(rows[-1].interval[0]) and abs(rows[-1].r) < 1:
             tile_sums.append(_by_tiles(x, y, rows[-1].r))
-    widening, curve = _wider(tile_sums), list[SizeRow]()
+    widening = _wider(tile_sums)
+    curve = list[SizeRow]()
     for row in rows:
         band = math.nan, math.nan
         if not math.isnan(row.interval[0]) and abs(row.r) < 1:
-            z, (low, high) = math.atanh(row.r), (math.atanh(v) for v in row.interval)
+            z = math.atanh(row.r)
+            low, high = (math.atanh(v) for v in row.interval)
             band = math.tanh(z + widening * (low - z)), math.tanh(z + widening * (high - z))
         curve.append(SizeRow.of(row, band=band))
     return tuple(curve)

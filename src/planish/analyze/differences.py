@@ -115,7 +115,8 @@ def difference_of(first: Correlation, second: Correlation) -> Difference:
 
 def _difference(r: Pair, width: float) -> Difference:
     z = [math.atanh(v) for v in r]
-    z_mean, z_change = sum(z) / 2, z[1] - z[0]
+    z_mean = sum(z) / 2
+    z_change = z[1] - z[0]
     low, high = (
         math.tanh(z_mean + d / 2) - math.tanh(z_mean - d / 2)
         for d in (z_change - width, z_change + width)
@@ -129,7 +130,8 @@ def holm(p: Sequence[float]) -> list[float]:
     J. Statist. 6, 65); NaN stays and counts.
     """
     order = sorted((v, k) for k, v in enumerate(p) if not math.isnan(v))
-    out, most = [math.nan] * len(p), 0.0
+    out = [math.nan] * len(p)
+    most = 0.0
     for rank, (value, k) in enumerate(order):
         most = max(most, min(1.0, value * (len(p) - rank)))
         out[k] = most

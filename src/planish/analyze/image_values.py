@@ -114,7 +114,8 @@ def compared_image(
     CannotMeasure
         If no pixel is known.
     """
-    values, title = image.values, str(image.attrs.get("long_name", "Image"))
+    values = image.values
+    title = str(image.attrs.get("long_name", "Image"))
     if params.dark_grey is None and params.screen_um is None:
         return image
     more: dict[str, object] = {}

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
 
 # S times the mean of x, up to where a layer hides everything, and the backing.
-_LOW, _HIGH = np.array([0.0, 0.0]), np.array([1e6, 1.0])
+_LOW = np.array([0.0, 0.0])
+_HIGH = np.array([1e6, 1.0])
 
 
 class KubelkaMunk(ResultModel):
@@ -222,7 +223,8 @@ class _Fit:
         def excess(value: float) -> float:
             return self.squares(*_parameters(k, value, self.refit(k, value, best))) - limit
 
-        low, high = float(_LOW[k]), float(_HIGH[k])
+        low = float(_LOW[k])
+        high = float(_HIGH[k])
         return (
             _crossing(excess, best[k], low, low),
             _crossing(excess, best[k], high, math.inf if k == 0 else high),
@@ -260,7 +262,8 @@ def _crossing(
 
     Else ``fallback``.
     """
-    near, step = inside, 0.05 * max(abs(inside), 0.1)
+    near = inside
+    step = 0.05 * max(abs(inside), 0.1)
     while near != end:
         far = min(near + step, end) if end > inside else max(near - step, end)
         if excess(far) > 0:

@@ -193,10 +193,8 @@ class Lag:
         if expected_error_um is None or not math.isfinite(expected_error_um):
             sentence = f"{inconclusive} the marks give no expected error; b{offset}."
             return Check(name=NAME, state="unknown", sentence=sentence, value=length, units="um")
-        limit_um, expected = (
-            self._allowed_um(expected_error_um),
-            f"expected error {to_spread(expected_error_um, expected_error_um)} um",
-        )
+        limit_um = self._allowed_um(expected_error_um)
+        expected = f"expected error {to_spread(expected_error_um, expected_error_um)} um"
         judge = partial(
             Check,
             name=NAME,
@@ -308,7 +306,8 @@ def texture_lag(  # noqa: PLR0911
     """
     pixel = texture.pixel_um
     sides_um = texture.known.shape[0] * pixel[0], texture.known.shape[1] * pixel[1]
-    least_um, most_um = 3 * max(pixel), min(sides_um) / 4
+    least_um = 3 * max(pixel)
+    most_um = min(sides_um) / 4
     if not least_um <= reach_um <= most_um:
         raise SizeError(
             f"A reach of {reach_um:g} um does not fit maps of {sides_um[1]:.3g} x {sides_um[0]:.3g}"
@@ -322,9 +321,11 @@ def texture_lag(  # noqa: PLR0911
     ):
         return build_lag(reason="few")
     halves = [texture.halves(k) for k in first]
-    x, y = np.stack([m for two in halves for m in two]), texture.maps[last]
+    x = np.stack([m for two in halves for m in two])
+    y = texture.maps[last]
     search = LagSearch(x, y, texture.known, (reach[0] + MARGIN, reach[1] + MARGIN))
-    allowed, limit = within(reach), search.limit(reach)
+    allowed = within(reach)
+    limit = search.limit(reach)
     above = allowed & (search.height > limit)
     peak = find_peak(search.share, above if above.any() else allowed)
     share_at_zero = search.share[search.share.shape[0] // 2, search.share.shape[1] // 2]

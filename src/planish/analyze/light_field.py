@@ -200,7 +200,8 @@ def _even_light(
     spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in basis.T]
     pairs_of_terms = product(spectra, spectra)
     expected = np.array([np.sum(lags.products(m, k) * covariance) for m, k in pairs_of_terms])
-    mean, size = float(np.sum(expected[:: _TERMS + 1])), float(np.sum((basis.T @ y) ** 2))
+    mean = float(np.sum(expected[:: _TERMS + 1]))
+    size = float(np.sum((basis.T @ y) ** 2))
     if not (mean > 0 and variances.min() > 0):
         return math.nan, math.nan
     freedom = mean**2 / float(np.sum(expected * expected))
@@ -235,7 +236,9 @@ def _widened(
     row: Correlation, ratios: Sequence[float], share: float, inflation: float
 ) -> Correlation:
     """A row with its limits ``ratios`` times as far in z, and that share of its points."""
-    z, n_eff, p = _z(row.r), share * row.n_eff, math.nan
+    z = _z(row.r)
+    n_eff = share * row.n_eff
+    p = math.nan
     low, high = (
         math.tanh(z + ratio * (_z(limit) - z))
         for ratio, limit in zip(ratios, row.interval, strict=True)

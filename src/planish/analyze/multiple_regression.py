@@ -114,7 +114,8 @@ def regress(
     """
     is_valid, n = lags.is_valid, lags.n
     values = np.stack([m[is_valid] for m in predictors], axis=1)
-    means, spread = values.mean(axis=0), values.std(axis=0)
+    means = values.mean(axis=0)
+    spread = values.std(axis=0)
     x = (values - means) / spread
     y_mean = float(response[is_valid].mean())
     y = response[is_valid] - y_mean

@@ -118,7 +118,8 @@ def _band(
 
     The waves are taken as they are and whitened.
     """
-    cross, gain = complex(np.vdot(whitened[0], whitened[1])), complex(np.vdot(raw[0], raw[1]))
+    cross = complex(np.vdot(whitened[0], whitened[1]))
+    gain = complex(np.vdot(raw[0], raw[1]))
     spread = math.sqrt(math.prod(float(np.vdot(m, m).real) for m in whitened))
     power_a = float(np.vdot(raw[0], raw[0]).real)
     p = unbiased = math.nan
@@ -183,7 +184,8 @@ def spectrum_of(values: Array, is_valid: Bools, window: Floats) -> Complexes:
 
 def half_plane(shape: tuple[int, ...]) -> Bools:
     """One of each two modes that a real map has twice, in half of a Fourier transform."""
-    rows, cols = fft.fftfreq(shape[0], 1 / shape[0]), np.arange(shape[1] // 2 + 1)
+    rows = fft.fftfreq(shape[0], 1 / shape[0])
+    cols = np.arange(shape[1] // 2 + 1)
     inner = (cols > 0) & (2 * cols < shape[1])
     return inner[None, :] | ((cols[None, :] == 0) & (rows[:, None] > 0))
 

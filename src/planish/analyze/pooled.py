@@ -62,7 +62,8 @@ def random_effects(
     q = _excess(0.0, y, v)[0]
     between = _between(y, v)
     weight = 1 / (v + between)
-    mean, width = float(np.sum(weight * y) / weight.sum()), math.nan
+    mean = float(np.sum(weight * y) / weight.sum())
+    width = math.nan
     if k > 2:
         squares = float(np.sum(weight * (y - mean) ** 2))
         width = t_95(k - 1) * math.sqrt(squares / float(weight.sum()) / (k - 1))

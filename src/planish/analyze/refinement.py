@@ -298,7 +298,8 @@ def refine_link(
     maps. CannotRegister where SimpleITK is missing, or the refinement folds the map or leaves what
     the marks allow.
     """
-    pixel, options = grid.pixel_um, RefineOptions(model=model)
+    pixel = grid.pixel_um
+    options = RefineOptions(model=model)
     options = replace(options, grid_um=unit_um * options.grid_um)
     coarsest_um = unit_um * _COARSEST_UM
     moving, fixed = (_detail(m.values, valid, pixel, coarsest_um) for m in (a, b))
@@ -344,19 +345,23 @@ def held_out_r(
     """
     coarsest_um = unit_um * _COARSEST_UM
     a, b = (_detail(values, valid, pixel_um, coarsest_um) for values in (a, b))
-    is_known, pixel = valid & np.isfinite(b), (pixel_um[0] / unit_um, pixel_um[1] / unit_um)
+    is_known = valid & np.isfinite(b)
+    pixel = (pixel_um[0] / unit_um, pixel_um[1] / unit_um)
     fixed = textures({"image": b}, is_known, pixel, band_um=BAND_UM)
     rows, cols = np.indices(b.shape)
     points = np.stack([cols * pixel[1], rows * pixel[0]], axis=-1)
     # A linear interpolation would take noise off the image, and raise r by that alone.
     spline = np.asarray(ndimage.spline_filter(np.where(is_known, b, 0.0)), dtype=np.float64)
-    step, b_known = np.array(pixel), is_known.astype(np.float64)
+    step = np.array(pixel)
+    b_known = is_known.astype(np.float64)
 
     def tune(other: Floats, look: Bools) -> Floats:
         maps = {"map": other} if face is None else {"map": other, "face": face}
-        moving, light = textures(maps, look & np.isfinite(other), pixel, band_um=BAND_UM), ()
+        moving = textures(maps, look & np.isfinite(other), pixel, band_um=BAND_UM)
+        light = ()
         if face is not None:
-            moving, light = moving.with_slopes("face"), ("face_x", "face_y")
+            moving = moving.with_slopes("face")
+            light = ("face_x", "face_y")
         place = tuned_place(
             moving, fixed, ("map", "image"), Similarity(), reach_um=_TUNED_UM, other_maps=light
         )

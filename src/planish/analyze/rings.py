@@ -89,11 +89,13 @@ def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
             1:
         ].astype(np.float64)
 
-    count, (spectrum_a, spectrum_b) = sums(np.ones(inside.shape)), waves.spectra
+    count = sums(np.ones(inside.shape))
+    spectrum_a, spectrum_b = waves.spectra
     spread = np.sqrt(sums(np.abs(spectrum_a) ** 2) * sums(np.abs(spectrum_b) ** 2))
     correlation = sums((np.conj(spectrum_a) * spectrum_b).real) / np.maximum(spread, 1e-300)
     weak = np.flatnonzero(sums(waves.stand_out.astype(np.float64)) < count)
-    middle, modes = sums(waves.frequency) / count, (count / waves.joined).tolist()
+    middle = sums(waves.frequency) / count
+    modes = (count / waves.joined).tolist()
     rings = tuple(
         Ring(
             wavelength_um=1 / float(middle[k]),
@@ -114,7 +116,8 @@ def half_bit(modes: float) -> float:
     """
     # (sqrt(2) - 1) / 2 is the ratio of signal to noise power, of one measurement, that gives the
     # mean half a bit.
-    ratio, root = (math.sqrt(2) - 1) / 2, math.sqrt(max(modes, 1.0))
+    ratio = (math.sqrt(2) - 1) / 2
+    root = math.sqrt(max(modes, 1.0))
     return (ratio + (2 * math.sqrt(ratio) + 1) / root) / (1 + ratio + 2 * math.sqrt(ratio) / root)
 
 

@@ -151,8 +151,10 @@ def over_sheets(fields: Fields) -> SheetMean:
     n_fields = sum(not math.isnan(value) for value in fields.values)
     if k == 0:
         return SheetMean(sheets=k, fields=n_fields, reason=too_few(k))
-    mean, spread = float(means.mean()), spread_of(means)
-    error, reason = spread / math.sqrt(k) if k > 1 else math.nan, too_few(k) or all_alike(spread)
+    mean = float(means.mean())
+    spread = spread_of(means)
+    error = spread / math.sqrt(k) if k > 1 else math.nan
+    reason = too_few(k) or all_alike(spread)
     width = math.nan if reason else t_95(k - 1) * error
     return SheetMean(
         sheets=k,
@@ -208,7 +210,8 @@ def variances_of(fields: Fields) -> SheetVariances:
     """
     sheets = [*fields.by_sheet.values()]
     counts = np.array([v.size for v in sheets])
-    k, n = len(sheets), int(counts.sum())
+    k = len(sheets)
+    n = int(counts.sum())
     if k < 2 or n == k:
         reason = "no sheet has two fields" if k > 1 else f"{k} of at least 2 sheets"
         return SheetVariances(
@@ -216,7 +219,8 @@ def variances_of(fields: Fields) -> SheetVariances:
         )
     means = fields.means
     squares_within = sum(float(np.sum((v - v.mean()) ** 2)) for v in sheets)
-    within, spread = squares_within / (n - k), spread_of(means) ** 2
+    within = squares_within / (n - k)
+    spread = spread_of(means) ** 2
     if not within > (_SAME * float(np.abs(means).max())) ** 2:
         return SheetVariances(
             sd_between=math.sqrt(spread),

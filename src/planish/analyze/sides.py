@@ -80,7 +80,8 @@ def image_of_sheet(
     coatings = _faces(texture, {k: [f"coating_{k}"] for k in coated})
     side_text = f"The {side} side was {'given' if is_given else 'assumed'}"
     other: Side = "bottom" if side == "top" else "top"
-    side_coating, other_coating = coatings.get(side), coatings.get(other)
+    side_coating = coatings.get(side)
+    other_coating = coatings.get(other)
     if side_coating is not None and _stands_out(side_coating, other_coating):
         end = f"; no coating is seen on the {other} side"
         if other_coating is not None:
@@ -92,7 +93,8 @@ def image_of_sheet(
         return SideFound(_check("pass", text, side_coating), side)
     if other_coating is not None and _stands_out(other_coating, side_coating):
         text = f"{capital(image)} correlates with the coating of the {other} side ({other_coating})"
-        advice, remedy = _EXCHANGED, _TURN.format(side=other)
+        advice = _EXCHANGED
+        remedy = _TURN.format(side=other)
         if side_coating is not None:
             text += (
                 f"{_preposition(side_coating)} that of the {side} side ({side_coating})."
@@ -147,7 +149,8 @@ def _by_slopes_and_thickness(
             text += f"({slopes[face]}){not_coatings_text}. {side_text}."
             if face == side:
                 return SideFound(_check("pass", text, slopes[face]), face)
-            advice, remedy = _EXCHANGED, _TURN.format(side=face)
+            advice = _EXCHANGED
+            remedy = _TURN.format(side=face)
             return SideFound(
                 _check("look", text, slopes[face], advice=advice, remedy=remedy, figures=_OF_SIDES),
                 face,
@@ -308,7 +311,8 @@ def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Rel
 
     Of several maps of a face that which stands out most.
     """
-    image, strongest_relations = texture.maps["image"], dict[Side, Relation]()
+    image = texture.maps["image"]
+    strongest_relations = dict[Side, Relation]()
     for side, names_of_side in names.items():
         relations: list[Relation] = []
         for k, name in enumerate(names_of_side):
@@ -329,10 +333,8 @@ def _mean(relations: Iterable[Relation | None]) -> Relation | None:
     pooled = [relation for relation in relations if relation is not None]
     if not pooled:
         return None
-    r, sd = (
-        sum(k.r for k in pooled) / len(pooled),
-        math.sqrt(sum(k.sd**2 for k in pooled)) / len(pooled),
-    )
+    r = sum(k.r for k in pooled) / len(pooled)
+    sd = math.sqrt(sum(k.sd**2 for k in pooled)) / len(pooled)
     return Relation(r, sd, r, sd)
 
 
@@ -389,7 +391,9 @@ def texture_of(
         source_maps = [next((f"coating_{k}" for k in coated), "thickness")]
         target_map = f"other {source_maps[0]}"
     else:
-        check, source_maps, target_map = two_images(texture, names), ["image"], "other image"
+        check = two_images(texture, names)
+        source_maps = ["image"]
+        target_map = "other image"
     if any("reach_um" in d["image"].attrs for d in (a, b) if "image" in d):
         return _without_screen(check)
     error_map = next((d["expected_error"] for d in (a, b) if "expected_error" in d), None)
@@ -428,7 +432,8 @@ def _shown_of(
 
     It follows the coating, or thickness and height; the slopes are added to the texture.
     """
-    heights, coating = height_map(face, texture.maps), f"coating_{face}"
+    heights = height_map(face, texture.maps)
+    coating = f"coating_{face}"
     is_of_coating = face in coated and not _goes_through(texture, coating)
     source_maps = [coating] if is_of_coating else ["thickness"]
     if heights not in texture.maps:

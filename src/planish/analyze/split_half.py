@@ -124,8 +124,11 @@ def half_points(
     enough = np.isfinite(
         area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1]))
     )
-    turn, shift_um = columns.similarity.matrix(), columns.similarity.shift_um
-    n_columns, totals, alone = np.zeros(enough.size), np.zeros((2, enough.size)), True
+    turn = columns.similarity.matrix()
+    shift_um = columns.similarity.shift_um
+    n_columns = np.zeros(enough.size)
+    totals = np.zeros((2, enough.size))
+    alone = True
     for rows in bands(columns.measured.sizes["y"]):
         # Two rows more on either side, for the slopes beside and the means between rows; an even
         # number of them.

@@ -74,7 +74,8 @@ def region_difference(values: Array, inside: Bools, *, pixel_um: Pixel) -> Regio
     variance, n_eff = scatter_of(contributions, Lags(is_valid, pixel))
     width = math.nan
     if not variance > 0:
-        width, n_eff = 0.0, float(sum(count))
+        width = 0.0
+        n_eff = float(sum(count))
     elif n_eff >= LEAST_CLAIMED:
         width = t_95(n_eff - 1) * math.sqrt(variance / n_eff)
     difference = means[0] - means[1]
@@ -93,7 +94,8 @@ def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
     """
     if not (pair.a[1].startswith("coating_") and "image" in pair.layers[1]):
         return {}
-    is_valid, differences = pair.lags.is_valid, list[RegionDifference]()
+    is_valid = pair.lags.is_valid
+    differences = list[RegionDifference]()
     for limit_um in THIN_UM:
         try:
             difference = region_difference(

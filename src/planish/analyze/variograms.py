@@ -176,7 +176,8 @@ def _range(distance: Floats, covariance: Floats, shared: float) -> float:
     """Distance at which the covariance first falls below 1/e of what neighbours share."""
     if not shared > 0:
         return math.nan
-    h, c = np.concatenate([[0.0], distance]), np.concatenate([[shared], covariance]) / shared
+    h = np.concatenate([[0.0], distance])
+    c = np.concatenate([[shared], covariance]) / shared
     below = np.flatnonzero(c < math.exp(-1))
     if not below.size:
         return math.inf

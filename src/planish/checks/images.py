@@ -46,7 +46,9 @@ def white_image(rule: CheckRule, file: ImageFile) -> Check | None:
 def linear_grey(rule: CheckRule, file: ImageFile) -> Check | None:
     """Judge whether grey that is taken as linear is coded with a curve, by what the file says."""
     attrs = file.image.attrs
-    curve, gamma, is_linear = attrs.get("curve"), attrs.get("gamma"), attrs.get("is_linear")
+    curve = attrs.get("curve")
+    gamma = attrs.get("gamma")
+    is_linear = attrs.get("is_linear")
     if is_linear and gamma not in (None, 1):
         sentence = f"Grey was decoded by {gamma}, and the file says that it is linear: {curve}."
         return rule.check("look", sentence, remedy="Leave `gamma` out.")

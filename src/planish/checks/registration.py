@@ -192,7 +192,8 @@ def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
     ]
     rejected_text = f"; seen and not taken: {', '.join(rejected_texts)}" if rejected_texts else ""
     sentence = f"{hole_count} {'hole' if hole_count == 1 else 'holes'} found{rejected_text}."
-    n_not_measured, n_openings = rejected.get("not_measured", 0), int(attrs.get("openings", 0))
+    n_not_measured = rejected.get("not_measured", 0)
+    n_openings = int(attrs.get("openings", 0))
     # So many that are not round are no single holes that are half closed.
     n_doubtful = n_openings if n_openings > max(1, 0.25 * (hole_count + n_openings)) else 0
     if n_openings:
@@ -242,7 +243,9 @@ def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
 
     Either the sheet has a hole there, too, or it is not measured.
     """
-    grid, thickness, marks = Grid.of(linked.sheet), linked.sheet["thickness"], linked.marks
+    grid = Grid.of(linked.sheet)
+    thickness = linked.sheet["thickness"]
+    marks = linked.marks
     unpaired = marks.isel(
         mark=np.flatnonzero(np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"]))
     )
@@ -258,11 +261,9 @@ def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
         core_thickness = thickness[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].values
         if np.isfinite(core_thickness)[is_inside].mean() > 0.7:
             whole_labels.append(str(label))
-    n_unpaired, layer, reference = (
-        unpaired.sizes["mark"],
-        with_article(linked.layer),
-        with_article(linked.reference),
-    )
+    n_unpaired = unpaired.sizes["mark"]
+    layer = with_article(linked.layer)
+    reference = with_article(linked.reference)
     text = (
         f"{n_unpaired} holes of {reference} have no partner, and none of them lies where {layer} is"
         " intact."

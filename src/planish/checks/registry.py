@@ -193,10 +193,8 @@ def apply_checks(results: Results) -> Results:
     checks = results.checks
     if all(check.state in ("pass", "unknown") for check in checks):
         return results
-    rows, layer_names = (
-        rows_with_trust(results.correlations, checks),
-        [layer.name for layer in results.layers],
-    )
+    rows = rows_with_trust(results.correlations, checks)
+    layer_names = [layer.name for layer in results.layers]
     withheld_pairs = {
         (row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"
     }

@@ -153,7 +153,8 @@ def _read_part(
 
     None if outside.
     """
-    start, stop = max(piece.start, window_box["z"].start), min(piece.stop, window_box["z"].stop)
+    start = max(piece.start, window_box["z"].start)
+    stop = min(piece.stop, window_box["z"].stop)
     if stop <= start:
         return None
     places = points[wanted]
@@ -244,7 +245,8 @@ def _sums(part: NDArray[np.float32], n_before: int = 0) -> Sums:
     """Sums over pairs of slices, and block means; the first slices belong to the part before."""
     n, rows, cols = part.shape
     edge = min(BLOCK, rows, cols)
-    square, product = np.zeros(max(n - 1, 0)), np.zeros(max(n - 2, 0))
+    square = np.zeros(max(n - 1, 0))
+    product = np.zeros(max(n - 2, 0))
     sums = np.zeros((n - n_before, rows // edge, cols // edge))
     _kernels.add_slices(part, edge, n_before, square, product, sums)
     return (
@@ -264,7 +266,8 @@ def _joined(axis: Axis, window_box: dict[str, slice], sums: list[Sums]) -> Windo
     axis_index = 0 if axis == "z" else 1
     shape = list(sums[0][2].shape)
     shape[axis_index] = sum(p[2].shape[axis_index] for p in sums)
-    blocks, n_copied = np.empty(shape, dtype=np.float32), 0
+    blocks = np.empty(shape, dtype=np.float32)
+    n_copied = 0
     while sums:
         part = sums.pop(0)[2]  # a part goes as soon as it is copied
         blocks[

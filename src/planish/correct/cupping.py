@@ -156,10 +156,8 @@ def _fit_material(
         # A true cupping is the same at every depth; a coating that is thinner in the middle is not.
         # Depths do not err alike by chance only: what they scatter beyond the jackknife is an error
         # of their mean.
-        losses, se = (
-            100.0 * depth_coefficients[is_valid],
-            100.0 * _jackknife_errors(replicates[:, is_valid]),
-        )
+        losses = 100.0 * depth_coefficients[is_valid]
+        se = 100.0 * _jackknife_errors(replicates[:, is_valid])
         variance = np.maximum(se, 1e-3) ** 2
         w = 1.0 / variance
         mean_loss = float(np.sum(w * losses) / w.sum())
@@ -182,7 +180,8 @@ def _fit_coefficients(
         np.pad(np.cumsum(r, axis=1), ((0, 0), (1, 0))) for r in (row_counts, row_sums)
     )
     n_depths = histogram.shape[1]
-    t, offset = np.repeat(np.minimum(share, 1.0) ** 2, n_depths), np.repeat(offset, n_depths)
+    t = np.repeat(np.minimum(share, 1.0) ** 2, n_depths)
+    offset = np.repeat(offset, n_depths)
     depth = np.tile(np.arange(n_depths), COARSE)
     # Depths at which base and coating meet: there the least shift of a face changes the grey.
     border_grey = (low if np.isfinite(low) else high) * np.ones(len(row_counts))
@@ -194,11 +193,9 @@ def _fit_coefficients(
     # Share of one material.
     is_mixed = np.minimum(lower_counts, depth_counts - lower_counts) > 0.05 * depth_counts
     coefficient = 0.0
-    is_used, grey, n = (
-        np.zeros(len(row_counts), bool),
-        np.zeros(len(row_counts)),
-        np.zeros(len(row_counts)),
-    )
+    is_used = np.zeros(len(row_counts), bool)
+    grey = np.zeros(len(row_counts))
+    n = np.zeros(len(row_counts))
     for _ in range(40):  # of sorting and fitting
         factors = 1.0 + coefficient * t
         n, grey = (

@@ -136,7 +136,8 @@ def _draw_profiles(
     ):
         # Mean grey (material, bin) above air, as if every depth were as frequent at every radius;
         # NaN for few voxels.
-        voxel_counts, grey_sums = stage.count.sum(axis=(0, 1)), stage.total.sum(axis=(0, 1))
+        voxel_counts = stage.count.sum(axis=(0, 1))
+        grey_sums = stage.total.sum(axis=(0, 1))
         material_level = stage.level[:, 1] / np.maximum(stage.level[:, 0], 1)
         residual = np.where(voxel_counts >= 30, grey_sums / np.maximum(voxel_counts, 1), np.nan)
         for m, contrast_share in enumerate((material_level[:, None] + residual) / UNIT):

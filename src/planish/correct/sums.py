@@ -121,10 +121,12 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
     base_greys, bright_greys = sheet_greys[sheet_greys <= middle], sheet_greys[sheet_greys > middle]
     if not bright_greys.size or not base_greys.size:
         return None
-    base_level, bright_level = float(np.median(base_greys)), float(np.median(bright_greys))
+    base_level = float(np.median(base_greys))
+    bright_level = float(np.median(bright_greys))
     # A second material stands out from the base by so much of its own contrast.
     if bright_level - base_level < 0.25 * (base_level - air):
-        middle, base_level = np.inf, float(np.median(sheet_greys))
+        middle = np.inf
+        base_level = float(np.median(sheet_greys))
         bright_level = base_level
     # Scatters of the smoothed air.
     if bright_level - air < max(6.0 * mad_sd(dark_greys, air), 1e-9):
@@ -331,13 +333,13 @@ def _add_to_rings(
     # everywhere at its depth, and so leaves nothing; a ring does. Sums of whole numbers are exact
     # in double precision.
     is_classified = label > 0
-    greys, material = grey[is_classified], label[is_classified].astype(np.int64) - 1
+    greys = grey[is_classified]
+    material = label[is_classified].astype(np.int64) - 1
     n_depths = _DEEPEST + 1
-    layer, n_layers = material * n_depths + depth[is_classified], len(MATERIALS) * n_depths
-    layer_counts, layer_sums = (
-        np.bincount(layer, minlength=n_layers),
-        np.bincount(layer, greys, n_layers),
-    )
+    layer = material * n_depths + depth[is_classified]
+    n_layers = len(MATERIALS) * n_depths
+    layer_counts = np.bincount(layer, minlength=n_layers)
+    layer_sums = np.bincount(layer, greys, n_layers)
     sums.level[:, 0] += layer_counts.reshape(-1, n_depths).sum(axis=1)
     sums.level[:, 1] += layer_sums.reshape(-1, n_depths).sum(axis=1).astype(np.int64)
     has_enough = layer_counts[layer] >= 32  # voxels of a material at one depth, for its mean grey
@@ -362,7 +364,8 @@ def _classify(
     # The material comes from the smoothed slice, with wide limits: a ring of some per cent does not
     # choose its voxels.
     number, plane = numbered_slice
-    smoothed_plane, is_missing = smoothed(plane), missing(plane, levels.padding)
+    smoothed_plane = smoothed(plane)
+    is_missing = missing(plane, levels.padding)
     is_solid = (smoothed_plane > levels.split) & ~is_missing
     # By so much it may be off.
     is_air = (np.abs(smoothed_plane - levels.air) < 0.15 * levels.contrast) & ~is_missing

@@ -72,7 +72,8 @@ class Change(NamedTuple):
         )
         is_integer, air = values.dtype.kind in "ui", self.levels.air
         limits = np.iinfo(values.dtype) if is_integer else np.finfo(values.dtype)
-        out, clipped = np.empty_like(values), 0
+        out = np.empty_like(values)
+        clipped = 0
         for k, plane in enumerate(values):
             grey = plane.astype(np.float64)
             ring = (
@@ -161,7 +162,8 @@ def correct_volume(
             " cupping. Leave out `correct_rings` and `correct_cupping`."
         )
     turning = make_turning(volume, params.axis, params.centre_um)
-    length, (rows, cols) = turning.shape[0], (np.arange(n) for n in turning.shape[1:])
+    length = turning.shape[0]
+    rows, cols = (np.arange(n) for n in turning.shape[1:])
     record = CorrectionRecord(
         axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=length
     )

@@ -22,7 +22,9 @@ class Lags:
     """
 
     def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
-        self.is_valid, self.pixel_um, self.n = is_valid, pixel_um, int(np.count_nonzero(is_valid))
+        self.is_valid = is_valid
+        self.pixel_um = pixel_um
+        self.n = int(np.count_nonzero(is_valid))
         reach = [int(0.5 * k) for k in is_valid.shape]  # longer lags have too few pairs of points
         self._size = padded_shape(is_valid.shape, reach)
         self.lag_um = [
@@ -104,7 +106,8 @@ def scatter_of(values: Array, lags: Lags) -> tuple[float, float]:
     What the removal of the mean took is put back into the variance.
     """
     covariance = covariance_of(values, lags)
-    variance, variance_of_mean = float(covariance[0, 0]), lags.variance_of_mean(covariance)
+    variance = float(covariance[0, 0])
+    variance_of_mean = lags.variance_of_mean(covariance)
     return variance, (
         min(variance / variance_of_mean, float(lags.n)) if variance_of_mean > 0 else math.nan
     )
@@ -120,7 +123,8 @@ class PairCovariances:
         self.lags = lags
         self._maps = [np.where(lags.is_valid, m - m[lags.is_valid].mean(), 0.0) for m in (x, y)]
         a, b = (lags.transform(m) for m in self._maps)
-        auto_products, cross_products = [lags.products(m, m) for m in (a, b)], lags.products(a, b)
+        auto_products = [lags.products(m, m) for m in (a, b)]
+        cross_products = lags.products(a, b)
         self.used = [lags.until_zero(p) for p in auto_products]
         self.xx, self.yy = (
             lags.covariance(p, use) for p, use in zip(auto_products, self.used, strict=True)
@@ -139,8 +143,10 @@ class PairCovariances:
         ``variances``: of single points, where maps are means.
         """
         n, (xx, yy) = self.lags.n, (self.xx, self.yy)
-        row_x, row_y = self.lags.sums(xx), self.lags.sums(yy)
-        sum_x, sum_y = float(row_x.sum()), float(row_y.sum())
+        row_x = self.lags.sums(xx)
+        row_y = self.lags.sums(yy)
+        sum_x = float(row_x.sum())
+        sum_y = float(row_y.sum())
         trace = (
             float(np.sum(self.lags.pairs * xx * yy))
             - 2.0 / n * float(np.sum(row_x * row_y))

@@ -108,7 +108,8 @@ class Plane:
     def __init__(self, valid: Bools) -> None:
         self._valid = valid
         n = max(int(np.count_nonzero(valid)), 1)
-        by_row, by_col = valid.sum(axis=1), valid.sum(axis=0)
+        by_row = valid.sum(axis=1)
+        by_col = valid.sum(axis=0)
         rows, cols = (np.arange(k, dtype=np.float64) for k in valid.shape)
         self._rows, self._cols = rows - by_row @ rows / n, cols - by_col @ cols / n
         mixed = float(self._rows @ (valid @ self._cols))

@@ -97,7 +97,8 @@ def lag_field(
     larger than the map, are refused.
     """
     side_px = [round(tile_um / p) for p in pixel_um]
-    allowed, wide = within(reach), (reach[0] + MARGIN, reach[1] + MARGIN)
+    allowed = within(reach)
+    wide = (reach[0] + MARGIN, reach[1] + MARGIN)
     if any(s <= 2 * k or s > n for s, k, n in zip(side_px, wide, a.shape, strict=True)):
         raise SizeError(
             f"Tiles of {tile_um:g} um are too small for the reach, or larger than the map. Take"
@@ -127,7 +128,8 @@ def lag_field(
             float(np.nanmax(correlate(m[rows, cols])[allowed], initial=0.0)) for m in unrelated
         )
         null_z += [float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)) for r in highest_r]
-        covariance, lag = np.full((2, 2), np.nan), np.full(2, np.nan)
+        covariance = np.full((2, 2), np.nan)
+        lag = np.full(2, np.nan)
         if peak is not None and peak.inner:
             lag = peak.summit_px[::-1] * step
             covariance_px = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)

@@ -26,10 +26,8 @@ class LagSearch:
     def __init__(self, x: Floats, y: Floats, is_valid: Bools, wide: tuple[int, int]) -> None:
         self._x, self._y, self._is_valid, self._wide = x, y, is_valid, wide
         self._size = padded_shape(y.shape, wide)
-        mask, self._y_hat = (
-            padded_spectrum(is_valid.astype(np.float64), self._size),
-            padded_spectrum(y, self._size),
-        )
+        mask = padded_spectrum(is_valid.astype(np.float64), self._size)
+        self._y_hat = padded_spectrum(y, self._size)
         self._x_hat = np.stack([padded_spectrum(m, self._size) for m in x])
         pairs = np.rint(self._lags(np.abs(mask) ** 2))
         self._pairs = np.maximum(pairs, 1.0)

@@ -120,7 +120,8 @@ def find_peak(r: Floats, allowed: Bools) -> Peak | None:  # noqa: PLR0911
     def slope(offset_px: Floats, order_y: int = 0, order_x: int = 0) -> float:
         return float(spline.ev(offset_px[0], offset_px[1], dx=order_y, dy=order_x))
 
-    offset, step = np.zeros(2), np.ones(2)
+    offset = np.zeros(2)
+    step = np.ones(2)
     for k in range(21):
         d2_yx = slope(offset, 1, 1)
         curvature = np.array([[slope(offset, 2, 0), d2_yx], [d2_yx, slope(offset, 0, 2)]])

@@ -198,13 +198,12 @@ def relate(
         return Relation(0.0, math.inf, 0.0, math.inf)
     sd_whole = float(np.std((b if of is None else of)[is_valid]))
     share = float(np.std(b[is_valid])) / sd_whole if sd_whole > 0 else 0.0
-    a, b = standard(a, is_valid), standard(b, is_valid)
+    a = standard(a, is_valid)
+    b = standard(b, is_valid)
     r = float(np.sum(a * b)) / n
     unexplained_share = math.sqrt(max(1.0 - r * r, 0.0))
-    sd, part_se = (
-        _scatter(a, b, r, n, pixel_um),
-        _scatter(a, standard(b - r * a, is_valid), 0.0, n, pixel_um),
-    )
+    sd = _scatter(a, b, r, n, pixel_um)
+    part_se = _scatter(a, standard(b - r * a, is_valid), 0.0, n, pixel_um)
     return Relation(r, sd, share * r, share * unexplained_share * part_se)
 
 
@@ -223,7 +222,8 @@ def standard(values: Floats, is_valid: Bools) -> Floats:
 
     0 elsewhere and of a constant.
     """
-    out, inside = np.zeros(values.shape), values[is_valid]
+    out = np.zeros(values.shape)
+    inside = values[is_valid]
     centred = inside - inside.mean() if inside.size else inside
     sd = math.sqrt(np.square(centred).mean()) if inside.size else 0.0
     if sd > 0:
@@ -263,7 +263,8 @@ class _Band:
         self._pixel_um, self._band_um = pixel_um, band_um
         # The neighbourhood of 1 mm in which all maps are given the same spread.
         self._local = [max(round(500.0 / p), 1) for p in pixel_um]
-        self._shown, self._fine = shown, low_pass(shown.astype(np.float64), band_um[0], pixel_um)
+        self._shown = shown
+        self._fine = low_pass(shown.astype(np.float64), band_um[0], pixel_um)
         self.is_valid: Bools = self._fine >= 0.5  # Single missing pixels are bridged.
         weight = self.is_valid.astype(np.float64)
         self._weights = [

@@ -28,7 +28,8 @@ def without_white_noise(values: Array, is_known: Bools) -> Floats:
     )
     waves = np.asarray(fft.dctn(filled, norm="ortho"))
     down, across = (np.arange(n) / n for n in values.shape)  # in Nyquist frequencies
-    frequency, power = np.hypot(down[:, None], across), waves * waves
+    frequency = np.hypot(down[:, None], across)
+    power = waves * waves
     ring = (frequency * _RINGS).astype(np.intp)
     mean_power = np.bincount(ring.ravel(), power.ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
     floor = float(np.mean(power[frequency > _FLOOR]))
