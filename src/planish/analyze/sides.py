@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from itertools import repeat
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 import xarray as xr
@@ -33,7 +34,7 @@ _OF_SIDES = (
 )
 _NO_WORD = "nothing beside the marks says that both show one specimen"
 _ONE = "so both show one specimen"
-_EXCHANGED = "Top and bottom are exchanged."
+_OPPOSITE: dict[Side, Side] = {"top": "bottom", "bottom": "top"}
 _TURN = (
     "Turn the stack (`top`; a volume numbered against the usual sense needs `mirror=True`), or give"
     " `image_side={side}` if the image shows that side."
@@ -72,53 +73,36 @@ def image_of_sheet(
     """
     image = with_article(image)
     if "image" not in texture.maps:
-        return SideFound(
-            _check(
-                "unknown", f"Specimen: inconclusive, because the sheet and {image} share no field."
-            )
-        )
+        text = f"Specimen: inconclusive, because the sheet and {image} share no field."
+        return SideFound(_check("unknown", text))
     coatings = _faces(texture, {k: [f"coating_{k}"] for k in coated})
     side_text = f"The {side} side was {'given' if is_given else 'assumed'}"
-    other: Side = "bottom" if side == "top" else "top"
+    other = _OPPOSITE[side]
     side_coating = coatings.get(side)
     other_coating = coatings.get(other)
-    if side_coating is not None and _stands_out(side_coating, other_coating):
-        end = f"; no coating is seen on the {other} side"
+    if _stands_out(side_coating, other_coating):
+        rival_text = f"; no coating is seen on the {other} side"
         if other_coating is not None:
-            end = f"{_preposition(other_coating)} that of the {other} side ({other_coating})"
+            rival_text = _compared_with(other_coating, other)
         text = (
             f"{capital(image)} correlates with the coating of the {side} side"
-            f" ({side_coating}){end}. {side_text}."
+            f" ({side_coating}){rival_text}. {side_text}."
         )
         return SideFound(_check("pass", text, side_coating), side)
-    if other_coating is not None and _stands_out(other_coating, side_coating):
+    if _stands_out(other_coating, side_coating):
         text = f"{capital(image)} correlates with the coating of the {other} side ({other_coating})"
-        advice = _EXCHANGED
-        remedy = _TURN.format(side=other)
         if side_coating is not None:
-            text += (
-                f"{_preposition(side_coating)} that of the {side} side ({side_coating})."
-                f" {side_text}."
-            )
-            return SideFound(
-                _check(
-                    "fail", text, other_coating, advice=advice, remedy=remedy, figures=_OF_SIDES
-                ),
-                other,
-            )
+            text += f"{_compared_with(side_coating, side)}. {side_text}."
+            return SideFound(_exchanged("fail", text, other_coating, other), other)
         text += f", and none is seen on the {side} side. {side_text}."
-        advice += " Light that goes through the sheet may show it as well."
-        return SideFound(
-            _check("look", text, other_coating, advice=advice, remedy=remedy, figures=_OF_SIDES),
-            other,
-        )
-    strongest_coating = max(coatings.values(), key=lambda k: abs(k.z), default=None)
+        hint = " Light that goes through the sheet may show it as well."
+        return SideFound(_exchanged("look", text, other_coating, other, hint), other)
+    strongest_coating = _strongest(coatings.values())
     if strongest_coating is not None and abs(strongest_coating.z) > Z_RELATED:
         text = (
             f"Side: inconclusive, because {image} correlates with both coatings, the coating of the"
-            f" {side} side "
+            f" {side} side ({side_coating}) and that of the {other} side ({other_coating}), {_ONE}."
         )
-        text += f"({side_coating}) and that of the {other} side ({other_coating}), {_ONE}."
         return SideFound(_check("unknown", text, strongest_coating))
     return _by_slopes_and_thickness(texture, coatings, side, side_text, image)
 
@@ -130,76 +114,82 @@ def _by_slopes_and_thickness(
 
     The slopes are those of the faces under light from one side.
     """
-    heights = {k: height_map(k, texture.maps) for k in SIDES}
+    heights: dict[Side, str] = {k: height_map(k, texture.maps) for k in SIDES}
     for name in heights.values():
         if name in texture.maps:
             texture = texture.with_slopes(name)
-    slopes = _faces(texture, {k: [f"{heights[k]}_{way}" for way in "xy"] for k in SIDES})
-    tried_text = "; ".join(
-        f"coating of the {k} side {relation}" for k, relation in coatings.items()
-    )
-    rivals: dict[Side, Side] = {"top": "bottom", "bottom": "top"}
-    for face in (side, rivals[side]):
-        if face in slopes and _stands_out(slopes[face], slopes.get(rivals[face])):
-            not_coatings_text = f", not with the coatings ({tried_text})" if tried_text else ""
-            text = (
-                f"{capital(image)} correlates with the slopes of the {face} face, as light from one"
-                " side shows them "
-            )
-            text += f"({slopes[face]}){not_coatings_text}. {side_text}."
-            if face == side:
-                return SideFound(_check("pass", text, slopes[face]), face)
-            advice = _EXCHANGED
-            remedy = _TURN.format(side=face)
-            return SideFound(
-                _check("look", text, slopes[face], advice=advice, remedy=remedy, figures=_OF_SIDES),
-                face,
-            )
-    relations = {
-        k: relate(m, texture.maps["image"], texture.known, texture.pixel_um)
-        for k, m in texture.maps.items()
-        if k in ("thickness", "base_thickness", heights[side])
-    }
-    relations |= {f"slopes of the {k} face": relation for k, relation in slopes.items()}
-    best_map = max(relations, key=lambda k: abs(relations[k].z), default=None)
-    specimen_text, figures = _NO_WORD, _OF_A_SPECIMEN
-    if best_map is not None and abs(relations[best_map].z) > Z_RELATED:
-        specimen_text = (
-            f"it correlates with the {best_map.replace('_', ' ')} ({relations[best_map]}), {_ONE}"
-        )
-        figures = (CORRELATION,)
-    if side in coatings:
+    slopes = _faces(texture, {k: [f"{name}_x", f"{name}_y"] for k, name in heights.items()})
+    tried_text = "; ".join(f"coating of the {k} side {r}" for k, r in coatings.items())
+    for face in (side, _OPPOSITE[side]):
+        shown = slopes.get(face)
+        if not _stands_out(shown, slopes.get(_OPPOSITE[face])):
+            continue
+        not_coatings_text = f", not with the coatings ({tried_text})" if tried_text else ""
         text = (
-            f"{capital(image)} correlates with no coating ({tried_text}; needed: {Z_RELATED}), and"
-            f" {specimen_text}."
+            f"{capital(image)} correlates with the slopes of the {face} face, as light from one"
+            f" side shows them ({shown}){not_coatings_text}. {side_text}."
         )
-        advice = (
-            "Compare map and image by eye: is it this specimen, this place, and a side that shows"
-            " its coating?"
+        if face == side:
+            return SideFound(_check("pass", text, shown), face)
+        return SideFound(_exchanged("look", text, shown, face), face)
+    return SideFound(_without_side(texture, coatings, slopes, side, tried_text, image))
+
+
+def _without_side(
+    texture: Textures,
+    coatings: Mapping[Side, Relation],
+    slopes: Mapping[Side, Relation],
+    side: Side,
+    tried_text: str,
+    image: str,
+) -> Check:
+    """Judge whether thickness, heights or slopes say that both show one specimen."""
+    names = ("thickness", "base_thickness", height_map(side, texture.maps))
+    relations = {k: _relation(texture, k, "image") for k in texture.maps if k in names}
+    relations |= {f"slopes of the {k} face": relation for k, relation in slopes.items()}
+    best_map = max(relations, key=lambda k: abs(relations[k].z), default="")
+    best = relations.get(best_map)
+    specimen_text = _NO_WORD
+    figures = _OF_A_SPECIMEN
+    if best is not None and abs(best.z) > Z_RELATED:
+        specimen_text = f"it correlates with the {best_map.replace('_', ' ')} ({best}), {_ONE}"
+        figures = (CORRELATION,)
+    if side not in coatings:
+        text = (
+            f"Side: inconclusive, because no coating is seen on the {side} side; {specimen_text}."
         )
-        strongest_coating = max(coatings.values(), key=lambda k: abs(k.z))
-        return SideFound(_check("look", text, strongest_coating, advice=advice, figures=figures))
-    text = f"Side: inconclusive, because no coating is seen on the {side} side; {specimen_text}."
-    return SideFound(_check("unknown", text, relations[best_map] if best_map else None))
+        return _check("unknown", text, best)
+    text = (
+        f"{capital(image)} correlates with no coating ({tried_text}; needed: {Z_RELATED}), and"
+        f" {specimen_text}."
+    )
+    advice = (
+        "Compare map and image by eye: is it this specimen, this place, and a side that shows"
+        " its coating?"
+    )
+    return _check("look", text, _strongest(coatings.values()), advice=advice, figures=figures)
 
 
 def two_images(texture: Textures, names: tuple[str, str]) -> Check:
     """Judge by their texture whether ``image`` and ``other image`` show one specimen.
 
-    The textures of the two images may go together with either sign.
+    Parameters
+    ----------
+    texture : Textures; both images, whose textures may go together with either sign
+    names : (str, str); what the sentence calls them
+
+    Returns
+    -------
+    Check
     """
+    a, b = names
     if not {"image", "other image"} <= texture.maps.keys():
-        return _check(
-            "unknown", f"Specimen: inconclusive, because {names[0]} and {names[1]} share no field."
-        )
-    r = relate(texture.maps["image"], texture.maps["other image"], texture.known, texture.pixel_um)
+        return _check("unknown", f"Specimen: inconclusive, because {a} and {b} share no field.")
+    r = _relation(texture, "image", "other image")
     if abs(r.z) > Z_RELATED:
-        return _check(
-            "pass", f"The textures of {names[0]} and {names[1]} go together ({r}), {_ONE}.", r
-        )
+        return _check("pass", f"The textures of {a} and {b} go together ({r}), {_ONE}.", r)
     text = (
-        f"The textures of {names[0]} and {names[1]} do not go together ({r}; {Z_RELATED} is"
-        f" needed): {_NO_WORD}."
+        f"The textures of {a} and {b} do not go together ({r}; {Z_RELATED} is needed): {_NO_WORD}."
     )
     advice = (
         "Compare both by eye: are they one specimen, one side, and is one of them a mirror image?"
@@ -210,57 +200,54 @@ def two_images(texture: Textures, names: tuple[str, str]) -> Check:
 def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Side]) -> Check:
     """Judge whether two sheets are one specimen with the same side up.
 
-    ``texture`` holds the maps of the first by their names, those of the second as ``other NAME``;
-    ``coated`` are the sides on which both show a coating. The same quantity is compared, so r has
-    to be positive.
+    Parameters
+    ----------
+    texture : Textures
+        Maps of the first sheet by their names, those of the second as ``other NAME``. The same
+        quantity is compared, so r has to be positive.
+    names : (str, str); what the sentence calls the sheets
+    coated : iterable of {"top", "bottom"}; sides on which both show a coating
+
+    Returns
+    -------
+    Check
     """
-
-    def r(a: str, b: str) -> Relation | None:
-        if a not in texture.maps or f"other {b}" not in texture.maps:
-            return None
-        return relate(texture.maps[a], texture.maps[f"other {b}"], texture.known, texture.pixel_um)
-
-    sides = [f"coating_{k}" for k in coated]
-    same = _mean([r(k, k) for k in sides])
-    cross = _mean([r(*sides), r(*reversed(sides))]) if len(sides) == len(SIDES) else None
-    whole = r("thickness", "thickness")
+    coatings = [f"coating_{k}" for k in coated]
+    same = _mean_relation(texture, zip(coatings, coatings, strict=True))
+    cross = None
+    if len(coatings) == len(SIDES):
+        cross = _mean_relation(texture, zip(coatings, reversed(coatings), strict=True))
+    whole = _mean_relation(texture, [("thickness", "thickness")])
     a, b = names
-    if same is not None and same.z > Z_RELATED and _stands_out(same, cross):
+    if _is_related(same) and _stands_out(same, cross):
         end = f", not crosswise ({cross})" if cross else ""
-        return _check(
-            "pass",
-            f"The coatings of {a} and {b} go together side by side ({same}){end}, {_ONE}.",
-            same,
-        )
-    if same is not None and cross is not None and cross.z > Z_RELATED and _stands_out(cross, same):
-        text = (
-            f"The coatings of {a} and {b} go together crosswise ({cross}), not side by side"
-            f" ({same})."
-        )
+        text = f"The coatings of {a} and {b} go together side by side ({same}){end}, {_ONE}."
+        return _check("pass", text, same)
+    if same is not None and _is_related(cross) and _stands_out(cross, same):
         return _check(
             "fail",
-            text,
+            f"The coatings of {a} and {b} go together crosswise ({cross}), not side by side"
+            f" ({same}).",
             cross,
             advice="Top and bottom of one of the two are exchanged.",
             remedy="Check `top`, and whether its slices are numbered against the usual sense.",
             figures=_OF_SIDES,
         )
-    if whole is not None and whole.z > Z_RELATED:
+    if _is_related(whole):
         why = "the coatings do not tell the sides apart" if same else "no coating is seen in both"
         text = (
             f"Side: inconclusive, because {why}; the thicknesses of {a} and {b} go together"
             f" ({whole}), {_ONE}."
         )
         return _check("unknown", text, whole)
-    tried = "; ".join(
-        f"{k} {v}" for k, v in (("coatings", same), ("thickness", whole)) if v is not None
-    )
+    tried = [f"{k} {r}" for k, r in (("coatings", same), ("thickness", whole)) if r is not None]
     if not tried:
         return _check(
             "unknown", f"Specimen: inconclusive, because {a} and {b} have no map in common."
         )
     text = (
-        f"No map of {a} correlates with that of {b} ({tried}; {Z_RELATED} is needed): {_NO_WORD}."
+        f"No map of {a} correlates with that of {b} ({'; '.join(tried)}; {Z_RELATED} is needed):"
+        f" {_NO_WORD}."
     )
     advice = (
         "Either they are not the same piece of paper, or they are not aligned, or one is badly"
@@ -291,19 +278,47 @@ def _check(
     )
 
 
-def _stands_out(face: Relation, rival: Relation | None) -> bool:
-    """Whether a face goes with the image, and the other one does not, or clearly less."""
-    if not abs(face.z) > Z_RELATED:
-        return False
-    return (
-        rival is None
-        or abs(rival.z) < Z_CLEAR
-        or abs(face.part) - abs(rival.part) > Z_CLEAR * math.hypot(face.part_se, rival.part_se)
+def _exchanged(
+    state: State, text: str, relation: Relation | None, side: Side, hint: str = ""
+) -> Check:
+    """The check of an image that shows the side which was not given."""
+    return _check(
+        state,
+        text,
+        relation,
+        advice=f"Top and bottom are exchanged.{hint}",
+        remedy=_TURN.format(side=side),
+        figures=_OF_SIDES,
     )
 
 
-def _preposition(relation: Relation) -> str:
-    return ", not with" if abs(relation.z) < Z_CLEAR else ", more than with"
+def _relation(texture: Textures, first: str, second: str) -> Relation:
+    return relate(texture.maps[first], texture.maps[second], texture.known, texture.pixel_um)
+
+
+def _is_related(relation: Relation | None) -> TypeGuard[Relation]:
+    """Whether one quantity of two sheets goes together."""
+    return relation is not None and relation.z > Z_RELATED
+
+
+def _stands_out(face: Relation | None, rival: Relation | None) -> bool:
+    """Whether a face goes with the image, and the other one does not, or clearly less."""
+    if face is None or not abs(face.z) > Z_RELATED:
+        return False
+    if rival is None or abs(rival.z) < Z_CLEAR:
+        return True
+    scatter = math.hypot(face.part_se, rival.part_se)
+    return abs(face.part) - abs(rival.part) > Z_CLEAR * scatter
+
+
+def _strongest(relations: Iterable[Relation]) -> Relation | None:
+    return max(relations, key=lambda relation: abs(relation.z), default=None)
+
+
+def _compared_with(relation: Relation, side: Side) -> str:
+    """The end of a sentence: how the coating of the other side compares."""
+    start = ", not with" if abs(relation.z) < Z_CLEAR else ", more than with"
+    return f"{start} that of the {side} side ({relation})"
 
 
 def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Relation]:
@@ -312,29 +327,37 @@ def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Rel
     Of several maps of a face that which stands out most.
     """
     image = texture.maps["image"]
-    strongest_relations = dict[Side, Relation]()
+    strongest_relations: dict[Side, Relation] = {}
     for side, names_of_side in names.items():
+        rival_names = names.get(_OPPOSITE[side], repeat(""))
         relations: list[Relation] = []
-        for k, name in enumerate(names_of_side):
+        for name, rival_name in zip(names_of_side, rival_names, strict=False):
             if name not in texture.maps:
                 continue
-            a, b = texture.maps[name], image
-            for rival in (
-                maps[k] for of, maps in names.items() if of != side and maps[k] in texture.maps
-            ):
-                a, b = (unexplained(m, texture.maps[rival]) for m in (a, b))
-            relations.append(relate(a, b, texture.known, texture.pixel_um, of=image))
-        if relations:
-            strongest_relations[side] = max(relations, key=lambda r: abs(r.z))
+            face = texture.maps[name]
+            shown = image
+            if rival_name in texture.maps:
+                rival = texture.maps[rival_name]
+                face = unexplained(face, rival)
+                shown = unexplained(image, rival)
+            relations.append(relate(face, shown, texture.known, texture.pixel_um, of=image))
+        strongest = _strongest(relations)
+        if strongest is not None:
+            strongest_relations[side] = strongest
     return strongest_relations
 
 
-def _mean(relations: Iterable[Relation | None]) -> Relation | None:
-    pooled = [relation for relation in relations if relation is not None]
-    if not pooled:
+def _mean_relation(texture: Textures, pairs: Iterable[tuple[str, str]]) -> Relation | None:
+    """Mean relation of maps of the first sheet and maps of the second; None where none is known."""
+    relations = [
+        _relation(texture, name, f"other {other}")
+        for name, other in pairs
+        if {name, f"other {other}"} <= texture.maps.keys()
+    ]
+    if not relations:
         return None
-    r = sum(k.r for k in pooled) / len(pooled)
-    sd = math.sqrt(sum(k.sd**2 for k in pooled)) / len(pooled)
+    r = sum(k.r for k in relations) / len(relations)
+    sd = math.sqrt(sum(k.sd**2 for k in relations)) / len(relations)
     return Relation(r, sd, r, sd)
 
 
@@ -357,64 +380,89 @@ def texture_of(
     is_given: bool = True,
     unit_um: float = 1.0,
 ) -> TextureFound:
-    """Compare two layers on one grid by their own texture, its waves in ``unit_um``.
+    """Compare two layers on one grid by their own texture.
 
-    ``side`` is that of the sheet which an image of the two shows, given or assumed.
+    Parameters
+    ----------
+    a, b : Dataset, dims (y, x); sheets or images, with ``valid``
+    names : (str, str); what the sentences call them
+    side : {"top", "bottom"}
+        Side of the sheet that an image shows, given or, where ``is_given`` is False, assumed.
+    unit_um : float, in um; unit of the waves, tiles and reaches that are stated for paper
+
+    Returns
+    -------
+    TextureFound
     """
     if "thickness" in b and "thickness" not in a:
-        a, b, names = b, a, (names[1], names[0])
-    valid, one_sheet = (
-        a["valid"].values & b["valid"].values,
-        "thickness" in a and "thickness" not in b,
-    )
-    first, second = (_maps_of(d, valid) for d in (a, b))
-    # None where the two have no valid pixel in common.
-    image = {k: m for k, m in second.items() if k == "image"}
-    maps = first | (image if one_sheet else {f"other {k}": m for k, m in second.items()})
+        a, b = b, a
+        names = (names[1], names[0])
+    valid = a["valid"].values & b["valid"].values
+    pixel_um = Grid.of(a).pixel_um
     try:
-        down, across = Grid.of(a).pixel_um
-        texture = textures(maps, valid, (down / unit_um, across / unit_um))
+        texture = textures(
+            _maps_of_pair(a, b, valid), valid, (pixel_um[0] / unit_um, pixel_um[1] / unit_um)
+        )
     except SizeError as error:
         text = f"Specimen and position by texture: inconclusive. {error.text}"
         return TextureFound(None, (Check(name=NAME, state="unknown", sentence=text),))
-    sheets = [d for d in (a, b) if "thickness" in d]
-    coated = _coated_in_all(sheets)
-    slope_names: tuple[str, ...] = ()
-    if one_sheet:
-        target_map = "image"
-        check, face = image_of_sheet(
-            texture, coated=coated, side=side, is_given=is_given, image=names[1]
-        )
-        texture, source_maps, slope_names = _shown_of(texture, face or side, coated)
-    elif sheets:
-        check = two_sheets(texture, names, coated=coated)
-        source_maps = [next((f"coating_{k}" for k in coated), "thickness")]
-        target_map = f"other {source_maps[0]}"
-    else:
-        check = two_images(texture, names)
-        source_maps = ["image"]
-        target_map = "other image"
-    if any("reach_um" in d["image"].attrs for d in (a, b) if "image" in d):
-        return _without_screen(check)
-    error_map = next((d["expected_error"] for d in (a, b) if "expected_error" in d), None)
-    expected_um = None if error_map is None else rms_of(error_map, valid)
-    short = min(n * um for n, um in zip(texture.known.shape, texture.pixel_um, strict=True))
+    judged = _judged_layers(texture, a, b, names, side, is_given=is_given)
+    if any("image" in layer and "reach_um" in layer["image"].attrs for layer in (a, b)):
+        return _without_screen(judged.check)
+    error_maps = [layer["expected_error"] for layer in (a, b) if "expected_error" in layer]
+    expected_um = rms_of(error_maps[0], valid) if error_maps else None
+    known_shape = judged.texture.known.shape
+    short = min(n * um for n, um in zip(known_shape, judged.texture.pixel_um, strict=True))
     try:
         offset = lag.texture_lag(
-            texture,
-            [*source_maps, *slope_names],
-            target_map,
-            slopes=len(slope_names),
+            judged.texture,
+            [*judged.source_maps, *judged.slopes],
+            judged.target_map,
+            slopes=len(judged.slopes),
             reach_um=min(150.0, short / 4),
             tiles_um=_TILE_UM if short >= 2 * _TILE_UM else None,
         ).scaled(unit_um)
     except SizeError:
-        return TextureFound(None, (check,))
-    if offset.distinct:
-        check = _moved(check, offset.length_um)
+        return TextureFound(None, (judged.check,))
+    check = _moved(judged.check, offset.length_um) if offset.distinct else judged.check
     return TextureFound(
-        offset.numbers(source_maps[0], expected_um), (check, offset.check(expected_um))
+        offset.numbers(judged.source_maps[0], expected_um), (check, offset.check(expected_um))
     )
+
+
+class _Judged(NamedTuple):
+    """The check of side and specimen, and the maps whose lag says where both layers lie."""
+
+    check: Check
+    texture: Textures
+    source_maps: list[str]
+    target_map: str
+    slopes: tuple[str, ...] = ()
+
+
+def _judged_layers(
+    texture: Textures,
+    a: xr.Dataset,
+    b: xr.Dataset,
+    names: tuple[str, str],
+    side: Side,
+    *,
+    is_given: bool,
+) -> _Judged:
+    """Judge two images, two sheets, or a sheet and an image, which comes second."""
+    if "thickness" not in a:
+        return _Judged(two_images(texture, names), texture, ["image"], "other image")
+    coated = _coated(a)
+    if "thickness" in b:
+        coated_of_b = _coated(b)
+        coated_in_both: list[Side] = [k for k in coated if k in coated_of_b]
+        source_map = f"coating_{coated_in_both[0]}" if coated_in_both else "thickness"
+        check = two_sheets(texture, names, coated=coated_in_both)
+        return _Judged(check, texture, [source_map], f"other {source_map}")
+    check, face = image_of_sheet(
+        texture, coated=coated, side=side, is_given=is_given, image=names[1]
+    )
+    return _Judged(check, *_shown_of(texture, face or side, coated))
 
 
 def _moved(check: Check, length_um: float) -> Check:
@@ -427,8 +475,8 @@ def _moved(check: Check, length_um: float) -> Check:
 
 def _shown_of(
     texture: Textures, face: Side, coated: Iterable[Side]
-) -> tuple[Textures, list[str], tuple[str, ...]]:
-    """The maps that an image of a face follows, and the slopes that it shows under side light.
+) -> tuple[Textures, list[str], str, tuple[str, ...]]:
+    """The maps that an image of a face follows, the image, and the slopes that side light shows.
 
     It follows the coating, or thickness and height; the slopes are added to the texture.
     """
@@ -437,10 +485,11 @@ def _shown_of(
     is_of_coating = face in coated and not _goes_through(texture, coating)
     source_maps = [coating] if is_of_coating else ["thickness"]
     if heights not in texture.maps:
-        return texture, source_maps, ()
+        return texture, source_maps, "image", ()
     if not is_of_coating:
         source_maps.append(heights)
-    return texture.with_slopes(heights), source_maps, (f"{heights}_x", f"{heights}_y")
+    slopes = (f"{heights}_x", f"{heights}_y")
+    return texture.with_slopes(heights), source_maps, "image", slopes
 
 
 def _without_screen(check: Check) -> TextureFound:
@@ -464,19 +513,25 @@ def _goes_through(texture: Textures, coating: str) -> bool:
     In transmitted light or a radiograph it does. With the coating alone, slopes of the face would
     stand for the heights that the coating lacks, and move the peak.
     """
-    names = coating, "thickness", "image"
-    if not all(name in texture.maps for name in names):
+    if not {coating, "thickness", "image"} <= texture.maps.keys():
         return False
-    of_coating, of_thickness = (
-        relate(texture.maps[name], texture.maps["image"], texture.known, texture.pixel_um)
-        for name in names[:2]
-    )
-    return _stands_out(of_thickness, of_coating)
+    of_coating = _relation(texture, coating, "image")
+    return _stands_out(_relation(texture, "thickness", "image"), of_coating)
 
 
 def _maps_of(layer: xr.Dataset, valid: Bools) -> dict[str, xr.DataArray]:
     names = (*_MAPS, *(height_map(side, layer) for side in SIDES), "image")
     return {k: layer[k] for k in names if k in layer and any_finite(layer[k], valid)}
+
+
+def _maps_of_pair(a: xr.Dataset, b: xr.Dataset, valid: Bools) -> dict[str, xr.DataArray]:
+    """Maps of both layers; those of b are ``other`` ones, but for the image of a sheet."""
+    maps_of_b = _maps_of(b, valid)
+    if "thickness" in a and "thickness" not in b:
+        renamed = {k: m for k, m in maps_of_b.items() if k == "image"}
+    else:
+        renamed = {f"other {k}": m for k, m in maps_of_b.items()}
+    return _maps_of(a, valid) | renamed
 
 
 def found_by_texture(sentence: str, false_probability: float | None) -> tuple[Check, Check]:
@@ -530,25 +585,15 @@ def holes_and_texture(apart_um: float, expected_um: float) -> Check:
     )
 
 
-def _coated_in_all(sheets: Iterable[xr.Dataset]) -> list[Side]:
-    coated_sides = [_coated(sheet) for sheet in sheets]
-    return [side for side in SIDES if all(side in sides for sides in coated_sides)]
-
-
 def _coated(sheet: xr.Dataset) -> list[Side]:
     """Sides with a coating measured in most of a sheet and thicker than 3 standard errors."""
     sides: list[Side] = []
     for side in SIDES:
-        name = f"coating_{side}"
-        use, *maps = thinned(
-            sheet["valid"], *(sheet[k] for k in (name, f"{name}_se") if k in sheet)
-        )[1]
+        names = (f"coating_{side}", f"coating_{side}_se")
+        use, *maps = thinned(sheet["valid"], *(sheet[k] for k in names if k in sheet))[1]
         coat_um, *errors = (m[use & np.isfinite(m)] for m in maps)
-        limit = 3.0 * float(np.median(errors[0])) if errors and errors[0].size else 0.0
-        if (
-            coat_um.size
-            and coat_um.size >= 0.5 * np.count_nonzero(use)
-            and float(np.median(coat_um)) > limit
-        ):
+        limit_um = 3.0 * float(np.median(errors[0])) if errors and errors[0].size else 0.0
+        is_measured = coat_um.size >= max(1, 0.5 * np.count_nonzero(use))
+        if is_measured and float(np.median(coat_um)) > limit_um:
             sides.append(side)
     return sides
