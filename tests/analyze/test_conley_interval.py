@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from analyze.fields import gaussian_maps, related_maps
-from planish.analyze import conley_interval, correlate, correlation
+from planish.analyze import conley_interval, correlate
 from planish.analyze.conley_interval import critical_value
 from planish.texture import covariance
 
@@ -15,7 +15,7 @@ from planish.texture import covariance
 def drawn_critical(known, draws=4000):
     """How many estimated standard errors the mean of independent values is off in 5 %."""
     rng, lags = np.random.default_rng(0), covariance.Lags(known, (1.0, 1.0))
-    weight = np.maximum(1 - lags.distance_um / (correlation.BANDWIDTH * min(known.shape)), 0.0)
+    weight = np.maximum(1 - lags.distance_um / (covariance.BANDWIDTH * min(known.shape)), 0.0)
     found = []
     for _ in range(draws):
         values = np.where(known, rng.normal(size=known.shape), 0.0)

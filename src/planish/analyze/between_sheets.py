@@ -16,6 +16,7 @@ from planish.analyze.distributions import student_tail, t_95
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
+from planish.core.typing import Floats
 
 _POWER = 0.8  # how often a study sees the smallest difference that it is said to see
 
@@ -93,27 +94,14 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     """
     old_sheets, new_sheets = before.by_sheet, after.by_sheet
     if before.names and after.names:
-        old_fields, new_fields = (
-            {
-                (s, f): v
-                for s, f, v in zip(m.sheets, m.names, m.values, strict=True)
-                if not math.isnan(v)
-            }
-            for m in (before, after)
-        )
-        keys = [field for field in old_fields if field in new_fields]
-        old_sheets, new_sheets = (
-            Fields([m[k] for k in keys], [s for s, _ in keys]).by_sheet
-            for m in (old_fields, new_fields)
-        )
+        old_sheets, new_sheets = _paired_fields(before, after)
     means = {
         sheet: (values.mean(), new_sheets[sheet].mean())
         for sheet, values in old_sheets.items()
         if sheet in new_sheets
     }
-    unpaired = tuple(
-        sheet for sheet in dict.fromkeys([*before.sheets, *after.sheets]) if sheet not in means
-    )
+    sheets = dict.fromkeys([*before.sheets, *after.sheets])
+    unpaired = tuple(sheet for sheet in sheets if sheet not in means)
     k = len(means)
     if k == 0:
         return SheetDifference(
@@ -130,15 +118,39 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
         means=(float(means_before.mean()), float(means_after.mean())),
         difference=float(changes.mean()),
         sd=sd,
-        standard_error=sd / math.sqrt(k) if k > 1 else math.nan,
+        standard_error=sd / math.sqrt(k),
         unpaired=unpaired,
         reason=too_few(k) or ("" if sd > 0 else "all sheets have the same difference"),
     )
-    return difference if difference.reason else _with_interval(difference, k - 1.0)
+    if difference.reason:
+        return difference
+    return _with_interval(difference, k - 1.0)
+
+
+def _paired_fields(before: Fields, after: Fields) -> tuple[dict[str, Floats], dict[str, Floats]]:
+    """Values of the fields that are known in both, by their sheets."""
+    new_keys = zip(after.sheets, after.names, strict=True)
+    new_values = dict(zip(new_keys, after.values, strict=True))
+    sheets: list[str] = []
+    values: list[tuple[float, float]] = []
+    for sheet, name, old in zip(before.sheets, before.names, before.values, strict=True):
+        new = new_values.get((sheet, name), math.nan)
+        if not math.isnan(old - new):
+            sheets.append(sheet)
+            values.append((old, new))
+    return (
+        Fields([old for old, _ in values], sheets).by_sheet,
+        Fields([new for _, new in values], sheets).by_sheet,
+    )
 
 
 def two_groups(first: Fields, second: Fields) -> SheetDifference:
     """Compare sheets of two papers, or of two treatments, that share no sheet, after Welch.
+
+    Parameters
+    ----------
+    first, second : Fields
+        A property, or r, of each field; NaN is missing.
 
     Returns
     -------
@@ -148,7 +160,7 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
     ----------
     Welch (1947), Biometrika 34, 28, doi:10.1093/biomet/34.1-2.28.
     """
-    a, b = (m.means for m in (first, second))
+    a, b = first.means, second.means
     k = (a.size, b.size)
     if min(k) == 0:
         return SheetDifference(
@@ -165,11 +177,9 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
         standard_error=error,
         reason=too_few(*k) or all_alike(error),
     )
-    return (
-        difference
-        if difference.reason
-        else _with_interval(difference, _welch_free(mean_variances, k))
-    )
+    if difference.reason:
+        return difference
+    return _with_interval(difference, _welch_free(mean_variances, k))
 
 
 def _welch_free(variances: Sequence[float], sizes: Sequence[int]) -> float:
@@ -238,12 +248,7 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
         verdict = "equivalent"
     elif low > margin or high < -margin:
         verdict = "larger"
-    return Equivalence(
-        margin=margin,
-        interval=(low, high),
-        p=p,
-        verdict=verdict,
-    )
+    return Equivalence(margin=margin, interval=(low, high), p=p, verdict=verdict)
 
 
 def _shift_seen(free: float) -> float:

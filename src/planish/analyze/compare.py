@@ -4,7 +4,8 @@ Correlation, differences of equal quantities, and other registrations.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import repeat
+from functools import partial
+from itertools import product, repeat
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -123,10 +124,8 @@ def maps_to_correlate(maps: xr.Dataset) -> list[str]:
     ]
     # A store gives its maps in the order of the alphabet: here they stand in one order, wherever
     # they come from.
-    order = [*PROPERTIES]
-    return sorted(
-        names, key=lambda name: (order.index(name) if name in order else len(order), name)
-    )
+    order = {name: index for index, name in enumerate(PROPERTIES)}
+    return sorted(names, key=lambda name: (order.get(name, len(order)), name))
 
 
 def correlate_layers(
@@ -139,62 +138,102 @@ def correlate_layers(
 ) -> Iterator[CorrelationRow]:
     """Correlate two layers point by point, per pixel and over larger points.
 
-    Two sheets: the same properties, with their differences. A sheet and an image: every property
-    with the image; ``light_off``: a smooth field was taken off that.
+    Parameters
+    ----------
+    a, b : str; names of the layers: two sheets, or a sheet and an image
+    maps : dict of str to Dataset, dims (y, x); layers on one grid, by their names
+    point_um : float, in um; edge of the larger points
+    light_off : bool; whether a smooth field was taken off the image
+
+    Yields
+    ------
+    CorrelationRow
+        Of two sheets the same properties, with their differences; of a sheet and an image every
+        property with the image.
     """
     layers = maps[a], maps[b]
-    names = [maps_to_correlate(data) for data in layers]
-    are_sheets = all("image" not in n for n in names)
-    pairs = (
-        [(n, n) for n in names[0] if n in names[1]]
-        if are_sheets
-        else [(m, n) for m in names[0] for n in names[1]]
-    )
-    grid = Grid.of(layers[0])
-    sums = [
-        PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS)
-        for _ in pairs
-    ]
-
-    def read(rows: slice) -> tuple[list[Array], list[Array]]:
-        valid = band_of(layers[0]["valid"], rows) & band_of(layers[1]["valid"], rows)
-        p, q = (
-            {
-                n: np.where(valid, band_of(data[n], rows), np.nan)
-                for n in {pair[k] for pair in pairs}
-            }
-            for k, data in enumerate(layers)
-        )
-        return [p[name] for name, _ in pairs], [q[name] for _, name in pairs]
-
-    parts = [*bands(grid.shape[0])]
-    for rows, maps_of_pairs in zip(parts, read_ahead(read, parts), strict=True):
-        map_threads(PairAtSizes.add, sums, repeat(rows.start), *maps_of_pairs)
-    table: list[CorrelationRow] = []
-    for sums_of_pair, pair in zip(sums, pairs, strict=True):
-        correlations = _sizes(sums_of_pair, light_off=light_off)
+    names_a, names_b = (maps_to_correlate(layer) for layer in layers)
+    are_sheets = "image" not in [*names_a, *names_b]
+    pairs = [*product(names_a, names_b)]
+    if are_sheets:
+        pairs = [(name, name) for name in names_a if name in names_b]
+    rows: list[CorrelationRow] = []
+    for pair, pair_sums in zip(pairs, _sums_of_pairs(layers, pairs, point_um), strict=True):
+        correlations = _sizes(pair_sums, light_off=light_off)
         if not correlations[0][0].n:
             continue
-        for row, pair_sums in correlations:
-            agreement: dict[str, Any] = {}
-            if are_sheets:
-                mean, sd = pair_sums.difference
-                agreement = {
-                    "same_quantity": True,
-                    "difference_mean": mean,
-                    "difference_sd": sd,
-                    "limits": (mean - LIMIT * sd, mean + LIMIT * sd),
-                    "units": str(layers[0][pair[0]].attrs.get("units", "1")),
-                }
-            table.append(
-                CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement)
+        units = str(layers[0][pair[0]].attrs.get("units", "1"))
+        for correlation, sums in correlations:
+            agreement = _agreement(sums, units) if are_sheets else {}
+            rows.append(
+                CorrelationRow.holding(
+                    correlation, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement
+                )
             )
-    families = [(row.point_um, row.a_map if row.negative_control else "") for row in table]
-    for family in set(families):
-        row_numbers = [k for k, of_row in enumerate(families) if of_row == family]
-        for k, p_of_table in zip(row_numbers, holm([table[k].p for k in row_numbers]), strict=True):
-            table[k] = table[k].model_copy(update={"p_of_table": p_of_table})
-    yield from table
+    yield from _with_p_of_table(rows)
+
+
+def _sums_of_pairs(
+    layers: tuple[xr.Dataset, xr.Dataset], pairs: Sequence[tuple[str, str]], point_um: float
+) -> list[PairAtSizes]:
+    """Sum up pairs of maps of two layers in one pass over their rows."""
+    grid = Grid.of(layers[0])
+    sums = _empty_sums(grid, point_um, len(pairs))
+    parts = [*bands(grid.shape[0])]
+    read = partial(_read_pairs, layers, pairs)
+    for rows, maps_of_pairs in zip(parts, read_ahead(read, parts), strict=True):
+        map_threads(PairAtSizes.add, sums, repeat(rows.start), *maps_of_pairs)
+    return sums
+
+
+def _empty_sums(grid: Grid, point_um: float, count: int) -> list[PairAtSizes]:
+    return [
+        PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS)
+        for _ in range(count)
+    ]
+
+
+def _read_pairs(
+    layers: tuple[xr.Dataset, xr.Dataset], pairs: Sequence[tuple[str, str]], rows: slice
+) -> tuple[list[Array], list[Array]]:
+    """Rows of the maps of all pairs, NaN where one of the layers is not valid."""
+    first, second = layers
+    is_valid = band_of(first["valid"], rows) & band_of(second["valid"], rows)
+    return (
+        _bands_of(first, [name for name, _ in pairs], rows, is_valid),
+        _bands_of(second, [name for _, name in pairs], rows, is_valid),
+    )
+
+
+def _bands_of(layer: xr.Dataset, names: Sequence[str], rows: slice, is_valid: Bools) -> list[Array]:
+    by_name = {name: np.where(is_valid, band_of(layer[name], rows), np.nan) for name in set(names)}
+    return [by_name[name] for name in names]
+
+
+def _agreement(sums: PairSums, units: str) -> dict[str, Any]:
+    """Differences of two maps of one quantity."""
+    mean, sd = sums.difference
+    return {
+        "same_quantity": True,
+        "difference_mean": mean,
+        "difference_sd": sd,
+        "limits": (mean - LIMIT * sd, mean + LIMIT * sd),
+        "units": units,
+    }
+
+
+def _with_p_of_table(rows: Sequence[CorrelationRow]) -> list[CorrelationRow]:
+    """Correct p for the number of properties at each point size; negative controls count alone."""
+    families: dict[tuple[float, str], list[int]] = {}
+    for index, row in enumerate(rows):
+        control = row.a_map if row.negative_control else ""
+        families.setdefault((row.point_um, control), []).append(index)
+    corrected = [*rows]
+    for indices in families.values():
+        p_of_family = holm([rows[k].p for k in indices])
+        for k, p in zip(indices, p_of_family, strict=True):
+            corrected[k] = rows[k].model_copy(update={"p_of_table": p})
+    return corrected
 
 
 def _sizes(sums: PairAtSizes, *, light_off: bool) -> list[tuple[Correlation, PairSums]]:
@@ -244,10 +283,7 @@ def comparison_rows(
     grid = Grid.of(linked)
     sheet_map = sheet["surfaces"][name].values
     variants = [*_variants(sheet, fit), _Variant(f"flattened, {fit.model}", fit.rms_um, None)]
-    sums = [
-        PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS)
-        for _ in variants
-    ]
+    sums = _empty_sums(grid, point_um, len(variants))
     for rows, (linked_map, is_valid, image) in read_bands(
         linked[name], linked["valid"], linked["image"]
     ):
@@ -257,21 +293,20 @@ def comparison_rows(
         valid = np.logical_and.reduce([is_valid, away(part), *map(np.isfinite, placed)])
         compared = [np.where(valid, m, np.nan) for m in placed]
         map_threads(PairAtSizes.add, sums, repeat(rows.start), compared, repeat(image))
-    maps_of_run = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
+    maps_of_run = (sums[-1].cells(), (sums[-1].points(), (point_um, point_um)))
     sizes = [_sizes(variant_sums, light_off=light_off) for variant_sums in sums]
-    of_run = [*zip((row.r for row, _ in sizes[-1]), maps_of_run, strict=True)]
+    r_of_run = [row.r for row, _ in sizes[-1]]
     for variant, variant_sums, variant_sizes in zip(variants, sums, sizes, strict=True):
-        for (row, _), variant_maps, (run_r, run_maps) in zip(
+        for (row, _), variant_maps, run_r, run_maps in zip(
             variant_sizes,
             (variant_sums.cells()[0], variant_sums.points()),
-            of_run,
+            r_of_run,
+            maps_of_run,
             strict=True,
         ):
-            change = (
-                _change(run_r - row.r, variant_maps, *run_maps)
-                if variant.mesh is not None and row.n
-                else {}
-            )
+            change: dict[str, Any] = {}
+            if variant.mesh is not None and row.n:
+                change = _change(run_r - row.r, variant_maps, *run_maps)
             yield ComparisonRow.holding(
                 row,
                 registration=variant.title,

@@ -15,7 +15,6 @@ import numpy as np
 from pydantic import Field
 
 from planish.analyze.correlation import (
-    BANDWIDTH,
     LEAST_CLAIMED,
     correlate,
     pearson,
@@ -24,8 +23,9 @@ from planish.analyze.correlation import (
 from planish.analyze.distributions import t_95
 from planish.core.area import area_mean
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
+from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Pair, Pixel
-from planish.texture.covariance import Lags, PairCovariances
+from planish.texture.covariance import BANDWIDTH, Lags, PairCovariances
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
@@ -89,14 +89,9 @@ def conley_interval(
         is_valid = np.isfinite(a)
     x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
     r = pearson(x[is_valid], y[is_valid])
-    critical = math.nan
-    error = math.nan
-    ratio = math.nan
+    error = critical = ratio = math.nan
     if correlation.n_eff >= LEAST_CLAIMED and 1 - r * r >= 1e-14:
-        reach_um = BANDWIDTH * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
-        spatial_error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(
-            r, reach_um
-        )
+        spatial_error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(r)
         if spatial_error > 0:
             error = spatial_error
             critical = critical_value(is_valid, pixel)
@@ -122,16 +117,11 @@ def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
     """
     k = max(1, math.ceil(math.sqrt(np.count_nonzero(is_valid) / 400)))  # of 400 cells or fewer
     shape = [n // k * k for n in is_valid.shape]
-    cells = (
-        is_valid[: shape[0], : shape[1]]
-        .reshape(shape[0] // k, k, shape[1] // k, k)
-        .mean(axis=(1, 3))
-        >= 0.5
-    )
-    places_um = np.argwhere(cells) * (k * pixel_um[0], k * pixel_um[1])
-    side = min(n * p for n, p in zip(is_valid.shape, pixel_um, strict=True))
+    whole = is_valid[: shape[0], : shape[1]].reshape(shape[0] // k, k, shape[1] // k, k)
+    places_um = np.argwhere(whole.mean(axis=(1, 3)) >= 0.5) * (k * pixel_um[0], k * pixel_um[1])
+    bandwidth_um = BANDWIDTH * shorter_side_um(is_valid.shape, pixel_um)
     distance = np.hypot(*(places_um[:, None, axis] - places_um[:, axis] for axis in (0, 1)))
-    weight = np.maximum(1.0 - distance / (BANDWIDTH * side), 0.0)
+    weight = np.maximum(1.0 - distance / bandwidth_um, 0.0)
     rows = weight.mean(axis=1)
     centred_weight = weight - rows - rows[:, None] + rows.mean()
     expected = float(np.trace(centred_weight))
@@ -141,8 +131,6 @@ def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
 
 def answer_conley_interval(pair: ComparedMaps) -> dict[str, Any]:
     """The Conley interval at the larger points."""
-    return (
-        {"conley_interval": conley_interval(pair.x, pair.y, **pair.sizes)}
-        if pair.has_points
-        else {}
-    )
+    if not pair.has_points:
+        return {}
+    return {"conley_interval": conley_interval(pair.x, pair.y, **pair.sizes)}

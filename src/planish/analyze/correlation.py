@@ -27,10 +27,6 @@ from planish.texture.detrend import shared_trend
 LEAST_CLAIMED = 10.0
 """Independent points below which nothing is claimed: no p and no interval."""
 
-BANDWIDTH = 0.15
-"""Share of the shorter side: how far points are taken to add to r together in the second
-opinion."""
-
 LEAST = 3
 """Pixels of a map without which it says nothing."""
 
@@ -135,9 +131,8 @@ class PairSums:
     @property
     def variances(self) -> Pair:
         """Of x and of y."""
-        return float(self._square[0, 0]) / max(self.n, 1), float(self._square[1, 1]) / max(
-            self.n, 1
-        )
+        n = max(self.n, 1)
+        return float(self._square[0, 0]) / n, float(self._square[1, 1]) / n
 
     @property
     def constant(self) -> list[bool]:
@@ -159,17 +154,16 @@ class PairSums:
         if math.isnan(self.r):
             return math.nan, math.nan, math.nan
         slope = float(self._square[0, 1] / self._square[0, 0])
-        return (
-            slope,
-            float(self._mean[1] - slope * self._mean[0]),
-            float(self._square[0, 1] / self._square[1, 1]),
-        )
+        intercept = float(self._mean[1] - slope * self._mean[0])
+        return slope, intercept, float(self._square[0, 1] / self._square[1, 1])
 
     @property
     def difference(self) -> Pair:
         """Mean and standard deviation of y - x; NaN where there are too few places."""
-        mean = float(self._mean[2]) if self.n else math.nan
-        return mean, math.sqrt(self._square[2, 2] / (self.n - 1)) if self.n > 1 else math.nan
+        if self.n == 0:
+            return math.nan, math.nan
+        sd = math.sqrt(self._square[2, 2] / (self.n - 1)) if self.n > 1 else math.nan
+        return float(self._mean[2]), sd
 
 
 def sums_of(x: Array, y: Array) -> PairSums:
@@ -262,43 +256,50 @@ def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel | None, mask: Rows | None = No
     Raises InputError or SizeError where they are not on one grid, hold no numbers, or state another
     pixel than ``pixel_um``.
     """
-    given_um = None if pixel_um is None else _pair_um(pixel_um)
-    maps: dict[str, Any] = {"a": a, "b": b} | ({} if mask is None else {"mask": mask})
+    stated_um = None if pixel_um is None else _pair_um(pixel_um)
+    maps: dict[str, Any] = {"a": a, "b": b}
+    if mask is not None:
+        maps["mask"] = mask
     for name, values in maps.items():
-        if isinstance(getattr(values, "dtype", None), np.dtype):
-            check_numbers(values, name, kinds="b" if name == "mask" else "fiub")
-        if not isinstance(values, (np.ndarray, xr.DataArray)) or len(values.shape) != 2:
-            is_flat = len(getattr(values, "shape", ())) == 2
-            fix = f"Write np.asarray({name})" if is_flat else "Give maps (rows, cols)"
-            raise InputError(
-                f"{name} is no array of two dimensions in memory, but {described(values)}. {fix}."
-            )
-        check_missing(values, name)
-        refuse_axial(values)
+        _check_map(name, values)
         if values.shape != a.shape:
             raise InputError(
                 f"{name} has {values.shape} pixels, a has {a.shape}. Bring both onto one grid"
                 " first."
             )
-        stated_um = map_pixel_um(name, values, given_um)
-        given_um = stated_um if given_um is None else given_um
-    if given_um is None:
+        map_um = map_pixel_um(name, values, stated_um)
+        stated_um = stated_um or map_um
+    if stated_um is None:
         raise SizeError(
             "The maps have no pixel size: they are no maps with coordinates in um. Give it with"
             " `pixel_um`."
         )
     placed = [m for m in maps.values() if isinstance(m, xr.DataArray)]
-    for other in placed[1:]:
-        if other.dims != placed[0].dims or any(
-            not np.allclose(other[k], placed[0][k])
-            for k in other.dims
-            if k in other.coords and k in placed[0].coords
-        ):
-            raise InputError(
-                "The maps have other places. Bring both onto one grid first"
-                " (planish.resample_maps)."
-            )
-    return given_um
+    if not all(_lie_alike(placed[0], m) for m in placed[1:]):
+        raise InputError(
+            "The maps have other places. Bring both onto one grid first (planish.resample_maps)."
+        )
+    return stated_um
+
+
+def _check_map(name: str, values: Any) -> None:
+    """Raise InputError where a map, or a mask, is no array of two dimensions that holds numbers."""
+    if isinstance(getattr(values, "dtype", None), np.dtype):
+        check_numbers(values, name, kinds="b" if name == "mask" else "fiub")
+    n_axes = len(getattr(values, "shape", ()))
+    if not isinstance(values, (np.ndarray, xr.DataArray)) or n_axes != 2:
+        fix = f"Write np.asarray({name})" if n_axes == 2 else "Give maps (rows, cols)"
+        raise InputError(
+            f"{name} is no array of two dimensions in memory, but {described(values)}. {fix}."
+        )
+    check_missing(values, name)
+    refuse_axial(values)
+
+
+def _lie_alike(a: xr.DataArray, b: xr.DataArray) -> bool:
+    """Whether two maps have the same axes, and the same coordinates where both have some."""
+    shared_axes = [k for k in a.dims if k in a.coords and k in b.coords]
+    return a.dims == b.dims and all(np.allclose(a[k], b[k]) for k in shared_axes)
 
 
 def _pair_um(pixel_um: Pixel) -> Pair:
@@ -355,26 +356,24 @@ class PairAtSizes:
         point_um: float | None,
         most_cells: int = _MOST_CELLS,
     ) -> None:
-        self._pixel_um, self._point_um = pixel_um, point_um
-        factor = (
-            (0.0, 0.0) if point_um is None else (point_um / pixel_um[0], point_um / pixel_um[1])
-        )
-        self._points = AreaMeans(shape, factor) if min(factor) >= 1 - 1e-9 else None
-        self._factor = (
-            max(1, math.ceil(math.sqrt(math.prod(shape) / most_cells))) if most_cells else 0
-        )
-        self._cells = AreaMeans(shape, (self._factor, self._factor)) if self._factor else None
+        self._pixel_um = pixel_um
+        self._point_um = point_um or math.nan
+        point_px = (self._point_um / pixel_um[0], self._point_um / pixel_um[1])
+        self._points = AreaMeans(shape, point_px) if min(point_px) >= 1 - 1e-9 else None
+        self._factor = 0
+        self._cells = None
+        if most_cells:
+            self._factor = max(1, math.ceil(math.sqrt(math.prod(shape) / most_cells)))
+            self._cells = AreaMeans(shape, (self._factor, self._factor))
         self._sums = PairSums()
         self._ranked: list[Floats] = []
 
     def add_maps(self, a: Rows, b: Rows, *masks: Rows) -> None:
         """Add all rows of both maps, where all masks are true."""
         for rows, (x, y, *mask_bands) in read_bands(a, b, *masks):
-            self.add(
-                rows.start,
-                np.where(np.logical_and.reduce(mask_bands), x, np.nan) if mask_bands else x,
-                y,
-            )
+            for mask in mask_bands:
+                x = np.where(mask, x, np.nan)
+            self.add(rows.start, x, y)
 
     def add(self, begin: int, x: Array, y: Array) -> None:
         """Add the rows from ``begin`` on of both maps; NaN is missing."""
@@ -387,9 +386,8 @@ class PairAtSizes:
         self._sums.add(x, y)
         k = self._factor
         every_kth = np.s_[-begin % k :: k, ::k]
-        self._ranked.append(
-            np.stack([m[every_kth][is_valid[every_kth]].astype(np.float64) for m in (x, y)])
-        )
+        is_ranked = is_valid[every_kth]
+        self._ranked.append(np.stack([m[every_kth][is_ranked].astype(np.float64) for m in (x, y)]))
 
     def at_pixel(self) -> Correlation:
         """The correlation per pixel."""
@@ -403,11 +401,9 @@ class PairAtSizes:
         Of none where they would be smaller than a pixel.
         """
         points = self.points()
-        size = self._point_um or math.nan
-        is_valid = np.isfinite(points[0]) & np.isfinite(points[1])
-        return _stated(
-            sums_of(*points), points, np.stack([m[is_valid] for m in points]), (size, size), size
-        )
+        size_um = self._point_um
+        ranked = np.stack(points)[:, np.isfinite(points[0]) & np.isfinite(points[1])]
+        return _stated(sums_of(*points), points, ranked, (size_um, size_um), size_um)
 
     def sizes(self) -> Iterator[tuple[Correlation, PairSums]]:
         """The correlation per pixel, and of the larger points, each with its sums."""
@@ -417,10 +413,8 @@ class PairAtSizes:
     def cells(self) -> tuple[list[Floats], Pair]:
         """Give the means of both maps over the cells that stand for pixels, and a cell's size."""
         assert self._cells is not None
-        return self._cells.means(), (
-            self._factor * self._pixel_um[0],
-            self._factor * self._pixel_um[1],
-        )
+        row_um, col_um = self._pixel_um
+        return self._cells.means(), (self._factor * row_um, self._factor * col_um)
 
     def points(self) -> list[Floats]:
         """The means of both maps; none where a point would be smaller than a pixel."""
@@ -435,28 +429,27 @@ def _stated(
 
     ``cells`` are both maps, as they are or averaged.
     """
-    r, (slope, intercept, slope_x_on_y) = sums.r, sums.lines
+    r = sums.r
+    slope, intercept, slope_x_on_y = sums.lines
     fields: dict[str, Any] = {"point_um": support_um, "n": sums.n, "r": r, "r2": r * r}
     fields |= {"slope": slope, "intercept": intercept, "slope_x_on_y": slope_x_on_y}
+    warnings: list[str] = []
+    if sums.n < LEAST:
+        warnings.append(f"Only {sums.n} points are valid in both maps.")
+    elif math.isnan(r):
+        constant = zip(_ORDER, sums.constant, strict=True)
+        warnings += [f"{which} map is constant." for which, is_constant in constant if is_constant]
     if math.isnan(r):
-        warnings = [
-            f"{which} map is constant."
-            for which, flat in zip(_ORDER, sums.constant, strict=True)
-            if flat
-        ]
-        if sums.n < LEAST:
-            warnings = [f"Only {sums.n} points are valid in both maps."]
         return Correlation(**fields, warnings=tuple(warnings))
     rho = math.nan
-    warnings = list[str]()
     if ranked.size:
         rho = pearson(ranks(ranked[0]), ranks(ranked[1]))
-        median_shares = (float(np.mean(values == np.median(values))) for values in ranked)
-        warnings = [
-            f"{100 * median_share:.0f} % of the points of {which.lower()} map have the same value."
-            for which, median_share in zip(_ORDER, median_shares, strict=True)
-            if median_share > 0.9
-        ]
+        for which, values in zip(_ORDER, ranked, strict=True):
+            share = float(np.mean(values == np.median(values)))
+            if share > 0.9:
+                warnings.append(
+                    f"{100 * share:.0f} % of the points of {which.lower()} map have the same value."
+                )
     fields |= {"rho": rho, "mean_a": sums.means[0], "mean_b": sums.means[1]}
     fields |= _certainty(r, sums, cells, pitch_um, warnings)
     return Correlation(**fields, warnings=tuple(warnings))
@@ -491,8 +484,7 @@ def _certainty(
     r_of_cells = pearson(x[is_valid], y[is_valid])
     error_ratio = 1.0
     if 1 - r_of_cells**2 > 1e-14:
-        reach = BANDWIDTH * min(k * p for k, p in zip(is_valid.shape, pitch_um, strict=True))
-        error_ratio = max(pair.spatial_error(r_of_cells, reach)[1], 1.0)
+        error_ratio = max(pair.spatial_error(r_of_cells)[1], 1.0)
     if error_ratio > UNEVEN:
         warnings.append(
             f"The maps vary unevenly, which makes the interval {error_ratio:.1f} times as wide."

@@ -13,6 +13,7 @@ from planish.analyze.correlation import Correlation, PointsCorrelation, correlat
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
 from planish.core.facts import Interval, optional
+from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Floats, Pixel
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def size_curve(
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     if sizes_um is None:  # up by factors of the square root of 2
-        largest_um = min(n * p for n, p in zip(a.shape, pixel, strict=True)) / 8
+        largest_um = shorter_side_um(a.shape, pixel) / 8
         n_sizes = math.floor(2 * math.log2(max(largest_um / max(pixel), 1.0)) + 1e-9) + 1
         sizes_um = [max(pixel) * 2 ** (k / 2) for k in range(n_sizes)]
     if min(sizes_um, default=0) < max(pixel) * (1 - 1e-9):

@@ -22,7 +22,7 @@ from planish.core.typing import Floats, Pair
 from planish.texture.detrend import PhaseSurrogate
 from planish.texture.lag_field import LagField, lag_field
 from planish.texture.lag_search import LagSearch
-from planish.texture.ncc import MARGIN, find_peak, rival_of, within
+from planish.texture.ncc import MARGIN, Peak, find_peak, rival_of, within
 from planish.texture.textures import Textures
 
 Reason = Literal["few", "texture", "border", "rival", "light"]
@@ -127,11 +127,9 @@ class Lag:
     @property
     def length_se_um(self) -> float:
         """Standard error of the lag along its own direction, in um."""
-        along = (
-            np.array(self.lag_um) / self.length_um
-            if self.length_um > 0
-            else np.full(2, math.sqrt(0.5))
-        )
+        along = np.full(2, math.sqrt(0.5))
+        if self.length_um > 0:
+            along = np.array(self.lag_um) / self.length_um
         return float(np.sqrt(along @ self.covariance_um2 @ along))
 
     def agrees(self, expected_error_um: float) -> bool | None:
@@ -234,27 +232,21 @@ class Lag:
         With the first map's property, and the expected error if known.
         """
         expected_um = math.nan if expected_error_um is None else expected_error_um
-        tile_lags = (
-            ()
-            if self.field is None
-            else zip(
-                self.field.at_um.tolist(),
-                self.field.lag_um.tolist(),
-                self.field.distinct.tolist(),
-                strict=True,
-            )
-        )
+        tile_um = math.nan
+        tiles: list[LagTile] = []
+        if self.field is not None:
+            tile_um = self.field.tile_um
+            columns = (self.field.at_um, self.field.lag_um, self.field.distinct)
+            for (x, y), lag, distinct in zip(*(column.tolist() for column in columns), strict=True):
+                tiles.append(LagTile(x=x, y=y, lag_um=lag, distinct=distinct))
         return LagNumbers(
             **{name: getattr(self, name) for name in _SAVED},
             property=property_name,
             agrees=self.agrees(expected_um),
             expected_um=expected_um,
             sentence=self.sentence(expected_um),
-            tile_um=math.nan if self.field is None else self.field.tile_um,
-            tiles=tuple(
-                LagTile(x=x, y=y, lag_um=lag, distinct=distinct)
-                for (x, y), lag, distinct in tile_lags
-            ),
+            tile_um=tile_um,
+            tiles=tuple(tiles),
         )
 
 
@@ -305,23 +297,12 @@ def texture_lag(  # noqa: PLR0911
     Worsley (1994), Adv. Appl. Probab. 26, 13, doi:10.2307/1427576.
     """
     pixel = texture.pixel_um
-    sides_um = texture.known.shape[0] * pixel[0], texture.known.shape[1] * pixel[1]
-    least_um = 3 * max(pixel)
-    most_um = min(sides_um) / 4
-    if not least_um <= reach_um <= most_um:
-        raise SizeError(
-            f"A reach of {reach_um:g} um does not fit maps of {sides_um[1]:.3g} x {sides_um[0]:.3g}"
-            f" um in pixels of {max(pixel):g} um. Take one from 3 pixels ({least_um:g} um) to a"
-            f" quarter of the shorter side ({most_um:.3g} um)."
-        )
-    reach = int(reach_um / pixel[0] + 1e-9), int(reach_um / pixel[1] + 1e-9)
+    reach = _reach_px(texture, reach_um)
     build_lag = partial(Lag, reach_um=reach_um, pixel_um=pixel, n=texture.n)
-    if texture.n < 400 or not all(
-        k in texture.maps and texture.maps[k].any() for k in (*first, last)
-    ):
+    if not _have_texture(texture, (*first, last)):
         return build_lag(reason="few")
     halves = [texture.halves(k) for k in first]
-    x = np.stack([m for two in halves for m in two])
+    x = np.concatenate(halves)
     y = texture.maps[last]
     search = LagSearch(x, y, texture.known, (reach[0] + MARGIN, reach[1] + MARGIN))
     allowed = within(reach)
@@ -335,11 +316,9 @@ def texture_lag(  # noqa: PLR0911
     if peak is None:
         return lag
     weights = search.weights(peak.lag_px)
-    sign = float(
-        np.vdot(
-            np.tensordot(weights[: len(halves[0])], x[: len(halves[0])], 1), texture.maps[first[0]]
-        )
-    )
+    n_first = len(halves[0])
+    fitted = np.tensordot(weights[:n_first], x[:n_first], 1)
+    sign = float(np.vdot(fitted, texture.maps[first[0]]))
     lag = replace(lag, r=math.copysign(math.sqrt(max(peak.r, 0.0)), sign))
     if not above.any():
         return lag
@@ -347,30 +326,52 @@ def texture_lag(  # noqa: PLR0911
         return replace(lag, reason="border")
     if rival_of(search.share, peak, allowed) > max(limit, 0.8 * peak.r):
         return replace(lag, reason="rival")
-    step = np.array([pixel[1], pixel[0]])
-    covariance = search.covariance(peak, pixel)[::-1, ::-1] * np.outer(step, step)
-    covariance += (0.1 * max(pixel)) ** 2 * np.eye(2)  # what is lost between the pixels
     if slopes:
-        without_slopes = slice(0, sum(map(len, halves[: len(first) - slopes])))
+        without_slopes = slice(0, sum(map(len, halves[:-slopes])))
         lag = replace(lag, light=1.0 - search.share_of(without_slopes, peak.lag_px) / peak.r)
-    # Else it locates nothing.
-    if not math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) < reach_um / 4:
-        return replace(lag, reason="light" if slopes else "texture")
-    lag_x_um, lag_y_um = (float(v) for v in peak.summit_px[::-1] * step)
-    lag = replace(lag, reason=None, lag_um=(lag_x_um, lag_y_um), covariance_um2=covariance)
-    if tiles_um is None:
+    lag = _located(lag, search, peak, unsure="light" if slopes else "texture")
+    if tiles_um is None or not lag.distinct:
         return lag
-    return replace(
-        lag,
-        field=lag_field(
-            np.tensordot(weights, x, 1),
-            y,
-            texture.known,
-            pixel,
-            reach=reach,
-            tile_um=tiles_um,
-            unrelated=[
-                *PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(20090501))
-            ],
-        ),
+    unrelated = PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(20090501))
+    field_of_lags = lag_field(
+        np.tensordot(weights, x, 1),
+        y,
+        texture.known,
+        pixel,
+        reach=reach,
+        tile_um=tiles_um,
+        unrelated=[*unrelated],
     )
+    return replace(lag, field=field_of_lags)
+
+
+def _reach_px(texture: Textures, reach_um: float) -> tuple[int, int]:
+    """The reach in pixels; SizeError where it does not fit the maps."""
+    row_um, col_um = texture.pixel_um
+    rows, cols = texture.known.shape
+    sides_um = (rows * row_um, cols * col_um)
+    least_um = 3 * max(row_um, col_um)
+    most_um = min(sides_um) / 4
+    if not least_um <= reach_um <= most_um:
+        raise SizeError(
+            f"A reach of {reach_um:g} um does not fit maps of {sides_um[1]:.3g} x {sides_um[0]:.3g}"
+            f" um in pixels of {max(row_um, col_um):g} um. Take one from 3 pixels ({least_um:g} um)"
+            f" to a quarter of the shorter side ({most_um:.3g} um)."
+        )
+    return int(reach_um / row_um + 1e-9), int(reach_um / col_um + 1e-9)
+
+
+def _have_texture(texture: Textures, names: Sequence[str]) -> bool:
+    """Whether enough pixels are known, and each of some maps is there and varies."""
+    return texture.n >= 400 and all(k in texture.maps and texture.maps[k].any() for k in names)
+
+
+def _located(lag: Lag, search: LagSearch, peak: Peak, *, unsure: Reason) -> Lag:
+    """The lag with its place and covariance; the reason ``unsure`` where it locates nothing."""
+    step_um = np.array(lag.pixel_um[::-1])
+    covariance = search.covariance(peak, lag.pixel_um)[::-1, ::-1] * np.outer(step_um, step_um)
+    covariance += (0.1 * max(lag.pixel_um)) ** 2 * np.eye(2)  # what is lost between the pixels
+    if not math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) < lag.reach_um / 4:
+        return replace(lag, reason=unsure)
+    x_um, y_um = (float(v) for v in peak.summit_px[::-1] * step_um)
+    return replace(lag, reason=None, lag_um=(x_um, y_um), covariance_um2=covariance)

@@ -15,6 +15,7 @@ from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Floats, Pixel
 from planish.texture.spectra import padded_shape, padded_spectrum
 
@@ -70,7 +71,7 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
     holes the mean leans to one side.
     """
     is_valid, pixel = valid_pixels(values, values, pixel_um)
-    side_um = min(n * p for n, p in zip(values.shape, pixel, strict=True))
+    side_um = shorter_side_um(values.shape, pixel)
     if not 0 < width_um < side_um:
         raise SizeError(
             f"Light would spread over {width_um:g} um; the map is {side_um:g} um wide. Give a width"

@@ -18,7 +18,7 @@ from planish.analyze.image_values import known_pixels, smooth
 from planish.core.area import common_means
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import ResultModel, Value, optional
-from planish.core.grid import Grid
+from planish.core.grid import Grid, shorter_side_um
 from planish.core.numbers import in_words
 from planish.core.typing import Pixel
 
@@ -106,7 +106,7 @@ def print_mottle(
     image, is_valid, pixel = known_pixels(reflectance, None, pixel_um)
     least_um = 4.0 * max(pixel)  # shorter ones are no waves on a grid
     # Of longer waves a field has too few.
-    most_um = 0.2 * min(n * p for n, p in zip(image.shape, pixel, strict=True))
+    most_um = 0.2 * shorter_side_um(image.shape, pixel)
     limit_um = most_um if longest_um is None else longest_um
     if not (
         least_um <= shortest_um < math.inf

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planish.analyze.correlation import BANDWIDTH
 from planish.analyze.distributions import student_tail, t_95
 from planish.core.errors import CannotMeasure
 from planish.core.typing import Bools, Floats, Pair
@@ -179,8 +178,7 @@ def _independent_cells(weight: Floats, residuals: Floats, lags: Lags) -> float:
     variance = pair.variance_of_r()
     if not variance > 0:
         return math.nan
-    sides = [count * size for count, size in zip(lags.is_valid.shape, lags.pixel_um, strict=True)]
-    unevenness = max(pair.spatial_error(0.0, BANDWIDTH * min(sides))[1], 1.0)
+    unevenness = max(pair.spatial_error(0.0)[1], 1.0)
     variance = max(variance, unevenness**2 * pair.variance_of_z(0.0))
     return min(1 + 1 / variance, float(lags.n))
 

@@ -16,6 +16,7 @@ from scipy import fft, ndimage
 from planish.analyze.correlation import valid_pixels
 from planish.core.errors import CannotMeasure
 from planish.core.facts import ResultModel, Unsaved, Value, optional
+from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Complexes, Floats, Ints, Pair, Pixel
 from planish.texture.detrend import without_trend
 
@@ -81,7 +82,7 @@ def coherence(a: Array, b: Array, *, pixel_um: Pixel, bands: int = 5) -> Coheren
     of independent waves is that of the modes, less what the window joins.
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
-    shortest_side = min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
+    shortest_side = shorter_side_um(is_valid.shape, pixel)
     limit_um = 0.25 * shortest_side  # of longer waves a field holds too few
     count = (
         min(bands, int(math.log2(max(limit_um / (2 * max(pixel)), 1e-9)))) if is_valid.any() else 0
@@ -152,9 +153,7 @@ class Waves:
         self.frequency = np.hypot(frequency_y, fft.rfftfreq(is_valid.shape[1], pixel_um[1]))
         # Width of the window in frequency: one over the field it leaves.
         self.joined = is_valid.size * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
-        self.resolution = math.sqrt(self.joined) / min(
-            n * p for n, p in zip(is_valid.shape, pixel_um, strict=True)
-        )
+        self.resolution = math.sqrt(self.joined) / shorter_side_um(is_valid.shape, pixel_um)
         self.ring: Ints = np.rint(self.frequency / self.resolution).astype(np.intp)
         ring_numbers = self.ring.ravel()
         powers = [np.bincount(ring_numbers, weights=np.abs(m.ravel()) ** 2) for m in self.spectra]

@@ -30,6 +30,7 @@ from planish.core.arrays import values_of
 from planish.core.axial import refuse_axial
 from planish.core.errors import InputError, PlanishError, SizeError
 from planish.core.facts import ResultModel, Value, optional
+from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Floats, Pixel
 from planish.measure.registry import shared_parts
 from planish.texture.textures import low_pass
@@ -122,7 +123,7 @@ def of_short_waves(
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     check_varying(is_valid)
-    longest = 0.2 * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
+    longest = 0.2 * shorter_side_um(is_valid.shape, pixel)
     weight = np.maximum(low_pass(is_valid.astype(np.float64), longest, pixel), 1e-9)
     short = [
         np.where(

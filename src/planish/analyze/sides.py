@@ -14,7 +14,7 @@ from planish.core.bands import any_finite, rms_of, thinned
 from planish.core.checks import CORRELATION, POSITION, Check, State
 from planish.core.errors import SizeError
 from planish.core.facts import SIDES, Side
-from planish.core.grid import Grid
+from planish.core.grid import Grid, shorter_side_um
 from planish.core.numbers import capital, with_article
 from planish.core.older_names import height_map
 from planish.core.typing import Bools
@@ -411,8 +411,7 @@ def texture_of(
         return _without_screen(judged.check)
     error_maps = [layer["expected_error"] for layer in (a, b) if "expected_error" in layer]
     expected_um = rms_of(error_maps[0], valid) if error_maps else None
-    known_shape = judged.texture.known.shape
-    short = min(n * um for n, um in zip(known_shape, judged.texture.pixel_um, strict=True))
+    short = shorter_side_um(judged.texture.known.shape, judged.texture.pixel_um)
     try:
         offset = lag.texture_lag(
             judged.texture,

@@ -15,6 +15,7 @@ from scipy import optimize
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import ResultModel, Value, optional
+from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 from planish.texture.covariance import Lags
 
@@ -133,7 +134,7 @@ def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floa
     """
     step = max(lags.pixel_um)
     ring = np.rint(lags.distance_um / step).astype(np.intp)
-    side_um = min(n * p for n, p in zip(lags.is_valid.shape, lags.pixel_um, strict=True))
+    side_um = shorter_side_um(lags.is_valid.shape, lags.pixel_um)
     is_in_reach = (
         is_used & lags.inside & (lags.pairs > 0) & (ring >= 1) & (lags.distance_um <= side_um / 2)
     )

@@ -80,6 +80,11 @@ def pitch(data: xr.Dataset | xr.DataArray) -> Pair:
     return Grid.of(data).pixel_um
 
 
+def shorter_side_um(shape: Sequence[int], pixel_um: Sequence[float]) -> float:
+    """Length of the shorter side of so many pixels."""
+    return min(n * step for n, step in zip(shape, pixel_um, strict=True))
+
+
 def check_same_grid(first: xr.Dataset, second: xr.Dataset) -> None:
     """Raise SurfaceError unless both datasets stand on the same columns of the same volume."""
     for axis in ("y", "x"):

@@ -11,8 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import fft
 
+from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Complexes, Floats, Pair
 from planish.texture.spectra import padded_shape, padded_spectrum
+
+BANDWIDTH = 0.15
+"""Share of the shorter side: how far points are taken to add to r together in the second
+opinion."""
 
 
 class Lags:
@@ -175,12 +180,13 @@ class PairCovariances:
         """
         return float(self._influence(r, variances).sum()) / self.lags.n**2
 
-    def spatial_error(self, r: float, bandwidth_um: float) -> Pair:
+    def spatial_error(self, r: float) -> Pair:
         """Standard error of z from what the points add to r, and the same over that of the model.
 
-        Both are sums over lags up to a bandwidth with weights that fall to 0 (Conley 1999), so that
-        what longer lags would add, and what the mean of a map takes off, are the same in both.
+        Both are sums over lags up to ``BANDWIDTH`` with weights that fall to 0 (Conley 1999), so
+        that what longer lags would add, and what the mean of a map takes off, are the same in both.
         """
+        bandwidth_um = BANDWIDTH * shorter_side_um(self.lags.is_valid.shape, self.lags.pixel_um)
         x, y = (m / math.sqrt(v) for m, v in zip(self._maps, self.variances, strict=True))
         influence = np.where(self.lags.is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
         influence_hat = self.lags.transform(influence)

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import fft
 
+from planish.core.grid import shorter_side_um
 from planish.core.robust import masked_gaussian
 from planish.core.typing import Bools, Floats, Pair
 from planish.texture.ncc import MaskedNcc
@@ -166,7 +167,7 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     y, x = (np.arange(-n, n + 1) * p for n, p in zip(reach, pixel_um, strict=True))
     distance = np.hypot(y[:, None], x[None, :])
     step = max(pixel_um)
-    limit = min(n * p for n, p in zip(reach, pixel_um, strict=True))
+    limit = shorter_side_um(reach, pixel_um)
     rings = np.where((distance <= limit) & np.isfinite(r), np.rint(distance / step), -1).astype(
         np.int64
     )
