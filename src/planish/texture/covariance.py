@@ -113,9 +113,9 @@ def scatter_of(values: Array, lags: Lags) -> tuple[float, float]:
     covariance = covariance_of(values, lags)
     variance = float(covariance[0, 0])
     variance_of_mean = lags.variance_of_mean(covariance)
-    return variance, (
-        min(variance / variance_of_mean, float(lags.n)) if variance_of_mean > 0 else math.nan
-    )
+    if not variance_of_mean > 0:
+        return variance, math.nan
+    return variance, min(variance / variance_of_mean, float(lags.n))
 
 
 class PairCovariances:
@@ -196,22 +196,18 @@ class PairCovariances:
         model_variance -= (
             float(model.sum()) * float(np.sum(weight * self.lags.pairs)) / self.lags.n**2
         )
-        observed_variance = (
-            float(np.sum(weight * self.lags.products(influence_hat, influence_hat)))
-            / (1 - r * r) ** 2
-        )
-        error = math.sqrt(max(observed_variance, 0.0))
-        return error / self.lags.n, error / math.sqrt(model_variance) if model_variance > 0 else 1.0
+        observed = float(np.sum(weight * self.lags.products(influence_hat, influence_hat)))
+        error = math.sqrt(max(observed / (1 - r * r) ** 2, 0.0))
+        ratio = error / math.sqrt(model_variance) if model_variance > 0 else 1.0
+        return error / self.lags.n, ratio
 
     def _influence(self, r: float, variances: Pair | None) -> Floats:
-        sd = [
+        sd_x, sd_y = (
             math.sqrt(v + p)
             for v, p in zip(variances or self.variances, self._put_back, strict=True)
-        ]
-        xx, yy, xy = (
-            c / s
-            for c, s in zip(self._together, (sd[0] ** 2, sd[1] ** 2, sd[0] * sd[1]), strict=True)
         )
+        xx, yy, xy = self._together
+        xx, yy, xy = xx / sd_x**2, yy / sd_y**2, xy / (sd_x * sd_y)
         yx = _reversed(xy)
         terms = (
             xx * yy

@@ -16,6 +16,7 @@ from planish.core.grid import shorter_side_um
 from planish.core.robust import masked_gaussian
 from planish.core.typing import Bools, Floats, Pair
 from planish.texture.ncc import MaskedNcc
+from planish.texture.textures import sigma_px
 
 
 def without_trend(values: Floats, is_valid: Bools) -> Floats:
@@ -30,19 +31,13 @@ def without_trend(values: Floats, is_valid: Bools) -> Floats:
     )
     inside = np.where(is_valid, values - values[is_valid].mean(), 0.0)
     weights = is_valid.astype(np.float64)
-    moments = np.einsum(
-        "rjl,ri,rk->ijkl",
-        (weights @ (cols[:, :, None] * cols[:, None, :]).reshape(len(cols), 9)).reshape(-1, 3, 3),
-        rows,
-        rows,
-    )
+    products = (cols[:, :, None] * cols[:, None, :]).reshape(len(cols), 9)
+    moments = np.einsum("rjl,ri,rk->ijkl", (weights @ products).reshape(-1, 3, 3), rows, rows)
     sums = rows.T @ inside @ cols
-    terms = [(i, j) for i in range(3) for j in range(3 - i)]
-    matrix = np.array([[moments[i, j, k, m] for k, m in terms] for i, j in terms])
-    coefficients = np.linalg.lstsq(matrix, np.array([sums[i, j] for i, j in terms]), rcond=None)[0]
+    i, j = np.nonzero(np.add.outer(np.arange(3), np.arange(3)) < 3)
+    matrix = moments[i[:, None], j[:, None], i, j]
     surface = np.zeros((3, 3))
-    for (i, j), value in zip(terms, coefficients, strict=True):
-        surface[i, j] = value
+    surface[i, j] = np.linalg.lstsq(matrix, sums[i, j], rcond=None)[0]
     return np.where(is_valid, inside - rows @ surface @ cols.T, 0.0)
 
 
@@ -77,15 +72,8 @@ class PhaseSurrogate:
 
     def __init__(self, values: Floats, valid: Bools) -> None:
         mean = float(values[valid].mean()) if valid.any() else 0.0
-        # A tapered cosine (Tukey) window, as the jump at the borders would whiten the spectrum, and
-        # make the null too narrow; scipy.signal has it too but takes half a second to import.
-        border_depths = (
-            np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (0.4 * max(n - 1, 1))
-            for n in values.shape
-        )
-        taper = np.multiply.outer(
-            *(0.5 - 0.5 * np.cos(np.pi * np.minimum(depth, 1.0)) for depth in border_depths)
-        )
+        # The jump at the borders would whiten the spectrum, and make the null too narrow.
+        taper = np.multiply.outer(*(_tapered(n) for n in values.shape))
         self.amplitude = np.abs(np.asarray(fft.rfft2(np.where(valid, values - mean, 0.0) * taper)))
         self._shape = values.shape
         self._plane = Plane(valid)
@@ -101,6 +89,12 @@ class PhaseSurrogate:
             phase *= self.amplitude / np.maximum(np.abs(phase), 1e-300)
             surrogate = np.asarray(fft.irfft2(phase, self._shape), dtype=np.float64)
             yield self._plane.taken_off(surrogate)
+
+
+def _tapered(n: int) -> Floats:
+    """Tapered cosine (Tukey) window; scipy.signal has it too but takes half a second to import."""
+    depth = np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (0.4 * max(n - 1, 1))
+    return 0.5 - 0.5 * np.cos(np.pi * np.minimum(depth, 1.0))
 
 
 class Plane:
@@ -152,8 +146,7 @@ def in_band(
 
 
 def _low_pass(values: Floats, valid: Bools, pixel_um: Pair, half_um: float) -> Floats:
-    sigma = [half_um * float(np.sqrt(np.log(2.0) / 2)) / np.pi / p for p in pixel_um]
-    total, weight = masked_gaussian(values, valid, sigma)
+    total, weight = masked_gaussian(values, valid, sigma_px(half_um, pixel_um))
     return total / np.maximum(weight, 1e-12)
 
 
@@ -168,17 +161,14 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     distance = np.hypot(y[:, None], x[None, :])
     step = max(pixel_um)
     limit = shorter_side_um(reach, pixel_um)
-    rings = np.where((distance <= limit) & np.isfinite(r), np.rint(distance / step), -1).astype(
-        np.int64
-    )
-    count = np.bincount(rings[rings >= 0])
-    mean = np.bincount(rings[rings >= 0], weights=r[rings >= 0]) / np.maximum(count, 1)
+    is_used = (distance <= limit) & np.isfinite(r)
+    rings = np.rint(distance[is_used] / step).astype(np.int64)
+    count = np.bincount(rings)
+    mean = np.bincount(rings, weights=r[is_used]) / np.maximum(count, 1)
     below = np.flatnonzero((mean < np.exp(-1.0)) & (count > 0))
     if below.size == 0:
         return math.inf
     k = int(below[0])
-    return (
-        float(step * (k - 1 + (mean[k - 1] - np.exp(-1.0)) / (mean[k - 1] - mean[k])))
-        if k
-        else step
-    )
+    if k == 0:
+        return step
+    return float(step * (k - 1 + (mean[k - 1] - np.exp(-1.0)) / (mean[k - 1] - mean[k])))

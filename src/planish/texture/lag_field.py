@@ -21,6 +21,16 @@ from planish.texture.ncc import (
     within,
 )
 
+_TILE = np.dtype(
+    [
+        ("centre", np.float64, 2),
+        ("lag", np.float64, 2),
+        ("covariance", np.float64, (2, 2)),
+        ("r", np.float64),
+        ("share", np.float64),
+    ]
+)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LagField:
@@ -64,10 +74,8 @@ class LagField:
             return None
         centres, lag = self.at_um[use], self.lag_um[use]
         weight = 1.0 / np.sqrt(np.trace(self.covariance_um2[use], axis1=1, axis2=2))
-        design = (
-            np.concatenate([np.ones((len(centres), 1)), centres - centres.mean(axis=0)], axis=1)
-            * weight[:, None]
-        )
+        terms = np.column_stack([np.ones(len(centres)), centres - centres.mean(axis=0)])
+        design = terms * weight[:, None]
         if np.linalg.matrix_rank(design) < 3:
             return None
         coefficients, *_ = np.linalg.lstsq(design, lag * weight[:, None], rcond=None)
@@ -124,12 +132,11 @@ def lag_field(
             continue
         correlate = MaskedNcc(a[rows, cols], a_valid=masks[0], b_valid=masks[1], reach=wide)
         peak = find_peak(correlate(b[rows, cols]), allowed)
-        highest_r = (
-            float(np.nanmax(correlate(m[rows, cols])[allowed], initial=0.0)) for m in unrelated
-        )
-        null_z += [float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)) for r in highest_r]
-        covariance = np.full((2, 2), np.nan)
+        for values in unrelated:
+            r = float(np.nanmax(correlate(values[rows, cols])[allowed], initial=0.0))
+            null_z.append(float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)))
         lag = np.full(2, np.nan)
+        covariance = np.full((2, 2), np.nan)
         if peak is not None and peak.inner:
             lag = peak.summit_px[::-1] * step
             covariance_px = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)
@@ -137,19 +144,16 @@ def lag_field(
             covariance = covariance_px[::-1, ::-1] * np.outer(step, step)
         centre_um = (np.array([col, row]) + (np.array(side_px[::-1]) - 1) / 2) * step
         tiles.append((centre_um, lag, covariance, np.nan if peak is None else peak.r, share))
+    table = np.array(tiles, dtype=_TILE)
     # a field has many tiles.
     limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf
-    centres_um, lags, covariances, r, shares = (
-        np.array([row[k] for row in tiles]).reshape(len(tiles), *size)
-        for k, size in enumerate(((2,), (2,), (2, 2), (), ()))
-    )
-    height = np.arctanh(np.minimum(np.abs(r), 0.999999)) * np.sqrt(shares)
-    distinct = np.isfinite(lags[:, 0]) & (height > limit)
+    height = np.arctanh(np.minimum(np.abs(table["r"]), 0.999999)) * np.sqrt(table["share"])
+    distinct = np.isfinite(table["lag"][:, 0]) & (height > limit)
     return LagField(
-        at_um=centres_um,
-        lag_um=np.where(distinct[:, None], lags, np.nan),
-        r=r,
+        at_um=table["centre"],
+        lag_um=np.where(distinct[:, None], table["lag"], np.nan),
+        r=table["r"],
         distinct=distinct,
         tile_um=tile_um,
-        covariance_um2=np.where(distinct[:, None, None], covariances, np.nan),
+        covariance_um2=np.where(distinct[:, None, None], table["covariance"], np.nan),
     )

@@ -24,6 +24,7 @@ class LagSearch:
     """
 
     def __init__(self, x: Floats, y: Floats, is_valid: Bools, wide: tuple[int, int]) -> None:
+        """Correlate all maps at all lags, and solve the regressions."""
         self._x, self._y, self._is_valid, self._wide = x, y, is_valid, wide
         self._size = padded_shape(y.shape, wide)
         mask = padded_spectrum(is_valid.astype(np.float64), self._size)

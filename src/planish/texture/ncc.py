@@ -88,7 +88,7 @@ def within(reach: tuple[int, int]) -> Bools:
     return rows[:, None] ** 2 + cols[None, :] ** 2 <= 1.0 + 1e-12
 
 
-def find_peak(r: Floats, allowed: Bools) -> Peak | None:  # noqa: PLR0911
+def find_peak(r: Floats, allowed: Bools) -> Peak | None:
     """Find the largest r where allowed, None where nothing is known.
 
     Between pixels a cubic spline is climbed.
@@ -98,48 +98,40 @@ def find_peak(r: Floats, allowed: Bools) -> Peak | None:  # noqa: PLR0911
     if not np.isfinite(height[row, col]):
         return None
     lag_px = (row - r.shape[0] // 2, col - r.shape[1] // 2)
-    neighbourhood = r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
     pixel_peak = Peak(
         lag_px=lag_px, summit_px=np.array(lag_px, dtype=np.float64), r=float(r[row, col])
     )
+    heights = r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
     width_px = 2 * MARGIN + 1
-    if (
-        r[row, col] < 0
-        or neighbourhood.shape != (width_px, width_px)
-        or not np.isfinite(neighbourhood).all()
-    ):
+    if r[row, col] < 0 or heights.shape != (width_px, width_px) or not np.isfinite(heights).all():
         return pixel_peak
-    if (
-        neighbourhood[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2].max()
-        > neighbourhood[MARGIN, MARGIN]
-    ):
+    if heights[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2].max() > r[row, col]:
         return pixel_peak
     axis = np.arange(-MARGIN, MARGIN + 1, dtype=np.float64)
-    spline = RectBivariateSpline(axis, axis, neighbourhood, kx=3, ky=3, s=0)
+    return _climbed(RectBivariateSpline(axis, axis, heights, kx=3, ky=3, s=0), pixel_peak)
 
-    def slope(offset_px: Floats, order_y: int = 0, order_x: int = 0) -> float:
-        return float(spline.ev(offset_px[0], offset_px[1], dx=order_y, dy=order_x))
 
+def _climbed(spline: RectBivariateSpline, peak: Peak) -> Peak:
+    """The summit of a spline about a peak, by Newton's steps; the peak itself where it has none."""
     offset = np.zeros(2)
     step = np.ones(2)
     for k in range(21):
-        d2_yx = slope(offset, 1, 1)
-        curvature = np.array([[slope(offset, 2, 0), d2_yx], [d2_yx, slope(offset, 0, 2)]])
-        if curvature[0, 0] >= 0 or np.linalg.det(curvature) <= 0:
-            return pixel_peak
-        if k == 20 or np.abs(step).max() < 1e-10:
-            summit = pixel_peak.summit_px + offset
-            return Peak(
-                lag_px=lag_px, summit_px=summit, r=slope(offset), curvature=curvature, inner=True
-            )
-        step = np.clip(
-            -np.linalg.solve(curvature, [slope(offset, 1, 0), slope(offset, 0, 1)]), -0.5, 0.5
+        r, y, x, yy, yx, xx = (
+            float(spline.ev(offset[0], offset[1], dx=order_y, dy=order_x))
+            for order_y, order_x in ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
         )
+        curvature = np.array([[yy, yx], [yx, xx]])
+        if yy >= 0 or np.linalg.det(curvature) <= 0:
+            return peak
+        if k == 20 or np.abs(step).max() < 1e-10:
+            summit = peak.summit_px + offset
+            return Peak(lag_px=peak.lag_px, summit_px=summit, r=r, curvature=curvature, inner=True)
+        step = np.clip(-np.linalg.solve(curvature, [y, x]), -0.5, 0.5)
         offset = offset + step
         # On a ridge, the summit is not within the pixel that is highest.
         if np.abs(offset).max() > 2.0:
-            return pixel_peak
-    return pixel_peak
+            return peak
+    return peak
 
 
 def rival_of(share: Floats, peak: Peak, allowed: Bools) -> float:
@@ -174,9 +166,7 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     slopes = np.stack([0.5 * difference[b_slices] for difference in differences])
     is_valid = a_valid[a_slices] & b_valid[b_slices]
     n = int(is_valid.sum())
-    u = np.where(
-        is_valid, standard(a[a_slices], is_valid) - peak.r * standard(b[b_slices], is_valid), 0.0
-    )
+    u = standard(a[a_slices], is_valid) - peak.r * standard(b[b_slices], is_valid)
     v = np.where(is_valid, slopes / float(b[b_slices][is_valid].std()), 0.0)
     v = np.where(is_valid, v - v.sum(axis=(1, 2), keepdims=True) / n, 0.0)
     reach = (max(u.shape[0] // 4, 1), max(u.shape[1] // 4, 1))
@@ -191,17 +181,10 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     pairs = np.maximum(np.rint(lags(mask_hat, mask_hat)), 1.0)
     r_u = lags(u_hat, u_hat) / pairs
     r_uv = [lags(u_hat, s) for s in v_hat]
-    covariance = np.array(
-        [
-            [
-                float(
-                    np.sum(r_u * lags(v_hat[i], v_hat[j]) + r_uv[i] * r_uv[j][::-1, ::-1] / pairs)
-                )
-                for j in (0, 1)
-            ]
-            for i in (0, 1)
-        ]
-    )
+    covariance = np.empty((2, 2))
+    for i, j in np.ndindex(2, 2):
+        crossed = r_uv[i] * r_uv[j][::-1, ::-1] / pairs
+        covariance[i, j] = np.sum(r_u * lags(v_hat[i], v_hat[j]) + crossed)
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / n**2)
     covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return np.linalg.inv(peak.curvature) @ covariance @ np.linalg.inv(peak.curvature)

@@ -48,9 +48,8 @@ class Textures:
 
     def middle_part(self, share: float) -> Textures:
         """A share of both sides, about the same middle."""
-        rows, cols = (
-            slice(k, n - k) for n in self.known.shape for k in (round(n * (1 - share) / 2),)
-        )
+        borders = [round(n * (1 - share) / 2) for n in self.known.shape]
+        rows, cols = (slice(k, n - k) for n, k in zip(self.known.shape, borders, strict=True))
         maps = {k: m[rows, cols] for k, m in self.maps.items()}
         return replace(self, maps=maps, known=self.known[rows, cols])
 
@@ -65,8 +64,8 @@ class Textures:
                 is_valid &= np.roll(self.known, step, axis)
         is_valid[[0, -1], :] = is_valid[:, [0, -1]] = False
         slopes = {
-            f"{name}_{way}": np.gradient(self.maps[name], axis=axis)
-            for way, axis in (("x", 1), ("y", 0))
+            f"{name}_x": np.gradient(self.maps[name], axis=1),
+            f"{name}_y": np.gradient(self.maps[name], axis=0),
         }
         maps = {k: standard(m, is_valid) for k, m in (self.maps | slopes).items()}
         return replace(self, maps=maps, known=is_valid)
@@ -86,9 +85,8 @@ class Textures:
         weight = low_pass(self.known.astype(np.float64), _SPLIT_UM, self.pixel_um)
         low = low_pass(self.maps[name], _SPLIT_UM, self.pixel_um) / np.maximum(weight, 1e-9)
         low = np.where(self.known, low, 0.0)
-        return [
-            m for m in (standard(k, self.known) for k in (low, self.maps[name] - low)) if m.any()
-        ]
+        halves = (standard(low, self.known), standard(self.maps[name] - low, self.known))
+        return [half for half in halves if half.any()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,16 +157,13 @@ def textures(
             f"The pixel of {max(pixel_um):g} um is too large for the texture below {band_um[1]:g}"
             f" um. An image with pixels of {band_um[1] / 4:g} um or less is needed."
         )
-    factor = math.ceil(math.sqrt(valid.size / most_pixels))
-    if factor > 1:
-        shown = {k: common_means([m], (factor, factor), masks=[valid])[0] for k, m in maps.items()}
-        pixel_um = (factor * pixel_um[0], factor * pixel_um[1])
-    else:
-        shown = {k: np.where(valid, m, np.nan).astype(np.float64) for k, m in maps.items()}
+    factor = max(1, math.ceil(math.sqrt(valid.size / most_pixels)))
+    pixel_um = (factor * pixel_um[0], factor * pixel_um[1])
+    shown = {k: common_means([m], (factor, factor), masks=[valid])[0] for k, m in maps.items()}
     count = {k: int(np.count_nonzero(np.isfinite(m))) for k, m in shown.items()}
-    most = max(count.values(), default=0)
     # Of the pixels of the map that is known best; maps with fewer are left out.
-    shown = {k: m for k, m in shown.items() if count[k] >= max(0.7 * most, 1)}
+    least = max(0.7 * max(count.values(), default=0), 1)
+    shown = {k: m for k, m in shown.items() if count[k] >= least}
     if not shown:
         return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
     band = _Band(np.logical_and.reduce([np.isfinite(m) for m in shown.values()]), pixel_um, band_um)
@@ -241,8 +236,13 @@ def unexplained(values: Floats, explaining: Floats) -> Floats:
 
 def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:
     """Gaussian filter that halves a wave of a length; 0 beyond the borders."""
-    sigma = [half_um * math.sqrt(math.log(2.0) / 2) / math.pi / p for p in pixel_um]
+    sigma = sigma_px(half_um, pixel_um)
     return ndimage.gaussian_filter(values, sigma, mode="constant", truncate=3.0)
+
+
+def sigma_px(half_um: float, pixel_um: Pair) -> list[float]:
+    """Standard deviations of the Gaussian that halves a wave of a length, in pixels."""
+    return [half_um * math.sqrt(math.log(2.0) / 2) / math.pi / p for p in pixel_um]
 
 
 def tile_sums(values: Floats, pixel_um: Pair, tile_um: float = 250.0) -> Floats:
@@ -267,10 +267,8 @@ class _Band:
         self._fine = low_pass(shown.astype(np.float64), band_um[0], pixel_um)
         self.is_valid: Bools = self._fine >= 0.5  # Single missing pixels are bridged.
         weight = self.is_valid.astype(np.float64)
-        self._weights = [
-            np.maximum(m, 1e-9)
-            for m in (low_pass(weight, band_um[1], pixel_um), self._neighbourhood(weight))
-        ]
+        self._slow_weight = np.maximum(low_pass(weight, band_um[1], pixel_um), 1e-9)
+        self._local_weight = np.maximum(self._neighbourhood(weight), 1e-9)
         # Around holes, the mean at each distance up to 300 um is taken off.
         distance = ndimage.distance_transform_edt(self.is_valid, sampling=pixel_um)
         self._ring: Ints = (np.minimum(distance, 300.0) / max(15.0, *pixel_um)).astype(np.intp)
@@ -280,9 +278,9 @@ class _Band:
         is_valid = self.is_valid
         out = low_pass(standard(values, self._shown), self._band_um[0], self._pixel_um)
         out = standard(np.divide(out, self._fine, out=out, where=is_valid), is_valid)
-        slow = low_pass(out, self._band_um[1], self._pixel_um) / self._weights[0]
+        slow = low_pass(out, self._band_um[1], self._pixel_um) / self._slow_weight
         out = standard(np.where(is_valid, out - slow, 0.0), is_valid)
-        spread = np.sqrt(np.maximum(self._neighbourhood(out * out) / self._weights[1], 0.3**2))
+        spread = np.sqrt(np.maximum(self._neighbourhood(out * out) / self._local_weight, 0.3**2))
         # A stain is one event, however dark it is.
         out = np.where(is_valid, np.clip(out / spread, -3.0, 3.0), 0.0)
         # What holes by one laser program do to their surroundings is no sign of one specimen.

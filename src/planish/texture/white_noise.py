@@ -23,9 +23,8 @@ def without_white_noise(values: Array, is_known: Bools) -> Floats:
     """
     if not is_known.any():
         return np.full(values.shape, np.nan)
-    filled = np.where(is_known, values, np.mean(values[is_known], dtype=np.float64)).astype(
-        np.float64
-    )
+    mean = np.mean(values[is_known], dtype=np.float64)
+    filled = np.where(is_known, values, mean).astype(np.float64)
     waves = np.asarray(fft.dctn(filled, norm="ortho"))
     down, across = (np.arange(n) / n for n in values.shape)  # in Nyquist frequencies
     frequency = np.hypot(down[:, None], across)
