@@ -237,27 +237,29 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
         raise CannotMeasure("x and y do not vary together: any slope fits. Look at the maps.")
     axis_angle = math.atan2(2 * xy, xx - yy) / 2
     slope = math.tan(axis_angle) * scale
-    interval = (math.nan, math.nan)
-    n_eff = min(n_eff, n)
-    if n_eff >= LEAST_CLAIMED:
-        sin_2_half_width = (
-            2
-            * t_95(n_eff - 2)
-            * math.sqrt(max(xx * yy - xy * xy, 0.0) / (n_eff - 2))
-            / eigenvalue_gap
-        )
-        half_width = math.asin(sin_2_half_width) / 2 if sin_2_half_width < 1 else math.inf
-        # Beyond upright, the interval would go through infinity.
-        if -math.pi / 2 < axis_angle - half_width <= axis_angle + half_width < math.pi / 2:
-            interval = (
-                math.tan(axis_angle - half_width) * scale,
-                math.tan(axis_angle + half_width) * scale,
-            )
-    intercept = float(b.mean()) * scale - slope * float(a.mean())
-    return Deming(slope=slope, intercept=intercept, interval=interval, error_ratio=error_ratio)
+    low, high = _directions(axis_angle, xx * yy - xy * xy, eigenvalue_gap, min(n_eff, n))
+    return Deming(
+        slope=slope,
+        intercept=float(b.mean()) * scale - slope * float(a.mean()),
+        interval=(math.tan(low) * scale, math.tan(high) * scale),
+        error_ratio=error_ratio,
+    )
 
 
-class AgreementFacts(Agreement, RingCorrelation):
+def _directions(axis_angle: float, determinant: float, eigenvalue_gap: float, n_eff: float) -> Pair:
+    """Creasy's interval of the direction of a main axis; NaN where any may be right."""
+    if not n_eff >= LEAST_CLAIMED:
+        return math.nan, math.nan
+    spread = math.sqrt(max(determinant, 0.0) / (n_eff - 2))
+    sine = 2 * t_95(n_eff - 2) * spread / eigenvalue_gap
+    half_width = math.asin(sine) / 2 if sine < 1 else math.inf
+    # Beyond upright, the interval would go through infinity.
+    if not abs(axis_angle) + half_width < math.pi / 2:
+        return math.nan, math.nan
+    return axis_angle - half_width, axis_angle + half_width
+
+
+class AgreementFacts(class AgreementFacts(Agreement, RingCorrelation):
     """Agreement of two measurements of one quantity.
 
     Down to which wavelength they agree, and how far they differ.
@@ -277,12 +279,10 @@ def answer_agreement(pair: ComparedMaps) -> dict[str, Any]:
     """
     if pair.repeated_points is None:
         return {}
-    (a, b), point_um, error_ratio, units = (
-        pair.repeated_points,
-        pair.point_um,
-        pair.params.error_ratio,
-        pair.units[0],
-    )
+    a, b = pair.repeated_points
+    point_um = pair.point_um
+    error_ratio = pair.params.error_ratio
+    units = pair.units[0]
     try:
         rings = ring_correlation(pair.x, pair.y, pixel_um=pair.cell_um)
     except PlanishError as error:

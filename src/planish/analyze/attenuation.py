@@ -62,10 +62,9 @@ def attenuation_limit(
     """
     is_valid, pixel = valid_pixels(a, a, pixel_um)
     errors = values_of(error_um, "error_um").astype(np.float64)
-    errors = (
-        errors[is_valid & np.isfinite(errors)] if errors.shape == is_valid.shape else errors.ravel()
-    )
-    if not errors.size or not np.isfinite(errors).all() or errors.min() < 0:
+    if errors.shape == is_valid.shape:
+        errors = errors[is_valid & np.isfinite(errors)]
+    if not errors.size or not (np.isfinite(errors) & (errors >= 0)).all():
         raise InputError(
             "The error of the places is not known. Give a number of um from 0 on, or a map of it."
         )
@@ -75,26 +74,20 @@ def attenuation_limit(
     frequency = [fft.fftfreq(n, p) for n, p in zip(covariance.shape, pixel, strict=True)]
     across = frequency[1][: spectrum.shape[1]]
     if point_um is not None:
-        spectrum = (
-            spectrum * np.outer(np.sinc(frequency[0] * point_um), np.sinc(across * point_um)) ** 2
-        )
+        point = np.outer(np.sinc(frequency[0] * point_um), np.sinc(across * point_um))
+        spectrum = spectrum * point**2
     square = (2 * math.pi) ** 2 * (frequency[0][:, None] ** 2 + across**2)
     # Waves of half a spectrum count twice, but those that are their own mirror images.
     counts = np.full(spectrum.shape[1], 2.0)
     counts[[0, -1] if covariance.shape[1] % 2 == 0 else 0] = 1.0
-
-    def at_zero(spectrum: Floats) -> float:
-        return float(np.sum(spectrum * counts)) / covariance.size
-
-    variance = at_zero(spectrum)
-    quantiles = errors
+    variance = float(np.sum(spectrum * counts)) / covariance.size
+    quantiles = errors.ravel()
     if errors.size > 1:
         quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     # Along an axis the standard deviation is the error over the square root of 2.
-    attenuations = [
-        at_zero(spectrum * np.exp(-(e * e / 2) * square / 2)) / variance for e in quantiles
-    ]
-    return float(np.clip(np.mean(attenuations), 0.0, 1.0))
+    blurs = [spectrum * np.exp(-(e * e / 2) * square / 2) * counts for e in quantiles]
+    left = [float(np.sum(blurred)) / covariance.size / variance for blurred in blurs]
+    return float(np.clip(np.mean(left), 0.0, 1.0))
 
 
 def answer_attenuation(pair: ComparedMaps) -> dict[str, Any]:
@@ -103,20 +96,13 @@ def answer_attenuation(pair: ComparedMaps) -> dict[str, Any]:
     By misplacement, by the noise of two half measurements, and by both.
     """
     answers: dict[str, Any] = {}
-    error_maps = [m["expected_error"] for m in pair.layers if "expected_error" in m]
-    # Of the places of all layers together, at some pixels.
-    errors_um = np.sqrt(
-        sum((np.asarray(thinned(m)[1][0], dtype=np.float64) ** 2 for m in error_maps), np.zeros(1))
-    )
-    errors_um = errors_um[np.isfinite(errors_um)]
-    if error_maps and errors_um.size:
-        size_um = pair.point_um if pair.has_points else None
-        errors_um = np.quantile(errors_um, np.linspace(0, 1, 65))
+    errors_um = _errors_of_places(pair)
+    if errors_um.size:
         answers["attenuation_limit"] = attenuation_limit(
             pair.x,
-            error_um=errors_um,
+            error_um=np.quantile(errors_um, np.linspace(0, 1, 65)),
             pixel_um=pair.cell_um,
-            point_um=size_um,
+            point_um=pair.point_um if pair.has_points else None,
         )
     if pair.columns and pair.has_points:
         halves = tuple(
@@ -131,3 +117,13 @@ def answer_attenuation(pair: ComparedMaps) -> dict[str, Any]:
             if "attenuation_limit" in answers:
                 answers["attenuation_limit_both"] = noise_r * answers["attenuation_limit"]
     return answers
+
+
+def _errors_of_places(pair: ComparedMaps) -> Floats:
+    """Errors of the places of all layers together, at some pixels; empty where none is stated."""
+    error_maps = [m["expected_error"] for m in pair.layers if "expected_error" in m]
+    if not error_maps:
+        return np.empty(0)
+    squares = [np.asarray(thinned(m)[1][0], dtype=np.float64) ** 2 for m in error_maps]
+    errors_um = np.sqrt(np.sum(squares, axis=0))
+    return errors_um[np.isfinite(errors_um)]

@@ -9,7 +9,7 @@ import numpy as np
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
 from planish.analyze.distributions import t_95
 from planish.core.errors import InputError
-from planish.core.typing import Array, Pair, Pixel
+from planish.core.typing import Array, Floats, Pair, Pixel
 from planish.texture.covariance import Lags, variance_of_products
 
 
@@ -60,12 +60,14 @@ def paired_difference(
     for m in maps[2:]:
         on_one_grid(maps[0], m, pixel_um)
     is_valid = np.logical_and.reduce([np.isfinite(m) for m in maps])
-    r = pearson(*(m[is_valid] for m in first)), pearson(*(m[is_valid] for m in second))
+    r = (
+        pearson(first[0][is_valid], first[1][is_valid]),
+        pearson(second[0][is_valid], second[1][is_valid]),
+    )
     without_interval = Difference(r=r, difference=r[1] - r[0])
-    if any(math.isnan(v) or 1 - v * v < 1e-14 for v in r):
+    if not all(1 - v * v >= 1e-14 for v in r):
         return without_interval
-    values = [np.where(is_valid, m, np.nan) for m in maps]
-    maps = [np.where(is_valid, (m - m[is_valid].mean()) / m[is_valid].std(), 0.0) for m in values]
+    maps = [np.where(is_valid, (m - m[is_valid].mean()) / m[is_valid].std(), 0.0) for m in maps]
     scores = [
         (x * y - v / 2 * (x * x + y * y)) / (1 - v * v)
         for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)
@@ -75,23 +77,33 @@ def paired_difference(
     if not products[0, 0] > 0:  # the same pair twice
         return replace(without_interval, interval=(r[1] - r[0], r[1] - r[0]))
     covariance = lags.covariance(products, lags.until_zero(products))
-    product_terms: list[tuple[int, int, float]] = []
+    variance = max(lags.variance_of_mean(covariance), _gaussian_variance(maps, r, lags))
+    n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
+    if n_eff < LEAST_CLAIMED:
+        return without_interval
+    return _difference(r, t_95(n_eff - 1) * math.sqrt(variance))
+
+
+def _gaussian_variance(maps: Sequence[Floats], r: Pair, lags: Lags) -> float:
+    """Variance of the difference of z that Gaussian maps of these covariances would have."""
+    terms: list[tuple[int, int, float]] = []
     for sign, pair_r, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
         scale = sign / (1 - pair_r * pair_r)
-        product_terms += [(a, b, scale), (a, a, -scale * pair_r / 2), (b, b, -scale * pair_r / 2)]
-    variance = max(
-        lags.variance_of_mean(covariance), variance_of_products(maps, product_terms, lags)
-    )
-    n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
-    return (
-        without_interval
-        if n_eff < LEAST_CLAIMED
-        else _difference(r, t_95(n_eff - 1) * math.sqrt(variance))
-    )
+        terms += [(a, b, scale), (a, a, -scale * pair_r / 2), (b, b, -scale * pair_r / 2)]
+    return variance_of_products(maps, terms, lags)
 
 
 def difference_of(first: Correlation, second: Correlation) -> Difference:
     """Compare the correlations of two specimens, which share nothing.
+
+    Parameters
+    ----------
+    first, second : Correlation
+        Over points of one size.
+
+    Returns
+    -------
+    Difference
 
     Raises
     ------

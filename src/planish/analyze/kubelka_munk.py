@@ -123,28 +123,8 @@ def fit_kubelka_munk(
     """
     xs, ys, n_slope = known_points(x, y, n_eff)
     ratio = float(absorption_over_scattering)
-    if not 0 <= ratio < math.inf:
-        raise InputError(
-            f"absorption_over_scattering is {ratio:g}. Give K / S, 0 or above; 0 takes no"
-            " absorption."
-        )
-    if xs.min() < 0:
-        raise InputError(
-            f"{np.count_nonzero(xs < 0)} of {xs.size} thicknesses or weights are below 0, down to "
-            f"{xs.min():.3g}. Mask them, or check the side and the units."
-        )
-    n_outside = int(np.count_nonzero((ys < 0) | (ys > 1)))
-    if n_outside:
-        raise InputError(
-            f"{n_outside} of {ys.size} greys are not within 0 and 1 ({ys.min():.5g} to"
-            f" {ys.max():.5g}). The curve needs relative reflectance, for which a dark and a white"
-            " reference are needed: correct the image by both first, and mask glare."
-        )
     n_level = n_slope if n_eff_level is None else float(n_eff_level)
-    if not 0 < n_level < math.inf:
-        raise InputError(
-            f"n_eff_level is {n_level:g}. Give a number above 0, or none where it is not known."
-        )
+    _check_layer(xs, ys, ratio, n_level)
     x_mean = float(xs.mean())
     # S times the mean of x is about 1, as the backing is.
     fit = _Fit(xs / x_mean, ys, ratio, math.sqrt(min(n_level / n_slope, 1.0)))
@@ -158,17 +138,15 @@ def fit_kubelka_munk(
             " rise with x as it would. Look at the straight line; give absorption_over_scattering"
             " where the layer darkens what it covers."
         )
-    intervals: list[Pair] = [(v, v) for v in best]
+    intervals: list[Pair] = [*zip(best, best, strict=True)]
     if rms > 1e-9:  # else the fit has no error
         limit = sum_of_squares * (1 + t_95(n_slope - 2) ** 2 / (n_slope - 2))
         intervals = [fit.interval(k, best, limit) for k in (0, 1)]
     low_backing, high_backing = (
         fit.refit(0, s, best) if s < math.inf else math.nan for s in intervals[0]
     )
-    # g to kg.
-    scattering, *s_ends = (
-        s / x_mean * (1000.0 if weight else 1.0) for s in (best[0], *intervals[0])
-    )
+    per_unit = 1000.0 if weight else 1.0  # g to kg
+    scattering, low, high = (s / x_mean * per_unit for s in (best[0], *intervals[0]))
     return KubelkaMunk(
         ratio=ratio,
         n=xs.size,
@@ -177,10 +155,35 @@ def fit_kubelka_munk(
         scattering=scattering,
         backing=best[1],
         rms=rms,
-        scattering_interval=(s_ends[0], s_ends[1]),
+        scattering_interval=(low, high),
         backing_interval=intervals[1],
         backing_at_ends=(low_backing, high_backing),
     )
+
+
+def _check_layer(x: Floats, y: Floats, ratio: float, n_level: float) -> None:
+    """Raise InputError where the points are no layer over a backing, or a number means nothing."""
+    if not 0 <= ratio < math.inf:
+        raise InputError(
+            f"absorption_over_scattering is {ratio:g}. Give K / S, 0 or above; 0 takes no"
+            " absorption."
+        )
+    if x.min() < 0:
+        raise InputError(
+            f"{np.count_nonzero(x < 0)} of {x.size} thicknesses or weights are below 0, down to "
+            f"{x.min():.3g}. Mask them, or check the side and the units."
+        )
+    n_outside = int(np.count_nonzero((y < 0) | (y > 1)))
+    if n_outside:
+        raise InputError(
+            f"{n_outside} of {y.size} greys are not within 0 and 1 ({y.min():.5g} to"
+            f" {y.max():.5g}). The curve needs relative reflectance, for which a dark and a white"
+            " reference are needed: correct the image by both first, and mask glare."
+        )
+    if not 0 < n_level < math.inf:
+        raise InputError(
+            f"n_eff_level is {n_level:g}. Give a number above 0, or none where it is not known."
+        )
 
 
 class _Fit:
@@ -287,11 +290,9 @@ def density_of(measured: xr.Dataset, name: str) -> float | None:
     ratio = weight[is_valid].astype(np.float64) / coating[is_valid]
     middle = float(np.median(ratio))
     # A weight by absorption is another measurement: no one number leads to it.
-    return (
-        float(f"{middle:.6g}")
-        if np.percentile(np.abs(ratio - middle), 99) < 1e-3 * middle
-        else None
-    )
+    if not np.percentile(np.abs(ratio - middle), 99) < 1e-3 * middle:
+        return None
+    return float(f"{middle:.6g}")
 
 
 def kubelka_munk_of(

@@ -28,7 +28,7 @@ from planish.analyze.quadratic_field import QuadraticField, points_of, terms_of_
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, Unsaved, Value, optional
 from planish.core.grid import Grid
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.texture.covariance import Lags
 
 if TYPE_CHECKING:
@@ -126,22 +126,14 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     )
     plain_row = correlate(a, b, pixel_um=point_um)
     inflation = math.sqrt(float(x @ x) / float(x_rest @ x_rest))
-    n_eff = partial_row.n_eff - _TERMS
-    widening = math.nan
-    if n_eff >= LEAST_CLAIMED and partial_row.n_eff_interval > _TERMS + 3:
-        points = partial_row.n_eff_interval - 3
-        widening = math.sqrt(points / (points - _TERMS))
-    z = _z(partial_row.r)
-    limits = [z + widening * (_z(limit) - z) for limit in partial_row.interval]
-    low, high = (math.tanh(math.asinh(inflation * math.sinh(limit))) for limit in limits)
     mean_grey = abs(float(b[is_valid].mean()))
     share_even, p_even = _even_light(x, y, y_rest - slope * x_rest, terms, is_valid)
     fitted = LightField(
         point_um=point_um,
         n=x.size,
         r=pearson(x, y - field),
-        n_eff=n_eff,
-        interval=(low, high),
+        n_eff=partial_row.n_eff - _TERMS,
+        interval=_interval(partial_row, inflation),
         inflation=inflation,
         r_plain=plain_row.r,
         interval_plain=plain_row.interval,
@@ -151,6 +143,20 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
         span=float(np.ptp(field)) / mean_grey if mean_grey > 0 else math.nan,
     )
     return fitted, _on_points(field, is_valid)
+
+
+def _interval(partial_row: Correlation, inflation: float) -> Pair:
+    """Interval of r from that of the partial correlation; NaN where too few points are left."""
+    if not partial_row.n_eff - _TERMS >= LEAST_CLAIMED:
+        return math.nan, math.nan
+    points = partial_row.n_eff_interval - 3
+    if not points > _TERMS:
+        return math.nan, math.nan
+    widening = math.sqrt(points / (points - _TERMS))
+    z = _z(partial_row.r)
+    limits = [z + widening * (_z(limit) - z) for limit in partial_row.interval]
+    low, high = (math.tanh(math.asinh(inflation * math.sinh(limit))) for limit in limits)
+    return low, high
 
 
 def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> QuadraticField:

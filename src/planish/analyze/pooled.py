@@ -191,10 +191,11 @@ def _fisher_z(r: Fields, n_eff: Sequence[float] | None) -> tuple[Fields, Fields]
         )
     if any(abs(v) > 1 for v in r.values):
         raise InputError("A correlation is beyond 1. Give r of every field, from -1 to 1, or NaN.")
-    n_effs = [math.inf] * len(r.values) if n_eff is None else n_eff
-    uses = [abs(v) < 1 and n > 4 for v, n in zip(r.values, n_effs, strict=True)]
-    z = [math.atanh(v) if is_used else math.nan for v, is_used in zip(r.values, uses, strict=True)]
-    variance = [
-        1 / (n - 3) if is_used else math.nan for n, is_used in zip(n_effs, uses, strict=True)
-    ]
+    n_of_fields = [math.inf] * len(r.values) if n_eff is None else n_eff
+    z: list[float] = []
+    variance: list[float] = []
+    for v, n in zip(r.values, n_of_fields, strict=True):
+        is_used = abs(v) < 1 and n > 4
+        z.append(math.atanh(v) if is_used else math.nan)
+        variance.append(1 / (n - 3) if is_used else math.nan)
     return replace(r, values=z), replace(r, values=variance)

@@ -85,7 +85,8 @@ def origins(a: Array, b: Array, *, pixel_um: Pixel, point_um: float) -> Origins:
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     x = np.where(is_valid, a, np.nan)
-    steps = [sorted({round(k * point_um / p / 4) for k in range(4)}) for p in pixel]
+    quarters_px = np.rint(np.arange(4) * point_um / np.array(pixel)[:, None] / 4).astype(int)
+    steps = [np.unique(starts).tolist() for starts in quarters_px]
     r_of_origins = [
         correlate(x[down:, across:], b[down:, across:], pixel_um=pixel, point_um=point_um).r
         for down, across in product(*steps)
@@ -125,12 +126,11 @@ def of_short_waves(
     check_varying(is_valid)
     longest = 0.2 * shorter_side_um(is_valid.shape, pixel)
     weight = np.maximum(low_pass(is_valid.astype(np.float64), longest, pixel), 1e-9)
-    short = [
-        np.where(
-            is_valid, m - low_pass(np.where(is_valid, m, 0.0), longest, pixel) / weight, np.nan
-        )
-        for m in (np.where(is_valid, v - np.mean(v[is_valid]), 0.0) for v in (a, b))
-    ]
+    short: list[Floats] = []
+    for values in (a, b):
+        centred = np.where(is_valid, values - np.mean(values[is_valid]), 0.0)
+        slow = low_pass(centred, longest, pixel) / weight
+        short.append(np.where(is_valid, centred - slow, np.nan))
     return correlate(*short, pixel_um=pixel, point_um=point_um), longest
 
 
@@ -210,24 +210,25 @@ def commonality(b: Array, parts: Mapping[str, Array]) -> dict[str, float]:
         raise InputError(
             "One of the maps is the sum of others. Leave the sum, or one of its parts, out."
         )
-    subsets = [
-        chosen for n_maps in range(1, len(names) + 1) for chosen in combinations(names, n_maps)
-    ]
     explained: dict[frozenset[str], float] = {frozenset(): 0.0}
-    for chosen in subsets:
+    for chosen in _subsets(names):
         regressors = np.stack([columns[k] for k in chosen], axis=1)
         residual = y - regressors @ np.linalg.lstsq(regressors, y, rcond=None)[0]
         explained[frozenset(chosen)] = 1.0 - float(residual @ residual) / float(y @ y)
     shares: dict[str, float] = {}
-    for chosen in subsets:
+    for chosen in _subsets(names):
         other_names = frozenset(names) - frozenset(chosen)
         # What is gained by these maps over the others, counted in and out.
         shares[" and ".join(chosen)] = -sum(
-            (-1) ** k * explained[other_names | frozenset(subset)]
-            for k in range(len(chosen) + 1)
-            for subset in combinations(chosen, k)
+            (-1) ** len(subset) * explained[other_names | frozenset(subset)]
+            for subset in ((), *_subsets(chosen))
         )
     return shares
+
+
+def _subsets(names: Sequence[str]) -> list[tuple[str, ...]]:
+    """All choices of one name or more, the shortest first."""
+    return [chosen for k in range(len(names)) for chosen in combinations(names, k + 1)]
 
 
 # --- what stands beside r -------------------------------------------------------------------------

@@ -136,6 +136,11 @@ class SheetMean(ResultModel):
 def over_sheets(fields: Fields) -> SheetMean:
     """Take the mean over sheets, with its interval by Student's t.
 
+    Parameters
+    ----------
+    fields : Fields
+        A property of each field; NaN is missing.
+
     Returns
     -------
     SheetMean
@@ -153,7 +158,7 @@ def over_sheets(fields: Fields) -> SheetMean:
         return SheetMean(sheets=k, fields=n_fields, reason=too_few(k))
     mean = float(means.mean())
     spread = spread_of(means)
-    error = spread / math.sqrt(k) if k > 1 else math.nan
+    error = spread / math.sqrt(k)
     reason = too_few(k) or all_alike(spread)
     width = math.nan if reason else t_95(k - 1) * error
     return SheetMean(
@@ -192,6 +197,11 @@ def all_alike(spread: float) -> str:
 def variances_of(fields: Fields) -> SheetVariances:
     """Split the variance of a property into that between sheets and that within them.
 
+    Parameters
+    ----------
+    fields : Fields
+        A property of each field; NaN is missing.
+
     Returns
     -------
     SheetVariances
@@ -212,11 +222,11 @@ def variances_of(fields: Fields) -> SheetVariances:
     counts = np.array([v.size for v in sheets])
     k = len(sheets)
     n = int(counts.sum())
-    if k < 2 or n == k:
-        reason = "no sheet has two fields" if k > 1 else f"{k} of at least 2 sheets"
-        return SheetVariances(
-            sd_within=float(sheets[0].std(ddof=1)) if k == 1 and n > 1 else math.nan, reason=reason
-        )
+    if k < 2:
+        sd_within = float(sheets[0].std(ddof=1)) if n > 1 else math.nan
+        return SheetVariances(sd_within=sd_within, reason=f"{k} of at least 2 sheets")
+    if n == k:
+        return SheetVariances(reason="no sheet has two fields")
     means = fields.means
     squares_within = sum(float(np.sum((v - v.mean()) ** 2)) for v in sheets)
     within = squares_within / (n - k)
@@ -228,19 +238,15 @@ def variances_of(fields: Fields) -> SheetVariances:
             share=1.0 if spread > 0 else math.nan,
             reason="all fields of a sheet have the same value",
         )
-    fields_per_sheet = k / float(np.sum(1 / counts))  # fields of a sheet, harmonic mean
+    fields_per_sheet = k / float(np.sum(1 / counts))  # harmonic mean
     between = max(spread - within / fields_per_sheet, 0.0)
     grand_mean = sum(float(v.sum()) for v in sheets) / n
     ratio = float(np.sum(counts * (means - grand_mean) ** 2)) / (k - 1) / within
     interval = (math.nan, math.nan)
     if not too_few(k):
-        quantiles = (
-            float(special.fdtri(k - 1, n - k, share)) for share in ((1 + 0.95) / 2, (1 - 0.95) / 2)
-        )
-        low, high = (
-            max(fields_per_sheet * spread / within / f - 1, 0.0) / fields_per_sheet
-            for f in quantiles
-        )
+        f = special.fdtri(k - 1, n - k, [(1 + 0.95) / 2, (1 - 0.95) / 2])
+        excess = fields_per_sheet * spread / within / f - 1
+        low, high = (np.maximum(excess, 0.0) / fields_per_sheet).tolist()
         interval = (low / (1 + low), high / (1 + high))
     return SheetVariances(
         sd_between=math.sqrt(between),
