@@ -259,7 +259,7 @@ def _directions(axis_angle: float, determinant: float, eigenvalue_gap: float, n_
     return axis_angle - half_width, axis_angle + half_width
 
 
-class AgreementFacts(class AgreementFacts(Agreement, RingCorrelation):
+class AgreementFacts(Agreement, RingCorrelation):
     """Agreement of two measurements of one quantity.
 
     Down to which wavelength they agree, and how far they differ.

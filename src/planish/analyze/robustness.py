@@ -13,6 +13,7 @@ from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 from pydantic import Field
 
 from planish.analyze.correlation import (
@@ -250,29 +251,32 @@ def answer_short_waves(pair: ComparedMaps) -> dict[str, Any]:
     return {"short_waves": SizeRow.of(correlation), "short_waves_um": longest_um}
 
 
+def _check_beside(sheet_maps: xr.Dataset, covariates: Sequence[str]) -> None:
+    """Raise InputError where a sheet lacks a map that is to stand beside, or it is an angle."""
+    missing_names = [name for name in covariates if name not in sheet_maps]
+    if missing_names:
+        raise InputError(
+            f"The sheet has no map {', '.join(missing_names)} to stand beside. Leave it out of"
+            " `beside`, or measure it."
+        )
+    for name in covariates:
+        refuse_axial(sheet_maps[name])
+
+
 def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     """Partial correlation and commonality over the larger points.
 
     InputError where the sheet lacks a map for them.
     """
-    (sheet_maps, image_maps), covariates, point_um, grid = (
-        pair.layers,
-        pair.params.beside,
-        pair.point_um,
-        pair.grid,
-    )
+    sheet_maps, image_maps = pair.layers
+    covariates = pair.params.beside
+    point_um = pair.point_um
     if "thickness" not in sheet_maps:
         return {}
-    if missing_names := [name for name in covariates if name not in sheet_maps]:
-        raise InputError(
-            f"The sheet has no map {', '.join(missing_names)} to stand beside. Leave it out of"
-            " `beside`, or measure it."
-        )
-    parts: dict[str, tuple[str, ...]] = {}
-    for name in covariates:
-        refuse_axial(sheet_maps[name])
-        if shared := shared_parts(pair.a[1], name, sheet_maps):
-            parts[name] = shared
+    _check_beside(sheet_maps, covariates)
+    parts = {
+        name: shared for name in covariates if (shared := shared_parts(pair.a[1], name, sheet_maps))
+    }
     partial_of = functools.partial(
         Partial,
         given=covariates,
@@ -280,7 +284,7 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
         over_control=tuple(parts),
         over_control_parts=tuple(parts.values()),
     )
-    factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
+    factor = (point_um / pair.grid.pixel_um[0], point_um / pair.grid.pixel_um[1])
     if min(factor) < 1 - 1e-9:
         reason = f"Points of {point_um:g} um are smaller than a pixel."
         return {"partial": partial_of(reason=reason)}
@@ -291,11 +295,10 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     )
     is_valid = np.isfinite(image_points)  # all maps count where all are known
     n = int(np.count_nonzero(is_valid))
-    flat_maps = [
-        name
-        for name, m in zip(names, sheet_points, strict=True)
-        if n < LEAST or not np.ptp(m[is_valid]) > 0
-    ]
+    flat_maps = names
+    if n >= LEAST:
+        by_name = zip(names, sheet_points, strict=True)
+        flat_maps = [name for name, m in by_name if not np.ptp(m[is_valid]) > 0]
     if flat_maps:
         reason = (
             f"Over {n} points that are valid in all maps, {', '.join(flat_maps)} does not vary."
