@@ -9,7 +9,7 @@ import numpy as np
 from scipy import fft
 
 from planish.analyze.correlation import check_varying, valid_pixels
-from planish.analyze.split_half import reliability_of
+from planish.analyze.split_half import Reliability, reliability_of
 from planish.core.arrays import values_of
 from planish.core.bands import thinned
 from planish.core.errors import InputError
@@ -104,18 +104,21 @@ def answer_attenuation(pair: ComparedMaps) -> dict[str, Any]:
             pixel_um=pair.cell_um,
             point_um=pair.point_um if pair.has_points else None,
         )
-    if pair.columns and pair.has_points:
+    halves: tuple[Reliability, ...] = ()
+    if pair.has_points:
         halves = tuple(
             reliability_of(pair, layer, name)
             for layer, name in (pair.a, pair.b)
             if layer in pair.columns
         )
-        answers["reliability"] = halves
-        noise_r = math.sqrt(math.prod(half.value for half in halves)) if halves else math.nan
-        if not math.isnan(noise_r):
-            answers["attenuation_limit_noise"] = noise_r
-            if "attenuation_limit" in answers:
-                answers["attenuation_limit_both"] = noise_r * answers["attenuation_limit"]
+    if not halves:
+        return answers
+    answers["reliability"] = halves
+    noise_r = math.sqrt(math.prod(half.value for half in halves))
+    if not math.isnan(noise_r):
+        answers["attenuation_limit_noise"] = noise_r
+        if "attenuation_limit" in answers:
+            answers["attenuation_limit_both"] = noise_r * answers["attenuation_limit"]
     return answers
 
 

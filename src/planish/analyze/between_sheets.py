@@ -92,9 +92,7 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     -------
     SheetDifference
     """
-    old_sheets, new_sheets = before.by_sheet, after.by_sheet
-    if before.names and after.names:
-        old_sheets, new_sheets = _paired_fields(before, after)
+    old_sheets, new_sheets = _paired_fields(before, after)
     means = {
         sheet: (values.mean(), new_sheets[sheet].mean())
         for sheet, values in old_sheets.items()
@@ -128,7 +126,9 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
 
 
 def _paired_fields(before: Fields, after: Fields) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Values of the fields that are known in both, by their sheets."""
+    """Known values by their sheets; of the fields of both alone where all have names."""
+    if not (before.names and after.names):
+        return before.by_sheet, after.by_sheet
     new_keys = zip(after.sheets, after.names, strict=True)
     new_values = dict(zip(new_keys, after.values, strict=True))
     sheets: list[str] = []

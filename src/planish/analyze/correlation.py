@@ -176,7 +176,14 @@ def sums_of(x: Array, y: Array) -> PairSums:
 def pearson(x: Array, y: Array) -> float:
     """Pearson's r of two arrays of one shape where both are finite.
 
-    NaN with fewer than 3 points or a constant.
+    Parameters
+    ----------
+    x, y : ndarray, of one shape; NaN is missing
+
+    Returns
+    -------
+    float
+        NaN with fewer than 3 points or a constant.
     """
     return sums_of(values_of(x, "x"), values_of(y, "y")).r
 
@@ -261,12 +268,7 @@ def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel | None, mask: Rows | None = No
     if mask is not None:
         maps["mask"] = mask
     for name, values in maps.items():
-        _check_map(name, values)
-        if values.shape != a.shape:
-            raise InputError(
-                f"{name} has {values.shape} pixels, a has {a.shape}. Bring both onto one grid"
-                " first."
-            )
+        _check_map(name, values, like=a)
         map_um = map_pixel_um(name, values, stated_um)
         stated_um = stated_um or map_um
     if stated_um is None:
@@ -282,8 +284,8 @@ def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel | None, mask: Rows | None = No
     return stated_um
 
 
-def _check_map(name: str, values: Any) -> None:
-    """Raise InputError where a map, or a mask, is no array of two dimensions that holds numbers."""
+def _check_map(name: str, values: Any, like: Rows) -> None:
+    """Raise InputError where a map, or a mask, is no array of numbers on the pixels of another."""
     if isinstance(getattr(values, "dtype", None), np.dtype):
         check_numbers(values, name, kinds="b" if name == "mask" else "fiub")
     n_axes = len(getattr(values, "shape", ()))
@@ -294,6 +296,10 @@ def _check_map(name: str, values: Any) -> None:
         )
     check_missing(values, name)
     refuse_axial(values)
+    if values.shape != like.shape:
+        raise InputError(
+            f"{name} has {values.shape} pixels, a has {like.shape}. Bring both onto one grid first."
+        )
 
 
 def _lie_alike(a: xr.DataArray, b: xr.DataArray) -> bool:
@@ -481,10 +487,7 @@ def _certainty(
         warnings.append(f"Only {n_eff:.0f} independent points. Measure a larger field.")
     if 1 - r * r < 1e-14:
         return {"n_eff": n_eff, "p": 0.0, "interval": (r, r)}
-    r_of_cells = pearson(x[is_valid], y[is_valid])
-    error_ratio = 1.0
-    if 1 - r_of_cells**2 > 1e-14:
-        error_ratio = max(pair.spatial_error(r_of_cells)[1], 1.0)
+    error_ratio = pair.unevenness(pearson(x[is_valid], y[is_valid]))
     if error_ratio > UNEVEN:
         warnings.append(
             f"The maps vary unevenly, which makes the interval {error_ratio:.1f} times as wide."

@@ -19,7 +19,7 @@ from planish.analyze.attenuation import answer_attenuation
 from planish.analyze.compare import CELLS
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.conley_interval import ConleyInterval, answer_conley_interval
-from planish.analyze.correlation import PairAtSizes
+from planish.analyze.correlation import PairAtSizes, check_varying
 from planish.analyze.correlograms import CorrelogramProfiles, answer_correlogram
 from planish.analyze.curve import Curvature, answer_curve
 from planish.analyze.curve_of_sizes import SizeRow, answer_sizes
@@ -193,7 +193,9 @@ def correlation_diagnostics(
     accumulator.add_maps(a_maps[a[1]], b_maps[b[1]], a_maps["valid"], b_maps["valid"])
     (x, y), cell_um = accumulator.cells()
     is_valid = np.isfinite(x) & np.isfinite(y)
-    if np.count_nonzero(is_valid) < 3 or not (np.ptp(x[is_valid]) > 0 and np.ptp(y[is_valid]) > 0):
+    try:
+        check_varying(is_valid, x=x, y=y)
+    except CannotMeasure:
         return None
     pair = ComparedMaps(
         a=a,

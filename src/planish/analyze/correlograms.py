@@ -276,18 +276,12 @@ def _limits(
     # Over the inverse of the points, limits are all but straight: a quantile for each lag would
     # take longest of all.
     nodes = np.linspace(1 / float(n_eff_of_lag.max()), 1 / float(n_eff_of_lag.min()), 65)
-    alone, anywhere = (
-        np.where(
-            looked_at,
-            np.interp(1 / n_eff_of_lag, nodes, t / np.sqrt(t * t + 1 / nodes - 2)),
-            math.nan,
-        )
-        for t in (
-            np.asarray(-special.stdtrit(1 / nodes - 2, tail))
-            for tail in (_CHANCE / 2, normal_tail(u))
-        )
-    )
-    return n_eff, alone, anywhere
+    limits: list[Floats] = []
+    for tail in (_CHANCE / 2, normal_tail(u)):
+        t = np.asarray(-special.stdtrit(1 / nodes - 2, tail))
+        limit = np.interp(1 / n_eff_of_lag, nodes, t / np.sqrt(t * t + 1 / nodes - 2))
+        limits.append(np.where(looked_at, limit, math.nan))
+    return n_eff, limits[0], limits[1]
 
 
 def answer_correlogram(pair: ComparedMaps) -> dict[str, Any]:

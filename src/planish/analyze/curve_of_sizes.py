@@ -75,18 +75,23 @@ def size_curve(
         means.add(0, is_valid, a, b)
         x, y = means.means()
         rows.append(correlate(x, y, pixel_um=size))
-        if not math.isnan(rows[-1].interval[0]) and abs(rows[-1].r) < 1:
+        if _is_claimed(rows[-1]):
             tile_sums.append(_by_tiles(x, y, rows[-1].r))
     widening = _wider(tile_sums)
     curve = list[SizeRow]()
     for row in rows:
         band = math.nan, math.nan
-        if not math.isnan(row.interval[0]) and abs(row.r) < 1:
+        if _is_claimed(row):
             z = math.atanh(row.r)
             low, high = (math.atanh(v) for v in row.interval)
             band = math.tanh(z + widening * (low - z)), math.tanh(z + widening * (high - z))
         curve.append(SizeRow.of(row, band=band))
     return tuple(curve)
+
+
+def _is_claimed(row: Correlation) -> bool:
+    """Whether r has an interval that is not of one number."""
+    return not math.isnan(row.interval[0]) and abs(row.r) < 1
 
 
 def _by_tiles(x: Floats, y: Floats, r: float) -> Floats:

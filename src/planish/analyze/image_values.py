@@ -71,7 +71,17 @@ class ImageFacts(ResultModel):
 
 
 def image_facts(params: ImageParams, light: LightFacts | None = None) -> ImageFacts:
-    """What the values of an image are."""
+    """What the values of an image are.
+
+    Parameters
+    ----------
+    params : ImageParams; how the image is read
+    light : LightFacts, optional; of its white and dark image
+
+    Returns
+    -------
+    ImageFacts
+    """
     screen_um = params.screen_um
     quantity = "grey value, uncalibrated" if params.dark_grey is None else "reflectance"
     if light is not None:
@@ -137,11 +147,9 @@ def compared_image(
 
 def reach_um(params: ImageParams | None) -> float:
     """How far the Gaussian reaches that takes the screen off; 0 without one."""
-    return (
-        0.0
-        if params is None or params.screen_um is None
-        else SCREEN_REACH * (SCREEN_SIGMA * params.screen_um)
-    )
+    if params is None or params.screen_um is None:
+        return 0.0
+    return SCREEN_REACH * (SCREEN_SIGMA * params.screen_um)
 
 
 def without_screen(

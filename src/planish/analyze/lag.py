@@ -326,10 +326,7 @@ def texture_lag(  # noqa: PLR0911
         return replace(lag, reason="border")
     if rival_of(search.share, peak, allowed) > max(limit, 0.8 * peak.r):
         return replace(lag, reason="rival")
-    if slopes:
-        without_slopes = slice(0, sum(map(len, halves[:-slopes])))
-        lag = replace(lag, light=1.0 - search.share_of(without_slopes, peak.lag_px) / peak.r)
-    lag = _located(lag, search, peak, unsure="light" if slopes else "texture")
+    lag = _located(lag, search, peak, halves_of_slopes=sum(map(len, halves[len(first) - slopes :])))
     if tiles_um is None or not lag.distinct:
         return lag
     unrelated = PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(20090501))
@@ -366,8 +363,13 @@ def _have_texture(texture: Textures, names: Sequence[str]) -> bool:
     return texture.n >= 400 and all(k in texture.maps and texture.maps[k].any() for k in names)
 
 
-def _located(lag: Lag, search: LagSearch, peak: Peak, *, unsure: Reason) -> Lag:
-    """The lag with its place and covariance; the reason ``unsure`` where it locates nothing."""
+def _located(lag: Lag, search: LagSearch, peak: Peak, *, halves_of_slopes: int) -> Lag:
+    """The lag with its place and covariance, or why it locates nothing; and the share of light."""
+    unsure: Reason = "texture"
+    if halves_of_slopes:
+        unsure = "light"
+        share = search.share_of(slice(0, -halves_of_slopes), peak.lag_px)
+        lag = replace(lag, light=1.0 - share / peak.r)
     step_um = np.array(lag.pixel_um[::-1])
     covariance = search.covariance(peak, lag.pixel_um)[::-1, ::-1] * np.outer(step_um, step_um)
     covariance += (0.1 * max(lag.pixel_um)) ** 2 * np.eye(2)  # what is lost between the pixels

@@ -7,7 +7,6 @@ to neither.
 """
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -131,16 +130,21 @@ def print_mottle(
     # First, so that rounding is that of the variation.
     values = np.where(is_valid, image - mean, 0.0)
     weight = is_valid.astype(np.float64)
-    means = (
-        smooth(values, weight, is_valid, [_HALF * edge / p for p in pixel], truncate=4.0)[is_valid]
-        for edge in edges
-    )
     bands: list[MottleBand] = []
-    for (short_um, fine), (long_um, coarse) in pairwise(zip(edges, means, strict=True)):
-        sd = float((fine - coarse).std()) / _OCTAVE
-        bands.append(
-            MottleBand(shortest_um=short_um, longest_um=long_um, coefficient_of_variation=sd / mean)
-        )
+    fine = np.zeros(0)
+    for k, edge_um in enumerate(edges):
+        sigma = [_HALF * edge_um / p for p in pixel]
+        coarse = smooth(values, weight, is_valid, sigma, truncate=4.0)[is_valid]
+        if k:
+            sd = float((fine - coarse).std()) / _OCTAVE
+            bands.append(
+                MottleBand(
+                    shortest_um=edges[k - 1],
+                    longest_um=edge_um,
+                    coefficient_of_variation=sd / mean,
+                )
+            )
+        fine = coarse
     measured = (
         f"Coefficient of variation of the {in_words(quantity)} in octaves from {edges[0]:g}"
         f" to {edges[-1]:g} um, as differences of Gaussian means over"
@@ -155,7 +159,16 @@ def print_mottle(
 def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> Mottle:
     """How uneven an image is over its valid pixels, or why that cannot be said.
 
-    ``quantity`` names its values.
+    Parameters
+    ----------
+    name : str; of the layer
+    data : Dataset, dims (y, x)
+        ``image`` and ``valid``.
+    quantity : str; what the values are
+
+    Returns
+    -------
+    Mottle
     """
     grid = Grid.of(data)
     # Means over up to 15 um keep 0.99 of the shortest waves.

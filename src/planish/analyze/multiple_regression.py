@@ -178,8 +178,7 @@ def _independent_cells(weight: Floats, residuals: Floats, lags: Lags) -> float:
     variance = pair.variance_of_r()
     if not variance > 0:
         return math.nan
-    unevenness = max(pair.spatial_error(0.0)[1], 1.0)
-    variance = max(variance, unevenness**2 * pair.variance_of_z(0.0))
+    variance = max(variance, pair.unevenness(0.0) ** 2 * pair.variance_of_z(0.0))
     return min(1 + 1 / variance, float(lags.n))
 
 

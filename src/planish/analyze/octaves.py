@@ -84,10 +84,8 @@ def coherence(a: Array, b: Array, *, pixel_um: Pixel, bands: int = 5) -> Coheren
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     shortest_side = shorter_side_um(is_valid.shape, pixel)
     limit_um = 0.25 * shortest_side  # of longer waves a field holds too few
-    count = (
-        min(bands, int(math.log2(max(limit_um / (2 * max(pixel)), 1e-9)))) if is_valid.any() else 0
-    )
-    if count < 1:
+    count = min(bands, int(math.log2(max(limit_um / (2 * max(pixel)), 1e-9))))
+    if count < 1 or not is_valid.any():
         raise CannotMeasure(
             f"The field of {shortest_side:g} um holds no octave of waves from a quarter of it to"
             " two pixels. Give a larger map."
@@ -102,12 +100,10 @@ def coherence(a: Array, b: Array, *, pixel_um: Pixel, bands: int = 5) -> Coheren
     for k in range(count):
         longest_um, shortest_um = limit_um / 2**k, limit_um / 2 ** (k + 1)
         in_octave = half & (waves.frequency > 1 / longest_um) & (waves.frequency <= 1 / shortest_um)
-        raw_waves, white_waves = (
-            [m[in_octave] for m in spectra] for spectra in (waves.spectra, whitened)
-        )
-        band_fields = _band(
-            raw_waves, white_waves, np.count_nonzero(in_octave) / waves.joined, count
-        )
+        raw_waves = [m[in_octave] for m in waves.spectra]
+        white_waves = [m[in_octave] for m in whitened]
+        modes = np.count_nonzero(in_octave) / waves.joined
+        band_fields = _band(raw_waves, white_waves, modes, count)
         octaves.append(Band(shortest_um=shortest_um, longest_um=longest_um, **band_fields))
     return Coherence(bands=tuple(octaves), resolution_per_um=waves.resolution)
 

@@ -79,6 +79,15 @@ def origins(a: Array, b: Array, *, pixel_um: Pixel, point_um: float) -> Origins:
 
     Where a grid begins is chosen by no one, and moves r² of one field by some hundredths.
 
+    Parameters
+    ----------
+    a, b, pixel_um, point_um
+        As of :func:`planish.correlate`.
+
+    Returns
+    -------
+    Origins
+
     Raises
     ------
     InputError, SizeError
@@ -111,10 +120,19 @@ def of_short_waves(
 ) -> tuple[Correlation, float]:
     """Correlate what waves below a fifth of the field leave of two maps.
 
-    Return it with that wavelength.
-
     A field holds few long waves, which make the interval wide. This row says nothing of waves above
     that length.
+
+    Parameters
+    ----------
+    a, b, pixel_um, point_um
+        As of :func:`planish.correlate`.
+
+    Returns
+    -------
+    Correlation
+    float
+        That wavelength, in um.
 
     Raises
     ------

@@ -409,8 +409,7 @@ def texture_of(
     judged = _judged_layers(texture, a, b, names, side, is_given=is_given)
     if any("image" in layer and "reach_um" in layer["image"].attrs for layer in (a, b)):
         return _without_screen(judged.check)
-    error_maps = [layer["expected_error"] for layer in (a, b) if "expected_error" in layer]
-    expected_um = rms_of(error_maps[0], valid) if error_maps else None
+    expected_um = _expected_um(a, b, valid)
     short = shorter_side_um(judged.texture.known.shape, judged.texture.pixel_um)
     try:
         offset = lag.texture_lag(
@@ -427,6 +426,14 @@ def texture_of(
     return TextureFound(
         offset.numbers(judged.source_maps[0], expected_um), (check, offset.check(expected_um))
     )
+
+
+def _expected_um(a: xr.Dataset, b: xr.Dataset, valid: Bools) -> float | None:
+    """Expected error of the registration, rms over the map; None where neither layer states it."""
+    for layer in (a, b):
+        if "expected_error" in layer:
+            return rms_of(layer["expected_error"], valid)
+    return None
 
 
 class _Judged(NamedTuple):

@@ -109,6 +109,9 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None) -> Variogram:
         range_along_um, range_across_um = (
             _range(*_by_ring(lags, products, away <= 22.5 + 1e-9), shared) for away in sectors
         )
+    ratio = math.nan
+    if np.isfinite([range_along_um, range_across_um]).all():
+        ratio = range_along_um / range_across_um
     return Variogram(
         cell_um=lags.pixel_um,
         nugget=sill - shared,
@@ -117,11 +120,7 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None) -> Variogram:
         md_deg=math.nan if md_deg is None else md_deg,
         range_along_um=range_along_um,
         range_across_um=range_across_um,
-        ratio=(
-            range_along_um / range_across_um
-            if np.isfinite([range_along_um, range_across_um]).all()
-            else math.nan
-        ),
+        ratio=ratio,
         distances_um=tuple(distance.tolist()),
         values=tuple((sill - covariance).tolist()),
     )
@@ -202,8 +201,14 @@ def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
             continue
         # At up to 60 distances, closer for short ones.
         indices = np.unique(np.geomspace(1, len(curve.values), 60).round().astype(np.intp)) - 1
-        thinned = {
-            k: tuple(getattr(curve, k)[n] for n in indices) for k in ("distances_um", "values")
-        }
-        curves.append(Variogram.holding(curve, layer=layer, map=name, units=units, **thinned))
+        curves.append(
+            Variogram.holding(
+                curve,
+                layer=layer,
+                map=name,
+                units=units,
+                distances_um=tuple(curve.distances_um[n] for n in indices),
+                values=tuple(curve.values[n] for n in indices),
+            )
+        )
     return {"variograms": tuple(curves)}

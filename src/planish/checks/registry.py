@@ -216,7 +216,18 @@ def apply_checks(results: Results) -> Results:
 def rows_with_trust(
     rows: Iterable[CorrelationRow], checks: Sequence[Check]
 ) -> tuple[CorrelationRow, ...]:
-    """The same correlations, each marked by the checks that concern it."""
+    """Mark correlations by the checks that concern them.
+
+    Parameters
+    ----------
+    rows : iterable of CorrelationRow
+    checks : sequence of Check
+
+    Returns
+    -------
+    tuple of CorrelationRow
+        Without numbers where a check that concerns them failed.
+    """
     return tuple(
         _marked(row, checks, (row.a, row.b), row.a_map, row.b_map, POSITION, CORRELATION)
         for row in rows

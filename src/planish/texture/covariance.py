@@ -201,6 +201,12 @@ class PairCovariances:
         ratio = error / math.sqrt(model_variance) if model_variance > 0 else 1.0
         return error / self.lags.n, ratio
 
+    def unevenness(self, r: float) -> float:
+        """How much larger the first of these errors is than the second; not below 1."""
+        if not 1 - r**2 > 1e-14:
+            return 1.0
+        return max(self.spatial_error(r)[1], 1.0)
+
     def _influence(self, r: float, variances: Pair | None) -> Floats:
         sd_x, sd_y = (
             math.sqrt(v + p)

@@ -135,6 +135,7 @@ def lag_field(
         for values in unrelated:
             r = float(np.nanmax(correlate(values[rows, cols])[allowed], initial=0.0))
             null_z.append(float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)))
+        centre_um = (np.array([col, row]) + (np.array(side_px[::-1]) - 1) / 2) * step
         lag = np.full(2, np.nan)
         covariance = np.full((2, 2), np.nan)
         if peak is not None and peak.inner:
@@ -142,8 +143,7 @@ def lag_field(
             covariance_px = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)
             covariance_px += lost_between_pixels(peak)
             covariance = covariance_px[::-1, ::-1] * np.outer(step, step)
-        centre_um = (np.array([col, row]) + (np.array(side_px[::-1]) - 1) / 2) * step
-        tiles.append((centre_um, lag, covariance, np.nan if peak is None else peak.r, share))
+        tiles.append((centre_um, lag, covariance, peak.r if peak else np.nan, share))
     table = np.array(tiles, dtype=_TILE)
     # a field has many tiles.
     limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf

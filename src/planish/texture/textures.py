@@ -166,7 +166,7 @@ def textures(
     shown = {k: m for k, m in shown.items() if count[k] >= least}
     if not shown:
         return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
-    band = _Band(np.logical_and.reduce([np.isfinite(m) for m in shown.values()]), pixel_um, band_um)
+    band = _Band(np.logical_and.reduce([*map(np.isfinite, shown.values())]), pixel_um, band_um)
     return Textures(
         maps={k: band(m) for k, m in shown.items()}, known=band.is_valid, pixel_um=pixel_um
     )
