@@ -4,7 +4,6 @@ Correlation, differences of equal quantities, and other registrations.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from itertools import product, repeat
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,11 +16,11 @@ from planish.analyze.correlation import Correlation, PairAtSizes, PairSums
 from planish.analyze.differences import holm, paired_difference
 from planish.analyze.light_field import without_light
 from planish.core.axial import is_axial
-from planish.core.bands import band_of, bands, read_bands
+from planish.core.bands import read_bands
 from planish.core.errors import MarkError
 from planish.core.facts import Interval, Trust, Value, optional
 from planish.core.grid import Grid, pitch, values_at
-from planish.core.threads import map_threads, read_ahead
+from planish.core.threads import map_threads
 from planish.core.typing import Array, Bools, Pixel
 from planish.measure import PROPERTIES
 from planish.measure.registry import NEGATIVE_CONTROLS
@@ -176,13 +175,16 @@ def correlate_layers(
 def _sums_of_pairs(
     layers: tuple[xr.Dataset, xr.Dataset], pairs: Sequence[tuple[str, str]], point_um: float
 ) -> list[PairAtSizes]:
-    """Sum up pairs of maps of two layers in one pass over their rows."""
-    grid = Grid.of(layers[0])
-    sums = _empty_sums(grid, point_um, len(pairs))
-    parts = [*bands(grid.shape[0])]
-    read = partial(_read_pairs, layers, pairs)
-    for rows, maps_of_pairs in zip(parts, read_ahead(read, parts), strict=True):
-        map_threads(PairAtSizes.add, sums, repeat(rows.start), *maps_of_pairs)
+    """Sum up pairs of maps of two layers over the pixels valid in both, in one pass."""
+    sums = _empty_sums(Grid.of(layers[0]), point_um, len(pairs))
+    keys = dict.fromkeys((k, pair[k]) for pair in pairs for k in (0, 1))
+    maps = [layers[k][name] for k, name in keys]
+    for rows, (valid_a, valid_b, *parts) in read_bands(*(m["valid"] for m in layers), *maps):
+        masked = [np.where(valid_a & valid_b, part, np.nan) for part in parts]
+        values = dict(zip(keys, masked, strict=True))
+        x = [values[0, name] for name, _ in pairs]
+        y = [values[1, name] for _, name in pairs]
+        map_threads(PairAtSizes.add, sums, repeat(rows.start), x, y)
     return sums
 
 
@@ -191,23 +193,6 @@ def _empty_sums(grid: Grid, point_um: float, count: int) -> list[PairAtSizes]:
         PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS)
         for _ in range(count)
     ]
-
-
-def _read_pairs(
-    layers: tuple[xr.Dataset, xr.Dataset], pairs: Sequence[tuple[str, str]], rows: slice
-) -> tuple[list[Array], list[Array]]:
-    """Rows of the maps of all pairs, NaN where one of the layers is not valid."""
-    first, second = layers
-    is_valid = band_of(first["valid"], rows) & band_of(second["valid"], rows)
-    return (
-        _bands_of(first, [name for name, _ in pairs], rows, is_valid),
-        _bands_of(second, [name for _, name in pairs], rows, is_valid),
-    )
-
-
-def _bands_of(layer: xr.Dataset, names: Sequence[str], rows: slice, is_valid: Bools) -> list[Array]:
-    by_name = {name: np.where(is_valid, band_of(layer[name], rows), np.nan) for name in set(names)}
-    return [by_name[name] for name in names]
 
 
 def _agreement(sums: PairSums, units: str) -> dict[str, Any]:

@@ -167,18 +167,7 @@ def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floa
     is_valid = np.logical_and(*map(np.isfinite, arrays.values()))
     xs, ys = (v[is_valid].astype(np.float64) for v in arrays.values())
     n = float(n_eff)
-    if xs.size < LEAST_CLAIMED or math.isnan(n) or 0 < n < LEAST_CLAIMED:
-        independent_text = "an unknown number" if math.isnan(n) else f"{min(n, xs.size):.0f}"
-        raise CannotMeasure(
-            f"{xs.size} points are known in x and y, {independent_text} of them independent; a"
-            f" curve needs {LEAST_CLAIMED:.0f} that are. Measure a larger field, or look at the"
-            " masks."
-        )
-    if not 0 < n <= xs.size * (1 + 1e-9):
-        raise InputError(
-            f"n_eff is {n:g} of {xs.size} points. Give the independent points of "
-            "planish.analyze.correlate, at most as many as there are."
-        )
+    _check_independent(n, xs.size)
     n_distinct = 1 if xs.std() <= 1e-12 * np.abs(xs).max() else len(np.unique(xs))
     if n_distinct < 3:  # two do not show a curve
         raise CannotMeasure(
@@ -186,6 +175,22 @@ def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floa
             " Take points whose thickness or weight differs."
         )
     return xs, ys, n
+
+
+def _check_independent(n_eff: float, n: int) -> None:
+    """Raise where too few points are independent for a curve, or more than there are."""
+    if n < LEAST_CLAIMED or math.isnan(n_eff) or 0 < n_eff < LEAST_CLAIMED:
+        independent_text = "an unknown number" if math.isnan(n_eff) else f"{min(n_eff, n):.0f}"
+        raise CannotMeasure(
+            f"{n} points are known in x and y, {independent_text} of them independent; a"
+            f" curve needs {LEAST_CLAIMED:.0f} that are. Measure a larger field, or look at the"
+            " masks."
+        )
+    if not 0 < n_eff <= n * (1 + 1e-9):
+        raise InputError(
+            f"n_eff is {n_eff:g} of {n} points. Give the independent points of "
+            "planish.analyze.correlate, at most as many as there are."
+        )
 
 
 def _least_squares(terms: Floats, values: Floats, n_eff: float) -> tuple[Floats, float]:

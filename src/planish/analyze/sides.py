@@ -240,7 +240,16 @@ def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Si
             f" ({whole}), {_ONE}."
         )
         return _check("unknown", text, whole)
-    tried = [f"{k} {r}" for k, r in (("coatings", same), ("thickness", whole)) if r is not None]
+    return _not_together(names, same, whole)
+
+
+def _not_together(
+    names: tuple[str, str], coatings: Relation | None, thickness: Relation | None
+) -> Check:
+    """The check of two sheets of which no maps go together."""
+    a, b = names
+    relations = (("coatings", coatings), ("thickness", thickness))
+    tried = [f"{name} {relation}" for name, relation in relations if relation is not None]
     if not tried:
         return _check(
             "unknown", f"Specimen: inconclusive, because {a} and {b} have no map in common."
@@ -253,7 +262,7 @@ def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Si
         "Either they are not the same piece of paper, or they are not aligned, or one is badly"
         " measured."
     )
-    return _check("look", text, same or whole, advice=advice, figures=_OF_A_SPECIMEN)
+    return _check("look", text, coatings or thickness, advice=advice, figures=_OF_A_SPECIMEN)
 
 
 def _check(

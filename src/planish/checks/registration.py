@@ -137,17 +137,14 @@ def tilt(rule: CheckRule, registered: JudgedRegistration) -> Check | None:
     )
     error_deg = offset_error_um * (angle_deg / max(offset_um, 1e-9) / np.sqrt(2))
     limit_deg = max(1.5, 4.0 * error_deg)  # of holes burnt from above
-    end_text = (
-        " from its normal, all to one side"
-        if angle_deg > limit_deg
-        else " from its normal on average"
-    )
+    end_text = ", all to one side" if angle_deg > limit_deg else " on average"
     return rule.at_most(
         angle_deg,
         look=limit_deg,
         units="deg",
         sentence=(
-            f"The holes run through the sheet at {angle_deg:.2g} ± {error_deg:.1g}°{end_text}."
+            f"The holes run through the sheet at {angle_deg:.2g} ± {error_deg:.1g}° from its normal"
+            f"{end_text}."
         ),
         advice=(
             "Either the laser was not perpendicular to the sheet, or slices drift sideways through"
@@ -196,25 +193,27 @@ def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
     n_openings = int(attrs.get("openings", 0))
     # So many that are not round are no single holes that are half closed.
     n_doubtful = n_openings if n_openings > max(1, 0.25 * (hole_count + n_openings)) else 0
-    if n_openings:
-        openings = (
-            "1 opening as large as a hole is"
-            if n_openings == 1
-            else f"{n_openings} openings as large as holes are"
+    if n_openings == 1:
+        sentence += " 1 opening as large as a hole is not round enough to be one."
+    elif n_openings:
+        sentence += f" {n_openings} openings as large as holes are not round enough to be one."
+    figures = rule.figures[:1]
+    advice = "More places look like holes than fit into the area."
+    remedy = "Give a closer range of diameters (`hole_um`)."
+    if n_doubtful:
+        figures = rule.figures
+        advice = (
+            "Look at the maps there: a stretched or torn hole says that slices or voxel sizes are"
+            " wrong."
         )
-        sentence += f" {openings} not round enough to be one."
+        remedy = ""
     check = rule.at_most(
         n_not_measured + n_doubtful,
         look=0,
         sentence=sentence,
-        figures=rule.figures if n_doubtful else rule.figures[:1],
-        advice=(
-            "Look at the maps there: a stretched or torn hole says that slices or voxel sizes are"
-            " wrong."
-            if n_doubtful
-            else "More places look like holes than fit into the area."
-        ),
-        remedy="" if n_doubtful else "Give a closer range of diameters (`hole_um`).",
+        figures=figures,
+        advice=advice,
+        remedy=remedy,
     )
     return check.model_copy(update={"name": rule.name.replace("NAME", detected.layer)})
 

@@ -94,11 +94,10 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     is_used = count >= 0.5 * tiles[0] * tiles[1]
     if np.count_nonzero(is_used) < 4 * _BLOCKS:
         return SlopeScale(1.0, np.inf)
-    y, m2 = y[is_used] / count[is_used], m2[is_used] / count[is_used]
-    positions = np.stack(np.divmod(np.flatnonzero(is_used), cols[-1] + 1), axis=1) / [
-        rows[-1] + 1,
-        cols[-1] + 1,
-    ]
+    y = y[is_used] / count[is_used]
+    m2 = m2[is_used] / count[is_used]
+    tile_shape = (rows[-1] + 1, cols[-1] + 1)
+    positions = np.argwhere(is_used.reshape(tile_shape)) / tile_shape
     block = np.floor(positions * _BLOCKS) @ [_BLOCKS, 1]
     design = np.column_stack([np.ones(y.size), m2, positions - positions.mean(axis=0)])
     scale_squared = _ratio(design, y)
@@ -176,8 +175,9 @@ def judge_marks(
     if is_off:
         state, explanation = _explained(marks, slope)
         sentence += explanation
-    if is_off and sheet.either:
-        state, sentence = "look", f"{sentence} The other sheet's may be wrong as well."
+        if sheet.either:
+            state = "look"
+            sentence += " The other sheet's may be wrong as well."
     return rule.check(
         state,
         sentence,

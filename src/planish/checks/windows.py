@@ -4,6 +4,7 @@ Taken in windows of some 300 x 300 voxels, in one pass.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from planish.core.typing import Array, Floats, Ints
 
 Index = Ints
 Places = NDArray[np.signedinteger[Any]]
+Box = dict[str, slice]
 Sums = tuple[Floats, Floats, NDArray[np.float32]]
 BLOCK = 5  # voxels along the edge of a block mean
 _EDGE = 300  # voxels along the edge of a window, more where it is narrow the other way
@@ -42,10 +44,10 @@ class Window:
 def window_of(slices: Array, axis: Axis = "z", first: int = 0) -> Window:
     """Sum up slices that are in memory, (slices, rows, cols)."""
     part = np.ascontiguousarray(slices, dtype=np.float32)
-    sums = _sums(part)
+    square, product, blocks = _sums(part)
     voxels = part.shape[1] * part.shape[2]
     return Window(
-        axis=axis, first=first, square=sums[0] / voxels, product=sums[1] / voxels, blocks=sums[2]
+        axis=axis, first=first, square=square / voxels, product=product / voxels, blocks=blocks
     )
 
 
@@ -75,14 +77,9 @@ def read_windows(
     the place of NaN.
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
-    boxes: dict[Axis, dict[str, slice]] = {
-        axis: _place(volume, axis, through, sheet_slices) for axis in axes
-    }
+    boxes: dict[Axis, Box] = {axis: _place(volume, axis, through, sheet_slices) for axis in axes}
     points = np.empty((0, 3), np.int32) if points is None else points
     wanted = _by_window(points, list(boxes.values()))
-    z_range = slice(
-        min(p["z"].start for p in boxes.values()), max(p["z"].stop for p in boxes.values())
-    )
 
     def read(piece: slice, axis: Axis, indices: Index, z: Places) -> _Part | None:
         part = indices[slice(*np.searchsorted(z, [piece.start, piece.stop]))]
@@ -90,7 +87,7 @@ def read_windows(
             volume, axis, boxes[axis], piece, points, part, fill_grey, is_sampled=axis != through
         )
 
-    pieces = _pieces(volume, boxes, z_range)
+    pieces = _pieces(volume, [*boxes.values()])
     jobs: list[tuple[slice, Axis, Index, Places]] = [
         (k, axis, indices, z)
         for k in pieces
@@ -112,7 +109,7 @@ def read_windows(
     return WindowReading(windows=windows, sample=sample, grey=grey)
 
 
-def _by_window(points: Places, boxes: list[dict[str, slice]]) -> list[tuple[Index, Places]]:
+def _by_window(points: Places, boxes: list[Box]) -> list[tuple[Index, Places]]:
     """Indices of the points in each window, ordered by z, and their z.
 
     Those in several belong to the last one.
@@ -141,7 +138,7 @@ class _Part(NamedTuple):
 def _read_part(
     volume: xr.DataArray,
     axis: Axis,
-    window_box: dict[str, slice],
+    window_box: Box,
     piece: slice,
     points: Places,
     wanted: Index,
@@ -164,14 +161,13 @@ def _read_part(
     k = "zyx".index(axis)
     parts: list[_Part] = []
     last_slices: Array | None = None
-    for cut in [piece_box[axis]] if axis == "z" else _cuts(volume, piece_box, axis):
+    for cut in _cuts(volume, piece_box, axis):
         cut_box = piece_box | {axis: cut}
         greys = np.asarray(volume.isel(cut_box).values)
         is_here = (places[:, k] >= cut.start) & (places[:, k] < cut.stop)
         indices = wanted[is_here]
-        z, y, x = (
-            places[is_here] - np.array([cut_box[name].start for name in "zyx"], places.dtype)
-        ).T
+        starts = np.array([cut_box[name].start for name in "zyx"], places.dtype)
+        z, y, x = (places[is_here] - starts).T
         grey = greys[z, y, x].astype(np.float32)
         sample = (greys[::3, ::3, ::3] if is_sampled else greys[:0]).ravel()  # for a histogram
         if last_slices is not None:
@@ -181,56 +177,56 @@ def _read_part(
         last_slices = greys.take(range(max(greys.shape[k] - 2, 0), greys.shape[k]), axis=k)
     if len(parts) == 1:
         return parts[0]
-    sums, *all_greys = zip(*parts, strict=True)
-    square, product, blocks = (np.concatenate(s) for s in zip(*sums, strict=True))
-    return _Part((square, product, blocks), *(np.concatenate(g) for g in all_greys))
+    sums, *greys_of_parts = zip(*parts, strict=True)
+    square, product, blocks = map(np.concatenate, zip(*sums, strict=True))
+    return _Part((square, product, blocks), *map(np.concatenate, greys_of_parts))
 
 
-def _cuts(volume: xr.DataArray, piece_box: dict[str, slice], axis: Axis) -> list[slice]:
+def _cuts(volume: xr.DataArray, piece_box: Box, axis: Axis) -> list[slice]:
     """Cut a piece along its axis, too, where the chunks of the file make it long along z."""
+    if axis == "z":
+        return [piece_box[axis]]
     chunk = chunks_of(volume)["zyx".index(axis)]
-    slice_voxels = int(np.prod([s.stop - s.start for k, s in piece_box.items() if k != axis]))
-    size = max(int(WINDOW_BYTES / (4 * slice_voxels)) // chunk, 1) * chunk
+    slice_bytes = 4 * _voxels_of_slice(piece_box, axis)
+    size = max(int(WINDOW_BYTES / slice_bytes) // chunk, 1) * chunk
     start, stop = piece_box[axis].start, piece_box[axis].stop
     return [slice(k, min(k + size, stop)) for k in range(start, stop, size)]
 
 
-def _place(
-    volume: xr.DataArray, axis: Axis, through: Axis, sheet_slices: tuple[int, int]
-) -> dict[str, slice]:
+def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet_slices: tuple[int, int]) -> Box:
     sheet_range = slice(
         max(sheet_slices[0] - 4, 0), min(sheet_slices[1] + 5, volume.sizes[through])
     )
     # Some 90 000 voxels of a slice are looked at.
-    widest = (
-        _EDGE
-        if axis == through
-        else int(np.clip(90_000 // (sheet_range.stop - sheet_range.start), 60, 2 * _EDGE))
-    )
-    window_box: dict[str, slice] = {}
+    widest = _EDGE
+    if axis != through:
+        widest = int(np.clip(90_000 // (sheet_range.stop - sheet_range.start), 60, 2 * _EDGE))
+    window_box: Box = {}
     for k, n in zip("zyx", volume.shape, strict=True):  # the middle, in whole blocks
         edge = min(widest, n) // BLOCK * BLOCK or n
         window_box[k] = slice((n - edge) // 2, (n - edge) // 2 + edge)
-    return (
-        window_box
-        | ({} if axis == through else {axis: slice(0, volume.sizes[axis])})
-        | {through: sheet_range}
-    )
+    window_box[axis] = slice(0, volume.sizes[axis])
+    window_box[through] = sheet_range
+    return window_box
 
 
-def _pieces(
-    volume: xr.DataArray, boxes: dict[Axis, dict[str, slice]], z_range: slice
-) -> list[slice]:
+def _pieces(volume: xr.DataArray, boxes: Sequence[Box]) -> list[slice]:
     """Cut along z: blocks are whole, chunks of the file are read once where memory allows."""
-    largest = max(
-        np.prod([s.stop - s.start for k, s in p.items() if k != "z"]) for p in boxes.values()
-    )
+    largest = max(_voxels_of_slice(box, "z") for box in boxes)
     chunk = chunks_of(volume)
     unit = math.lcm(BLOCK, chunk[0])
     size = max(int(WINDOW_BYTES / (4 * largest)) // unit, 1) * unit
     least_bytes = 4 * unit * max(chunk[1:]) * 2 * _EDGE  # once it is cut along another axis, too
-    size = size if size <= 40 * BLOCK or least_bytes < 12 * WINDOW_BYTES else 8 * BLOCK
-    return [slice(k, min(k + size, z_range.stop)) for k in range(z_range.start, z_range.stop, size)]
+    if size > 40 * BLOCK and least_bytes >= 12 * WINDOW_BYTES:
+        size = 8 * BLOCK
+    start = min(box["z"].start for box in boxes)
+    stop = max(box["z"].stop for box in boxes)
+    return [slice(k, min(k + size, stop)) for k in range(start, stop, size)]
+
+
+def _voxels_of_slice(box: Box, axis: Axis) -> int:
+    """Voxels of one slice of a window across an axis."""
+    return math.prod(part.stop - part.start for k, part in box.items() if k != axis)
 
 
 def _part_sums(greys: Array, axis: Axis, n_before: int, fill_grey: float) -> Sums:
@@ -249,31 +245,32 @@ def _sums(part: NDArray[np.float32], n_before: int = 0) -> Sums:
     product = np.zeros(max(n - 2, 0))
     sums = np.zeros((n - n_before, rows // edge, cols // edge))
     _kernels.add_slices(part, edge, n_before, square, product, sums)
-    return (
-        square[max(n_before - 1, 0) :],
-        product,
-        (sums / edge**2).reshape(n - n_before, -1).astype(np.float32),
-    )
+    blocks = (sums / edge**2).reshape(n - n_before, -1).astype(np.float32)
+    return square[max(n_before - 1, 0) :], product, blocks
 
 
-def _joined(axis: Axis, window_box: dict[str, slice], sums: list[Sums]) -> Window:
+def _joined(axis: Axis, window_box: Box, sums: list[Sums]) -> Window:
     """Join the sums of the parts of a window, which are taken out of ``sums``."""
-    voxels = np.prod([s.stop - s.start for k, s in window_box.items() if k != axis])
+    voxels = _voxels_of_slice(window_box, axis)
+    squares = [square for square, _, _ in sums]
+    products = [product for _, product, _ in sums]
     if axis == "z":
-        square, product = (np.concatenate([p[i] for p in sums]) for i in range(2))
+        square = np.concatenate(squares)
+        product = np.concatenate(products)
+        axis_index = 0
     else:
-        square, product = (np.sum([p[i] for p in sums], axis=0) for i in range(2))
-    axis_index = 0 if axis == "z" else 1
+        square = np.sum(squares, axis=0)
+        product = np.sum(products, axis=0)
+        axis_index = 1
     shape = list(sums[0][2].shape)
-    shape[axis_index] = sum(p[2].shape[axis_index] for p in sums)
+    shape[axis_index] = sum(blocks.shape[axis_index] for _, _, blocks in sums)
     blocks = np.empty(shape, dtype=np.float32)
+    along = np.moveaxis(blocks, axis_index, 0)
     n_copied = 0
     while sums:
-        part = sums.pop(0)[2]  # a part goes as soon as it is copied
-        blocks[
-            (slice(None),) * axis_index + (slice(n_copied, n_copied + part.shape[axis_index]),)
-        ] = part
-        n_copied += part.shape[axis_index]
+        part = np.moveaxis(sums.pop(0)[2], axis_index, 0)  # it goes as soon as it is copied
+        along[n_copied : n_copied + len(part)] = part
+        n_copied += len(part)
     return Window(
         axis=axis,
         first=window_box[axis].start,
