@@ -132,11 +132,9 @@ def cross_fitted(
         (a_centred, marks_centred), (a_centred, refined_centred), pixel_um=pixel_um
     )
     low, high = gain.interval
-    limits = (
-        ""
-        if math.isnan(row.interval[0])
-        else f" (95 %: {row.interval[0]:.2f} to {row.interval[1]:.2f})"
-    )
+    limits = ""
+    if not math.isnan(row.interval[0]):
+        limits = f" (95 %: {row.interval[0]:.2f} to {row.interval[1]:.2f})"
     change = "" if math.isnan(low) else f", from which it differs by {low:.3f} to {high:.3f}"
     if low <= 0 <= high:
         change = ", which is not distinguishable from it"
@@ -160,6 +158,7 @@ def cross_fitted(
 def _checkerboard(
     is_valid: Bools, pixel_um: Pair, guard_um: float
 ) -> tuple[float, list[Bools], list[Bools]]:
+    """Side of the tiles, the pixels of either colour, and those of each that are reported on."""
     shape, sides_um = is_valid.shape, (6 * guard_um, 4 * guard_um)
     for side in sides_um:
         # Of every row and column; a rest at the border goes half to either side.
@@ -365,23 +364,22 @@ def held_out_r(
         place = tuned_place(
             moving, fixed, ("map", "image"), Similarity(), reach_um=_TUNED_UM, other_maps=light
         )
-        at = np.moveaxis(place(points)[..., ::-1] / step, -1, 0)
-        is_seen = ndimage.map_coordinates(b_known, at, order=1) >= 0.99
-        return np.where(
-            is_seen, ndimage.map_coordinates(spline, at, order=3, prefilter=False), np.nan
-        )
+        places_px = np.moveaxis(place(points)[..., ::-1] / step, -1, 0)
+        is_inside = ndimage.map_coordinates(b_known, places_px, order=1) >= 0.99
+        placed = ndimage.map_coordinates(spline, places_px, order=3, prefilter=False)
+        return np.where(is_inside, placed, np.nan)
 
     waves_text = f"ithout waves above {coarsest_um / 1000:g} mm, "
     try:
-        found = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel_um)
+        of_r = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel_um)
         text = (
             "On held-out tiles, which had no part in the place,"
-            f" w{waves_text}{found.sentence.split(';')[0]}."
+            f" w{waves_text}{of_r.sentence.split(';')[0]}."
         )
     except CannotMeasure:
-        found = searched_null(a, tune, valid=valid)
-        text = f"W{waves_text}{found.sentence.rsplit(';', 1)[0]}."
-    return found.model_copy(update={"sentence": text})
+        of_r = searched_null(a, tune, valid=valid)
+        text = f"W{waves_text}{of_r.sentence.rsplit(';', 1)[0]}."
+    return of_r.model_copy(update={"sentence": text})
 
 
 def _detail(values: Floats, valid: Bools, pixel_um: Pair, longest_um: float) -> Floats:

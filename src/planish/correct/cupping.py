@@ -25,6 +25,7 @@ from planish.correct.sums import (
 _LEAST_RADII = 8
 _CLEAR = 3.0  # standard errors
 _LOWEST = 0.5  # per cent: what is less does not matter
+_TOO_FEW = "Cupping: too few voxels lie inside the sheet, nothing was corrected."
 
 
 class _Fit(NamedTuple):
@@ -69,12 +70,10 @@ def find_cupping(
     histograms = histograms[histograms.sum(axis=(1, 2, 3)) > 0]
     voxel_counts = histograms.sum(axis=(0, 2, 3))
     radius_bins = np.flatnonzero(voxel_counts > 0.002 * max(int(voxel_counts.max()), 1))
+    if radius_bins.size < _LEAST_RADII:
+        return None, (), _TOO_FEW
     # The largest radius at which there is some sheet.
-    reach_um = (
-        float((radius_bins[-1] + 1) * turning.farthest_um / COARSE)
-        if radius_bins.size >= _LEAST_RADII
-        else 0.0
-    )
+    reach_um = float((radius_bins[-1] + 1) * turning.farthest_um / COARSE)
     radius_um = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
     # Mean height of the rings over the sheet's voxels at each radius of the histogram.
     sheet_counts = sums.count[:, :, BASE:].sum(axis=(0, 1, 2)).astype(np.float64)
@@ -84,39 +83,25 @@ def find_cupping(
     )
     weights = np.maximum(np.bincount(coarse_bin, sheet_counts, COARSE), 1.0)
     offset = np.bincount(coarse_bin, sheet_counts * rings, COARSE) / weights
-    materials = (BASE, BRIGHT) if reach_um > 0 else ()
-    all_fits = {
-        m: _fit_material(histograms, m, levels, radius_um / reach_um, offset) for m in materials
-    }
+    share = radius_um / reach_um
+    all_fits = {m: _fit_material(histograms, m, levels, share, offset) for m in (BASE, BRIGHT)}
     fits = {m: fit for m, fit in all_fits.items() if fit is not None}
     trends = tuple(Trend(material=MATERIALS[m], before=f.percent, se=f.se) for m, f in fits.items())
     if not fits:
-        return None, (), "Cupping: too few voxels lie inside the sheet, nothing was corrected."
+        return None, (), _TOO_FEW
     shared, is_agreed = _join_materials([*fits.values()])
     losses = ", ".join(f"{t.material} {t.before:.1f} +- {t.se:.1f} %" for t in trends)
     if not is_agreed:
-        return (
-            None,
-            trends,
-            f"Cupping: base and coating contradict each other ({losses}), nothing was corrected.",
-        )
+        why = f"base and coating contradict each other ({losses})"
+        return None, trends, f"Cupping: {why}, nothing was corrected."
     if abs(shared.percent) < max(_CLEAR * shared.se, _LOWEST):
-        return (
-            None,
-            trends,
-            (
-                f"Cupping: no trend against the radius beyond its error ({losses}), nothing was"
-                " corrected."
-            ),
-        )
+        why = f"no trend against the radius beyond its error ({losses})"
+        return None, trends, f"Cupping: {why}, nothing was corrected."
     cupping = Cupping(
         percent=shared.percent, se=shared.se, powers=(shared.coefficient,), reach_um=reach_um
     )
-    return (
-        cupping,
-        trends,
-        f"Cupping: {shared.percent:.1f} +- {shared.se:.1f} % in the middle corrected ({losses}).",
-    )
+    text = f"Cupping: {shared.percent:.1f} +- {shared.se:.1f} % in the middle corrected ({losses})."
+    return cupping, trends, text
 
 
 def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
@@ -140,13 +125,13 @@ def _fit_material(
     limits = (-np.inf, border_grey) if material == BASE else (border_grey, np.inf)
     total_histogram = histograms.sum(axis=0)
     full_fit = _fit_coefficients(total_histogram, limits, share, offset)
-    omitted_histograms = histograms if full_fit else ()
-    jackknife_fits = [
-        fit
-        for h in omitted_histograms
-        if (fit := _fit_coefficients(total_histogram - h, limits, share, offset))
+    if full_fit is None:
+        return None
+    partial_fits = [
+        _fit_coefficients(total_histogram - h, limits, share, offset) for h in histograms
     ]
-    if full_fit is None or len(jackknife_fits) < 3:
+    jackknife_fits = [fit for fit in partial_fits if fit is not None]
+    if len(jackknife_fits) < 3:
         return None
     coefficient, depth_coefficients = full_fit
     loss_se = float(_jackknife_errors(np.array([[_loss_percent(p)] for p, _ in jackknife_fits]))[0])
@@ -184,12 +169,10 @@ def _fit_coefficients(
     offset = np.repeat(offset, n_depths)
     depth = np.tile(np.arange(n_depths), COARSE)
     # Depths at which base and coating meet: there the least shift of a face changes the grey.
-    border_grey = (low if np.isfinite(low) else high) * np.ones(len(row_counts))
+    border_grey = np.full(len(row_counts), low if np.isfinite(low) else high)
     depth_counts = lower_counts = np.bincount(depth, running_counts[:, -1])
     if np.isfinite(border_grey[0]):
-        lower_counts = np.bincount(
-            depth, _sum_between(running_counts, -np.inf * border_grey, border_grey)
-        )
+        lower_counts = np.bincount(depth, _sum_below(running_counts, border_grey))
     # Share of one material.
     is_mixed = np.minimum(lower_counts, depth_counts - lower_counts) > 0.05 * depth_counts
     coefficient = 0.0
@@ -198,11 +181,9 @@ def _fit_coefficients(
     n = np.zeros(len(row_counts))
     for _ in range(40):  # of sorting and fitting
         factors = 1.0 + coefficient * t
-        n, grey = (
-            _sum_between(r, *(g * factors + offset for g in limits))
-            for r in (running_counts, running_sums)
-        )
-        grey = grey / np.maximum(n, 1.0) - offset
+        borders = (low * factors + offset, high * factors + offset)
+        n = _sum_between(running_counts, *borders)
+        grey = _sum_between(running_sums, *borders) / np.maximum(n, 1.0) - offset
         # A depth has to be there at many radii, or its level cannot be separated from the trend.
         is_used = (n > 0.02 * n.max()) & ~is_mixed[depth]
         is_used &= (np.bincount(depth, is_used, n_depths) >= _LEAST_RADII)[depth]
@@ -245,14 +226,14 @@ def _depth_coefficient(t: Floats, grey: Floats, n: Floats, is_used: Bools) -> fl
 
 
 def _sum_between(running_sum: Floats, low: Floats, high: Floats) -> Floats:
+    return _sum_below(running_sum, high) - _sum_below(running_sum, low)
+
+
+def _sum_below(running_sum: Floats, grey: Floats) -> Floats:
     rows = np.arange(len(running_sum))
-
-    def upto(grey: Floats) -> Floats:
-        x = np.clip((grey - GREYS[0]) / (GREYS[1] - GREYS[0]), 0.0, GREYS.size - 1.0)
-        i = np.minimum(x.astype(np.int64), GREYS.size - 2)
-        return running_sum[rows, i] * (1 - (x - i)) + running_sum[rows, i + 1] * (x - i)
-
-    return upto(high) - upto(low)
+    x = np.clip((grey - GREYS[0]) / (GREYS[1] - GREYS[0]), 0.0, GREYS.size - 1.0)
+    i = np.minimum(x.astype(np.int64), GREYS.size - 2)
+    return running_sum[rows, i] * (1 - (x - i)) + running_sum[rows, i + 1] * (x - i)
 
 
 def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:

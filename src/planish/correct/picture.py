@@ -20,7 +20,7 @@ from planish.core.errors import FileError
 from planish.core.numbers import round_step
 from planish.core.robust import percentiles
 from planish.core.typing import Floats, Pair
-from planish.correct.sums import MATERIALS, UNIT, Sums, Turning
+from planish.correct.sums import MATERIALS, UNIT, Turning
 from planish.correct.volume import Corrected
 
 _WIDTH, _DPI = 10.4, 135
@@ -42,52 +42,40 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
     FileError
         If the file cannot be written, or no sheet was found, so that there is nothing to draw.
     """
-    record, sums = (
-        corrected.record,
-        [s for s in (corrected.before, corrected.after) if s is not None],
-    )
-    if not sums or record.air is None or record.sheet is None:
+    record = corrected.record
+    if record.air is None or record.sheet is None:
         raise FileError(f"{path} was not drawn: no sheet stands out from the air.")
-    turning, air, contrast = corrected.turning, record.air, record.sheet - record.air
-    pictures = _middle_slices(corrected.volume, before, turning)
-    rows, cols = (n * p for n, p in zip(turning.shape[1:], turning.pitch_um, strict=True))
-    tall = rows > 0.7 * cols
-    width = _WIDTH / 3 - 0.25 if tall else _WIDTH - 1.5
-    height = min(width * rows / cols, 5.0)
-    total = 3.3 + (height + 0.45 if tall else 3 * (height + 0.4)) + 0.2
+    turning = corrected.turning
+    contrast = record.sheet - record.air
+    slice_before, slice_after, difference = _middle_slices(corrected.volume, before, turning)
+    rows_um, cols_um = (n * p for n, p in zip(turning.shape[1:], turning.pitch_um, strict=True))
+    if rows_um > 0.7 * cols_um:  # slices side by side
+        width = _WIDTH / 3 - 0.25
+        height = min(width * rows_um / cols_um, 5.0)
+        total = 3.3 + (height + 0.45) + 0.2
+        corners = [(0.15 + k * (width + 0.25), 3.55) for k in range(3)]
+    else:
+        width = _WIDTH - 1.5
+        height = min(width * rows_um / cols_um, 5.0)
+        total = 3.3 + 3 * (height + 0.4) + 0.2
+        corners = [(0.75, 3.5 + k * (height + 0.4)) for k in range(3)]
     with style.context("default"), style.context(_STYLE):
         figure = Figure(figsize=(_WIDTH, total), dpi=_DPI, facecolor="white")
         FigureCanvasAgg(figure)
-        _draw_profiles(
-            _add_axes(figure, total, 0.75, 0.35, _WIDTH - 1.1, 2.35), corrected, sums, air, contrast
+        profile_axes = _add_axes(figure, total, 0.75, 0.35, _WIDTH - 1.1, 2.35)
+        _draw_profiles(profile_axes, corrected, record.air, contrast)
+        axes = [_add_axes(figure, total, *corner, width, height) for corner in corners]
+        title = f"Slice {turning.shape[0] // 2} across {turning.axis}, before"
+        greys = (record.air - 0.25 * contrast, record.sheet + 0.35 * contrast)
+        _draw_slice(axes[0], slice_before, title, cols_um, "gray", greys)
+        _draw_slice(axes[1], slice_after, "after", cols_um, "gray", greys)
+        # NaN, where the pictures share no voxel, is not the larger one.
+        limit = max(0.005 * contrast, *percentiles(np.abs(difference), 99.8))
+        title = (
+            f"before minus after: blue to red is -{limit:.3g} to {limit:.3g},"
+            f" {100 * limit / contrast:.1f} % of the contrast"
         )
-        titles = (
-            f"Slice {turning.shape[0] // 2} across {turning.axis}, before",
-            "after",
-            "before minus after",
-        )
-        for k, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
-            corner_in = (
-                (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
-            )
-            axes = _add_axes(figure, total, *corner_in, width, height)
-            if k == 2:
-                # NaN, where the pictures share no voxel, is not the larger one.
-                limit = max(0.005 * contrast, *percentiles(np.abs(picture), 99.8))
-                title += (
-                    f": blue to red is -{limit:.3g} to {limit:.3g}, {100 * limit / contrast:.1f} %"
-                    " of the contrast"
-                )
-                _draw_slice(axes, picture, title, cols, "RdBu_r", (-limit, limit))
-            else:
-                _draw_slice(
-                    axes,
-                    picture,
-                    title,
-                    cols,
-                    "gray",
-                    (air - 0.25 * contrast, record.sheet + 0.35 * contrast),
-                )
+        _draw_slice(axes[2], difference, title, cols_um, "RdBu_r", (-limit, limit))
         pixel_buffer = io.BytesIO()
         figure.savefig(pixel_buffer, format="rgba")
     image = Image.frombytes(
@@ -126,14 +114,14 @@ def _middle_slices(
     return a, b, a - b
 
 
-def _draw_profiles(
-    axes: Axes, corrected: Corrected, stage_sums: list[Sums], air: float, contrast: float
-) -> None:
+def _draw_profiles(axes: Axes, corrected: Corrected, air: float, contrast: float) -> None:
+    """Draw the mean grey of each material against the radius, before and after, and the rings."""
     record, turning = corrected.record, corrected.turning
     radius = (np.arange(turning.bins) + 0.5) * turning.step_um
-    for stage, (colour, stage_name) in zip(
-        stage_sums, ((_BEFORE, "before"), (_AFTER, "after")), strict=False
-    ):
+    stages = ((corrected.before, _BEFORE, "before"), (corrected.after, _AFTER, "after"))
+    for stage, colour, stage_name in stages:
+        if stage is None:
+            continue
         # Mean grey (material, bin) above air, as if every depth were as frequent at every radius;
         # NaN for few voxels.
         voxel_counts = stage.count.sum(axis=(0, 1))

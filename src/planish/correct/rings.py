@@ -39,11 +39,9 @@ class RingFit(NamedTuple):
     def limit(self) -> float:
         """Median of the heights that would have been found, as a share of the contrast."""
         is_valid = np.isfinite(self.error)
-        return (
-            float(np.median(np.maximum(_CLEAR * self.error[is_valid], _LOWEST)))
-            if is_valid.any()
-            else float("nan")
-        )
+        if not is_valid.any():
+            return float("nan")
+        return float(np.median(np.maximum(_CLEAR * self.error[is_valid], _LOWEST)))
 
     @property
     def mean(self) -> Floats:
@@ -80,17 +78,14 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     shapes: list[Floats] = []
     factors: list[Floats] = []
     rings: list[RingArtefact] = []
-    blocks = (
-        [_robust_mean(r, w) for r, w in zip(residual, weight, strict=True)] if intervals else []
-    )
-    materials = (
-        [_robust_mean(residual[:, :, m], weight[:, :, m]) for m in range(3)] if intervals else []
-    )
+    blocks: list[tuple[Floats, Floats]] = []
+    materials: list[tuple[Floats, Floats]] = []
+    if intervals:
+        blocks = [_robust_mean(r, w) for r, w in zip(residual, weight, strict=True)]
+        materials = [_robust_mean(residual[:, :, m], weight[:, :, m]) for m in range(3)]
     for ring_bins in intervals:
         ring = profile[ring_bins]
-        material_factors = [_height_factor(ring, p[ring_bins], e[ring_bins]) for p, e in materials]
-        # What a material clearly shows less than a part of is the structure of another one.
-        if any(w and factor + 3.0 / np.sqrt(w) < _SHOWN for factor, w in material_factors):
+        if _is_structure(ring, [(p[ring_bins], e[ring_bins]) for p, e in materials]):
             continue
         shape = np.zeros(bins)
         shape[ring_bins] = ring
@@ -122,6 +117,15 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     )
 
 
+def _is_structure(ring: Floats, materials: list[tuple[Floats, Floats]]) -> bool:
+    """Whether a material clearly shows less than a part of a ring: it is of another one then."""
+    for profile, error in materials:
+        factor, weight = _height_factor(ring, profile, error)
+        if weight and factor + 3.0 / np.sqrt(weight) < _SHOWN:
+            return True
+    return False
+
+
 def remaining_rings(before: RingFit, after: RingFit) -> tuple[RingArtefact, ...]:
     """Give each ring with the share that the correction left of it.
 
@@ -131,9 +135,8 @@ def remaining_rings(before: RingFit, after: RingFit) -> tuple[RingArtefact, ...]
     for ring, shape in zip(before.rings, before.shapes, strict=True):
         is_ring = (shape != 0) & np.isfinite(after.profile)
         norm = float(np.sum(shape[is_ring] ** 2))
-        factor = (
-            float(np.sum(shape[is_ring] * after.profile[is_ring])) / norm if norm else float("nan")
-        )
+        height = float(np.sum(shape[is_ring] * after.profile[is_ring]))
+        factor = height / norm if norm else float("nan")
         remaining.append(ring.model_copy(update={"share_after": ring.share * factor}))
     return tuple(remaining)
 
@@ -213,9 +216,8 @@ def _weighted_median(values: Floats, weight: Floats) -> Floats:
     order = np.argsort(values, axis=0, kind="stable")
     running_weight = np.cumsum(np.take_along_axis(weight, order, axis=0), axis=0)
     median_index = np.argmax(running_weight >= 0.5 * running_weight[-1], axis=0)
-    return np.take_along_axis(
-        np.take_along_axis(values, order, axis=0), median_index[None], axis=0
-    )[0]
+    ordered = np.take_along_axis(values, order, axis=0)
+    return np.take_along_axis(ordered, median_index[None], axis=0)[0]
 
 
 def _intervals(profile: Floats, error: Floats, share: float) -> list[slice]:
@@ -249,11 +251,9 @@ def _height_factor(shape: Floats, profile: Floats, error: Floats) -> tuple[float
     is_valid = np.isfinite(profile) & np.isfinite(error)
     w = shape[is_valid] / error[is_valid] ** 2
     precision = float(np.sum(w * shape[is_valid]))
-    return (
-        (float(np.sum(w * profile[is_valid])) / precision, precision)
-        if is_valid.any()
-        else (1.0, 0.0)
-    )
+    if not is_valid.any():
+        return 1.0, 0.0
+    return float(np.sum(w * profile[is_valid])) / precision, precision
 
 
 def _block_factors(shape: Floats, block_profiles: list[tuple[Floats, Floats]]) -> Floats:

@@ -264,11 +264,8 @@ def slices_of(
 ) -> Iterator[tuple[int, Slice]]:
     """Give (number, slice across the axis) in order; every so many where the volume is large."""
     length, rows, cols = turning.shape
-    stride = (
-        max(1, -(-length * rows * cols // _MOST))
-        if max_slices is None
-        else max(1, length // max_slices)
-    )
+    stride = -(-length * rows * cols // _MOST) if max_slices is None else length // max_slices
+    stride = max(1, stride)
     numbers = range(stride // 2, length, stride)
     # A slab is in memory, and the one after it while that is read.
     slab_length = max(
@@ -329,6 +326,7 @@ def _add_to_rings(
     radius_bins: Counts,
     sectors: Counts,
 ) -> None:
+    """Add a slice to the parts of circles, its greys less the mean of their material and depth."""
     # Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is
     # everywhere at its depth, and so leaves nothing; a ring does. Sums of whole numbers are exact
     # in double precision.

@@ -14,7 +14,7 @@ from planish.core.labelled import computed
 from planish.core.lazy import Where
 from planish.core.typing import Floats
 from planish.correct.cupping import factor, find_cupping, middle_factor
-from planish.correct.params import CorrectionRecord, CorrectParams, Cupping
+from planish.correct.params import CorrectionRecord, CorrectParams, Cupping, Trend
 from planish.correct.rings import RingFit, find_rings, remaining_rings
 from planish.correct.sums import (
     Levels,
@@ -58,29 +58,22 @@ class Change(NamedTuple):
         radius = np.hypot(*self.turning.offsets_um(rows, cols))
         cupping_factor = np.ones(radius.shape)
         if self.cupping is not None:
-            cupping_factor = (
-                factor(self.cupping.powers, radius / self.cupping.reach_um) / self.mean_factor
-            )
+            share = radius / self.cupping.reach_um
+            cupping_factor = factor(self.cupping.powers, share) / self.mean_factor
         last = self.turning.bins - 1
         bin_position = np.clip(radius / self.turning.step_um - 0.5, 0.0, last)
         lower_bin = np.minimum(bin_position.astype(np.intp), last - 1)
         weight = bin_position - lower_bin
-        tables = (
-            None
-            if self.rings is None
-            else self.levels.contrast * self.rings.tables(self.blocks, along)
-        )
+        tables = np.zeros((len(values), self.turning.bins))
+        if self.rings is not None:
+            tables = self.levels.contrast * self.rings.tables(self.blocks, along)
         is_integer, air = values.dtype.kind in "ui", self.levels.air
         limits = np.iinfo(values.dtype) if is_integer else np.finfo(values.dtype)
         out = np.empty_like(values)
         clipped = 0
         for k, plane in enumerate(values):
             grey = plane.astype(np.float64)
-            ring = (
-                0.0
-                if tables is None
-                else tables[k, lower_bin] * (1.0 - weight) + tables[k, lower_bin + 1] * weight
-            )
+            ring = tables[k, lower_bin] * (1.0 - weight) + tables[k, lower_bin + 1] * weight
             corrected = air + (grey - ring - air) / cupping_factor
             corrected = np.rint(corrected) if is_integer else corrected
             limited = np.clip(corrected, float(limits.min), float(limits.max))
@@ -186,7 +179,7 @@ def correct_volume(
     before = sums(slices(), "rings and cupping")
     change, record = _find_change(before, turning, levels, record)
     if not record.changes:
-        trends = tuple(t.model_copy(update={"after": t.before}) for t in record.trends)
+        trends = _trends_with(record, {t.material: t.before for t in record.trends})
         record = record.model_copy(update={"trends": trends})
         return Corrected(
             volume=_with_record(volume, record), record=record, turning=turning, before=before
@@ -202,22 +195,27 @@ def correct_volume(
 
     after = sums(changed(), "what is left")
     rings_after = find_rings(after, turning, levels.contrast)
-    losses_after = {
-        t.material: t.before for t in find_cupping(after, turning, levels, rings_after.mean)[1]
-    }
-    changes = {
-        "rings": () if change.rings is None else remaining_rings(change.rings, rings_after),
-        "trends": tuple(
-            t.model_copy(update={"after": losses_after.get(t.material)}) for t in record.trends
-        ),
-        "clipped": clipped[0] / clipped[1],
-    }
-    record = record.model_copy(update=changes)
+    trends_after = find_cupping(after, turning, levels, rings_after.mean)[1]
+    losses_after = {trend.material: trend.before for trend in trends_after}
+    record = record.model_copy(
+        update={
+            "rings": remaining_rings(change.rings, rings_after) if change.rings else (),
+            "trends": _trends_with(record, losses_after),
+            "clipped": clipped[0] / clipped[1],
+        }
+    )
     corrected = _with_record(
         computed(volume, partial(_read_corrected, volume.variable, change)), record
     )
     return Corrected(
         volume=corrected, record=record, turning=turning, before=before, after=after, change=change
+    )
+
+
+def _trends_with(record: CorrectionRecord, losses: dict[str, float]) -> tuple[Trend, ...]:
+    """The trends of a record with the losses that are there after the correction."""
+    return tuple(
+        trend.model_copy(update={"after": losses.get(trend.material)}) for trend in record.trends
     )
 
 
@@ -228,6 +226,7 @@ def _with_record(volume: xr.DataArray, record: CorrectionRecord) -> xr.DataArray
 def _find_change(
     sums_before: Sums, turning: Turning, levels: Levels, record: CorrectionRecord
 ) -> tuple[Change, CorrectionRecord]:
+    """Find rings and cupping, and take into the record what was asked for."""
     sentences: list[str] = []
     ring_fit = find_rings(sums_before, turning, levels.contrast)
     cupping, trends, cupping_text = find_cupping(sums_before, turning, levels, ring_fit.mean)
@@ -248,13 +247,14 @@ def _find_change(
         sentences.append(cupping_text)
     else:
         cupping = None
-    found = {
-        "slices": sums_before.slices,
-        "cupping": cupping,
-        "trends": trends,
-        "sentences": tuple(sentences),
-    }
-    record = record.model_copy(update=found)
+    record = record.model_copy(
+        update={
+            "slices": sums_before.slices,
+            "cupping": cupping,
+            "trends": trends,
+            "sentences": tuple(sentences),
+        }
+    )
     change = Change(
         turning=turning,
         levels=levels,
