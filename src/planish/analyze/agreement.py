@@ -101,6 +101,15 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
     References
     ----------
     Bland and Altman (1986), Lancet 327, 307, doi:10.1016/S0140-6736(86)90837-8.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> a = rng.normal(100.0, 5.0, size=(60, 80))
+    >>> b = a + 2.0 + rng.normal(size=(60, 80))
+    >>> agreement = bland_altman(a, b, pixel_um=10.0)
+    >>> round(agreement.bias, 1), [round(limit, 1) for limit in agreement.limits]
+    (2.0, [0.1, 4.0])
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     check_varying(is_valid)
@@ -204,6 +213,13 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
     ----------
     Deming (1943), Statistical Adjustment of Data, Wiley, New York.
     Creasy (1956), J. R. Statist. Soc. B 18, 65.
+
+    Examples
+    --------
+    >>> x = np.arange(20.0)
+    >>> line = deming(x, 2 * x + 1, error_ratio=1.0, n_eff=20)
+    >>> round(line.slope, 6), round(line.intercept, 6)
+    (2.0, 1.0)
     """
     if error_ratio is None or not 0 < error_ratio < math.inf:
         raise InputError(
@@ -362,6 +378,15 @@ def compare_instruments(
     See Also
     --------
     planish.analyze.bland_altman, planish.analyze.ring_correlation, planish.analyze.deming
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> a = rng.normal(100.0, 5.0, size=(60, 80))
+    >>> b = a + rng.normal(size=(60, 80))
+    >>> compared = compare_instruments(a, b, pixel_um=10.0, point_um=50.0)
+    >>> compared.point_um, round(compared.correlation.r, 2), round(compared.agreement.sd, 1)
+    (50.0, 0.98, 0.2)
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     x, y = (np.where(is_valid, m, np.nan).astype(np.float64) for m in (a, b))

@@ -59,6 +59,12 @@ def attenuation_limit(
     Displaced by a random d, a map keeps the mean of its autocorrelation over d, of a Gaussian of
     this error; for larger points the autocovariance is averaged over a point twice first. An error
     that varies over the map is averaged over its quantiles.
+
+    Examples
+    --------
+    >>> a = np.sin(np.arange(200) * 10.0 / 40.0) * np.ones((60, 1))
+    >>> round(attenuation_limit(a, error_um=20.0, pixel_um=10.0), 2)
+    0.94
     """
     is_valid, pixel = valid_pixels(a, a, pixel_um)
     errors = values_of(error_um, "error_um").astype(np.float64)

@@ -91,6 +91,14 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     Returns
     -------
     SheetDifference
+
+    Examples
+    --------
+    >>> before = Fields([10.0, 11.0, 12.0, 13.0], ["A", "B", "C", "D"])
+    >>> after = Fields([10.4, 11.6, 12.5, 13.5], ["A", "B", "C", "D"])
+    >>> change = paired_over_sheets(before, after)
+    >>> round(change.difference, 2), [round(limit, 2) for limit in change.interval]
+    (0.5, [0.37, 0.63])
     """
     old_sheets, new_sheets = _paired_fields(before, after)
     means = {
@@ -159,6 +167,14 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
     References
     ----------
     Welch (1947), Biometrika 34, 28, doi:10.1093/biomet/34.1-2.28.
+
+    Examples
+    --------
+    >>> coated = Fields([10.0, 11.0, 12.0], ["A", "B", "C"])
+    >>> calendered = Fields([8.0, 9.0, 8.5], ["D", "E", "F"])
+    >>> difference = two_groups(coated, calendered)
+    >>> difference.difference, round(difference.p, 3)
+    (-2.5, 0.032)
     """
     a, b = first.means, second.means
     k = (a.size, b.size)
@@ -202,6 +218,13 @@ def p_of_tables(differences: Sequence[SheetDifference]) -> tuple[SheetDifference
     """Correct p for the number of differences that are looked at (Holm 1979).
 
     These are the differences of all properties and pairs of papers.
+
+    Examples
+    --------
+    >>> a = Fields([10.0, 11.0, 12.0], ["A", "B", "C"])
+    >>> b = Fields([8.0, 9.0, 8.5], ["D", "E", "F"])
+    >>> [round(row.p_of_table, 3) for row in p_of_tables([two_groups(a, b), two_groups(b, a)])]
+    [0.063, 0.063]
     """
     adjusted_p = holm([d.p for d in differences])
     return tuple(
@@ -230,6 +253,13 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
     References
     ----------
     Schuirmann (1987), J. Pharmacokinet. Biopharm. 15, 657, doi:10.1007/BF01068419.
+
+    Examples
+    --------
+    >>> a = Fields([10.0, 11.0, 12.0], ["A", "B", "C"])
+    >>> b = Fields([10.5, 11.1, 11.6], ["D", "E", "F"])
+    >>> equivalence(two_groups(a, b), margin=3.0).verdict
+    'equivalent'
     """
     if not 0 < margin < math.inf:
         raise InputError(

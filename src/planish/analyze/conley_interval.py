@@ -79,6 +79,14 @@ def conley_interval(
     Bester, Conley, Hansen and Vogelsang (2016), Econometric Theory 32, 154,
     doi:10.1017/S0266466614000814.
     Satterthwaite (1946), Biometrics Bulletin 2, 110, doi:10.2307/3002019.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> a = rng.normal(size=(60, 80))
+    >>> b = 0.6 * a + 0.8 * rng.normal(size=(60, 80))
+    >>> [round(limit, 2) for limit in conley_interval(a, b, pixel_um=10.0).interval]
+    [0.58, 0.62]
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     correlation = correlate(a, b, pixel_um=pixel, point_um=point_um)

@@ -126,6 +126,13 @@ def cross_correlogram(
     Padfield (2012), IEEE Trans. Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402. Worsley et
     al. (1996), Human Brain Mapping 4, 58,
     doi:10.1002/(SICI)1097-0193(1996)4:1<58::AID-HBM4>3.0.CO;2-O.
+
+    Examples
+    --------
+    >>> a = np.random.default_rng(0).normal(size=(60, 80))
+    >>> correlogram = cross_correlogram(a, np.roll(a, 3, axis=1), pixel_um=10.0, reach_um=100.0)
+    >>> [round(lag) for lag in correlogram.lag_um], round(correlogram.r_at_zero, 1)
+    ([0, 30], 0.0)
     """
     pixel = on_one_grid(a, b, pixel_um)
     if not max(pixel) <= reach_um < math.inf:

@@ -58,6 +58,12 @@ def independent_points(x: Array, y: Array, *, pixel_um: Pixel) -> IndependentPoi
         As :func:`planish.correlate`.
     CannotMeasure
         If fewer than 3 pixels are known in both, or x is constant.
+
+    Examples
+    --------
+    >>> x, y = np.random.default_rng(0).normal(size=(2, 60, 80))
+    >>> independent_points(x, y, pixel_um=10.0).n_eff > 0.9 * x.size
+    True
     """
     is_valid, pixel = valid_pixels(x, y, pixel_um)
     check_varying(is_valid, x=x)
@@ -125,6 +131,12 @@ def straight_or_curved(
     t has n_eff less the number of coefficients for degrees of freedom, so that with n_eff = n all
     is as in textbooks. Of 200 fields with a straight line, the interval of the curvature holds 0 in
     .99 to 1.00 without n_eff_square and in .96 to .99 with it (``python -m benchmarks optics``).
+
+    Examples
+    --------
+    >>> x = np.linspace(0.0, 1.0, 50)
+    >>> straight_or_curved(x, x - 0.4 * x**2, n_eff=50).words
+    'curved, saturating'
     """
     xs, ys, n_slope = known_points(x, y, n_eff)
     n_bend = n_slope if n_eff_square is None else known_points(x, y, n_eff_square)[2]

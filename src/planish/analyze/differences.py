@@ -54,6 +54,16 @@ def paired_difference(
     function), whose mean has the variance that its covariances by lag give. What the pairs share
     cancels in it. Of long waves that comes out too small, so the variance that Gaussian maps of
     these covariances would have is taken where it is larger.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> a = rng.normal(size=(60, 80))
+    >>> b = a + rng.normal(size=(60, 80))
+    >>> moved = np.roll(b, 1, axis=1)
+    >>> change = paired_difference((a, moved), (a, b), pixel_um=10.0)
+    >>> round(change.difference, 2), change.distinguishable
+    (0.72, True)
     """
     maps = (*first, *second)
     pixel = on_one_grid(maps[0], maps[1], pixel_um)
@@ -109,6 +119,15 @@ def difference_of(first: Correlation, second: Correlation) -> Difference:
     ------
     InputError
         If the two are over points of different sizes: r depends on the size.
+
+    Examples
+    --------
+    >>> row = Correlation(point_um=100.0, n=900, r=0.5, r2=0.25, slope=1.0, intercept=0.0)
+    >>> weak = row.model_copy(update={"r": 0.1, "interval": (0.0, 0.2)})
+    >>> strong = row.model_copy(update={"r": 0.5, "interval": (0.4, 0.6)})
+    >>> difference = difference_of(weak, strong)
+    >>> difference.difference, [round(limit, 2) for limit in difference.interval]
+    (0.4, [0.25, 0.54])
     """
     if not math.isclose(first.point_um, second.point_um, rel_tol=0.02):
         raise InputError(
@@ -140,6 +159,11 @@ def holm(p: Sequence[float]) -> list[float]:
     """Put the p of a table right for how many there are (Holm 1979, Scand.
 
     J. Statist. 6, 65); NaN stays and counts.
+
+    Examples
+    --------
+    >>> holm([0.01, 0.04, 0.03])
+    [0.03, 0.06, 0.06]
     """
     order = sorted((v, k) for k, v in enumerate(p) if not math.isnan(v))
     out = [math.nan] * len(p)

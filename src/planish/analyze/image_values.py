@@ -189,6 +189,13 @@ def without_screen(
     border. The kernel is not symmetric there, though, and more of the screen is left than
     elsewhere: keep 3 sigma off holes and borders where the last percent counts. The kernel is cut
     at the pixel nearest to 3 sigma, along either axis.
+
+    Examples
+    --------
+    >>> screen = 0.5 + 0.2 * np.sin(2 * np.pi * np.arange(200) / 17) * np.ones((100, 1))
+    >>> flat = without_screen(screen, pixel_um=10.0)
+    >>> round(float(screen.std()), 2), round(float(flat[30:-30, 30:-30].std()), 3)
+    (0.14, 0.005)
     """
     values, valid, pixel = known_pixels(image, mask, pixel_um)
     sigma = [sigma_um / p for p in pixel]

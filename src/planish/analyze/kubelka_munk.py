@@ -120,6 +120,13 @@ def fit_kubelka_munk(
     ----------
     Bates and Watts (1988), Nonlinear Regression Analysis and Its Applications, chapter 6,
     doi:10.1002/9780470316757.
+
+    Examples
+    --------
+    >>> x = np.linspace(2.0, 20.0, 50)
+    >>> fit = fit_kubelka_munk(x, layer_over(0.7, 0.05, 0.0, x), n_eff=50)
+    >>> round(fit.scattering, 3), round(fit.backing, 2)
+    (0.05, 0.7)
     """
     xs, ys, n_slope = known_points(x, y, n_eff)
     ratio = float(absorption_over_scattering)

@@ -102,6 +102,16 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
 
     In even light, the coefficients of the field come of the texture of the rest, whose covariances
     by lag give theirs; what the fit took off these is put back.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> coating = rng.normal(size=(30, 40))
+    >>> fall_off = 2.0 * np.linspace(-1.0, 1.0, 40) ** 2
+    >>> image = coating + fall_off + rng.normal(size=(30, 40))
+    >>> light, _ = light_field(coating, image, point_um=100.0)
+    >>> round(light.r_plain, 2), round(light.r, 2)
+    (0.62, 0.68)
     """
     is_valid, _ = valid_pixels(a, b, point_um)
     a, b = (np.where(is_valid, m, np.nan).astype(np.float64) for m in (a, b))

@@ -69,6 +69,14 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
     f)^2)^(-3/2)``, by which the spectrum is multiplied. The map and what is known of it are treated
     alike and divided by each other, so that a map that is constant stays so; along borders and
     holes the mean leans to one side.
+
+    Examples
+    --------
+    >>> spot = np.zeros((41, 41))
+    >>> spot[20, 20] = 1.0
+    >>> spread = spread_light(spot, pixel_um=10.0, width_um=50.0)
+    >>> bool(spread[20, 20] > spread[20, 25] > spread[20, 30] > 0)
+    True
     """
     is_valid, pixel = valid_pixels(values, values, pixel_um)
     side_um = shorter_side_um(values.shape, pixel)

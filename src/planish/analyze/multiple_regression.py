@@ -110,6 +110,15 @@ def regress(
     ----------
     Frisch and Waugh (1933), Econometrica 1, 387, doi:10.2307/1907330. Fuller (1987), Measurement
     Error Models, section 2.2, doi:10.1002/9780470316665.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> coating, base, noise = rng.normal(size=(3, 60, 80))
+    >>> lags = Lags(np.ones((60, 80), dtype=bool), (10.0, 10.0))
+    >>> fit = regress(2 * coating - base + 0.1 * noise, [coating, base], lags)
+    >>> fit.plain.round(1).tolist(), round(fit.r2, 2)
+    ([2.0, -1.0], 1.0)
     """
     is_valid, n = lags.is_valid, lags.n
     values = np.stack([m[is_valid] for m in predictors], axis=1)

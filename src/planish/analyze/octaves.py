@@ -80,6 +80,13 @@ def coherence(a: Array, b: Array, *, pixel_um: Pixel, bands: int = 5) -> Coheren
     whitened: the spectrum of paper falls steeply, and without that the longest waves of a band
     decide alone while all are counted (14-27 % of unrelated maps passed a test at 5 %). The number
     of independent waves is that of the modes, less what the window joins.
+
+    Examples
+    --------
+    >>> a = np.random.default_rng(0).normal(size=(100, 120))
+    >>> octaves = coherence(a, 2.0 * a, pixel_um=10.0).bands
+    >>> [(round(band.coherence, 2), round(band.gain, 2)) for band in octaves[:2]]
+    [(1.0, 2.0), (1.0, 2.0)]
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     shortest_side = shorter_side_um(is_valid.shape, pixel)

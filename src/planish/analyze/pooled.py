@@ -42,6 +42,12 @@ def random_effects(
     Paule and Mandel (1982), J. Res. Natl. Bur. Stand. 87, 377, doi:10.6028/jres.087.022.
     Hartung and Knapp (2001), Statist. Med. 20, 3875, doi:10.1002/sim.1009.
     Higgins and Thompson (2002), Statist. Med. 21, 1539, doi:10.1002/sim.1186.
+
+    Examples
+    --------
+    >>> pooled = random_effects([0.3, 0.5, 0.4], [0.01, 0.01, 0.01])
+    >>> round(pooled.mean, 2), round(pooled.standard_error, 3), pooled.sd_between
+    (0.4, 0.058, 0.0)
     """
     y = values_of(effects, "effects").astype(np.float64)
     v = values_of(variances, "variances").astype(np.float64)
@@ -126,6 +132,13 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
     The z of a sheet is the mean of those of its fields. Weights by n_eff would narrow the interval
     a little where fields differ in size, but with few sheets it would hold in less than 95 %, as
     the weights take the variance between sheets for known (docs/series.md).
+
+    Examples
+    --------
+    >>> r = Fields([0.3, 0.5, 0.4], ["A", "B", "C"])
+    >>> mean = pooled_r(r, n_eff=[103.0, 103.0, 103.0])
+    >>> round(mean.mean, 2), [round(limit, 2) for limit in mean.interval]
+    (0.4, [0.13, 0.62])
     """
     z, variance = _fisher_z(r, n_eff)
     mean = over_sheets(z)
@@ -169,6 +182,13 @@ def difference_of_pooled_r(
     -----
     Means are taken of Fisher's z, in which r of few independent points has no bias, and each sheet
     adds to the difference of r what it adds to z, times the slope of r over z there (delta method).
+
+    Examples
+    --------
+    >>> matt = Fields([0.3, 0.35, 0.4], ["A", "B", "C"])
+    >>> gloss = Fields([0.5, 0.55, 0.6], ["D", "E", "F"])
+    >>> round(difference_of_pooled_r(matt, gloss, paired=False).difference, 2)
+    0.2
     """
     z = [_fisher_z(m, None)[0] for m in (first, second)]
     compare = paired_over_sheets if paired else two_groups

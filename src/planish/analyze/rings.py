@@ -72,6 +72,14 @@ def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
     References
     ----------
     van Heel and Schatz (2005), J. Struct. Biol. 151, 250, doi:10.1016/j.jsb.2005.05.009.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> a = rng.normal(size=(100, 120))
+    >>> compared = ring_correlation(a, a + 0.1 * rng.normal(size=a.shape), pixel_um=10.0)
+    >>> [round(ring.correlation, 2) for ring in compared.rings[:3]]
+    [1.0, 1.0, 0.99]
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     check_varying(is_valid, a=a, b=b)
@@ -113,6 +121,11 @@ def half_bit(modes: float) -> float:
     """Correlation of two halves whose mean holds half a bit a wave (van Heel and Schatz 2005).
 
     The bit is one of information.
+
+    Examples
+    --------
+    >>> [round(half_bit(modes), 2) for modes in (10.0, 100.0, 1000.0)]
+    [0.54, 0.31, 0.22]
     """
     # (sqrt(2) - 1) / 2 is the ratio of signal to noise power, of one measurement, that gives the
     # mean half a bit.

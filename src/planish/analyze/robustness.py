@@ -92,6 +92,15 @@ def origins(a: Array, b: Array, *, pixel_um: Pixel, point_um: float) -> Origins:
     ------
     InputError, SizeError
         As :func:`planish.correlate`.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> a = rng.normal(size=(60, 80))
+    >>> b = a + rng.normal(size=(60, 80))
+    >>> shifted = origins(a, b, pixel_um=10.0, point_um=40.0)
+    >>> shifted.count, round(shifted.least, 1), round(shifted.largest, 1)
+    (16, 0.7, 0.7)
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     x = np.where(is_valid, a, np.nan)
@@ -140,6 +149,14 @@ def of_short_waves(
         As :func:`planish.correlate`.
     CannotMeasure
         If fewer than 3 pixels are valid.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> a, b = rng.normal(size=(2, 60, 80)) + np.linspace(0.0, 5.0, 80)
+    >>> row, longest_um = of_short_waves(a, b, pixel_um=10.0)
+    >>> round(row.r, 1), longest_um
+    (0.0, 120.0)
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     check_varying(is_valid)
@@ -171,6 +188,13 @@ def partial(a: Array, b: Array, covariates: Sequence[Array], *, pixel_um: Pixel)
         beside their sum.
     CannotMeasure
         If fewer than 3 pixels are valid in all maps.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> base, a, b = rng.normal(size=(3, 60, 80))
+    >>> abs(partial(a + base, b + base, [base], pixel_um=10.0).r) < 0.05
+    True
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     for m in covariates:
@@ -212,6 +236,14 @@ def commonality(b: Array, parts: Mapping[str, Array]) -> dict[str, float]:
         If there are fewer than two or more than four maps, or one is the sum of others.
     CannotMeasure
         If fewer than 3 pixels are valid in all maps, or b is constant.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> coating, base = rng.normal(size=(2, 60, 80))
+    >>> shares = commonality(coating + base, {"coating": coating, "base": base})
+    >>> {name: abs(round(share, 1)) for name, share in shares.items()}
+    {'coating': 0.5, 'base': 0.5, 'coating and base': 0.0}
     """
     names = list(parts)
     if not 2 <= len(names) <= 4:

@@ -64,6 +64,13 @@ def covariance_of_errors(names: Sequence[str], stated: Mapping[str, float]) -> F
     The variance of each map's error is the sum of those of its two surfaces. The variances of the
     surfaces are those of non-negative least squares; where the stated errors leave several, the
     most even ones.
+
+    Examples
+    --------
+    >>> names = ["coating_top", "base_thickness"]
+    >>> stated = {"coating_top": 1.0, "base_thickness": 1.0}
+    >>> covariance_of_errors(names, stated).round(2).tolist()
+    [[1.0, -0.67], [-0.67, 1.0]]
     """
     variances = _variances_of_surfaces(stated)
     bare_names = [bare_name(name) for name in names]

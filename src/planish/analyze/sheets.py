@@ -150,6 +150,13 @@ def over_sheets(fields: Fields) -> SheetMean:
     Every sheet counts alike, however many fields it has. Means of sheets are taken for normal;
     where sheets have different numbers of fields, their means scatter differently, which the
     interval withstands (docs/series.md).
+
+    Examples
+    --------
+    >>> fields = Fields([10.0, 12.0, 13.0, 15.0, 14.0], ["A", "A", "B", "C", "C"])
+    >>> mean = over_sheets(fields)
+    >>> mean.sheets, mean.fields, round(mean.mean, 2)
+    (3, 5, 12.83)
     """
     means = fields.means
     k = means.size
@@ -217,6 +224,13 @@ def variances_of(fields: Fields) -> SheetVariances:
     References
     ----------
     Thomas and Hultquist (1978), Ann. Statist. 6, 582, doi:10.1214/aos/1176344202.
+
+    Examples
+    --------
+    >>> fields = Fields([10.0, 11.0, 20.0, 21.0, 30.0, 31.0], ["A", "A", "B", "B", "C", "C"])
+    >>> variances = variances_of(fields)
+    >>> round(variances.sd_within, 2), round(variances.share, 3)
+    (0.71, 0.995)
     """
     sheets = [*fields.by_sheet.values()]
     counts = np.array([v.size for v in sheets])

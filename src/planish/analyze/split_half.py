@@ -80,6 +80,14 @@ def split_reliability(
     ----------
     Spearman (1910), Brit. J. Psychol. 3, 271, doi:10.1111/j.2044-8295.1910.tb00206.x.
     Brown (1910), Brit. J. Psychol. 3, 296, doi:10.1111/j.2044-8295.1910.tb00207.x.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> thickness, odd, even = rng.normal(size=(3, 60, 80))
+    >>> halves = split_reliability(thickness + odd, thickness + even, pixel_um=10.0)
+    >>> round(halves.halves_r, 1), round(halves.value, 1)
+    (0.5, 0.7)
     """
     row = correlate(first, second, pixel_um=pixel_um, point_um=point_um)
     if math.isnan(row.r):

@@ -56,6 +56,15 @@ def region_difference(values: Array, inside: Bools, *, pixel_um: Pixel) -> Regio
     -----
     What each pixel adds to the difference is a map of its own, whose mean has the variance that its
     covariances by lag give: a region is one event, however many pixels it has.
+
+    Examples
+    --------
+    >>> image = np.random.default_rng(0).normal(size=(60, 80))
+    >>> thin = np.zeros((60, 80), dtype=bool)
+    >>> thin[10:30, 20:40] = True
+    >>> row = region_difference(image - 2.0 * thin, thin, pixel_um=10.0)
+    >>> round(row.share, 3), round(row.difference)
+    (0.083, -2)
     """
     is_valid, pixel = valid_pixels(values, values, pixel_um)
     on_one_grid(values, inside, pixel, inside)

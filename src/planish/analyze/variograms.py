@@ -82,6 +82,14 @@ def variogram(a: Array, *, pixel_um: Pixel, md_deg: float | None = None) -> Vari
     where 0.3 is left, leaves of the sill; a texture that is rougher than the exponential one counts
     as nugget in part. The range is read off the covariances themselves. Waves longer than a fifth
     of the field make sill and range smaller than they are.
+
+    Examples
+    --------
+    >>> a = np.random.default_rng(0).normal(size=(60, 80))
+    >>> smooth = sum(np.roll(a, k, axis=1) for k in range(8)) / 8
+    >>> curve = variogram(smooth, pixel_um=10.0)
+    >>> round(curve.sill, 2), 10 < curve.range_um < 80
+    (0.12, True)
     """
     return variogram_of(a, Lags(*valid_pixels(a, a, pixel_um)), md_deg)
 

@@ -53,6 +53,11 @@ def factor(powers: tuple[float, ...], share: Floats) -> Floats:
     """Factor on the grey above air at a share of the reach, 1 in the middle.
 
     Constant beyond the reach.
+
+    Examples
+    --------
+    >>> factor((0.1,), np.array([0.0, 0.5, 1.0, 2.0])).tolist()
+    [1.0, 1.025, 1.1, 1.1]
     """
     return 1.0 + powers[0] * np.minimum(share, 1.0) ** 2
 

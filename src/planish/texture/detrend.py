@@ -23,6 +23,13 @@ def without_trend(values: Floats, is_valid: Bools) -> Floats:
     """Take the plane and second-order surface of least squares off a map (rows, cols).
 
     0 where it is not known.
+
+    Examples
+    --------
+    >>> y, x = np.mgrid[:40, :50] / 50
+    >>> rest = without_trend(1 + 2 * x - y + x * y, np.ones((40, 50), dtype=bool))
+    >>> float(np.abs(rest).max().round(9))
+    0.0
     """
     # Products of one polynomial along the rows and one along the columns: no term is ever as large
     # as the map.
@@ -154,6 +161,13 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     """Distance where a map's autocorrelation, averaged over directions, is below 1/e.
 
     Inf beyond a quarter of it.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).normal(size=(80, 80))
+    >>> is_valid = np.ones((80, 80), dtype=bool)
+    >>> correlation_length_um(noise, is_valid, (10.0, 10.0)) < 10.0
+    True
     """
     reach = (max(values.shape[0] // 4, 1), max(values.shape[1] // 4, 1))
     r = MaskedNcc(values, a_valid=valid, b_valid=valid, reach=reach)(values)

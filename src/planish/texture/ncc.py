@@ -92,6 +92,14 @@ def find_peak(r: Floats, allowed: Bools) -> Peak | None:
     """Find the largest r where allowed, None where nothing is known.
 
     Between pixels a cubic spline is climbed.
+
+    Examples
+    --------
+    >>> a = np.random.default_rng(0).normal(size=(60, 80))
+    >>> is_valid = np.ones(a.shape, dtype=bool)
+    >>> correlate = MaskedNcc(a, a_valid=is_valid, b_valid=is_valid, reach=(12, 12))
+    >>> find_peak(correlate(np.roll(a, (2, 3), axis=(0, 1))), within((8, 8))).lag_px
+    (2, 3)
     """
     height = np.where(allowed & np.isfinite(r), r, -np.inf)
     row, col = divmod(int(np.argmax(height)), r.shape[1])

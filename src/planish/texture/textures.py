@@ -187,6 +187,14 @@ def relate(
     Theiler et al. (1992), Physica D 58, 77, doi:10.1016/0167-2789(92)90102-S. Clifford, Richardson
     and Hémon (1989), Biometrics 45, 123, doi:10.2307/2532039. Conley (1999), J. Econometrics 92, 1,
     doi:10.1016/S0304-4076(98)00084-0.
+
+    Examples
+    --------
+    >>> a, b = np.random.default_rng(0).normal(size=(2, 60, 80))
+    >>> is_valid = np.ones((60, 80), dtype=bool)
+    >>> relations = [relate(a, m, is_valid, (10.0, 10.0)) for m in (b, a + b)]
+    >>> abs(relations[0].z) < 3, relations[1].z > 10
+    (True, True)
     """
     n = int(np.count_nonzero(is_valid))
     if n == 0:
