@@ -125,9 +125,8 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
         "slope": slope,
         "slope_x_on_y": slope_x_on_y,
     }
-    if np.ptp(differences[is_valid]) <= 1e-12 * max(
-        np.abs(x[is_valid]).max(), np.abs(y[is_valid]).max()
-    ):
+    largest = np.abs([x[is_valid], y[is_valid]]).max()
+    if np.ptp(differences[is_valid]) <= 1e-12 * largest:
         zero_width = (bias, bias)
         n_eff = float(sums.n)
         return Agreement(
@@ -152,16 +151,12 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
         # sd of Gaussian values scatters by sd / sqrt(2 df).
         log_sd_half_width = quantile / math.sqrt(2 * (n_eff_sd - 1))
         width = quantile * math.sqrt(variance / n_eff + variance * LIMIT**2 / (2 * (n_eff_sd - 1)))
+        limits = (bias - LIMIT * sigma, bias + LIMIT * sigma)
+        sd_limits = (sigma * math.exp(-log_sd_half_width), sigma * math.exp(log_sd_half_width))
         estimates |= {
             "bias_interval": (bias - bias_half_width, bias + bias_half_width),
-            "sd_interval": (
-                sigma * math.exp(-log_sd_half_width),
-                sigma * math.exp(log_sd_half_width),
-            ),
-            "limit_intervals": tuple(
-                (bias + s * LIMIT * sigma - width, bias + s * LIMIT * sigma + width)
-                for s in (-1, 1)
-            ),
+            "sd_interval": sd_limits,
+            "limit_intervals": tuple((limit - width, limit + width) for limit in limits),
         }
     return Agreement(
         **estimates,

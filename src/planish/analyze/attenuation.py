@@ -92,8 +92,8 @@ def attenuation_limit(
         quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     # Along an axis the standard deviation is the error over the square root of 2.
     blurs = [spectrum * np.exp(-(e * e / 2) * square / 2) * counts for e in quantiles]
-    left = [float(np.sum(blurred)) / covariance.size / variance for blurred in blurs]
-    return float(np.clip(np.mean(left), 0.0, 1.0))
+    shares = [float(np.sum(blurred)) / covariance.size / variance for blurred in blurs]
+    return float(np.clip(np.mean(shares), 0.0, 1.0))
 
 
 def answer_attenuation(pair: ComparedMaps) -> dict[str, Any]:

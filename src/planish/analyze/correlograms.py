@@ -167,9 +167,10 @@ def correlogram_of(
         (np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True)
     )
     summit, peak_r, inner = _summit(r)
-    widths, angle = (
-        _widths(r / peak_r, summit, pixel) if inner else ((math.nan, math.nan), math.nan)
-    )
+    widths = (math.nan, math.nan)
+    angle = math.nan
+    if inner:
+        widths, angle = _widths(r / peak_r, summit, pixel)
     n_eff, band, of_any = _limits([a, b], lags, ncc.pairs, np.isfinite(r))
     maps_by_lag, (zero_row, zero_col) = (r, band, of_any), reach
     return Correlogram(
@@ -212,11 +213,8 @@ def _summit(r: Floats) -> tuple[Pair, float, bool]:
     shift = -np.linalg.solve(curvature, c[1:3] * sign)
     if np.abs(shift).max() > 1:
         return pixel_peak
-    return (
-        (float(row + shift[0]), float(col + shift[1])),
-        float(np.clip(c[0] + c[1:3] @ shift / 2, -1.0, 1.0)),
-        True,
-    )
+    r_of_summit = float(np.clip(c[0] + c[1:3] @ shift / 2, -1.0, 1.0))
+    return (float(row + shift[0]), float(col + shift[1])), r_of_summit, True
 
 
 def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
@@ -239,9 +237,8 @@ def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
     inner, outer = ray_heights[rays, first - 1], ray_heights[rays, first]
     if not np.isfinite(outer).all() or not below.any(axis=1).all():
         return (math.nan, math.nan), math.nan
-    half_height_um = steps[first - 1] + (inner - 0.5) / (inner - outer) * (
-        steps[first] - steps[first - 1]
-    )
+    part = (inner - 0.5) / (inner - outer)
+    half_height_um = steps[first - 1] + part * (steps[first] - steps[first - 1])
     area = float(np.sum(half_height_um**2)) / 2
     moments = (directions * half_height_um**4) @ directions.T / 4 / area
     values, vectors = np.linalg.eigh(moments)

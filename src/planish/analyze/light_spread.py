@@ -96,9 +96,10 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
     transfer = (1.0 + (2 * math.pi * width_um) ** 2 * square) ** -1.5
     mean = float(np.mean(values[is_valid], dtype=np.float64))
     rows, cols = values.shape
+    centred = np.where(is_valid, values - mean, 0.0)
     blurred, weight = (
         np.asarray(fft.irfft2(padded_spectrum(m, shape) * transfer, shape))[:rows, :cols]
-        for m in (np.where(is_valid, values - mean, 0.0), is_valid.astype(np.float64))
+        for m in (centred, is_valid.astype(np.float64))
     )
     return np.where(is_valid, mean + blurred / np.where(is_valid, weight, 1.0), np.nan)
 
@@ -123,9 +124,8 @@ def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
     except PlanishError as error:
         return {"light_spread": build_result(reason=error.text)}
     if math.isnan(correlation.r):
-        return {
-            "light_spread": build_result(n=correlation.n, reason=" ".join(correlation.warnings))
-        }
+        reason = " ".join(correlation.warnings)
+        return {"light_spread": build_result(n=correlation.n, reason=reason)}
     return {
         "light_spread": LightSpread.of(
             correlation,

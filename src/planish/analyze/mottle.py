@@ -117,10 +117,8 @@ def print_mottle(
             " side), and an octave ends at twice its beginning. Take other wavelengths, smaller"
             " pixels or a larger field."
         )
-    edges = [
-        shortest_um * 2.0**k
-        for k in range(math.floor(math.log2(limit_um / shortest_um) + 1e-9) + 1)
-    ]
+    n_octaves = math.floor(math.log2(limit_um / shortest_um) + 1e-9)
+    edges = [shortest_um * 2.0**k for k in range(n_octaves + 1)]
     mean = float(image[is_valid].mean(dtype=np.float64))
     if not mean > 0:
         raise CannotMeasure(

@@ -51,13 +51,8 @@ def random_effects(
     """
     y = values_of(effects, "effects").astype(np.float64)
     v = values_of(variances, "variances").astype(np.float64)
-    if (
-        y.ndim != 1
-        or y.shape != v.shape
-        or y.size < 2
-        or not np.isfinite(y).all()
-        or not (v > 0).all()
-    ):
+    are_pairs = y.ndim == 1 and y.shape == v.shape and y.size >= 2
+    if not (are_pairs and np.isfinite(y).all() and (v > 0).all()):
         raise InputError(
             f"There are {y.size} effects and {v.size} variances. Give two effects or more, each a"
             " number with a variance above 0."

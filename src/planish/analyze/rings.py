@@ -93,9 +93,8 @@ def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
     inside = half_plane(is_valid.shape) & (waves.ring >= 1) & (waves.ring <= last)
 
     def sums(values: Array) -> Floats:
-        return np.bincount(waves.ring[inside], weights=values[inside], minlength=last + 1)[
-            1:
-        ].astype(np.float64)
+        totals = np.bincount(waves.ring[inside], weights=values[inside], minlength=last + 1)
+        return totals[1:].astype(np.float64)
 
     count = sums(np.ones(inside.shape))
     spectrum_a, spectrum_b = waves.spectra
@@ -104,6 +103,7 @@ def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
     weak = np.flatnonzero(sums(waves.stand_out.astype(np.float64)) < count)
     middle = sums(waves.frequency) / count
     modes = (count / waves.joined).tolist()
+    n_strong = int(weak[0]) if weak.size else last
     rings = tuple(
         Ring(
             wavelength_um=1 / float(middle[k]),
@@ -111,7 +111,7 @@ def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
             modes=modes[k],
             threshold=half_bit(modes[k]),
         )
-        for k in range(int(weak[0]) if weak.size else last)
+        for k in range(n_strong)
     )
     resolution_um, sentence = _resolved(rings, middle.tolist(), leaking=bool(weak.size))
     return RingCorrelation(rings=rings, resolution_um=resolution_um, sentence=sentence)

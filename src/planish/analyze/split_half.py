@@ -20,7 +20,7 @@ from planish.core.area import area_mean
 from planish.core.bands import bands
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, optional
-from planish.core.typing import Array, Bools, Floats, Pair, Pixel
+from planish.core.typing import Array, Bools, Floats, Ints, Pair, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.compared_maps import ComparedMaps
@@ -129,9 +129,8 @@ def half_points(
     where less than half of a point counts, or the halves have no column in it. Also says whether no
     column's value holds anything of its neighbours.
     """
-    enough = np.isfinite(
-        area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1]))
-    )
+    point_cells = (point_um / cell_um[0], point_um / cell_um[1])
+    enough = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), point_cells))
     turn = columns.similarity.matrix()
     shift_um = columns.similarity.shift_um
     n_columns = np.zeros(enough.size)
@@ -143,33 +142,26 @@ def half_points(
         before = min(rows.start, 2)
         part = columns.part(slice(rows.start - before, rows.stop + 2))
         values, alone = part.values(name)
-        halves = [
-            _half(values, first)[before : before + rows.stop - rows.start].ravel()
-            for first in (1, 0)
-        ]
-        u, v = (
-            part.flat[axis].values[before : before + rows.stop - rows.start].ravel()
-            for axis in "uv"
-        )
+        of_band = slice(before, before + rows.stop - rows.start)
+        halves = [_half(values, first)[of_band].ravel() for first in (1, 0)]
+        u, v = (part.flat[axis].values[of_band].ravel() for axis in "uv")
         x = turn[0, 0] * u + turn[0, 1] * v + (shift_um[0] - origin_um[0])
         y = turn[1, 0] * u + turn[1, 1] * v + (shift_um[1] - origin_um[1])
         use = np.isfinite(halves[0] + halves[1]) & (y >= 0) & (x >= 0)
         use &= (y < is_valid.shape[0] * cell_um[0]) & (x < is_valid.shape[1] * cell_um[1])
         use &= (y < enough.shape[0] * point_um) & (x < enough.shape[1] * point_um)
-        use[use] = is_valid[
-            (y[use] / cell_um[0]).astype(np.intp), (x[use] / cell_um[1]).astype(np.intp)
-        ]
-        ids = (y[use] / point_um).astype(np.intp) * enough.shape[1] + (x[use] / point_um).astype(
-            np.intp
-        )
+        use[use] = is_valid[_index(y[use], cell_um[0]), _index(x[use], cell_um[1])]
+        ids = _index(y[use], point_um) * enough.shape[1] + _index(x[use], point_um)
         n_columns += np.bincount(ids, minlength=enough.size)
         totals += [np.bincount(ids, weights=half[use], minlength=enough.size) for half in halves]
     is_counted = enough & (n_columns > 0).reshape(enough.shape)
-    means = [
-        np.where(is_counted, (m / np.maximum(n_columns, 1)).reshape(is_counted.shape), np.nan)
-        for m in totals
-    ]
-    return means[0], means[1], alone
+    means = (totals / np.maximum(n_columns, 1)).reshape(2, *is_counted.shape)
+    odd, even = np.where(is_counted, means, np.nan)
+    return odd, even, alone
+
+
+def _index(places_um: Floats, step_um: float) -> Ints:
+    return (places_um / step_um).astype(np.intp)
 
 
 def _half(values: Floats, first: int) -> Floats:

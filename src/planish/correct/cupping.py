@@ -141,19 +141,26 @@ def _fit_material(
     coefficient, depth_coefficients = full_fit
     loss_se = float(_jackknife_errors(np.array([[_loss_percent(p)] for p, _ in jackknife_fits]))[0])
     replicates = np.array([coefficients for _, coefficients in jackknife_fits])
-    is_valid = np.isfinite(depth_coefficients) & np.isfinite(replicates).all(axis=0)
-    if np.count_nonzero(is_valid) >= 2:
-        # A true cupping is the same at every depth; a coating that is thinner in the middle is not.
-        # Depths do not err alike by chance only: what they scatter beyond the jackknife is an error
-        # of their mean.
-        losses = 100.0 * depth_coefficients[is_valid]
-        se = 100.0 * _jackknife_errors(replicates[:, is_valid])
-        variance = np.maximum(se, 1e-3) ** 2
-        w = 1.0 / variance
-        mean_loss = float(np.sum(w * losses) / w.sum())
-        excess_variance = float(np.mean((losses - mean_loss) ** 2 - variance))
-        loss_se = float(np.sqrt(loss_se**2 + max(excess_variance, 0.0)))
-    return _Fit(coefficient, _loss_percent(coefficient), loss_se)
+    variance = loss_se**2 + _variance_of_depths(depth_coefficients, replicates)
+    return _Fit(coefficient, _loss_percent(coefficient), float(np.sqrt(variance)))
+
+
+def _variance_of_depths(coefficients: Floats, replicates: Floats) -> float:
+    """Variance of the losses of the depths, in per cent, beyond what the jackknife says of them.
+
+    A true cupping is the same at every depth; a coating that is thinner in the middle is not.
+    Depths do not err alike by chance only: what they scatter is an error of their mean.
+    """
+    is_valid = np.isfinite(coefficients) & np.isfinite(replicates).all(axis=0)
+    if np.count_nonzero(is_valid) < 2:
+        return 0.0
+    losses = 100.0 * coefficients[is_valid]
+    se = 100.0 * _jackknife_errors(replicates[:, is_valid])
+    variance = np.maximum(se, 1e-3) ** 2
+    w = 1.0 / variance
+    mean_loss = float(np.sum(w * losses) / w.sum())
+    excess_variance = float(np.mean((losses - mean_loss) ** 2 - variance))
+    return max(excess_variance, 0.0)
 
 
 def _fit_coefficients(

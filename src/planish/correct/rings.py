@@ -90,7 +90,7 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
         shape = np.zeros(bins)
         shape[ring_bins] = ring
         in_blocks = [(p[ring_bins], e[ring_bins]) for p, e in blocks]
-        factor = _block_factors(ring, in_blocks) if len(blocks) > 1 else np.ones(1)
+        factor = _block_factors(ring, in_blocks)
         crest = ring_bins.start + int(np.argmax(np.abs(ring)))
         height = float(profile[crest])
         shapes.append(shape)

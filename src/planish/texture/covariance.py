@@ -35,10 +35,11 @@ class Lags:
         self.lag_um = [
             fft.fftfreq(k, 1.0 / k) * p for k, p in zip(self._size, pixel_um, strict=True)
         ]
+        down_um, across_um = self.lag_um
         self.inside = np.logical_and.outer(
-            *(np.abs(lag) <= m * p for lag, m, p in zip(self.lag_um, reach, pixel_um, strict=True))
+            np.abs(down_um) <= reach[0] * pixel_um[0], np.abs(across_um) <= reach[1] * pixel_um[1]
         )
-        self.distance_um = np.hypot(self.lag_um[0][:, None], self.lag_um[1])
+        self.distance_um = np.hypot(down_um[:, None], across_um)
         # Rings one pixel wide; the numbers of pairs are whole.
         self._ring = np.rint(self.distance_um / max(pixel_um)).astype(np.intp)
         self._mask = self.transform(is_valid.astype(np.float64))
@@ -131,16 +132,14 @@ class PairCovariances:
         auto_products = [lags.products(m, m) for m in (a, b)]
         cross_products = lags.products(a, b)
         self.used = [lags.until_zero(p) for p in auto_products]
-        self.xx, self.yy = (
-            lags.covariance(p, use) for p, use in zip(auto_products, self.used, strict=True)
-        )
+        self.xx, self.yy = map(lags.covariance, auto_products, self.used)
         # For the interval all are cut alike: where r is large they nearly cancel each other.
         used = self.used[0] | self.used[1]
         self._together = [lags.covariance(p, used) for p in (*auto_products, cross_products)]
-        self.variances = tuple(float(p[0, 0]) / lags.n for p in auto_products)
-        self._put_back = [
-            float(c[0, 0]) - v for c, v in zip((self.xx, self.yy), self.variances, strict=True)
-        ]
+        x_products, y_products = auto_products
+        self.variances = (float(x_products[0, 0]) / lags.n, float(y_products[0, 0]) / lags.n)
+        variance_x, variance_y = self.variances
+        self._put_back = (float(self.xx[0, 0]) - variance_x, float(self.yy[0, 0]) - variance_y)
 
     def variance_of_r(self, variances: Pair | None = None) -> float:
         """Variance of r of unrelated maps (Dutilleul 1993).
@@ -152,17 +151,14 @@ class PairCovariances:
         row_y = self.lags.sums(yy)
         sum_x = float(row_x.sum())
         sum_y = float(row_y.sum())
-        trace = (
-            float(np.sum(self.lags.pairs * xx * yy))
-            - 2.0 / n * float(np.sum(row_x * row_y))
-            + sum_x * sum_y / n**2
-        )
-        product = math.prod(  # What is put back into the covariances belongs to the variances, too.
-            n * v + p * n - s / n
-            for v, p, s in zip(
-                variances or self.variances, self._put_back, (sum_x, sum_y), strict=True
-            )
-        )
+        trace = float(np.sum(self.lags.pairs * xx * yy))
+        trace -= 2.0 / n * float(np.sum(row_x * row_y))
+        trace += sum_x * sum_y / n**2
+        # What is put back into the covariances belongs to the variances, too.
+        variance_x, variance_y = variances or self.variances
+        back_x, back_y = self._put_back
+        product = n * variance_x + back_x * n - sum_x / n
+        product *= n * variance_y + back_y * n - sum_y / n
         return trace / product if product > 0 else math.nan
 
     def n_eff(self, n: int, variances: Pair | None = None) -> float:
@@ -208,19 +204,15 @@ class PairCovariances:
         return max(self.spatial_error(r)[1], 1.0)
 
     def _influence(self, r: float, variances: Pair | None) -> Floats:
-        sd_x, sd_y = (
-            math.sqrt(v + p)
-            for v, p in zip(variances or self.variances, self._put_back, strict=True)
-        )
+        variance_x, variance_y = variances or self.variances
+        back_x, back_y = self._put_back
+        sd_x = math.sqrt(variance_x + back_x)
+        sd_y = math.sqrt(variance_y + back_y)
         xx, yy, xy = self._together
         xx, yy, xy = xx / sd_x**2, yy / sd_y**2, xy / (sd_x * sd_y)
         yx = _reversed(xy)
-        terms = (
-            xx * yy
-            + xy * yx
-            - r * (xx + yy) * (xy + yx)
-            + r * r / 2 * (xx**2 + yy**2 + xy**2 + yx**2)
-        )
+        squares = xx**2 + yy**2 + xy**2 + yx**2
+        terms = xx * yy + xy * yx - r * (xx + yy) * (xy + yx) + r * r / 2 * squares
         return self.lags.pairs * terms / (1 - r * r) ** 2
 
 

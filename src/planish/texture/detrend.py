@@ -53,15 +53,16 @@ def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
 
     Empty where it is less than a quarter of either.
     """
-    detrended = [without_trend(m, is_valid)[is_valid] for m in (x, y)]
-    shares = [
-        1.0 - float(m.var()) / float(v[is_valid].var())
-        for m, v in zip(detrended, (x, y), strict=True)
-    ]
+    a, b = (without_trend(m, is_valid)[is_valid] for m in (x, y))
+    variances = float(a.var()), float(b.var())
+    shares = (
+        1.0 - variances[0] / float(x[is_valid].var()),
+        1.0 - variances[1] / float(y[is_valid].var()),
+    )
     if min(shares) < 0.25:
         return ""
-    spread = math.sqrt(float(detrended[0].var()) * float(detrended[1].var()))
-    r = float(np.mean(detrended[0] * detrended[1])) / spread if spread > 0 else math.nan
+    spread = math.sqrt(math.prod(variances))
+    r = float(np.mean(a * b)) / spread if spread > 0 else math.nan
     return (
         f"Trends over the whole field hold {100 * shares[0]:.0f} % of the variance of the first map"
         f" and {100 * shares[1]:.0f} % of that of the second; without them r is {r:.2f}."
@@ -100,7 +101,8 @@ class PhaseSurrogate:
 
 def _tapered(n: int) -> Floats:
     """Tapered cosine (Tukey) window; scipy.signal has it too but takes half a second to import."""
-    depth = np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (0.4 * max(n - 1, 1))
+    place = np.arange(n)
+    depth = np.minimum(place, place[::-1]) * 2 / (0.4 * max(n - 1, 1))
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(depth, 1.0))
 
 
@@ -185,4 +187,5 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     k = int(below[0])
     if k == 0:
         return step
-    return float(step * (k - 1 + (mean[k - 1] - np.exp(-1.0)) / (mean[k - 1] - mean[k])))
+    part = (mean[k - 1] - np.exp(-1.0)) / (mean[k - 1] - mean[k])
+    return float(step * (k - 1 + part))

@@ -15,6 +15,7 @@ from planish.core.typing import Bools, Floats, Pair
 from planish.texture.ncc import (
     MARGIN,
     MaskedNcc,
+    Peak,
     covariance_of,
     find_peak,
     lost_between_pixels,
@@ -85,6 +86,16 @@ class LagField:
         return coefficients[0], coefficients[1:].T, np.sqrt(4.0 * np.outer(variance, spread))
 
 
+def _place_of(
+    peak: Peak | None, a: Floats, b: Floats, a_valid: Bools, b_valid: Bools
+) -> tuple[Floats, Floats]:
+    """Lag and its covariance in pixels, along x and y; NaN where there is no summit."""
+    if peak is None or not peak.inner:
+        return np.full(2, np.nan), np.full((2, 2), np.nan)
+    covariance = covariance_of(peak, a, b, a_valid, b_valid) + lost_between_pixels(peak)
+    return peak.summit_px[::-1], covariance[::-1, ::-1]
+
+
 def lag_field(
     a: Floats,
     b: Floats,
@@ -136,14 +147,9 @@ def lag_field(
             r = float(np.nanmax(correlate(values[rows, cols])[allowed], initial=0.0))
             null_z.append(float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)))
         centre_um = (np.array([col, row]) + (np.array(side_px[::-1]) - 1) / 2) * step
-        lag = np.full(2, np.nan)
-        covariance = np.full((2, 2), np.nan)
-        if peak is not None and peak.inner:
-            lag = peak.summit_px[::-1] * step
-            covariance_px = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)
-            covariance_px += lost_between_pixels(peak)
-            covariance = covariance_px[::-1, ::-1] * np.outer(step, step)
-        tiles.append((centre_um, lag, covariance, peak.r if peak else np.nan, share))
+        lag, covariance = _place_of(peak, a[rows, cols], b[rows, cols], *masks)
+        r = np.nan if peak is None else peak.r
+        tiles.append((centre_um, lag * step, covariance * np.outer(step, step), r, share))
     table = np.array(tiles, dtype=_TILE)
     # a field has many tiles.
     limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf

@@ -50,9 +50,8 @@ class LagSearch:
     def share_of(self, subset: slice, lag_px: tuple[int, int]) -> float:
         """R² at a lag with some of the maps only."""
         g = self._products_at(lag_px)[subset]
-        return float(
-            g @ np.linalg.pinv(self._inner[subset, subset], rcond=1e-6, hermitian=True) @ g
-        )
+        inverse = np.linalg.pinv(self._inner[subset, subset], rcond=1e-6, hermitian=True)
+        return float(g @ inverse @ g)
 
     def limit(self, reach: tuple[int, int]) -> float:
         """Height that unrelated textures exceed within reach in 1 of 1000 cases."""
@@ -67,7 +66,8 @@ class LagSearch:
             np.abs(np.tensordot(weights, self._x_hat, 1)) ** 2 * power_y for weights in across
         ]
         # As in `relate`.
-        variance = max(float(np.sum(m)) for m in powers) / (self._size[0] * self._size[1] * n**3)
+        largest = max(float(np.sum(m)) for m in powers)
+        variance = largest / (self._size[0] * self._size[1] * n**3)
         fy = 2 * np.pi * fft.fftfreq(self._size[0])[:, None]
         fx = 2 * np.pi * fft.rfftfreq(self._size[1])[None, :]
         power = np.sum(powers, axis=0)
@@ -88,9 +88,8 @@ class LagSearch:
         x_slices, y_slices = overlap(self._y.shape, peak.lag_px)
         is_valid = self._is_valid[x_slices] & self._is_valid[y_slices]
         x, y = self._x[:, x_slices[0], x_slices[1]], self._y[y_slices]
-        slopes = np.stack(
-            [np.where(is_valid, np.gradient(self._y, axis=k)[y_slices], 0.0) for k in (0, 1)]
-        )
+        gradients = [np.gradient(self._y, axis=axis)[y_slices] for axis in (0, 1)]
+        slopes = np.where(is_valid, gradients, 0.0)
         n = int(np.count_nonzero(is_valid))
         fitted = np.tensordot(self.weights(peak.lag_px), x, 1)
         residual = np.where(is_valid, y - fitted, 0.0)

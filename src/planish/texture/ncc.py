@@ -18,6 +18,8 @@ LEAST_PAIRS = 0.2
 MARGIN = 4  # pixels of r that have to be known around the lags that are searched
 # Standard deviation in pixels below which a peak is that of features of few pixels.
 _NARROW = 1.2
+# Of derivatives along rows and columns: height, slopes, curvature.
+_ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 
 class MaskedNcc:
@@ -43,10 +45,8 @@ class MaskedNcc:
         enough = self.pairs >= max(LEAST_PAIRS * float(self.pairs.max()), 3.0)
         self._n = np.where(enough, self.pairs, np.nan)
         self._sum_a = self._lags(self._a * mask_b)
-        self._var_a = (
-            self._lags(np.conj(padded_spectrum(a**2, self._shape)) * mask_b)
-            - self._sum_a**2 / self._n
-        )
+        squares = np.conj(padded_spectrum(a**2, self._shape))
+        self._var_a = self._lags(squares * mask_b) - self._sum_a**2 / self._n
 
     def __call__(self, b: Floats) -> Floats:
         """Return r at all lags, ``(2 reach + 1, 2 reach + 1)``, lag 0 in the middle.
@@ -125,8 +125,7 @@ def _climbed(spline: RectBivariateSpline, peak: Peak) -> Peak:
     step = np.ones(2)
     for k in range(21):
         r, y, x, yy, yx, xx = (
-            float(spline.ev(offset[0], offset[1], dx=order_y, dy=order_x))
-            for order_y, order_x in ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+            float(spline.ev(offset[0], offset[1], dx=down, dy=across)) for down, across in _ORDERS
         )
         curvature = np.array([[yy, yx], [yx, xx]])
         if yy >= 0 or np.linalg.det(curvature) <= 0:
@@ -166,12 +165,12 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     a_slices, b_slices = overlap(a.shape, peak.lag_px)
     # A cubic spline, as in `find_peak`: its slope in a pixel is half the difference of neighbouring
     # coefficients.
-    spline = np.where(b_valid, b - float(b[b_valid].mean()), 0.0)
-    spline = np.pad(
-        np.asarray(ndimage.spline_filter(spline, order=3), dtype=np.float64), 1, mode="edge"
-    )
-    differences = spline[2:, 1:-1] - spline[:-2, 1:-1], spline[1:-1, 2:] - spline[1:-1, :-2]
-    slopes = np.stack([0.5 * difference[b_slices] for difference in differences])
+    centred = np.where(b_valid, b - float(b[b_valid].mean()), 0.0)
+    spline = np.asarray(ndimage.spline_filter(centred, order=3), dtype=np.float64)
+    spline = np.pad(spline, 1, mode="edge")
+    slope_y = 0.5 * (spline[2:, 1:-1] - spline[:-2, 1:-1])
+    slope_x = 0.5 * (spline[1:-1, 2:] - spline[1:-1, :-2])
+    slopes = np.stack([slope_y[b_slices], slope_x[b_slices]])
     is_valid = a_valid[a_slices] & b_valid[b_slices]
     n = int(is_valid.sum())
     u = standard(a[a_slices], is_valid) - peak.r * standard(b[b_slices], is_valid)
@@ -213,6 +212,10 @@ def overlap(
     shape: tuple[int, ...], lag: tuple[int, int]
 ) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Return the pixels of a, and those of b that lie on them at a lag."""
-    a_slices = [slice(max(-k, 0), n - max(k, 0)) for n, k in zip(shape, lag, strict=True)]
-    b_slices = [slice(max(k, 0), n - max(-k, 0)) for n, k in zip(shape, lag, strict=True)]
-    return (a_slices[0], a_slices[1]), (b_slices[0], b_slices[1])
+    (rows, cols), (down, across) = shape, lag
+    a_slices = _overlapping(rows, down), _overlapping(cols, across)
+    return a_slices, (_overlapping(rows, -down), _overlapping(cols, -across))
+
+
+def _overlapping(n: int, lag: int) -> slice:
+    return slice(max(-lag, 0), n - max(lag, 0))
