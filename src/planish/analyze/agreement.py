@@ -3,16 +3,15 @@
 Bias, scatter and limits of agreement, the line between both, and waves in common.
 """
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import (
     LEAST,
     LEAST_CLAIMED,
@@ -31,9 +30,6 @@ from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Floats, Pair, Pixel
 from planish.texture.covariance import Lags, PairCovariances, scatter_of
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
 
 LIMIT = 1.96
 """Standard deviations of differences that hold 95 % of normal ones, as Bland and Altman write

@@ -1,13 +1,12 @@
 """The attenuation limit: r of a perfect relation, as misplacement, points and noise lower it."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import fft
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.split_half import Reliability, reliability_of
 from planish.core.arrays import values_of
@@ -15,10 +14,6 @@ from planish.core.bands import thinned
 from planish.core.errors import InputError
 from planish.core.typing import Array, Floats, Pixel
 from planish.texture.covariance import Lags, covariance_of
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
-
 
 _QUANTILES = 16  # of the errors of a map
 

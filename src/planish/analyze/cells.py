@@ -4,8 +4,6 @@ A map of truth values or of labels is a factor: of each level but the first the 
 taken that has it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

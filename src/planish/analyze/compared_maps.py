@@ -1,7 +1,5 @@
 """The maps that stand for two layers, as every question of a correlation is given them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -6,14 +6,13 @@ It holds where the maps vary unevenly, and is too narrow where they reach far: t
 used.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import (
     LEAST_CLAIMED,
     correlate,
@@ -26,9 +25,6 @@ from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Pair, Pixel
 from planish.texture.covariance import BANDWIDTH, Lags, PairCovariances
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
 
 
 class ConleyInterval(ResultModel):

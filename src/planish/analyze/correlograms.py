@@ -3,15 +3,14 @@
 Where they agree best, how wide that peak is, and what chance reaches.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 from scipy import fft, ndimage, optimize, special
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import LEAST_CLAIMED, check_varying, on_one_grid
 from planish.analyze.distributions import normal_tail
 from planish.core.errors import CannotMeasure, SizeError
@@ -19,10 +18,6 @@ from planish.core.facts import Interval, ResultModel, Value
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.ncc import MaskedNcc
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
-
 
 _CHANCE = 0.01  # a band at 95 % is exceeded by 10-18 % of smooth maps
 _RAYS = 72

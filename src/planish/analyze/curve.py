@@ -6,16 +6,15 @@ The curve is not chosen: over the weights of one field, a line carries nearly al
 saturating curve.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import LEAST_CLAIMED, check_varying, correlate, valid_pixels
 from planish.analyze.distributions import t_95
 from planish.core.arrays import values_of
@@ -23,9 +22,6 @@ from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Floats, Pixel
 from planish.texture.covariance import Lags, scatter_of
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

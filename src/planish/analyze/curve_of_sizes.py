@@ -1,23 +1,19 @@
 """Correlation of two maps against the size of points, with a band that holds the whole curve."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import special
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import Correlation, PointsCorrelation, correlate, valid_pixels
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
 from planish.core.facts import Interval, optional
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Floats, Pixel
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
 
 
 class SizeRow(PointsCorrelation):

@@ -4,8 +4,6 @@ A product with the covariance of a stationary field is a convolution (FFT), and 
 applied by conjugate gradients: memory grows with the cells, not with their square.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

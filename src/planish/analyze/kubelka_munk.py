@@ -4,11 +4,9 @@ Light goes straight down and up in it; what scatters sideways is left out. A map
 some 0.2 mm is blurred by that, and its brightness follows the coating less than the theory says.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -16,15 +14,13 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy import optimize
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.curve import independent_points, known_points
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.reflectance import layer_over
 from planish.core.typing import Floats, Pair
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
 
 # S times the mean of x, up to where a layer hides everything, and the backing.
 _LOW = np.array([0.0, 0.0])

@@ -4,17 +4,16 @@ Fall-off and ramps are a quadratic field of x and y. Field and map are fitted to
 together: a field that is fitted alone also takes off the long waves that both have in common.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 from scipy import special
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import (
     LEAST_CLAIMED,
     Correlation,
@@ -30,9 +29,6 @@ from planish.core.facts import Interval, Unsaved, Value, optional
 from planish.core.grid import Grid
 from planish.core.typing import Bools, Floats, Pair
 from planish.texture.covariance import Lags
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
 
 _TERMS = 5  # of the field, beside its mean
 _LEAST_SIDE = 3  # points that a quadratic term needs along an axis

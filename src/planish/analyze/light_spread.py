@@ -1,15 +1,14 @@
 """A coating as an image shows it where light spreads in the paper before it comes out again."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 from scipy import fft
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import PointsCorrelation, correlate, valid_pixels
 from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean
@@ -18,9 +17,6 @@ from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Floats, Pixel
 from planish.texture.spectra import padded_shape, padded_spectrum
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
 
 
 class _Spread(ResultModel):

@@ -1,7 +1,5 @@
 """Multiple regression on the cells of a field, whose errors know that cells are neighbours."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -3,25 +3,21 @@
 Coherence, phase and transfer gain, ring by ring.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 from scipy import fft, ndimage
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import valid_pixels
 from planish.core.errors import CannotMeasure
 from planish.core.facts import ResultModel, Unsaved, Value, optional
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Complexes, Floats, Ints, Pair, Pixel
 from planish.texture.detrend import without_trend
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
 
 
 class Band(ResultModel):

@@ -1,7 +1,5 @@
 """A quadratic field of x and y over an image, such as an uneven light."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

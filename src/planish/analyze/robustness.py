@@ -3,19 +3,18 @@
 Other origins of the points, short waves alone, and what other maps explain.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from pydantic import Field
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import (
     LEAST,
     Correlation,
@@ -35,9 +34,6 @@ from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Floats, Pixel
 from planish.measure.registry import shared_parts
 from planish.texture.textures import low_pass
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
 
 
 class _Given(ResultModel):

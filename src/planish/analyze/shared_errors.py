@@ -4,8 +4,6 @@ A coating is thinner by what the base is thicker where their interface was found
 stated errors of the maps follow those of the surfaces, and from these the covariances.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

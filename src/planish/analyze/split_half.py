@@ -7,24 +7,19 @@ Thicknesses and half thicknesses are taken from the faces of each column itself:
 which cross from column to column, neighbouring rows would share their noise.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import correlate
+from planish.analyze.sheet_columns import SheetColumns
 from planish.core.area import area_mean
 from planish.core.bands import bands
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Floats, Ints, Pair, Pixel
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
-from planish.analyze.sheet_columns import SheetColumns
 
 """Of each map that is a distance of two surfaces, the upper and the lower."""
 

@@ -1,22 +1,18 @@
 """How a map differs inside and outside of regions, such as those where a coating is thin."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import LEAST, LEAST_CLAIMED, on_one_grid, valid_pixels
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Pixel
 from planish.texture.covariance import Lags, scatter_of
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
 
 THIN_UM = (2.0, 5.0, 10.0)
 

@@ -3,25 +3,20 @@
 Its noise from pixel to pixel, its spread, and how far its texture reaches.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 from scipy import optimize
 
+from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import ResultModel, Value, optional
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 from planish.texture.covariance import Lags
-
-if TYPE_CHECKING:
-    from planish.analyze.compared_maps import ComparedMaps
-
 
 _LEAST_RINGS = 4  # for a model of three numbers
 
