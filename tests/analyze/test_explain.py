@@ -174,6 +174,7 @@ def test_too_few_independent_cells_are_refused_with_what_would_help():
         ({"of": ["a", "y"]}, InputError, "y is given twice"),
         ({"of": ["c"]}, InputError, "no map 'c'. There are"),
         ({"cell_um": 5.0}, SizeError, "smaller than a pixel"),
+        ({"cell_um": 1300.0}, SizeError, "larger than the field, 1200 um"),
         ({"corrected": True}, InputError, "No map of this model has a stated error"),
     ],
 )
@@ -207,6 +208,22 @@ def test_other_cell_sizes_stand_beside_the_declared_one(maps):
     finest = explained(maps).coefficients["a"].standardised
     assert model.sizes[0].standardised["a"] == pytest.approx(finest, rel=1e-12)
     assert "needed" in model.sizes[-1].reason or model.sizes[-1].standardised
+
+
+def test_sizes_end_with_the_field(maps):
+    model = explained(maps, of=["a"], cell_um=320.0)
+    assert [row.cell_um for row in model.sizes] == [80.0, 160.0, 320.0, 640.0]
+    assert "needed" in model.sizes[-1].reason
+
+
+def test_pixels_count_where_they_are_valid(maps):
+    shape = maps["a"].shape
+    whole = explained(maps)
+    for valid in (np.ones(shape, bool), np.ones(shape, np.uint8), np.ones(shape)):
+        assert explained(maps.assign(valid=(("v", "u"), valid))).coefficients == whole.coefficients
+    half = np.where(np.arange(shape[1]) < 32, 1.0, np.nan) * np.ones(shape)
+    known = explained(maps.assign(valid=(("v", "u"), half)))
+    assert known.n == np.isfinite(maps["y"].values[:, :32]).sum()
 
 
 def test_errors_follow_the_surfaces_that_maps_share():

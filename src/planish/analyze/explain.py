@@ -39,7 +39,7 @@ COLLINEAR = 10.0
 """Variance inflation from which the field calls predictors collinear."""
 
 _IS_SUM = 1e6  # variance inflation that no two measured maps reach: a thousandth of sd is left
-_SIZES = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the curve, in declared cells
+_SIZES = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # of the curve, in declared cells
 _LEFT = 3.0  # ranges after which a twentieth of an exponential covariance is left
 
 
@@ -177,23 +177,26 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
     InputError
         If a predictor is a sum of others, or the response of all of them.
     SizeError
-        If a cell is smaller than a pixel.
+        If a cell is smaller than a pixel, or larger than the field.
     CannotMeasure
         If there are fewer than 10 independent cells for each coefficient, a map is constant, or the
         stated errors are as large as the maps' own variation.
     """
     pixel_um = max(maps.grid.pixel_um)
-    if not pixel_um * (1 - 1e-9) <= cell_um < math.inf:
+    lengths_um = np.multiply(maps.grid.shape, maps.grid.pixel_um)
+    field_um = float(lengths_um.min())
+    least_um = pixel_um * (1 - 1e-9)
+    if not least_um <= cell_um <= field_um:
         raise SizeError(
-            f"A cell of {cell_um:g} um is smaller than a pixel of {pixel_um:g} um. Give larger"
-            " cells."
+            f"A cell of {cell_um:g} um is smaller than a pixel of {pixel_um:g} um, or larger than"
+            f" the field, {field_um:g} um. Give cells between these."
         )
     predictor_columns: list[CellColumn] = []
     for name, values in maps.predictors.items():
         predictor_columns += columns_of(name, values)
     response_name = str(maps.response.name)
     columns = [CellColumn(name=response_name, values=maps.response), *predictor_columns]
-    sizes_um = [cell_um * share for share in _SIZES if cell_um * share >= pixel_um]
+    sizes_um = [size_um for size_um in cell_um * _SIZES if least_um <= size_um <= field_um]
     cells_by_size = means_over_cells(
         columns, maps.masks, pixel_um=maps.grid.pixel_um, sizes_um=sizes_um
     )

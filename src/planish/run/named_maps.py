@@ -58,6 +58,8 @@ def maps_of_dataset(data: xr.Dataset, verb: str) -> dict[str, NamedMap]:
         call_format=f"pl.{verb}({{}})",
         source="pl.resample_maps(...)",
     )
+    if "valid" in data:
+        data = data.assign(valid=data["valid"] > 0)  # a missing one is not
     return {str(name): NamedMap(values=m, layer="", group=data) for name, m in data.items()}
 
 
