@@ -34,7 +34,7 @@ def fit_errors(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Flo
     The thickness of a coating, and the standard deviations of the errors of its face, of its
     thickness and of its interface.
     """
-    if not any(priors.coated) or priors.embedded_level:
+    if not any(priors.coated):
         return {}
     patches = patches_of(columns, guide, _COLUMNS)
     errors_of: dict[bool, list[Floats]] = {True: [], False: []}
@@ -69,7 +69,8 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
     grey, _ = oriented(columns, patch, part, replace(priors.scale, blend_sd=0.0))
     width = priors.edge.width
     sd_px = [width * columns.pitch[2] / p for p in columns.pitch[:2]]
-    again = replace(priors, edge=replace(priors.edge, fringe=0.0))
+    # Film and other material beside the sheet are not made again.
+    again = replace(priors, edge=replace(priors.edge, fringe=0.0), embedded_level=0.0)
     border = max(priors.scale.halo, int(3.0 * max(sd_px)) + 1)
     errors: dict[bool, Floats] = {}
     for k, from_high in enumerate((True, False)):
@@ -122,9 +123,20 @@ def _remade(
     core_index = np.rint(first + np.abs((depth - first) % (2.0 * length) - length)).astype(int)
     core = np.take_along_axis(inward, np.clip(core_index, 0, depth[-1]), axis=2)
     remade = float(priors.sides[from_high].level[2]) * (below_face - base) + core * base
-    last_air = int(np.nanmin(expected[0]) - priors.search_px)
-    if last_air >= _LEAST_AIR:
-        to_and_fro = np.r_[0:last_air, last_air - 1 : -1 : -1]
-        air = inward[..., np.resize(to_and_fro, depth.size)]
-        remade += air * np.sqrt(np.maximum(1.0 - base**2, 0.0))
+    air = _air(inward, expected, priors.search_px)
+    if air.shape[2] >= _LEAST_AIR:
+        to_and_fro = np.r_[0 : air.shape[2], air.shape[2] - 1 : -1 : -1]
+        noise = air[..., np.resize(to_and_fro, depth.size)]
+        remade += noise * np.sqrt(np.maximum(1.0 - base**2, 0.0))
     return remade.astype(np.float32, copy=False)
+
+
+def _air(
+    inward: NDArray[np.float32], expected: tuple[Floats, Floats], search_px: float
+) -> NDArray[np.float32]:
+    """Air on that side of the sheet that has the more even one: on the other a film may lie."""
+    outside = int(np.nanmin(expected[0]) - search_px)
+    beyond = int(np.nanmin(inward.shape[2] - 1 - expected[1]) - search_px)
+    sides = [inward[..., : max(outside, 0)], inward[..., ::-1][..., : max(beyond, 0)]]
+    enough = [air for air in sides if air.shape[2] >= _LEAST_AIR]
+    return min(enough, key=np.nanstd, default=inward[..., :0])
