@@ -27,6 +27,7 @@ from planish.surface.survey import Survey
 
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
 _BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # columns
+_LEAST_BLEND = 0.4  # columns: what is narrower gives a neighbour less than a twentieth of the weight
 _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts for more
 
 
@@ -153,8 +154,9 @@ class Sampler:
         elif (cnr := step / self.noise) < _QUIET:
             # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
             blend_sd = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5, widest)
-            self._blend(blend_sd)
-            self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend_sd)
+            if blend_sd >= _LEAST_BLEND:
+                self._blend(blend_sd)
+                self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend_sd)
         # What rounding to whole numbers takes off, and no column is a staircase to within a
         # hundredth of its contrast.
         rounding_sd = 12.0**-0.5 if np.issubdtype(self.columns.volume.dtype, np.integer) else 0.0
