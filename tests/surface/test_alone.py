@@ -74,6 +74,23 @@ def test_stated_errors_are_those_of_the_fit_in_valleys():
         assert 0.7 < np.sqrt(np.mean((error / stated)[is_known] ** 2)) < 1.5
 
 
+@pytest.mark.ci
+def test_errors_beside_a_film_are_those_without_it():
+    made, _ = valleys()
+    grey = made.values.copy()
+    air = np.random.default_rng(5).normal(AIR, 8.0, (40, *grey.shape[1:]))
+    film = np.random.default_rng(6).normal(100.0, 8.0, (14, *grey.shape[1:]))
+    beside = np.concatenate([air, film, air[:4], grey, air]).clip(0, 255).astype(np.uint8)
+    alone = find_surfaces(
+        volume(np.concatenate([air, grey, air]).clip(0, 255).astype(np.uint8), VOXEL)
+    )
+    with_film = find_surfaces(volume(beside, VOXEL))
+    for side in ("top", "bottom"):
+        stated = np.array(with_film.attrs[f"fit_errors_{side}_um"]).reshape(4, -1)
+        expected = np.array(alone.attrs[f"fit_errors_{side}_um"]).reshape(4, -1)
+        np.testing.assert_allclose(stated[2].mean(), expected[2].mean(), rtol=0.2)
+
+
 def test_a_coating_that_is_nowhere_thick_is_alone_nowhere():
     sheet = Sheet(lateral=(40, 44), margin=20.0, thickness=60.0, coats=(5.0, 5.0))
     found = find_surfaces(sheet.volume())

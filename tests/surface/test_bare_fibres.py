@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from planish.measure import measure_properties
 from planish.surface import find_surfaces
-from planish.surface.faces import outermost_crossing
+from planish.surface.faces import _loose_fibres, outermost_crossing
 from planish.surface.learn import _shows_voids
 from surface.sheets import volume as voxels
 
@@ -88,6 +88,37 @@ def test_strong_fringes_make_no_coating_of_walls():
     assert found.attrs["fringe"] > 0.2
     error = (found["thickness"].values - true)[10:-10, 10:-10]
     assert abs(np.nanmedian(error)) < 1.5
+
+
+def test_a_fibre_that_stands_out_of_a_rough_face_is_loose():
+    rng = np.random.default_rng(2)
+    rough = ndimage.gaussian_filter(rng.standard_normal((160, 170)), 2.0)
+    face = 40.0 - 1.5 * rough / rough.std()  # voxels of 3 um, read from outside
+    usual = _loose_fibres(face, (3.0, 3.0, 3.0))
+    assert usual.mean() < 0.01
+    rows, cols = np.indices(face.shape)
+    fibre = (np.abs(rows - 60 - 0.5 * (cols - 80)) < 4) & (np.abs(cols - 80) < 40)
+    found = _loose_fibres(np.where(fibre, face - 8.0, face), (3.0, 3.0, 3.0))
+    assert found[fibre].mean() > 0.95
+    assert found[~fibre].mean() < 0.01
+
+
+@pytest.mark.ci
+def test_thickness_does_not_count_a_loose_fibre():
+    solid = laid(3, 700, 7)
+    heights = solid.shape[2] - solid[..., ::-1].argmax(axis=2)
+    over = np.zeros(solid.shape[:2], dtype=bool)
+    over[100:108, 60:150] = True
+    lifted = int(heights[over].max()) + 10
+    loose = solid.copy()
+    loose[100:108, 60:150, lifted : lifted + 6] = 1.0
+    _, true = scanned(solid, 6.0, 4)
+    volume, _ = scanned(loose, 6.0, 4)
+    found = measure_properties(find_surfaces(volume), volume=volume)
+    middle = (slice(68, 71), slice(45, 95))
+    error = found["thickness"].values[middle] - true[middle]
+    assert np.isfinite(error).mean() > 0.9
+    assert abs(np.nanmedian(error)) < 4.0
 
 
 def test_a_base_shows_voids_where_it_has_more_dark_places_than_light_ones():

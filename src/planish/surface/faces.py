@@ -20,7 +20,8 @@ from planish.surface.columns import WALL_UM, Columns, Guide, Priors, join_tiles,
 _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
 _MOST_OF = 0.8
 _AROUND = 5  # columns along the edge of a neighbourhood
-_SPARSE_UM, _SPARSE_AROUND = 10.0, 9  # faces this far apart, so many along an edge: some 90 um
+# Faces this far apart, so many along an edge: a fibre of 40 um takes less than a fifth of them.
+_SPARSE_UM, _SPARSE_AROUND = 20.0, 11
 _LEVEL_DOUBT = 0.14  # of a wall's grey: what filler and walls thinner than the blur leave open
 FitJob = tuple[Columns, Guide, Priors, Floats | None]
 """Of a tile's fit: the guide is that of the tile and its halo; of (2, rows, cols), where given,
