@@ -27,7 +27,9 @@ from planish.surface.survey import Survey
 
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
 _BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # columns
-_LEAST_BLEND = 0.4  # columns: what is narrower gives a neighbour less than a twentieth of the weight
+_LEAST_BLEND = (
+    0.4  # columns: what is narrower gives a neighbour less than a twentieth of the weight
+)
 _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts for more
 
 
