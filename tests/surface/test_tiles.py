@@ -73,7 +73,7 @@ def test_neither_threads_nor_memory_change_a_byte(way):
 
 
 def test_a_volume_on_disk_is_read_in_parts_and_gives_the_same():
-    grey, *_ = slab(shape=(60, 80, 90), wave=10.0)
+    grey, *_ = slab(shape=(60, 210, 200), wave=10.0)
     grey = np.rint(grey).astype(np.uint8)
     data, asked = lazy(grey)
     found = find_surfaces(data, engine=Engine(threads=2, memory_bytes=2**21))

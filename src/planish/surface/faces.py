@@ -116,9 +116,10 @@ def _found_again(
     faint to be searched for.
     """
     search_depths = np.full((2, *depths.shape[1:]), np.nan)
+    usual_px = np.zeros(2)
     for k, from_high in enumerate((True, False)):
         if priors.sides[from_high].coated:
-            around, is_lost = _lost(depths[2 * k], columns.pitch[2])
+            around, is_lost, usual_px[k] = _lost(depths[2 * k], columns.pitch[2])
             search_depths[k] = np.where(is_lost, around, np.nan)
     known_place = replace(priors, search_px=0.0)
 
@@ -132,7 +133,8 @@ def _found_again(
     found = join_tiles(depths_by_tile, np.full(depths.shape, np.nan))
     for k in range(2):
         planes = slice(2 * k, 2 * k + 2)
-        is_found = np.isfinite(search_depths[k]) & np.isfinite(found[2 * k])
+        # What lies farther off is something else, such as the rim of a particle.
+        is_found = np.abs(found[2 * k] - search_depths[k]) <= usual_px[k]
         depths[planes] = np.where(is_found, found[planes], depths[planes])
     return depths
 
@@ -213,23 +215,29 @@ def _cleaned(
 
 def largest_step_px(deviations_px: Floats, step_um: float) -> float:
     """By how much a column's face may stand off its neighbours', in voxels: 3 um or 3 voxels."""
-    return max(8.0 * mad_sd(deviations_px) + 1.0, 3.0 / step_um, 3.0)
+    return max(_usual_step_px(deviations_px), 3.0 / step_um, 3.0)
 
 
-def _lost(face: Floats, step_um: float) -> tuple[Floats, Bools]:
-    """Face of the columns around, and where most of them have one that a column lacks or is off.
+def _usual_step_px(deviations_px: Floats) -> float:
+    """By how much faces stand off their neighbours', in voxels, next to chance."""
+    return 8.0 * mad_sd(deviations_px) + 1.0
+
+
+def _lost(face: Floats, step_um: float) -> tuple[Floats, Bools, float]:
+    """Face of the columns around, where a column lacks theirs, and how far faces vary, in voxels.
 
     With next to no coating a face may be too faint to be found in noise, but not to be found again
-    where its neighbours say.
+    where most of the columns around say.
     """
     is_found = np.isfinite(face)
     if not is_found.any():
-        return face, is_found
+        return face, is_found, 0.0
     around = ndimage.median_filter(filled(face), size=_AROUND, mode="nearest")
     deviation_px = np.abs(face - around)
+    usual_px = _usual_step_px(deviation_px[is_found])
     is_found &= deviation_px <= largest_step_px(deviation_px[is_found], step_um)
     share = ndimage.uniform_filter(is_found.astype(np.float64), _AROUND)
-    return around, ~is_found & (share > 0.5)
+    return around, ~is_found & (share > 0.5), usual_px
 
 
 def _loose_fibres(face: Floats, pitch: tuple[float, float, float]) -> Bools:
@@ -323,7 +331,9 @@ def fit_tile(job: FitJob, tile: Tile) -> Floats:
             off = np.sqrt(0.5 * ((inwards - face) ** 2 + (face - outwards) ** 2))
             below_first = first_where(inward_grey <= levels[0], np.ceil(filled(face)))
             depths[2 * k], depths[4 + k] = face, off
-            depths[2 * k + 1] = outermost_crossing(inward_grey, below_first, opposite, levels[0])
+            depths[2 * k + 1] = outermost_crossing(
+                inward_grey, below_first.astype(np.float64), opposite, levels[0]
+            )
             continue
         looked_for = replace(priors, embedded_level=embedded_level)
         fit = fit_side(grey, (outer, opposite, cos_tilt), looked_for, columns, from_high)
