@@ -91,6 +91,7 @@ def test_errors_beside_a_film_are_those_without_it():
         np.testing.assert_allclose(stated[2].mean(), expected[2].mean(), rtol=0.2)
 
 
+@pytest.mark.ci
 def test_a_coating_that_is_nowhere_thick_is_alone_nowhere():
     sheet = Sheet(lateral=(40, 44), margin=20.0, thickness=60.0, coats=(5.0, 5.0))
     found = find_surfaces(sheet.volume())
