@@ -197,8 +197,16 @@ def split_rows(text: str) -> Rows:
         for number, line in hash_lines
         if line.lstrip()[1:2].isdecimal() and delimiter in line
     ]
+    rows, row_faults = _rows_of(table_lines, delimiter)
+    faults += row_faults
+    return Rows(rows=rows, comments=comments, delimiter=delimiter, faults=faults)
+
+
+def _rows_of(lines: Sequence[tuple[int, str]], delimiter: str) -> tuple[list[CsvRow], list[str]]:
+    """Rows of numbered lines, of one width, and faults of single lines."""
     rows: list[CsvRow] = []
-    for number, line in table_lines:
+    faults: list[str] = []
+    for number, line in lines:
         try:
             cells = _cells(line, delimiter)
         except csv.Error as error:
@@ -209,8 +217,7 @@ def split_rows(text: str) -> Rows:
         if any(cells):
             rows.append(CsvRow(number, cells))
     width = max((_width(row.cells) for row in rows), default=0)
-    rows = [CsvRow(row.line, row.cells[:width]) for row in rows]
-    return Rows(rows=rows, comments=comments, delimiter=delimiter, faults=faults)
+    return [CsvRow(row.line, row.cells[:width]) for row in rows], faults
 
 
 def _cells(line: str, delimiter: str) -> list[str]:

@@ -4,7 +4,7 @@ Its stored values, what they mean, and its pixel size.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from numbers import Real
 from pathlib import Path
@@ -19,7 +19,7 @@ from planish.core.errors import FileError
 from planish.core.typing import Array
 from planish.io.formats import HEAD_BYTES, PICTURES, TIFF, format_by_bytes
 from planish.io.guard import check_blown_up, check_memory, head_of, reading
-from planish.io.resolution import writer_of
+from planish.io.resolution import Writer, writer_of
 from planish.io.sizes import Stated, stated_by_tiff, stated_density
 from planish.io.tiff import (
     has_rgb,
@@ -210,7 +210,6 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         photo = exif.get_ifd(34665)
         writer = writer_of({305: image.info.get("Software")} | dict(exif), photo)
         tone = tone_of(exif, photo.get(COLOUR_SPACE), image.info)
-        dpi: Any = image.info.get("dpi")
         if decode:
             values = _raster_values(image, data, is_16_bit=is_16_bit)
         else:
@@ -218,22 +217,29 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
     colour: Colour = "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
     if image.mode not in {"1", "L", "LA", "I", "I;16", "F", "P", "PA", "RGB", "RGBA"}:
         colour = "other"
-    # Along x, y in the file.
-    density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)
-    stated = [stated_density(f"the {kind.upper()} resolution", density, "inch", writer)]
-    exif_unit = {2: "inch", 3: "cm"}.get(exif.get(296, 2), "")
-    exif_density = [_real(exif.get(tag)) for tag in (283, 282)]
-    # Programs that change one of the two resolutions may leave the other.
-    if None not in (*stated[0].um[1:], *exif_density):
-        stated.append(stated_density("the Exif resolution", exif_density, exif_unit, writer))
     return DecodedPicture(
         values=values,
         colour=colour,
         bits=16 if image.mode == "I" else 8 * values.itemsize,
-        stated=tuple(stated),
+        stated=_stated_by_raster(kind, image.info.get("dpi"), exif, writer),
         orientation=orientation if isinstance(orientation, int) else 1,
         tone=tone,
     )
+
+
+def _stated_by_raster(
+    kind: str, dpi: Any, exif: Mapping[int, Any], writer: Writer
+) -> tuple[Stated, ...]:
+    """Pixel size by the resolution of the format, and by that of Exif."""
+    # Along x, y in the file.
+    density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)
+    stated = stated_density(f"the {kind.upper()} resolution", density, "inch", writer)
+    exif_unit = {2: "inch", 3: "cm"}.get(exif.get(296, 2), "")
+    exif_density = [_real(exif.get(tag)) for tag in (283, 282)]
+    # Programs that change one of the two resolutions may leave the other.
+    if None in (*stated.um[1:], *exif_density):
+        return (stated,)
+    return stated, stated_density("the Exif resolution", exif_density, exif_unit, writer)
 
 
 def _raster_values(image: Image.Image, data: bytes, *, is_16_bit: bool) -> Array:

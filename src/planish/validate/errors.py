@@ -301,7 +301,8 @@ def hole_errors(comparison: Comparison) -> Values:
     values |= _side_errors(
         volume_uv, true_uv, np.all(distances_um < 2.0 * max(comparison.pitch_um), axis=1), "volume"
     )
-    image_um, volume_um = values.get("fle_image"), values.get("fle_volume")
+    image_um = values.get("fle_image")
+    volume_um = values.get("fle_volume")
     if image_um is not None and volume_um is not None:
         values["fle_pair"] = float(np.hypot(image_um, volume_um))
     return values

@@ -194,19 +194,24 @@ def _figure_json(line: LedgerLine) -> dict[str, Any]:
     return {**figure, **numbers, "n": len(line.measured)}
 
 
+def _mesh_verdict(lines: dict[str, LedgerLine]) -> str:
+    names = ("mesh_width", "mesh_height", "mesh_aspect")
+    worst = [lines[name].worst for name in names if name in lines]
+    errors = [abs(value) for value in worst if value is not None]
+    if not errors:
+        return "The mesh came to no rest."
+    return (
+        "The deformed mesh of Fig. 5 comes back to its size within"
+        f" {percent(max(errors) / 100, 2)}, in {number(lines['mesh_seconds'].mean, 2)} s."
+    )
+
+
 def verdict(certificate: Certificate) -> str:
     """Say in one or two sentences which errors a user may expect."""
     lines = certificate.lines()
-    means = {name: line.mean for name, line in lines.items() if line.mean is not None}
     if certificate.scenario.kind == "mesh":
-        sizes = [name for name in ("mesh_width", "mesh_height", "mesh_aspect") if name in means]
-        if not sizes:
-            return "The mesh came to no rest."
-        worst = max(abs(lines[name].worst or 0.0) for name in sizes)
-        return (
-            "The deformed mesh of Fig. 5 comes back to its size within"
-            f" {percent(worst / 100, 2)}, in {number(means['mesh_seconds'], 2)} s."
-        )
+        return _mesh_verdict(lines)
+    means = {name: line.mean for name, line in lines.items() if line.mean is not None}
     if not means:
         return "The program gave no result on specimens like these."
     sentences = list[str]()
