@@ -5,6 +5,7 @@ A study file for one, new; how the options become a study.
 
 import ctypes
 import filecmp
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -243,21 +244,25 @@ def _compare(old_run: Path, new_run: Path) -> None:
     files = _files_of(old_run) | _files_of(new_run)
     _, differing, unmatched = filecmp.cmpfiles(old_run, new_run, files, shallow=False)
     names = sorted([*differing, *unmatched])
-    # Files of the store, of which a map has many, as a count and their groups.
-    stored = [Path(name).parts for name in names if name.startswith(f"{MAPS}/")]
-    phrases = [name for name in names if not name.startswith(f"{MAPS}/")]
-    if stored:
-        groups = ", ".join(sorted({parts[1] for parts in stored if len(parts) > 2}))
-        store_text = f"{MAPS} ({groups})" if groups else MAPS
-        phrases.insert(0, f"{len(stored)} file{'s' * (len(stored) > 1)} of {store_text}")
     text = "same bytes as"
     if names:
         verb = "differs" if len(names) == 1 else "differ"
-        text = f"{', '.join(phrases)} {verb} from"
+        text = f"{', '.join(_phrases(names, MAPS))} {verb} from"
     origin_text = ""
     if old_facts is not None and not is_this_code(old_facts["planish"], old_facts["code"]):
         origin_text = f", which was made by other code (planish {old_facts['planish']})"
     click.echo(f"{new_run}: {text} {old_run}{origin_text}", err=True)
+
+
+def _phrases(names: Sequence[str], store: str) -> list[str]:
+    """Files by name; those of the store, of which a map has many, as a count and their groups."""
+    stored = [Path(name).parts for name in names if name.startswith(f"{store}/")]
+    phrases = [name for name in names if not name.startswith(f"{store}/")]
+    if stored:
+        groups = ", ".join(sorted({parts[1] for parts in stored if len(parts) > 2}))
+        store_text = f"{store} ({groups})" if groups else store
+        phrases.insert(0, f"{len(stored)} file{'s' * (len(stored) > 1)} of {store_text}")
+    return phrases
 
 
 def _files_of(run: Path) -> set[str]:

@@ -325,7 +325,7 @@ def declared(results: SeriesResults) -> list[tuple[str, str]]:
     options = results.declared
     compared_by = results.compared_by or "nothing: one group"
     maps = dict.fromkeys(q.map for q in results.quantities)
-    margins = cast("dict[str, float]", options.get("margin") or {})
+    margins = cast("dict[str, float]", options.get("margin", {}))
     margin_texts = [f"{name} {margin:g}" for name, margin in margins.items()]
     sheets = "named in the table" if results.sheets_given else "not all named: see the cautions"
     usual = "" if options.get("compare") else " (usual)"

@@ -326,11 +326,8 @@ def _property_rows(
 ) -> Iterator[Sequence[Any]]:
     """Give a row for each figure of each property; ``why`` names the checks that concern one."""
     for name, p in sheet.properties.items():
-        trust_cells = p.n, p.trust, why(name)
-        figures = [
-            ("mean", p.mean, p.mean_standard_error, p.units),
-            ("sd", p.sd, None, p.units),
-        ]
+        trust_cells = (p.n, p.trust, why(name))
+        figures = [("mean", p.mean, p.mean_standard_error, p.units), ("sd", p.sd, None, p.units)]
         if p.coefficient_of_variation is not None:
             figures.append(("coefficient of variation", p.coefficient_of_variation, None, "1"))
         if name in sheet.uncovered_areas and p.trust != "withheld":
@@ -343,22 +340,16 @@ def _property_rows(
 
 def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
     for layer in results.layers:
+        why = partial(_why, results.checks, (layer.name,))
         if layer.sheet is not None:
-            yield from _property_rows(
-                layer.name, layer.sheet, partial(_why, results.checks, (layer.name,))
-            )
+            yield from _property_rows(layer.name, layer.sheet, why)
         r = layer.registration
-        if r is not None and (e := r.expected_error) is not None:
-            common_cells = "um", r.matched, e.trust, _why(results.checks, (layer.name,), POSITION)
+        if r is not None and r.expected_error is not None:
+            e = r.expected_error
+            figure_cells = (layer.name, "expected error of the position")
+            common_cells = ("", "um", r.matched, e.trust, why(POSITION))
             for statistic, um in (("median", e.median_um), ("largest", e.largest_um)):
-                yield (
-                    layer.name,
-                    "expected error of the position",
-                    statistic,
-                    _text(um),
-                    "",
-                    *common_cells,
-                )
+                yield *figure_cells, statistic, _text(um), *common_cells
     for row in results.correlations:
         yield from _r_rows(results, row)
     for evidence in results.evidence:
@@ -372,15 +363,10 @@ def _r_rows(results: Results, row: CorrelationRow) -> Iterator[Sequence[Any]]:
         figure_name += ", negative control"
     if results.is_light_off and results.reference.name in (row.a, row.b):
         figure_name += f", {_LIGHT_OFF}"
-    layers, figures = (row.a, row.b), (row.a_map, row.b_map, POSITION, CORRELATION)
+    layers = (row.a, row.b)
+    why = _why(results.checks, layers, row.a_map, row.b_map, POSITION, CORRELATION)
     for cells in _r_cells(row.point_um, row.r, row.interval, row.n, row.n_eff):
-        yield (
-            " ".join(layers),
-            figure_name,
-            *cells,
-            row.trust,
-            _why(results.checks, layers, *figures),
-        )
+        yield " ".join(layers), figure_name, *cells, row.trust, why
 
 
 def _why(checks: Iterable[Check], layers: Sequence[str], *figures: str) -> str:

@@ -256,7 +256,7 @@ def _compare(
 ) -> analyze.SheetDifference:
     """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
     paired = not {s.sheet for s in first}.isdisjoint(s.sheet for s in second)
-    has_fields = paired and _have_fields(first) and _have_fields(second)
+    has_fields = paired and all(map(_have_fields, (first, second)))
     fields = [_fields(specimens, k, with_names=has_fields) for specimens in (first, second)]
     if quantity.what == "r":
         difference = analyze.difference_of_pooled_r(*fields, paired=paired)

@@ -6,7 +6,6 @@ They are pairs of files that are whole and have stood still for a while.
 import re
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import Field
@@ -54,35 +53,24 @@ def watch_params(plan: Plan) -> WatchParams:
     return params
 
 
-@dataclass(frozen=True, slots=True)
-class _Pattern:
-    """Names of the files of a specimen."""
-
-    regex: re.Pattern[str]  # of a volume, each factor a group
-    part: str | None  # of each volume
-    image: str | None
-
-    def specimens(self, folder: Path) -> Iterator[PlannedSpecimen]:
-        """Specimens whose files are all in a folder."""
-        for entry in sorted(folder.iterdir()):
-            match = self.regex.fullmatch(entry.name)
-            if match is None:
-                continue
-            factors = match.groupdict()
-            images = [folder / self.image.format(**factors)] if self.image else []
-            if all(image.exists() for image in images):
-                volume = Path(f"{entry}:{self.part}") if self.part else entry
-                files = tuple(str(file.absolute()) for file in (volume, *images))
-                name = checked_name("-".join(factors.values()))
-                yield PlannedSpecimen(name=name, files=files, factors=factors)
-
-
-def _pattern_of(params: WatchParams) -> _Pattern:
+def _specimens_in(folder: Path, params: WatchParams) -> Iterator[PlannedSpecimen]:
+    """Specimens whose files are all in a folder."""
     place = find_place(params.volume)
     texts = _FACTOR.split(str(place.path))  # of a name, every second one is a factor
     for k, text in enumerate(texts):
         texts[k] = f"(?P<{text}>[^/\\\\]+?)" if k % 2 else re.escape(text)
-    return _Pattern(re.compile("".join(texts)), place.part, params.image)
+    pattern = re.compile("".join(texts))
+    for entry in sorted(folder.iterdir()):
+        match = pattern.fullmatch(entry.name)
+        if match is None:
+            continue
+        factors = match.groupdict()
+        images = [folder / params.image.format(**factors)] if params.image else []
+        if all(image.exists() for image in images):
+            volume = Path(f"{entry}:{place.part}") if place.part else entry
+            files = tuple(str(file.absolute()) for file in (volume, *images))
+            name = checked_name("-".join(factors.values()))
+            yield PlannedSpecimen(name=name, files=files, factors=factors)
 
 
 def watched(
@@ -123,14 +111,14 @@ def watched(
     InputError
         If the plan says nothing of files, or something that does not fit together.
     """
-    pattern = _pattern_of(watch_params(plan))
+    params = watch_params(plan)
     # Name of a specimen that was taken or refused -> stamp of its files.
     judged_stamps: dict[str, str] = {}
     since: dict[str, tuple[str, float]] = {}  # stamp of files, and when it was first seen
     last = clock()
     while True:
         has_new = False
-        for specimen in pattern.specimens(folder):
+        for specimen in _specimens_in(folder, params):
             name = specimen.name
             files = [Path(file) for file in specimen.files]
             stamp = " ".join(stamp_of(file) for file in files)
