@@ -406,6 +406,18 @@ MUTANTS = [
     ),
     # analyze
     Mutant(
+        "analyze/multiple_regression.py",
+        "return min(1 + 1 / variance, float(lags.n))",
+        "return float(lags.n)",
+        "analyze/test_explain.py",
+    ),
+    Mutant(
+        "analyze/shared_errors.py",
+        "covariance = signs * variances @ signs.T",
+        "covariance = abs(signs) * variances @ abs(signs).T",
+        "analyze/test_explain.py",
+    ),
+    Mutant(
         "analyze/correlation.py",
         "        is_valid = np.isfinite(x) & np.isfinite(y)\n        n = ",
         "        is_valid = np.isfinite(x)\n        n = ",
