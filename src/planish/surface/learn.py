@@ -199,8 +199,8 @@ class _Learner(Sampler):
         """Average columns until the least step of a coated sheet stands out.
 
         That is the step from the base to the coating, or from the air to the base where hardly any
-        coating is left. Averaging widens the blur by a quarter at most: a coating in a valley
-        between fibres must not be lost.
+        coating is left. Once that is seen at all, averaging widens the blur by a quarter at most: a
+        coating in a valley between fibres must not be lost.
         """
         blur_columns = edge.width * self.columns.pitch[2] / max(self.columns.pitch[:2])
         self.calm(min(base_level, coating_level - base_level), _AVERAGED * blur_columns)

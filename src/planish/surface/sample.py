@@ -27,6 +27,7 @@ from planish.surface.survey import Survey
 
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
 _BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # columns
+_SEEN = 3.0  # below it no face is found with certainty, and columns are averaged at any rate
 _LEAST_BLEND = (
     0.4  # columns: what is narrower gives a neighbour less than a twentieth of the weight
 )
@@ -139,7 +140,7 @@ class Sampler:
         """Choose how far to average columns with neighbours; say what noise and scatter remain.
 
         ``step``: the least step of grey that is looked for; ``widest``: columns that may be
-        averaged, as the standard deviation of a Gaussian.
+        averaged, as the standard deviation of a Gaussian, to see it better than just so.
         """
         self._blend(0.0)
         self.scatter = self.single_noise = self.noise = self.voxel_noise
@@ -148,14 +149,16 @@ class Sampler:
             # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps
             # less, so it is tried.
             self.noise = self.single_noise = air_noise
-            for blend_sd in _BLENDS:
-                if step / self.noise >= _QUIET or self.scale.blend_sd == widest:
+            for blend_sd in sorted({min(b, widest) for b in _BLENDS} | set(_BLENDS)):
+                is_far = self.scale.blend_sd >= widest
+                if step / self.noise >= (_SEEN if is_far else _QUIET):
                     break
-                self._blend(min(blend_sd, widest))
+                self._blend(blend_sd)
                 self.noise = self._air_noise()
         elif (cnr := step / self.noise) < _QUIET:
             # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
-            blend_sd = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5, widest)
+            quiet_sd, seen_sd = np.array([_QUIET, _SEEN]) / cnr / (2 * np.sqrt(np.pi))
+            blend_sd = min(quiet_sd, 1.5, max(seen_sd, widest))
             if blend_sd >= _LEAST_BLEND:
                 self._blend(blend_sd)
                 self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend_sd)
