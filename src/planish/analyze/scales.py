@@ -18,7 +18,7 @@ from planish.analyze.distributions import t_95
 from planish.analyze.formation import Formation, RandomSheet
 from planish.core.facts import Interval, ResultModel, Trust, Value, optional
 from planish.core.typing import Array, Complexes, Floats, Pair
-from planish.texture.octave_spectra import OctaveField, OctavePower
+from planish.texture.octave_spectra import OctaveFields, OctavePower
 
 _LEAST_SIGNAL = 0.1  # share of the power that is no noise: below, the rest says nothing of the map
 _LEAST_MODES = 4.0  # independent waves that an interval needs
@@ -103,7 +103,11 @@ class HalfDifferences:
 
 
 def octaves_of_map(
-    maps: Sequence[ScaledMap], pixel_um: Pair, halves: Sequence[HalfDifferences] = ()
+    maps: Sequence[ScaledMap],
+    pixel_um: Pair,
+    halves: Sequence[HalfDifferences] = (),
+    *,
+    fields: OctaveFields,
 ) -> tuple[MapScales, tuple[ScaleBand, ...]]:
     """What the first map is, and its octaves; with a second map what the first shows of it.
 
@@ -114,6 +118,8 @@ def octaves_of_map(
     pixel_um : (float, float), along y and x
     halves : sequence of HalfDifferences
         Those of maps 0 and 1 from one scan stand together: they may share their noise.
+    fields : OctaveFields
+        The same for maps that are described one after the other.
 
     Returns
     -------
@@ -135,22 +141,22 @@ def octaves_of_map(
     arrays = [m.values for m in maps]
     is_valid = np.logical_and.reduce([np.isfinite(values) for values in arrays])
     facts = _facts_on(maps[0].facts, arrays[0], is_valid, pixel_um)
-    field = OctaveField(is_valid, pixel_um)
+    field = fields.on(is_valid, pixel_um)
     if not field.octaves:
         reason = (
             "The field holds no octave: waves from a fifth of its shorter side down to 4 pixels"
             " count. Give a larger field, or smaller pixels."
         )
         return facts.model_copy(update={"reason": reason}), ()
-    noise = _noise_of(halves, len(maps))
+    noise = _noise_of(halves, len(maps), fields)
     mean = facts.mean if maps[0].has_zero and facts.mean > 0 else math.nan
     bands: list[ScaleBand] = []
     for power in field.powers(arrays):
         octave_noise = noise.get(power.low_um, _Noise.none(len(maps)))
-        fields = _spread(power, octave_noise, mean)
+        values = _spread(power, octave_noise, mean)
         if len(maps) > 1:
-            fields |= _relation(power, octave_noise)
-        bands.append(ScaleBand(low_um=power.low_um, high_um=power.high_um, **fields))
+            values |= _relation(power, octave_noise)
+        bands.append(ScaleBand(low_um=power.low_um, high_um=power.high_um, **values))
     return facts, tuple(bands)
 
 
@@ -181,13 +187,15 @@ class _Noise:
         return cls(np.zeros((count, count), dtype=np.complex128), np.full(count, math.inf))
 
 
-def _noise_of(halves: Sequence[HalfDifferences], count: int) -> dict[float, _Noise]:
+def _noise_of(
+    halves: Sequence[HalfDifferences], count: int, fields: OctaveFields
+) -> dict[float, _Noise]:
     """Noise of maps by the shortest wave of each octave."""
     noise: dict[float, _Noise] = {}
     for half in halves:
         numbers, differences = list(half.of_maps), list(half.of_maps.values())
         is_valid = np.logical_and.reduce([np.isfinite(values) for values in differences])
-        field = OctaveField(is_valid, half.pixel_um)
+        field = fields.on(is_valid, half.pixel_um)
         for power in field.powers(differences, rows=[half.of_rows] * len(differences)):
             octave_noise = noise.setdefault(power.low_um, _Noise.none(count))
             octave_noise.power[np.ix_(numbers, numbers)] = power.power

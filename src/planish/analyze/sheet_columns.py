@@ -11,7 +11,7 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.transform import Similarity
 from planish.core.typing import Floats
-from planish.measure.registry import LENGTHS
+from planish.measure.registry import HEIGHTS, LENGTHS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,12 +37,21 @@ class SheetColumns:
 
         NaN where it was not measured.
         """
+        is_alone = name in LENGTHS
+        return (self.faces(name) if is_alone else self.measured[name].values), is_alone
+
+    def faces(self, name: str) -> Floats:
+        """A length or a height by the faces at each column, whose noise is of this column alone.
+
+        A map itself is read along normals, between columns, and a height is above its form. Another
+        map is given as it is.
+        """
         data = self.measured
-        is_valid = np.isfinite(data[name].values)
-        if name not in LENGTHS:
-            return np.where(is_valid, data[name].values, np.nan), False
+        ends = LENGTHS.get(name) or ((HEIGHTS[name],) if name in HEIGHTS else ())
+        if not ends:
+            return data[name].values
         faces: list[Floats] = []
-        for end in LENGTHS[name]:
+        for end in ends:
             values = data[end].values
             # a side without a coating.
             if end.startswith("interface_") and not np.isfinite(values).any():
@@ -50,10 +59,9 @@ class SheetColumns:
             faces.append(values)
         slopes = np.gradient(data["centre"].values, *pitch(data))
         cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        return (
-            np.where(is_valid, Frame.of(data).sign * (faces[0] - faces[1]) * cosine, np.nan),
-            True,
-        )
+        length_um = faces[0] - faces[1] if len(faces) > 1 else faces[0]
+        outwards_um = Frame.of(data).sign * length_um * cosine
+        return np.where(np.isfinite(data[name].values), outwards_um, np.nan)
 
     def shared(self, *, alone: bool) -> str:
         """What both halves share, in words."""

@@ -188,29 +188,13 @@ def pictures_of(found: Scales) -> list[Picture]:
 
 def draw_spread(found: Scales, names: Sequence[str], *, is_cov: bool) -> Picture:
     """Draw how much maps vary in each octave: COV, or their standard deviation in one unit."""
+    factors = [1.0] * len(names)
+    label = axis_label("standard deviation", unit(found.maps[names[0]].units))
     if is_cov:
         factors = [100 / found.maps[name].mean for name in names]
         label = "coefficient of variation / %"
-    else:
-        factors = [1.0] * len(names)
-        label = axis_label("standard deviation", unit(found.maps[names[0]].units))
-    highest = 0.0
-    for name, factor in zip(names, factors, strict=True):
-        tops = [
-            max(band.interval[1], band.sd) if is_known(band.interval) else band.sd
-            for band in found.bands[name]
-        ]
-        highest = max(highest, factor * max(tops))
     canvas = Canvas(HALF, _TOP + _HIGH + 58 + LINE_PX * len(names))
-    axes = canvas.axes(
-        _LEFT, _TOP, _WIDE, _HIGH, (*_log_limits(found, names), 0.0, 1.06 * highest or 1.0)
-    )
-    for index, (name, factor) in enumerate(zip(names, factors, strict=True)):
-        values = [factor * band.sd for band in found.bands[name]]
-        intervals = [
-            (factor * band.interval[0], factor * band.interval[1]) for band in found.bands[name]
-        ]
-        _draw_octaves(axes, found.bands[name], values, intervals, index, len(names))
+    axes = _draw_octaves(canvas, (_TOP, _HIGH), found, names, "sd", "interval", factors)
     draw_log_axes(canvas, axes, "wavelength / µm", label)
     canvas.name_curves([found.maps[name].title for name in names], _LEFT, _TOP + _HIGH + 58)
     return canvas.picture(
@@ -218,8 +202,7 @@ def draw_spread(found: Scales, names: Sequence[str], *, is_cov: bool) -> Picture
         caption=(
             "Horizontal lines: octaves. Dots: standard deviation in the octave"
             f"{' over the mean of the map' if is_cov else ''}, without the noise that is known."
-            f" Vertical lines: 95 % intervals. n = {_pixels_of(found, names)} pixels;"
-            f" mask: measured, without {text.HOLES}."
+            f" {_intervals_of(found, names)}"
         ),
         data=tables_of(found),
     )
@@ -228,81 +211,67 @@ def draw_spread(found: Scales, names: Sequence[str], *, is_cov: bool) -> Picture
 def draw_relation(found: Scales) -> Picture:
     """Draw gain and squared coherence of maps for the other one, by octave."""
     names = [name for name, bands in found.bands.items() if bands]
-    canvas = Canvas(HALF, 2 * (_HIGH - 40) + 2 * _TOP + 100 + LINE_PX * len(names))
-    gains = [
-        end
-        for name in names
-        for band in found.bands[name]
-        for end in (band.gain, *band.gain_interval)
-        if is_known(end)
-    ]
-    low, high = min([0.0, *gains]), max([0.0, *gains])
-    margin = 0.06 * (high - low) or 0.1
-    limits = _log_limits(found, names)
-    upper = canvas.axes(_LEFT, _TOP, _WIDE, _HIGH - 40, (*limits, low - margin, high + margin))
-    bottom = _TOP + _HIGH + 16
-    lower = canvas.axes(_LEFT, bottom, _WIDE, _HIGH - 40, (*limits, 0.0, 1.02))
-    upper.across(0.0)
-    for index, name in enumerate(names):
-        bands = found.bands[name]
-        _draw_octaves(
-            upper,
-            bands,
-            [b.gain for b in bands],
-            [b.gain_interval for b in bands],
-            index,
-            len(names),
-        )
-        coherences = [b.coherence for b in bands]
-        _draw_octaves(
-            lower, bands, coherences, [b.coherence_interval for b in bands], index, len(names)
-        )
+    height, below = _HIGH - 40, _TOP + _HIGH + 16
+    canvas = Canvas(HALF, 2 * (height + _TOP) + 100 + LINE_PX * len(names))
+    upper = _draw_octaves(canvas, (_TOP, height), found, names, "gain", "gain_interval")
+    lower = _draw_octaves(canvas, (below, height), found, names, "coherence", "coherence_interval")
     draw_log_axes(canvas, upper, "", "gain")
     draw_log_axes(canvas, lower, "wavelength / µm", "squared coherence")
-    canvas.name_curves([found.maps[name].title for name in names], _LEFT, bottom + _HIGH + 18)
+    canvas.name_curves([found.maps[name].title for name in names], _LEFT, below + _HIGH + 18)
     return canvas.picture(
         title=f"What the maps show of {in_words(found.against_title)}, by octave of wavelength",
         caption=(
             "Above, change of the map for a change of"
             f" {axis_label(in_words(found.against_title), unit(found.against_units))}; below,"
             " squared coherence, corrected for chance; both without the noise that is known."
-            f" Vertical lines: 95 % intervals. n = {_pixels_of(found, names)} pixels;"
-            f" mask: measured, without {text.HOLES}."
+            f" {_intervals_of(found, names)}"
         ),
         data=tables_of(found),
     )
 
 
 def _draw_octaves(
-    axes: Axes,
-    bands: Sequence[ScaleBand],
-    values: Sequence[float],
-    intervals: Sequence[Pair],
-    index: int,
-    number_of_maps: int,
-) -> None:
-    """Draw values of octaves with their intervals, beside those of other maps."""
-    colour = COLOURS[index % len(COLOURS)]
-    for band, value, interval in zip(bands, values, intervals, strict=True):
+    canvas: Canvas,
+    place: Pair,
+    found: Scales,
+    names: Sequence[str],
+    key: str,
+    interval_key: str,
+    factors: Sequence[float] | None = None,
+) -> Axes:
+    """Draw one field of octaves with their intervals, those of the maps side by side.
+
+    ``place``: top and height of the axes, which are returned; they hold 0.
+    """
+    rows: list[tuple[int, ScaleBand, float, list[float]]] = []
+    for index, name in enumerate(names):
+        factor = factors[index] if factors else 1.0
+        for band in found.bands[name]:
+            ends = [factor * end for end in getattr(band, interval_key)]
+            rows.append((index, band, factor * getattr(band, key), ends))
+    ends = [end for *_, value, interval in rows for end in (value, *interval) if is_known(end)]
+    low, high = min([0.0, *ends]), max([0.0, *ends])
+    margin = 0.06 * (high - low) or 0.1
+    edges = [math.log10(edge) for _, band, *_ in rows for edge in (band.low_um, band.high_um)]
+    extent = (min(edges) - 0.03, max(edges) + 0.03, low - margin * (low < 0), high + margin)
+    axes = canvas.axes(_LEFT, place[0], _WIDE, place[1], extent)
+    axes.across(0.0)
+    for index, band, value, interval in rows:
         if not is_known(value):
             continue
-        low, high = math.log10(band.low_um), math.log10(band.high_um)
-        place = low + (high - low) * (index + 1) / (number_of_maps + 1)
-        axes.curve((low, high), (value, value), colour=colour, width=1.2)
-        if is_known(interval):
-            axes.curve((place, place), interval, colour=colour, width=1.6)
-        axes.dots([(place, value)], colour=colour, size=7)
+        colour = COLOURS[index % len(COLOURS)]
+        left, right = math.log10(band.low_um), math.log10(band.high_um)
+        middle = left + (right - left) * (index + 1) / (len(names) + 1)
+        axes.curve((left, right), (value, value), colour=colour, width=1.2)
+        if is_known(interval[0]):
+            axes.curve((middle, middle), interval, colour=colour, width=1.6)
+        axes.dots([(middle, value)], colour=colour, size=7)
+    return axes
 
 
-def _log_limits(found: Scales, names: Sequence[str]) -> Pair:
-    edges = [
-        edge for name in names for band in found.bands[name] for edge in (band.low_um, band.high_um)
-    ]
-    return math.log10(min(edges)) - 0.03, math.log10(max(edges)) + 0.03
-
-
-def _pixels_of(found: Scales, names: Sequence[str]) -> str:
+def _intervals_of(found: Scales, names: Sequence[str]) -> str:
+    """How a caption ends."""
     counts = {found.maps[name].n or 0 for name in names}
-    if len(counts) == 1:
-        return count(counts.pop())
-    return f"{count(min(counts))} to {count(max(counts))}"
+    n_text = " to ".join(count(n) for n in sorted({min(counts), max(counts)}))
+    mask = f"mask: measured, without {text.HOLES}"
+    return f"Vertical lines: 95 % intervals. n = {n_text} pixels; {mask}."

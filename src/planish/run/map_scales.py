@@ -32,13 +32,13 @@ from planish.core.grid import Grid, pitch
 from planish.core.options import params_of
 from planish.core.transform import Similarity
 from planish.core.typing import Array, Pair
-from planish.measure.registry import NEGATIVE_CONTROLS, has_true_zero
+from planish.measure.registry import HEIGHTS, LENGTHS, NEGATIVE_CONTROLS, has_true_zero
 from planish.report.scales import scales_page, tables_of
 from planish.report.sentences.scales import leading
 from planish.run.answers import write_answer
 from planish.run.named_maps import OCTAVES, NamedMap, choices, maps_of, maps_of_dataset, named
 from planish.run.run import Run, open_run
-from planish.texture.octave_spectra import OctaveField
+from planish.texture.octave_spectra import OctaveField, OctaveFields
 
 ROWS = "rows"
 """The halves of a map whose odd and even rows are two measurements."""
@@ -260,11 +260,12 @@ def _scales(
                 f"{name} holds angles of an axis, which have no standard deviation by octaves."
                 " Name other maps."
             )
+    fields = OctaveFields()
     bands: dict[str, tuple[ScaleBand, ...]] = {}
     facts: dict[str, MapScales] = {}
     for name in chosen:
         reading = read([name] if against is None else [name, against])
-        fact, rows = octaves_of_map(reading.maps, reading.pixel_um, reading.halves)
+        fact, rows = octaves_of_map(reading.maps, reading.pixel_um, reading.halves, fields=fields)
         sheet = _random_sheet(params)
         if sheet is not None and reading.maps[0].is_mass:
             rows = with_formation(rows, sheet)
@@ -353,10 +354,11 @@ def _read_columns(columns: SheetColumns, facts: Sequence[MapScales]) -> Reading:
     scaled: list[ScaledMap] = []
     of_maps: dict[int, Array] = {}
     for number, fact in enumerate(facts):
-        values, is_alone = columns.values(fact.map)
-        shared = columns.shared(alone=is_alone)
-        scaled.append(_scaled(fact.model_copy(update={"shared": shared}), values))
-        of_maps[number] = row_difference(values)
+        name = fact.map
+        shared = columns.shared(alone=name in LENGTHS or name in HEIGHTS)
+        facts_shared = fact.model_copy(update={"shared": shared})
+        scaled.append(_scaled(facts_shared, columns.measured[name].values))
+        of_maps[number] = row_difference(columns.faces(name))
     pixel_um = pitch(columns.measured)
     halves = HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=True)
     return Reading(scaled, pixel_um, [halves])

@@ -74,7 +74,7 @@ class OctaveField:
 
     def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
         self.is_valid = is_valid
-        self._pixel_um = pixel_um
+        self.pixel_um = pixel_um
         self.octaves = octaves_of(is_valid, pixel_um)
         self._shares: Levels = [is_valid.astype(np.float32)]
         while min(self._shares[-1].shape) > 1:
@@ -107,7 +107,7 @@ class OctaveField:
         waves = fft.dctn(self._filled(values)[0], norm="ortho")
         rows, cols = (
             np.arange(count) / (2.0 * count * pixel)
-            for count, pixel in zip(values.shape, self._pixel_um, strict=True)
+            for count, pixel in zip(values.shape, self.pixel_um, strict=True)
         )
         frequency = np.hypot(rows[:, None], cols)
         maps: list[Array] = []
@@ -133,6 +133,22 @@ class OctaveField:
                 filling = ndimage.map_coordinates(coarse, places, order=1, mode="nearest")
                 levels[step][rows, cols] = filling
         return levels
+
+
+class OctaveFields:
+    """The last fields that were asked for: maps that count on the same pixels share one."""
+
+    def __init__(self) -> None:
+        self._fields: list[OctaveField] = []
+
+    def on(self, is_valid: Bools, pixel_um: Pair) -> OctaveField:
+        """The field of some pixels."""
+        for field in self._fields:
+            if field.pixel_um == pixel_um and np.array_equal(field.is_valid, is_valid):
+                return field
+        field = OctaveField(is_valid, pixel_um)
+        self._fields = [*self._fields[-1:], field]
+        return field
 
 
 class _OctaveWindow:
