@@ -24,6 +24,9 @@ suppress_warnings = ["ref.python"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]
 
+# A block without a language is output or commands, which no colours fit.
+highlight_language = "text"
+
 # The signature says names and defaults; what each of them is stands in the docstring, with shape
 # and unit.
 autodoc_typehints = "none"

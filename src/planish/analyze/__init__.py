@@ -1,4 +1,4 @@
-"""How two maps on one grid are related, at which scale, and how sure: a layer above the stages.
+"""Relations of maps on one grid: how close they are, at which scales, and with what certainty.
 
 ``compare`` correlates layers, ``correlation`` is r with its interval, from covariances by lag.
 ``correlation_evidence`` holds QUESTIONS, a row a statistic beside r: ``curve_of_sizes`` and

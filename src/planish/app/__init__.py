@@ -1,4 +1,4 @@
-"""The app in the browser: check, correct and explore a run, and apply that to a new one.
+"""The app in the browser: check, correct and explore a run, and apply the changes to a new one.
 
 ``server`` answers, by ``view_routes`` and ``marks_routes``. ``session`` is a run and what was
 changed, ``changes`` one change, ``journal`` all of them on the disk. ``live`` and ``fits`` fit

@@ -1,4 +1,4 @@
-"""Checks of a run: all of a scan, a sheet, a registration and a link, in one table.
+"""Checks of a scan, a sheet, a registration and a link, in one table.
 
 ``registry`` holds CHECKS, a row a check, and what they leave of the figures. ``scan`` and
 ``windows`` read parts of a volume once; ``greys``, ``slices``, ``sheets``, ``through_scale`` and

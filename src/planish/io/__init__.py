@@ -1,4 +1,4 @@
-"""Files to volumes and images, where every length becomes micrometres, and the stores.
+"""Volumes and images from files, with every length in micrometres, and stores of results.
 
 ``formats`` is the table of formats, each read by its ``*_volume`` module; ``sizes`` settles one
 voxel or pixel size.

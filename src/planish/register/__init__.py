@@ -1,4 +1,4 @@
-"""From marks of two layers to the transformation between them.
+"""The transformation between two layers, from their marks.
 
 Which marks belong together, and how far the transformation may be off.
 

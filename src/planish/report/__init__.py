@@ -1,4 +1,4 @@
-"""From results to one HTML page that can be handed on, and to what a notebook shows.
+"""Results as one HTML page to pass on, and as a notebook shows them.
 
 ``page`` puts the sections of any run together: ``first`` the first page, ``maps``, ``relation``,
 ``diagnostics``, ``registration``, ``flattening``, ``slices``, ``tables``. ``draw`` and ``colours``

@@ -1,4 +1,4 @@
-"""From values on the flattened mesh to any regular grid, and from image to image.
+"""Values of the flattened mesh on any regular grid, and images on the pixels of others.
 
 ``maps`` is the entry point: one interpolation from column to pixel by the quads of ``places``;
 ``warp`` moves images.

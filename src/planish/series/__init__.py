@@ -1,4 +1,4 @@
-"""Series of specimens: many links as one piece of work, and what they say together.
+"""Series of specimens: many links in one command, and what they show together.
 
 ``plan`` reads the table of specimens, ``jobs`` does one and knows what is done, ``workers`` does
 all, ``watch`` takes scans as they come. ``gather`` reads the runs, ``quantities`` and ``summary``

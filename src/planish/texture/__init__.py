@@ -1,4 +1,4 @@
-"""Textures of maps, and how far two of them agree: what registration and statistics share.
+"""Textures of maps, and how closely two of them agree.
 
 ``textures`` takes what is no texture off and averages; ``detrend`` parts waves by their length, and
 makes unrelated maps; ``ncc`` is the correlation at every lag; ``lag_field`` and ``lag_search`` find

@@ -1,4 +1,4 @@
-"""Calibration certificate that states what every stage is off by.
+"""The calibration certificate, which states the error of every stage.
 
 Synthetic specimens go through the whole program.
 
