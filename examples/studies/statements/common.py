@@ -19,6 +19,7 @@ from planish.analyze.explain_sheets import explained_over_sheets
 from planish.core.area import area_mean
 from planish.core.numbers import in_ascii
 from planish.report.sentences.explain import say_answer
+from planish.report.sentences.scales import say_answer as say_octaves
 from planish.results import CorrelationRow
 from planish.series_results import SeriesResults, SeriesSpecimen
 
@@ -83,6 +84,28 @@ def explained(runs: Mapping[str, pl.Run]) -> str:
     if len(runs) > 1:
         model = explained_over_sheets(models, {sheet: sheet for sheet in models}, {})
     return f" {in_ascii(say_answer(model))}"
+
+
+def levelled(runs: Mapping[str, pl.Run]) -> str:
+    """What the octaves that the study declares say of one run, or their gains over sheets."""
+    scales = [run.results.scales for run in runs.values() if run.results.scales is not None]
+    if len(scales) == 1:
+        return f" {in_ascii(say_octaves(scales[0]))}"
+    gains: dict[str, list[float]] = {}
+    for found in scales:
+        for band in found.bands["coating_top"]:
+            if math.isfinite(band.gain):
+                gains.setdefault(f"{band.low_um:g} to {band.high_um:g} um", []).append(band.gain)
+    if not gains:
+        return ""
+    waves = [
+        f"{octave}: {np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
+        for octave, values in gains.items()
+    ]
+    return (
+        " Gain of the coating for the surface of its base, mean and range over sheets, in waves of"
+        f" {'; '.join(waves)}."
+    )
 
 
 def cloud(ax: Axes, run: pl.Run, label: str) -> None:

@@ -10,7 +10,7 @@ import planish as pl
 from planish.analyze import difference_of_pooled_r, pooled_r
 from planish.series_results import SeriesResults
 
-from .common import cloud, explained, fields_of, interval, runs_of
+from .common import cloud, explained, fields_of, interval, levelled, runs_of
 from .truth import sentence
 
 VERDICT = {None: "no verdict", True: "they differ", False: "they are not distinguishable"}
@@ -45,7 +45,7 @@ def state(folder: Path, figure: Figure) -> str:
     for level in levels:
         model_text = explained(of_level[level])
         if model_text:
-            models.append(f" {level.capitalize()}:{model_text}")
+            models.append(f" {level.capitalize()}:{model_text}{levelled(of_level[level])}")
     losses = [sentence(of_level[level].values(), f", {level}") for level in levels]
     return (
         f"r² is {each_says} over {of_r2.sheets[0]} sheets. Its difference is"

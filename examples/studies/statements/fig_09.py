@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 import planish as pl
 
-from .common import cloud, draw_map, explained, interval, known, of_image, one_run
+from .common import cloud, draw_map, explained, interval, known, levelled, of_image, one_run
 from .truth import sentence
 
 
@@ -26,7 +26,7 @@ def state(folder: Path, figure: Figure) -> str:
     return (
         f"r = {row.r:.2f} (95 % interval {interval(row.interval)}), r² = {row.r2:.2f} over {row.n}"
         f" points of {row.point_um:g} um, {row.n_eff:.0f} of them independent.{_mottle(run)}"
-        f"{explained({'print': run})}{sentence([run])}"
+        f"{explained({'print': run})}{levelled({'print': run})}{sentence([run])}"
     )
 
 
