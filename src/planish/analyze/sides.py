@@ -581,22 +581,25 @@ def holes_and_texture(apart_um: float, expected_um: float) -> Check:
     """
     limit_um = math.sqrt(-math.log(0.05)) * expected_um
     text = f"Holes and texture, each by itself, put the middle of the map {apart_um:.1f} um apart"
-    judged = Check(
+    state: State = "pass"
+    advice = remedy = ""
+    if apart_um <= limit_um:
+        text += f", which both errors allow (up to {limit_um:.1f} um)."
+    else:
+        state = "look"
+        text += f", more than both errors allow ({limit_um:.1f} um)."
+        advice = "Light from one side, tilted holes, or marks of another place."
+        remedy = "Compare `by=holes` and `by=texture`."
+    return Check(
         name=lag.NAME,
-        state="pass",
-        sentence=f"{text}, which both errors allow (up to {limit_um:.1f} um).",
+        state=state,
+        sentence=text,
         value=apart_um,
         limit=limit_um,
         units="um",
+        advice=advice,
+        remedy=remedy,
         figures=(POSITION, CORRELATION),
-    )
-    if apart_um <= limit_um:
-        return judged
-    text += f", more than both errors allow ({limit_um:.1f} um)."
-    advice = "Light from one side, tilted holes, or marks of another place."
-    remedy = "Compare `by=holes` and `by=texture`."
-    return judged.model_copy(
-        update={"state": "look", "sentence": text, "advice": advice, "remedy": remedy}
     )
 
 

@@ -23,13 +23,7 @@ from planish.texture.ncc import (
 )
 
 _TILE = np.dtype(
-    [
-        ("centre", np.float64, 2),
-        ("lag", np.float64, 2),
-        ("covariance", np.float64, (2, 2)),
-        ("r", np.float64),
-        ("share", np.float64),
-    ]
+    [("centre", "2f8"), ("lag", "2f8"), ("covariance", "(2,2)f8"), ("r", "f8"), ("share", "f8")]
 )
 
 
