@@ -84,7 +84,8 @@ def covariance_of_errors(names: Sequence[str], stated: Mapping[str, float]) -> F
 
 
 def _variances_of_surfaces(stated: Mapping[str, float]) -> Floats:
-    equations, squares = [*(_EVEN * np.eye(len(SURFACES)))], [0.0] * len(SURFACES)
+    equations = [*(_EVEN * np.eye(len(SURFACES)))]
+    squares = [0.0] * len(SURFACES)
     for name, error in stated.items():
         surfaces = [name] if name in SURFACES else [*SIGNS.get(name, {})]
         if surfaces:
