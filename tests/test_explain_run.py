@@ -15,6 +15,7 @@ from planish.app import explore
 from planish.app.pictures import Pictures
 from planish.core.errors import InputError
 from planish.report import explain_page, tables_of
+from planish.report.sentences.explain import say_answer
 from planish.run.explain import with_declared_model
 from planish.series.explain import declared_model
 
@@ -64,6 +65,7 @@ def test_two_sheets_have_no_interval():
     assert pooled.sheets == 2
     assert np.isnan(pooled.coefficients["a"].interval).all()
     assert "2 of at least 3 sheets" in pooled.coefficients["a"].reason
+    assert "is not known. Means of 2 fields over 2 sheets" in say_answer(pooled)
 
 
 def test_the_page_answers_and_its_tables_hold_the_numbers():

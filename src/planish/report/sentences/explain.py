@@ -19,6 +19,7 @@ from planish.core.numbers import (
     plain,
 )
 from planish.core.text import and_join
+from planish.report.series_words import sheets_text
 
 _SURFACES = {
     "top": "the top face",
@@ -70,9 +71,9 @@ def _say_share(model: Explained | ExplainedSeries) -> str:
 
 
 def _say_lead(model: Explained | ExplainedSeries, order: list[str]) -> str:
-    if not is_known(model.lead_interval):
-        return ""
     first, second = (in_words(model.coefficients[name].title) for name in order[:2])
+    if not is_known(model.lead_interval):
+        return f"Whether {first} matters more than {second} is not known."
     low, high = model.lead_interval
     lead_text = f"{fixed(model.lead, 2)} (95 %: {interval_text((low, high))})"
     if low > 0:
@@ -84,8 +85,8 @@ def _say_cells(model: Explained | ExplainedSeries) -> str:
     independent = count(round(model.n_eff))
     if isinstance(model, ExplainedSeries):
         return (
-            f"Means over {model.sheets} sheets with {model.fields} fields, with the spread between"
-            f" sheets; {count(model.n)} cells count as {independent} independent ones."
+            f"Means of {count(model.fields)} fields over {sheets_text(model.sheets)};"
+            f" {count(model.n)} cells count as {independent} independent ones."
         )
     return f"{count(model.n)} cells count as {independent} independent ones."
 
