@@ -126,6 +126,7 @@ class PairCovariances:
     """
 
     def __init__(self, x: Floats, y: Floats, lags: Lags) -> None:
+        """Take the covariances of both maps at all lags, cut where each first turns to zero."""
         self.lags = lags
         self._maps = [np.where(lags.is_valid, m - m[lags.is_valid].mean(), 0.0) for m in (x, y)]
         a, b = (lags.transform(m) for m in self._maps)

@@ -34,6 +34,7 @@ class MaskedNcc:
     def __init__(
         self, a: Floats, *, a_valid: Bools, b_valid: Bools, reach: tuple[int, int]
     ) -> None:
+        """Transform the map that stays and both masks, and sum over the pairs at each lag."""
         self._reach = reach
         self._shape = padded_shape(a.shape, reach)
         self._b_valid = b_valid
