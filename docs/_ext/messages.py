@@ -27,7 +27,7 @@ _MAKERS = {"damaged": 1, "Damaged": 0, "_damaged": 1, "error": 0, "error_type": 
 # Modules whose ValueErrors a user meets.
 _STUDY = ("study.py", "params.py", "options.py", "presets.py", "draws.py")
 _NAMELESS = re.compile(rf"`{GAP}(?:=[^`]*)?`")
-_FAULTS = re.compile(r"fault|problem|wrong")  # reasons that are put into a message
+_FAULTS = re.compile(r"fault|problem|wrong|clash")  # reasons that are put into a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +94,11 @@ def _of(tree: ast.Module, path: Path, constants: dict[str, str]) -> Iterator[tup
                 yield from (
                     (node.lineno, "one of several", text) for text in _texts(node.args, constants)
                 )
+        if isinstance(node, ast.FunctionDef) and _FAULTS.search(node.name):
+            for part in ast.walk(node):
+                if isinstance(part, ast.Yield) and part.value is not None:
+                    texts = _texts([part.value], constants)
+                    yield from ((part.lineno, "one of several", text) for text in texts)
         if isinstance(node, ast.Assign) and _FAULTS.search(_name(node.targets[0])):
             yield from (
                 (node.lineno, "one of several", text) for text in _texts([node.value], constants)
