@@ -147,7 +147,9 @@ class Explained(ModelFacts):
     trust: Trust = Field(default="ok", description="What the checks of the run leave of it.")
     reason: str = Field(default="", description="Why a number is missing.")
     #: Dataset (cell_y, cell_x): means over cells, residual, and each predictor freed of the others.
-    cells: Annotated[SkipJsonSchema[Any], Field(exclude=True)] = None
+    cells: Annotated[SkipJsonSchema[Any], Field(exclude=True)] = Field(
+        default=None, description="Cells of the fit, for figures; in no file."
+    )
 
 
 def strongest(coefficients: Mapping[str, CoefficientFacts]) -> list[str]:

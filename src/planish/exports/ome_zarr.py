@@ -89,7 +89,9 @@ def _copied(
 
 def _alike(source: Path, target: Path) -> bool:
     """Tell whether two arrays differ only in a first axis, so their chunks have the same bytes."""
-    a, b = (json.loads((path / "zarr.json").read_text("utf-8")) for path in (source, target))
+    a, b = (
+        json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target)
+    )
     keys = ("data_type", "codecs", "chunk_key_encoding", "fill_value")
     if any(a.get(key) != b.get(key) for key in keys):
         return False

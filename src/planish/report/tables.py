@@ -99,7 +99,7 @@ def _side_light_text(results: Results) -> str:
     """Say that slopes brighten one side of a thick place, and that a shift can raise r."""
     registrations = [layer.registration for layer in results.layers if layer.registration]
     lag = registrations[0].lag if registrations else None
-    if lag is None or lag.light < SIDE_LIGHT:
+    if lag is None or not lag.light >= SIDE_LIGHT:  # NaN: not known
         return ""
     share_text = f"{100 * lag.light:.0f} % of what it shares with the sheet is slopes alone"
     return (

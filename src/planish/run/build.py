@@ -20,7 +20,7 @@ from planish.run.array_layers import ArraySource, GivenSource, layer_sources
 from planish.run.compute import Compute, Progress, silent
 from planish.run.pipeline import run_study
 from planish.run.run import Run, is_run
-from planish.run.study import LINK_SECTIONS, MAP_SECTIONS, SECTIONS, Kind, Study
+from planish.run.study import ANSWERS, LINK_SECTIONS, MAP_SECTIONS, SECTIONS, Kind, Study
 
 _OF_BOTH = ("override_size", "unusual_size")  # said once, of volumes and images
 
@@ -328,10 +328,16 @@ def sections_of(
 def words_of(sections: Iterable[str] = SECTIONS) -> dict[str, tuple[str, ...]]:
     """Words of some sections, and where each stands in a study.
 
-    Of the same word in two the first one.
+    Of the same word in two the first one. What a study asks of its maps has a command of its own,
+    and no words here.
     """
     models = {**SECTIONS, "compute": Compute}
-    places = [item for section in sections for item in words_in(models[section], section).items()]
+    places = [
+        item
+        for section in sections
+        if section not in ANSWERS
+        for item in words_in(models[section], section).items()
+    ]
     return dict(reversed(places))
 
 

@@ -74,9 +74,12 @@ SECTIONS: dict[str, type[Params]] = {
 }
 """Sections of a study with options, and the models of these."""
 
+ANSWERS = ("explain", "scales")
+"""Sections that ask something of the maps of a run."""
+
 MAP_SECTIONS, LINK_SECTIONS = (
     ("surface", "properties", "flatten"),
-    ("holes", "registration", "correlate", "explain", "scales"),
+    ("holes", "registration", "correlate", *ANSWERS),
 )
 """Sections of the mapping of a volume, and of a link."""
 
