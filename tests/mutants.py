@@ -418,6 +418,18 @@ MUTANTS = [
         "analyze/test_explain.py",
     ),
     Mutant(
+        "analyze/scales.py",
+        "rest = total - noise_power",
+        "rest = total",
+        "analyze/test_scales.py",
+    ),
+    Mutant(
+        "analyze/scales.py",
+        "gain = sign * abs(response)",
+        "gain = abs(response)",
+        "analyze/test_scales.py",
+    ),
+    Mutant(
         "analyze/correlation.py",
         "        is_valid = np.isfinite(x) & np.isfinite(y)\n        n = ",
         "        is_valid = np.isfinite(x)\n        n = ",

@@ -42,9 +42,11 @@ def test_maps_of_a_run_are_taken_without_their_noise_and_the_image_in_the_same_o
 def test_the_coating_levels_its_base_and_the_image_follows_the_coating(kinds, tmp_path, passes):
     run = kinds("upright")
     levelling = pl.scales(run, of=["coating_top"], against="base_surface_top")
-    best = max(levelling.bands["coating_top"], key=lambda band: band.coherence)
-    assert -1.1 < best.gain < -0.3
-    assert abs(best.phase_deg) > 150
+    # Along the same normals; by heights at columns coherence falls to .6, where the sheet is bent.
+    for band in levelling.bands["coating_top"]:
+        assert -1.05 < band.gain < -0.9
+        assert band.coherence > 0.8
+        assert abs(band.phase_deg) > 175
     asked = ("scales", run, "--map", "image", "--against", "coating_top")
     printed = json.loads(passes(*asked, "--json", "--out", tmp_path / "out")[0])
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
