@@ -10,7 +10,6 @@ import numpy as np
 
 from planish.core.errors import CannotMeasure, SurfaceError
 from planish.core.facts import SIDES, Side
-from planish.core.grid import blur_reach_um
 from planish.core.typing import Floats
 
 if TYPE_CHECKING:
@@ -42,6 +41,8 @@ class Greys:
     @classmethod
     def of(cls, surfaces: xr.Dataset) -> Greys:
         """Read the levels from the surfaces' attributes; SurfaceError if they are not there."""
+        from planish.core.grid import blur_reach_um
+
         attrs = surfaces.attrs
         keys = [
             f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")
