@@ -188,7 +188,7 @@ def test_the_page_answers_and_its_table_holds_the_numbers():
     level = dataset(a=20.0 - 0.8 * values, b=values)
     found = pl.scales(level, of=["a"], against="b", formation_cell_um=300.0, **OF_SHEET)
     page = scales_page(found, source="run", version="1")
-    for words in ("follows b most", "it falls by 0.80", "What would make it more certain"):
+    for words in ("mirrors b most", "a falls by 0.80", "What would make it more certain"):
         assert words in page
     table = tables_of(found)["octaves"]
     assert table["gain"] == [band.gain for band in found.bands["a"]]

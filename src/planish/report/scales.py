@@ -35,6 +35,7 @@ from planish.report.draw import (
 )
 from planish.report.sentences.scales import (
     leading,
+    leading_band,
     say_answer,
     say_notes,
     say_reading,
@@ -94,6 +95,7 @@ def tiles_of(found: Scales) -> list[KeyFigure]:
     if not found.bands.get(name):
         return []
     facts, bands = found.maps[name], found.bands[name]
+    named = leading_band(found, bands)
     height, width = facts.field_um or (math.nan, math.nan)
     tiles = [
         KeyFigure(
@@ -102,7 +104,7 @@ def tiles_of(found: Scales) -> list[KeyFigure]:
             "octaves",
             f"{plain(bands[-1].low_um)} to {plain(bands[0].high_um)}",
         ),
-        KeyFigure(count(round(bands[0].modes)), "", "independent waves", f"of {waves(bands[0])}"),
+        KeyFigure(count(round(named.modes)), "", "independent waves", f"of {waves(named)}"),
         KeyFigure(
             f"{fixed(width / 1000, 1)} × {fixed(height / 1000, 1)}",
             "mm",

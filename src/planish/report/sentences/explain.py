@@ -77,7 +77,7 @@ def _say_lead(model: Explained | ExplainedSeries, order: list[str]) -> str:
     low, high = model.lead_interval
     lead_text = f"{fixed(model.lead, 2)} (95 %: {interval_text((low, high))})"
     if low > 0:
-        return f"That {first} matters more than {second} is certain: by {lead_text}."
+        return f"{capital(first)} matters more than {second} beyond chance: by {lead_text}."
     return f"Whether {first} matters more than {second} is not certain: by {lead_text}."
 
 
@@ -150,8 +150,8 @@ def say_reading(model: Explained | ExplainedSeries) -> list[str]:
     hiding_text = " (below 0: one hides what another does)" if model.shared < -0.005 else ""
     sentences.append(
         "Neighbouring cells resemble each other: intervals and p rest on the independent cells, not"
-        f" on n. Alone the maps explain {_say_unique(model)}; only together they explain"
-        f" {fixed(100 * model.shared, 1)} % of the variance{hiding_text}."
+        f" on n. What only one map explains of the variance is {_say_unique(model)}. They share"
+        f" {fixed(100 * model.shared, 1)} %{hiding_text}: which of them explains that is unknown."
     )
     return sentences
 
@@ -167,7 +167,8 @@ def say_notes(model: Explained | ExplainedSeries) -> list[str]:
         return [f"{columns_text}, and rests on the spread between sheets."]
     return [
         f"{columns_text}, and rests on independent cells (n_eff), as the intervals do. VIF:"
-        " variance inflation, by how much the other maps widen the square of the interval. Explains"
+        " variance inflation, by how much the other maps widen the square of the interval. The"
+        " answer quotes the smallest n_eff. Explains"
         " alone: share of the variance that no other map explains. Over ranks: the standardised"
         " coefficient of ranks. GLS: with the covariance of the residuals as weights.",
         *_say_sizes(model),
@@ -193,7 +194,7 @@ def _say_declared(model: Explained | ExplainedSeries) -> str:
 
 def _say_unique(model: Explained) -> str:
     shares = [
-        f"{in_words(c.title)} {fixed(100 * c.unique, 1)} %" for c in model.coefficients.values()
+        f"{fixed(100 * c.unique, 1)} % for {in_words(c.title)}" for c in model.coefficients.values()
     ]
     return and_join(shares)
 

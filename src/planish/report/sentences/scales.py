@@ -45,6 +45,23 @@ def leading(found: Scales) -> list[str]:
     return list(found.maps)[:_MOST]
 
 
+def leading_band(found: Scales, bands: Sequence[ScaleBand]) -> ScaleBand:
+    """The octave that the answer names: of the largest coherence, or standard deviation."""
+    related = _related(bands)
+    if found.against is None or not related:
+        return max(bands, key=lambda band: band.sd)
+    return max(related, key=lambda band: band.coherence)
+
+
+def _related(bands: Sequence[ScaleBand]) -> list[ScaleBand]:
+    return [band for band in bands if is_known(band.coherence) and is_known(band.gain)]
+
+
+def _levels(found: Scales, facts: MapScales) -> bool:
+    """Whether a coating is compared with the surface of its base."""
+    return facts.map.startswith("coating_") and "base_surface" in str(found.against)
+
+
 def waves(band: ScaleBand) -> str:
     """The wavelengths of an octave."""
     low, high = plain(band.low_um), plain(band.high_um)
@@ -79,27 +96,27 @@ def _say_spread(facts: MapScales, bands: Sequence[ScaleBand]) -> str:
 def _say_relation(found: Scales, facts: MapScales, bands: Sequence[ScaleBand]) -> str:
     """In which waves a map follows the other one most, and by how much."""
     other = in_words(found.against_title)
-    known = [band for band in bands if is_known(band.coherence) and is_known(band.gain)]
+    known = _related(bands)
     if not known:
         return f"Whether {in_words(facts.title)} follows {other} cannot be said in any octave."
-    best = max(known, key=lambda band: band.coherence)
+    best = leading_band(found, bands)
     if not best.coherence_interval[0] > 0:
         return f"{_title(facts)} follows {other} in no octave beyond chance."
-    verb = "rises" if best.gain > 0 else "falls"
+    follows, rises = ("follows", "rises") if best.gain > 0 else ("mirrors", "falls")
     ends = sorted(abs(end) for end in best.gain_interval)
-    size = to_spread(abs(best.gain), _half(best.gain_interval))
+    # Hundredths of a change are the most that anyone reads.
+    size = to_spread(abs(best.gain), max(_half(best.gain_interval), 0.1 * abs(best.gain)))
     digits = _decimals(size)
+    title = in_words(facts.title)
     text = (
-        f"{_title(facts)} follows {other} most in waves of {waves(best)} (squared coherence"
+        f"{_title(facts)} {follows} {other} most in waves of {waves(best)} (squared coherence"
         f" {fixed(best.coherence, 2)}; 95 %: {interval_text(best.coherence_interval)}): where"
-        " that rises by"
-        f" {with_unit(1.0, found.against_units)}, it {verb} by"
+        f" {other} rises by {with_unit(1.0, found.against_units)}, {title} {rises} by"
         f" {with_unit_of(size, facts.units)} (95 %:"
         f" {fixed(ends[0], digits)} to {fixed(ends[1], digits)})."
     )
-    is_coating = facts.map.startswith("coating_") and "base_surface" in str(found.against)
-    if is_coating and best.gain < 0:
-        text += f" It levels {percent(-best.gain, 2)} of the height of these waves."
+    if _levels(found, facts) and best.gain < 0:
+        text += f" The coating levels {percent(-best.gain, 2)} of the height of these waves."
     silent = [waves(band) for band in known if not band.coherence_interval[0] > 0]
     if silent:
         text += f" In waves of {and_join(silent)} it does not follow beyond chance."
@@ -176,14 +193,19 @@ def say_reading(found: Scales) -> list[str]:
     ]
     if any(facts.shared is not None for facts in found.maps.values()):
         sentences.append(
-            "Noise is what odd and even rows of columns do not share; it is taken off. What both"
-            " halves share stays."
+            "Noise is what neighbouring rows of the scan do not share; it is taken off. What they"
+            " share stays."
         )
     if found.against is not None:
         sentences.append(
             "Gain is the change of the map for a change of the other one in these waves alone, and"
             " squared coherence the share of its variance there that goes with it. It names no"
             " cause."
+        )
+    if any(_levels(found, facts) for facts in found.maps.values()):
+        sentences.append(
+            "Coating and base meet at one interface: where it was found too high or too low, the"
+            " gain is -1 as well. Only the noise of it is taken off."
         )
     if "image" in (facts.map for facts in found.maps.values()):
         sentences.append(
@@ -209,7 +231,7 @@ def say_notes(found: Scales) -> list[str]:
         if facts.shared is not None:
             shared.setdefault(facts.shared, []).append(in_words(facts.title))
     for cause, titles in shared.items():
-        notes.append(f"Both halves share {cause}: it stays in {and_join(titles)}.")
+        notes.append(f"All rows share {cause}: it stays in {and_join(titles)}.")
     if found.declared is False:
         notes.append("The study declared other maps: these were chosen later.")
     return notes
