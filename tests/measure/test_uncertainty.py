@@ -54,7 +54,7 @@ def rough_sheet(voxel, noise, seed):
 
 @pytest.mark.ci
 def test_z_scores_of_another_makers_sheets():
-    """Pooled over sheets with partial volume: rms 0.75 to 1.2, and two standard errors hold 93
+    """Pooled over sheets with partial volume: rms 0.85 to 1.2, and two standard errors hold 93
     %."""
     scores = {name: [] for name in NAMES}
     for voxel, noise, seed in ((3.0, 0.04, 0), (2.5, 0.09, 1)):
@@ -65,7 +65,7 @@ def test_z_scores_of_another_makers_sheets():
             scores[name].append(score[np.isfinite(score)])
     pooled = {name: np.concatenate(parts) for name, parts in scores.items()}
     rms = [np.sqrt(np.mean(score**2)) for score in pooled.values()]
-    assert all(0.75 < r < 1.2 for r in rms)
+    assert all(0.85 < r < 1.2 for r in rms)
     assert np.mean(np.abs(np.concatenate([*pooled.values()])) < 2) >= 0.93
 
 

@@ -99,3 +99,12 @@ def test_a_coating_that_is_nowhere_thick_is_alone_nowhere():
     assert found.attrs["grey_coating_top_error"] > 0
     thick = find_surfaces(replace(sheet, coats=(15.0, 15.0)).volume())
     assert thick.attrs["grey_coating_top_error"] < found.attrs["grey_coating_top_error"]
+
+
+@pytest.mark.ci
+def test_a_coating_that_is_even_within_its_error_has_one_class_of_error():
+    """Classes of chance would make the stated error of a column chance too."""
+    sheet = Sheet(lateral=(60, 64), margin=20.0, thickness=60.0, coats=(15.0, 15.0))
+    found = find_surfaces(sheet.volume())
+    for side in ("top", "bottom"):
+        assert len(found.attrs[f"fit_errors_{side}_um"]) == 4

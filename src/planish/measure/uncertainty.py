@@ -148,7 +148,13 @@ def thickness_errors(
     for side, (face_se, _, interface_se) in sides.items():
         errors[f"half_thickness_{side}"] = errors[f"topography_{side}"] = face_se
         errors[f"base_surface_{side}"] = interface_se
-    return {name: np.hypot(se, shared_noise.local_um[name]) for name, se in errors.items()}
+    # A trial on the sheet itself has met the pores at its boundaries.
+    untried = [side for side in SIDES if side not in greys.fit_errors]
+    for name in errors:
+        side = name.rpartition("_")[2]
+        if side in untried or (side not in SIDES and untried):
+            errors[name] = np.hypot(errors[name], shared_noise.local_um[name])
+    return errors
 
 
 def common_errors(unit_um: float) -> dict[str, float]:

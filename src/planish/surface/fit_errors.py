@@ -19,12 +19,15 @@ from planish.core.tiles import Tile
 from planish.core.typing import Floats
 from planish.surface.alone import patches_of
 from planish.surface.coarse import CORE
-from planish.surface.columns import Columns, Guide, Priors, blended, oriented
+from planish.surface.columns import Columns, Guide, Priors, Side, blended, oriented
 from planish.surface.faces import fit_side, fit_tile, largest_step_px
 
 _COLUMNS = 2**15  # of the patches
-_CLASSES = 8  # of thickness, of as many columns each
+_CLASSES = 8  # of thickness, of as many columns each; fewer where they would be of chance
+_MOST = (0.05, 0.95)  # quantiles between which most columns are
 _LEAST = 1000  # columns
+_SEED = 0  # of what is drawn: a sheet has the same errors whenever it is read
+_PLACE = 4.0  # standard deviation of a place with a grey of its own, in columns
 _LEAST_AIR = 6  # voxels of air that show its noise
 
 
@@ -50,12 +53,16 @@ def fit_errors(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Flo
 
 def _by_thickness(values: Floats) -> Floats:
     """Root mean squares in classes of thickness, of (4, columns)."""
-    errors = values[1:] - values[1:].mean(axis=1, keepdims=True)
-    order = np.argsort(values[0], kind="stable")
+    thickness, errors = values[0], values[1:] - values[1:].mean(axis=1, keepdims=True)
+    # A class is no narrower than one error to either side: within that, which column is in which
+    # class is chance.
+    thin, thick = np.quantile(thickness, _MOST)
+    classes = int(np.clip((thick - thin) / (2.0 * errors[1].std()), 1, _CLASSES))
+    order = np.argsort(thickness, kind="stable")
     return np.array(
         [
-            [values[0, part].mean(), *np.sqrt(np.mean(errors[:, part] ** 2, axis=1))]
-            for part in np.array_split(order, _CLASSES)
+            [thickness[part].mean(), *np.sqrt(np.mean(errors[:, part] ** 2, axis=1))]
+            for part in np.array_split(order, classes)
         ]
     ).T
 
@@ -85,7 +92,10 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
             np.ascontiguousarray(a) for a in (outer, opposite, part.cos_tilt)
         )
         inward = grey[..., ::-1] if from_high else grey
-        layers = filled(face), filled(face) + filled(thickness)
+        layers = (
+            _sharpened(filled(face), sd_px),
+            _sharpened(filled(face) + filled(thickness), sd_px),
+        )
         remade = _remade(inward, layers, (outer, opposite), priors, from_high, [*sd_px, width])
         stored = np.ascontiguousarray(remade[..., ::-1] if from_high else remade)
         remade = blended(stored, part, priors.scale, columns.step)
@@ -101,6 +111,11 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
     return errors
 
 
+def _sharpened(layer: Floats, sd_px: list[float]) -> Floats:
+    """Undo the blur of a layer that was found, so that it comes out of the blur as rough again."""
+    return 2.0 * layer - ndimage.gaussian_filter(layer, sd_px, mode="nearest")
+
+
 def _remade(
     inward: NDArray[np.float32],
     layers: tuple[Floats, Floats],
@@ -111,9 +126,12 @@ def _remade(
 ) -> NDArray[np.float32]:
     """Grey of a coating between two layers, as the scan would show it."""
     depth = np.arange(inward.shape[2])
+    # The blur that was found has the voxel in it, and so do the shares of the voxels below.
+    depth_sd_px = np.sqrt(max(sd_px[2] ** 2 - 1.0 / 12.0, 0.0))
     below_face, base = (
         ndimage.gaussian_filter(
-            np.clip(depth - layer[..., None] + 0.5, 0.0, 1.0).astype(np.float32), sd_px
+            np.clip(depth - layer[..., None] + 0.5, 0.0, 1.0).astype(np.float32),
+            [*sd_px[:2], depth_sd_px],
         )
         for layer in layers
     )
@@ -122,13 +140,24 @@ def _remade(
     first, length = outer + CORE[0] * thickness, np.maximum((CORE[1] - CORE[0]) * thickness, 3.0)
     core_index = np.rint(first + np.abs((depth - first) % (2.0 * length) - length)).astype(int)
     core = np.take_along_axis(inward, np.clip(core_index, 0, depth[-1]), axis=2)
-    remade = float(priors.sides[from_high].level[2]) * (below_face - base) + core * base
+    coating_grey = _coating_grey(priors.sides[from_high], inward.shape[:2])[..., None]
+    remade = coating_grey * (below_face - base) + core * base
     air = _air(inward, expected, priors.search_px)
     if air.shape[2] >= _LEAST_AIR:
         to_and_fro = np.r_[0 : air.shape[2], air.shape[2] - 1 : -1 : -1]
         noise = air[..., np.resize(to_and_fro, depth.size)]
         remade += noise * np.sqrt(np.maximum(1.0 - base**2, 0.0))
     return remade.astype(np.float32, copy=False)
+
+
+def _coating_grey(side: Side, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Grey of a coating that differs from place to place as far as it was seen to."""
+    grey = np.full(shape, side.level[2], dtype=np.float32)
+    if side.lone is not None and side.lone.spread > 0:
+        drawn = np.random.default_rng(_SEED).standard_normal(shape)
+        field = ndimage.gaussian_filter(drawn, _PLACE, mode="wrap")
+        grey += (side.lone.spread * field / field.std()).astype(np.float32)
+    return grey
 
 
 def _air(
