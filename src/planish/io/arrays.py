@@ -164,8 +164,10 @@ def _lazy(source: Any, dtype: np.dtype[Any]) -> LazyArray:
     return array
 
 
-def _unnamed(array: Any) -> xr.DataArray:
-    """An array of another library, not read, whose axes have no names."""
+def _raster(array: Any) -> xr.DataArray:
+    """An array as one of xarray, not read; the axes of other libraries have no names."""
+    if isinstance(array, xr.DataArray):
+        return array
     data = array
     if not isinstance(array, np.ndarray):
         data = _lazy(array, array.dtype.newbyteorder("="))
@@ -185,21 +187,44 @@ def _array(array: Any, kind: ArrayKind) -> xr.DataArray:
     if not isinstance(getattr(array, "dtype", None), np.dtype):
         raise not_taken(array, "an array", conversion_call(array, kind), f"pl.{kind.name}(")
     check_numbers(array, f"The {kind.name}")
-    raster = array if isinstance(array, xr.DataArray) else _unnamed(array)
-    dims = [str(name) for name in raster.dims]
+    raster = _raster(array)
+    dims = [*map(str, raster.dims)]
     has_colour = kind is IMAGE and raster.shape[2:] in ((3,), (4,))
-    if set(kind.axes) < set(dims) or sorted(dims) == sorted(kind.axes):
+    if set(kind.axes) <= set(dims):
         raster = raster.transpose(*kind.axes, ...)
     # Names of no axis.
     elif all(name.startswith("dim_") for name in dims) and len(dims) == len(kind.axes) + has_colour:
         raster = raster.rename(dict(zip(raster.dims, (*kind.axes, "colour"), strict=False)))
-    dims = [str(name) for name in raster.dims]
+    dims = [*map(str, raster.dims)]
     check_values(raster, kind, dims[:2] if has_colour else dims)
     if min(raster.shape) < (2 if kind is VOLUME else 1):
         raise VolumeError(
             f"The {kind.name} is cut off: {described(array)} was given. Give the whole stack."
         )
     return raster
+
+
+def _stated(
+    raster: xr.DataArray, kind: ArrayKind, steps: dict[str, float | None], *, is_given: bool
+) -> list[Stated]:
+    """Sizes by the steps of the coordinates of an array, and by its attribute.
+
+    Of a size that is given, that of the attribute is the one it replaces: the array was cut out.
+    """
+    stated_um = dict(steps)
+    note = ""
+    for axis, step in steps.items():
+        # Without a unit they may count voxels: they have to fit a size that is given, and are none
+        # by themselves.
+        if step is not None and "units" not in raster[axis].attrs:
+            note = "coordinates without a unit"
+            if not is_given:
+                stated_um[axis] = None
+    stated = [Stated("its coordinate grid", tuple(stated_um.values()), note)]
+    if not is_given and kind.size_attribute in raster.attrs:
+        attribute_um = tuple(raster.attrs[kind.size_attribute])
+        stated.append(Stated(f"its attribute {kind.size_attribute}", attribute_um))
+    return stated
 
 
 def _labelled(
@@ -217,20 +242,7 @@ def _labelled(
     They begin where they did.
     """
     steps = {axis: None if override else step_um(raster, axis) for axis in kind.axes}
-    stated_um = dict(steps)
-    note = ""
-    for axis, step in steps.items():
-        # Without a unit they may count voxels: they have to fit a size that is given, and are none
-        # by themselves.
-        if step is not None and "units" not in raster[axis].attrs:
-            note = "coordinates without a unit"
-            if size_um is None:
-                stated_um[axis] = None
-    stated = [Stated("its coordinate grid", tuple(stated_um.values()), note)]
-    # A size that is given stands in place of that of the array this one was cut out of.
-    if size_um is None and kind.size_attribute in raster.attrs:
-        attribute_um = tuple(raster.attrs[kind.size_attribute])
-        stated.append(Stated(f"its attribute {kind.size_attribute}", attribute_um))
+    stated = _stated(raster, kind, steps, is_given=size_um is not None)
     size_kind = VOXEL if kind is VOLUME else PIXEL
     name = f"The {kind.name}"
     size, source = agreed_size(

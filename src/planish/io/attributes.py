@@ -185,21 +185,16 @@ def sizes_by_attributes(
     stated: list[Stated] = []
     for folded_key, key in keys.items():
         source = f"the attribute {key}"
-        size_name = SIZE_NAME.fullmatch(folded_key)
         if folded_key == "axistags":
             stated += _stated_by_tags(attrs[key], source, shape, order)
-        if size_name is None or "unit" in folded_key:
-            continue
+        size_name = _size_name(folded_key)
         lengths = _lengths_along(attrs[key], shape)
-        prefix, quantity, suffix, unit = size_name.groups(default="")
-        axis = "z" if prefix == "slice" else prefix or suffix
-        # Of a voxel a unit has to be written; steps are those of one axis.
-        is_size = unit == "um" if quantity == "voxel" else quantity != "step" or axis
-        if lengths is None or not is_size:
+        if size_name is None or lengths is None:
             continue
+        axis, quantity, unit = size_name
         unit = unit or _unit_beside(attrs, keys, quantity)
         if not unit.strip():
-            unit = bare_unit([length for length in lengths if length is not None])
+            unit = bare_unit(lengths)
             if unit:
                 source += f" ({unit}; no unit is written, in another one no scan of paper)"
         units = [unit] * max(len(shape), 3)
@@ -209,6 +204,18 @@ def sizes_by_attributes(
         else:
             stated.append(stated_in(source, lengths, units, order))
     return stated
+
+
+def _size_name(key: str) -> tuple[str, str, str] | None:
+    """Axis, quantity and unit in the name of a size, each empty where it says nothing of it."""
+    size_name = SIZE_NAME.fullmatch(key)
+    if size_name is None or "unit" in key:
+        return None
+    prefix, quantity, suffix, unit = size_name.groups(default="")
+    axis = "z" if prefix == "slice" else prefix or suffix
+    # Of a voxel a unit has to be written; steps are those of one axis.
+    is_size = unit == "um" if quantity == "voxel" else quantity != "step" or axis
+    return (axis, quantity, unit) if is_size else None
 
 
 def _unit_beside(attrs: Mapping[str, Any], keys: Mapping[str, str], quantity: str) -> str:

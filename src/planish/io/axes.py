@@ -8,7 +8,7 @@ taken as it is stored, slowest axis first: z, y, x. Names that are there are fol
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from planish.core.errors import VolumeError
@@ -84,6 +84,19 @@ def extended_axes(shape: Sequence[int]) -> list[int]:
     return [axis for axis, n in enumerate(shape) if n > 1]
 
 
+class _Naming(NamedTuple):
+    """Names of the axes longer than 1 by one convention, and their letters."""
+
+    source: str
+    names: list[str]
+    letters: list[str | None]
+    all_names: tuple[str, ...]
+
+    def __str__(self) -> str:
+        names = [name or "one without a name" for name in self.names]
+        return f"{', '.join(names)} by {self.source}"
+
+
 def place_axes(
     shape: Sequence[int],
     namings: Sequence[AxisNames],
@@ -109,30 +122,8 @@ def place_axes(
             raise VolumeError(f"{subject} is no volume but {extent}. {ADVICE}")
         return PlacedAxes(tuple(long_axes), ())
     naming = telling[0]
-    letters = _filled(naming.letters)
-    if letters is None:
-        raise VolumeError(
-            f"{subject}: its axes are {naming}; which of them are z, y and x is not known. Name"
-            " them z, y and x, in the order in which they are stored."
-        )
-    notes: list[str] = []
-    counts = {letter: shape[axis] for letter, axis in zip(letters, long_axes, strict=True)}
-    further = [letter for letter in letters if letter in MEANINGS]
-    if "z" not in letters and _are_slices(further, counts):
-        letter = further[0]
-        notes.append(slices_note(counts[letter], letter))
-        letters[letters.index(letter)] = "z"
-    elif further:
-        labels_text = f" ({channel_labels})" if channel_labels else ""
-        content_text = and_join(f"{counts[letter]} {MEANINGS[letter]}" for letter in further)
-        raise VolumeError(
-            f"{subject} has {content_text}{labels_text}: {size_words(shape)}"
-            f" ({', '.join(naming.all_names)}). {ADVICE}"
-        )
-    if sorted(letters) != ["x", "y", "z"]:
-        raise VolumeError(
-            f"{subject} is no volume with the axes z, y and x: its axes are {naming}. {ADVICE}"
-        )
+    lengths = [shape[axis] for axis in long_axes]
+    letters, notes = _spatial_letters(naming, lengths, subject, size_words(shape), channel_labels)
     order = [long_axes[letters.index(letter)] for letter in "zyx"]
     if order != long_axes:
         stored_text = f"Its axes are stored as {', '.join(letters)} ({naming.source})"
@@ -140,22 +131,43 @@ def place_axes(
     return PlacedAxes(tuple(order), tuple(notes))
 
 
-def _are_slices(further: list[str], counts: Mapping[str, int]) -> bool:
-    """True if one axis of time points or of many channels may hold the slices."""
-    return further == ["t"] or (further == ["c"] and counts["c"] >= LEAST_SLICES)
+def _spatial_letters(
+    naming: _Naming, lengths: list[int], subject: str, shape_text: str, channel_labels: str
+) -> tuple[list[str], list[str]]:
+    """Which of three axes are z, y and x, in the order stored, and what was assumed of them.
+
+    ``lengths`` are those of the axes that `naming` names.
+    """
+    letters = _filled(naming.letters)
+    if letters is None:
+        raise VolumeError(
+            f"{subject}: its axes are {naming}; which of them are z, y and x is not known. Name"
+            " them z, y and x, in the order in which they are stored."
+        )
+    notes: list[str] = []
+    counts = dict(zip(letters, lengths, strict=True))
+    further = [letter for letter in letters if letter in MEANINGS]
+    letter = further[0] if len(further) == 1 else ""
+    if "z" not in letters and may_be_slices(letter, counts.get(letter, 0)):
+        notes.append(slices_note(counts[letter], letter))
+        letters[letters.index(letter)] = "z"
+    elif further:
+        labels_text = f" ({channel_labels})" if channel_labels else ""
+        content_text = and_join(f"{counts[letter]} {MEANINGS[letter]}" for letter in further)
+        raise VolumeError(
+            f"{subject} has {content_text}{labels_text}: {shape_text}"
+            f" ({', '.join(naming.all_names)}). {ADVICE}"
+        )
+    if {*letters} != {*"xyz"}:
+        raise VolumeError(
+            f"{subject} is no volume with the axes z, y and x: its axes are {naming}. {ADVICE}"
+        )
+    return letters, notes
 
 
-class _Naming(NamedTuple):
-    """Names of the axes longer than 1 by one convention, and their letters."""
-
-    source: str
-    names: list[str]
-    letters: list[str | None]
-    all_names: tuple[str, ...]
-
-    def __str__(self) -> str:
-        names = [name or "one without a name" for name in self.names]
-        return f"{', '.join(names)} by {self.source}"
+def may_be_slices(letter: str, count: int) -> bool:
+    """True if an axis of time points or of many channels may hold the slices."""
+    return letter == "t" or (letter == "c" and count >= LEAST_SLICES)
 
 
 def _telling_namings(
@@ -183,8 +195,8 @@ def _filled(letters: Sequence[str | None]) -> list[str] | None:
 
     An axis without a name is the letter that is left, or in its usual place.
     """
-    named = [letter for letter in letters if letter]
-    free_letters = [letter for letter in "zyx" if letter not in named]
+    named = [*filter(None, letters)]
+    free_letters = sorted({*"zyx"} - {*named}, reverse=True)
     if set(named) & set(MEANINGS):
         free_letters = free_letters[1:]
     n_missing = len(letters) - len(named)

@@ -50,13 +50,13 @@ def _load_nifti(path: Path) -> LoadedVolume:
     """Values of a NIfTI file; those that the header scales become float32."""
     fields, header_bytes = _nifti_header(unpacked_head(path, LONGEST_NIFTI), path)
     with reading(path):
-        extents = tuple(int(n) for n in fields.get_data_shape())
+        extents = tuple(map(int, fields.get_data_shape()))
         dtype = np.dtype(fields.get_data_dtype())
         offset = int(fields.get_data_offset())
         slope, intercept = fields.get_slope_inter()
         unit_name, time_name = map(str, fields.get_xyzt_units())
         unit = {"meter": "m", "micron": "um", "unknown": ""}.get(unit_name, unit_name)
-        voxel_lengths = [float(v) for v in fields.get_zooms()]
+        voxel_lengths = list(map(float, fields.get_zooms()))
         affines = _affines(fields)
     if min(extents, default=0) < 0 or offset < header_bytes:
         raise damaged(path, f"its sizes are {extents}, its values begin at byte {offset}")
@@ -75,7 +75,7 @@ def _load_nifti(path: Path) -> LoadedVolume:
             stated.append(stated_in(f"the NIfTI {name}", lengths.tolist(), units, (2, 1, 0)))
     header = _header_of(path, axes, dtype, offset, stated)._replace(orientations=orientations)
     values = values_behind(header)
-    if slope is not None and intercept is not None and (slope, intercept) != (1.0, 0.0):
+    if (slope, intercept) not in ((None, None), (1.0, 0.0)):
         if not isinstance(values, FileArray):
             values = stored_planes(path, header.shape, dtype, offset=offset)
         scale = partial(_scaled, slope=slope, intercept=intercept)

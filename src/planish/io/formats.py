@@ -372,7 +372,7 @@ def check_chunks(
     wrong shape.
     """
     grid = tuple(-(-n // c) for n, c in zip(shape, chunk, strict=True))
-    expected = [range(n) for n in grid]
+    expected = [*map(range, grid)]
     stored = [
         p for p in positions if len(p) == len(grid) and all(map(range.__contains__, expected, p))
     ]

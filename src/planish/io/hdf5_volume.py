@@ -132,14 +132,13 @@ def _storage_fault(dataset: h5py.Dataset, path: Path, depth: int) -> str:
             f"keeps its values in another file ({dataset.external[0][0]!r}), which planish does not"
             " open"
         )
-    if not dataset.is_virtual:
-        return ""
-    if depth > 4:
+    sources = _virtual_sources(dataset)
+    if sources and depth > 4:
         return "is virtual over virtual data sets"
-    for source, name in sorted({(s.file_name, s.dset_name) for s in dataset.virtual_sources()}):
-        if "%" in source or "%" in name:
+    for source, name in sources:
+        if "%" in source + name:
             return "takes its parts from a pattern of files"
-        file = path if source == "." else referenced_file(path.parent, source, path)
+        file = _source_file(source, path)
         target, target_name = find_dataset(file, name)
         if target.resolve() != file.resolve() or target_name.strip("/") != name.strip("/"):
             return "reaches its parts through links"
@@ -149,12 +148,21 @@ def _storage_fault(dataset: h5py.Dataset, path: Path, depth: int) -> str:
     return ""
 
 
+def _virtual_sources(dataset: Any) -> list[tuple[str, str]]:
+    """Files and data sets of which a virtual data set is made; empty for others."""
+    sources = dataset.virtual_sources() if dataset.is_virtual else []
+    return sorted({(source.file_name, source.dset_name) for source in sources})
+
+
+def _source_file(source: str, path: Path) -> Path:
+    return path if source == "." else referenced_file(path.parent, source, path)
+
+
 def source_files(dataset: Any, path: Path) -> list[Path]:
     """Files from which a checked virtual data set takes its values; empty for others."""
     files: list[Path] = []
-    sources = dataset.virtual_sources() if dataset.is_virtual else []
-    for source, name in sorted({(s.file_name, s.dset_name) for s in sources}):
-        source_path = path if source == "." else referenced_file(path.parent, source, path)
+    for source, name in _virtual_sources(dataset):
+        source_path = _source_file(source, path)
         with opened(source_path) as file:
             files += [source_path, *source_files(file[name], source_path)]
     return files
@@ -339,8 +347,7 @@ def _last_word(member: Any) -> str:
 
 def _coordinates_along(dataset: Any, axis: int, namings: Sequence[AxisNames]) -> Coordinates | None:
     """Coordinates of an axis: a scale of it, or a data set beside it with the axis's name."""
-    names = [naming.names[axis] for naming in namings]
-    members = [_child(dataset.parent, name) for name in names]
+    members = [_child(dataset.parent, naming.names[axis]) for naming in namings]
     for member in (_scales(dataset)[axis], _emd_scales(dataset)[axis], *members):
         # netCDF writes a scale without coordinates for a dimension that has none.
         if not isinstance(member, h5py.Dataset) or _attribute(member, "NAME").startswith(

@@ -122,24 +122,24 @@ def _unpacked(header: Header) -> Array:
 
 def unpacked_parts(header: Header) -> Iterator[bytes]:
     """Unpack values bit by bit; in the end they were as many as declared, or an error is raised."""
-    is_bzip2, needed_bytes = header.packing == "bzip2", header.needed_bytes
+    needed_bytes = header.needed_bytes
     unpacker = _unpacker(header.packing)
     n_unpacked = -header.skip_bytes
     with reading(header.data), header.data.open("rb") as file:
         file.seek(header.offset)
         packed = b""
         while not unpacker.eof and n_unpacked <= needed_bytes:
-            # What is unpacked at once is limited, and so some input may be left, here or inside the
-            # unpacker.
-            if not packed and not (is_bzip2 and not unpacker.needs_input):
+            # What is unpacked at once is limited, and so some input may be left: that of deflate
+            # here, that of bzip2 inside the unpacker.
+            if getattr(unpacker, "needs_input", not packed):
                 packed = file.read(PACKED_BYTES)
                 if not packed:
                     break
             part = unpacker.decompress(packed, min(needed_bytes - n_unpacked + 1, UNPACKED_BYTES))
-            packed = b"" if is_bzip2 else unpacker.unconsumed_tail
+            packed = getattr(unpacker, "unconsumed_tail", b"")
             n_unpacked += len(part)
             if 0 < n_unpacked <= needed_bytes:
-                yield part[-n_unpacked:] if n_unpacked < len(part) else part
+                yield part[-n_unpacked:]
     if n_unpacked != needed_bytes or not unpacker.eof:
         amount = "more than" if n_unpacked > needed_bytes else f"{max(n_unpacked, 0)} of"
         amount_text = f"hold {amount} the {needed_bytes} bytes declared"

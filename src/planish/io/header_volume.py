@@ -134,17 +134,12 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     header_lines = list(_nrrd_lines(head))
     with reading(path):
         # pynrrd would drop what is not ASCII, as in file names.
-        fields: Mapping[str, Any] = nrrd.read_header([_text_of(line) for line in header_lines])
-        extents = tuple(int(n) for n in np.atleast_1d(fields.get("sizes", ())))
+        fields: Mapping[str, Any] = nrrd.read_header(list(map(_text_of, header_lines)))
+        extents = tuple(map(int, np.atleast_1d(fields.get("sizes", ()))))
         line_skip = int(_either(fields, "line skip", 0))
         byte_skip = int(_either(fields, "byte skip", 0))
     axes = _nrrd_axes(fields, extents, path)
-    dtype = _type_of(str(fields.get("type", "")).strip(), path)
-    if dtype.itemsize > 1:
-        endian = fields.get("endian")
-        if endian not in ("little", "big"):
-            raise damaged(path, "its header does not state the byte order (endian)")
-        dtype = dtype.newbyteorder(endian)
+    dtype = _nrrd_type(fields, path)
     encoding = str(fields.get("encoding", "")).casefold()
     if line_skip != 0 or byte_skip < -1 or (byte_skip and encoding != "raw"):
         raise FileError(
@@ -170,6 +165,17 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
         stated=_stated_by_nrrd(fields, axes.header_axes),
         orientations=_oriented_by_nrrd(fields, axes.header_axes),
     )
+
+
+def _nrrd_type(fields: Mapping[str, Any], path: Path) -> np.dtype[Any]:
+    """Type of the values with its byte order."""
+    dtype = _type_of(str(fields.get("type", "")).strip(), path)
+    if dtype.itemsize == 1:
+        return dtype
+    endian = fields.get("endian")
+    if endian not in ("little", "big"):
+        raise damaged(path, "its header does not state the byte order (endian)")
+    return dtype.newbyteorder(endian)
 
 
 def _nrrd_axes(fields: Mapping[str, Any], extents: tuple[int, ...], path: Path) -> StoredAxes:
@@ -200,17 +206,15 @@ def _oriented_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Or
     directions = fields.get("space directions")
     if directions is None:
         return []
-    rows = [directions[axis] for axis in axes]
-    if any(row is None or len(row) != 3 or not np.isfinite(row).all() for row in rows):
+    rows = np.asarray(directions, np.float64)[list(axes)]
+    if rows.shape != (3, 3) or not np.isfinite(rows).all():
         return []
     words = SPACES.get(space, space).split("-")[:3]
-    basis = np.eye(3)
-    if len(words) == 3 and all(word in ANATOMICAL for word in words):
-        basis = np.array([ANATOMICAL[word] for word in words])
-    elif space == "3d-left-handed":
-        basis = np.diag([1.0, 1.0, -1.0])
+    basis = [ANATOMICAL[word] for word in words if word in ANATOMICAL]
+    if len(basis) != 3:
+        basis = np.diag([1.0, 1.0, -1.0 if space == "3d-left-handed" else 1.0])
     source = f"the NRRD space directions ({space or 'no space written; a right-handed one'})"
-    return [Orientation(source, np.array(rows, np.float64) @ basis)]
+    return [Orientation(source, rows @ np.asarray(basis))]
 
 
 def _stated_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Stated]:
@@ -218,9 +222,7 @@ def _stated_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Stat
     stated: list[Stated] = []
     directions = fields.get("space directions")
     if directions is not None:
-        lengths = [
-            None if v is None else float(np.linalg.norm(np.asarray(v, float))) for v in directions
-        ]
+        lengths = np.linalg.norm(np.asarray(directions, np.float64), axis=1).tolist()
         # A direction may mix the axes of space only if all of these have one unit.
         unit_names = {str(u).strip('"') for u in np.atleast_1d(fields.get("space units", ()))}
         unit = unit_text = ""
@@ -332,7 +334,7 @@ def _oriented_by_meta(
         words = fields.get(key.casefold(), "").split()
         if words:
             with reading(path):
-                matrix = np.array([float(word) for word in words])
+                matrix = np.array([*map(float, words)])
             n = round(len(words) ** 0.5)
             if n * n != len(words) or n <= max(axes) or not np.isfinite(matrix).all():
                 raise damaged(path, f"its {key} is {' '.join(words)[:60]!r}")
@@ -428,25 +430,23 @@ def _raw_header(path: Path) -> Header:
 
 def _raw_faults(fields: Mapping[str, Any]) -> list[str]:
     """Faults of a TOML header of raw values, in words."""
-    faults = [f"unknown key {key!r}" for key in fields if key not in KEYS]
-    shape = fields.get("shape")
-    if not _are_three(shape, int):
-        faults.append(f"shape is {shape!r}, needed are three whole numbers [z, y, x]")
-    dtype = fields.get("dtype")
-    byte_order = fields.get("byte_order")
-    if dtype not in RAW_TYPES:
-        faults.append(f"dtype is {dtype!r}, needed is one of {', '.join(RAW_TYPES)}")
-    elif np.dtype(dtype).itemsize > 1 and byte_order not in ("little", "big"):
-        faults.append(f'byte_order is {byte_order!r}, needed is "little" or "big"')
+    unknown_texts = [f"unknown key {key!r}" for key in fields if key not in KEYS]
+    shape, dtype, byte_order = map(fields.get, ("shape", "dtype", "byte_order"))
     offset = fields.get("offset", 0)
-    if type(offset) is not int or offset < 0:
-        faults.append(f"offset is {offset!r}, needed is a number of bytes")
-    voxel_um = fields.get("voxel_um")
-    if voxel_um is not None and not _are_three(_per_axis(voxel_um), int, float):
-        faults.append(f"voxel_um is {voxel_um!r}, needed is a number or [z, y, x], in um")
-    if not isinstance(fields.get("file", ""), str):
-        faults.append("file is no name")
-    return faults
+    voxel_um = fields.get("voxel_um", 1)
+    is_right = {
+        f"shape is {shape!r}, needed are three whole numbers [z, y, x]": _are_three(shape, int),
+        f"dtype is {dtype!r}, needed is one of {', '.join(RAW_TYPES)}": dtype in RAW_TYPES,
+        # Of two bytes and more.
+        f'byte_order is {byte_order!r}, needed is "little" or "big"': dtype not in RAW_TYPES[2:]
+        or byte_order in ("little", "big"),
+        f"offset is {offset!r}, needed is a number of bytes": type(offset) is int and offset >= 0,
+        f"voxel_um is {voxel_um!r}, needed is a number or [z, y, x], in um": _are_three(
+            _per_axis(voxel_um), int, float
+        ),
+        "file is no name": isinstance(fields.get("file", ""), str),
+    }
+    return unknown_texts + [fault for fault, right in is_right.items() if not right]
 
 
 def _per_axis(voxel_um: Any) -> list[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -167,7 +168,7 @@ def channel_of(
     samples = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
     n_channels = samples.shape[-1]
     name = channel.strip().casefold()
-    if name.isdecimal() and name.isascii():
+    if re.fullmatch("[0-9]+", name):
         number = int(name)
         if number >= n_channels:
             counts = ("1 channel", "0")
@@ -178,7 +179,7 @@ def channel_of(
                 f" {counts[1]} with `channel`."
             )
         return _as_float32(samples[..., number]), f"{GREY}, channel {number}"
-    if name != "luminance" and name not in COLOURS:
+    if name not in ("luminance", *COLOURS):
         raise InputError(
             f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with"
             " `channel`."

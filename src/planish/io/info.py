@@ -155,12 +155,9 @@ def _describe_volume(
 ) -> dict[str, Any]:
     """Report what a volume holds; of its values, if they can be read within ``most_bytes``."""
     loaded = None
-    with suppress(ResourceError):
-        loaded = (
-            None
-            if most_bytes is None
-            else load_volume(place, channel=channel, memory_bytes=most_bytes)
-        )
+    if most_bytes is not None:
+        with suppress(ResourceError):
+            loaded = load_volume(place, channel=channel, memory_bytes=most_bytes)
     is_read = loaded is not None
     # Of what does not fit into the memory, the values are not read.
     loaded = loaded or open_volume(place, channel=channel)
@@ -185,22 +182,9 @@ def _describe_volume(
             f" what lies outside was cut ({100 * facts['bottom_share']:.3g} % of the values are 0,"
             f" {100 * facts['saturated_share']:.3g} % are 255). 16 bits lose nothing."
         )
-    # How a volume is held; memory and time of ``planish map`` for a sheet across the shortest axis.
-    values = loaded.values
+    # Memory and time of ``planish map`` are those for a sheet across the shortest axis.
     n_columns = math.prod(grey_values.shape) // min(grey_values.shape)
-    storage_text, whole_bytes = "decoded in memory", values.nbytes
-    if isinstance(values, np.memmap):
-        storage_text, whole_bytes = "mapped from its file", 0
-    elif isinstance(values, FileArray):
-        storage_text, whole_bytes = (
-            "read in parts when they are needed",
-            values.nbytes if values.whole_slices else 0,
-        )
-        if values.whole_slices:
-            warnings.append(
-                "It does not fit into the memory, and its slices can only be decoded whole. Bring"
-                " it into a store with 'planish import' first."
-            )
+    storage_text, whole_bytes = _storage_of(loaded.values, warnings)
     return {
         "bytes": loaded.file_bytes,
         "format": file_format.name,
@@ -293,6 +277,22 @@ def _describe_image(
     }
 
 
+def _storage_of(values: Values, warnings: list[str]) -> tuple[str, int]:
+    """How a volume is held, and its bytes that are in the memory at once."""
+    if isinstance(values, np.memmap):
+        return "mapped from its file", 0
+    if not isinstance(values, FileArray):
+        return "decoded in memory", values.nbytes
+    whole_bytes = 0
+    if values.whole_slices:
+        whole_bytes = values.nbytes
+        warnings.append(
+            "It does not fit into the memory, and its slices can only be decoded whole. Bring it"
+            " into a store with 'planish import' first."
+        )
+    return "read in parts when they are needed", whole_bytes
+
+
 def is_image(place: Place) -> bool:
     """True if a path is to be read as one picture; everything else is to be read as a volume."""
     if format_of(place) is not TIFF:
@@ -331,23 +331,7 @@ def _size_facts(
         warnings.append(error.text)
         usual_range = None
     if usual_range is not None:
-        elements, (least, most) = usual_range
-        shortest = min(size)
-        longest = max(size)
-        if shortest < least or longest > most:
-            edges_text = " x ".join(f"{v:g}" for v in size)
-            range_text = f"{least:g} to {most:g} um"
-            warnings.append(
-                f"{elements} of {edges_text} um are unusual for paper ({range_text}). Is the unit"
-                " right?"
-            )
-        # Longest over shortest edge of a voxel; beyond, one of them is probably wrong.
-        if longest > 5.0 * shortest:
-            size_name, ratio = "z size" if elements == "Voxels" else "size", longest / shortest
-            warnings.append(
-                f"The edges of {elements.lower()} differ by a factor of {ratio:.3g}. Is the"
-                f" {size_name} right?"
-            )
+        warnings += _doubts_of_edges(size, *usual_range)
     extent_um = [n * um for n, um in zip(shape, size, strict=True)]
     return {
         "size_um": list(size),
@@ -355,3 +339,26 @@ def _size_facts(
         "size_problem": None,
         "extent_um": extent_um,
     }
+
+
+def _doubts_of_edges(size: Sequence[float], elements: str, usual_um: Pair) -> list[str]:
+    """Say which edges of voxels or pixels, in um, paper does not have."""
+    doubts: list[str] = []
+    least, most = usual_um
+    shortest = min(size)
+    longest = max(size)
+    if shortest < least or longest > most:
+        edges_text = " x ".join(f"{v:g}" for v in size)
+        range_text = f"{least:g} to {most:g} um"
+        doubts.append(
+            f"{elements} of {edges_text} um are unusual for paper ({range_text}). Is the unit"
+            " right?"
+        )
+    # Longest over shortest edge of a voxel; beyond, one of them is probably wrong.
+    if longest > 5.0 * shortest:
+        size_name = "z size" if elements == "Voxels" else "size"
+        doubts.append(
+            f"The edges of {elements.lower()} differ by a factor of {longest / shortest:.3g}. Is"
+            f" the {size_name} right?"
+        )
+    return doubts

@@ -33,6 +33,22 @@ class _Totals:
     copy_numbers: list[int] = field(default_factory=list)
     sample: Array = field(default_factory=lambda: np.empty(0))  # finite, sorted
 
+    def add(self, plane: Array, full_scale: int | None) -> bool:
+        """Count the values of a plane; True if it has several grey values."""
+        finite_values = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
+        self.n_values += plane.size
+        self.n_finite += finite_values.size
+        if full_scale is not None:
+            self.n_saturated += int(np.count_nonzero(plane == full_scale))
+            self.n_bottom += int(np.count_nonzero(plane == 0))
+        if not finite_values.size:
+            return False
+        low = float(finite_values.min())
+        high = float(finite_values.max())
+        self.low = min(self.low, low)
+        self.high = max(self.high, high)
+        return low < high
+
 
 def inspect_values(
     values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]
@@ -112,24 +128,13 @@ def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _
     digests = set[bytes]()
     for index, number in enumerate(plane_numbers):
         plane = np.asarray(values[number])
-        finite_values = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
-        totals.n_values += plane.size
-        totals.n_finite += finite_values.size
-        plane_low = plane_high = math.nan
-        if finite_values.size:
-            plane_low = float(finite_values.min())
-            plane_high = float(finite_values.max())
-            totals.low = min(totals.low, plane_low)
-            totals.high = max(totals.high, plane_high)
-        if full_scale is not None:
-            totals.n_saturated += int(np.count_nonzero(plane == full_scale))
-            totals.n_bottom += int(np.count_nonzero(plane == 0))
+        has_greys = totals.add(plane, full_scale)
         if index % stride == 0:
             samples.append(_finite_sample(plane, stride))
         # Slices with fewer pixels may well be alike, or of one grey.
         if plane.ndim == 2 and plane.size >= 1000:
             digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
-            if not plane_low < plane_high:
+            if not has_greys:
                 totals.constant_numbers.append(number)
             elif digest in digests:
                 totals.copy_numbers.append(number)

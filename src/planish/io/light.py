@@ -147,9 +147,10 @@ def correct_light(
     _check_pictures(grey, pictures)
     white_grey = pictures["white"]
     dark_grey = pictures.get("dark", np.zeros((2, 2), np.float32))
-    if exposure is not None and not 0 < exposure < math.inf:
+    factor = 1.0 if exposure is None else exposure
+    if not 0 < factor < math.inf:
         raise InputError(
-            f"The exposure of the white image is {exposure:g} times that of the image. Give a"
+            f"The exposure of the white image is {factor:g} times that of the image. Give a"
             " number above 0, or leave it out: reflectance is known up to a factor then."
         )
     is_missing = np.isnan(grey)
@@ -185,7 +186,7 @@ def correct_light(
     white_part = reflectance**2 * resized(field_error, grey.shape)
     dark_part = (1 - reflectance) ** 2 * resized(zero_error, grey.shape)
     variance = (white_part + dark_part) / signal**2
-    reflectance *= exposure or 1.0
+    reflectance *= factor
     is_valid = status == MEASURED
     lowest, highest = np.nanpercentile(signal, [1, 99])
     lag = _LAG * round(grey.shape[0] / white_grey.shape[0])
@@ -199,7 +200,7 @@ def correct_light(
         files=tuple(getattr(m, "attrs", {}).get("file_name", k) for k, m in sources.items()),
         exposure=exposure,
         fall_off=1 - lowest / highest,
-        standard_error=(exposure or 1.0) * float(np.sqrt(variance[is_valid].mean())),
+        standard_error=factor * float(np.sqrt(variance[is_valid].mean())),
         texture=texture,
         median=float(np.median(reflectance[is_valid])),
         shares=dict(zip(STATES, (counts / grey.size).tolist(), strict=True)),

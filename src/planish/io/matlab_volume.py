@@ -58,7 +58,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         dtype = matlab.NUMBERS[variable.kind]
         decoded_bytes = variable.count * dtype.itemsize
         check_blown_up(path, decoded_bytes=decoded_bytes, stored_bytes=size_of_file(path))
-        shape = tuple(variable.shape[axis] for axis in axis_order)
+        shape = (variable.shape[slice_axis], variable.shape[row_axis], variable.shape[column_axis])
         values = WholeArray(path, shape, dtype, partial(_decoded, path, variable))
     stated = stated_in("the variable voxel_um", sizes, ["um"] * 3)
     return LoadedVolume(

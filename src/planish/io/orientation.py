@@ -127,14 +127,17 @@ def orientation_attrs(orientations: Sequence[Orientation]) -> Mapping[str, str]:
     ``hand`` where it is left-handed by one source at least, ``turned`` where it is not, but its
     axes run another way than usual.
     """
-    oriented = [orientation for orientation in orientations if not orientation.is_flat]
-    left_names = [o.source for o in oriented if o.is_left_handed]
-    right_names = [o.source for o in oriented if not o.is_left_handed]
-    if left_names:
-        text = f"left, by {and_join(left_names)}"
-        return {"hand": f"{text}; but right, by {and_join(right_names)}" if right_names else text}
-    turned_names = [o.source for o in oriented if not o.is_usual]
-    return {"turned": f"by {and_join(turned_names)}"} if turned_names else {}
+    sources: dict[str, list[str]] = {"left": [], "right": [], "turned": []}
+    for orientation in orientations:
+        if orientation.is_flat:
+            continue
+        sources["left" if orientation.is_left_handed else "right"].append(orientation.source)
+        if not orientation.is_usual:
+            sources["turned"].append(orientation.source)
+    if sources["left"]:
+        right_text = f"; but right, by {and_join(sources['right'])}" if sources["right"] else ""
+        return {"hand": f"left, by {and_join(sources['left'])}{right_text}"}
+    return {"turned": f"by {and_join(sources['turned'])}"} if sources["turned"] else {}
 
 
 def orientation_notes(orientations: Sequence[Orientation]) -> tuple[str, ...]:

@@ -128,25 +128,30 @@ def folder_contents(folder: Path) -> tuple[str, str]:
         return "it is a run of planish", "Give the volume itself."
     files_by_folder, stores = _visible(folder)
     files = files_by_folder.pop(folder, [])
-    with_slices = [inner for inner in files_by_folder if _has_slices(files_by_folder[inner])]
-    fullest = sorted(files_by_folder, key=lambda inner: -len(files_by_folder[inner]))[:1]
+    most_files = max(files_by_folder.values(), key=len, default=[])
+    with_slices = [*filter(lambda inner: _has_slices(files_by_folder[inner]), files_by_folder)]
     texts = _counted(files)
-    for inner in with_slices or fullest:
-        inner_text = and_join_few(_counted(files_by_folder[inner]))
-        texts.append(f"a folder {inner.relative_to(folder).as_posix()} with {inner_text}")
-    texts += [f"an OME-Zarr store {store.name}" for store in stores]
+    for inner in with_slices or [file.parent for file in most_files[:1]]:
+        texts.append(_folder_text(inner.relative_to(folder), files_by_folder[inner]))
+    texts += map("an OME-Zarr store {0.name}".format, stores)
     contents_text = f"it holds {and_join_few(texts)}" if texts else "it is empty"
     candidates = with_slices or [*filter(_is_volume, files), *stores]
+    return contents_text, _way_on(folder, candidates, files or most_files)
+
+
+def _folder_text(inner: Path, files: Sequence[Path]) -> str:
+    return f"a folder {inner.as_posix()} with {and_join_few(_counted(files))}"
+
+
+def _way_on(folder: Path, candidates: Sequence[Path], files: Sequence[Path]) -> str:
+    """Say which volume of a folder to give, or how to make one of its files."""
     if candidates:
         name = candidates[0].relative_to(folder.parent).as_posix()
-        return contents_text, f"Give {name}." if len(candidates) == 1 else f"Give one, as {name}."
-    groups = _by_suffix(files)
-    if fullest and not files:
-        groups = _by_suffix(files_by_folder[fullest[0]])
-    kind = _kind_of(groups[0][0]) if groups else None
+        return f"Give {name}." if len(candidates) == 1 else f"Give one, as {name}."
+    kind = _kind_of(_by_suffix(files)[0][0]) if files else None
     if kind is None:
-        return contents_text, "Needed are TIFF, PNG, BMP or JPEG files with numbers in their names."
-    return contents_text, kind.way
+        return "Needed are TIFF, PNG, BMP or JPEG files with numbers in their names."
+    return kind.way
 
 
 def _has_slices(files: Sequence[Path]) -> bool:

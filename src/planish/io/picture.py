@@ -97,16 +97,7 @@ def load_picture(
         if axes not in PICTURE_AXES:
             raise FileError(f"{path.name} is not one picture but {shape_words(series)}. {ADVICE}")
         page = series.keyframe
-        values = constant_zeros(series.shape, series.dtype)
-        if decode:
-            values = map_or_decode(series, path, memory_bytes=memory_bytes)
-        values = values.reshape(long_shape(series))
-        if axes in ("SYX", "CYX"):
-            values = np.moveaxis(values, 0, -1)
-        if values.dtype.kind not in "buif":
-            raise FileError(
-                f"{path.name} has {values.dtype} values. Export it with integer or real values."
-            )
+        values = _series_values(series, path, memory_bytes=memory_bytes, decode=decode)
         bits = int(page.bitspersample)
         with reading(path):
             is_looked_up = page.photometric == PHOTOMETRIC.PALETTE and len(axes) == 2
@@ -115,7 +106,7 @@ def load_picture(
                 bits = 8 * values.itemsize
             else:
                 colour = _colour_of(page, axes, values.shape[-1])
-            orientation = page.tags.valueof(274, default=1)
+            orientation = _orientation_of(page.tags.valueof(274, default=1))
             values = _with_gaps(values, page, is_image=decode and not is_slice)
             tone = _tone_of_page(page)
         return DecodedPicture(
@@ -123,10 +114,31 @@ def load_picture(
             colour=colour,
             bits=bits,
             stated=stated_by_tiff(tif, page, path),
-            orientation=orientation if isinstance(orientation, int) else 1,
+            orientation=orientation,
             notes=notes_on_reading(tif, page, path) if is_slice else (),
             tone=tone,
         )
+
+
+def _series_values(
+    series: TiffPageSeries, path: Path, *, memory_bytes: int | None, decode: bool
+) -> Array:
+    """Values of a picture, its samples on the last axis; zeros where they are not decoded."""
+    values = constant_zeros(series.shape, series.dtype)
+    if decode:
+        values = map_or_decode(series, path, memory_bytes=memory_bytes)
+    values = values.reshape(long_shape(series))
+    if long_axes(series) in ("SYX", "CYX"):
+        values = np.moveaxis(values, 0, -1)
+    if values.dtype.kind not in "buif":
+        raise FileError(
+            f"{path.name} has {values.dtype} values. Export it with integer or real values."
+        )
+    return values
+
+
+def _orientation_of(tag: object) -> int:
+    return tag if isinstance(tag, int) else 1
 
 
 def _colour_of(page: TiffPage, axes: str, n_samples: int) -> Colour:
@@ -206,7 +218,6 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
     with reading(path):
         # Pillow decodes a PNG to look for the tag behind its pixels.
         exif = image.getexif() if decode or kind != "png" else Image.Exif()
-        orientation = exif.get(274, 1)
         photo = exif.get_ifd(34665)
         writer = writer_of({305: image.info.get("Software")} | dict(exif), photo)
         tone = tone_of(exif, photo.get(COLOUR_SPACE), image.info)
@@ -214,17 +225,21 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
             values = _raster_values(image, data, is_16_bit=is_16_bit)
         else:
             values = _raster_zeros(image, is_16_bit=is_16_bit)
-    colour: Colour = "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
-    if image.mode not in {"1", "L", "LA", "I", "I;16", "F", "P", "PA", "RGB", "RGBA"}:
-        colour = "other"
     return DecodedPicture(
         values=values,
-        colour=colour,
+        colour=_raster_colour(image.mode, values),
         bits=16 if image.mode == "I" else 8 * values.itemsize,
         stated=_stated_by_raster(kind, image.info.get("dpi"), exif, writer),
-        orientation=orientation if isinstance(orientation, int) else 1,
+        orientation=_orientation_of(exif.get(274, 1)),
         tone=tone,
     )
+
+
+def _raster_colour(mode: str, values: Array) -> Colour:
+    """Meaning of the samples of a raster, by the mode in which Pillow has it."""
+    if mode not in {"1", "L", "LA", "I", "I;16", "F", "P", "PA", "RGB", "RGBA"}:
+        return "other"
+    return "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
 
 
 def _stated_by_raster(

@@ -71,6 +71,21 @@ def new_folder(
             remove(partial)
 
 
+def _fault_of_work(work: Path) -> str:
+    """Why a hidden folder is not planish's own; empty where everything in it is."""
+    names = {entry.name for entry in work.iterdir()}
+    foreign_names = sorted(
+        name for name in names if is_link(work / name) or not _is_work_name(name)
+    )
+    if foreign_names:
+        return f"holds {', '.join(foreign_names[:3])}"
+    # Versions before the marker wrote a key of 64 digits and a lock.
+    is_marked = {"key", "lock"} <= names
+    if WORK_MARKER in names:
+        is_marked = _has_text(work / WORK_MARKER, _WORK_TEXT)
+    return "" if is_marked else f"has no file {WORK_MARKER}"
+
+
 @contextmanager
 def work_folder(path: Path, key: str) -> Generator[Path]:
     """Give a hidden folder for what a run would not like to work out twice.
@@ -96,18 +111,7 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     marker, key_file = work / WORK_MARKER, work / "key"
     with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
-        # Everything in it has to be planish's own.
-        names = {entry.name for entry in work.iterdir()}
-        foreign_names = sorted(
-            name for name in names if is_link(work / name) or not _is_work_name(name)
-        )
-        # Versions before the marker wrote a key of 64 digits and a lock.
-        is_marked = {"key", "lock"} <= names
-        if marker.name in names:
-            is_marked = _has_text(marker, _WORK_TEXT)
-        fault_text = "" if is_marked else f"has no file {WORK_MARKER}"
-        if foreign_names:
-            fault_text = f"holds {', '.join(foreign_names[:3])}"
+        fault_text = _fault_of_work(work)
         if fault_text:
             raise FileError(
                 f"{work} was not made by planish (it {fault_text}). {_IN_THE_WAY.format(path.name)}"

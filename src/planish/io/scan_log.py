@@ -166,28 +166,33 @@ def _named(prefix: str, slices: list[Path]) -> tuple[list[NumberedFile], bool]:
 
 def read_scan(folder: Path) -> Scan | None:
     """Read the log of the slices of a folder; None where there is none."""
-    files = sorted(p for p in folder.iterdir() if p.is_file())
+    files = sorted(filter(Path.is_file, folder.iterdir()))
     slices = [p for p in files if is_slice_name(p.name)]
-    logs = [Log(p, slices) for p in files if _is_log(p)]
-    for log in logs:
-        _check_whole(log)
+    logs = [_whole_log(p, slices) for p in filter(_is_log, files)]
     reconstructions = [log for log in logs if log.is_of_slices]
     if not reconstructions:
         return _scan_by_projections(logs, slices)
     log, *copies = _naming_logs(reconstructions, folder)
     # Copies, and the log of the whole scan beside that of a part, have to state the same size.
-    repeats = [o for o in reconstructions if o in copies or log.stem.startswith(o.stem)]
-    further = [Stated(o.name, (None, o.size_um, o.size_um)) for o in repeats if o is not log]
+    others = [o for o in reconstructions if o in copies or _is_of_whole(o, log)]
+    further = [Stated(o.name, (None, o.size_um, o.size_um)) for o in others]
     return Scan(log, (_stated_by(log), *further), _note_on_others(log, slices))
 
 
-def _check_whole(log: Log) -> None:
-    """Refuse a log that is named like the slices and ends before it says anything of them."""
+def _is_of_whole(other: Log, log: Log) -> bool:
+    """True for the log of the scan out of which that of another log was cut."""
+    return other is not log and log.stem.startswith(other.stem)
+
+
+def _whole_log(path: Path, slices: list[Path]) -> Log:
+    """Read a log; refuse one that is named like the slices and ends before it says anything."""
+    log = Log(path, slices)
     if log.stem.endswith("_rec") and log.named_slices and not log.is_of_slices:
         raise FileError(
             f"{log.name} is named like the slices and has no section [Reconstruction]: it is cut"
             f" off or damaged. Copy it again, {ELSEWHERE}"
         )
+    return log
 
 
 def _naming_logs(reconstructions: list[Log], folder: Path) -> list[Log]:
@@ -231,8 +236,7 @@ def _scan_by_projections(logs: list[Log], slices: list[Path]) -> Scan | None:
             continue
         name, first_slice = log.name, slices[0]
         projections, _ = _named(keys.get("filename prefix") or log.stem, slices)
-        is_export = any(word in log.stem for word in ("_rec", "_voi"))
-        if projections and not is_export:
+        if projections and not re.search("_rec|_voi", log.stem):
             raise VolumeError(
                 f"{first_slice.parent.name} holds X-ray projections, first {first_slice.name}, as"
                 f" {name} states. Give the folder of the reconstructed slices, {ELSEWHERE}"
@@ -344,14 +348,14 @@ def _check_count(log: Log, n_files: int, folder: Path) -> None:
 def check_extent(log: Log, shape: tuple[int, ...]) -> tuple[str, ...]:
     """Compare the shape of a volume with that in its log, and say what a copy of a log states."""
     stated_shape = [log.count, *log.extent]
-    pairs = [(n, m) for n, m in zip(shape, stated_shape, strict=True) if m is not None]
-    if all(n == m for n, m in pairs):
+    ratios = [m / n for n, m in zip(shape, stated_shape, strict=True) if m is not None]
+    if set(ratios) <= {1.0}:
         return ()
     stated_text = " x ".join("?" if m is None else str(m) for m in stated_shape)
     shapes_text = f"{log.name} states {stated_text} voxels, the slices have {size_words(shape)}"
     # Cutting keeps the size of a voxel, scaling does not.
-    is_scaled = len(pairs) == 3 and len({round(m / n) for n, m in pairs}) == 1
-    if not log.is_of_whole or is_scaled or any(n > m for n, m in pairs):
+    is_scaled = len(ratios) == 3 and len({*map(round, ratios)}) == 1
+    if not log.is_of_whole or is_scaled or min(ratios) < 1:
         raise VolumeError(
             f"{shapes_text}: they were cropped or scaled, or the log is another's. Move the log"
             " elsewhere and give `voxel_um`."

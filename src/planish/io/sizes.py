@@ -73,7 +73,7 @@ PIXEL = Asked("pixel", ("y", "x"), "pixel_um", (0.01, 500.0))
 """What is asked of the size of a pixel: axes, word of a call, and what is usual."""
 
 
-def bare_unit(lengths: Sequence[float]) -> str:
+def bare_unit(stated_lengths: Sequence[float | None]) -> str:
     """Unit of lengths that are written without one: m or mm, or empty where it is not clear.
 
     It is the one in which all are voxels of a scan of paper; as micrometres they would lie below
@@ -83,6 +83,7 @@ def bare_unit(lengths: Sequence[float]) -> str:
     ('m', 'mm', '')
     """
     least_um, most_um = USUAL_VOXEL_UM
+    lengths = [length for length in stated_lengths if length is not None]
     if not lengths or max(lengths) >= VOXEL.usual_um[0]:
         return ""
     for unit, unit_length in (("m", 1e6), ("mm", 1e3)):
@@ -106,14 +107,18 @@ def stated_in(
     written: list[str] = []
     for axis in order:
         length = lengths[axis] if axis < len(lengths) else None
+        if length is None:
+            sizes.append(None)
+            written.append("")
+            continue
         unit = units[axis] if axis < len(units) else ""
         size = _number(length)
         unit_length = unit_um(unit)
         sizes.append(None if size is None or unit_length is None else size * unit_length)
-        written.append("" if length is None else f"{length:g} {unit}")
-        if length is not None and size is None:
+        written.append(f"{length:g} {unit}")
+        if size is None:
             notes.append(f"{length:g} is no size")
-        elif length is not None and unit_length is None:
+        elif unit_length is None:
             notes.append(f"{unit!r} is no unit of length" if unit else f"{length:g} without a unit")
     return Stated(source, tuple(sizes), ", ".join(dict.fromkeys(notes)), tuple(written))
 
@@ -157,16 +162,33 @@ def agreed_size(
         If it is missing on an axis, contradictory, or outside the possible range.
     """
     statements = [s for s in stated if s.um.count(None) < len(s.um)]
-    sources = " and ".join(s.source for s in statements)
-    if user_um is None:
-        merged_size = _merge_stated(statements, file_name=file_name, asked=asked)
-        size = tuple(um for um in merged_size if um is not None)
-        if len(size) < len(merged_size):
-            missing_text = _missing_text(merged_size, stated, statements, asked)
-            raise SizeError(f"{file_name} states no {asked.name} size{missing_text}, in um.")
-        _check_range(size, statements, file_name=file_name, asked=asked, unusual=unusual)
-        return size, sources
-    size = size_per_axis(user_um, asked)
+    if user_um is not None:
+        size = size_per_axis(user_um, asked)
+        source = _source_of_given(size, statements, file_name, asked, override=override)
+        _check_range(size, (), file_name=file_name, asked=asked, unusual=unusual)
+        return size, source
+    merged_size = _merge_stated(statements, file_name=file_name, asked=asked)
+    size = tuple(um for um in merged_size if um is not None)
+    if len(size) < len(merged_size):
+        missing_text = _missing_text(merged_size, stated, statements, asked)
+        raise SizeError(f"{file_name} states no {asked.name} size{missing_text}, in um.")
+    _check_range(size, statements, file_name=file_name, asked=asked, unusual=unusual)
+    return size, _sources(statements)
+
+
+def _sources(statements: Sequence[Stated]) -> str:
+    return " and ".join(s.source for s in statements)
+
+
+def _source_of_given(
+    size: tuple[float, ...],
+    statements: Sequence[Stated],
+    file_name: str,
+    asked: Asked,
+    *,
+    override: bool,
+) -> str:
+    """Where a size comes from that was given; one that metadata contradict is refused."""
     contradictions = [s for s in statements if not s.agrees(size)]
     if contradictions and not override:
         raise SizeError(
@@ -174,14 +196,13 @@ def agreed_size(
             f" {asked.statements(contradictions)}. Correct one of them, or add {OVERRIDE} to take"
             " the given size."
         )
-    _check_range(size, (), file_name=file_name, asked=asked, unusual=unusual)
     if contradictions:
         replaced_text = and_join(f"{s.source} ({asked.in_words(s.um)})" for s in contradictions)
-        return size, f"given, in place of {replaced_text}"
+        return f"given, in place of {replaced_text}"
     # A repeated run gives the very size that the metadata stated the first time; it still comes
     # from there.
     merged_size = _merge_stated(statements, file_name=file_name, asked=asked)
-    return size, sources if merged_size == size else "given"
+    return _sources(statements) if merged_size == size else "given"
 
 
 def _missing_text(
@@ -356,17 +377,8 @@ def _stated_by_imagej(
     unit = str(meta.get("unit", ""))
     if unit_um(unit) is None:
         return Stated("ImageJ metadata", (None, None, None), f"{unit!r} is no unit of length")
-    unit_y = str(meta.get("yunit") or unit)
-    unit_z = str(meta.get("zunit") or unit)
-    sizes_um: list[float | None] = []
-    for per_unit, axis_unit in zip(density, (unit_y, unit), strict=True):
-        unit_length = unit_um(axis_unit)
-        if axis_unit.strip().casefold() in {"inch", "in", "inches", "cm"}:
-            sizes_um.append(from_density(per_unit, axis_unit))
-        elif per_unit is None or unit_length is None:
-            sizes_um.append(None)
-        else:
-            sizes_um.append(unit_length / per_unit)
+    unit_y, unit_z = [str(meta.get(key) or unit) for key in ("yunit", "zunit")]
+    sizes_um = map(_pixel_um, density, (unit_y, unit))
     spacing = stated_in("", [_real(meta.get("spacing"))], [unit_z], (0,))
     note = f"its spacing: {spacing.note}" if spacing.note else ""
     if meta.get("spacing") is None:
@@ -374,6 +386,14 @@ def _stated_by_imagej(
     stated = Stated("ImageJ metadata", (*spacing.um, *sizes_um), note)
     is_resolution = unit_um(unit) in (unit_um("inch"), unit_um("cm"))
     return _doubted(stated, writer) if is_resolution else stated
+
+
+def _pixel_um(per_unit: float | None, unit: str) -> float | None:
+    """Pixel size (um) by ImageJ's pixels per unit of length."""
+    if unit.strip().casefold() in {"inch", "in", "inches", "cm"}:
+        return from_density(per_unit, unit)
+    unit_length = unit_um(unit)
+    return None if per_unit is None or unit_length is None else unit_length / per_unit
 
 
 def _fraction(tag_value: Any) -> float | None:

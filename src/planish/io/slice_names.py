@@ -8,7 +8,7 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Sequence
-from itertools import chain, islice, pairwise
+from itertools import chain, filterfalse, islice, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,8 +38,8 @@ def list_slices(folder: Path) -> SliceOrder:
     """List the slices of a folder in the order of their numbers."""
     if not folder.is_dir():
         raise FileError(f"{folder.name} is not a folder. Check the name.")
-    files = sorted(p for p in folder.iterdir() if is_slice_name(p.name) and p.is_file())
-    files = [p for p in files if not is_preview(p)] or files
+    files = sorted(p for p in filter(Path.is_file, folder.iterdir()) if is_slice_name(p.name))
+    files = [*filterfalse(is_preview, files)] or files
     if not files:
         # Here, so that slices wait for no table of other files.
         from planish.io.other_files import folder_refusal
@@ -96,7 +96,7 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str
     Of several numbers that change, one has to count without a gap, and no other may ask for another
     order: the digits of a date and a time rise with it, read one after the other.
     """
-    columns = _number_columns([p.stem for p in files])
+    columns = _number_columns(files)
     changing_columns = [column for column in columns if len({*column}) > 1]
     if len(changing_columns) == 1:
         return changing_columns[0], ()
@@ -113,7 +113,7 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str
     numbers = min(reversed(counters), key=slice_step)
     order = sorted(range(len(files)), key=numbers.__getitem__)
     changing = [*zip(*(c for c in changing_columns if c is not numbers), strict=True)]
-    if not all(_rises(column, order) for column in [*counters, changing]):
+    if not _all_rise([*counters, changing], order):
         raise VolumeError(
             f"{folder.name}: {changes_text}, and they ask for different orders. Rename the slices"
             " with one running number."
@@ -125,15 +125,15 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str
     return numbers, (f"{note} {place} counts the slices; the others that change rise with it.",)
 
 
-def _rises(column: Sequence[Any], order: list[int]) -> bool:
-    """True if entries rise, or stay, in an order."""
-    return sorted(column) == [column[i] for i in order]
+def _all_rise(columns: Sequence[Sequence[Any]], order: list[int]) -> bool:
+    """True if the entries of all columns rise, or stay, in an order."""
+    return all(sorted(column) == [column[i] for i in order] for column in columns)
 
 
-def _number_columns(stems: list[str]) -> list[list[int]]:
+def _number_columns(files: list[Path]) -> list[list[int]]:
     """Numbers of all names, one list for each place in a name."""
     columns: list[list[int]] = []
-    for words in zip(*map(NUMBER.findall, stems), strict=True):
+    for words in zip(*(NUMBER.findall(path.stem) for path in files), strict=True):
         is_signed = len({word[0] if word[0] in "+-" else "" for word in words}) > 1
         columns.append([int(word if is_signed else word.lstrip("+-")) for word in words])
     return columns

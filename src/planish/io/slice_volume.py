@@ -101,7 +101,7 @@ def load_pictures(
         if file_header.key != header.key:
             _check_same(load_one(file, memory_bytes=limit), first, file=file, first_file=files[0])
         has_same_type = file_header.dtype == header.dtype and first.values.ndim == 2
-        if file_header.offset is not None and has_same_type:
+        if has_same_type and file_header.offset is not None:
             planes.append((file, file_header.offset))
     if len(planes) == len(files):
         return widened(StoredArray(planes, shape, header.dtype)), first

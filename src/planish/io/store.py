@@ -283,12 +283,18 @@ def _halved(where: Where, times: int) -> Where:
     return z, y, x
 
 
-def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
-    """Make the arrays of all levels with their metadata, or open those that are there."""
-    shapes = [tuple(volume.shape)]
+def _level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """Shapes of all levels, each half as long along each axis as the one before."""
+    shapes = [shape]
     while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
         shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
-    voxel_um = [float(v) for v in volume.attrs["voxel_um"]]
+    return shapes
+
+
+def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
+    """Make the arrays of all levels with their metadata, or open those that are there."""
+    shapes = _level_shapes(volume.shape)
+    voxel_um = list(map(float, volume.attrs["voxel_um"]))
     first_um = [float(volume[axis].values[0]) for axis in "zyx"]
     source_name = str(volume.attrs.get("file_name", "volume"))
     scales = multiscale(

@@ -111,15 +111,9 @@ def _count_pages(path: Path) -> int:
     offsets: set[int] = set()
     with reading(path), path.open("rb") as file:
         head = file.read(16)
-        if not is_tiff(head):
-            raise FileError(f"{path.name} is not a TIFF file. Export it as TIFF.")
-        is_big = head[2:4] in {b"+\0", b"\0+"}
-        struct_codes, first_offset = (("Q", "HHQ", "Q"), 16) if is_big else (("H", "HHI", "I"), 8)
-        if len(head) < first_offset:
-            raise damaged(path, "it ends within its header")
-        byte_order = "<" if head[:2] == b"II" else ">"
-        count, tag, pointer = (struct.Struct(byte_order + code) for code in struct_codes)
-        offset: int = pointer.unpack(head[first_offset // 2 : first_offset])[0]
+        count, tag, pointer = _table_structs(head, path)
+        first_offset = 2 * pointer.size
+        offset: int = pointer.unpack(head[pointer.size : first_offset])[0]
         while offset:
             page_text = f"page {len(offsets) + 1}"
             if offset in offsets:
@@ -144,6 +138,19 @@ def _count_pages(path: Path) -> int:
     if not offsets:
         raise damaged(path, "it holds no page")
     return len(offsets)
+
+
+def _table_structs(head: bytes, path: Path) -> list[struct.Struct]:
+    """Layouts in a table of tags: the number of tags, a tag, and the byte it or a page begins."""
+    if not is_tiff(head):
+        raise FileError(f"{path.name} is not a TIFF file. Export it as TIFF.")
+    is_big = head[2:4] in {b"+\0", b"\0+"}
+    codes = ("Q", "HHQ", "Q") if is_big else ("H", "HHI", "I")
+    byte_order = "<" if head[:2] == b"II" else ">"
+    structs = [struct.Struct(byte_order + code) for code in codes]
+    if len(head) < 2 * structs[-1].size:
+        raise damaged(path, "it ends within its header")
+    return structs
 
 
 def _check_tags(
@@ -180,9 +187,27 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
 
     A cut file of ImageJ still has its table.
     """
+    _check_ome_images(tif, path)
     first = tif.pages.first
     n_pages = len(tif.pages)
-    for tag in re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or ""):
+    n_images = _imagej_images(tif)
+    if n_images > n_pages and first.dataoffsets and not describes_other_images(tif):
+        held_bytes = first.dataoffsets[0] + n_images * first.nbytes
+        file_bytes = tif.filehandle.size
+        if held_bytes > file_bytes or not first.is_contiguous:
+            held_text = f"the file has {n_pages} pages and {file_bytes} bytes"
+            raise damaged(path, f"{n_images} images are declared, {held_text}")
+
+
+def _ome_pixels(tif: TiffFile) -> list[str]:
+    """Tags of OME metadata that describe the pixels of an image each."""
+    return re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or "")
+
+
+def _check_ome_images(tif: TiffFile, path: Path) -> None:
+    """Refuse OME metadata of more planes than can be, or of planes far larger than the pages."""
+    first = tif.pages.first
+    for tag in _ome_pixels(tif):
         sizes = {
             k: int(n) for k, n in re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)
         }
@@ -192,15 +217,8 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
         is_plane = n_rows <= 10 * first.imagelength and n_columns <= 10 * first.imagewidth
         if n_planes > MOST_PAGES or not is_plane:
             declared_text = f"its OME metadata declare {size_words([*sizes.values()])} values"
-            held_text = f"the file has {n_pages} pages of {size_words(first.shape)}"
+            held_text = f"the file has {len(tif.pages)} pages of {size_words(first.shape)}"
             raise damaged(path, f"{declared_text}, {held_text}")
-    n_images = _imagej_images(tif)
-    if n_images > n_pages and first.dataoffsets and not describes_other_images(tif):
-        held_bytes = first.dataoffsets[0] + n_images * first.nbytes
-        file_bytes = tif.filehandle.size
-        if held_bytes > file_bytes or not first.is_contiguous:
-            held_text = f"the file has {n_pages} pages and {file_bytes} bytes"
-            raise damaged(path, f"{n_images} images are declared, {held_text}")
 
 
 def _imagej_images(tif: TiffFile) -> int:
@@ -211,7 +229,7 @@ def _imagej_images(tif: TiffFile) -> int:
 
 def _described_images(tif: TiffFile) -> int:
     """Number of grey images that ImageJ or the one image of OME describes; 1 where none does."""
-    pixels = re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or "")
+    pixels = _ome_pixels(tif)
     sizes = re.findall(r"\bSize[ZCT]\s*=\s*[\"'](\d{1,9})[\"']", pixels[0]) if pixels else []
     n_planes = math.prod(map(int, sizes)) if len(pixels) == 1 else 1
     return max(n_planes, _imagej_images(tif))
@@ -309,7 +327,7 @@ def _checked_bytes(
     if n_complete < n_segments:
         raise damaged(path, f"{missing_text} {n_complete} of {n_segments} strips or tiles")
     for start, byte_count in zip(page.dataoffsets, page.databytecounts, strict=False):
-        if start == 0 or byte_count == 0:
+        if 0 in (start, byte_count):
             raise damaged(path, f"{missing_text} an empty strip or tile")
         end_byte = start + byte_count
         if start < 8 or end_byte > file_bytes:

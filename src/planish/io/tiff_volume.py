@@ -13,7 +13,7 @@ from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.typing import Array
-from planish.io.axes import LEAST_SLICES, slices_note
+from planish.io.axes import may_be_slices, slices_note
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.lazy import (
@@ -94,13 +94,11 @@ def _series_values(
     with reading(path):
         offset = series.dataoffset
         if offset is None:
-            array = _paged(series, path, shape, stored_dtype)
+            array = _paged(series, path, shape, stored_dtype, limit_bytes)
         elif change is None:
             return mapped(path, shape, stored_dtype, offset=offset)
         else:
             array = stored_planes(path, shape, stored_dtype, offset=offset)
-    if isinstance(array, TiffPages) and "S" not in axes and is_small(array, limit_bytes):
-        array = None
     samples_first = axes[1] == "S"
     if array is not None:
         axis_order = (0, 2, 3) if samples_first else (0, 1, 2)
@@ -116,17 +114,28 @@ def _series_values(
 
 
 def _paged(
-    series: TiffPageSeries, path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any]
+    series: TiffPageSeries,
+    path: Path,
+    shape: tuple[int, ...],
+    stored_dtype: np.dtype[Any],
+    limit_bytes: int,
 ) -> FileArray | None:
-    """An array of one page for each slice, with one plane in each; None where they are not so."""
+    """An array of one page for each slice, with one plane in each.
+
+    None where they are not so, and where grey pages that have to be decoded are small.
+    """
     frame = series.keyframe
-    pages = [page for page in series if page is not None]
+    pages = [*filter(None, series)]
     has_one_plane = 1 in (frame.planarconfig, frame.samplesperpixel) and frame.imagedepth == 1
     if not has_one_plane or len(pages) != shape[0]:
         return None
     if frame.is_final and all(map(_is_joined, pages)):
         return StoredArray([(path, page.dataoffsets[0]) for page in pages], shape, stored_dtype)
-    return None if frame.is_subsampled else TiffPages(path, series)
+    if frame.is_subsampled:
+        return None
+    tiff_pages = TiffPages(path, series)
+    is_grey = "S" not in long_axes(series)
+    return None if is_grey and is_small(tiff_pages, limit_bytes) else tiff_pages
 
 
 def _is_joined(page: TiffPage | TiffFrame) -> bool:
@@ -149,9 +158,10 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> tuple[str, tuple[str, ..
         letter = grey_axes[0]
         if letter in SLICE_AXES:
             return axes, ()
+        folded_letter = letter.casefold()
         # Programs file a stack of unnamed pages as channels or time points.
-        if letter == "T" or (letter == "C" and lengths["C"] >= LEAST_SLICES):
-            return axes, (slices_note(lengths[letter], letter.casefold()),)
+        if may_be_slices(folded_letter, lengths[letter]):
+            return axes, (slices_note(lengths[letter], folded_letter),)
     raise VolumeError(f"{path.name} {_fault_of_axes(axes, lengths, shape_words(series))}")
 
 

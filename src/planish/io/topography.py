@@ -18,6 +18,18 @@ from planish.io.sizes import PIXEL, Stated, agreed_size
 from planish.io.tiff import size_words
 
 
+def _unit_length(unit: Any, path: Path) -> float:
+    """Length in um of the unit of heights, which has to be stated."""
+    unit_length = unit_um(str(unit or ""))
+    if unit_length is None:
+        fault_text = f"in {unit!r}, which is no unit of length" if unit else "without a unit"
+        raise SizeError(
+            f"{path.name} has heights {fault_text}. Export it in a format that states one: X3P or"
+            " SUR."
+        )
+    return unit_length
+
+
 def read_topography(
     path: str | Path,
     *,
@@ -61,7 +73,7 @@ def read_topography(
             if hasattr(reader, "__exit__"):
                 stack.enter_context(reader)
             channel: Any = reader.default_channel
-            grid_shape = tuple(int(n) for n in channel.nb_grid_pts)
+            grid_shape = tuple(map(int, channel.nb_grid_pts))
         if len(grid_shape) != 2:
             raise FileError(
                 f"{path.name} holds a profile of {size_words(grid_shape)} points, not a map. Give a"
@@ -70,17 +82,7 @@ def read_topography(
         check_memory(
             path, needed_bytes=3 * 8 * grid_shape[0] * grid_shape[1], limit_bytes=memory_bytes
         )
-        unit_length = unit_um(str(channel.unit or ""))
-        if unit_length is None:
-            fault_text = (
-                f"in {channel.unit!r}, which is no unit of length"
-                if channel.unit
-                else "without a unit"
-            )
-            raise SizeError(
-                f"{path.name} has heights {fault_text}. Export it in a format that states one: X3P"
-                " or SUR."
-            )
+        unit_length = _unit_length(channel.unit, path)
         physical_sizes: Any = channel.physical_sizes or (None, None)
         stated: list[Stated] = []
         if None not in physical_sizes:

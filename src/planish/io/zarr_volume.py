@@ -54,14 +54,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     shape = array.shape
     named = _named_axes(multiscale, array, path)
     placed = place_axes(shape, named.namings, path.name, channel_labels=_channel_labels(multiscale))
-    # A store that planish wrote lists its shards, also those that hold one constant.
-    lost_shards = [shard for shard in missing_shards(path) if shard.startswith(f"{name}/")]
-    if lost_shards:
-        raise FileError(
-            f"{path.name} has lost {len(lost_shards)} of its shards, first {lost_shards[0]}; they"
-            " would read as zeros. Copy it or import the volume again."
-        )
-    files = [file for file in (path / name).rglob("*") if file.is_file()]
+    _check_shards(path, name)
+    files = [*filter(Path.is_file, (path / name).rglob("*"))]
     with reading(path):
         positions = _stored_chunks(path / name, files)
         doubts = check_chunks(positions, shape, array.shards or array.chunks, name=path.name)
@@ -94,6 +88,16 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     )
 
 
+def _check_shards(path: Path, name: str) -> None:
+    """Refuse an array of a store of planish, which lists its shards, where some are lost."""
+    lost_shards = [shard for shard in missing_shards(path) if shard.startswith(f"{name}/")]
+    if lost_shards:
+        raise FileError(
+            f"{path.name} has lost {len(lost_shards)} of its shards, first {lost_shards[0]}; they"
+            " would read as zeros. Copy it or import the volume again."
+        )
+
+
 def _stated_by_scale(
     multiscale: Keys, level: int, units: list[str], order: tuple[int, ...]
 ) -> Stated:
@@ -107,15 +111,15 @@ def _stated_by_scale(
     return stated_in(source, lengths, units, order)
 
 
-def _is_node(folder: Path) -> bool:
-    """True if a folder of a store has metadata of a group or an array."""
-    return any((folder / file).is_file() for file in METADATA)
+def _metadata_files(folder: Path) -> list[Path]:
+    """Files with the metadata of a group or an array; empty for a folder that is neither."""
+    return [folder / name for name in METADATA if (folder / name).is_file()]
 
 
 def _group_attrs(path: Path, name: str) -> Keys:
     """Attributes of the group in which an array lies; none where it lies in no group."""
     parent = name.rpartition("/")[0]
-    if not name or not _is_node(path / parent):
+    if not name or not _metadata_files(path / parent):
         return {}
     with reading(path):
         return dict(_open_node(path, parent).attrs)
@@ -132,10 +136,7 @@ def _said_at_import(group_attrs: Keys) -> tuple[dict[str, str], list[str]]:
 
 
 def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> Array:
-    changed_ns = max(
-        (file.stat().st_mtime_ns for m in METADATA if (file := path / name / m).is_file()),
-        default=0,
-    )
+    changed_ns = max((f.stat().st_mtime_ns for f in _metadata_files(path / name)), default=0)
     array = _open_again(path, name, changed_ns)
     if tuple(array.shape) != shape:
         raise FileError(f"{path.name} was changed while planish read it. Start again.")
@@ -166,13 +167,13 @@ def _part_of(path: Path, part: str) -> str:
 
 def _open_node(path: Path, name: str) -> Any:
     node_folder, node_text = path / name, name or "its root"
-    metadata = [file for file in METADATA if (node_folder / file).is_file()]
+    metadata = _metadata_files(node_folder)
     if not metadata:
         raise FileError(
             f"{path.name} has nothing at {node_text}: no zarr.json, .zarray or .zgroup. Check the"
             " name."
         )
-    if any((node_folder / file).stat().st_size > 50_000_000 for file in metadata):
+    if any(file.stat().st_size > 50_000_000 for file in metadata):
         raise damaged(path, f"the metadata of {node_text} are larger than 50 MB")
     with reading(path):
         # Each node is opened by its own folder: neither parents nor consolidated metadata are read.
@@ -190,31 +191,40 @@ def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
     if multiscale is not None:
         first = _part_of(path, str(multiscale["datasets"][0].get("path", "")))
         return multiscale, 0, f"{name}/{first}".strip("/")
-    with reading(path):
-        members = sorted(folder.name for folder in (path / name).iterdir() if _is_node(folder))
     keys = _ome_keys(node, path)
     if "plate" in keys:
         raise VolumeError(
             f"{path.name} is a plate with images in many wells. Choose one as {path.name}:A/1/0."
         )
-    if "bioformats2raw.layout" in keys and "OME" in members:
-        members.remove("OME")  # which holds no image
-    volumes = [member for member in members if _is_volume(path, f"{name}/{member}".strip("/"))]
-    if len(members) == 1 or len(volumes) == 1:
-        return _find_level(path, f"{name}/{(volumes or members)[0]}".strip("/"))
-    example = "Export it again as OME-Zarr."
-    if members:
-        example = f"Choose one as {path.name}:{members[0]}."
+    # The group OME of bioformats2raw holds no image.
+    members = _members(path, name) - {"OME" if "bioformats2raw.layout" in keys else ""}
+    volumes = [m for m in sorted(members) if _is_volume(path, f"{name}/{m}".strip("/"))]
+    for candidates in (volumes, sorted(members)):
+        if len(candidates) == 1:
+            return _find_level(path, f"{name}/{candidates[0]}".strip("/"))
     raise VolumeError(
         f"{path.name} has no multiscale image at {name or 'its root'}; it holds"
-        f" {', '.join(members[:8]) or 'nothing'}. {example}"
+        f" {_choice_text(sorted(members), path)}"
     )
+
+
+def _members(path: Path, name: str) -> set[str]:
+    """Names of the groups and arrays in a group."""
+    with reading(path):
+        return {folder.name for folder in (path / name).iterdir() if _metadata_files(folder)}
+
+
+def _choice_text(members: list[str], path: Path) -> str:
+    """Say what a group holds, and what to do where no member is the one to read."""
+    if not members:
+        return "nothing. Export it again as OME-Zarr."
+    return f"{', '.join(members[:8])}. Choose one as {path.name}:{members[0]}."
 
 
 def _level_of(path: Path, name: str) -> tuple[Keys | None, int, str]:
     """Level of an array that was chosen by its name."""
     parent, _, last = name.rpartition("/")
-    if name and _is_node(path / parent):
+    if name and _metadata_files(path / parent):
         multiscale = _multiscale_of(_open_node(path, parent), path)
         if multiscale is not None:
             levels = [_part_of(path, str(level.get("path"))) for level in multiscale["datasets"]]
@@ -239,19 +249,27 @@ def _multiscale_of(group: Any, path: Path) -> Keys | None:
     """The one multiscale image of a group; None where the group has none."""
     ome = _ome_keys(group, path)
     images: Any = ome.get("multiscales")
-    if images is None:
-        return None
-    if isinstance(images, list) and len(images) > 1:
-        raise VolumeError(f"{path.name} holds {len(images)} images in one group. {ADVICE}")
-    image: Any = images[0] if isinstance(images, list) and images else None
-    levels: Any = image.get("datasets") if isinstance(image, dict) else None
-    if (
-        not isinstance(levels, list)
-        or not levels
-        or not all(isinstance(level, dict) for level in levels)
-    ):
-        raise damaged(path, "its multiscales metadata name no data sets")
-    return {**image, "omero": ome.get("omero")}
+    match images:
+        case None:
+            return None
+        case [_, _, *_]:
+            raise VolumeError(f"{path.name} holds {len(images)} images in one group. {ADVICE}")
+        case [{"datasets": [_, *_] as levels} as image] if all(isinstance(v, dict) for v in levels):
+            return {**image, "omero": ome.get("omero")}
+        case _:
+            raise damaged(path, "its multiscales metadata name no data sets")
+
+
+def _axes_by_ome(multiscale: Keys, count: int, path: Path) -> list[Keys]:
+    """What a multiscale image says of each axis: name, type, unit."""
+    # Before version 0.3 the axes had no names, and were these.
+    entries: Any = multiscale.get("axes", "tczyx"[5 - count :] if count <= 5 else None)
+    if not isinstance(entries, (list, str)):
+        entries = ()
+    axes: Any = [axis if isinstance(axis, dict) else {"name": axis} for axis in entries]
+    if len(axes) != count:
+        raise damaged(path, f"it names {len(axes)} axes, its array has {count}")
+    return axes
 
 
 class NamedAxes(NamedTuple):
@@ -269,13 +287,7 @@ def _named_axes(multiscale: Keys | None, array: Any, path: Path) -> NamedAxes:
     units = [""] * count
     directions = [""] * count
     if multiscale is not None:
-        # Before version 0.3 the axes had no names, and were these.
-        entries: Any = multiscale.get("axes", "tczyx"[5 - count :] if count <= 5 else None)
-        if not isinstance(entries, (list, str)):
-            entries = ()
-        axes: Any = [axis if isinstance(axis, dict) else {"name": axis} for axis in entries]
-        if len(axes) != count:
-            raise damaged(path, f"it names {len(axes)} axes, its array has {count}")
+        axes = _axes_by_ome(multiscale, count, path)
         names = tuple(str(axis.get("name", "")) for axis in axes)
         namings.append(AxisNames("the OME-Zarr axes", names))
         units = [str(axis.get("unit", "")) for axis in axes]
@@ -311,7 +323,7 @@ def _coordinates_along(
     for naming in named.namings:
         axis_name = naming.names[axis]
         array_name = f"{group_name}/{axis_name}".strip("/")
-        if not re.fullmatch(r"\w+", axis_name) or not _is_node(path / array_name):
+        if not re.fullmatch(r"\w+", axis_name) or not _metadata_files(path / array_name):
             continue
         node = _open_node(path, array_name)
         if isinstance(node, zarr.Array) and node.shape == (count,) and node.dtype.kind in "uif":
