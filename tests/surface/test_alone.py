@@ -108,3 +108,13 @@ def test_a_coating_that_is_even_within_its_error_has_one_class_of_error():
     found = find_surfaces(sheet.volume())
     for side in ("top", "bottom"):
         assert len(found.attrs[f"fit_errors_{side}_um"]) == 4
+
+
+@pytest.mark.ci
+def test_a_scan_without_noise_has_no_error_below_that_of_its_levels():
+    sheet = Sheet(lateral=(60, 64), margin=20.0, thickness=60.0, coats=(15.0, 15.0), noise=0.0)
+    made = sheet.volume()
+    found = measure_properties(find_surfaces(made), volume=made)
+    stated = found["coating_top_se"].values
+    off = np.abs(np.nanmean(found["coating_top"].values) - 15.0)
+    assert off < np.nanmin(stated) < 0.1 * sheet.voxel

@@ -158,7 +158,7 @@ def _spatial_letters(
             f"{subject} has {content_text}{labels_text}: {shape_text}"
             f" ({', '.join(naming.all_names)}). {ADVICE}"
         )
-    if {*letters} != {*"xyz"}:
+    if sorted(letters) != ["x", "y", "z"]:
         raise VolumeError(
             f"{subject} is no volume with the axes z, y and x: its axes are {naming}. {ADVICE}"
         )
@@ -196,7 +196,7 @@ def _filled(letters: Sequence[str | None]) -> list[str] | None:
     An axis without a name is the letter that is left, or in its usual place.
     """
     named = [*filter(None, letters)]
-    free_letters = sorted({*"zyx"} - {*named}, reverse=True)
+    free_letters = [letter for letter in "zyx" if letter not in named]
     if set(named) & set(MEANINGS):
         free_letters = free_letters[1:]
     n_missing = len(letters) - len(named)

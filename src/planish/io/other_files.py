@@ -129,11 +129,11 @@ def folder_contents(folder: Path) -> tuple[str, str]:
     files_by_folder, stores = _visible(folder)
     files = files_by_folder.pop(folder, [])
     most_files = max(files_by_folder.values(), key=len, default=[])
-    with_slices = [*filter(lambda inner: _has_slices(files_by_folder[inner]), files_by_folder)]
+    with_slices = [inner for inner, held in files_by_folder.items() if _has_slices(held)]
     texts = _counted(files)
     for inner in with_slices or [file.parent for file in most_files[:1]]:
         texts.append(_folder_text(inner.relative_to(folder), files_by_folder[inner]))
-    texts += map("an OME-Zarr store {0.name}".format, stores)
+    texts += [f"an OME-Zarr store {store.name}" for store in stores]
     contents_text = f"it holds {and_join_few(texts)}" if texts else "it is empty"
     candidates = with_slices or [*filter(_is_volume, files), *stores]
     return contents_text, _way_on(folder, candidates, files or most_files)

@@ -218,6 +218,7 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
     with reading(path):
         # Pillow decodes a PNG to look for the tag behind its pixels.
         exif = image.getexif() if decode or kind != "png" else Image.Exif()
+        orientation = _orientation_of(exif.get(274, 1))
         photo = exif.get_ifd(34665)
         writer = writer_of({305: image.info.get("Software")} | dict(exif), photo)
         tone = tone_of(exif, photo.get(COLOUR_SPACE), image.info)
@@ -230,7 +231,7 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         colour=_raster_colour(image.mode, values),
         bits=16 if image.mode == "I" else 8 * values.itemsize,
         stated=_stated_by_raster(kind, image.info.get("dpi"), exif, writer),
-        orientation=_orientation_of(exif.get(274, 1)),
+        orientation=orientation,
         tone=tone,
     )
 

@@ -38,7 +38,7 @@ def list_slices(folder: Path) -> SliceOrder:
     """List the slices of a folder in the order of their numbers."""
     if not folder.is_dir():
         raise FileError(f"{folder.name} is not a folder. Check the name.")
-    files = sorted(p for p in filter(Path.is_file, folder.iterdir()) if is_slice_name(p.name))
+    files = sorted(p for p in folder.iterdir() if is_slice_name(p.name) and p.is_file())
     files = [*filterfalse(is_preview, files)] or files
     if not files:
         # Here, so that slices wait for no table of other files.

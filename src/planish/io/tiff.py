@@ -327,7 +327,7 @@ def _checked_bytes(
     if n_complete < n_segments:
         raise damaged(path, f"{missing_text} {n_complete} of {n_segments} strips or tiles")
     for start, byte_count in zip(page.dataoffsets, page.databytecounts, strict=False):
-        if 0 in (start, byte_count):
+        if start == 0 or byte_count == 0:
             raise damaged(path, f"{missing_text} an empty strip or tile")
         end_byte = start + byte_count
         if start < 8 or end_byte > file_bytes:

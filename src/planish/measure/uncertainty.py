@@ -148,12 +148,13 @@ def thickness_errors(
     for side, (face_se, _, interface_se) in sides.items():
         errors[f"half_thickness_{side}"] = errors[f"topography_{side}"] = face_se
         errors[f"base_surface_{side}"] = interface_se
-    # A trial on the sheet itself has met the pores at its boundaries.
+    # A trial on the sheet itself has met the pores at its boundaries, but no error of the levels.
     untried = [side for side in SIDES if side not in greys.fit_errors]
-    for name in errors:
+    for name, se in errors.items():
         side = name.rpartition("_")[2]
-        if side in untried or (side not in SIDES and untried):
-            errors[name] = np.hypot(errors[name], shared_noise.local_um[name])
+        is_tried = side not in untried if side in SIDES else not untried
+        combined = np.maximum if is_tried else np.hypot
+        errors[name] = combined(se, shared_noise.local_um[name])
     return errors
 
 

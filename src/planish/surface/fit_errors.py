@@ -25,6 +25,7 @@ from planish.surface.faces import fit_side, fit_tile, largest_step_px
 _COLUMNS = 2**15  # of the patches
 _CLASSES = 8  # of thickness, of as many columns each; fewer where they would be of chance
 _MOST = (0.05, 0.95)  # quantiles between which most columns are
+_NO_ERROR = 1e-6  # voxels: a scan without any noise is fitted as well as that
 _LEAST = 1000  # columns
 _SEED = 0  # of what is drawn: a sheet has the same errors whenever it is read
 _PLACE = 4.0  # standard deviation of a place with a grey of its own, in columns
@@ -53,11 +54,13 @@ def fit_errors(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Flo
 
 def _by_thickness(values: Floats) -> Floats:
     """Root mean squares in classes of thickness, of (4, columns)."""
-    thickness, errors = values[0], values[1:] - values[1:].mean(axis=1, keepdims=True)
+    thickness = values[0]
+    errors = values[1:] - values[1:].mean(axis=1, keepdims=True)
     # A class is no narrower than one error to either side: within that, which column is in which
     # class is chance.
     thin, thick = np.quantile(thickness, _MOST)
-    classes = int(np.clip((thick - thin) / (2.0 * errors[1].std()), 1, _CLASSES))
+    least_width = 2.0 * max(float(errors[1].std()), _NO_ERROR)
+    classes = int(np.clip((thick - thin) / least_width, 1, _CLASSES))
     order = np.argsort(thickness, kind="stable")
     return np.array(
         [
