@@ -1,6 +1,7 @@
 """A model of a run: declared in its study, asked for afterwards, on the page, over a series."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -75,6 +76,10 @@ def test_the_page_answers_and_its_tables_hold_the_numbers():
     for words in ("matters most", "independent ones", "What would make it more certain"):
         assert words in page
     assert len(pictures) == 6  # coefficients, sizes, two partial plots, residuals, correlogram
+    # A map has one colour: dots of its coefficient, of its curve over sizes, of its partial plot.
+    dots = [re.findall(r'h0" fill="none" stroke="(#\w+)"', picture.svg) for picture in pictures]
+    assert dots[0] == dots[1] == [*dots[2], *dots[3]]
+    assert len(set(dots[0])) == 2
     tables = tables_of(model)
     assert tables["coefficients"]["map"] == ["a", "b"]
     assert tables["coefficients"]["low"][0] == model.coefficients["a"].interval[0]

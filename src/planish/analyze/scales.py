@@ -144,8 +144,8 @@ def octaves_of_map(
     field = fields.on(is_valid, pixel_um)
     if not field.octaves:
         reason = (
-            "The field holds no octave: waves from a fifth of its shorter side down to 4 pixels"
-            " count. Give a larger field, or smaller pixels."
+            "The field holds no octave: waves count where five of them fit along its shorter side"
+            " and each is 4 pixels long or more. Give a larger field, or smaller pixels."
         )
         return facts.model_copy(update={"reason": reason}), ()
     noise = _noise_of(halves, len(maps), fields)

@@ -37,7 +37,7 @@ def explain(run: Path, out: Path | None, as_json: bool, **values: Any) -> int:
     its sheets are pooled. OUT gets explain.html, explain.json and the tables as CSV.
     """
     from planish.core.errors import InputError
-    from planish.report.explain import coefficient_rows
+    from planish.report.explain import coefficient_tables
     from planish.report.sentences.explain import say_answer, say_surer
     from planish.series.explain import declared_model, explain_folder, write_explained
 
@@ -58,8 +58,8 @@ def explain(run: Path, out: Path | None, as_json: bool, **values: Any) -> int:
     if as_json:
         click.echo(model.model_dump_json(indent=2))
     else:
-        rows = coefficient_rows(model)
-        table(f"What explains {params.response}", [*rows[0]], [[*row.values()] for row in rows])
+        for heading, rows in coefficient_tables(model).items():
+            table(heading, [*rows[0]], [[*row.values()] for row in rows])
         sentence(in_ascii(say_answer(model)))
         for text in say_surer(model):
             sentence(in_ascii(text))

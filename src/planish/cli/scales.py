@@ -44,8 +44,8 @@ def scales(run: Path, out: Path | None, as_json: bool, **values: Any) -> None:
     if as_json:
         click.echo(found.model_dump_json(indent=2))
     else:
-        for name, rows in band_rows(found).items():
-            table(f"Octaves of {name}", [*rows[0]], [[*row.values()] for row in rows])
+        for heading, rows in band_rows(found).items():
+            table(heading, [*rows[0]], [[*row.values()] for row in rows])
         for text in (say_answer(found), *say_surer(found), *say_notes(found)):
             sentence(in_ascii(text))
     if out is not None:

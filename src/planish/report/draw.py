@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from itertools import cycle
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from planish.core.area import area_mean
 from planish.core.axial import summable
 from planish.core.facts import ResultModel, is_known
 from planish.core.numbers import count, fixed, length, plain, round_step
+from planish.core.typing import Pair
 from planish.report.colours import MISSING, Array, Scale, image_uri
 
 Box = tuple[float, float, float, float]  # left edge, upper edge, width and height in CSS pixels
@@ -27,8 +29,7 @@ BESIDE = 86.0  # to the right of a map on half a page: its colour bar
 MARGIN, BELOW = 44.0, 18.0  # to the left of a map and below it: the numbers of its axes
 INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
 ACCENT, POINT = "#b3402a", "#2f6690"
-COLOURS = (POINT, ACCENT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
-"""Of curves in one figure."""
+_COLOURS = (POINT, ACCENT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
 LINE_PX = 17.0  # of their names, one below the other
 SMALL, BIG = 11.0, 12.0  # font sizes
 _FONTS = (
@@ -52,6 +53,11 @@ def columns(rows: Sequence[object], fields: Mapping[str, str]) -> Table:
     """
     values = {heading: [getattr(row, name) for row in rows] for heading, name in fields.items()}
     return {heading: or_blank(column) for heading, column in values.items()}
+
+
+def colours_of(names: Iterable[str]) -> dict[str, str]:
+    """A colour for each of several names, the same in all figures of a page."""
+    return dict(zip(names, cycle(_COLOURS), strict=False))
 
 
 def or_blank(values: Iterable[float | None]) -> list[object]:
@@ -519,13 +525,13 @@ class Canvas(Axes):
             self.text(x + box[0] + BESIDE - 5, y + high / 2, label, anchor="middle", upwards=True)
         return axes
 
-    def name_curves(self, titles: Iterable[str], x: float, y: float) -> None:
-        """Name curves by their colours, one below the other."""
-        for index, title in enumerate(titles):
-            place = y + LINE_PX * index
-            colour = COLOURS[index % len(COLOURS)]
+    def name_curves(self, titles: Iterable[str], colours: Iterable[str], xy: Pair) -> None:
+        """Name curves by their colours, one below the other; the first one at ``xy``."""
+        x, place = xy
+        for title, colour in zip(titles, colours, strict=True):
             self.line([(x, place - 4), (x + 18, place - 4)], colour=colour, width=2.5)
             self.text(x + 26, place, title)
+            place += LINE_PX
 
     def picture(
         self, *, title: str, caption: str, data: Mapping[str, Table] | None = None

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from planish.analyze.explain import Explained, strongest
+from planish.analyze.explain import CoefficientFacts, Explained, strongest
 from planish.analyze.explain_sheets import ExplainedSeries
 from planish.analyze.variograms import Variogram
 from planish.core.facts import ResultModel, is_known
@@ -30,25 +30,28 @@ from planish.report import text
 from planish.report.colours import limits
 from planish.report.diagnostics import draw_log_axes
 from planish.report.draw import (
-    ACCENT,
-    COLOURS,
     FAINT,
     HALF,
     INK,
     LINE_PX,
-    POINT,
     SMALL,
-    SOFT,
     Canvas,
     Picture,
     Table,
+    colours_of,
     draw_map,
     flat_row,
     row_axes,
     table_of,
 )
 from planish.report.relation import draw_dots, draw_fit
-from planish.report.sentences.explain import say_answer, say_notes, say_reading, say_surer
+from planish.report.sentences.explain import (
+    independent_cells,
+    say_answer,
+    say_notes,
+    say_reading,
+    say_surer,
+)
 from planish.report.statement import p_text
 from planish.report.summary import KeyFigure
 
@@ -76,7 +79,6 @@ def explain_page(model: AnyModel, *, source: str, version: str) -> tuple[str, li
         state="pass" if trust == "ok" else "look",
         surer=say_surer(model),
         tiles=tiles_of(model),
-        heading="Coefficients",
         **section,
     )
     return f"{page}\n", section["pictures"]
@@ -90,7 +92,7 @@ def explained_section(model: AnyModel | None) -> dict[str, Any]:
         "answer": say_answer(model),
         "reading": say_reading(model),
         "notes": say_notes(model),
-        "rows": coefficient_rows(model),
+        "tables": coefficient_tables(model),
         "pictures": [draw_coefficients(model), *details_of(model)],
     }
 
@@ -111,11 +113,10 @@ def details_of(model: AnyModel) -> list[Picture]:
 def tiles_of(model: AnyModel) -> list[KeyFigure]:
     """What is explained, and what it rests on."""
     out_text = f"out of sample {percent(model.r2_out, 2)}" if is_known(model.r2_out) else ""
+    n_text = f"n_eff, of n = {count(model.n)} cells"
     tiles = [
         KeyFigure(percent(model.r2, 2), "", "of the variance explained (R²)", out_text),
-        KeyFigure(
-            count(round(model.n_eff)), "", "independent cells", f"of n = {count(model.n)} cells"
-        ),
+        KeyFigure(independent_cells(model), "", "independent cells", n_text),
         KeyFigure(plain(model.cell_um), "", "cells, edge", "all maps are averaged over them first"),
     ]
     if isinstance(model, ExplainedSeries):
@@ -123,33 +124,41 @@ def tiles_of(model: AnyModel) -> list[KeyFigure]:
     return tiles
 
 
-def coefficient_rows(model: AnyModel) -> list[dict[str, str]]:
-    """The table of coefficients in words, by heading; the largest first."""
-    rows: list[dict[str, str]] = []
+def coefficient_tables(model: AnyModel) -> dict[str, list[dict[str, str]]]:
+    """The coefficients in words, the largest first, as tables by their headings."""
+    tables: dict[str, list[dict[str, str]]] = {}
     for name in strongest(model.coefficients):
         c: Any = model.coefficients[name]
-        units = unit(c.units)
         row = {
-            "Map": axis_label(c.title, units),
+            "Map": c.title,
             "Standardised": fixed(c.standardised, 2),
             "95 %": interval_text(c.interval),
-            "Plain": number(c.plain),
+            "Plain": " ".join([number(c.plain), *_unit_of_plain(model, c)]),
             "95 % of plain": numbers_text(c.plain_interval),
             "p (Holm)": p_text(c.p_of_set),
         }
+        tables.setdefault("Coefficients", []).append(row)
         if isinstance(model, ExplainedSeries):
             between = c.between_sheets
             row["Spread between sheets"] = NONE if between is None else fixed(between.sd_between, 2)
-        else:
-            row |= {
-                "VIF": fixed(c.vif, 1),
-                "Explains alone": percent(c.unique, 2),
-                "n_eff": count(round(c.n_eff)) if is_known(c.n_eff) else NONE,
-                "Over ranks": fixed(c.rank, 2),
-                "GLS": fixed(c.weighed, 2),
-            }
-        rows.append(row)
-    return rows
+            continue
+        diagnostics = {
+            "Map": c.title,
+            "n_eff": count(round(c.n_eff)),
+            "VIF": fixed(c.vif, 1),
+            "Explains alone": percent(c.unique, 2),
+            "Over ranks": fixed(c.rank, 2),
+            "GLS": fixed(c.weighed, 2),
+        }
+        tables.setdefault("Diagnostics", []).append(diagnostics)
+    return tables
+
+
+def _unit_of_plain(model: AnyModel, coefficient: CoefficientFacts) -> list[str]:
+    """Unit of the response per unit of the map; no word where neither has one."""
+    units = unit(coefficient.units)
+    per_text = f"per {units}" if units else ""
+    return [text for text in (unit(model.units), per_text) if text]
 
 
 def tables_of(model: AnyModel) -> dict[str, Table]:
@@ -192,28 +201,24 @@ def draw_coefficients(model: AnyModel) -> Picture:
         widest_px=_WIDEST_NAME,
     )
     axes.upright(0.0, dash="4 3")
-    for row, coefficient in enumerate(coefficients):
-        y = row + 0.5
-        colour = ACCENT if coefficient.direction else SOFT
+    colours = colours_of(names).values()
+    for row, (coefficient, colour) in enumerate(zip(coefficients, colours, strict=True)):
+        value, y = coefficient.standardised, row + 0.5
         if is_known(coefficient.interval):
             axes.line([(end, y) for end in coefficient.interval], colour=colour, width=2.5)
-        axes.dots([(coefficient.standardised, y)], colour=colour, size=9)
-        label = fixed(coefficient.standardised, 2)
-        axes.text(
-            coefficient.standardised,
-            y,
-            label,
-            anchor="middle",
-            shift=(0, -6),
-            colour=INK,
-            size=SMALL,
-        )
+        axes.dots([(value, y)], colour=colour, size=9)
+        if not coefficient.direction:
+            axes.dots([(value, y)], colour="white", size=5)
+        # The number stands on the side of the dot that the line at 0 is not on.
+        anchor = "start" if value >= 0 else "end"
+        axes.text(value, y, fixed(value, 2), anchor=anchor, shift=(0, -6), size=SMALL)
     return canvas.picture(
         title=f"What explains {model.title[:1].lower()}{model.title[1:]}",
         caption=(
             "Dots: standardised coefficients, the others held. Lines: their 95 % intervals, from"
-            f" {count(round(model.n_eff))} independent cells of n = {count(model.n)} (cells of"
-            f" {plain(model.cell_um)}, valid in all maps). Grey: not distinguishable from 0."
+            f" {independent_cells(model)} independent cells of n = {count(model.n)} (cells of"
+            f" {plain(model.cell_um)}, valid in all maps). Open dots: not distinguishable from 0."
+            " Each map has its colour in all figures."
         ),
         data={"coefficients": tables_of(model)["coefficients"]},
     )
@@ -227,20 +232,21 @@ def draw_sizes(model: Explained) -> Picture:
     low, high = min(known) - 0.05, max(known) + 0.05
     logs = [math.log10(row.cell_um) for row in rows]
     names = strongest(model.coefficients)
+    colours = colours_of(names)
     canvas = Canvas(HALF, 290 + LINE_PX * len(names))
     axes = canvas.axes(*_BOX, (min(logs) - 0.1, max(logs) + 0.1, low, high))
     declared = math.log10(model.cell_um)
     axes.line([(declared, low), (declared, high)], colour=FAINT, width=24)
     axes.across(0.0, dash="4 3")
-    for index, name in enumerate(names):
-        colour = COLOURS[index % len(COLOURS)]
+    for index, (name, colour) in enumerate(colours.items()):
         places = [log + 0.02 * (index - (len(names) - 1) / 2) for log in logs]
         for place, row in zip(places, rows, strict=True):
             axes.line([(place, end) for end in row.intervals[name]], colour=colour, width=1.4)
         values = [row.standardised[name] for row in rows]
         axes.curve(places, values, colour=colour, width=1.2, dot_px=6)
     draw_log_axes(canvas, axes, "Edge of the cells / µm", "Standardised coefficient")
-    canvas.name_curves((model.coefficients[name].title for name in names), _BOX[0], 298)
+    titles = [model.coefficients[name].title for name in names]
+    canvas.name_curves(titles, colours.values(), (_BOX[0], 298))
     word = "declared" if model.declared else "stated"
     return canvas.picture(
         title="The same model over other cells",
@@ -260,8 +266,10 @@ def draw_partial(model: Explained, name: str) -> Picture:
     x = freed[is_valid]
     y = model.cells["residual"].values[is_valid] + coefficient.plain * x
     canvas = Canvas(HALF, 310)
-    axes = draw_dots(canvas, (x, y), _BOX, bar_px=55.0)
-    draw_fit(axes, [(float(v), coefficient.plain * float(v)) for v in (x.min(), x.max())])
+    colour = colours_of(strongest(model.coefficients))[name]
+    axes = draw_dots(canvas, (x, y), _BOX, bar_px=55.0, colour=colour)
+    ends = [(float(v), coefficient.plain * float(v)) for v in (x.min(), x.max())]
+    draw_fit(axes, ends, colour=INK)
     canvas.ticks(
         axes,
         axis_label(f"{coefficient.title}, freed of the others", unit(coefficient.units)),
@@ -300,7 +308,7 @@ def draw_correlogram(model: Explained, curve: Variogram) -> Picture:
     canvas = Canvas(HALF, 310)
     axes = canvas.axes(*_BOX, (0.0, distances[-1] * 1.02, min(*values, -0.1) - 0.05, 1.05))
     axes.across(0.0)
-    axes.curve(distances, values, colour=POINT, width=1.4, dot_px=3)
+    axes.curve(distances, values, colour=INK, width=1.4, dot_px=3)
     canvas.ticks(axes, "Distance / µm", "Correlation of residuals")
     range_text = ""
     if is_known(curve.range_um):

@@ -255,10 +255,17 @@ def _draw_lines(axes: Axes, row: CorrelationRow) -> None:
         draw_fit(axes, line_ends, dash=dash)
 
 
-def draw_fit(axes: Axes, line_points: ArrayLike, *, dash: str = "", width: float = 2.2) -> None:
+def draw_fit(
+    axes: Axes,
+    line_points: ArrayLike,
+    *,
+    dash: str = "",
+    width: float = 2.2,
+    colour: str = ACCENT,
+) -> None:
     """Draw a line that stands out from the points below it."""
     axes.line(line_points, colour="white", width=4)
-    axes.line(line_points, colour=ACCENT, width=width, dash=dash)
+    axes.line(line_points, colour=colour, width=width, dash=dash)
 
 
 def largest(rows: Sequence[Row]) -> Row:
@@ -306,7 +313,12 @@ def written_difference(row: CorrelationRow) -> tuple[str, ...]:
 
 
 def draw_dots(
-    canvas: Canvas, points: Points, box: tuple[float, float, float, float], *, bar_px: float = 0.0
+    canvas: Canvas,
+    points: Points,
+    box: tuple[float, float, float, float],
+    *,
+    bar_px: float = 0.0,
+    colour: str = POINT,
 ) -> Axes:
     """Draw larger points one by one.
 
@@ -318,7 +330,7 @@ def draw_dots(
         )
     axes = canvas.axes(*box, (*_axis_limits(points[0], 0.0), *_axis_limits(points[1], 0.0)))
     dot_px, opacity = (3, 0.5) if points[0].size > 2000 else (4.6, 0.7)
-    axes.dots(np.stack(points, axis=1), colour=POINT, size=dot_px, opacity=opacity)
+    axes.dots(np.stack(points, axis=1), colour=colour, size=dot_px, opacity=opacity)
     return axes
 
 

@@ -23,13 +23,13 @@ from planish.core.typing import Pair
 from planish.report import text
 from planish.report.diagnostics import draw_log_axes
 from planish.report.draw import (
-    COLOURS,
     HALF,
     LINE_PX,
     Axes,
     Canvas,
     Picture,
     Table,
+    colours_of,
     flat_row,
     table_of,
 )
@@ -70,8 +70,7 @@ def scales_page(found: Scales, *, source: str, version: str) -> str:
         pictures=section["pictures"],
         surer=say_surer(found),
         reading=say_reading(found),
-        heading="Octaves",
-        rows=section["table"],
+        tables=section["tables"],
         notes=say_notes(found),
     )
     return f"{page}\n"
@@ -84,7 +83,7 @@ def scales_section(found: Scales | None) -> dict[str, Any]:
     return {
         "answer": say_answer(found),
         "sentences": [*say_reading(found), *say_notes(found)],
-        "table": [row for rows in band_rows(found).values() for row in rows],
+        "tables": band_rows(found),
         "pictures": pictures_of(found),
     }
 
@@ -123,45 +122,43 @@ def tiles_of(found: Scales) -> list[KeyFigure]:
 
 
 def band_rows(found: Scales) -> dict[str, list[dict[str, str]]]:
-    """The octaves of each map in words, by heading."""
+    """The octaves of all maps in words, the shortest waves first, as tables by their headings."""
+    shown = [
+        (found.maps[name], band) for name, bands in found.bands.items() for band in bands[::-1]
+    ]
     has = {
-        key: any(is_known(getattr(band, key)) for bands in found.bands.values() for band in bands)
+        key: any(is_known(getattr(band, key)) for _, band in shown)
         for key in ("cov", "noise", "formation", "gain")
     }
     tables: dict[str, list[dict[str, str]]] = {}
-    for name, bands in found.bands.items():
-        facts = found.maps[name]
-        rows: list[dict[str, str]] = []
-        for band in bands:
-            row = {
-                "Map": axis_label(facts.title, unit(facts.units)),
+    for facts, band in shown:
+        row = {
+            "Map": axis_label(facts.title, unit(facts.units)),
+            "Waves": waves(band),
+            "Standard deviation": number(band.sd),
+            "95 %": numbers_text(band.interval),
+        }
+        if has["cov"]:
+            row["COV / %"] = number(100 * band.cov)
+        if has["noise"]:
+            row["Noise"] = number(band.noise)
+        if has["formation"]:
+            row["Formation"] = fixed(band.formation, 2)
+        row["Independent waves"] = count(round(band.modes))
+        tables.setdefault("Octaves", []).append(row)
+        if has["gain"]:
+            relation = {
+                "Map": facts.title,
                 "Waves": waves(band),
-                "Standard deviation": number(band.sd),
-                "95 %": numbers_text(band.interval),
+                "Gain": number(band.gain),
+                "95 %": numbers_text(band.gain_interval),
+                "Squared coherence": fixed(band.coherence, 2),
+                "95 % of coherence": numbers_text(band.coherence_interval, 2),
+                "Phase / °": fixed(band.phase_deg, 0),
             }
-            if has["cov"]:
-                row["COV / %"] = number(100 * band.cov)
-            if has["noise"]:
-                row["Noise"] = number(band.noise)
-            if has["formation"]:
-                row["Formation"] = fixed(band.formation, 2)
-            if has["gain"]:
-                row |= _relation_cells(band)
-            row["Independent waves"] = count(round(band.modes))
-            rows.append(row)
-        if rows:
-            tables[name] = rows
+            heading = f"Against {in_words(found.against_title)}"
+            tables.setdefault(heading, []).append(relation)
     return tables
-
-
-def _relation_cells(band: ScaleBand) -> dict[str, str]:
-    return {
-        "Gain": number(band.gain),
-        "95 % of gain": numbers_text(band.gain_interval),
-        "Squared coherence": fixed(band.coherence, 2),
-        "95 % of coherence": numbers_text(band.coherence_interval, 2),
-        "Phase / °": fixed(band.phase_deg, 0),
-    }
 
 
 def tables_of(found: Scales) -> dict[str, Table]:
@@ -169,7 +166,7 @@ def tables_of(found: Scales) -> dict[str, Table]:
     rows = [
         {"map": name, "units": found.maps[name].units} | flat_row(band)
         for name, bands in found.bands.items()
-        for band in bands
+        for band in reversed(bands)
     ]
     return {"octaves": table_of(rows)}
 
@@ -198,7 +195,7 @@ def draw_spread(found: Scales, names: Sequence[str], *, is_cov: bool) -> Picture
     canvas = Canvas(HALF, _TOP + _HIGH + 58 + LINE_PX * len(names))
     axes = _draw_octaves(canvas, (_TOP, _HIGH), found, names, "sd", "interval", factors)
     draw_log_axes(canvas, axes, "wavelength / µm", label)
-    canvas.name_curves([found.maps[name].title for name in names], _LEFT, _TOP + _HIGH + 58)
+    _name_maps(canvas, found, names, _TOP + _HIGH + 58)
     return canvas.picture(
         title="How much the maps vary by octave of wavelength",
         caption=(
@@ -219,7 +216,7 @@ def draw_relation(found: Scales) -> Picture:
     lower = _draw_octaves(canvas, (below, height), found, names, "coherence", "coherence_interval")
     draw_log_axes(canvas, upper, "", "gain")
     draw_log_axes(canvas, lower, "wavelength / µm", "squared coherence")
-    canvas.name_curves([found.maps[name].title for name in names], _LEFT, below + _HIGH + 18)
+    _name_maps(canvas, found, names, below + _HIGH + 18)
     return canvas.picture(
         title=f"What the maps show of {in_words(found.against_title)}, by octave of wavelength",
         caption=(
@@ -230,6 +227,12 @@ def draw_relation(found: Scales) -> Picture:
         ),
         data=tables_of(found),
     )
+
+
+def _name_maps(canvas: Canvas, found: Scales, names: Sequence[str], y: float) -> None:
+    colours = colours_of(found.bands)
+    titles = [found.maps[name].title for name in names]
+    canvas.name_curves(titles, [colours[name] for name in names], (_LEFT, y))
 
 
 def _draw_octaves(
@@ -252,16 +255,19 @@ def _draw_octaves(
             ends = [factor * end for end in getattr(band, interval_key)]
             rows.append((index, band, factor * getattr(band, key), ends))
     ends = [end for *_, value, interval in rows for end in (value, *interval) if is_known(end)]
+    if key == "coherence":
+        ends.append(1.0)
     low, high = min([0.0, *ends]), max([0.0, *ends])
     margin = 0.06 * (high - low) or 0.1
     edges = [math.log10(edge) for _, band, *_ in rows for edge in (band.low_um, band.high_um)]
     extent = (min(edges) - 0.03, max(edges) + 0.03, low - margin * (low < 0), high + margin)
     axes = canvas.axes(_LEFT, place[0], _WIDE, place[1], extent)
     axes.across(0.0)
+    colours = colours_of(found.bands)
     for index, band, value, interval in rows:
         if not is_known(value):
             continue
-        colour = COLOURS[index % len(COLOURS)]
+        colour = colours[names[index]]
         left, right = math.log10(band.low_um), math.log10(band.high_um)
         middle = left + (right - left) * (index + 1) / (len(names) + 1)
         axes.curve((left, right), (value, value), colour=colour, width=1.2)

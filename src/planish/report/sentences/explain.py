@@ -82,13 +82,20 @@ def _say_lead(model: Explained | ExplainedSeries, order: list[str]) -> str:
 
 
 def _say_cells(model: Explained | ExplainedSeries) -> str:
-    independent = count(round(model.n_eff))
+    cells_text = f"{count(model.n)} cells count as {independent_cells(model)} independent ones"
     if isinstance(model, ExplainedSeries):
-        return (
-            f"Means of {count(model.fields)} fields over {sheets_text(model.sheets)};"
-            f" {count(model.n)} cells count as {independent} independent ones."
-        )
-    return f"{count(model.n)} cells count as {independent} independent ones."
+        fields_text = f"Means of {count(model.fields)} fields over {sheets_text(model.sheets)}"
+        return f"{fields_text}; {cells_text}."
+    return f"{cells_text} (n_eff)."
+
+
+def independent_cells(model: Explained | ExplainedSeries) -> str:
+    """How many cells count as independent: of the map with the fewest to that with the most."""
+    numbers = [model.n_eff]
+    if isinstance(model, Explained):
+        numbers = [coefficient.n_eff for coefficient in model.coefficients.values()]
+    ends = [count(round(end)) for end in (min(numbers), max(numbers))]
+    return " to ".join(dict.fromkeys(ends))
 
 
 def say_surer(model: Explained | ExplainedSeries) -> list[str]:
@@ -167,10 +174,10 @@ def say_notes(model: Explained | ExplainedSeries) -> list[str]:
         return [f"{columns_text}, and rests on the spread between sheets."]
     return [
         f"{columns_text}, and rests on independent cells (n_eff), as the intervals do. VIF:"
-        " variance inflation, by how much the other maps widen the square of the interval. The"
-        " answer quotes the smallest n_eff. Explains"
-        " alone: share of the variance that no other map explains. Over ranks: the standardised"
-        " coefficient of ranks. GLS: with the covariance of the residuals as weights.",
+        " variance inflation, by how much the other maps widen the square of the interval. Each map"
+        " has its own n_eff; the answer names the smallest and the largest. Explains alone: share"
+        " of the variance that no other map explains. Over ranks: the standardised coefficient of"
+        " ranks. GLS: with the covariance of the residuals as weights.",
         *_say_sizes(model),
         *_say_sharing(model),
         *_say_parts(model),

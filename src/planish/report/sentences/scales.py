@@ -160,8 +160,9 @@ def _say_surer(found: Scales) -> Iterator[str]:
     )
     if is_largest or any(_half(band.interval) > _WIDE * band.sd for band in longest):
         yield (
-            "A larger field: four times the area halves the interval of each octave, and adds waves"
-            f" longer than {plain(longest[0].high_um)}, a fifth of its shorter side at most."
+            "A larger field: four times the area halves the interval of each octave, and adds the"
+            f" octave above {plain(longest[0].high_um)}. Waves count where five of them fit along"
+            " the shorter side of the field."
         )
     for name in names:
         loud = [
