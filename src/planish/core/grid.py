@@ -120,6 +120,11 @@ def first_and_last(mask: Bools) -> tuple[Ints, Ints]:
     return np.argmax(mask, axis=-1), mask.shape[-1] - 1 - np.argmax(mask[..., ::-1], axis=-1)
 
 
+def at_index(field: NDArray[Any], index: NDArray[np.integer]) -> NDArray[Any]:
+    """Values of a field (..., n) at one index (...) along its last axis."""
+    return np.take_along_axis(field, index[..., None], axis=-1)[..., 0]
+
+
 def bilinear(field: NDArray[Any], row: Floats, col: Floats) -> Floats:
     """Values of a field (rows, cols) at fractional rows and columns.
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
+from planish.core.grid import at_index
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Floats
@@ -136,8 +137,7 @@ def _run_sums(summed: Floats, first: Floats, last: Floats) -> list[Floats]:
     count = stop - start
     half = count // 2
     at_start, at_half, at_rest, at_stop = (
-        np.take_along_axis(summed, index[..., None], axis=2)[..., 0]
-        for index in (start, start + half, stop - half, stop)
+        at_index(summed, index) for index in (start, start + half, stop - half, stop)
     )
     return [count, at_stop - at_start, half, at_half - at_start, at_stop - at_rest]
 

@@ -41,22 +41,33 @@ def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> 
     )
     # A partial block's mean does not lie at its nominal centre; it is left out unless it is
     # (nearly) whole.
-    is_block_whole = finite_count >= 0.5 * block[0] * block[1]
+    full_count = block[0] * block[1]
+    is_whole = finite_count >= 0.5 * full_count
     pad_nodes = 8  # the spline forgets its end condition by a factor of four a node
-    mean = np.pad(
-        np.where(is_block_whole, block_sum / np.maximum(finite_count, 1.0), 0.0), pad_nodes
+    mean, weight = (
+        np.pad(np.where(is_whole, field, 0.0), pad_nodes)
+        for field in (block_sum / np.maximum(finite_count, 1.0), finite_count / full_count)
     )
-    weight = np.pad(np.where(is_block_whole, finite_count / (block[0] * block[1]), 0.0), pad_nodes)
     regression = _Regression(weight, (pitch_um[0] * block[0], pitch_um[1] * block[1]), cutoff_um)
     coarse = regression(mean)
     # A second pass over what the first left behind: a wave of 1500 um then loses 0.02 % of its
     # height and not 0.6 %.
     coarse += regression(np.where(weight > 0, mean - coarse, 0.0))
-    node_positions = [
-        np.clip((np.arange(n) - 0.5 * (b - 1)) / b + pad_nodes, 0, m - 1)
-        for n, b, m in zip(height.shape, block, coarse.shape, strict=True)
+    positions = block_positions(height.shape, block, coarse.shape, first=pad_nodes)
+    return interpolate(coarse, positions, order=3)
+
+
+def block_positions(
+    shape: Sequence[int], block: Sequence[int], block_counts: Sequence[int], first: int = 0
+) -> list[Floats]:
+    """Rows and columns of a grid as positions in the grid of its blocks.
+
+    ``first``: number of the first block that holds any of them.
+    """
+    return [
+        np.clip((np.arange(n) - 0.5 * (b - 1)) / b + first, 0, count - 1)
+        for n, b, count in zip(shape, block, block_counts, strict=True)
     ]
-    return interpolate(coarse, node_positions, order=3)
 
 
 def interpolate(field: Floats, axis_positions: Sequence[Floats], *, order: Literal[1, 3]) -> Floats:

@@ -27,23 +27,24 @@ def make_choice(
     columns: Columns, block: int, shape: tuple[int, ...], params: SurfaceParams
 ) -> Choice:
     """Give block width, the seed point in block indices, and words for a place in block indices."""
-    volume, wide = columns.volume, block * columns.step
-    scale = dict(zip(columns.axes, (wide, wide, 1), strict=True))
+    volume = columns.volume
+    lateral_px = block * columns.step
+    block_px = dict(zip(columns.axes, (lateral_px, lateral_px, 1), strict=True))
 
     def describe(block_index: tuple[int, int, int]) -> str:
         place_um: dict[str, float] = {}
-        for (axis, block_px), i in zip(scale.items(), block_index, strict=True):
-            place_um[axis] = float(
-                volume[axis].values[min(int((i + 0.5) * block_px), volume.sizes[axis] - 1)]
-            )
+        for (axis, width_px), i in zip(block_px.items(), block_index, strict=True):
+            coords_um = volume[axis].values
+            place_um[axis] = float(coords_um[min(int((i + 0.5) * width_px), coords_um.size - 1)])
         return ",".join(f"{place_um[axis]:.4g}" for axis in ("z", "y", "x"))
 
     choice = Choice(block=block, describe=describe)
     if params.seed_um is None:
         return choice
     seed: list[int] = []
-    for (axis, block_px), most in zip(scale.items(), shape, strict=True):
-        coords_um, seed_um = volume.coords[axis].values, params.seed_um["zyx".index(axis)]
+    for (axis, width_px), block_count in zip(block_px.items(), shape, strict=True):
+        seed_um = params.seed_um["zyx".index(axis)]
+        coords_um = volume.coords[axis].values
         index = (seed_um - float(coords_um[0])) / voxel_pitch(volume, axis)
         if not -0.5 <= index < coords_um.size - 0.5:
             raise VolumeError(
@@ -51,11 +52,11 @@ def make_choice(
                 f" goes from {float(coords_um[0]):g} to {float(coords_um[-1]):g} um. Check"
                 " `seed_um` and `voxel_um`."
             )
-        seed.append(min(int((index + 0.5) / block_px), most - 1))
+        seed.append(min(int((index + 0.5) / width_px), block_count - 1))
     return replace(choice, seed=(seed[0], seed[1], seed[2]))
 
 
-def choose_sheet(  # noqa: C901, PLR0911
+def choose_sheet(
     blocks: Blocks,
     sharp_blocks: Blocks,
     air: float,
@@ -68,68 +69,97 @@ def choose_sheet(  # noqa: C901, PLR0911
         low, high = params.sheet_grey
         grey = blocks if choice.seed is None else sharp_blocks
         polarity, edge = (1.0, low) if 0.5 * (low + high) >= air else (-1.0, high)
-        sheet = search_sheet(
-            polarity * (grey - air), (grey >= low) & (grey <= high), abs(edge - air), choice
-        )
+        is_inside = (grey >= low) & (grey <= high)
+        sheet = search_sheet(polarity * (grey - air), is_inside, abs(edge - air), choice)
         return sheet, "air" if choice.seed is None else "material", polarity
     polarity, threshold, min_threshold = material(blocks, air, scatter)
     oriented = _above_air(blocks, air, polarity)
     if choice.seed is None:
-        try:
-            return _refined(oriented, threshold, choice), "air", polarity
-        except VolumeError:
-            # Two bright coatings on a dim base look like two sheets. With a lower threshold they
-            # are one, if they are one.
-            if min_threshold < 0.7 * threshold:
-                with suppress(VolumeError):
-                    return _refined(oriented, min_threshold, choice), "air", polarity
-            # What air parts from a sheet that is coated, or thicker, is film or a mount.
+        return *_only_sheet(oriented, threshold, min_threshold, choice), polarity
+    unseeded = _unseeded(oriented, threshold, choice, choice.seed)
+    oriented_sharp = _above_air(sharp_blocks, air, polarity)
+    return *_sheet_at_seed(oriented, oriented_sharp, threshold, choice, unseeded), polarity
+
+
+def _only_sheet(
+    oriented: Blocks, threshold: float, min_threshold: float, choice: Choice
+) -> tuple[CoarseSheet, Surroundings]:
+    """Find the only sheet, or that of several which is coated or thicker; say what lies beside."""
+    try:
+        return _refined(oriented, threshold, choice), "air"
+    except VolumeError:
+        # Two bright coatings on a dim base look like two sheets. With a lower threshold they are
+        # one, if they are one.
+        if min_threshold < 0.7 * threshold:
             with suppress(VolumeError):
-                sheet = _refined(oriented, threshold, replace(choice, may_lead=True))
-                return sheet, "others" if _has_others_beside(oriented, sheet) else "air", polarity
-            raise
-    unseeded: CoarseSheet | None = None
-    with suppress(VolumeError):
-        unseeded = _refined(oriented, threshold, replace(choice, seed=None))
-        *column, depth = choice.seed
-        if not unseeded.low[*column] - 0.5 <= depth <= unseeded.high[*column] + 0.5:
-            unseeded = None
+                return _refined(oriented, min_threshold, choice), "air"
+        # What air parts from a sheet that is coated, or thicker, is film or a mount.
+        with suppress(VolumeError):
+            sheet = _refined(oriented, threshold, replace(choice, may_lead=True))
+            return sheet, _objects_beside(oriented, sheet)
+        raise
+
+
+def _unseeded(
+    oriented: Blocks, threshold: float, choice: Choice, seed: tuple[int, int, int]
+) -> CoarseSheet | None:
+    """Find the sheet without its seed; None where that is none, or not the one at the seed."""
+    try:
+        sheet = _refined(oriented, threshold, replace(choice, seed=None))
+    except VolumeError:
+        return None
+    *column, depth = seed
+    is_at_seed = sheet.low[*column] - 0.5 <= depth <= sheet.high[*column] + 0.5
+    return sheet if is_at_seed else None
+
+
+def _sheet_at_seed(
+    oriented: Blocks,
+    oriented_sharp: Blocks,
+    threshold: float,
+    choice: Choice,
+    unseeded: CoarseSheet | None,
+) -> tuple[CoarseSheet, Surroundings]:
+    """Find the sheet at the seed and say what lies beside it.
+
+    ``unseeded``: what was found there without the seed.
+    """
     try:
         # Layers may be thinner than what the blocks are smoothed over.
-        sheet, is_embedded = _seeded(
-            oriented, _above_air(sharp_blocks, air, polarity), threshold, choice
-        )
+        sheet, is_embedded = _seeded(oriented, oriented_sharp, threshold, choice)
     except VolumeError:
         if unseeded is None:
             raise
-        return unseeded, "air", polarity
-    if unseeded is not None:
-        # A sheet that was found without the seed is the one at the seed, in as many columns: then
-        # nothing lies beside it, and its faces need not be told from those of others, which takes
-        # sheets of few voxels for their own blur.
-        thicknesses_px = [
-            float(np.median((s.high - s.low)[s.is_whole]))
-            for s in (unseeded, sheet)
-            if s.is_whole.any()
-        ]
-        is_alike = len(thicknesses_px) < 2 or abs(thicknesses_px[0] - thicknesses_px[1]) <= 2.0
-        if is_alike and unseeded.is_whole.sum() >= sheet.is_whole.sum():
-            return unseeded, "air", polarity
-    if is_embedded:
-        return sheet, "material", polarity
-    return sheet, "others" if _has_others_beside(oriented, sheet) else "air", polarity
+        return unseeded, "air"
+    if unseeded is not None and _is_as_large(unseeded, sheet):
+        # Then nothing lies beside it, and its faces need not be told from those of others, which
+        # takes sheets of few voxels for their own blur.
+        return unseeded, "air"
+    return sheet, "material" if is_embedded else _objects_beside(oriented, sheet)
 
 
-def _has_others_beside(oriented: Blocks, sheet: CoarseSheet) -> bool:
+def _is_as_large(sheet: CoarseSheet, seeded_sheet: CoarseSheet) -> bool:
+    """Tell if a sheet is as thick as the one at the seed, and whole in as many columns."""
+    if sheet.is_whole.sum() < seeded_sheet.is_whole.sum():
+        return False
+    if not seeded_sheet.is_whole.any():
+        return True
+    thicknesses_px = [np.median((s.high - s.low)[s.is_whole]) for s in (sheet, seeded_sheet)]
+    return bool(np.ptp(thicknesses_px) <= 2.0)
+
+
+def _objects_beside(oriented: Blocks, sheet: CoarseSheet) -> Surroundings:
+    """Tell if other objects lie beside a sheet, or air alone."""
     # With so much air beside it no search for its faces meets another object.
     min_gap_px = max(12, 4 + 3 * sheet.block)
-    depth_index, near_count = np.arange(oriented.shape[2]), 0
+    depth_index = np.arange(oriented.shape[2])
+    near_count = 0
     # One by one: it takes less memory.
     for block_row, low, high in zip(oriented, sheet.low, sheet.high, strict=True):
         distance_px = np.fmax(low[:, None] - depth_index, depth_index - high[:, None])
         is_object = (block_row > sheet.threshold) & (distance_px > 2) & (distance_px < min_gap_px)
         near_count += np.count_nonzero(is_object.any(axis=1))
-    return bool(near_count >= 0.001 * sheet.low.size)
+    return "others" if near_count >= 0.001 * sheet.low.size else "air"
 
 
 def material(
@@ -145,26 +175,25 @@ def material(
     sampled_grey = blocks.ravel()[:: 1 + blocks.size // 2**21]  # enough to tell the levels from
     deviation = sampled_grey[np.isfinite(sampled_grey)].astype(np.float64) - air
     contrast = np.abs(deviation)
-    scatter = (
-        mad_sd(deviation[contrast <= np.percentile(contrast, 50)])
-        if air_scatter is None
-        else air_scatter
-    )
-    scatter = max(scatter, 1e-3 * float(np.ptp(deviation)), 1e-9)
-    is_bright, is_dark = deviation > _SIGMAS * scatter, deviation < -_SIGMAS * scatter
+    if air_scatter is None:
+        air_scatter = mad_sd(deviation[contrast <= np.percentile(contrast, 50)])
+    scatter = max(air_scatter, 1e-3 * float(np.ptp(deviation)), 1e-9)
+    is_bright = deviation > _SIGMAS * scatter
+    is_dark = deviation < -_SIGMAS * scatter
     if max(np.count_nonzero(is_bright), np.count_nonzero(is_dark)) < 1e-4 * deviation.size:
         raise VolumeError(
             f"There is no sheet in the volume: all of it lies within {_SIGMAS:g} standard"
             f" deviations of the air's grey ({air:.4g}). Check that this is the reconstructed"
             " volume, and `through`."
         )
-    polarity = 1.0 if contrast[is_bright].sum() >= contrast[is_dark].sum() else -1.0
-    typical_contrast = float(np.median(contrast[is_bright if polarity > 0 else is_dark]))
-    end_grey = np.concatenate([blocks[..., :3].ravel(), blocks[..., -3:].ravel()]).astype(
-        np.float64
+    is_lighter = contrast[is_bright].sum() >= contrast[is_dark].sum()
+    typical_contrast = float(np.median(contrast[is_bright if is_lighter else is_dark]))
+    end_grey = blocks[..., [0, 1, 2, -3, -2, -1]].astype(np.float64)
+    return (
+        1.0 if is_lighter else -1.0,
+        max(_SIGMAS * scatter, 0.35 * typical_contrast),
+        max(4.5 * mad_sd(end_grey), 0.08 * typical_contrast),
     )
-    min_threshold = max(4.5 * mad_sd(end_grey), 0.08 * typical_contrast)
-    return polarity, max(_SIGMAS * scatter, 0.35 * typical_contrast), min_threshold
 
 
 def _above_air(blocks: Blocks, air: float, polarity: float) -> Blocks:
@@ -238,11 +267,9 @@ def _seeded(
 
 
 def _touching_share(sheet: CoarseSheet) -> float:
-    is_measured, touching_count = (
-        np.isfinite(sheet.low) | np.isfinite(sheet.high),
-        np.count_nonzero(sheet.is_touching),
-    )
-    return touching_count / max(np.count_nonzero(is_measured) + touching_count, 1)
+    measured_count = np.count_nonzero(np.isfinite(sheet.low) | np.isfinite(sheet.high))
+    touching_count = np.count_nonzero(sheet.is_touching)
+    return touching_count / max(measured_count + touching_count, 1)
 
 
 def seed_grey(sharp_blocks: Blocks, seed: tuple[int, int, int]) -> Floats:

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import VolumeError
-from planish.core.grid import first_and_last
+from planish.core.grid import at_index, first_and_last
 from planish.core.typing import Bools, Floats
 from planish.surface import _kernels
-from planish.surface.centre import interpolate
+from planish.surface.centre import block_positions, interpolate
 
 Blocks = NDArray[np.float32]
 """Means over blocks of columns: (block rows, block cols, depth)."""
+Labels = NDArray[np.integer]
 CORE = (0.35, 0.65)  # share of the way through the sheet that counts as its core
 _LEAVES = 0.5  # share of columns that may run out of the volume
 _LEAST_COVER = 0.02
@@ -88,38 +89,63 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
             "There is no sheet in the volume: nothing has the grey that was asked for. Check"
             " `sheet_grey`."
         )
-    # Columns in which each object appears.
-    n_covered, n_blocks = np.zeros((2, n_objects + 1), dtype=np.int64)
-    for label_row in labels:
-        ordered = np.sort(label_row, axis=-1)
-        n_covered += np.bincount(
-            ordered[np.diff(ordered, axis=-1, prepend=-1) > 0], minlength=n_objects + 1
-        )
-        n_blocks += np.bincount(ordered.ravel(), minlength=n_objects + 1)
-    by_cover, n_columns = np.argsort(n_covered[1:])[::-1] + 1, labels[..., 0].size
-    largest_label = int(by_cover[0])
-    covered_share = n_covered[largest_label] / n_columns
-    if covered_share < _LEAST_COVER:
+    n_covered, n_blocks = _counts(labels, n_objects)
+    covered_shares = n_covered / labels[..., 0].size
+    by_cover = np.argsort(n_covered[1:])[::-1] + 1
+    sheet_label = int(by_cover[0])
+    if covered_shares[sheet_label] < _LEAST_COVER:
         raise VolumeError(
             "There is no sheet in the volume: the largest connected object covers"
-            f" {100 * covered_share:.2g} % of the columns. Check `through` (the axis that runs"
-            " through the sheet) and `sheet_grey`."
+            f" {100 * covered_shares[sheet_label]:.2g} % of the columns. Check `through` (the axis"
+            " that runs through the sheet) and `sheet_grey`."
         )
-    sheet_labels = [int(k) for k in by_cover[:6] if n_covered[k] > 0.25 * n_covered[largest_label]]
+    least = 0.25 * n_covered[sheet_label]
+    sheet_labels = [int(k) for k in by_cover[:6] if n_covered[k] > least]
     leading_label = _leading(labels, sheet_labels, blocks) if choice.may_lead else None
     if leading_label is not None:
-        largest_label = leading_label
-        covered_share = n_covered[largest_label] / n_columns
+        sheet_label = leading_label
     elif len(sheet_labels) > 1:
-        shares_text = ", ".join(f"{100 * n_covered[k] / n_columns:.0f} %" for k in sheet_labels)
+        shares_text = ", ".join(f"{100 * covered_shares[k]:.0f} %" for k in sheet_labels)
         sheets = [labels == k for k in sheet_labels]
         raise VolumeError(
             f"The volume shows {len(sheet_labels)} separate sheets (they cover {shares_text} of the"
             f" columns). {_CHOOSE} {_points_text(sheets, blocks, inside, threshold, choice)}"
         )
-    in_sheet = labels == largest_label
+    in_sheet = labels == sheet_label
+    _check_slab(in_sheet)
+    low, high = _extent_of(blocks, in_sheet, threshold)
+    return CoarseSheet(
+        low=low,
+        high=high,
+        block=choice.block,
+        is_leaving=in_sheet[..., 0] | in_sheet[..., -1],
+        threshold=threshold,
+        is_touching=np.zeros(low.shape, bool),
+        # Fewer blocks are noise.
+        specks=int(np.count_nonzero(n_blocks[1:] >= 8)) - len(sheet_labels),
+        companions=tuple(
+            _companion(blocks, labels == k, low, high) for k in sheet_labels if k != sheet_label
+        ),
+    )
+
+
+def _counts(labels: Labels, n_objects: int) -> tuple[Labels, Labels]:
+    """Columns in which each object appears, and its blocks, by label."""
+    n_covered, n_blocks = np.zeros((2, n_objects + 1), dtype=np.int64)
+    for label_row in labels:
+        ordered = np.sort(label_row, axis=-1)
+        is_first = np.diff(ordered, axis=-1, prepend=-1) > 0
+        n_covered += np.bincount(ordered[is_first], minlength=n_objects + 1)
+        n_blocks += np.bincount(ordered.ravel(), minlength=n_objects + 1)
+    return n_covered, n_blocks
+
+
+def _check_slab(in_sheet: Bools) -> None:
+    """Raise VolumeError if a slab leaves the volume, or is several sheets behind each other."""
+    n_filled = in_sheet.sum(axis=-1)
+    has_sheet = n_filled > 0
     leaving_share, end = max(
-        (in_sheet[..., k].mean() / covered_share, end) for end, k in (("low", 0), ("high", -1))
+        (in_sheet[..., k].mean() / has_sheet.mean(), end) for end, k in (("low", 0), ("high", -1))
     )
     if leaving_share > _LEAVES:
         raise VolumeError(
@@ -127,9 +153,7 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
             f" {100 * leaving_share:.0f} % of the columns: the sheet leaves the volume there, or"
             f" several sheets lie behind each other. {_CHOOSE}"
         )
-    n_filled = in_sheet.sum(axis=-1)
     low, high = first_and_last(in_sheet)
-    has_sheet = n_filled > 0
     filled_share = np.median(n_filled[has_sheet] / (high - low + 1)[has_sheet])
     if filled_share < 0.4:
         raise VolumeError(
@@ -137,22 +161,6 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
             f" filled by less than {100 * filled_share:.0f} %, so several sheets lie behind each"
             f" other. {_CHOOSE}"
         )
-    low, high = _extent(
-        blocks, np.where(has_sheet, low, -1), np.where(has_sheet, high, -1), threshold
-    )
-    return CoarseSheet(
-        low=low,
-        high=high,
-        block=choice.block,
-        is_leaving=in_sheet[..., 0] | in_sheet[..., -1],
-        threshold=threshold,
-        is_touching=np.zeros(has_sheet.shape, bool),
-        # Fewer blocks are noise.
-        specks=int(np.count_nonzero(n_blocks[1:] >= 8)) - len(sheet_labels),
-        companions=tuple(
-            _companion(blocks, labels == k, low, high) for k in sheet_labels if k != largest_label
-        ),
-    )
 
 
 def _points_text(
@@ -182,7 +190,7 @@ _UNEVEN = 1.25
 _RIM = 2  # voxels of depth at either end of an object that the blur and the block means dim
 
 
-def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blocks) -> int | None:
+def _leading(labels: Labels, candidates: Sequence[int], blocks: Blocks) -> int | None:
     """Return the label of the object that alone is paper.
 
     It lies above or below all others, and is brighter or thicker than they are.
@@ -190,28 +198,28 @@ def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blo
     None where there is no such object: a sheet that came apart is several objects of paper, and
     none of them leads.
     """
-    covered, is_uneven, bright, thick = [], [], [], []
+    covered: list[Bools] = []
+    is_uneven: list[bool] = []
+    bright: list[float] = []
+    thick: list[float] = []
     for label in candidates:
         in_object = labels == label
         median, brightest = np.percentile(blocks[_inside(in_object)], [50, 90])
-        n_filled = in_object.sum(axis=-1)
-        covered.append(n_filled > 0)
         is_uneven.append(bool(brightest >= _UNEVEN * median))
         bright.append(float(brightest))
+        n_filled = in_object.sum(axis=-1).ravel()
+        covered.append(n_filled > 0)
         thick.append(float(np.median(n_filled[n_filled > 0])))
     if len(candidates) < 2 or sum(is_uneven) != 1:
         return None
     leader = is_uneven.index(True)
-    for other in range(len(candidates)):
-        is_ahead = (
-            bright[leader] >= _BRIGHTER * bright[other] or thick[leader] >= _THICKER * thick[other]
-        )
-        lies_across = np.count_nonzero(covered[leader] & covered[other]) >= 0.5 * np.count_nonzero(
-            covered[other]
-        )
-        if other != leader and not (is_ahead and lies_across):
-            return None
-    return candidates[leader]
+    is_brighter = bright[leader] >= _BRIGHTER * np.array(bright)
+    is_thicker = thick[leader] >= _THICKER * np.array(thick)
+    n_shared = np.count_nonzero(np.array(covered) & covered[leader], axis=1)
+    lies_across = n_shared >= 0.5 * np.count_nonzero(covered, axis=1)
+    is_behind = (is_brighter | is_thicker) & lies_across
+    is_behind[leader] = True
+    return candidates[leader] if is_behind.all() else None
 
 
 def _inside(in_object: Bools) -> Bools:
@@ -227,14 +235,12 @@ def _companion(blocks: Blocks, in_object: Bools, low: Floats, high: Floats) -> C
     """Measure an object beside the sheet from ``low`` to ``high``: its faces at half its grey."""
     level = 0.5 * float(np.median(blocks[in_object]))
     is_core = in_object & (blocks > level)
-    is_there = is_core.any(axis=-1)
-    first, last = (np.where(is_there, index, -1) for index in first_and_last(is_core))
-    own_low, own_high = _extent(blocks, first, last, level)
+    own_low, own_high = _extent_of(blocks, is_core, level)
     is_below = float(np.nanmedian(low - own_high)) > float(np.nanmedian(own_low - high))
     return Companion(
         thickness_px=float(np.nanmedian(own_high - own_low)),
         facing=own_high if is_below else own_low,
-        share=float(is_there.mean()),
+        share=float(is_core.any(axis=-1).mean()),
         end="low" if is_below else "high",
     )
 
@@ -244,7 +250,7 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     assert choice.seed is not None
     seed = np.asarray(choice.seed)
     window_start = np.maximum(seed - 3, 0)  # a seed point may lie so many voxels beside its object
-    window = tuple(slice(int(a), int(k) + 4) for a, k in zip(window_start, seed, strict=True))
+    window = tuple(slice(a, k + 4) for a, k in zip(window_start, seed, strict=True))
     material_indices = np.argwhere(inside[window])
     if material_indices.size == 0:
         raise VolumeError(
@@ -253,44 +259,35 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
         )
     # The nearest block of material to the seed point.
     material_indices += window_start
-    row, col, depth = material_indices[
-        int(np.argmin(np.sum((material_indices - seed) ** 2, axis=1)))
-    ].tolist()
+    nearest = np.argmin(np.sum((material_indices - seed) ** 2, axis=1))
+    row, col, depth = material_indices[nearest].tolist()
     run = inside[row, col]
     outside = np.flatnonzero(~run)
     start = int(outside[outside < depth].max(initial=-1)) + 1
     stop = int(outside[outside > depth].min(initial=run.size)) - 1
     # The seed's own run says roughly how thick the sheet is, the median of what was found then says
     # it well.
-    shape = inside.shape[:2]
-    low, high, is_merged = (
-        np.empty(shape, np.int64),
-        np.empty(shape, np.int64),
-        np.empty(shape, np.bool_),
-    )
-    max_run = 2.0 * (stop - start + 1) + 2.0
-    for _ in range(2):
-        low[:], high[:], is_merged[:] = -1, -1, False
-        _kernels.follow(inside, row, col, start, stop, max_run, low, high, is_merged)
-        max_run = MERGED * float(np.median((high - low + 1)[low >= 0])) + 1.0
+    low, high, _ = _follow(inside, (row, col, start, stop), 2.0 * (stop - start + 1) + 2.0)
+    usual_run = float(np.median((high - low + 1)[low >= 0]))
+    low, high, is_merged = _follow(inside, (row, col, start, stop), MERGED * usual_run + 1.0)
     has_sheet = low >= 0
-    place_text = choice.describe((row, col, depth))
+    object_text = f"The object at the seed point {choice.describe((row, col, depth))} um (z, y, x)"
     if has_sheet.mean() < _LEAST_COVER:
         raise VolumeError(
-            f"The object at the seed point {place_text} um (z, y, x) covers"
-            f" {100 * has_sheet.mean():.2g} % of the columns only. Check `through` (the axis that"
-            " runs through the sheet) and `seed_um`."
+            f"{object_text} covers {100 * has_sheet.mean():.2g} % of the columns only. Check"
+            " `through` (the axis that runs through the sheet) and `seed_um`."
         )
     is_leaving = has_sheet & ((low == 0) | (high == inside.shape[2] - 1))
-    if np.mean(is_leaving[has_sheet]) > _LEAVES:
+    leaving_share = np.mean(is_leaving[has_sheet])
+    if leaving_share > _LEAVES:
         raise VolumeError(
-            f"The object at the seed point {place_text} um (z, y, x) reaches an end of the axis"
-            f" through the sheet in {100 * np.mean(is_leaving[has_sheet]):.0f} % of its columns."
-            " Check `through` and `seed_um`."
+            f"{object_text} reaches an end of the axis through the sheet in"
+            f" {100 * leaving_share:.0f} % of its columns. Check `through` and `seed_um`."
         )
-    extent = dict(zip(("low", "high"), _extent(blocks, low, high, threshold), strict=True))
+    low_face, high_face = _extent(blocks, low, high, threshold)
     return CoarseSheet(
-        **extent,
+        low=low_face,
+        high=high_face,
         block=choice.block,
         is_leaving=is_leaving,
         threshold=threshold,
@@ -298,38 +295,46 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     )
 
 
+def _follow(
+    inside: Bools, seed_run: tuple[int, int, int, int], max_run: float
+) -> tuple[Labels, Labels, Bools]:
+    """First and last index of the sheet's runs, -1 for none, and where two sheets merge."""
+    low = np.full(inside.shape[:2], -1, np.int64)
+    high = low.copy()
+    is_merged = np.zeros(low.shape, np.bool_)
+    _kernels.follow(inside, *seed_run, max_run, low, high, is_merged)
+    return low, high, is_merged
+
+
 def flags_to_columns(field: Bools, block: int, shape: tuple[int, int]) -> Bools:
     """Give every column the flag of its block."""
-    r, c = (
-        np.minimum(np.arange(n) // block, m - 1) for n, m in zip(shape, field.shape, strict=True)
-    )
-    return field[np.ix_(r, c)]
+    positions = block_positions(shape, (block, block), field.shape)
+    return field[np.ix_(*(np.rint(position).astype(int) for position in positions))]
 
 
 def to_columns(field: Floats, block: int, shape: tuple[int, int]) -> Floats:
     """Interpolate a block map to single columns; NaN where the nearest block is NaN."""
-    axis_positions = [
-        np.clip((np.arange(n) - 0.5 * (block - 1)) / block, 0, m - 1)
-        for n, m in zip(shape, field.shape, strict=True)
-    ]
-    return interpolate(field, axis_positions, order=1)
+    return interpolate(field, block_positions(shape, (block, block), field.shape), order=1)
 
 
-def _extent(
-    blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], threshold: float
-) -> tuple[Floats, Floats]:
+def _extent_of(blocks: Blocks, in_object: Bools, threshold: float) -> tuple[Floats, Floats]:
+    """Depth at which the grey of an object crosses the threshold at its low and its high end."""
+    has_object = in_object.any(axis=-1)
+    low, high = (np.where(has_object, index, -1) for index in first_and_last(in_object))
+    return _extent(blocks, low, high, threshold)
+
+
+def _extent(blocks: Blocks, low: Labels, high: Labels, threshold: float) -> tuple[Floats, Floats]:
     """Move first and last index (-1: none) outwards to where the grey crosses the threshold."""
     # A sheet that touches the end of its column is cut there: its face is not in the volume, and
     # that end is NaN.
     extents: list[Floats] = []
     last = blocks.shape[-1] - 1
     for index, outward, end in ((low, -1, 0), (high, 1, last)):
-        a, b = (
-            np.take_along_axis(blocks, np.clip(index + step, 0, last)[..., None], axis=-1)[
-                ..., 0
-            ].astype(float)
-            for step in (0, outward)
+        inner, outer = (
+            at_index(blocks, np.clip(index + step, 0, last)).astype(float) for step in (0, outward)
         )
-        share = np.clip((a - threshold) / np.where(np.abs(a - b) > 1e-12, a - b, 1.0), 0.0, 1.0)
+        fall = inner - outer
+        share = np.clip((inner - threshold) / np.where(np.abs(fall) > 1e-12, fall, 1.0), 0.0, 1.0)
         extents.append(np.where((index >= 0) & (index != end), index + outward * share, np.nan))
     return extents[0], extents[1]

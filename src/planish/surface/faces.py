@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.core.grid import filled
+from planish.core.grid import at_index, filled
 from planish.core.robust import mad_sd, masked_gaussian
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
@@ -411,8 +411,7 @@ def crossing(grey: NDArray[np.floating], first_sample: NDArray[np.intp], level: 
     The samples are those of ``grey`` (..., depth).
     """
     next_sample = np.minimum(first_sample + 1, grey.shape[-1] - 1)
-    a, b = (
-        np.take_along_axis(grey, k[..., None], axis=-1)[..., 0] for k in (first_sample, next_sample)
-    )
+    a = at_index(grey, first_sample)
+    b = at_index(grey, next_sample)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(b != a, np.clip((level - a) / (b - a), 0.0, 1.0), 0.5)
