@@ -93,13 +93,13 @@ def layer_sources(
     else:
         folder = inputs_folder(Path(out))
         refuse_existing(Path(out), folder)
+    for k, source in enumerate(sources):
+        if isinstance(source, ArraySource):
+            stem, suffix = _FILE_NAMES[source.kind]
+            if kinds.count(source.kind) > 1:
+                stem = f"{source.kind}{k + 1}"
+            sources[k] = replace(source, path=folder / f"{stem}{suffix}")
     try:
-        for k, source in enumerate(sources):
-            if isinstance(source, ArraySource):
-                stem, suffix = _FILE_NAMES[source.kind]
-                if kinds.count(source.kind) > 1:
-                    stem = f"{source.kind}{k + 1}"
-                sources[k] = replace(source, path=folder / f"{stem}{suffix}")
         yield sources
     except BaseException:
         # The arrays are in memory still, and the same call is not refused because of them.

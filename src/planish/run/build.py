@@ -236,14 +236,14 @@ def _source(layer: str | Path | ArraySource, *, is_link: bool) -> PathSource | A
                 f"{prefix!r} is no name of a layer: letters from A to Z, digits, - and _ are"
                 " possible, at most 40."
             )
-    kind: Kind = "volume"
-    if is_link and is_run(path):
-        kind = "run"
-    elif is_link:
-        place = find_place(path)
-        if not is_section_folder(place.path) and is_image(place):
-            kind = "image"
-    return PathSource(path, kind, name)
+    return PathSource(path, _kind_of(path) if is_link else "volume", name)
+
+
+def _kind_of(path: Path) -> Kind:
+    if is_run(path):
+        return "run"
+    place = find_place(path)
+    return "volume" if is_section_folder(place.path) or not is_image(place) else "image"
 
 
 def _table(
@@ -272,14 +272,11 @@ def _all_names(sources: Sequence[PathSource | ArraySource]) -> list[str]:
     names = ["image" if source.kind == "image" else "sheet" for source in sources]
     if len(set(names)) < len(names):
         places = [find_place(source.path.absolute()) for source in sources]
-        stems = [
-            source.name or _as_name(place.stem)
-            for source, place in zip(sources, places, strict=True)
-        ]
-        names = list(stems)
+        names = [_as_name(place.stem) for place in places]
+        stems = [source.name or name for source, name in zip(sources, names, strict=True)]
         for k, place in enumerate(places):
             if stems.count(stems[k]) > 1:
-                names[k] = f"{_as_name(place.path.parent.name)}-{stems[k]}"[:40]
+                names[k] = f"{_as_name(place.path.parent.name)}-{names[k]}"[:40]
     return [source.name or name for source, name in zip(sources, names, strict=True)]
 
 
@@ -298,31 +295,34 @@ def sections_of(
     tables: dict[str, Any] = {}
     if compute is not None:
         tables["compute"] = params_of(Compute, compute, call).model_dump()
-    given_words: dict[str, Any] = {}
+    stated = {word: value for word, value in options.items() if value is not None}
     faults: list[str] = []
     for word, value in options.items():
-        if word in word_places and value is not None:
-            given_words[word] = value
         if word in sections:
-            if isinstance(value, Params):
-                tables[word] = value.model_dump(exclude_unset=True)
-            elif isinstance(value, Mapping):
-                tables[word] = deepcopy(dict[str, Any](value))
-            else:
+            table = _table_in(value)
+            if table is None:
                 faults.append(
                     f"{word}={value!r}: needed is a dict of options, or one of them by itself."
                 )
-        elif word not in word_places and value is not None:
+            else:
+                tables[word] = table
+        elif word in stated and word not in word_places:
             faults.append(_unknown(word, [*sections, *word_places, "out", "progress", "chain"]))
-    repeated = put_options(tables, word_places, given_words)
-    faults += [
-        f"{word}= is given twice, by itself and in {word_places[word][0]}=. Leave one out."
-        for word in repeated
-    ]
+    given_words = {word: stated[word] for word in stated if word in word_places}
+    for word in put_options(tables, word_places, given_words):
+        place = word_places[word][0]
+        faults.append(f"{word}= is given twice, by itself and in {place}=. Leave one out.")
     if faults:
         raise StudyError(f"{call}: {' '.join(faults)}")
     compute_options = tables.pop("compute", None)
     return tables, None if compute_options is None else params_of(Compute, compute_options, call)
+
+
+def _table_in(value: Any) -> dict[str, Any] | None:
+    """Options of a section, of a model or a mapping; None where it is neither."""
+    if isinstance(value, Params):
+        return value.model_dump(exclude_unset=True)
+    return deepcopy(dict[str, Any](value)) if isinstance(value, Mapping) else None
 
 
 def words_of(sections: Iterable[str] = SECTIONS) -> dict[str, tuple[str, ...]]:
@@ -332,13 +332,11 @@ def words_of(sections: Iterable[str] = SECTIONS) -> dict[str, tuple[str, ...]]:
     and no words here.
     """
     models = {**SECTIONS, "compute": Compute}
-    places = [
-        item
-        for section in sections
-        if section not in ANSWERS
-        for item in words_in(models[section], section).items()
-    ]
-    return dict(reversed(places))
+    places: dict[str, tuple[str, ...]] = {}
+    for section in sections:
+        if section not in ANSWERS:
+            places = words_in(models[section], section) | places
+    return places
 
 
 def _unknown(word: str, known_words: list[str]) -> str:

@@ -18,7 +18,7 @@ from planish.run.layers import MappedLayer
 from planish.run.packages import with_packages
 from planish.run.run import is_run, open_results, open_sheet
 from planish.run.sheet import asked_corrections, made_corrections
-from planish.run.study import RUN_TOML, Study, changed, read_study, to_dict
+from planish.run.study import RUN_TOML, GivenLayer, Study, changed, read_study, to_dict
 
 # File of such a run: what was asked for, as a hash, and the study of the link.
 _REQUEST = ".request"
@@ -97,27 +97,30 @@ def sheets_of(
         return ready_sheets, similar_sheets
     if old_study.packages != study.packages or not results.is_of_this_code:
         return ready_sheets, similar_sheets
-    old_layers = {layer.name: layer for layer in old_study.layers}
-    sources = {layer.name: layer.source.sha256 for layer in results.layers}
+    old_layers = {
+        (layer.name, facts.source.sha256): layer
+        for layer, facts in zip(old_study.layers, results.layers, strict=True)
+    }
     kinds = [layer.kind for layer in results.layers]
     is_own_map = len(kinds) == 1 or kinds == ["sheet", "image"]
     for layer, sha256 in zip(study.layers, hashes, strict=True):
-        old_layer = old_layers.get(layer.name)
-        if layer.kind != "volume" or old_layer is None:
-            continue
-        sheet_folder = old if is_own_map else old / "layers" / layer.name
-        old_surface, new_surface = (
-            changed(params.surface, corrections=None) for params in (old_layer, layer)
-        )
-        is_same_file = old_layer.volume == layer.volume and sources.get(layer.name) == sha256
-        if not is_same_file or old_surface != new_surface or not is_run(sheet_folder):
+        old_layer = old_layers.get((layer.name, sha256))
+        if layer.kind != "volume" or old_layer is None or not _has_same_surface(layer, old_layer):
             continue
         is_same = changed(old_layer, marks=layer.marks, surface=layer.surface) == layer
         with suppress(PlanishError):  # damaged: it is mapped again
-            sheet = open_sheet(sheet_folder)
+            sheet = open_sheet(old if is_own_map else old / "layers" / layer.name)
             is_same &= made_corrections(sheet.groups["surfaces"]) == asked_corrections(layer)
             (ready_sheets if is_same else similar_sheets)[layer.name] = sheet
     return ready_sheets, similar_sheets
+
+
+def _has_same_surface(layer: GivenLayer, old_layer: GivenLayer) -> bool:
+    """Whether volume and search are those of an old layer, whatever was corrected by hand."""
+    surface, old_surface = (
+        changed(params.surface, corrections=None) for params in (layer, old_layer)
+    )
+    return layer.volume == old_layer.volume and surface == old_surface
 
 
 def next_step(

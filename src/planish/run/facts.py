@@ -123,25 +123,17 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
 
 def section_facts(sections: xr.Dataset) -> SectionFacts:
     """How serial sections were joined."""
-    attrs, aligned = sections.attrs, sections["aligned"].values
-    shift_rms_um = [
-        float(np.sqrt(np.mean(sections[f"shift_{axis}"].values[aligned] ** 2)))
-        for axis in ("row", "col")
-    ]
-    row, col = (float(v) for v in attrs["jitter_left_um"])
-    alignment = {k: v for k, v in attrs.items() if k in SectionFacts.model_fields}
-    return SectionFacts.model_validate(
-        alignment
-        | {
-            "count": int(aligned.size),
-            "not_aligned": int(np.count_nonzero(~aligned)),
-            "gain_sd": float(np.std(sections["gain"].values[aligned])),
-            "shift_row_rms_um": shift_rms_um[0],
-            "shift_col_rms_um": shift_rms_um[1],
-            "jitter_left_row_um": row,
-            "jitter_left_col_um": col,
-        }
-    )
+    attrs = sections.attrs
+    aligned = sections["aligned"].values
+    facts = {k: v for k, v in attrs.items() if k in SectionFacts.model_fields}
+    facts["count"] = aligned.size
+    facts["not_aligned"] = int(np.count_nonzero(~aligned))
+    facts["gain_sd"] = float(np.std(sections["gain"].values[aligned]))
+    for axis, jitter_um in zip(("row", "col"), attrs["jitter_left_um"], strict=True):
+        shift_um = sections[f"shift_{axis}"].values[aligned]
+        facts[f"shift_{axis}_rms_um"] = float(np.sqrt(np.mean(shift_um**2)))
+        facts[f"jitter_left_{axis}_um"] = float(jitter_um)
+    return SectionFacts.model_validate(facts)
 
 
 def layer_facts(
@@ -245,18 +237,7 @@ def _orientation_facts(
         sentences += hand_texts
         fit_text = "mirrored, which agrees with that" if is_reversed else "as they are stored"
         sentences.append(f"The layers fit on each other {fit_text}.")
-    md_text = "The machine direction lies at"
-    if md_fixed_deg is not None:
-        given_text = "." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there."
-        fixed_text = f"so at {_angle(md_fixed_deg)} in the {fixed.name}{given_text}"
-        sentences.append(f"{md_text} {_angle(moving.md_deg)} in the {moving.name} and {fixed_text}")
-    elif fixed.md_deg is not None:
-        missing_text = f"none was given for the {moving.name}."
-        sentences.append(
-            f"{md_text} {_angle(fixed.md_deg)} in the {fixed.name}, as given; {missing_text}"
-        )
-    else:
-        sentences.append("Machine direction not given.")
+    sentences.append(_direction_sentence(moving, fixed, md_fixed_deg))
     return OrientationFacts(
         image_side=fixed.side,
         side_given=fixed.side_given is not None or fixed.kind == "sheet",
@@ -265,6 +246,22 @@ def _orientation_facts(
         md_deg_fixed=fixed.md_deg,
         md_deg_fixed_from_moving=md_fixed_deg,
         sentence=" ".join(sentences),
+    )
+
+
+def _direction_sentence(moving: MappedLayer, fixed: MappedLayer, md_fixed_deg: float | None) -> str:
+    md_text = "The machine direction lies at"
+    if md_fixed_deg is not None:
+        given_text = "." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there."
+        return (
+            f"{md_text} {_angle(moving.md_deg)} in the {moving.name} and so at"
+            f" {_angle(md_fixed_deg)} in the {fixed.name}{given_text}"
+        )
+    if fixed.md_deg is None:
+        return "Machine direction not given."
+    return (
+        f"{md_text} {_angle(fixed.md_deg)} in the {fixed.name}, as given; none was given for the"
+        f" {moving.name}."
     )
 
 
@@ -339,6 +336,7 @@ def _property_rows(
 
 
 def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
+    """Rows of ``figures.csv``: properties and position of each layer, then all r."""
     for layer in results.layers:
         why = partial(_why, results.checks, (layer.name,))
         if layer.sheet is not None:

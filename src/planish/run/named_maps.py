@@ -35,18 +35,19 @@ class NamedMap:
 
 def maps_of(run: Run) -> dict[str, NamedMap]:
     """All maps of a run by name; by LAYER.MAP, and by MAP where one layer has it."""
-    reference = run.results.reference.name
-    groups = [(f"{layer}.", layer, group) for layer, group in run.layers.items()]
-    if not groups:
-        name = LINKED if LINKED in run.groups else "maps"
-        groups = [("", run.results.layers[0].name, run.groups[name])]
     maps: dict[str, NamedMap] = {}
-    for prefix, layer, group in groups:
+    for layer, group in run.layers.items():
         for name, values in group.items():
-            of_layer = reference if name == "image" and not prefix else layer
-            maps[f"{prefix}{name}"] = NamedMap(values=values, layer=of_layer, group=group)
-    counts = Counter(bare_name(key) for key in maps)
-    return {bare_name(key): m for key, m in maps.items() if counts[bare_name(key)] == 1} | maps
+            maps[f"{layer}.{name}"] = NamedMap(values=values, layer=layer, group=group)
+    if maps:
+        counts = Counter(map(bare_name, maps))
+        return {bare_name(key): m for key, m in maps.items() if counts[bare_name(key)] == 1} | maps
+    layers = run.results.layers
+    group = run.groups[LINKED if LINKED in run.groups else "maps"]
+    for name, values in group.items():
+        layer = layers[-1 if name == "image" else 0].name
+        maps[str(name)] = NamedMap(values=values, layer=layer, group=group)
+    return maps
 
 
 def maps_of_dataset(data: xr.Dataset, verb: str) -> dict[str, NamedMap]:

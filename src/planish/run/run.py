@@ -95,22 +95,20 @@ class Run:
         FileError
             If the run holds no sheet of its own.
         """
-        facts = next((layer for layer in self.results.layers if layer.sheet is not None), None)
-        missing = [name for name in _OF_A_SHEET if name not in self.groups]
-        if facts is None or facts.sheet is None or missing:
+        if not self.groups.keys() >= {*_OF_A_SHEET}:
             raise FileError(
                 f"{self.folder or 'The run'} holds no map of one sheet. Give a run of one volume,"
                 " from 'planish map' or 'planish link VOLUME IMAGE'."
             )
-        params = next(layer for layer in self.study.layers if layer.name == facts.name)
-        checks = [check for check in self.checks if check.layers == (facts.name,)]
+        layers = zip(self.results.layers, self.study.layers, strict=True)
+        facts, params = next(pair for pair in layers if pair[0].sheet is not None)
         return MappedLayer(
             params=params,
             source=facts.source,
             md_deg=(params.volume or params).md_deg,
             groups={k: v for k, v in self.groups.items() if k in _SHEET_GROUPS},
             facts=facts.sheet,
-            checks=tuple(checks),
+            checks=tuple(check for check in self.checks if check.layers == (facts.name,)),
         )
 
     def __repr__(self) -> str:
@@ -134,11 +132,13 @@ class Run:
                 f"r = {r}: {row.a_map} of {row.a}, {row.b_map} of {row.b}, points of"
                 f" {row.point_um:g} um"
             )
-        sizes = {name: data.sizes.values() for name, data in self.groups.items()}
-        groups = ", ".join(f"{name} {'x'.join(map(str, size))}" for name, size in sizes.items())
-        if len(groups) >= _MOST_LETTERS:
-            groups = f"{groups[:_MOST_LETTERS]} ..."
-        lines.append(f"groups: {groups}")
+        groups: list[str] = []
+        for name, data in self.groups.items():
+            groups.append(f"{name} {'x'.join(map(str, data.sizes.values()))}")
+        text = ", ".join(groups)
+        if len(text) >= _MOST_LETTERS:
+            text = f"{text[:_MOST_LETTERS]} ..."
+        lines.append(f"groups: {text}")
         return "\n  ".join(lines)
 
     def _repr_html_(self) -> str:

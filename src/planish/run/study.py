@@ -160,20 +160,8 @@ class Study(Params):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         """The study, if its layers and options fit together; ValueError says what does not."""
-        names = [layer.name for layer in self.layers]
-        if not names:
-            raise ValueError("a study needs a layer: a volume to map, or several layers to link")
-        # Names of files: on Windows, CT and ct are one.
-        small = [name.casefold() for name in names]
-        twice = sorted({name for name in names if small.count(name.casefold()) > 1})
-        if twice:
-            raise ValueError(
-                "every layer needs a name of its own (NAME=PATH); more than one is"
-                f" {', '.join(twice)}"
-            )
-        for fault in filter(None, map(fault_of_name, names)):
-            raise ValueError(f"a layer cannot have one of the names {', '.join(names)}: {fault}")
-        if len(names) == 1 and self.layers[0].kind != "volume":
+        _check_names([layer.name for layer in self.layers])
+        if not self.is_link and self.layers[0].kind != "volume":
             raise ValueError(
                 "a single layer has to be a volume; a run or an image is linked to something"
             )
@@ -181,12 +169,12 @@ class Study(Params):
             raise ValueError(
                 "the last layer is the reference: it is registered to nothing and has no marks"
             )
-        if len(names) == 1 and self.correlate.regions is not None:
+        if not self.is_link and self.correlate.regions is not None:
             raise ValueError(
                 "regions are left out of correlations, and a single layer has none; link it to"
                 " something"
             )
-        if self.registration.refine is not None and len(names) != 2:
+        if self.registration.refine is not None and len(self.layers) != 2:
             raise ValueError("refine is for two layers; link these two alone")
         return self
 
@@ -205,6 +193,21 @@ class Study(Params):
     def is_sheet_on_image(self) -> bool:
         """Whether one sheet is linked to one image, the usual case."""
         return [layer.kind == "image" for layer in self.layers] == [False, True]
+
+
+def _check_names(names: Sequence[str]) -> None:
+    """Raise ValueError where the layers of a study cannot be told apart, or have no files."""
+    if not names:
+        raise ValueError("a study needs a layer: a volume to map, or several layers to link")
+    # Names of files: on Windows, CT and ct are one.
+    small = [name.casefold() for name in names]
+    twice = sorted({name for name in names if small.count(name.casefold()) > 1})
+    if twice:
+        raise ValueError(
+            f"every layer needs a name of its own (NAME=PATH); more than one is {', '.join(twice)}"
+        )
+    for fault in filter(None, map(fault_of_name, names)):
+        raise ValueError(f"a layer cannot have one of the names {', '.join(names)}: {fault}")
 
 
 def read_study(path: Path) -> Study:
@@ -314,26 +317,30 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
     for text in changes:
         key, equals_sign, value = (word.strip() for word in text.partition("="))
         tables, keys = _tables_of(study, data, key.split("."))
-        if not (equals_sign and tables):
-            sections = ", ".join((*_LAYER_SECTIONS, *LINK_SECTIONS, "about"))
-            faults.append(f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}")
-            if equals_sign and keys[0] in _LAYER_SECTIONS:
-                faults[-1] += "; no layer of this study has it"
+        if equals_sign and tables:
+            for table in tables:
+                _put(table, keys, value)
             continue
-        for root in tables:
-            table = root
-            for table_key in keys[:-1]:
-                table = table.setdefault(table_key, {}) if isinstance(table, dict) else {}
-            if value:
-                table[keys[-1]] = _value(value)
-            else:
-                table.pop(keys[-1], None)
+        sections = ", ".join((*_LAYER_SECTIONS, *LINK_SECTIONS, "about"))
+        faults.append(f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}")
+        if equals_sign and keys[0] in _LAYER_SECTIONS:
+            faults[-1] += "; no layer of this study has it"
     if faults:
         raise StudyError("; ".join(faults) + ".")
     try:
         return Study.model_validate(data)
     except ValidationError as error:
         raise StudyError("; ".join(fault_texts(error, Study)) + ".") from error
+
+
+def _put(table: Any, keys: Sequence[str], value: str) -> None:
+    """Set a value in a table, or in one within it; take it out where there is none."""
+    *table_keys, name = keys
+    for key in table_keys:
+        table = table.setdefault(key, {}) if isinstance(table, dict) else {}
+    table.pop(name, None)
+    if value:
+        table[name] = _value(value)
 
 
 _LAYER_SECTIONS = ("volume", "image", *MAP_SECTIONS)
