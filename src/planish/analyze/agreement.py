@@ -6,7 +6,6 @@ Bias, scatter and limits of agreement, the line between both, and waves in commo
 import math
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -28,7 +27,7 @@ from planish.core.area import area_mean
 from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
-from planish.core.typing import Array, Floats, Pair, Pixel
+from planish.core.typing import Array, Entries, Floats, Pair, Pixel, Texts
 from planish.texture.covariance import Lags, PairCovariances, scatter_of
 
 LIMIT = 1.96
@@ -115,7 +114,7 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
     slope, _, slope_x_on_y = sums.lines
     bias = float(differences[is_valid].mean())
     sd = sums.difference[1]
-    estimates: dict[str, Any] = {
+    estimates: Entries = {
         "n": sums.n,
         "bias": bias,
         "slope": slope,
@@ -279,7 +278,7 @@ class AgreementFacts(Agreement, RingCorrelation):
     error_interval: Interval = optional("95 % interval of that slope.")
 
 
-def answer_agreement(pair: ComparedMaps) -> dict[str, Any]:
+def answer_agreement(pair: ComparedMaps) -> Entries:
     """Compare two sheets with one quantity.
 
     Rings of waves over the cells, bias and limits over the larger points.
@@ -298,7 +297,7 @@ def answer_agreement(pair: ComparedMaps) -> dict[str, Any]:
         agreement = bland_altman(a, b, pixel_um=point_um)
     except PlanishError:
         return {"agreement": AgreementFacts.holding(rings, units=units)}
-    line_fields: dict[str, Any] = {"error_ratio": error_ratio}
+    line_fields: Entries = {"error_ratio": error_ratio}
     if error_ratio is not None:
         with suppress(PlanishError):
             n_eff = independent_points(a, b, pixel_um=point_um).n_eff
@@ -330,7 +329,7 @@ class Instruments:
     # says why.
     line: Deming | None
     difference: Floats  # b less a at every pixel, (rows, cols); NaN where one is missing
-    notes: tuple[str, ...] = ()  # what could not be told, and why
+    notes: Texts = ()  # what could not be told, and why
 
 
 def compare_instruments(

@@ -1,7 +1,6 @@
 """The attenuation limit: r of a perfect relation, as misplacement, points and noise lower it."""
 
 import math
-from typing import Any
 
 import numpy as np
 from scipy import fft
@@ -12,7 +11,7 @@ from planish.analyze.split_half import Reliability, reliability_of
 from planish.core.arrays import values_of
 from planish.core.bands import thinned
 from planish.core.errors import InputError
-from planish.core.typing import Array, Floats, Pixel
+from planish.core.typing import Array, Entries, Floats, Pixel
 from planish.texture.covariance import Lags, covariance_of
 
 _QUANTILES = 16  # of the errors of a map
@@ -91,12 +90,12 @@ def attenuation_limit(
     return float(np.clip(np.mean(shares), 0.0, 1.0))
 
 
-def answer_attenuation(pair: ComparedMaps) -> dict[str, Any]:
+def answer_attenuation(pair: ComparedMaps) -> Entries:
     """Give the r that a perfect relation would show.
 
     By misplacement, by the noise of two half measurements, and by both.
     """
-    answers: dict[str, Any] = {}
+    answers: Entries = {}
     errors_um = _errors_of_places(pair)
     if errors_um.size:
         answers["attenuation_limit"] = attenuation_limit(

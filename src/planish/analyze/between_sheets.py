@@ -16,7 +16,7 @@ from planish.analyze.distributions import student_tail, t_95
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair, Texts
 
 _POWER = 0.8  # how often a study sees the smallest difference that it is said to see
 
@@ -58,9 +58,7 @@ class SheetDifference(SetDifference):
     sd: Unsaved = optional("Of the differences of single sheets where they pair.")
     standard_error: Unsaved = optional("Of the difference.")
     free: Unsaved = optional("Degrees of freedom of its interval.")
-    unpaired: tuple[str, ...] = Field(
-        default=(), description="Sheets without a partner, where sheets pair."
-    )
+    unpaired: Texts = Field(default=(), description="Sheets without a partner, where sheets pair.")
     reason: str = Field(default="", description="Why there is no interval.")
 
     @property
@@ -140,7 +138,7 @@ def _paired_fields(before: Fields, after: Fields) -> tuple[dict[str, Floats], di
     new_keys = zip(after.sheets, after.names, strict=True)
     new_values = dict(zip(new_keys, after.values, strict=True))
     sheets: list[str] = []
-    values: list[tuple[float, float]] = []
+    values: list[Pair] = []
     for sheet, name, old in zip(before.sheets, before.names, before.values, strict=True):
         new = new_values.get((sheet, name), math.nan)
         if not math.isnan(old - new):

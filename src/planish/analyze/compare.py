@@ -5,7 +5,7 @@ Correlation, differences of equal quantities, and other registrations.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product, repeat
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -21,7 +21,7 @@ from planish.core.errors import MarkError
 from planish.core.facts import Interval, Trust, Value, optional
 from planish.core.grid import Grid, pitch, values_at
 from planish.core.threads import map_threads
-from planish.core.typing import Array, Bools, Pixel
+from planish.core.typing import Array, Bools, Entries, Pixel
 from planish.measure import PROPERTIES
 from planish.measure.registry import NEGATIVE_CONTROLS
 from planish.register import FittedTransform, fit_transform
@@ -195,7 +195,7 @@ def _empty_sums(grid: Grid, point_um: float, count: int) -> list[PairAtSizes]:
     ]
 
 
-def _agreement(sums: PairSums, units: str) -> dict[str, Any]:
+def _agreement(sums: PairSums, units: str) -> Entries:
     """Differences of two maps of one quantity."""
     mean, sd = sums.difference
     return {
@@ -289,7 +289,7 @@ def comparison_rows(
             maps_of_run,
             strict=True,
         ):
-            change: dict[str, Any] = {}
+            change: Entries = {}
             if variant.mesh is not None and row.n:
                 change = _change(run_r - row.r, variant_maps, *run_maps)
             yield ComparisonRow.holding(
@@ -303,7 +303,7 @@ def comparison_rows(
 
 def _change(
     change_of_r: float, pair: Sequence[Array], pair_of_run: Sequence[Array], pixel_um: Pixel
-) -> dict[str, Any]:
+) -> Entries:
     change = paired_difference(
         (pair[0], pair[1]), (pair_of_run[0], pair_of_run[1]), pixel_um=pixel_um
     )

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import xarray as xr
 
@@ -11,7 +10,7 @@ from planish.analyze.quadratic_field import QuadraticField
 from planish.analyze.sheet_columns import SheetColumns
 from planish.core.area import area_mean
 from planish.core.grid import Grid
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Entries, Floats, Pair
 from planish.texture.covariance import Lags
 
 
@@ -53,7 +52,7 @@ class ComparedMaps:
         return self.point_um >= max(self.cell_um)
 
     @property
-    def sizes(self) -> dict[str, Any]:
+    def sizes(self) -> Entries:
         """Size of a cell and of a point, as functions of two maps take them."""
         return {"pixel_um": self.cell_um, "point_um": self.point_um}
 

@@ -7,7 +7,6 @@ used.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -23,7 +22,7 @@ from planish.analyze.distributions import t_95
 from planish.core.area import area_mean
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.grid import shorter_side_um
-from planish.core.typing import Array, Bools, Pair, Pixel
+from planish.core.typing import Array, Bools, Entries, Pair, Pixel
 from planish.texture.covariance import BANDWIDTH, Lags, PairCovariances
 
 
@@ -133,7 +132,7 @@ def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
     return t_95(free) * math.sqrt(places_um.shape[0] / expected)
 
 
-def answer_conley_interval(pair: ComparedMaps) -> dict[str, Any]:
+def answer_conley_interval(pair: ComparedMaps) -> Entries:
     """The Conley interval at the larger points."""
     if not pair.has_points:
         return {}

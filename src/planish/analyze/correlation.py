@@ -20,7 +20,7 @@ from planish.core.axial import refuse_axial
 from planish.core.bands import Rows, read_bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
-from planish.core.typing import Array, Bools, Floats, Pair, Pixel
+from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, Texts
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.detrend import shared_trend
 
@@ -66,7 +66,7 @@ class Correlation(ResultModel):
     )
     interval: Interval = optional("95 % interval of r.")
     n_eff_interval: Value = optional("Independent points that would give this interval.")
-    warnings: tuple[str, ...] = Field(default=(), description="What to be careful about.")
+    warnings: Texts = Field(default=(), description="What to be careful about.")
 
     @property
     def direction(self) -> int:
@@ -278,7 +278,7 @@ def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel | None, mask: Rows | None = No
     pixel than ``pixel_um``.
     """
     stated_um = None if pixel_um is None else _pair_um(pixel_um)
-    maps: dict[str, Any] = {"a": a, "b": b}
+    maps: Entries = {"a": a, "b": b}
     if mask is not None:
         maps["mask"] = mask
     for name, values in maps.items():
@@ -451,7 +451,7 @@ def _stated(
     """
     r = sums.r
     slope, intercept, slope_x_on_y = sums.lines
-    fields: dict[str, Any] = {"point_um": support_um, "n": sums.n, "r": r, "r2": r * r}
+    fields: Entries = {"point_um": support_um, "n": sums.n, "r": r, "r2": r * r}
     fields |= {"slope": slope, "intercept": intercept, "slope_x_on_y": slope_x_on_y}
     warnings: list[str] = []
     if sums.n < LEAST:

@@ -8,7 +8,7 @@ Each is a module with result and computation, a field of :class:`EvidenceFacts` 
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -46,6 +46,7 @@ from planish.analyze.variograms import Variogram, answer_variograms
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Number, ResultModel, optional
 from planish.core.grid import Grid
+from planish.core.typing import Entries, Texts
 from planish.texture.covariance import Lags
 
 
@@ -113,8 +114,8 @@ class Question(NamedTuple):
     without which nobody asks.
     """
 
-    fields: tuple[str, ...]
-    answer: Callable[[ComparedMaps], dict[str, Any]]
+    fields: Texts
+    answer: Callable[[ComparedMaps], Entries]
     option: str = ""
 
 
@@ -215,7 +216,7 @@ def correlation_diagnostics(
         light=light,
         repeated_points=accumulator.points() if is_same_quantity else None,
     )
-    answers: dict[str, Any] = {}
+    answers: Entries = {}
     for question in QUESTIONS:
         if question.option and getattr(params, question.option) in (None, ()):
             continue

@@ -4,7 +4,6 @@ Where they agree best, how wide that peak is, and what chance reaches.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -15,7 +14,7 @@ from planish.analyze.correlation import LEAST_CLAIMED, check_varying, on_one_gri
 from planish.analyze.distributions import normal_tail
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Interval, ResultModel, Value
-from planish.core.typing import Array, Bools, Floats, Pair, Pixel
+from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.ncc import MaskedNcc
 
@@ -283,7 +282,7 @@ def _limits(
     return n_eff, limits[0], limits[1]
 
 
-def answer_correlogram(pair: ComparedMaps) -> dict[str, Any]:
+def answer_correlogram(pair: ComparedMaps) -> Entries:
     """The correlogram with its profiles through lag 0; nothing where there are too few lags."""
     is_valid = pair.lags.is_valid
     correlogram = correlogram_of((pair.x, pair.y), (is_valid, is_valid), pair.lags, reach_um=500.0)

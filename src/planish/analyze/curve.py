@@ -8,7 +8,6 @@ saturating curve.
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +19,7 @@ from planish.analyze.distributions import t_95
 from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
-from planish.core.typing import Array, Floats, Pixel
+from planish.core.typing import Array, Entries, Floats, Pixel
 from planish.texture.covariance import Lags, scatter_of
 
 
@@ -213,7 +212,7 @@ def _least_squares(terms: Floats, values: Floats, n_eff: float) -> tuple[Floats,
     return np.stack([coefficients, np.sqrt(spread) * t_95(free)]).astype(np.float64), mean_square
 
 
-def answer_curve(pair: ComparedMaps) -> dict[str, Any]:
+def answer_curve(pair: ComparedMaps) -> Entries:
     """Whether an image bends over a property, at the larger points.
 
     Nothing where too few points are independent.

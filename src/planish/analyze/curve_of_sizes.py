@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy import special
@@ -13,7 +12,7 @@ from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
 from planish.core.facts import Interval, optional
 from planish.core.grid import shorter_side_um
-from planish.core.typing import Array, Floats, Pixel
+from planish.core.typing import Array, Entries, Floats, Pixel
 
 
 class SizeRow(PointsCorrelation):
@@ -126,6 +125,6 @@ def _wider(tile_sums: list[Floats]) -> float:
     return float(np.quantile(np.abs(drawn).max(axis=1), 0.95) / special.ndtri(0.975))
 
 
-def answer_sizes(pair: ComparedMaps) -> dict[str, Any]:
+def answer_sizes(pair: ComparedMaps) -> Entries:
     """R over points of growing size."""
     return {"sizes": size_curve(pair.x, pair.y, pixel_um=pair.cell_um)}

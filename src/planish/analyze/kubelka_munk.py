@@ -6,7 +6,6 @@ some 0.2 mm is blurred by that, and its brightness follows the coating less than
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,7 +19,7 @@ from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.reflectance import layer_over
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Entries, Floats, Pair
 
 # S times the mean of x, up to where a layer hides everything, and the backing.
 _LOW = np.array([0.0, 0.0])
@@ -321,7 +320,7 @@ def kubelka_munk_of(
     return KubelkaMunk.holding(curve, point_um=point_um)
 
 
-def answer_density(pair: ComparedMaps) -> dict[str, Any]:
+def answer_density(pair: ComparedMaps) -> Entries:
     """Density of a coating under an image, where the run knows it."""
     columns = pair.columns.get(pair.a[0])
     if columns is None or not pair.is_coat_on_image:
@@ -329,7 +328,7 @@ def answer_density(pair: ComparedMaps) -> dict[str, Any]:
     return {"density_g_cm3": density_of(columns.measured, pair.a[1])}
 
 
-def answer_kubelka_munk(pair: ComparedMaps) -> dict[str, Any]:
+def answer_kubelka_munk(pair: ComparedMaps) -> Entries:
     """The curve of a coating under an image, in g/m2 where the run knows the density."""
     point_um, ratio = pair.point_um, pair.params.kubelka_munk
     if ratio is None or not pair.is_coat_on_image:

@@ -7,7 +7,6 @@ together: a field that is fitted alone also takes off the long waves that both h
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -27,7 +26,7 @@ from planish.analyze.quadratic_field import QuadraticField, points_of, terms_of_
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, Unsaved, Value, optional
 from planish.core.grid import Grid
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Entries, Floats, Pair
 from planish.texture.covariance import Lags
 
 _TERMS = 5  # of the field, beside its mean
@@ -184,9 +183,7 @@ def _on_points(values: Floats, is_valid: Bools, missing: float = math.nan) -> Fl
     return points
 
 
-def _even_light(
-    x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Bools
-) -> tuple[float, float]:
+def _even_light(x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Bools) -> Pair:
     """Mean share of a field in even light, and the probability of one as large as that seen.
 
     The rest's covariances by lag, and what the terms (points, 6) took off them, give the variance
@@ -272,7 +269,7 @@ def _z(r: float) -> float:
     return math.atanh(np.clip(r, -_MOST_R, _MOST_R))
 
 
-def answer_light_field(pair: ComparedMaps) -> dict[str, Any]:
+def answer_light_field(pair: ComparedMaps) -> Entries:
     """Give r with a quadratic field off the image, where a sheet is compared with an image."""
     names = pair.a[1], pair.b[1]
     if not pair.has_points or names.count("image") != 1:

@@ -2,7 +2,6 @@
 
 import math
 from functools import partial
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -15,7 +14,7 @@ from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.grid import shorter_side_um
-from planish.core.typing import Array, Floats, Pixel
+from planish.core.typing import Array, Entries, Floats, Pixel
 from planish.texture.spectra import padded_shape, padded_spectrum
 
 
@@ -100,7 +99,7 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
     return np.where(is_valid, mean + blurred / np.where(is_valid, weight, 1.0), np.nan)
 
 
-def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
+def answer_light_spread(pair: ComparedMaps) -> Entries:
     """Correlate an image with a coating blurred as light is.
 
     It stands beside the coating as it is, at the same points.

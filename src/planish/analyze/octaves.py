@@ -5,7 +5,6 @@ Coherence, phase and transfer gain, ring by ring.
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -16,7 +15,7 @@ from planish.analyze.correlation import valid_pixels
 from planish.core.errors import CannotMeasure
 from planish.core.facts import ResultModel, Unsaved, Value, optional
 from planish.core.grid import shorter_side_um
-from planish.core.typing import Array, Bools, Complexes, Floats, Ints, Pair, Pixel
+from planish.core.typing import Array, Bools, Complexes, Entries, Floats, Ints, Pair, Pixel, Shape
 from planish.texture.detrend import without_trend
 
 
@@ -180,7 +179,7 @@ def spectrum_of(values: Array, is_valid: Bools, window: Floats) -> Complexes:
     return np.asarray(fft.rfft2(weighted - mean * window))
 
 
-def half_plane(shape: tuple[int, ...]) -> Bools:
+def half_plane(shape: Shape) -> Bools:
     """One of each two modes that a real map has twice, in half of a Fourier transform."""
     rows = fft.fftfreq(shape[0], 1 / shape[0])
     cols = np.arange(shape[1] // 2 + 1)
@@ -188,7 +187,7 @@ def half_plane(shape: tuple[int, ...]) -> Bools:
     return inner[None, :] | ((cols[None, :] == 0) & (rows[:, None] > 0))
 
 
-def answer_octaves(pair: ComparedMaps) -> dict[str, Any]:
+def answer_octaves(pair: ComparedMaps) -> Entries:
     """Coherence by octaves of wavelength."""
     octaves = coherence(pair.x, pair.y, pixel_um=pair.cell_um)
     return {"bands": octaves.bands, "resolution_per_um": octaves.resolution_per_um}

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planish.core.grid import Grid
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Shape
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -22,7 +22,7 @@ class QuadraticField:
         return _terms_of(y, x) @ self.weights
 
 
-def points_of(grid: Grid, shape: tuple[int, ...], point_um: float) -> Grid:
+def points_of(grid: Grid, shape: Shape, point_um: float) -> Grid:
     """So many points (rows, cols), which begin with the pixels of a grid."""
     x_um, y_um = grid.origin_um
     row_um, col_um = grid.pixel_um

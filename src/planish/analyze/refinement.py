@@ -22,7 +22,7 @@ from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
-from planish.core.typing import Bools, Floats, Ints, Pair
+from planish.core.typing import Bools, Floats, Ints, Pair, Texts
 from planish.register import Chain, FittedTransform, Refined, RefineOptions, refine
 from planish.register.by_texture.place import tuned_place
 from planish.register.by_texture.rotations import BAND_UM
@@ -248,7 +248,7 @@ class RefinementFacts(ResultModel):
     )
     area: tuple[float, ...] = Field(description="Least and largest local change of area.")
     strain: float = Field(description="Largest local strain, without its sign.")
-    warnings: tuple[str, ...] = Field(description="What to be careful about.")
+    warnings: Texts = Field(description="What to be careful about.")
     sentence: str = Field(description="The same in words.")
     longest_wave_um: float = Field(description="Longer waves were taken off both maps first.")
     correlation: RefinementR = Field(description="r that the refinement did not maximise.")

@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -31,13 +30,13 @@ from planish.core.axial import refuse_axial
 from planish.core.errors import InputError, PlanishError, SizeError
 from planish.core.facts import ResultModel, Value, optional
 from planish.core.grid import shorter_side_um
-from planish.core.typing import Array, Floats, Pixel
+from planish.core.typing import Array, Entries, Floats, Pixel, Texts
 from planish.measure.registry import shared_parts
 from planish.texture.textures import low_pass
 
 
 class _Given(ResultModel):
-    given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
+    given: Texts = Field(description="Maps of the sheet whose part was taken off both.")
 
 
 class Partial(PointsCorrelation, _Given):
@@ -45,14 +44,14 @@ class Partial(PointsCorrelation, _Given):
 
     reason: str | None = optional("Why there is no partial correlation.")
     r_alone: Value = optional("r over the same points with no part taken off.")
-    over_control: tuple[str, ...] = Field(
+    over_control: Texts = Field(
         default=(),
         description=(
             "Maps whose part was taken off although they contain the map, are part of it or share a"
             " part with it: what they take off is the map itself."
         ),
     )
-    over_control_parts: tuple[tuple[str, ...], ...] = Field(
+    over_control_parts: tuple[Texts, ...] = Field(
         default=(), description="For each of these, the largest maps that both contain."
     )
 
@@ -273,7 +272,7 @@ def commonality(b: Array, parts: Mapping[str, Array]) -> dict[str, float]:
     return shares
 
 
-def _subsets(names: Sequence[str]) -> list[tuple[str, ...]]:
+def _subsets(names: Sequence[str]) -> list[Texts]:
     """All choices of one name or more, the shortest first."""
     return [chosen for k in range(len(names)) for chosen in combinations(names, k + 1)]
 
@@ -281,7 +280,7 @@ def _subsets(names: Sequence[str]) -> list[tuple[str, ...]]:
 # --- what stands beside r -------------------------------------------------------------------------
 
 
-def answer_origins(pair: ComparedMaps) -> dict[str, Any]:
+def answer_origins(pair: ComparedMaps) -> Entries:
     """Least, mean and largest r over grids of points that begin elsewhere."""
     if not pair.has_points:
         return {}
@@ -289,7 +288,7 @@ def answer_origins(pair: ComparedMaps) -> dict[str, Any]:
     return {"origins": (r_of_origins.least, r_of_origins.r, r_of_origins.largest)}
 
 
-def answer_short_waves(pair: ComparedMaps) -> dict[str, Any]:
+def answer_short_waves(pair: ComparedMaps) -> Entries:
     """R without the waves of which the field holds few."""
     if not pair.has_points:
         return {}
@@ -309,7 +308,7 @@ def _check_beside(sheet_maps: xr.Dataset, covariates: Sequence[str]) -> None:
         refuse_axial(sheet_maps[name])
 
 
-def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
+def answer_partial(pair: ComparedMaps) -> Entries:
     """Partial correlation and commonality over the larger points.
 
     InputError where the sheet lacks a map for them.

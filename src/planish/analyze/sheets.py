@@ -15,7 +15,7 @@ from scipy import special
 from planish.analyze.distributions import t_95
 from planish.core.errors import InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, UnsavedInterval, Value, optional
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Texts
 
 LEAST_SHEETS = 3
 """Sheets below which there is no interval."""
@@ -118,9 +118,7 @@ class SheetMean(ResultModel):
 
     sheets: int = Field(description="Sheets that count.")
     fields: int = Field(description="Specimens that count; each is a field of a sheet.")
-    left_out: tuple[str, ...] = Field(
-        default=(), description="Specimens of the group that do not count."
-    )
+    left_out: Texts = Field(default=(), description="Specimens of the group that do not count.")
     mean: Value = optional("Over the means of sheets; of r by Fisher's z.")
     sd: Value = optional("Standard deviation of the means of sheets; none of r.")
     interval: Interval = optional("95 % interval of the mean of such sheets.")

@@ -17,7 +17,7 @@ from planish.core.facts import SIDES, Side
 from planish.core.grid import Grid, shorter_side_um
 from planish.core.numbers import capital, with_article
 from planish.core.older_names import height_map
-from planish.core.typing import Bools
+from planish.core.typing import Bools, Texts
 from planish.measure.registry import HEIGHTS
 from planish.register.by_texture.rotations import FALSE
 from planish.texture.textures import Relation, Textures, relate, textures, unexplained
@@ -272,7 +272,7 @@ def _check(
     *,
     advice: str = "",
     remedy: str = "",
-    figures: tuple[str, ...] = (),
+    figures: Texts = (),
 ) -> Check:
     return Check(
         name=NAME,
@@ -452,7 +452,7 @@ class _Judged(NamedTuple):
     texture: Textures
     source_maps: list[str]
     target_map: str
-    slopes: tuple[str, ...] = ()
+    slopes: Texts = ()
 
 
 def _judged_layers(
@@ -490,7 +490,7 @@ def _moved(check: Check, length_um: float) -> Check:
 
 def _shown_of(
     texture: Textures, face: Side, coated: Iterable[Side]
-) -> tuple[Textures, list[str], str, tuple[str, ...]]:
+) -> tuple[Textures, list[str], str, Texts]:
     """The maps that an image of a face follows, the image, and the slopes that side light shows.
 
     It follows the coating, or thickness and height; the slopes are added to the texture.

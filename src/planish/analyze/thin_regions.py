@@ -1,7 +1,6 @@
 """How a map differs inside and outside of regions, such as those where a coating is thin."""
 
 import math
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -11,7 +10,7 @@ from planish.analyze.correlation import LEAST, LEAST_CLAIMED, on_one_grid, valid
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, optional
-from planish.core.typing import Array, Bools, Pixel
+from planish.core.typing import Array, Bools, Entries, Pixel
 from planish.texture.covariance import Lags, scatter_of
 
 THIN_UM = (2.0, 5.0, 10.0)
@@ -92,7 +91,7 @@ def region_difference(values: Array, inside: Bools, *, pixel_um: Pixel) -> Regio
     )
 
 
-def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
+def answer_thin(pair: ComparedMaps) -> Entries:
     """Compare the image inside and outside of thin regions of the coating.
 
     This is done for the limits that some pixels are below.

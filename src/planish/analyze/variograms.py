@@ -4,7 +4,6 @@ Its noise from pixel to pixel, its spread, and how far its texture reaches.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -15,7 +14,7 @@ from planish.analyze.correlation import check_varying, valid_pixels
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import ResultModel, Value, optional
 from planish.core.grid import shorter_side_um
-from planish.core.typing import Array, Bools, Floats, Pair, Pixel
+from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel
 from planish.texture.covariance import Lags
 
 _LEAST_RINGS = 4  # for a model of three numbers
@@ -189,7 +188,7 @@ def _range(distance: Floats, covariance: Floats, shared: float) -> float:
     return float(h[k - 1] + part * (h[k] - h[k - 1]))
 
 
-def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
+def answer_variograms(pair: ComparedMaps) -> Entries:
     """Variograms of both maps on their one mask.
 
     Nothing of a map that the field is too small for.

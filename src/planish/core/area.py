@@ -12,7 +12,7 @@ from scipy import sparse
 
 from planish.core.axial import angle_of, axial_angle, summable, summable_of
 from planish.core.bands import Rows, read_bands
-from planish.core.typing import Array, Bools, Floats, Pair
+from planish.core.typing import Array, Bools, Floats, Pair, Shape
 
 
 class AreaMeans:
@@ -118,7 +118,7 @@ def overviews(maps: xr.Dataset, *, most_px: int = OVERVIEW_PX) -> Iterator[xr.Da
         yield maps
 
 
-def overview_count(shape: tuple[int, ...], *, most_px: int = OVERVIEW_PX) -> int:
+def overview_count(shape: Shape, *, most_px: int = OVERVIEW_PX) -> int:
     """Count the overviews that maps of a shape need."""
     return max(math.ceil(math.log2(max(shape, default=1) / most_px)), 0)
 

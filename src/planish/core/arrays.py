@@ -16,7 +16,7 @@ import xarray as xr
 
 from planish.core.errors import InputError, SizeError, VolumeError
 from planish.core.numbers import TOLERANCE, agree
-from planish.core.typing import Array, Pair
+from planish.core.typing import Array, Pair, Texts
 from planish.core.units import unit_um
 
 _CURES = {
@@ -33,7 +33,7 @@ class ArrayKind(NamedTuple):
     """A volume or an image: its name, its axes, and the attribute that holds its size."""
 
     name: str
-    axes: tuple[str, ...]
+    axes: Texts
     size_attribute: str
 
     @property

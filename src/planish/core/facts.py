@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
 from pydantic.json_schema import SkipJsonSchema
 
-from planish.core.typing import Pair
+from planish.core.typing import Pair, Shape
 
 
 def _finite(value: Any) -> Any:
@@ -121,7 +121,7 @@ class InputFile(ResultModel):
     """A file that was read, and the hash that tells it from every other."""
 
     name: str = Field(description="Name of the file or folder.")
-    shape: tuple[int, ...] = Field(description="Values along each axis: (z, y, x) or (y, x).")
+    shape: Shape = Field(description="Values along each axis: (z, y, x) or (y, x).")
     dtype: str = Field(description="Type of the values as stored.")
     bytes: int = Field(description="Size of the file or of all files.")
     sha256: str = Field(description="Hash of the bytes, which tells this input from every other.")
@@ -250,7 +250,7 @@ class HoleTiltFacts(ResultModel):
         description="Robust standard deviation of it from hole to hole."
     )
     offset_error_um: tuple[Number, Number] = Field(description="Standard error of the median.")
-    to_face_um: tuple[float, float] = Field(
+    to_face_um: Pair = Field(
         default=(0.0, 0.0),
         description="What was added to the places in the layer to have them at the face.",
     )

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import SizeError, SurfaceError
-from planish.core.typing import Bools, Floats, Ints, Pair
+from planish.core.typing import Bools, Entries, Floats, Ints, Pair
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,7 +70,7 @@ class Grid:
         return float(self.x_um[0]), float(self.y_um[0])
 
     @property
-    def coords(self) -> dict[str, Any]:
+    def coords(self) -> Entries:
         """Coordinates of a dataset on it."""
         return {"y": ("y", self.y_um, {"units": "um"}), "x": ("x", self.x_um, {"units": "um"})}
 

@@ -9,7 +9,7 @@ from xarray.backends import BackendArray
 from xarray.core.indexing import IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 from planish.core.lazy import LazyArray, Where
-from planish.core.typing import Array
+from planish.core.typing import Array, Fields, Shape
 
 
 def labelled(
@@ -18,7 +18,7 @@ def labelled(
     size_um: Sequence[float],
     *,
     name: str,
-    attrs: Mapping[str, Any],
+    attrs: Fields,
 ) -> xr.DataArray:
     """Give an array coordinates in um: place i of an axis has its centre at i × size.
 
@@ -37,7 +37,7 @@ def labelled(
     return array
 
 
-def chunks_of(volume: xr.DataArray) -> tuple[int, ...]:
+def chunks_of(volume: xr.DataArray) -> Shape:
     """Voxels along z, y and x that are decoded together; 1 where the file is not chunked."""
     return volume.encoding.get("chunks") or (1, 1, 1)
 

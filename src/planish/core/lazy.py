@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from planish.core.typing import Array
+from planish.core.typing import Array, DType, Shape
 
 T = TypeVar("T")
 Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
@@ -23,12 +23,10 @@ class LazyArray:
     ``read`` gives one as native ``dtype``.
     """
 
-    chunks: tuple[int, ...] | None = None  # what is decoded together, where the file is chunked
+    chunks: Shape | None = None  # what is decoded together, where the file is chunked
     whole_slices: bool = False  # whether a few rows of a slice cost as much as all of them
 
-    def __init__(
-        self, shape: tuple[int, ...], dtype: np.dtype[Any], read: Callable[[Where], Array]
-    ) -> None:
+    def __init__(self, shape: Shape, dtype: DType, read: Callable[[Where], Array]) -> None:
         self.shape, self.dtype, self._read = shape, dtype, read
 
     @property

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, cast
 
 import numpy as np
 
-from planish.core.typing import Array
+from planish.core.typing import Array, Shape
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 # Bytes in which flags, shape, name and the tag of the values of any variable lie.
@@ -77,7 +77,7 @@ class Variable:
     """
 
     name: str
-    shape: tuple[int, ...]
+    shape: Shape
     kind: str
     real: bool = False
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Shape
 
 MAD_TO_SD = 1.4826
 """Standard deviation of normal deviates over the median of their absolute deviation from the
@@ -39,7 +39,7 @@ def percentiles(values: NDArray[np.floating[Any]], *percents: float) -> tuple[fl
     )
 
 
-def otsu_borders(cum_count: Floats, cum_grey: Floats, classes: int) -> tuple[int, ...]:
+def otsu_borders(cum_count: Floats, cum_grey: Floats, classes: int) -> Shape:
     """Bins at which two or three classes of grey begin (Otsu 1979).
 
     Between these classes the variance is largest.

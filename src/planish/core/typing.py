@@ -1,5 +1,6 @@
 """Short names for the types that most modules use, and a pair out of an array."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,11 @@ Pixel = float | Pair  # edge of a pixel in um, or its edges along y and x
 Array = NDArray[Any]
 Window = tuple[slice, slice]  # rows and columns of a part
 Complexes = NDArray[np.complex128]
+DType = np.dtype[Any]
+Shape = tuple[int, ...]
+Texts = tuple[str, ...]  # names, words or sentences
+Entries = dict[str, Any]  # values by name: attributes, facts, what a file holds
+Fields = Mapping[str, Any]  # the same, only read
 
 
 def pair_of(values: Array) -> Pair:

@@ -18,7 +18,7 @@ import xarray as xr
 from planish.core.bands import band_of, bands
 from planish.core.errors import SizeError
 from planish.core.threads import thread_pool
-from planish.core.typing import Array, Floats, Singles
+from planish.core.typing import Array, DType, Entries, Fields, Floats, Pair, Singles
 from planish.report.colours import Scale
 
 
@@ -30,7 +30,7 @@ class ExportHistory:
     exported_by: str  #: version that exports it
     study_sha256: str  #: of ``run.toml``
     #: of each layer its name, the name of its file, and the file's SHA-256.
-    inputs: tuple[Mapping[str, Any], ...]
+    inputs: tuple[Fields, ...]
 
     def json(self, **more: Any) -> str:
         """Return it as JSON, with what else is to be known of a file.
@@ -84,7 +84,7 @@ class Maps:
         return y.size, x.size
 
     @property
-    def pixel_um(self) -> tuple[float, float]:
+    def pixel_um(self) -> Pair:
         """Pitch of rows and columns, without the rounding of their coordinates.
 
         SizeError where there is none.
@@ -98,12 +98,12 @@ class Maps:
         return exact((y[-1] - y[0]) / (y.size - 1)), exact((x[-1] - x[0]) / (x.size - 1))
 
     @property
-    def origin_um(self) -> tuple[float, float]:
+    def origin_um(self) -> Pair:
         """Middle of the first pixel: (y, x)."""
         y, x = self.at_um
         return exact(y[0]), exact(x[0])
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> Entries:
         """Group, pixel size and place, for the history."""
         return {
             "group": self.group,
@@ -128,7 +128,7 @@ class Maps:
         return replace(self, data=self.data[[name]])
 
     def bands(
-        self, name: str, dtype: np.dtype[Any] | type[np.generic] | None = None
+        self, name: str, dtype: DType | type[np.generic] | None = None
     ) -> Iterator[tuple[slice, Array]]:
         """Give a map band by band, reading ahead, as ``dtype``.
 
@@ -152,7 +152,7 @@ class Maps:
                 yield rows, band
 
 
-def percentile_limits(pixels: Singles) -> tuple[float, float]:
+def percentile_limits(pixels: Singles) -> Pair:
     """1st and 99th percentile of a map, between which it is shown first.
 
     0 to 1 where it has no value.
@@ -164,7 +164,7 @@ def percentile_limits(pixels: Singles) -> tuple[float, float]:
     return low, high if high > low else low + 1.0
 
 
-def plain_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
+def plain_type(dtype: DType) -> DType:
     """Type in which values are written: truth values become bytes of 0 and 1."""
     return np.dtype(np.uint8) if dtype.kind == "b" else dtype
 

@@ -14,7 +14,7 @@ from scipy import io
 from planish.core.errors import ResourceError
 from planish.core.memory import WHOLE_BYTES
 from planish.core.threads import thread_pool
-from planish.core.typing import Array
+from planish.core.typing import Array, Entries
 from planish.exports.content import ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
 
@@ -35,7 +35,7 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     version 5 was asked for, and the maps take 2 GB or more.
     """
     rows_um, cols_um = maps.at_um
-    metadata: dict[str, Any] = {
+    metadata: Entries = {
         f"{maps.dims[0]}_um": rows_um[None],
         f"{maps.dims[1]}_um": cols_um[None],
         "pixel_um": np.array([maps.pixel_um]),
@@ -45,7 +45,7 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     }
     version = chosen_version(maps, params)
     if version == "5":
-        pixels: dict[str, Any] = {}
+        pixels: Entries = {}
         for name in maps.names:
             dtype = maps.data[name].dtype
             pixels[name] = np.concatenate([band for _, band in maps.bands(name, dtype)])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planish.core.errors import StudyError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.typing import Array, Singles
+from planish.core.typing import Array, Singles, Texts
 from planish.exports.content import ExportHistory, column_of, units_of
 from planish.exports.formats import ExportParams
 from planish.report.colours import Scale
@@ -33,7 +33,7 @@ class Surface:
     #: heights and maps (y, x) on the columns of the volume, in um; the frame in its attributes.
     data: xr.Dataset
     name: str  #: one of `SURFACES`
-    maps: tuple[str, ...]  #: that its nodes carry; the first is their colour where there is one
+    maps: Texts  #: that its nodes carry; the first is their colour where there is one
     scales: Mapping[str, Scale]  #: limits and colours of maps, by name
 
 

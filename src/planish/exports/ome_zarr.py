@@ -16,7 +16,7 @@ import zarr
 from planish.core.area import halved_values, overview_count
 from planish.core.axial import summable
 from planish.core.bands import BAND, bands
-from planish.core.typing import Singles
+from planish.core.typing import Entries, Shape, Singles
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
 from planish.io.map_chunks import CODECS
@@ -69,9 +69,7 @@ def _window(overview: Singles) -> dict[str, float]:
     return {"min": extremes[0], "max": extremes[1], "start": low, "end": high}
 
 
-def _copied(
-    path: Path, run_folders: Sequence[Path], n_levels: int, channel: tuple[int, ...]
-) -> bool:
+def _copied(path: Path, run_folders: Sequence[Path], n_levels: int, channel: Shape) -> bool:
     """Copy the chunks of a map and its overviews.
 
     False, and nothing is done, where they are not those of the image.
@@ -101,7 +99,7 @@ def _alike(source: Path, target: Path) -> bool:
 
 def _attributes(
     maps: Maps, windows: list[dict[str, float]], n_levels: int, history: ExportHistory
-) -> dict[str, Any]:
+) -> Entries:
     names = maps.names
     name, axes = (maps.group, "cyx") if len(names) > 1 else (names[0], "yx")
     multiscales = multiscale(

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from planish.core.area import area_mean
 from planish.core.numbers import round_step, unit
-from planish.core.typing import Singles
+from planish.core.typing import Entries, Singles
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
 from planish.report.colours import MISSING, Scale
@@ -25,7 +25,7 @@ areas."""
 _DPI = 200
 _LEFT, _TOP, _RIGHT, _BELOW = 180, 84, 260, 160  # pixels around the map
 _INK, _SOFT = "#22292f", "#66707a"
-_STYLE: dict[str, Any] = {
+_STYLE: Entries = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 8.5,

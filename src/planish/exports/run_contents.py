@@ -19,7 +19,7 @@ from planish.core.errors import FileError, InputError
 from planish.core.grid import Grid
 from planish.core.text import likely
 from planish.core.transform import Affine, Similarity
-from planish.core.typing import pair_of
+from planish.core.typing import Pair, pair_of
 from planish.exports.content import ExportHistory
 from planish.exports.transforms import DirectedTransform, TransformPair
 from planish.io import VolumeParams, find_place, fingerprint
@@ -135,7 +135,7 @@ def sheet_facts(run: Run) -> LayerFacts | None:
 
 
 def straightened_volume(
-    run: Run, depth_um: tuple[float, float] | None, compute: Compute, progress: Progress
+    run: Run, depth_um: Pair | None, compute: Compute, progress: Progress
 ) -> xr.DataArray:
     """Volume along the normals on the flat maps' pixels.
 

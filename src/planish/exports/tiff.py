@@ -20,7 +20,7 @@ import xarray as xr
 
 from planish.core.errors import ResourceError
 from planish.core.memory import STACK_BYTES
-from planish.core.typing import Array
+from planish.core.typing import Array, DType, Entries, Shape
 from planish.exports.content import ExportHistory, Maps, exact
 from planish.exports.formats import ExportParams
 
@@ -46,7 +46,7 @@ def write_imagej(
             f"These values take {stack_bytes / 1e9:.1f} GB, and a TIFF for ImageJ holds 4 GB. Give "
             f"`to=ome-tiff`, {remedy_text}."
         )
-    metadata: dict[str, Any] = {
+    metadata: Entries = {
         "axes": stack.axes,
         "unit": "um",
         "Info": history.json(**stack.facts),
@@ -80,7 +80,7 @@ def write_ome(
     stack = _Stack.of(content)
     description = history.json(**stack.facts)
     digest = hashlib.sha256(description.encode()).digest()
-    metadata: dict[str, Any] = {
+    metadata: Entries = {
         "axes": stack.axes,
         "Creator": history.program,
         "Description": description,
@@ -111,12 +111,12 @@ class _Stack:
 
     content: Maps | xr.DataArray
     axes: str
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    shape: Shape
+    dtype: DType
     pixel_um: tuple[float, ...]
     origin_um: tuple[float, ...]
     labels: list[str]
-    facts: dict[str, Any]
+    facts: Entries
 
     @classmethod
     def of(cls, content: Maps | xr.DataArray) -> _Stack:

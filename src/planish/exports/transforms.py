@@ -14,7 +14,7 @@ import zarr
 
 from planish.core.grid import Grid
 from planish.core.transform import Affine
-from planish.core.typing import Array, Bools, Floats, Ints, pair_of
+from planish.core.typing import Array, Bools, Floats, Ints, Pair, Texts, pair_of
 from planish.exports.content import ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
 from planish.marks.exchange import write_any
@@ -58,7 +58,7 @@ class DisplacementField:
     """Displacements on a regular grid, between whose nodes they are linear."""
 
     vectors: Floats  # (rows, cols, 2): displacement along x and y in um
-    origin_um: tuple[float, float]  # place of the first node, (x, y)
+    origin_um: Pair  # place of the first node, (x, y)
     pitch_um: float  # distance of nodes
     error_um: float  # largest error in the middle of a cell, over the source layer
     n_filled: int  # nodes without a value, where the affine map stands
@@ -261,7 +261,7 @@ def write_zarr(
         field = displacement(transform)
         group = root.create_group(transform.name)
         group.attrs.update({"source": source, "target": target} | field.facts())
-        arrays: dict[str, tuple[Any, tuple[str, ...], str]] = {}
+        arrays: dict[str, tuple[Any, Texts, str]] = {}
         for k, axis in ((1, "y"), (0, "x")):
             coords_um = field.origin_um[k] + field.pitch_um * np.arange(
                 field.shape[1 - k], dtype=np.float64

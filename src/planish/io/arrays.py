@@ -27,7 +27,7 @@ from planish.core.facts import SIDES, Side
 from planish.core.frame import Axis, End, Frame
 from planish.core.labelled import labelled, variable_data
 from planish.core.lazy import LazyArray, Where
-from planish.core.typing import Array
+from planish.core.typing import Array, DType, Entries
 from planish.io.formats import full_scale
 from planish.io.lazy import read_if_small, supported_type
 from planish.io.sizes import PIXEL, VOXEL, Stated, agreed_size
@@ -153,7 +153,7 @@ def image(
     )
 
 
-def _lazy(source: Any, dtype: np.dtype[Any]) -> LazyArray:
+def _lazy(source: Any, dtype: DType) -> LazyArray:
     """An array of another library, of which parts are read as they are asked for."""
     array = LazyArray(tuple(map(int, source.shape)), dtype, partial(_read_part, source, dtype))
     # Those of dask hold the size of each chunk.
@@ -178,7 +178,7 @@ def _raster(array: Any) -> xr.DataArray:
     return raster
 
 
-def _read_part(source: Any, dtype: np.dtype[Any], where: Where) -> Array:
+def _read_part(source: Any, dtype: DType, where: Where) -> Array:
     return np.asarray(source[where], dtype)
 
 
@@ -232,7 +232,7 @@ def _labelled(
     raster: xr.DataArray,
     kind: ArrayKind,
     size_um: Size | None,
-    attrs: dict[str, Any],
+    attrs: Entries,
     *,
     override: bool,
     unusual: bool,

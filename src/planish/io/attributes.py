@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from planish.core.errors import VolumeError
-from planish.core.typing import Array
+from planish.core.typing import Array, Fields
 from planish.io.axes import AxisNames, extended_axes, letter_of
 from planish.io.orientation import Orientation, orientation_by_steps
 from planish.io.sizes import Stated, bare_unit, stated_in
@@ -54,9 +54,7 @@ class Coordinates(NamedTuple):
     unit: str
 
 
-def names_by_attributes(
-    attrs: Mapping[str, Any], shape: Sequence[int], *, is_own: bool
-) -> list[AxisNames]:
+def names_by_attributes(attrs: Fields, shape: Sequence[int], *, is_own: bool) -> list[AxisNames]:
     """Names of the stored axes by each attribute that gives some.
 
     Of the array's own attributes (``is_own``) the number of names has to fit; those of its group
@@ -109,7 +107,7 @@ def _on_axes(values: Sequence[T], shape: Sequence[int], default: T) -> list[T] |
     return on_axes
 
 
-def names_by_indices(attrs: Mapping[str, Any], shape: Sequence[int]) -> list[AxisNames]:
+def names_by_indices(attrs: Fields, shape: Sequence[int]) -> list[AxisNames]:
     """Names of the axes by the attributes ``NAME_indices`` of a NeXus group."""
     names = [""] * len(shape)
     for key in map(str, attrs):
@@ -174,9 +172,7 @@ def _plain(raw_value: Any) -> Any:
     return "" if raw_value is None else str(raw_value)
 
 
-def sizes_by_attributes(
-    attrs: Mapping[str, Any], shape: Sequence[int], order: Sequence[int]
-) -> list[Stated]:
+def sizes_by_attributes(attrs: Fields, shape: Sequence[int], order: Sequence[int]) -> list[Stated]:
     """Voxel size along z, y, x by each attribute that states one.
 
     It is one number, or one for each axis as it is stored.
@@ -218,7 +214,7 @@ def _size_name(key: str) -> tuple[str, str, str] | None:
     return (axis, quantity, unit) if is_size else None
 
 
-def _unit_beside(attrs: Mapping[str, Any], keys: Mapping[str, str], quantity: str) -> str:
+def _unit_beside(attrs: Fields, keys: Mapping[str, str], quantity: str) -> str:
     """Unit of a size in an attribute of its own; empty where there is none."""
     for name in (f"{quantity}_units", f"{quantity}_unit", "units", "unit"):
         if name in keys:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from planish.core.errors import FileError, VolumeError
-from planish.core.typing import Array, Floats
+from planish.core.typing import Array, DType, Floats, Shape, Texts
 from planish.io.axes import AxisNames
 from planish.io.formats import LoadedVolume, Place
 from planish.io.guard import quiet, reading
@@ -38,7 +38,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 
 
 def _header_of(
-    path: Path, axes: StoredAxes, dtype: np.dtype[Any], offset: int, stated: list[Stated]
+    path: Path, axes: StoredAxes, dtype: DType, offset: int, stated: list[Stated]
 ) -> Header:
     """Header of values that begin at a byte of a file, which may be packed as a whole."""
     packing = packing_of(path)
@@ -154,7 +154,7 @@ def _mrc_header(head: bytes, path: Path) -> Any:
     raise FileError(f"{path.name} is no MRC file. Check its name, or export it again.")
 
 
-def _type_of(fields: Any, path: Path) -> np.dtype[Any]:
+def _type_of(fields: Any, path: Path) -> DType:
     """Type of the values by their mode.
 
     Bytes of programs that say so by IMOD's flags are unsigned.
@@ -179,7 +179,7 @@ def _type_of(fields: Any, path: Path) -> np.dtype[Any]:
     return dtype.newbyteorder(byte_order)
 
 
-def _stated(fields: Any, letters: tuple[str, ...], axes: tuple[int, ...]) -> Stated:
+def _stated(fields: Any, letters: Texts, axes: Shape) -> Stated:
     """Size of a voxel: the cell by its intervals.
 
     Its axes may stand in another order than those of the array.

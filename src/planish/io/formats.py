@@ -14,7 +14,7 @@ from __future__ import annotations
 import importlib
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import FunctionType, MappingProxyType, ModuleType
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ from planish.core.errors import FileError, InputError, VolumeError
 from planish.core.plugins import Plugin, faults_named, find_plugin
 from planish.core.reflectance import LUMINANCE
 from planish.core.text import printable
-from planish.core.typing import Array
+from planish.core.typing import Array, DType, Fields, Shape, Texts
 from planish.io.guard import quiet
 from planish.io.lazy import Values
 from planish.io.orientation import Orientation
@@ -45,9 +45,9 @@ class VolumeFormat(NamedTuple):
 
     name: str
     module: str  # of this package
-    suffixes: tuple[str, ...] = ()  # ends of the names of its files or folders, in small letters
+    suffixes: Texts = ()  # ends of the names of its files or folders, in small letters
     # Names of files that mark a folder of this format, whatever its own name.
-    marker_files: tuple[str, ...] = ()
+    marker_files: Texts = ()
     has_parts: bool = False  # whether ``path:part`` chooses one volume of several
     starts: Starts = ()  # by which its files are known; none where they may begin with any bytes
     plugin: Plugin | None = None  # of another package, which reads it
@@ -244,7 +244,7 @@ class LoadedVolume(NamedTuple):
     stated: Sequence[Stated]  # voxel size along z, y, x in the metadata
     files: Sequence[Path]  # all that it is made of
     bits: int = 64  # of a whole number, where the file uses fewer than its type has
-    attrs: Mapping[str, Any] = MappingProxyType({})  # further ones of the volume, plain values
+    attrs: Fields = MappingProxyType({})  # further ones of the volume, plain values
     doubts: Sequence[str] = ()  # sentences about what looks wrong in the files
     notes: Sequence[str] = ()  # sentences about what was assumed to read them
     orientations: Sequence[Orientation] = ()  # as each kind of metadata states it
@@ -255,14 +255,14 @@ class LoadedVolume(NamedTuple):
         return sum(file.stat().st_size for file in dict.fromkeys(self.files))
 
 
-def full_scale(dtype: np.dtype[Any], bits: int) -> int | None:
+def full_scale(dtype: DType, bits: int) -> int | None:
     """Largest value that can be stored, None for floating point."""
     if dtype.kind == "f":
         return None
     return 1 if dtype.kind == "b" else min(int(np.iinfo(dtype).max), 2**bits - 1)
 
 
-def check_type(dtype: np.dtype[Any], path: Path) -> None:
+def check_type(dtype: DType, path: Path) -> None:
     """Refuse values that are no grey values."""
     if dtype.kind == "b":
         raise VolumeError(
@@ -296,7 +296,7 @@ def referenced_file(
     return target
 
 
-def describe_volumes(volumes: Sequence[tuple[str, tuple[int, ...], str]], name: str) -> str:
+def describe_volumes(volumes: Sequence[tuple[str, Shape, str]], name: str) -> str:
     """List the volumes (name, shape, type) of a file, and say how one is chosen."""
     if not volumes:
         return ADVICE
@@ -307,7 +307,7 @@ def describe_volumes(volumes: Sequence[tuple[str, tuple[int, ...], str]], name: 
     return f"Its volumes are {volumes_text}{more_text}: choose one as {name}:{volumes[0][0]}."
 
 
-def only_volume(volumes: Sequence[tuple[str, tuple[int, ...], str]], name: str) -> str:
+def only_volume(volumes: Sequence[tuple[str, Shape, str]], name: str) -> str:
     """Name of the only volume of a file."""
     if len(volumes) != 1:
         count_text = f"{len(volumes)} volumes" if volumes else "no volume"
@@ -359,12 +359,12 @@ def colour_attrs(channel: str | None, path: Path, *, in_colour: bool) -> dict[st
 
 
 def check_chunks(
-    positions: Iterable[tuple[int, ...]],
-    shape: tuple[int, ...],
-    chunk: tuple[int, ...],
+    positions: Iterable[Shape],
+    shape: Shape,
+    chunk: Shape,
     *,
     name: str,
-) -> tuple[str, ...]:
+) -> Texts:
     """Compare the chunks of an array with those it should have.
 
     Writers leave out chunks that hold nothing but the fill value, so a few that are missing may be

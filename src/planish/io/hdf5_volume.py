@@ -19,7 +19,7 @@ import numpy as np
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.core.typing import Array
+from planish.core.typing import Array, Shape, Texts
 from planish.io.attributes import (
     Coordinates,
     names_by_attributes,
@@ -168,9 +168,9 @@ def source_files(dataset: Any, path: Path) -> list[Path]:
     return files
 
 
-def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
+def volumes_in(path: Path) -> list[tuple[str, Shape, str]]:
     """Names, shapes and types of all data sets with three axes longer than 1, links left aside."""
-    volumes: list[tuple[str, tuple[int, ...], str]] = []
+    volumes: list[tuple[str, Shape, str]] = []
     visit_count = count()
 
     def note_volume(name: str, member: Any) -> bool | None:
@@ -222,7 +222,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     )
 
 
-def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
+def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, Texts]:
     """Return an array that reads a data set in parts, and what looks wrong.
 
     Refuse one without values.
@@ -242,7 +242,7 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
         -(-n // c) for n, c in zip(array.shape, chunks, strict=True)
     ):
         return array, ()
-    positions: list[tuple[int, ...]] = []
+    positions: list[Shape] = []
 
     def note_position(chunk: Any) -> None:
         positions.append(tuple(o // c for o, c in zip(chunk.chunk_offset, chunks, strict=True)))
@@ -251,7 +251,7 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
     return array, check_chunks(positions, array.shape, chunks, name=f"{path.name}: {dataset.name}")
 
 
-def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> Array:
+def _read_part(path: Path, name: str, shape: Shape, where: Where) -> Array:
     with opened(path) as file:
         # Parts of a virtual data set are looked for beside the file first, wherever planish was
         # started.

@@ -15,7 +15,7 @@ import numpy as np
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.memory import PACKED_BYTES, UNPACKED_BYTES
-from planish.core.typing import Array
+from planish.core.typing import Array, DType, Shape, Texts
 from planish.io.axes import AxisNames, extended_axes, place_axes
 from planish.io.formats import ADVICE, LoadedVolume
 from planish.io.guard import check_blown_up, head_of, reading, size_of_file
@@ -28,10 +28,10 @@ from planish.io.tiff import damaged, size_words
 class StoredAxes(NamedTuple):
     """Axes of values behind a header, slowest first, of which those of length 1 are left out."""
 
-    shape: tuple[int, ...]  # of the values as they are stored
-    header_axes: tuple[int, ...]  # numbers in the header of the axes z, y, x
-    order: tuple[int, ...]  # which stored axes are z, y, x
-    notes: tuple[str, ...]
+    shape: Shape  # of the values as they are stored
+    header_axes: Shape  # numbers in the header of the axes z, y, x
+    order: Shape  # which stored axes are z, y, x
+    notes: Texts
 
 
 class Header(NamedTuple):
@@ -40,7 +40,7 @@ class Header(NamedTuple):
     path: Path  # its file
     data: Path  # file with the values
     axes: StoredAxes
-    stored_dtype: np.dtype[Any]
+    stored_dtype: DType
     offset: int  # byte at which they begin; -1 where they end with the file
     stated: list[Stated]
     packing: str = ""  # or "deflate" or "bzip2"
@@ -48,7 +48,7 @@ class Header(NamedTuple):
     orientations: Sequence[Orientation] = ()
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self) -> Shape:
         """Lengths of the axes as they are stored, slowest first."""
         return self.axes.shape
 
@@ -147,7 +147,7 @@ def unpacked_parts(header: Header) -> Iterator[bytes]:
 
 
 def axes_of(
-    extents: tuple[int, ...],
+    extents: Shape,
     path: Path,
     namings: Sequence[AxisNames] = (),
     *,

@@ -18,7 +18,7 @@ from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
 from planish.core.parameter_faults import toml_tables
 from planish.core.tables import read_text
-from planish.core.typing import Array
+from planish.core.typing import Array, DType, Fields, Shape
 from planish.io.axes import AxisNames
 from planish.io.formats import LoadedVolume, Place, extra, referenced_file
 from planish.io.guard import head_of, memory_limit, reading, size_of_file
@@ -88,7 +88,7 @@ def load(place: Place, _channel: str | None, memory_bytes: int | None) -> Loaded
     return header.volume(values)
 
 
-def _type_of(word: str, path: Path) -> np.dtype[Any]:
+def _type_of(word: str, path: Path) -> DType:
     for name, words in TYPES.items():
         if word in words.split(", "):
             return np.dtype(name)
@@ -120,7 +120,7 @@ def _nrrd_lines(head: bytes) -> Iterator[bytes]:
             return
 
 
-def _either(fields: Mapping[str, Any], name: str, default: object) -> Any:
+def _either(fields: Fields, name: str, default: object) -> Any:
     """Value of a field whose name is written with or without its space."""
     return fields.get(name, fields.get(name.replace(" ", ""), default))
 
@@ -134,7 +134,7 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     header_lines = list(_nrrd_lines(head))
     with reading(path):
         # pynrrd would drop what is not ASCII, as in file names.
-        fields: Mapping[str, Any] = nrrd.read_header(list(map(_text_of, header_lines)))
+        fields: Fields = nrrd.read_header(list(map(_text_of, header_lines)))
         extents = tuple(map(int, np.atleast_1d(fields.get("sizes", ()))))
         line_skip = int(_either(fields, "line skip", 0))
         byte_skip = int(_either(fields, "byte skip", 0))
@@ -167,7 +167,7 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     )
 
 
-def _nrrd_type(fields: Mapping[str, Any], path: Path) -> np.dtype[Any]:
+def _nrrd_type(fields: Fields, path: Path) -> DType:
     """Type of the values with its byte order."""
     dtype = _type_of(str(fields.get("type", "")).strip(), path)
     if dtype.itemsize == 1:
@@ -178,7 +178,7 @@ def _nrrd_type(fields: Mapping[str, Any], path: Path) -> np.dtype[Any]:
     return dtype.newbyteorder(endian)
 
 
-def _nrrd_axes(fields: Mapping[str, Any], extents: tuple[int, ...], path: Path) -> StoredAxes:
+def _nrrd_axes(fields: Fields, extents: Shape, path: Path) -> StoredAxes:
     """Axes of an NRRD file, each of space or time."""
     kinds = fields.get("kinds") or [""] * len(extents)
     dimension = fields.get("dimension")
@@ -192,7 +192,7 @@ def _nrrd_axes(fields: Mapping[str, Any], extents: tuple[int, ...], path: Path) 
     return axes_of(extents, path, _names_by_nrrd(fields, kinds), contents_text=contents_text)
 
 
-def _names_by_nrrd(fields: Mapping[str, Any], kinds: Sequence[str]) -> list[AxisNames]:
+def _names_by_nrrd(fields: Fields, kinds: Sequence[str]) -> list[AxisNames]:
     """Names of the axes by their labels, and by the kind of an axis of time; fastest axis first."""
     kind_names = tuple("time" if kind == "time" else "" for kind in kinds)
     labels = tuple(str(label) for label in fields.get("labels") or [""] * len(kinds))
@@ -200,7 +200,7 @@ def _names_by_nrrd(fields: Mapping[str, Any], kinds: Sequence[str]) -> list[Axis
     return [naming for naming in namings if len(naming.names) == len(kinds) and any(naming.names)]
 
 
-def _oriented_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Orientation]:
+def _oriented_by_nrrd(fields: Fields, axes: Sequence[int]) -> list[Orientation]:
     """Where the axes run by the space directions, in a right-handed space."""
     space = str(fields.get("space", "")).strip().casefold()
     directions = fields.get("space directions")
@@ -217,7 +217,7 @@ def _oriented_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Or
     return [Orientation(source, rows @ np.asarray(basis))]
 
 
-def _stated_by_nrrd(fields: Mapping[str, Any], axes: Sequence[int]) -> list[Stated]:
+def _stated_by_nrrd(fields: Fields, axes: Sequence[int]) -> list[Stated]:
     """Voxel size along z, y, x: the lengths of the space directions, and the spacings."""
     stated: list[Stated] = []
     directions = fields.get("space directions")
@@ -428,7 +428,7 @@ def _raw_header(path: Path) -> Header:
     )
 
 
-def _raw_faults(fields: Mapping[str, Any]) -> list[str]:
+def _raw_faults(fields: Fields) -> list[str]:
     """Faults of a TOML header of raw values, in words."""
     unknown_texts = [f"unknown key {key!r}" for key in fields if key not in KEYS]
     shape, dtype, byte_order = map(fields.get, ("shape", "dtype", "byte_order"))

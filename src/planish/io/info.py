@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from planish.core.memory import (
     bytes_to_hold,
     bytes_to_map,
 )
-from planish.core.typing import Pair
+from planish.core.typing import Entries, Pair, Texts
 from planish.io.formats import (
     TIFF,
     Place,
@@ -51,7 +50,7 @@ from planish.io.volume import load_volume, open_volume
 SENTENCES = ("doubts", "notes")  # attributes of a volume that are said on their own
 # Finds the size and its source, or raises SizeError.
 Agreed = Callable[..., tuple[tuple[float, ...], str]]
-ValueFacts = Callable[[Values, int | None, tuple[str, ...], bool], dict[str, Any]]
+ValueFacts = Callable[[Values, int | None, Texts, bool], Entries]
 
 
 def describe(
@@ -64,7 +63,7 @@ def describe(
     memory_bytes: int | None = None,
     look: Callable[[Values], None] | None = None,
     values: bool = True,
-) -> dict[str, Any]:
+) -> Entries:
     """Inspect a volume or an image and report what it holds, in little memory.
 
     Of large ones, parts are read.
@@ -107,13 +106,11 @@ def describe(
     """
     place = find_place(path)
     memory_bytes = LOOK_BYTES if memory_bytes is None else memory_bytes
-    options: dict[str, Any] = {"override": override_size, "unusual": True}
+    options: Entries = {"override": override_size, "unusual": True}
     named_options = options | {"file_name": place.path.name}
     warnings: list[str] = []
 
-    def value_facts(
-        shown: Values, largest: int | None, dims: tuple[str, ...], is_read: bool
-    ) -> dict[str, Any]:
+    def value_facts(shown: Values, largest: int | None, dims: Texts, is_read: bool) -> Entries:
         if is_read:
             facts = inspect_values(shown, largest, warnings, dims=dims)
             if look is not None:
@@ -152,7 +149,7 @@ def _describe_volume(
     most_bytes: int | None,
     value_facts: ValueFacts,
     warnings: list[str],
-) -> dict[str, Any]:
+) -> Entries:
     """Report what a volume holds; of its values, if they can be read within ``most_bytes``."""
     loaded = None
     if most_bytes is not None:
@@ -199,9 +196,7 @@ def _describe_volume(
     }
 
 
-def _describe_sections(
-    sections: SectionStack, find_size: Agreed, warnings: list[str]
-) -> dict[str, Any]:
+def _describe_sections(sections: SectionStack, find_size: Agreed, warnings: list[str]) -> Entries:
     steps_um = np.diff(sections.positions_um)
     pitch_um = float(np.median(steps_um))
     n_missing = np.rint(steps_um / pitch_um).astype(int) - 1
@@ -230,7 +225,7 @@ def _describe_image(
     most_bytes: int | None,
     value_facts: ValueFacts,
     warnings: list[str],
-) -> dict[str, Any]:
+) -> Entries:
     """Report what an image holds.
 
     Its values are those of the luminance, or of channel 0 where there is none.
@@ -312,7 +307,7 @@ def _size_facts(
     warnings: list[str],
     stated: Sequence[Stated],
     usual_range: tuple[str, Pair] | None = None,
-) -> dict[str, Any]:
+) -> Entries:
     """Voxel or pixel size and where it comes from, or why there is none.
 
     Unusual ones are doubted, and those that nobody may have measured.

@@ -4,7 +4,7 @@ import hashlib
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import imagecodecs
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planish.core.files import write_whole
 from planish.core.memory import EAGER_BYTES, SAMPLE_BYTES, SAMPLE_VALUES
 from planish.core.text import first_few
-from planish.core.typing import Array, Ints
+from planish.core.typing import Array, Entries, Ints, Texts
 from planish.io.lazy import Values
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -51,8 +51,8 @@ class _Totals:
 
 
 def inspect_values(
-    values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]
-) -> dict[str, Any]:
+    values: Values, full_scale: int | None, warnings: list[str], *, dims: Texts
+) -> Entries:
     """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
     n_planes = values.shape[0]
     plane_numbers = [*range(n_planes)]
@@ -64,7 +64,7 @@ def inspect_values(
             plane_numbers = [int(n) for n in np.linspace(0, n_planes - 1, n_sampled).round()]
             sampled_text = f"{n_sampled} of {n_planes} slices"
     totals = _look(values, plane_numbers, full_scale)
-    facts: dict[str, Any] = declared_facts(values, dims) | {
+    facts: Entries = declared_facts(values, dims) | {
         "nan_share": 1 - totals.n_finite / totals.n_values,
         "saturated_share": totals.n_saturated / totals.n_values,
         "bottom_share": totals.n_bottom / totals.n_values,
@@ -79,7 +79,7 @@ def inspect_values(
 
 
 def _what_looks_wrong(
-    totals: _Totals, facts: dict[str, Any], full_scale: int | None, *, is_whole: bool
+    totals: _Totals, facts: Entries, full_scale: int | None, *, is_whole: bool
 ) -> list[str]:
     """Say what looks wrong in values, whole numbers or not, with their shares among the facts."""
     warnings: list[str] = []
@@ -152,7 +152,7 @@ def _finite_sample(plane: Array, stride: int) -> Array:
     return sample[np.isfinite(sample)]
 
 
-def declared_facts(values: Values, dims: tuple[str, ...]) -> dict[str, Any]:
+def declared_facts(values: Values, dims: Texts) -> Entries:
     """Give the facts without those of the values, which are None."""
     value_keys = ("min", "max", "percentiles", "nan_share", "saturated_share", "bottom_share")
     header_facts = {"dims": list(dims), "shape": list(values.shape), "dtype": str(values.dtype)}

@@ -15,7 +15,7 @@ import numpy as np
 from planish.core.lazy import LazyArray, Where
 from planish.core.memory import DECODED_BYTES, EAGER_BYTES
 from planish.core.threads import map_threads
-from planish.core.typing import Array
+from planish.core.typing import Array, DType, Shape
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.tiff import damaged
 
@@ -28,8 +28,8 @@ class FileArray(LazyArray):
     def __init__(
         self,
         path: Path,
-        shape: tuple[int, ...],
-        dtype: np.dtype[Any],
+        shape: Shape,
+        dtype: DType,
         read: Callable[[Where], Array],
     ) -> None:
         super().__init__(shape, dtype, read)
@@ -53,8 +53,8 @@ class PagedArray(FileArray):
     def __init__(
         self,
         path: Path,
-        shape: tuple[int, ...],
-        dtype: np.dtype[Any],
+        shape: Shape,
+        dtype: DType,
         unit_rows: int,
         rows: Callable[[int, int, int], Array],
     ) -> None:
@@ -105,8 +105,8 @@ class StoredArray(FileArray):
     def __init__(
         self,
         planes: Sequence[tuple[Path, int]],
-        shape: tuple[int, ...],
-        stored_dtype: np.dtype[Any],
+        shape: Shape,
+        stored_dtype: DType,
     ) -> None:
         self.planes, self.shape, self.stored_dtype = planes, shape, stored_dtype
         self.path = planes[0][0]
@@ -129,9 +129,7 @@ class StoredArray(FileArray):
         return values
 
 
-def stored_planes(
-    path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any], *, offset: int
-) -> StoredArray:
+def stored_planes(path: Path, shape: Shape, stored_dtype: DType, *, offset: int) -> StoredArray:
     """An array whose planes lie in a file one after the other."""
     plane_bytes = math.prod(shape[1:]) * stored_dtype.itemsize
     return StoredArray(
@@ -153,9 +151,7 @@ def unmapped(array: Values) -> Values:
     return stored_planes(Path(array.filename), array.shape, array.dtype, offset=array.offset)
 
 
-def mapped(
-    path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any], *, offset: int
-) -> Values:
+def mapped(path: Path, shape: Shape, stored_dtype: DType, *, offset: int) -> Values:
     """Map values that lie in a file as they are.
 
     A memmap where the machine has their byte order.
@@ -174,8 +170,8 @@ class WholeArray(FileArray):
     def __init__(
         self,
         path: Path,
-        shape: tuple[int, ...],
-        dtype: np.dtype[Any],
+        shape: Shape,
+        dtype: DType,
         decode: Callable[[], Array],
     ) -> None:
         self.path, self.shape, self.dtype, self.decode = path, shape, dtype, decode
@@ -211,7 +207,7 @@ class ViewArray(FileArray):
         inner: FileArray,
         order: Sequence[int],
         change: Change = np.asarray,
-        dtype: np.dtype[Any] | None = None,
+        dtype: DType | None = None,
     ) -> None:
         self.inner = inner
         self.order = tuple(order)
@@ -247,7 +243,7 @@ def reordered(values: Values, order: Sequence[int]) -> Values:
     return values.transpose(order)
 
 
-def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
+def supported_type(dtype: DType) -> DType:
     """Widen float16, in which the kernels cannot compute, to float32; other types stay."""
     return np.dtype(np.float32) if dtype == np.float16 else dtype
 

@@ -29,7 +29,7 @@ from scipy import ndimage
 from planish.core.arrays import check_image, values_of
 from planish.core.errors import InputError
 from planish.core.facts import Number, ResultModel, optional
-from planish.core.typing import Singles
+from planish.core.typing import Entries, Shape, Singles, Texts
 from planish.io.hashes import fingerprint
 from planish.io.image import read_image
 
@@ -55,8 +55,8 @@ Grey = Singles
 class LightFacts(ResultModel):
     """White and dark image, and what they did to an image."""
 
-    files: tuple[str, ...] = Field(description="Name of the white image, and of the dark one.")
-    hashes: tuple[str, ...] = Field(default=(), description="Their hashes, where they were read.")
+    files: Texts = Field(description="Name of the white image, and of the dark one.")
+    hashes: Texts = Field(default=(), description="Their hashes, where they were read.")
     exposure: Number = optional(
         "Exposure of the white image over that of the image; null where not known: reflectance is"
         " then known up to a factor."
@@ -223,7 +223,7 @@ def read_corrected(params: ImageParams) -> tuple[xr.DataArray, CorrectedImage | 
     if params.white is None:
         return image, None
     # Their own sizes say nothing: they show the field of view of the image.
-    how: dict[str, Any] = params.how | {"pixel_um": (1.0, 1.0), "override_size": True}
+    how: Entries = params.how | {"pixel_um": (1.0, 1.0), "override_size": True}
     white = read_image(params.white, **how)
     dark = None if params.dark is None else read_image(params.dark, **how)
     corrected = correct_light(image, white=white, dark=dark, exposure=params.white_exposure)
@@ -282,7 +282,7 @@ def _noise_variance(values: Grey, lag: int = _LAG) -> float:
     return float(np.median(finite)) / 4 if finite.size else 0.0
 
 
-def resized(values: Grey, shape: tuple[int, ...]) -> Grey:
+def resized(values: Grey, shape: Shape) -> Grey:
     """A picture on more pixels of the same field of view, linear between its own."""
     if values.shape == shape:
         return values

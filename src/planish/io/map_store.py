@@ -26,13 +26,13 @@ from planish.core.memory import LARGE_BYTES
 from planish.core.older_names import FORMAT, todays_names
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
-from planish.core.typing import Array
+from planish.core.typing import Array, Entries, Shape
 from planish.io.map_chunks import CODECS, is_ours, read_chunks, write_chunks
 
 CHUNK = 512  # pixels along the edge of a chunk of a map
 # Attribute of a store: one that is not there is a damage, not a missing value.
 COMPLETE = "every_chunk_is_written"
-ROOT: dict[str, Any] = {COMPLETE: True, "format": FORMAT}  # no format: of planish 0.2.0, or 3
+ROOT: Entries = {COMPLETE: True, "format": FORMAT}  # no format: of planish 0.2.0, or 3
 # Group of a store with smaller copies of its maps, which are read where they are shown.
 OVERVIEWS = "overviews"
 
@@ -63,7 +63,7 @@ class StoredMaps:
     def __init__(self, path: Path | None = None, *, keep_bytes: int = 0) -> None:
         self.path = path
         self.stored: list[str] = []  # names of the groups in the store, overviews among them
-        self._arrays: dict[str, dict[str, Any]] = {}
+        self._arrays: dict[str, Entries] = {}
         self._groups: dict[str, xr.Dataset] = {}
         self._cache = PartCache(keep_bytes)
 
@@ -106,7 +106,7 @@ class StoredMaps:
 
         map_threads(write, map(str, maps.data_vars))
 
-    def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
+    def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> Entries:
         group_bytes = (
             sum(v.dtype.itemsize for v in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
         )
@@ -150,9 +150,7 @@ def open_group(path: Path, name: str, data: xr.Dataset) -> zarr.Group:
     return group
 
 
-def create_array(
-    group: zarr.Group, key: str, like: xr.Variable, shape: tuple[int, ...]
-) -> zarr.Array[Any]:
+def create_array(group: zarr.Group, key: str, like: xr.Variable, shape: Shape) -> zarr.Array[Any]:
     """Make an array of a group, of the type, dimensions and attributes of a variable."""
     dtype, fill_value = (
         (str, "")
@@ -193,8 +191,8 @@ def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Da
     cache = cache or PartCache(0)
     with readable(path):
         group = zarr.open_group(path, path=name, mode="r")
-        coords: dict[str, Any] = {}
-        variables: dict[str, Any] = {}
+        coords: Entries = {}
+        variables: Entries = {}
         other_coords: set[str] = set()  # coordinates that are no axis, as xarray notes them
         arrays: Any = sorted(group.arrays())
         for key, array in arrays:
@@ -294,7 +292,7 @@ def readable(path: Path) -> Generator[None]:
         ) from error
 
 
-def json_attrs(attrs: Mapping[Any, Any]) -> dict[str, Any]:
+def json_attrs(attrs: Mapping[Any, Any]) -> Entries:
     """Attributes as a store holds them."""
     return {
         str(k): v.tolist() if isinstance(v, np.ndarray | np.generic) else v

@@ -12,7 +12,7 @@ import numpy as np
 
 from planish.core import matlab
 from planish.core.errors import FileError, VolumeError
-from planish.core.typing import Array
+from planish.core.typing import Array, Texts
 from planish.io.axes import extended_axes
 from planish.io.formats import LoadedVolume, Place, describe_volumes, only_volume
 from planish.io.guard import check_blown_up, reading, size_of_file
@@ -47,7 +47,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         )
     row_axis, column_axis, slice_axis = extended_axes(variable.shape)
     axis_order = (slice_axis, row_axis, column_axis)
-    doubts: tuple[str, ...] = ()
+    doubts: Texts = ()
     if matlab.is_new(first_bytes):
         from planish.io.hdf5_volume import lazy_dataset, opened
 

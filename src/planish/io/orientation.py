@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from planish.core.text import and_join
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Texts
 
 LEAST_VOLUME = 1e-3  # of the cell of three unit vectors; below, they lie in one plane
 # Where a step along x and one along y of the stored picture lead, to the right and downwards, in
@@ -140,7 +140,7 @@ def orientation_attrs(orientations: Sequence[Orientation]) -> Mapping[str, str]:
     return {"turned": f"by {and_join(sources['turned'])}"} if sources["turned"] else {}
 
 
-def orientation_notes(orientations: Sequence[Orientation]) -> tuple[str, ...]:
+def orientation_notes(orientations: Sequence[Orientation]) -> Texts:
     """Say which sources give no directions at all."""
     return tuple(
         f"The directions of {o.source} lie in one plane: they say nothing about the hand."

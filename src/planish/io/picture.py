@@ -16,7 +16,7 @@ from PIL import BmpImagePlugin, Image, ImageFile, JpegImagePlugin, PngImagePlugi
 from tifffile import PHOTOMETRIC, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError
-from planish.core.typing import Array
+from planish.core.typing import Array, DType, Texts
 from planish.io.formats import HEAD_BYTES, PICTURES, TIFF, format_by_bytes
 from planish.io.guard import check_blown_up, check_memory, head_of, reading
 from planish.io.resolution import Writer, writer_of
@@ -55,7 +55,7 @@ class DecodedPicture(NamedTuple):
     # Size along z (which a slice of a stack may know), y, x in the metadata.
     stated: tuple[Stated, ...]
     orientation: int  # the tag, 1 to 8; values stay as stored, whatever it says
-    notes: tuple[str, ...] = ()  # what was assumed, in sentences
+    notes: Texts = ()  # what was assumed, in sentences
     tone: Tone = Tone()  # what the file states of its grey
 
     @property
@@ -186,7 +186,7 @@ def is_mapped(path: Path) -> bool:
         return mapped_from(series) is not None and not palette
 
 
-def constant_zeros(shape: Sequence[int], dtype: np.dtype[Any]) -> Array:
+def constant_zeros(shape: Sequence[int], dtype: DType) -> Array:
     """An array of any size in no memory; all its values are the same 0."""
     return np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), tuple(shape))
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.tables import finite
 from planish.core.text import first_few
-from planish.core.typing import Pair
+from planish.core.typing import Pair, Shape, Texts
 from planish.io.formats import is_slice_name
 from planish.io.guard import reading
 from planish.io.sizes import Stated
@@ -144,8 +144,8 @@ class Scan(NamedTuple):
 
     log: Log
     stated: tuple[Stated, ...]  # voxel size (z, y, x), and that of further logs
-    notes: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
+    notes: Texts = ()
+    doubts: Texts = ()
 
 
 def _named(prefix: str, slices: list[Path]) -> tuple[list[NumberedFile], bool]:
@@ -207,7 +207,7 @@ def _naming_logs(reconstructions: list[Log], folder: Path) -> list[Log]:
     return logs
 
 
-def _note_on_others(log: Log, slices: list[Path]) -> tuple[str, ...]:
+def _note_on_others(log: Log, slices: list[Path]) -> Texts:
     """Say which pictures of a folder a log does not name."""
     named_files = {path for _, path in log.named_slices}
     unnamed = [p for p in slices if p not in named_files and not is_preview(p)]
@@ -243,7 +243,7 @@ def _scan_by_projections(logs: list[Log], slices: list[Path]) -> Scan | None:
             )
         source = f"{name} (its projections)"
         stated = Stated(source, (None, None, None), "the slices have other names")
-        doubts: tuple[str, ...] = ()
+        doubts: Texts = ()
         if first_slice.stem.casefold().startswith(log.stem):
             stated = Stated(source, (sizes[0],) * 3)
             doubts = (
@@ -345,7 +345,7 @@ def _check_count(log: Log, n_files: int, folder: Path) -> None:
         )
 
 
-def check_extent(log: Log, shape: tuple[int, ...]) -> tuple[str, ...]:
+def check_extent(log: Log, shape: Shape) -> Texts:
     """Compare the shape of a volume with that in its log, and say what a copy of a log states."""
     stated_shape = [log.count, *log.extent]
     ratios = [m / n for n, m in zip(shape, stated_shape, strict=True) if m is not None]

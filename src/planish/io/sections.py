@@ -6,11 +6,11 @@ The counter is ``sections.csv`` with the columns ``file`` and ``position_um``, a
 ``# kind: cut``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.numbers import agree
 from planish.core.tables import CsvTable, parse_table, read_text
 from planish.core.text import first_few
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Entries, Fields, Floats, Pair
 from planish.io.formats import check_channel, colour_attrs, full_scale, is_slice_name
 from planish.io.guard import size_of_file
 from planish.io.image import picture_attrs
@@ -47,7 +47,7 @@ class SectionStack(NamedTuple):
     positions_um: Floats  # along the cut, increasing; missing sections are gaps
     kind: str  # "block-face", "cut", or empty where the counter does not say
     file_bytes: int
-    attrs: Mapping[str, Any] = MappingProxyType({})
+    attrs: Fields = MappingProxyType({})
 
     @property
     def pixel_um(self) -> Pair:
@@ -129,7 +129,7 @@ def read_section_stack(
     """
     sections = open_sections(Path(path), channel=channel, memory_bytes=memory_bytes)
     size, source = sections.agreed_size(voxel_um, override=override_size, unusual=unusual_size)
-    attrs: dict[str, Any] = {
+    attrs: Entries = {
         "voxel_um": list(size),
         "voxel_um_source": source,
         "full_scale": full_scale(sections.values.dtype, sections.first.bits),

@@ -22,7 +22,7 @@ from zarr.codecs import (
 )
 
 from planish.core.lazy import Where
-from planish.core.typing import Array
+from planish.core.typing import Array, Shape
 
 _ABSENT = np.uint64(2**64 - 1)  # place of a chunk that holds the fill value
 
@@ -71,7 +71,7 @@ def _read_shard(
     path: Path,
     firsts: list[int],
     per_shard: list[int],
-    chunk: tuple[int, ...],
+    chunk: Shape,
     where: Where,
     values: Array,
 ) -> None:

@@ -6,7 +6,7 @@ A missing one is never taken as 1, and of two that disagree none is taken in sil
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,7 +17,7 @@ import numpy as np
 from planish.core.errors import FileError, SizeError
 from planish.core.numbers import agree
 from planish.core.text import and_join
-from planish.core.typing import Pair
+from planish.core.typing import Fields, Pair, Texts
 from planish.core.units import unit_um
 from planish.io.guard import reading
 from planish.io.resolution import Writer, doubt_of, from_density, reason_of_none, writer_of
@@ -36,7 +36,7 @@ class Stated(NamedTuple):
     # One entry an axis, slowest axis first; None where the metadata are silent.
     um: tuple[float | None, ...]
     note: str = ""  # why, if there is something to say
-    written: tuple[str, ...] = ()  # what was read along each axis, such as "3 mm"
+    written: Texts = ()  # what was read along each axis, such as "3 mm"
     doubt: str = ""  # a sentence, where it may be nobody's measurement
 
     def agrees(self, size: Sequence[float]) -> bool:
@@ -49,7 +49,7 @@ class Asked(NamedTuple):
     """Kind of size that is needed: names, word of a call, and the usual range."""
 
     name: str
-    axes: tuple[str, ...]
+    axes: Texts
     word: str
     usual_um: Pair
 
@@ -317,7 +317,7 @@ def _check_range(
 def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, ...]:
     """Collect what the metadata state, along z, y, x."""
     with reading(path):
-        imagej: Mapping[str, Any] | None = tif.imagej_metadata
+        imagej: Fields | None = tif.imagej_metadata
         density = [_fraction(page.tags.valueof(code)) for code in (283, 282)]
         tags = {tag.code: tag.value for tag in page.tags}
         photo_tags: Any = tags.get(34665)
@@ -370,9 +370,7 @@ def _doubted(stated: Stated, writer: Writer) -> Stated:
     return stated._replace(source=source, doubt=next(filter(None, doubts)))
 
 
-def _stated_by_imagej(
-    meta: Mapping[str, Any], density: Sequence[float | None], writer: Writer
-) -> Stated:
+def _stated_by_imagej(meta: Fields, density: Sequence[float | None], writer: Writer) -> Stated:
     """Read `unit` (`yunit`, `zunit`), `spacing`, and pixels per unit from the resolution tags."""
     unit = str(meta.get("unit", ""))
     if unit_um(unit) is None:

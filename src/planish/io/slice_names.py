@@ -16,6 +16,7 @@ import numpy as np
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.text import MOST_NAMES, first_few
+from planish.core.typing import Texts
 from planish.io.formats import is_slice_name
 from planish.io.picture import ADVICE, is_picture, kind_of
 from planish.io.tiff import open_series, shape_words
@@ -30,8 +31,8 @@ class SliceOrder(NamedTuple):
     """Slices in their order, and what is to be said about it."""
 
     files: list[Path]
-    notes: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
+    notes: Texts = ()
+    doubts: Texts = ()
 
 
 def list_slices(folder: Path) -> SliceOrder:
@@ -90,7 +91,7 @@ def check_several(files: list[Path]) -> None:
     )
 
 
-def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], tuple[str, ...]]:
+def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], Texts]:
     """Find the number in the names that counts the slices, and what is to be said about it.
 
     Of several numbers that change, one has to count without a gap, and no other may ask for another
@@ -189,7 +190,7 @@ def slice_step(numbers: list[int]) -> int:
     return math.gcd(*np.diff(sorted(numbers)).tolist())
 
 
-def step_doubts(numbers: list[int], expected_step: int = 1) -> tuple[str, ...]:
+def step_doubts(numbers: list[int], expected_step: int = 1) -> Texts:
     """Say that slices are further apart than one another, or than their log states."""
     step = slice_step(numbers)
     if step == expected_step:

@@ -14,7 +14,7 @@ from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.memory import EAGER_BYTES
 from planish.core.numbers import agree
 from planish.core.threads import map_threads
-from planish.core.typing import Array
+from planish.core.typing import Array, DType, Entries, Shape
 from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.lazy import PagedArray, StoredArray, Values, supported_type, widened
@@ -31,7 +31,7 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
     scan = read_scan(place.path)
     order = list_slices(place.path) if scan is None else slices_by_log(scan.log, place.path)
     values, first = load_pictures(order.files, channel=channel, memory_bytes=memory_bytes)
-    attrs: dict[str, Any] = colour_attrs(channel, place.path, in_colour=first.in_colour)
+    attrs: Entries = colour_attrs(channel, place.path, in_colour=first.in_colour)
     stated = first.stated
     notes = (*order.notes, *first.notes)
     doubts = order.doubts
@@ -115,7 +115,7 @@ def _slice_rows(
     load_one: Callable[[Path], DecodedPicture],
     files: list[Path],
     channel: str | None,
-    shape: tuple[int, ...],
+    shape: Shape,
     page: int,
     start: int,
     stop: int,
@@ -128,7 +128,7 @@ def _slice_rows(
 
 def _strip_rows(
     files: list[Path],
-    shape: tuple[int, ...],
+    shape: Shape,
     page: int,
     start: int,
     stop: int,
@@ -140,7 +140,7 @@ def _strip_rows(
     return values[0].astype(supported_type(values.dtype), copy=False)
 
 
-def _check_unchanged(file: Path, shape: tuple[int, ...], opened_shape: tuple[int, ...]) -> None:
+def _check_unchanged(file: Path, shape: Shape, opened_shape: Shape) -> None:
     if shape != opened_shape:
         raise VolumeError(
             f"{file.name} is {size_words(shape)} pixels, {size_words(opened_shape)} when the folder"
@@ -152,7 +152,7 @@ class SliceHeader(NamedTuple):
     """What is known of a slice that is not decoded."""
 
     key: tuple[Any, ...]  # format, size and type: the same for slices that are alike
-    dtype: np.dtype[Any]  # in the file
+    dtype: DType  # in the file
     offset: int | None = None  # from where the values lie as they are
     strip_rows: int = sys.maxsize  # what is decoded at once, if it is not all
 

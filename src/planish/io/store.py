@@ -27,6 +27,7 @@ from planish.core.errors import InputError, ResourceError
 from planish.core.files import delete, move, writing
 from planish.core.memory import BLOCKS_AT_WORK, PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.core.threads import count_threads, limit_threads, thread_pool
+from planish.core.typing import Entries, Shape
 from planish.io.hashes import ShardLists, Where
 from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_existing, remove
 
@@ -269,7 +270,7 @@ def halve(values: NDArray[Any]) -> NDArray[Any]:
     return out
 
 
-def _blocks(shape: tuple[int, ...], block: tuple[int, ...]) -> Iterator[Where]:
+def _blocks(shape: Shape, block: Shape) -> Iterator[Where]:
     """Blocks of a volume in the order of its voxels; the last ones are smaller."""
     for z, y, x in product(*map(range, (0, 0, 0), shape, block)):
         starts = zip((z, y, x), block, shape, strict=True)
@@ -283,7 +284,7 @@ def _halved(where: Where, times: int) -> Where:
     return z, y, x
 
 
-def _level_shapes(shape: tuple[int, ...]) -> list[tuple[int, ...]]:
+def _level_shapes(shape: Shape) -> list[Shape]:
     """Shapes of all levels, each half as long along each axis as the one before."""
     shapes = [shape]
     while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
@@ -301,8 +302,8 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
         source_name, "zyx", voxel_um, first_um, len(shapes), kind="mean of 2 x 2 x 2"
     )
     is_sharded = ome == "0.5"
-    attributes: dict[str, Any] = {"ome": {"version": ome, "multiscales": [scales]}}
-    options: dict[str, Any] = {
+    attributes: Entries = {"ome": {"version": ome, "multiscales": [scales]}}
+    options: Entries = {
         "compressors": ZstdCodec(level=1, checksum=True),
         "dimension_names": list("zyx"),
     }
@@ -331,7 +332,7 @@ def multiscale(
     n_levels: int,
     *,
     kind: str,
-) -> dict[str, Any]:
+) -> Entries:
     """Describe an image of several levels, each half as fine, as OME-Zarr does.
 
     An axis c lies before those of space.
@@ -339,7 +340,7 @@ def multiscale(
     ``pitch_um`` and ``first_um`` are size and place of the first voxel along the axes of space.
     """
     n_channels = axes.count("c")
-    datasets: list[dict[str, Any]] = []
+    datasets: list[Entries] = []
     for k in range(n_levels):
         scale = {"type": "scale", "scale": [1.0] * n_channels + [v * 2**k for v in pitch_um]}
         origin_um = [f + v * (2**k - 1) / 2 for f, v in zip(first_um, pitch_um, strict=True)]
@@ -361,9 +362,9 @@ def _level(folder: Path, k: int) -> Array:
         return zarr.open_array(folder, path=str(k), mode="r+")
 
 
-def _identity(volume: xr.DataArray) -> dict[str, Any]:
+def _identity(volume: xr.DataArray) -> Entries:
     """What says that an import is of the same volume, with the same corrections."""
-    identity: dict[str, Any] = {"shape": list(volume.shape), "dtype": str(volume.dtype)}
+    identity: Entries = {"shape": list(volume.shape), "dtype": str(volume.dtype)}
     for key in ("file_name", "file_bytes", "voxel_um"):
         identity[key] = volume.attrs.get(key)
     corrections = volume.attrs.get("corrections")

@@ -18,7 +18,7 @@ import numpy as np
 from tifffile import PHOTOMETRIC, TIFF, TiffFile, TiffFrame, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError, InputError
-from planish.core.typing import Array
+from planish.core.typing import Array, Shape, Texts
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
 
 JPEG_COMPRESSIONS = frozenset({6, 7, 34892, 33007})
@@ -254,7 +254,7 @@ def describes_other_images(tif: TiffFile) -> bool:
     return tif.filehandle.size <= stored_bytes + 2 * 4096
 
 
-def notes_on_reading(tif: TiffFile, page: TiffPage, path: Path) -> tuple[str, ...]:
+def notes_on_reading(tif: TiffFile, page: TiffPage, path: Path) -> Texts:
     """Say what was assumed of a file: which images are read, and how their values are."""
     notes: list[str] = []
     n_pages = len(tif.pages)
@@ -399,7 +399,7 @@ def long_axes(series: TiffPageSeries) -> str:
     return "".join(a for a, n in zip(series.axes, series.shape, strict=True) if n > 1 or a in "YX")
 
 
-def long_shape(series: TiffPageSeries) -> tuple[int, ...]:
+def long_shape(series: TiffPageSeries) -> Shape:
     """Lengths of these axes, of which others of length 1 may have the letter."""
     return tuple(n for a, n in zip(series.axes, series.shape, strict=True) if n > 1 or a in "YX")
 

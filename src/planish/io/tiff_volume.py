@@ -12,7 +12,7 @@ import numpy as np
 from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError, VolumeError
-from planish.core.typing import Array
+from planish.core.typing import Array, DType, Entries, Shape, Texts
 from planish.io.axes import may_be_slices, slices_note
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
@@ -116,8 +116,8 @@ def _series_values(
 def _paged(
     series: TiffPageSeries,
     path: Path,
-    shape: tuple[int, ...],
-    stored_dtype: np.dtype[Any],
+    shape: Shape,
+    stored_dtype: DType,
     limit_bytes: int,
 ) -> FileArray | None:
     """An array of one page for each slice, with one plane in each.
@@ -144,7 +144,7 @@ def _is_joined(page: TiffPage | TiffFrame) -> bool:
     return ends[:-1] == list(page.dataoffsets[1:])
 
 
-def _volume_axes(series: TiffPageSeries, path: Path) -> tuple[str, tuple[str, ...]]:
+def _volume_axes(series: TiffPageSeries, path: Path) -> tuple[str, Texts]:
     """Return the axes of a stack that are longer than 1, and what was assumed of them.
 
     Slices, y and x, and the samples of a stack in colour.
@@ -188,7 +188,7 @@ class TiffPages(PagedArray):
     def __init__(self, path: Path, series: TiffPageSeries) -> None:
         """Note where the strips or tiles of each page lie, so that threads read them at once."""
         key = series.keyframe
-        self._segments: list[tuple[Any, Any, dict[str, Any]]] = []
+        self._segments: list[tuple[Any, Any, Entries]] = []
         for page in filter(None, series):
             tables = {}
             if key.compression in JPEG_COMPRESSIONS:

@@ -3,7 +3,7 @@
 import math
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
@@ -15,7 +15,7 @@ from zarr.storage import LocalStore
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.core.typing import Array
+from planish.core.typing import Array, Fields, Shape
 from planish.io.attributes import (
     Coordinates,
     names_by_attributes,
@@ -35,7 +35,7 @@ from planish.io.tiff import damaged
 
 # Files of a zarr store that are no chunks.
 METADATA = frozenset({"zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata"})
-Keys = Mapping[str, Any]
+Keys = Fields
 
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
@@ -98,9 +98,7 @@ def _check_shards(path: Path, name: str) -> None:
         )
 
 
-def _stated_by_scale(
-    multiscale: Keys, level: int, units: list[str], order: tuple[int, ...]
-) -> Stated:
+def _stated_by_scale(multiscale: Keys, level: int, units: list[str], order: Shape) -> Stated:
     """Voxel size by the scale transformations of the level and of the whole image."""
     source = "the OME-Zarr scale"
     scale = _scale_of(multiscale["datasets"][level], len(units))
@@ -135,7 +133,7 @@ def _said_at_import(group_attrs: Keys) -> tuple[dict[str, str], list[str]]:
     return hand, [str(note) for note in notes] if isinstance(notes, list) else []
 
 
-def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> Array:
+def _read_part(path: Path, name: str, shape: Shape, where: Where) -> Array:
     changed_ns = max((f.stat().st_mtime_ns for f in _metadata_files(path / name)), default=0)
     array = _open_again(path, name, changed_ns)
     if tuple(array.shape) != shape:
@@ -347,7 +345,7 @@ def _scale_of(owner: Keys, count: int) -> list[float] | None:
     return None
 
 
-def _stored_chunks(folder: Path, files: list[Path]) -> Iterator[tuple[int, ...]]:
+def _stored_chunks(folder: Path, files: list[Path]) -> Iterator[Shape]:
     for file in files:
         # ``c/0/1/2``, ``c.0.1.2``, ``0/1/2`` or ``0.1.2``
         key = file.relative_to(folder).as_posix().removeprefix("c").strip("/.")

@@ -22,7 +22,7 @@ from planish.core.errors import VolumeError
 from planish.core.lazy import LazyArray
 from planish.core.robust import mad_sd, otsu_borders
 from planish.core.threads import map_threads
-from planish.core.typing import Array, Bools, Floats, Singles
+from planish.core.typing import Array, Bools, Floats, Pair, Singles
 from planish.sections.network import slow_part
 
 Stack = Array | LazyArray
@@ -64,7 +64,7 @@ class SectionSeries:
     stack: Stack
     #: (sections,), true places along the cut, monotonic; missing sections are gaps.
     positions_um: Floats
-    pixel_um: tuple[float, float]  #: (row, col)
+    pixel_um: Pair  #: (row, col)
 
     def __post_init__(self) -> None:
         """Check dims, types and numbers."""
@@ -253,7 +253,7 @@ def normalise_sections(series: SectionSeries) -> Gains:
     outside = max(1.0, rows - 2 * far) * cols
     step = max(1, round(inside / _MOST)), max(1, round(outside / _MOST))
 
-    def levels(i: int) -> tuple[float, float]:
+    def levels(i: int) -> Pair:
         height = band.heights(i, cols) + np.float32(band.jump[i])
         inner, outer = core_and_background(series.stack[i], height, near, far, step)
         return _crowd_mean(outer), _crowd_mean(inner)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from planish.core.threads import map_threads
-from planish.core.typing import Bools, Floats, Ints, Singles
+from planish.core.typing import Bools, Floats, Ints, Pair, Singles
 from planish.sections._kernels import pair_sums, smooth, straighten
 from planish.sections.band import SectionSeries, SheetBand, Stack
 
@@ -85,7 +85,7 @@ class Bands(NamedTuple):
 
     stack: Stack
     band: SheetBand
-    pixel_um: tuple[float, float]
+    pixel_um: Pair
     is_fine: bool = False
 
     @property
@@ -96,7 +96,7 @@ class Bands(NamedTuple):
         return max(1, round(row_step_um / self.pixel_um[0])), max(1, col_step)
 
     @property
-    def pitch_um(self) -> tuple[float, float]:
+    def pitch_um(self) -> Pair:
         """Distance of the samples."""
         return self.step[0] * self.pixel_um[0], self.step[1] * self.pixel_um[1]
 

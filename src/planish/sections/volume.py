@@ -5,9 +5,7 @@ Every voxel is interpolated once, missing sections from both sides.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -16,7 +14,7 @@ from planish.core.errors import VolumeError
 from planish.core.labelled import labelled
 from planish.core.lazy import LazyArray, Where
 from planish.core.threads import map_threads
-from planish.core.typing import Array, Bools, Floats, Ints
+from planish.core.typing import Array, Bools, Entries, Fields, Floats, Ints
 from planish.sections._kernels import interpolate
 from planish.sections.align import Alignment
 from planish.sections.band import Gains, SectionSeries, Stack
@@ -30,7 +28,7 @@ def regular_volume(
     *,
     alignment: Alignment | None = None,
     gains: Gains | None = None,
-    attrs: Mapping[str, Any] | None = None,
+    attrs: Fields | None = None,
 ) -> xr.DataArray:
     """Put aligned sections on a regular grid.
 
@@ -91,7 +89,7 @@ def regular_volume(
         values = np.empty(planes.shape, stack.dtype)
         map_threads(planes.fill, range(planes.shape[0]), values)
     voxel = (series.pitch_um, *map(float, series.pixel_um))
-    volume_attrs: dict[str, Any] = {
+    volume_attrs: Entries = {
         "units": "1",
         "long_name": "Grey value",
         "voxel_um": list(voxel),

@@ -3,13 +3,13 @@
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import tifffile
 import xarray as xr
 
-from planish.core.typing import Floats
+from planish.core.typing import Entries, Floats, Texts
 from planish.synthetic.specimen import InstrumentFiles, Specimen
 
 Instrument = Literal["stack", "scanner", "sections"]
@@ -168,7 +168,7 @@ def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Pat
     reflectance = (specimen.printed if printed else specimen.image).values
     grey = np.clip(np.rint(reflectance * 65535), 0, 65535).astype(np.uint16)
     pixel = specimen.params.camera.pixel_um
-    size: dict[str, Any] = {
+    size: Entries = {
         "resolution": (1e4 / pixel, 1e4 / pixel),
         "resolutionunit": "CENTIMETER",
     }
@@ -261,5 +261,5 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
     )
 
 
-def _table(path: Path, names: tuple[str, ...], rows: Floats) -> None:
+def _table(path: Path, names: Texts, rows: Floats) -> None:
     np.savetxt(path, rows, "%.6f", ",", header=",".join(names), comments="")

@@ -13,7 +13,7 @@ from PIL import Image
 from scipy import ndimage
 
 from planish.core.reflectance import LUMINANCE
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Shape
 from planish.synthetic.params import FlatbedParams
 
 INCH_UM = 25_400.0
@@ -126,7 +126,7 @@ def encode(linear: Floats, gamma: float | str) -> Floats:
 
 
 def _carriage(
-    shape: tuple[int, ...],
+    shape: Shape,
     pixel_um: float,
     pitch_um: float,
     params: FlatbedParams,

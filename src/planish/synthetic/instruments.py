@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.threads import count_threads, thread_pool
-from planish.core.typing import Floats, Singles
+from planish.core.typing import Floats, Shape, Singles
 from planish.synthetic import _kernels
 from planish.synthetic.params import ScannerParams, SectionsParams, Warp, generator
 from planish.synthetic.sheet import PITCH_UM, DrawnSheet
@@ -99,7 +99,7 @@ def gaussian_taps(sigma: float) -> Singles:
     return (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
 
 
-def smooth(slab: Slab, taps: Singles, axes: tuple[int, ...]) -> Slab:
+def smooth(slab: Slab, taps: Singles, axes: Shape) -> Slab:
     """Filter along the axes; the result is shorter by the taps' reach at each end of them."""
     reach = taps.size - 1
     if not reach:
@@ -120,7 +120,7 @@ def smooth(slab: Slab, taps: Singles, axes: tuple[int, ...]) -> Slab:
     return slab
 
 
-def trimmed(slab: Slab, cut: int, axes: tuple[int, ...]) -> Slab:
+def trimmed(slab: Slab, cut: int, axes: Shape) -> Slab:
     """Cut voxels off both ends of the axes."""
     if cut == 0:
         return slab

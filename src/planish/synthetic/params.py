@@ -16,7 +16,7 @@ from zlib import crc32
 
 import numpy as np
 
-from planish.core.typing import Array, Floats
+from planish.core.typing import Array, Entries, Floats, Pair
 
 
 def stream(seed: int, *names: str) -> np.random.SeedSequence:
@@ -53,7 +53,7 @@ def draw_params(params: Any) -> Any:
 
 
 def _draw(params: Any, rng: np.random.Generator) -> Any:
-    changes: dict[str, Any] = {}
+    changes: Entries = {}
     for parameter in fields(params):
         if is_dataclass(getattr(params, parameter.name)):
             changes[parameter.name] = _draw(getattr(params, parameter.name), rng)
@@ -203,14 +203,14 @@ class FibreParams(Strict):
     """
 
     g_per_m2: float = 30.0  # of fibres alone
-    width_um: tuple[float, float] = (15.0, 40.0)
-    length_um: tuple[float, float] = (1000.0, 3000.0)
-    wall_um: tuple[float, float] = (1.2, 3.0)
-    lumen_um: tuple[float, float] = (0.0, 3.0)  # to 10 in bulky sheets
+    width_um: Pair = (15.0, 40.0)
+    length_um: Pair = (1000.0, 3000.0)
+    wall_um: Pair = (1.2, 3.0)
+    lumen_um: Pair = (0.0, 3.0)  # to 10 in bulky sheets
     fines: float = 0.75  # share by number
-    flexibility: tuple[float, float] = (0.12, 0.2)  # steepest slope of a fibre over those below it
+    flexibility: Pair = (0.12, 0.2)  # steepest slope of a fibre over those below it
     fuzz_per_mm2: float = 0.0  # fibres that stand up, on each side; 6 to 10 without coating
-    fuzz_um: tuple[float, float] = (8.0, 40.0)  # how high their ends stand
+    fuzz_um: Pair = (8.0, 40.0)  # how high their ends stand
     void_floor: float = 0.02  # share of a void that the press leaves
     cell_um: float = 1.0  # height of a cell of the structure
 
@@ -421,7 +421,7 @@ class SpecimenParams(Strict):
     The same seed is the same sheet under every instrument.
     """
 
-    size_um: tuple[float, float] = SIZES_UM["T1"]
+    size_um: Pair = SIZES_UM["T1"]
     paper: PaperParams = field(default_factory=PaperParams)
     holes: BurnParams = field(default_factory=BurnParams)
     film: FilmParams | None = None

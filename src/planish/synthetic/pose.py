@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.transform import Similarity
-from planish.core.typing import Floats, pair_of
+from planish.core.typing import Floats, Pair, pair_of
 from planish.synthetic.params import CameraParams
 
 _TALL, _WIDE = 1.30, 1.12  # of the frame, over the height and width of what the volume shows
@@ -28,10 +28,10 @@ class CameraPose:
     similarity: Similarity  # rotation, scale error, shift and mirror
     stretch: float = 0.0  # strain ``e``: lengths along u grow by ``1 + e``, along v by ``1 - e``
     # (u, v) of the sheet's middle, which the stretch leaves alone.
-    middle_um: tuple[float, float] = (0.0, 0.0)
+    middle_um: Pair = (0.0, 0.0)
     radial: float = 0.0  # ``k1``: relative displacement at half the frame's diagonal
     # (x, y) of the frame's middle, which the lens leaves alone.
-    centre_um: tuple[float, float] = (0.0, 0.0)
+    centre_um: Pair = (0.0, 0.0)
     half_diagonal_um: float = 1.0  # unit of the radius
 
     def __call__(self, points: ArrayLike) -> Floats:
@@ -158,7 +158,7 @@ def draw_pose(
     return shape, posed(shape, low * drawn_shift)
 
 
-def _frame_sides(field: Floats, rotation: float) -> tuple[float, float]:
+def _frame_sides(field: Floats, rotation: float) -> Pair:
     """Width and height of the field as it lies under the camera.
 
     They change places with a quarter turn.

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import fft, ndimage
 
 from planish.core.grid import bilinear
-from planish.core.typing import Complexes, Floats, Singles, pair_of
+from planish.core.typing import Complexes, Floats, Pair, Singles, pair_of
 from planish.synthetic import _kernels
 from planish.synthetic.fibres import FibreMat, Structure
 from planish.synthetic.params import BurnParams, FilmParams, PaperParams, generator
@@ -174,7 +174,7 @@ def burn(
     params: BurnParams,
     holes: Floats,
     shape: tuple[int, int],
-    low: tuple[float, float],
+    low: Pair,
     depth_um: float,
     seed: int,
 ) -> tuple[Singles, Singles]:
@@ -258,7 +258,7 @@ class DrawnSheet:
 
     params: PaperParams
     seed: int
-    origin: tuple[float, float]
+    origin: Pair
     #: (4, rows, cols), signed um from the surface that keeps its lengths where the sheet is bent:
     #: s_T, s_TI, s_BI, s_B.
     faces: Field

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from planish.core.labelled import labelled
-from planish.core.typing import Array, Floats
+from planish.core.typing import Array, Floats, Texts
 from planish.synthetic.camera import image_material, photograph
 from planish.synthetic.flatbed import FlatbedScan, scan_flatbed
 from planish.synthetic.instruments import Microtome, Poses, Scanner, draw_poses
@@ -211,7 +211,7 @@ class Specimen:
         return xr.Dataset(values, coords={"y": y, "x": x})
 
 
-def _labelled(values: Array, dims: tuple[str, ...], pitch_um: float, **attrs: Any) -> xr.DataArray:
+def _labelled(values: Array, dims: Texts, pitch_um: float, **attrs: Any) -> xr.DataArray:
     name = "volume" if len(dims) == 3 else "image"
     attrs = {"units": "1", "file_name": "synthetic specimen", **attrs}
     return labelled(values, dims, [pitch_um] * len(dims), name=name, attrs=attrs)

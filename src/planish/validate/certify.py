@@ -15,6 +15,7 @@ import numpy as np
 
 from planish.core.errors import InputError, PlanishError, ResourceError
 from planish.core.parameter_words import in_terminal_words
+from planish.core.typing import Texts
 from planish.report.draw import Picture
 from planish.run import run_study
 from planish.run.compute import Compute, Progress, silent
@@ -62,8 +63,8 @@ class Entry:
     seed: int
     values: Values  # figure name to value; empty where the program refused
     refusal: str | None = None  # message of the error with which the program ended
-    failed: tuple[str, ...] = ()  # sentences of the checks that failed
-    looks: tuple[str, ...] = ()  # sentences of the checks that ask for a look
+    failed: Texts = ()  # sentences of the checks that failed
+    looks: Texts = ()  # sentences of the checks that ask for a look
     pictures: tuple[Picture, ...] = ()  # maps and errors of the specimen, where they were asked for
 
     @property
@@ -123,7 +124,7 @@ class Certificate:
 
     scenario: Scenario
     entries: tuple[Entry, ...]  # one a seed; the first that came through has pictures for the page
-    notes: tuple[str, ...] = ()  # sentences on how the specimens were chosen
+    notes: Texts = ()  # sentences on how the specimens were chosen
 
     @property
     def judged(self) -> tuple[Entry, ...]:
@@ -291,7 +292,7 @@ class Sensitivity:
     ratio: Values
     # Stage whose ratio is off to the two nuisances whose leaving out changes most: they do not add
     # as squares.
-    together: dict[str, tuple[str, ...]]
+    together: dict[str, Texts]
     seeds: tuple[int, ...]
 
 
@@ -376,7 +377,7 @@ def _rms_figures(
     progress: Progress,
     compute: Compute | None,
     label: str,
-    nuisances: str | tuple[str, ...],
+    nuisances: str | Texts,
 ) -> tuple[Values, str | None]:
     """Return the rms of each figure over the seeds, and the first refusal."""
     entries: list[Entry] = []
@@ -394,12 +395,12 @@ def _rms_figures(
 
 def _together(
     stages: Sequence[str], keys: dict[str, str], loud: Values, figures_without: dict[str, Values]
-) -> dict[str, tuple[str, ...]]:
+) -> dict[str, Texts]:
     """Name the two nuisances without which the error of a stage's key figure changes most.
 
     A missing one changes nothing.
     """
-    together: dict[str, tuple[str, ...]] = {}
+    together: dict[str, Texts] = {}
     for stage in stages:
         all_error = loud[stage] or 0.0
         changes: dict[str, float] = {}

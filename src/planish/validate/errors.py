@@ -15,7 +15,7 @@ from planish.analyze import correlate, pearson
 from planish.core.frame import Frame
 from planish.core.grid import Grid, pitch, values_at
 from planish.core.status import Status
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.marks import find_holes
 from planish.register import FittedTransform, fit_transform
 from planish.resample import find_places, resample
@@ -243,7 +243,7 @@ def dice(first_mask: Bools, second_mask: Bools) -> float | None:
 
 
 def outline_lag(
-    first_map: Floats, second_map: Floats, level: float, pitch_um: tuple[float, float]
+    first_map: Floats, second_map: Floats, level: float, pitch_um: Pair
 ) -> float | None:
     """Return the median distance in um between the contour lines of two maps at ``level``.
 

@@ -14,7 +14,7 @@ import numpy as np
 from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.typing import Floats
+from planish.core.typing import Entries, Floats, Pair, Texts
 from planish.marks import find_holes
 from planish.run import Run, open_run
 from planish.synthetic import SIZES_UM, SpecimenParams
@@ -70,7 +70,7 @@ class SpecimenTemplate:
         self.run = run
         self.params = SpecimenParams()
         # Options of the run that do not belong to its files, for the runs on the specimens.
-        self.study: dict[str, dict[str, Any]] = {}
+        self.study: dict[str, Entries] = {}
         self.derived: list[str] = []  # sentences, as those assumed
         self.assumed: list[str] = []
         self.layer, self.sheet = next(
@@ -78,7 +78,7 @@ class SpecimenTemplate:
         )
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """Sentences on what was taken from the run and what was assumed."""
         return (
             *(f"Taken: {note}" for note in self.derived),
@@ -304,9 +304,7 @@ class SpecimenTemplate:
         )
 
 
-def _wavelength(
-    centre: Floats, strides: list[int], steps: tuple[float, float], slope: float
-) -> float:
+def _wavelength(centre: Floats, strides: list[int], steps: Pair, slope: float) -> float:
     """Return the wavelength of a sine with this steepest slope and the centre surface's height.
 
     It is 2 pi A / slope.

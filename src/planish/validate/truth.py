@@ -12,7 +12,7 @@ import xarray as xr
 
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.typing import Array, Bools, Floats, Ints, Singles
+from planish.core.typing import Array, Bools, Floats, Ints, Pair, Singles
 from planish.register import FittedTransform
 from planish.run import Run
 from planish.synthetic import DrawnSheet, InstrumentFiles, Specimen
@@ -56,7 +56,7 @@ class Comparison:
         return np.arange(0, rows, step), np.arange(0, cols, step)
 
     @cached_property
-    def pitch_um(self) -> tuple[float, float]:
+    def pitch_um(self) -> Pair:
         """Distance of neighbours among the chosen columns, along rows and columns."""
         step = int(np.diff(self.columns[0][:2])[0]) if self.columns[0].size > 1 else 1
         down, across = pitch(self.surfaces)
