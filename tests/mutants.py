@@ -294,8 +294,8 @@ MUTANTS = [
     ),
     Mutant(
         "marks/sheet_holes.py",
-        "CLOSED if shares.size and np.median(shares) > MATERIAL else UNCLEAR",
-        "CLOSED",
+        "if shares.size and np.median(shares) > MATERIAL:",
+        "if True:",
         "marks/test_sheet_holes.py",
     ),
     Mutant(

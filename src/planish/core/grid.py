@@ -151,6 +151,11 @@ def values_at(maps: xr.Dataset, names: Sequence[str], points: Floats) -> Floats:
     return np.stack([bilinear(maps[name].values, row, col) for name in names], axis=1)
 
 
+def centres_of(holes: xr.Dataset) -> Floats:
+    """``x, y`` (n, 2) of holes or marks."""
+    return np.stack([holes["x"].values, holes["y"].values], axis=1).astype(np.float64)
+
+
 def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
     """Mark the pixels of a grid that lie in a hole.
 

@@ -92,7 +92,7 @@ def _level(image, x, y, sx, sy, start, stop, dt):
 
 
 @njit(cache=True, nogil=True)
-def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):  # noqa: C901, PLR0912
+def half_level_edges(image, px, py, cx, cy, sign, model, search):  # noqa: C901, PLR0912
     """Give half-level radius, step, wider step and level outside of each ray, or NaN.
 
     They lie within ``search`` of the model.
@@ -102,6 +102,8 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):  # 
     steps = np.full(rays, np.nan)
     far_steps = np.full(rays, np.nan)
     nears = np.full(rays, np.nan)
+    pixel = max(px, py)
+    dt = max(0.5 * pixel, 0.5)
     gap = max(4.0, 0.9 * pixel)  # from the edge to where the plateaus begin
     # Over which a plateau is averaged; well under the width of the char.
     width = max(7.0, 0.8 * pixel)
@@ -194,9 +196,10 @@ def first_crossings(image, px, py, cx, cy, sign, level, reach, dt, rays):
 
 
 @njit(cache=True, nogil=True)
-def levels(image, px, py, cx, cy, sign, radius, pixel):
+def levels(image, px, py, cx, cy, sign, radius):
     """Give inside level, its spread, flatness, outside level and texture around a fitted circle."""
     rays, rings = 32, 8
+    pixel = max(px, py)
     core = np.empty(rays * rings)
     wall = np.empty(rays)
     outside = np.empty(rays * rings)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError, SizeError
+from planish.core.grid import shorter_side_um
 from planish.core.typing import Bools, Floats, Pair
 from planish.marks import _rim_kernels, candidates
 from planish.marks import hole_criteria as criteria
@@ -32,6 +33,7 @@ REASONS = {
 Polarity = Literal["auto", "dark", "bright"]
 """Whether holes are darker or lighter than the sheet."""
 
+_SIGNS = {"auto": (1.0, -1.0), "dark": (1.0,), "bright": (-1.0,)}
 # Diameter of the middle of the default range.
 USUAL_UM = 173.2
 
@@ -121,19 +123,20 @@ def find_holes(
             f"Hole diameters from {low:g} to {high:g} um: the first must be positive and below the"
             " second."
         )
-    signs = {"auto": (1.0, -1.0), "dark": (1.0,), "bright": (-1.0,)}.get(polarity)
+    signs = _SIGNS.get(polarity)
     if signs is None:
         raise MarkError(f"The polarity is {polarity!r}; it has to be 'auto', 'dark' or 'bright'.")
     grey = _grey(image)
     # Widths of char, walls and blur are those of laser holes; other targets are measured as a
     # magnified picture.
     magnification = float(USUAL_UM / np.sqrt(low * high))
-    magnification = 1.0 if 0.5 <= magnification <= 2.0 else magnification
+    if 0.5 <= magnification <= 2.0:
+        magnification = 1.0
     sign = signs[0]
     holes = np.empty((0, k.COLUMNS))
     counts = dict.fromkeys(REASONS, 0)
-    may_hold_hole = min(n * step for n, step in zip(grey.shape, pixel_size, strict=True)) > low
-    if may_hold_hole and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
+    is_wide = shorter_side_um(grey.shape, pixel_size) > low
+    if is_wide and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
         raster = Raster(grey, (pixel_size[0] * magnification, pixel_size[1] * magnification))
         radii = (low / 2 * magnification, high / 2 * magnification)
         sign, holes, counts = _holes(raster, radii, signs)
@@ -201,13 +204,12 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen
     # is. Nowhere less than a quarter of that of the whole image: there, blots would stand out from
     # nothing.
-    spreads = [
-        candidates.local_spread(response, candidates.SQUARE * diameter, 0.5)
-        for response in responses.values()
-    ]
-    spreads = [
-        s._replace(values=np.maximum(s.values, 0.25 * float(np.median(s.values)))) for s in spreads
-    ]
+    spreads: list[candidates.LocalLevels] = []
+    for response in responses.values():
+        spread = candidates.local_spread(response, candidates.SQUARE * diameter, 0.5)
+        least_spread = 0.25 * float(np.median(spread.values))
+        spreads.append(spread._replace(values=np.maximum(spread.values, least_spread)))
+    limits = (raster.pixel_um, radius_range)
     detections: list[_Detection] = []
     for sign in signs:
         coarse_points, shares, dropped_count = candidates.peaks(
@@ -223,35 +225,28 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
         marks = _measure(raster, positions, sign, radius_range, thresholds)
         # In mottle as strong as the holes are deep, what is left is that their floors are black,
         # flat and alike.
-        is_alike = criteria.share_floor(marks, raster.pixel_um, radius_range)
+        is_alike = criteria.share_floor(marks, *limits)
         if is_alike.any() and criteria.is_rare(
             marks[is_alike], sign * _sheet(coarse, marks[is_alike]).image
         ):
             marks[is_alike, k.ALIKE] = 1.0
         # The sheet's own texture is what is left when everything that looks like a hole is taken
         # out, with its char.
-        holes = marks[criteria.is_hole(marks, raster.pixel_um, radius_range)]
+        holes = marks[criteria.is_hole(marks, *limits)]
         texture = candidates.local_deviation(_sheet(coarse, holes), diameter, 0.5)
         marks = marks[np.isfinite(marks[:, k.RADIUS])]
         _raise_texture(marks, texture)
-        holes = criteria.deepest_disjoint(
-            marks[criteria.is_hole(marks, raster.pixel_um, radius_range)]
-        )
-        holes = criteria.drop_unlike(
-            holes[criteria.is_whole(holes, raster.image.shape, raster.pixel_um)], sign
-        )
+        holes = criteria.deepest_disjoint(marks[criteria.is_hole(marks, *limits)])
+        is_whole = criteria.is_whole(holes, raster.image.shape, raster.pixel_um)
+        holes = criteria.drop_unlike(holes[is_whole], sign)
         detections.append(_Detection(sign, holes, marks, positions, texture, dropped_count))
     return detections
 
 
 def _sheet(raster: Raster, holes: Floats) -> Raster:
     """Give the image without holes; beyond a rim 60 um may be burnt."""
-    return candidates.outside(
-        raster,
-        np.stack(
-            [*(holes[:, k.X : k.Y + 1] - raster.origin_um).T, holes[:, k.RADIUS] + 60.0], axis=1
-        ),
-    )
+    centres = holes[:, k.X : k.Y + 1] - raster.origin_um
+    return candidates.outside(raster, np.column_stack([centres, holes[:, k.RADIUS] + 60.0]))
 
 
 def _count_rejected(
@@ -275,9 +270,8 @@ def _count_rejected(
 
 
 def _raise_texture(marks: Floats, texture: candidates.LocalLevels) -> None:
-    marks[:, k.TEXTURE] = np.maximum(
-        marks[:, k.TEXTURE], texture.at_points(marks[:, k.X : k.Y + 1])
-    )
+    around = texture.at_points(marks[:, k.X : k.Y + 1])
+    marks[:, k.TEXTURE] = np.maximum(marks[:, k.TEXTURE], around)
 
 
 def _measure(
@@ -297,14 +291,10 @@ def _measure(
     disjoint = np.asarray(criteria.greedy_disjoint(all_rows, pairs), dtype=np.intp)
     for batch in (disjoint, np.setdiff1d(all_rows, disjoint)):
         with np.errstate(invalid="ignore"):  # nearly all of a smooth round rim
-            clear_holes = marks[
-                criteria.is_round(marks, raster.pixel_um) & ~criteria.is_doubtful(marks)
-            ]
-        batch = batch[_is_outside(positions[batch], clear_holes, 0.5)]
-        batch_thresholds = (thresholds[0][batch], thresholds[1][batch])
-        marks[batch] = k.measure_rims(
-            raster, positions[batch], sign, radius_range, batch_thresholds
-        )
+            is_clear = criteria.is_round(marks, raster.pixel_um) & ~criteria.is_doubtful(marks)
+        rows = batch[_is_outside(positions[batch], marks[is_clear], 0.5)]
+        least_steps = (thresholds[0][rows], thresholds[1][rows])
+        marks[rows] = k.measure_rims(raster, positions[rows], sign, radius_range, least_steps)
     return marks
 
 
@@ -355,19 +345,19 @@ def _dataset(holes: Floats, sign: float) -> xr.Dataset:
         "x": ("um", "Hole centre along the columns"),
         "y": ("um", "Hole centre down the rows"),
         **EXTRAS,
+        "contrast": ("1", "Step at the hole over the texture of the sheet around"),
     }
-    units_and_names["contrast"] = "1", "Step at the hole over the texture of the sheet around"
     columns = [
         *holes[:, [k.X, k.Y, k.COV_XX, k.COV_YY, k.COV_XY]].T,
         2 * radius,
         (radius + half) / (radius - half),
+        holes[:, k.COVERAGE],
+        contrast,
     ]
-    columns += [holes[:, k.COVERAGE], contrast]
-    variables = {
-        name: ("mark", column, {"units": unit, "long_name": text})
-        for (name, (unit, text)), column in zip(units_and_names.items(), columns, strict=True)
-    }
-    return xr.Dataset(variables, attrs={"polarity": "dark" if sign > 0 else "bright"})
+    out = xr.Dataset(attrs={"polarity": "dark" if sign > 0 else "bright"})
+    for (name, (unit, text)), column in zip(units_and_names.items(), columns, strict=True):
+        out[name] = ("mark", column, {"units": unit, "long_name": text})
+    return out
 
 
 def _grey(image: ArrayLike) -> Image:
@@ -383,10 +373,9 @@ def _grey(image: ArrayLike) -> Image:
         )
     if grey.dtype.kind == "f":
         is_finite = np.isfinite(grey)
-        median_grey = (
-            float(np.median(grey[is_finite], overwrite_input=True)) if np.any(is_finite) else 0.0
-        )
+        median_grey = 0.0
+        if np.any(is_finite):
+            median_grey = float(np.median(grey[is_finite], overwrite_input=True))
         # Large offsets would cost float32 its digits.
-        grey = np.asarray(grey - median_grey)
-        grey[~is_finite] = np.nan
+        grey = np.where(is_finite, grey - median_grey, np.nan)
     return np.ascontiguousarray(grey, dtype=np.float32)

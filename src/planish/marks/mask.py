@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.bands import read_bands, thinned
-from planish.core.grid import Grid, hole_mask
-from planish.core.typing import Floats, Ints, Pair
+from planish.core.grid import Grid, centres_of, hole_mask
+from planish.core.typing import Array, Bools, Floats, Ints, Pair
 from planish.marks.candidates import Raster, reduce_to
 
 
@@ -33,10 +33,9 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
         is wider than twice the largest.
     """
     grid = Grid.of(image)
-    centres = np.stack([holes["x"].values, holes["y"].values], axis=1)
     radii_um = 0.5 * holes["diameter"].values
     circles: list[tuple[float, float, float]] = []
-    for rows, cols in _border_regions(image, grid, centres, radii_um):
+    for rows, cols in _border_regions(image, grid, centres_of(holes), radii_um):
         pixels_um = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
         x, y = pixels_um.mean(axis=0).tolist()
         radius_um = float(np.hypot(*(pixels_um - (x, y)).T).max())
@@ -44,12 +43,8 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
         if radius_um <= 2 * radii_um.max():
             circles.append((x, y, 2 * radius_um))
     columns = np.array(circles, dtype=np.float64).reshape(-1, 3).T
-    return xr.Dataset(
-        {
-            k: ("mark", v, {"units": "um"})
-            for k, v in zip(("x", "y", "diameter"), columns, strict=True)
-        }
-    )
+    named = zip(("x", "y", "diameter"), columns, strict=True)
+    return xr.Dataset({name: ("mark", column, {"units": "um"}) for name, column in named})
 
 
 def _border_regions(
@@ -63,15 +58,14 @@ def _border_regions(
         return
     inner_mask, outer_mask = (hole_mask(grid, centres, factor * radii_um) for factor in (0.6, 1.5))
     _, (greys, inner_mask, outer_mask) = thinned(image, inner_mask, outer_mask)
-    floor, sheet = (
-        float(np.nanmedian(greys[m])) if m.any() else np.nan for m in (inner_mask, ~outer_mask)
-    )
+    floor = _median(greys[inner_mask])
+    sheet = _median(greys[~outer_mask])
     if not np.isfinite(floor - sheet) or floor == sheet:
         return
-    bands = (band for _, (band,) in read_bands(image))
-    is_beyond = [
-        np.isfinite(p) & ((p.astype(np.float64) - sheet) / (floor - sheet) > 0.5) for p in bands
-    ]
+    is_beyond: list[Bools] = []
+    for _, (band,) in read_bands(image):
+        depth_shares = (band.astype(np.float64) - sheet) / (floor - sheet)
+        is_beyond.append(np.isfinite(band) & (depth_shares > 0.5))
     labels = np.asarray(ndimage.label(np.concatenate(is_beyond))[0])
     border_labels = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     least_pixels = (
@@ -79,13 +73,14 @@ def _border_regions(
     )
     boxes = ndimage.find_objects(labels)
     for label in border_labels[border_labels > 0]:
-        box = boxes[label - 1]
-        rows, cols = (
-            index + extent.start
-            for index, extent in zip(np.nonzero(labels[box] == label), box, strict=True)
-        )
+        down, across = boxes[label - 1]
+        rows, cols = np.nonzero(labels[down, across] == label)
         if rows.size >= least_pixels:
-            yield rows, cols
+            yield rows + down.start, cols + across.start
+
+
+def _median(greys: Array) -> float:
+    return float(np.nanmedian(greys)) if greys.size else np.nan
 
 
 def without_dots(
@@ -133,9 +128,8 @@ def without_dots(
     weight = counts_below[:-1] * (counts_below[-1] - counts_below[:-1])
     difference = sums_below[-1] * counts_below[:-1] / counts_below[-1] - sums_below[:-1]
     class_variance = difference**2 / np.maximum(weight, 1)
-    is_dark = has_data & (
-        smooth < float(grey_edges[1 + int(np.argmax(np.where(weight > 0, class_variance, -1.0)))])
-    )
+    best_edge = 1 + int(np.argmax(np.where(weight > 0, class_variance, -1.0)))
+    is_dark = has_data & (smooth < float(grey_edges[best_edge]))
     if not is_dark.any() or not (has_data & ~is_dark).any():
         return greys
     # Beyond the border may be more of a hole, or of a dot: a hole that it cuts stays one.
@@ -146,19 +140,14 @@ def without_dots(
     reach_um = least_um / 2 + 1.5 * max(coarse_um)
     is_hole = hole_cores
     if hole_cores.any():
-        is_hole = (
-            np.asarray(ndimage.distance_transform_edt(~hole_cores, sampling=coarse_um)) < reach_um
-        )
+        from_core_um = ndimage.distance_transform_edt(~hole_cores, sampling=coarse_um)
+        is_hole = np.asarray(from_core_um) < reach_um
     # Two pixels around a dot are not yet as bright as paper.
     is_dot = ndimage.binary_dilation(is_dark & ~is_hole, iterations=2) & ~is_hole
-    rows, cols = (
-        np.minimum(np.arange(n) // round(coarse_px / fine_px), m - 1)
-        for n, m, coarse_px, fine_px in zip(
-            greys.shape, is_dot.shape, coarse_um, pixel_um, strict=True
-        )
-    )
-    out = greys.copy()
-    out[is_dot[np.ix_(rows, cols)] & np.isfinite(greys)] = np.median(
-        coarse_greys[has_data & ~is_dark]
-    )
-    return out
+    nearest_coarse: list[Ints] = []
+    for axis in range(2):
+        factor = round(coarse_um[axis] / pixel_um[axis])
+        coarse = np.arange(greys.shape[axis]) // factor
+        nearest_coarse.append(np.minimum(coarse, is_dot.shape[axis] - 1))
+    paper_grey = np.median(coarse_greys[has_data & ~is_dark])
+    return np.where(is_dot[np.ix_(*nearest_coarse)] & np.isfinite(greys), paper_grey, greys)

@@ -72,6 +72,11 @@ class _Outline(NamedTuple):
     far_steps: Floats
     nears: Floats
 
+    @property
+    def ellipse(self) -> Floats:
+        """Radii of the rays about the fitted centre."""
+        return self.fit[0] + self.fit[3] * _COS_2 + self.fit[4] * _SIN_2
+
 
 def measure_rims(
     raster: Raster,
@@ -93,47 +98,55 @@ def measure_rims(
     where there is no hole.
     """
     picture = _picture(raster)
-    pixel = max(raster.pixel_um)
-    low, high = radius_range
     holes = np.full((len(positions), COLUMNS), np.nan)
-    dt = max(0.5 * pixel, 0.5)
-    near = max(1.2 * pixel, 6.0)
     for hole, position, least, contrast in zip(holes, positions, *thresholds, strict=True):
         circle = _circle(picture, position, sign, radius_range, float(least), float(contrast))
-        if circle is None:
-            continue
-        *centre, radius, scale = circle
-        search = max(0.15 * radius, 2 * pixel, 10.0, min(3 * scale, 0.3 * radius))
-        rim = _refined(picture, centre, sign, np.full(RAYS, radius), search, dt, share=0.35)
-        if rim is None or not (0.5 * low < rim.fit[0] < 1.5 * high):
-            continue
-        # The strongest edge, but where another one goes round inside: then that around is the end
-        # of the char.
-        centre, model, inner, around = _closed_rims(picture, centre, sign, radius, low)
-        closed = _refined(picture, centre, sign, model, near, dt, share=0.35, follow=True)
-        if closed is not None and closed.fit[0] > 0.5 * low and _is_inside(closed, rim):
-            rim = closed
-        _describe(hole, picture, sign, rim)
-        hole[STEP] = _median(rim.steps)
-        hole[FAR_STEP] = _median(rim.far_steps)
-        hole[BURNT] = hole[OUTSIDE] - _median(rim.nears)
-        _set_doubt(hole, picture, sign, (rim.x, rim.y), rim.steps)
-        if around == 0.0:
-            continue
-        # Another closed edge inside: the rim of a hole with a scorched ring around, or that of the
-        # other face.
-        other = _refined(
-            picture, centre, around * sign, inner, near, dt, share=LEAST_INNER, follow=True
-        )
-        is_ring = other is not None and 0.5 * low < other.fit[0] < hole[RADIUS]
-        if other is not None and is_ring and np.sum(other.weight > 0) > 0.6 * RAYS:
-            # Of two that rise either may be the rim; where the grey falls, char is darker than the
-            # hole.
-            if around < 0.0:
-                _write_outline(hole, other)
-                other = rim
-            _set_doubt(hole, picture, sign, (other.x, other.y), rim.steps)
+        if circle is not None:
+            _measure_rim(hole, picture, sign, circle, radius_range)
     return holes
+
+
+def _measure_rim(
+    hole: Floats,
+    picture: _Picture,
+    sign: float,
+    circle: tuple[float, float, float, float],
+    radius_range: Pair,
+) -> None:
+    """Write the figures of the rim near a circle into a row, which is left as it is without one."""
+    *centre, radius, scale = circle
+    pixel = max(picture[1:])
+    least, largest = 0.5 * radius_range[0], 1.5 * radius_range[1]
+    search = max(0.15 * radius, 2 * pixel, 10.0, min(3 * scale, 0.3 * radius))
+    rim = _refined(picture, centre, sign, np.full(RAYS, radius), search, share=0.35)
+    if rim is None or not (least < rim.fit[0] < largest):
+        return
+    # The strongest edge, but where another one goes round inside: then that around is the end of
+    # the char.
+    centre, model, inner, around = _closed_rims(picture, centre, sign, radius, least)
+    closed = _followed(picture, centre, sign, model, share=0.35)
+    if closed is not None and _is_inside(closed, rim, least):
+        rim = closed
+    _describe(hole, picture, sign, rim)
+    hole[STEP] = _median(rim.steps)
+    hole[FAR_STEP] = _median(rim.far_steps)
+    hole[BURNT] = hole[OUTSIDE] - _median(rim.nears)
+    _set_doubt(hole, picture, sign, (rim.x, rim.y), rim.steps)
+    if around == 0.0:
+        return
+    # Another closed edge inside: the rim of a hole with a scorched ring around, or that of the
+    # other face.
+    ring = _followed(picture, centre, around * sign, inner, share=LEAST_INNER)
+    if ring is None or not (least < ring.fit[0] < hole[RADIUS]):
+        return
+    if np.sum(ring.weight > 0) > 0.6 * RAYS:
+        # Of two that rise either may be the rim; where the grey falls, char is darker than the
+        # hole.
+        other = ring
+        if around < 0.0:
+            _write_outline(hole, ring)
+            other = rim
+        _set_doubt(hole, picture, sign, (other.x, other.y), rim.steps)
 
 
 def measure_floors(
@@ -155,7 +168,6 @@ def measure_floors(
     COLUMNS)`` as `measure_rims` does, without steps at the rim.
     """
     picture = _picture(raster)
-    pixel = max(raster.pixel_um)
     holes = np.full((len(positions), COLUMNS), np.nan)
     row = np.empty(COLUMNS)
     for hole, position in zip(holes, positions, strict=True):
@@ -170,14 +182,12 @@ def measure_floors(
             wave = 0.5 * row[HALF_DIFFERENCE] * row[HALF_DIFFERENCE]
             roughness = math.sqrt(row[ROUGHNESS] ** 2 + wave) / row[RADIUS] - row[COVERAGE]
             if roughness < least:
-                least, hole[:] = roughness, row
-                model = outline.fit[0] + outline.fit[3] * _COS_2 + outline.fit[4] * _SIN_2
+                least = roughness
+                hole[:] = row
+                model = outline.ellipse
         if least < np.inf:
             centre = (hole[X], hole[Y])
-            search = max(1.2 * pixel, 6.0)
-            _, steps, _, nears = half_level_edges(
-                *picture, *centre, sign, model, search, max(0.5 * pixel, 0.5), pixel
-            )
+            _, steps, _, nears = half_level_edges(*picture, *centre, sign, model, _near(picture))
             hole[BURNT] = hole[OUTSIDE] - _median(nears)
             _set_doubt(hole, picture, sign, centre, steps)
     return holes
@@ -185,6 +195,11 @@ def measure_floors(
 
 def _picture(raster: Raster) -> _Picture:
     return raster.image, raster.pixel_um[1], raster.pixel_um[0]
+
+
+def _near(picture: _Picture) -> float:
+    """Width of the search for an edge whose place is known, in um."""
+    return max(1.2 * max(picture[1:]), 6.0)
 
 
 def _floor_outline(
@@ -225,8 +240,7 @@ def _circle(
     dt = max(0.7 * pixel, 2.5)
     radius = np.nan
     scale = 0.0
-    for turn in range(4):
-        rays = 36 if turn == 0 else 64
+    for turn, rays in enumerate((36, 64, 64, 64)):
         radii, _ = innermost_edges(*picture, cx, cy, sign, 0.5 * low, 1.25 * high, dt, window, rays)
         fit, weight, scale, _ = fit_outline(radii, 1, 0.5)
         radius = float(fit[0])
@@ -235,21 +249,26 @@ def _circle(
         if not (is_found and 0.6 * low < radius < 1.4 * high and shift <= radius):
             return None
         cx, cy = cx + fit[1], cy + fit[2]
-        if turn == 0:
-            # Most places are mottle; the levels show it long before the rim is known.
-            inside, spread, flatness, outside, texture = levels(
-                *picture, cx, cy, sign, radius, pixel
-            )
-            total = outside - inside
-            if (
-                total < max(least, contrast * texture)
-                or spread > 0.35 * total
-                or flatness > 0.4 * total
-            ):
-                return None
+        # Most places are mottle; the levels show it long before the rim is known.
+        if turn == 0 and _is_mottle(levels(*picture, cx, cy, sign, radius), least, contrast):
+            return None
         if turn > 0 and shift < 0.1 * pixel:
             break
     return cx, cy, radius, scale
+
+
+def _is_mottle(greys: tuple[float, ...], least: float, contrast: float) -> bool:
+    """Return whether the levels at a place are too faint or uneven for a hole."""
+    inside, spread, flatness, outside, texture = greys
+    total = outside - inside
+    is_uneven = spread > 0.35 * total or flatness > 0.4 * total
+    return is_uneven or total < max(least, contrast * texture)
+
+
+def _followed(
+    picture: _Picture, centre: Sequence[float], sign: float, model: Floats, *, share: float
+) -> _Outline | None:
+    return _refined(picture, centre, sign, model, _near(picture), share=share, follow=True)
 
 
 def _refined(
@@ -258,7 +277,6 @@ def _refined(
     sign: float,
     model: Floats,
     search: float,
-    dt: float,
     *,
     share: float,
     follow: bool = False,
@@ -273,34 +291,36 @@ def _refined(
     radius = float(np.mean(model))
     outline = None
     for _turn in range(3):
-        radii, steps, far_steps, nears = half_level_edges(
-            *picture, cx, cy, sign, model, search, dt, pixel
-        )
+        edges = half_level_edges(*picture, cx, cy, sign, model, search)
+        radii, steps, *_ = edges
         radii[~(steps >= share * _median(steps))] = np.nan
         fit, weight, scale, inverse = fit_outline(radii, 2, 0.3 + 0.1 * pixel)
         if np.sum(weight) == 0.0 or math.hypot(fit[1], fit[2]) > 0.5 * radius:
             return None
         cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]
-        model = fit[0] + fit[3] * _COS_2 + fit[4] * _SIN_2
+        outline = _Outline(cx, cy, fit, weight, inverse, *edges)
+        model = outline.ellipse
         if follow:
             model = np.where(weight > 0.0, radii - fit[1] * _COS - fit[2] * _SIN, model)
         else:
-            search = max(1.2 * pixel, 6.0, 4 * scale)
-        outline = _Outline(cx, cy, fit, weight, inverse, radii, steps, far_steps, nears)
+            search = max(_near(picture), 4 * scale)
     return outline
 
 
-def _is_inside(closed: _Outline, rim: _Outline) -> bool:
-    """Return whether a closed outline lies inside another, well away from it on many rays."""
+def _is_inside(closed: _Outline, rim: _Outline, least: float) -> bool:
+    """Return whether a closed outline lies inside another, well away from it on many rays.
+
+    Its radius has to be above the ``least``.
+    """
     # As far as a shift of the centre goes, the two are compared on the same ray.
     shift = (closed.x - rim.x) * _COS + (closed.y - rim.y) * _SIN
     away_count = np.count_nonzero(rim.radii - (closed.radii + shift) > APART * rim.fit[0])
-    is_smaller = closed.fit[0] < (1 - SMALLER) * rim.fit[0] and away_count > PART * RAYS
+    is_smaller = least < closed.fit[0] < (1 - SMALLER) * rim.fit[0] and away_count > PART * RAYS
     return bool(is_smaller and np.sum(closed.weight > 0) > CLOSED * RAYS)
 
 
 def _closed_rims(
-    picture: _Picture, centre: Sequence[float], sign: float, radius: float, low: float
+    picture: _Picture, centre: Sequence[float], sign: float, radius: float, least: float
 ) -> tuple[Pair, Floats, Floats, float]:
     """Return a centre and the radii of the closed rim about it and of another rim inside.
 
@@ -312,14 +332,14 @@ def _closed_rims(
     pixel = max(picture[1:])
     dt = max(0.5 * pixel, 2.5)
     reach = max(1, round(max(14.0, 1.4 * pixel) / dt))
-    inside, spread, _, outside, _ = levels(*picture, *centre, sign, radius, pixel)
+    inside, spread, _, outside, _ = levels(*picture, *centre, sign, radius)
     total = outside - inside
     x, y = kernels.floor_middle(
         *picture, *centre, sign, radius, inside, max(3 * spread, 0.1 * total)
     )
     count = int((radius + math.hypot(x - centre[0], y - centre[1]) + 0.3 * radius) / dt) + 2 * reach
     band = max(1, round(1.5 * pixel / dt))
-    first = max(reach, int(0.5 * low / dt))
+    first = max(reach, int(least / dt))
     rises = kernels.polar_rises(*picture, x, y, sign, dt, count, reach, RAYS)
     # Not beyond the circle of the innermost strong edges: a hole that is half closed has char all
     # the way round.
@@ -350,13 +370,12 @@ def _describe(row: Floats, picture: _Picture, sign: float, outline: _Outline) ->
     row[:] = np.nan
     _write_outline(row, outline)
     columns = [INSIDE, UNEVENNESS, FLATNESS, OUTSIDE, TEXTURE]
-    row[columns] = levels(*picture, outline.x, outline.y, sign, outline.fit[0], max(picture[1:]))
-    model = outline.fit[0] + outline.fit[3] * _COS_2 + outline.fit[4] * _SIN_2
+    where = (*picture, outline.x, outline.y, sign)
+    row[columns] = levels(*where, outline.fit[0])
+    model = outline.ellipse
     model[outline.weight > 0.0] = np.nan  # the rim is there
     reach = BEYOND_RIM if outline.steps.size else BEYOND_FLOOR
-    row[BEYOND] = kernels.darkest_beyond(
-        *picture, outline.x, outline.y, sign, model, reach, GAP_RAYS
-    )
+    row[BEYOND] = kernels.darkest_beyond(*where, model, reach, GAP_RAYS)
 
 
 def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: Floats) -> None:

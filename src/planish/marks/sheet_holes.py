@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError
 from planish.core.facts import HoleTiltFacts, Side
-from planish.core.grid import Grid
+from planish.core.grid import Grid, centres_of
 from planish.core.robust import MAD_TO_SD, masked_gaussian
 from planish.core.typing import Floats, Ints, Pair
 from planish.marks.find import find_holes
@@ -22,6 +22,8 @@ LAYERS = {
     "centre": ("presence_centre", "at the centre surface"),
     "bottom": ("presence_bottom", "above the bottom face"),
 }
+_OPPOSITE: dict[Side, Side] = {"top": "bottom", "bottom": "top"}
+_DIRECTIONS = ("along the columns", "down the rows")  # of x and y
 OTHER_SIDE = ("through", "closed", "unclear")
 THROUGH, CLOSED, UNCLEAR = range(3)
 # How much material in the middle of a hole closes it.
@@ -95,75 +97,92 @@ def find_sheet_holes(
     >>> find_sheet_holes(maps).offset_x.values.round(0)
     array([6.])
     """
-    if side not in ("top", "bottom"):
-        raise MarkError(f"The side is {side!r}; an image shows the 'top' or the 'bottom'.")
-    layers = {layer: maps[name].values for layer, (name, _) in LAYERS.items() if name in maps}
-    other: Side = "bottom" if side == "top" else "top"
-    if side not in layers:
-        side, other = other, side
-    if side not in layers:
-        raise MarkError(
-            "The maps hold no layer of the material at a face of the sheet (presence or"
-            " presence_bottom). Make them again from the volume."
-        )
-    low, high = (params or HoleParams()).hole_um
+    layers, side = _layers_of(maps, side)
     grid = Grid.of(maps)
+    pixel_um = grid.pixel_um
+    low, high = diameter_range = (params or HoleParams()).hole_um
     holes: dict[str, xr.Dataset] = {}
     for layer, share in layers.items():
         # A tapered hole is narrower, or wider, on the other side than what was asked for.
-        diameter_range = (low, high) if layer == side else (low / 1.4, high * 1.4)
-        layers[layer], holes[layer] = _search(share, grid.pixel_um, diameter_range)
-    faces = maps["presence_faces"].values if "presence_faces" in maps else None
-    by_faces = _by_faces(faces, holes[side], grid.pixel_um, (low, high))
-    if faces is not None and by_faces is not None:
-        layers[side] = faces
-        holes[side] = by_faces
-    centres = _xy(holes[side])
-    diameters = holes[side]["diameter"].values
-    hole_count = len(centres)
-    partner_rows = {layer: np.full(hole_count, -1) for layer in LAYERS}
-    partner_rows[side] = np.arange(hole_count)
-    # Where neither face is seen a hole runs through; how far it leans the faces do not say.
-    for layer in layers.keys() - {side} if by_faces is None else ():
-        # From one layer to another a hole moves by less than half its diameter: one that is more
-        # oblique is not round.
-        partner_rows[layer] = _partners(centres, _xy(holes[layer]), 0.5 * diameters)
-    states = np.full(hole_count, UNCLEAR, dtype=np.uint8)
-    unpaired_count = 0
-    if by_faces is not None:
-        states[:] = THROUGH
-    elif other in layers:
-        rows = partner_rows[other]
-        unpaired_count = holes[other].sizes["mark"] - int(np.count_nonzero(rows >= 0))
-        states = _other_side(layers[other], grid.pixel_um, holes[side], holes[other], rows)
+        spare = 1.0 if layer == side else 1.4
+        layers[layer], holes[layer] = _search(share, pixel_um, (low / spare, high * spare))
+    faces = maps.get("presence_faces")
+    face_holes = _by_faces(faces, holes[side], pixel_um, diameter_range)
+    if faces is None or face_holes is None:
+        partner_rows, states, single_count = _in_other_layers(layers, holes, side, pixel_um)
+    else:
+        # Where neither face is seen a hole runs through; how far it leans the faces do not say.
+        layers[side] = faces.values
+        holes[side] = face_holes
+        states = np.full(face_holes.sizes["mark"], THROUGH, dtype=np.uint8)
+        partner_rows = dict[str, Ints]()
+        single_count = 0
+    centres = centres_of(holes[side])
+    # What is as large as a circle of this share of the holes' diameter is an opening that should be
+    # one.
+    least_um = 0.6 * float(np.median(holes[side]["diameter"].values if len(centres) else [low]))
+    openings = _openings(layers[side], pixel_um, centres, least_um)
     holes = {layer: _shifted(dataset, grid.origin_um) for layer, dataset in holes.items()}
-    layer_holes = _by_layer(holes, partner_rows)
-    offsets = _xy(layer_holes, "_bottom") - _xy(layer_holes, "_top")
-    statistics, to_face_um = _offset_statistics(offsets, maps, side)
+    layer_holes = _by_layer(holes, {side: np.arange(len(centres)), **partner_rows})
+    offsets = [layer_holes[f"{k}_bottom"].values - layer_holes[f"{k}_top"].values for k in "xy"]
+    statistics, to_face_um = _offset_statistics(np.stack(offsets, axis=1), maps, side)
     out = _shifted(holes[side], to_face_um).merge(layer_holes, combine_attrs="override")
-    directions = {"x": "along the columns", "y": "down the rows"}
-    for (axis, direction_text), offset in zip(directions.items(), offsets.T, strict=True):
-        long_name = f"Offset from the top to the bottom {direction_text}"
-        out[f"offset_{axis}"] = ("mark", offset, {"units": "um", "long_name": long_name})
+    for name, offset_um, where in zip("xy", offsets, _DIRECTIONS, strict=True):
+        attrs = {"units": "um", "long_name": f"Offset from the top to the bottom {where}"}
+        out[f"offset_{name}"] = ("mark", offset_um, attrs)
     states_attrs = {
         "long_name": "What the other side shows of the hole",
         "flag_values": list(range(3)),
         "flag_meanings": " ".join(OTHER_SIDE),
     }
     out["other_side"] = ("mark", states, states_attrs)
-    # What is as large as a circle of this share of the holes' diameter is an opening that should be
-    # one.
-    least_um = 0.6 * float(np.median(diameters if hole_count else [low]))
     counts = np.bincount(states, minlength=3).tolist()
     out.attrs |= {
         "side": side,
         "layers": list(layers),
-        "openings": _openings(layers[side], grid.pixel_um, centres, least_um),
+        "openings": openings,
         **dict(zip(OTHER_SIDE, counts, strict=True)),
-        "other_side_only": unpaired_count,
+        "other_side_only": single_count,
         **statistics,
     }
     return out
+
+
+def _layers_of(maps: xr.Dataset, side: Side) -> tuple[dict[str, Floats], Side]:
+    """Give the layers that are there, and the side to search: the other one if that is missing."""
+    if side not in _OPPOSITE:
+        raise MarkError(f"The side is {side!r}; an image shows the 'top' or the 'bottom'.")
+    layers = {layer: maps[name].values for layer, (name, _) in LAYERS.items() if name in maps}
+    if side not in layers:
+        side = _OPPOSITE[side]
+    if side not in layers:
+        raise MarkError(
+            "The maps hold no layer of the material at a face of the sheet (presence or"
+            " presence_bottom). Make them again from the volume."
+        )
+    return layers, side
+
+
+def _in_other_layers(
+    layers: dict[str, Floats], holes: dict[str, xr.Dataset], side: Side, pixel_um: Pair
+) -> tuple[dict[str, Ints], NDArray[np.uint8], int]:
+    """Row of each hole of a side in the other layers, and its state on the other side.
+
+    Also how many holes of the other side have no partner.
+    """
+    centres = centres_of(holes[side])
+    # From one layer to another a hole moves by less than half its diameter: one that is more
+    # oblique is not round.
+    reach = 0.5 * holes[side]["diameter"].values
+    partner_rows: dict[str, Ints] = {}
+    for layer in layers.keys() - {side}:
+        partner_rows[layer] = _partners(centres, centres_of(holes[layer]), reach)
+    other = _OPPOSITE[side]
+    if other not in layers:
+        return partner_rows, np.full(len(centres), UNCLEAR, dtype=np.uint8), 0
+    rows = partner_rows[other]
+    states = _other_side(layers[other], pixel_um, holes[side], holes[other], rows)
+    return partner_rows, states, holes[other].sizes["mark"] - int(np.count_nonzero(rows >= 0))
 
 
 def _search(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats, xr.Dataset]:
@@ -192,7 +211,7 @@ def _smoothed(share: Floats, pixel_um: Pair) -> Floats:
 
 
 def _by_faces(
-    faces: Floats | None, holes: xr.Dataset, pixel_um: Pair, diameter_range: Pair
+    faces: xr.DataArray | None, holes: xr.Dataset, pixel_um: Pair, diameter_range: Pair
 ) -> xr.Dataset | None:
     """Holes by what both faces of a coated sheet show, where that shows more of them.
 
@@ -201,9 +220,9 @@ def _by_faces(
     not_taken = holes.attrs["not_taken"]
     if faces is None or not (not_taken["no_rim"] or not_taken["not_round"]):
         return None
-    smooth = _smoothed(faces, pixel_um)
-    open_faces = find_holes(smooth, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark")
-    return open_faces if open_faces.sizes["mark"] > holes.sizes["mark"] else None
+    smooth = _smoothed(faces.values, pixel_um)
+    face_holes = find_holes(smooth, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark")
+    return face_holes if face_holes.sizes["mark"] > holes.sizes["mark"] else None
 
 
 def _other_side(
@@ -215,12 +234,13 @@ def _other_side(
 ) -> NDArray[np.uint8]:
     """What the other side shows of each hole, of which some have partners there."""
     is_through = partner_rows >= 0
-    centres = _xy(holes)
+    centres = centres_of(holes)
     states = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
     # Where the other side should show a hole: as far from this one as with the partners.
     offset = np.zeros(2)
     if is_through.any():
-        offset = np.median(_xy(partners)[partner_rows[is_through]] - centres[is_through], axis=0)
+        moves = centres_of(partners)[partner_rows[is_through]] - centres[is_through]
+        offset = np.median(moves, axis=0)
     axes = [np.arange(n) * step for n, step in zip(material.shape, pixel_um, strict=True)]
     for k in np.flatnonzero(~is_through).tolist():
         radius_um = 0.25 * float(holes["diameter"].values[k])
@@ -232,7 +252,8 @@ def _other_side(
         distances = np.hypot(dy[rows][:, None], dx[cols])
         shares = material[np.ix_(rows, cols)].astype(np.float64)[distances <= radius_um]
         shares = shares[np.isfinite(shares)]
-        states[k] = CLOSED if shares.size and np.median(shares) > MATERIAL else UNCLEAR
+        if shares.size and np.median(shares) > MATERIAL:
+            states[k] = CLOSED
     return states
 
 
@@ -297,11 +318,6 @@ def _shifted(holes: xr.Dataset, offset: Sequence[float] | Floats) -> xr.Dataset:
     )
 
 
-def _xy(holes: xr.Dataset, suffix: str = "") -> Floats:
-    columns = [holes[f"{axis}{suffix}"].values for axis in "xy"]
-    return np.stack(columns, axis=1).astype(np.float64)
-
-
 def _partners(centres: Floats, candidate_centres: Floats, reach: Floats) -> Ints:
     """Return the candidate's row of each hole, -1 for none.
 
@@ -340,12 +356,13 @@ def _by_layer(holes: dict[str, xr.Dataset], layer_rows: dict[str, Ints]) -> xr.D
     """Collect each layer's variables of the holes, NaN where a hole is missing."""
     variables: dict[str, tuple[str, Floats, dict[str, str]]] = {}
     template = next(iter(holes.values()))
+    all_missing = np.full(max(map(len, layer_rows.values())), -1)
     for layer, (_, place_text) in LAYERS.items():
+        rows = layer_rows.get(layer, all_missing)
         for name in ("x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter"):
-            values_by_row = holes[layer][name].values if layer in holes else np.empty(0)
             attrs = dict(template[name].attrs)
             attrs["long_name"] += f", {place_text}"
             # The last row is that of the holes that are missing, -1.
-            column = np.append(values_by_row, np.nan)[layer_rows[layer]]
+            column = np.append(holes.get(layer, template)[name].values, np.nan)[rows]
             variables[f"{name}_{layer}"] = ("mark", column, attrs)
     return xr.Dataset(variables)

@@ -3,7 +3,8 @@
 The format is recognised by the content of a file and not by its name.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,14 @@ from planish.core.errors import FileError, MarkError, SizeError
 from planish.core.files import write_whole
 from planish.core.typing import Floats
 from planish.marks.exchange import model
-from planish.marks.exchange.formats import FORMATS, Unit, known_formats, module_of, target_of
+from planish.marks.exchange.formats import (
+    FORMATS,
+    MarkFormat,
+    Unit,
+    known_formats,
+    module_of,
+    target_of,
+)
 from planish.marks.exchange.lists import Content, LayerPixels, PointList, join_lists, read_content
 from planish.marks.exchange.model import about_layer, check_marks, check_plausible, layer_names
 
@@ -86,39 +94,42 @@ def read_any(
     SizeError
         If a pixel size is needed and not given, or units contradict each other.
     """
-    volume = moving if volume is None else volume
-    places = [Path(path)] if second is None else [Path(path), Path(second)]
-    name = " and ".join(place.name for place in places)
-    contents = [read_content(place) for place in places]
+    volume = volume or moving
+    contents = [read_content(file) for file in (path, second) if file is not None]
+    name = " and ".join(content.name for content in contents)
     formats = [_recognised(content) for content in contents]
-    readings: list[Any] = [
-        module_of(kind).read(content) for kind, content in zip(formats, contents, strict=True)
-    ]
+    readings = [module_of(kind).read(part) for kind, part in zip(formats, contents, strict=True)]
     read_from: dict[str, Any] = {"format": formats[0], "unit": "um", "stated": True}
     if second is None and isinstance(readings[0], xr.Dataset):
         _check_own(name, unit, swap=swap)
         marks = _with_pixels(readings[0], moving, volume, fixed)
     else:
-        lists: list[PointList] = []
-        for content, reading in zip(contents, readings, strict=True):
-            is_own = isinstance(reading, xr.Dataset)
-            file_lists = [_single_list(reading, content.name)] if is_own else reading
-            if second is not None and len(file_lists) != 1:
-                raise MarkError(
-                    f"{content.name} holds {len(file_lists)} lists of points already. Give it"
-                    " alone, or two files with one each."
-                )
-            lists += file_lists
+        lists = _lists_in(contents, readings)
         marks = join_lists(
             lists, name=name, moving=moving, volume=volume, fixed=fixed, unit=unit, swap=swap
         )
-        silent = next((points for points in lists if not points.stated), lists[0])
+        silent = min(lists, key=attrgetter("stated"))
         read_from |= {"unit": unit or silent.unit, "stated": silent.stated}
     marks.attrs["read_from"] = read_from
     check_marks(marks, name)
     if unit != "um":
         check_plausible(marks, name, unit)
     return marks
+
+
+def _lists_in(contents: Sequence[Content], readings: Sequence[Any]) -> list[PointList]:
+    """Lists of points of a file, or of two with one list each."""
+    lists: list[PointList] = []
+    for content, reading in zip(contents, readings, strict=True):
+        if isinstance(reading, xr.Dataset):
+            reading = [_single_list(reading, content.name)]
+        lists += reading
+        if len(contents) == 2 and len(reading) != 1:
+            raise MarkError(
+                f"{content.name} holds {len(reading)} lists of points already. Give it alone, or"
+                " two files with one each."
+            )
+    return lists
 
 
 def _check_own(name: str, unit: Unit | None, *, swap: bool) -> None:
@@ -236,37 +247,48 @@ def marks_bytes(
     """
     mark_format = FORMATS[to]
     check_marks(marks, "The marks")
-    if unit is not None and not mark_format.free_unit:
+    if unit is not None:
+        _check_free_unit(mark_format)
+    if mark_format.unit is None:
+        return module_of(to).write(marks, {})
+    # Positions by role, or by the name of the only layer.
+    keys = layer_names(marks)
+    if len(keys) == 1 and mark_format.single:
+        layers = {keys[0]: moving if moving.pixel_um else fixed}
+    else:
+        keys = ["moving", "fixed"]
+        pair = model.pair_of_layers(marks, name="This set of marks")
+        layers = dict(zip(pair, (moving, fixed), strict=True))
+    if mark_format.pairs_only:
+        marks = _used_in(marks, [*layers])
+    file_points: list[Floats] = []
+    file_text = f"The file for {mark_format.title}"
+    for role, (layer, override) in zip(("moving", "fixed"), layers.items(), strict=False):
+        points = model.points_of(marks, layer)
+        pixels = _pixels_of(about_layer(marks, layer), override)
+        origin, factor = pixels.frame(unit or mark_format.unit, points.shape[1], file_text, role)
+        file_points.append((points - origin) / factor)
+    if swap:
+        file_points.reverse()
+    return module_of(to).write(marks, dict(zip(keys, file_points, strict=True)))
+
+
+def _check_free_unit(mark_format: MarkFormat) -> None:
+    """Refuse a unit for a format that has its own."""
+    if not mark_format.free_unit:
         titles = " and ".join(other.title for other in FORMATS.values() if other.free_unit)
         raise SizeError(
             f"A file for {mark_format.title} has its own unit; only those for {titles} are written"
             " in `out_unit`."
         )
-    if mark_format.unit is None:
-        return module_of(to).write(marks, {})
-    # Marks as the other program expects them, and positions by role or by the name of the only
-    # layer.
-    names = layer_names(marks)
-    overrides = [moving, fixed]
-    single = len(names) == 1 and mark_format.single
-    sides = names if single else list(model.pair_of_layers(marks, name="This set of marks"))
-    if mark_format.pairs_only:
-        keep = model.used_of(marks) & model.in_layers(marks, sides)
-        if not keep.any():
-            raise MarkError(f"No mark is used and lies in {' and '.join(sides)}. Use at least one.")
-        marks = marks.isel(mark=np.flatnonzero(keep))
-    if single:
-        overrides = [moving if moving.pixel_um else fixed]
-    file_points: list[Floats] = []
-    file_text = f"The file for {mark_format.title}"
-    for layer, override, role in zip(sides, overrides, ("moving", "fixed"), strict=False):
-        points = model.points_of(marks, layer)
-        pixels = _pixels_of(about_layer(marks, layer), override)
-        origin, factor = pixels.frame(unit or mark_format.unit, points.shape[1], file_text, role)
-        file_points.append((points - origin) / factor)
-    roles = names if single else ("moving", "fixed")
-    ordered = file_points[::-1] if swap else file_points
-    return module_of(to).write(marks, dict(zip(roles, ordered, strict=True)))
+
+
+def _used_in(marks: xr.Dataset, layers: Sequence[str]) -> xr.Dataset:
+    """Marks that are used and lie in all layers."""
+    keep = model.used_of(marks) & model.in_layers(marks, layers)
+    if not keep.any():
+        raise MarkError(f"No mark is used and lies in {' and '.join(layers)}. Use at least one.")
+    return marks.isel(mark=np.flatnonzero(keep))
 
 
 def _pixels_of(about: Mapping[str, Any], override: LayerPixels) -> LayerPixels:

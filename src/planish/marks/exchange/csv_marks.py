@@ -6,7 +6,7 @@ second side, ``fixed_x_um, fixed_y_um``, is the image. Rows whose ``used`` is 0 
 out.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ _SIDES = {
     "volume": ("volume_x_um", "volume_y_um", "volume_z_um"),
     "fixed": ("fixed_x_um", "fixed_y_um"),
 }
+_TYPES: dict[str, Callable[[Any], float]] = {"used": int}  # others are numbers
 # What stands in ``used``, also where a spreadsheet in another language has saved it.
 NO_WORDS = ("0", "0.0", "false", "no", "falsch", "nein", "faux", "non", "falso")
 YES_WORDS = ("", "1", "1.0", "true", "yes", "wahr", "ja", "vrai", "oui", "vero", "verdadero")
@@ -52,7 +53,7 @@ def read(content: Content) -> xr.Dataset | list[PointList]:
     sides = [side for side, columns in _SIDES.items() if names.intersection(columns)]
     if not sides:
         return [_read_holes(content)]
-    first = "volume" if "volume" in sides and "moving" not in sides else "moving"
+    first = "volume" if sides[0] == "volume" else "moving"
     moving_text, volume_text, fixed_text = map(", ".join, _SIDES.values())
     advice = f"Needed: label, then {moving_text} or {volume_text}, then {fixed_text}, all in um."
     needed = (*_SIDES[first], *_SIDES["fixed"])
@@ -120,7 +121,7 @@ def pairs_text(dataset: xr.Dataset) -> str:
     for name in (*positions, "residual_um", "leave_one_out_um", "weight", "used"):
         key = name.removesuffix("_um")
         if key in variables:
-            columns[name] = map(int if key == "used" else float, variables[key].values)
+            columns[name] = map(_TYPES.get(key, float), variables[key].values)
     return table_text(list(columns), zip(*columns.values(), strict=True))
 
 

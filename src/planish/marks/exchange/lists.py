@@ -245,33 +245,19 @@ def join_lists(
     for point_list in lists:
         check_count(name, len(point_list.points))
     _check_unit(lists, name, unit)
-    if len(lists) > 2:
-        titles = ", ".join(f"{p.title} ({len(p.points)})" for p in lists[:8])
-        raise MarkError(
-            f"{name} holds {len(lists)} lists of points: {titles}. Two are needed; save those two"
-            " alone."
-        )
+    facts_of = {"marks": moving if moving.pixel_um or moving.origin_um else fixed}
+    if len(lists) > 1:
+        lists = _moving_first(lists, name, swap=swap)
+        facts_of = {"moving": moving, "fixed": fixed}
     first = lists[0]
-    layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
-    if len(lists) == 2:
-        first, last = _moving_first(lists, swap=swap)
-        _check_order(first, last, name)
-        layers = {"moving": (first, moving), "fixed": (last, fixed)}
     places: dict[str, MarkPlaces] = {}
     about: dict[str, dict[str, Any]] = {}
     counted: list[str] = []
     used = np.ones(len(first.points), bool)
-    for side, (point_list, facts) in layers.items():
-        coordinates = _coordinates(point_list, side)
-        has_z = coordinates.shape[1] == 3
-        if side == "fixed" and has_z:
-            raise MarkError(
-                f"{name}: the points of the fixed side ({point_list.title}) differ in z. That side"
-                " has to be a flat image; where the volume was the fixed or target one, give"
-                " `swap`."
-            )
+    for point_list, (side, facts) in zip(lists, facts_of.items(), strict=True):
+        coordinates = _coordinates(point_list, side, name)
         layer = side
-        if side == "moving" and has_z:
+        if side == "moving" and coordinates.shape[1] == 3:
             layer, facts = "volume", volume
         places[layer] = _places(point_list, coordinates, side, facts, unit, name)
         about[layer] = dict(point_list.about) | facts.about()
@@ -283,16 +269,23 @@ def join_lists(
     return marks.assign_attrs(from_first_pixel=counted)
 
 
-def _moving_first(lists: Sequence[PointList], *, swap: bool) -> Sequence[PointList]:
-    """Two lists, that of the moving side first: by their names, and exchanged by ``swap``."""
+def _moving_first(lists: Sequence[PointList], name: str, *, swap: bool) -> Sequence[PointList]:
+    """Two lists, that of the moving side first: by their names, and exchanged by ``swap``.
+
+    MarkError where their points cannot belong together in their order.
+    """
+    if len(lists) > 2:
+        titles = ", ".join(f"{p.title} ({len(p.points)})" for p in lists[:8])
+        raise MarkError(
+            f"{name} holds {len(lists)} lists of points: {titles}. Two are needed; save those two"
+            " alone."
+        )
     first_title, last_title = (p.title.strip().lower() for p in lists)
     is_reversed = first_title in ("fixed", "to", "target", "image")
     is_reversed = is_reversed and last_title in ("moving", "from", "source", "volume")
-    return lists if swap == is_reversed else lists[::-1]
-
-
-def _check_order(first: PointList, last: PointList, name: str) -> None:
-    """Refuse lists whose points cannot belong together in their order."""
+    if swap != is_reversed:
+        lists = lists[::-1]
+    first, last = lists
     a = first.names
     b = last.names
     if len(a) != len(b):
@@ -308,6 +301,7 @@ def _check_order(first: PointList, last: PointList, name: str) -> None:
             f" both number {k + 1}. Points belong together in their order: sort one list, or"
             " rename its points."
         )
+    return lists
 
 
 def _check_unit(lists: Sequence[PointList], name: str, unit: Unit | None) -> None:
@@ -329,14 +323,20 @@ def _check_unit(lists: Sequence[PointList], name: str, unit: Unit | None) -> Non
         )
 
 
-def _coordinates(point_list: PointList, side: str) -> Floats:
-    """Coordinates of points, with z where it says something."""
+def _coordinates(point_list: PointList, side: str, name: str) -> Floats:
+    """Coordinates of points, with z where it says something; MarkError for a fixed side."""
     z = point_list.points[:, 2:]
     z = z[np.isfinite(z)]
     # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a
     # picture.
-    is_flat = not z.any() or (side == "fixed" and np.ptp(z) == 0)
-    return point_list.points[:, :2] if is_flat else point_list.points
+    if not z.any() or (side == "fixed" and np.ptp(z) == 0):
+        return point_list.points[:, :2]
+    if side == "fixed":
+        raise MarkError(
+            f"{name}: the points of the fixed side ({point_list.title}) differ in z. That side has"
+            " to be a flat image; where the volume was the fixed or target one, give `swap`."
+        )
+    return point_list.points
 
 
 def _places(

@@ -102,26 +102,33 @@ def make_marks(
         "used": ("mark", is_used, {"long_name": "Takes part in the fit"}),
     }
     for layer, places in layers.items():
-        if not NAME.fullmatch(layer) or layer == RESIDUAL:
-            raise MarkError(
-                f"{layer!r} is no name of a layer: use small letters, digits and underscores, such"
-                " as map."
-            )
-        where = _TITLES.get(layer, f"in {layer}")
-        for axis, column in zip("xyz", places.um.T, strict=False):
-            variables[f"{layer}_{axis}"] = _column(column, "um", f"Mark {where}, {axis}")
-        for name, (units, text) in EXTRAS.items():
-            if name in places.extras and np.isfinite(places.extras[name]).any():
-                column = _column(places.extras[name], units, f"{text}, {where}")
-                variables[f"{layer}_{name}"] = column
-        source = np.broadcast_to(np.array(places.source, dtype=np.str_), len(labels)).copy()
-        variables[f"{layer}_source"] = ("mark", source, {"long_name": f"Found how, {where}"})
+        variables |= _layer_columns(layer, places)
     for name, errors in (results or {}).items():
         variables[name] = _column(errors, "um", RESULTS[name])
     about = about or {}
     return xr.Dataset(
         variables, attrs={"layers": {layer: dict(about.get(layer, {})) for layer in layers}}
     )
+
+
+def _layer_columns(layer: str, places: MarkPlaces) -> dict[str, Any]:
+    """Variables of one layer of marks."""
+    if not NAME.fullmatch(layer) or layer == RESIDUAL:
+        raise MarkError(
+            f"{layer!r} is no name of a layer: use small letters, digits and underscores, such as"
+            " map."
+        )
+    columns: dict[str, Any] = {}
+    where = _TITLES.get(layer, f"in {layer}")
+    for axis, values in zip("xyz", places.um.T, strict=False):
+        columns[f"{layer}_{axis}"] = _column(values, "um", f"Mark {where}, {axis}")
+    for name, (units, text) in EXTRAS.items():
+        if name in places.extras and np.isfinite(places.extras[name]).any():
+            column = _column(places.extras[name], units, f"{text}, {where}")
+            columns[f"{layer}_{name}"] = column
+    source = np.broadcast_to(np.array(places.source, dtype=np.str_), len(places.um)).copy()
+    columns[f"{layer}_source"] = ("mark", source, {"long_name": f"Found how, {where}"})
+    return columns
 
 
 def _column(values: Floats, units: str, long_name: str) -> tuple[str, Floats, dict[str, str]]:
@@ -385,25 +392,31 @@ def pair_of_layers(
         If a layer is missing, or it is not clear which ones are meant.
     """
     names = layer_names(marks)
-    for layer in filter(None, (moving, fixed)):
+    given = [*filter(None, (moving, fixed))]
+    for layer in given:
         _check_layer(marks, layer)
     usual = [layer for layer in ("moving", "volume") if layer in names]
-    if not moving and not fixed and usual and "fixed" in names:
+    if usual and "fixed" in names and not given:
         return usual[0], "fixed"
+    _check_clear_pair(names, given, name)
+    free_layers = [n for n in names if n not in given]
+    first = moving or free_layers.pop(0)
+    return first, fixed or free_layers.pop(0)
+
+
+def _check_clear_pair(names: Sequence[str], given: Sequence[str], name: str) -> None:
+    """Refuse layers of which it is not clear which two belong together."""
     if len(names) < 2:
         raise MarkError(
             f"{name} holds marks of one layer only ({', '.join(names) or 'none'}); pairs of a"
             " moving and a fixed layer are needed. Give the second file as well: planish marks"
             " convert MOVING FIXED OUT."
         )
-    if len(names) > 2 and (moving is None or fixed is None):
+    if len(names) > 2 and len(given) < 2:
         raise MarkError(
             f"{name} holds {len(names)} layers: {', '.join(names)}. Name the two that belong"
             " together moving and fixed."
         )
-    free_layers = [n for n in names if n not in (moving, fixed)]
-    first = moving or free_layers.pop(0)
-    return first, fixed or free_layers.pop(0)
 
 
 def _check_layer(marks: xr.Dataset, layer: str) -> None:
@@ -458,9 +471,7 @@ def check_plausible(marks: xr.Dataset, name: str, unit: Unit | None) -> None:
             raise MarkError(f"{name}: the marks in {layer} span {misfit_text}")
 
 
-def _misfit(  # noqa: PLR0911
-    points: Floats, about: dict[str, Any], stated: bool, assumed: str
-) -> str:
+def _misfit(points: Floats, about: dict[str, Any], stated: bool, assumed: str) -> str:
     """Describe why marks cannot be um in their layer; empty where they can.
 
     In a unit that was ``assumed``, they may be pixels where their numbers lie in the layer as such
@@ -474,8 +485,7 @@ def _misfit(  # noqa: PLR0911
     placed = points - origin
     spans = f"{_size(span)}, the layer {_size(size)}"
     numbers = placed / 1000 if assumed == "mm" else placed
-    reaches_far = (np.ptp(numbers, axis=0) / count).max() > 0.25
-    if assumed and pixel.prod() >= 4 and reaches_far and _inside(numbers, count).all():
+    if assumed and pixel.prod() >= 4 and _fill(numbers, count):
         return (
             f"{spans}. The file states no unit, {assumed} was assumed, and as pixels they spread"
             f" over the layer: they look like pixels. {_remedy('pixel', stated)} If they are"
@@ -483,11 +493,7 @@ def _misfit(  # noqa: PLR0911
         )
     is_inside = _inside(placed, size)
     pixels_fit = _inside(points, count).all()
-    are_halves = bool(np.all(points * 2 == np.round(points * 2)))
-    # Places clicked on pixels and then turned into um are multiples of the pixel.
-    are_pixels = bool(np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6))
-    # Pixels of nearly 1 um cannot be distinguished from um.
-    if are_halves and not are_pixels and pixel.max() > 1.5 and pixels_fit:
+    if pixels_fit and _look_clicked(points, placed, pixel):
         return (
             f"{spans}, and all positions are whole or half numbers: they look like pixels. "
             f"{_remedy('pixel', stated)} If they are um, write them with decimals."
@@ -496,18 +502,33 @@ def _misfit(  # noqa: PLR0911
         if _inside(points * 1000, size).all() and span.max() < 0.01 * size.max():
             return f"{spans}: they look like mm. {_remedy('mm', stated)}"
         return ""
-    spans += f" from ({origin[0]:g}, {origin[1]:g}) um"
-    if pixels_fit:
-        return f"{spans}: they look like pixels. {_remedy('pixel', stated)}"
-    if _inside(placed[:, ::-1], size).all():
-        return (
-            f"{spans}: they would fit with x and y exchanged. Exchange the columns: x runs to the"
-            " right, y down"
-        )
-    return (
-        f"{spans}: {np.count_nonzero(~is_inside)} of {len(points)} lie outside it. Check the unit,"
-        " the pixel size, and that they belong to this image"
+    reason = (
+        f"{np.count_nonzero(~is_inside)} of {len(points)} lie outside it. Check the unit, the"
+        " pixel size, and that they belong to this image"
     )
+    if pixels_fit:
+        reason = f"they look like pixels. {_remedy('pixel', stated)}"
+    elif _inside(placed[:, ::-1], size).all():
+        reason = (
+            "they would fit with x and y exchanged. Exchange the columns: x runs to the right, y"
+            " down"
+        )
+    return f"{spans} from ({origin[0]:g}, {origin[1]:g}) um: {reason}"
+
+
+def _fill(points: Floats, count: Floats) -> bool:
+    """Return whether points lie in so many pixels and reach over a quarter of them."""
+    span_share = (np.ptp(points, axis=0) / count).max()
+    return bool(span_share > 0.25 and _inside(points, count).all())
+
+
+def _look_clicked(points: Floats, placed: Floats, pixel: Floats) -> bool:
+    """Return whether positions are whole or half numbers, as places clicked on pixels are."""
+    are_halves = np.all(points * 2 == np.round(points * 2))
+    # Places clicked on pixels and then turned into um are multiples of the pixel.
+    are_pixels = np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6)
+    # Pixels of nearly 1 um cannot be distinguished from um.
+    return bool(are_halves and not are_pixels and pixel.max() > 1.5)
 
 
 def _remedy(unit: str, stated: bool) -> str:

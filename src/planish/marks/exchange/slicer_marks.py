@@ -25,6 +25,9 @@ SCHEMA = (
 )
 
 
+_SIGNS: dict[Any, list[float]] = {"LPS": [1.0, 1.0, 1.0], "RAS": [-1.0, -1.0, 1.0]}
+
+
 def looks_like(content: Content) -> bool:
     """Return whether it is JSON with markups."""
     return "markups" in content.json
@@ -34,21 +37,20 @@ def read(content: Content) -> list[PointList]:
     """Read the point lists of a file; lines, curves, planes and empty lists are passed over."""
     name = content.name
     markups: Any = content.json["markups"]
-    entries: list[Any] = (
-        [m for m in markups if isinstance(m, Mapping)] if isinstance(markups, list) else []
-    )
+    entries: list[Any] = []
+    if isinstance(markups, list):
+        entries = [m for m in markups if isinstance(m, Mapping)]
     points = [m for m in entries if m.get("type") == "Fiducial" and m.get("controlPoints")]
     if len(points) > 16:
         raise MarkError(
             f"{name} holds {len(points)} lists of points; two are needed. Save those two alone."
         )
-    if not points:
-        kinds = ", ".join(sorted({str(m.get("type")) for m in entries})) or "nothing"
-        raise MarkError(
-            f"{name} holds no list of points, but {kinds}. Save a point list in Slicer as"
-            " .mrk.json."
-        )
-    return [_point_list(markup, k, name) for k, markup in enumerate(points)]
+    if points:
+        return [_point_list(markup, k, name) for k, markup in enumerate(points)]
+    kinds = ", ".join(sorted({str(m.get("type")) for m in entries})) or "nothing"
+    raise MarkError(
+        f"{name} holds no list of points, but {kinds}. Save a point list in Slicer as .mrk.json."
+    )
 
 
 def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
@@ -96,7 +98,7 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
     """Points of a list, in its unit and as LPS; a place that is not defined is NaN."""
     title = str(markup.get("name") or f"list {k + 1}")
     coordinate_system: object = markup.get("coordinateSystem", "LPS")
-    if coordinate_system not in ("LPS", "RAS"):
+    if coordinate_system not in _SIGNS:
         raise MarkError(
             f"{name}: {title} is in {coordinate_system!r}; LPS or RAS is needed. Save it so in"
             " Slicer."
@@ -118,24 +120,13 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
         if not isinstance(control, Mapping):
             faults.append(f"{point_text} is malformed")
             continue
-        point: list[float | None] = [None] * 3
-        status: Any = control.get("positionStatus", "defined")
-        if status == "defined":
-            position: Any = control.get("position")
-            point = _three_numbers(position)
-            if None in point:
-                position_text = f"has the position {str(position)[:40]}, not three finite numbers"
-                faults.append(f"{point_text} {position_text}")
-        elif status not in ("undefined", "preview"):
-            faults.append(f"{point_text} has the status {str(status)[:40]!r}")
-        points.append(point)
+        points.append(_position(control, point_text, faults))
         labels.append(str(control.get("label") or f"{title} {number}"))
         used.append(control.get("selected", True) is not False)
     raise_faults(name, faults, "Save the list in Slicer again.", error=MarkError)
-    signs = [1.0, 1.0, 1.0] if coordinate_system == "LPS" else [-1.0, -1.0, 1.0]
     return PointList(
         title=title,
-        points=np.array(points, dtype=np.float64) * signs,
+        points=np.array(points, dtype=np.float64) * _SIGNS[coordinate_system],
         unit=unit,
         stated=True,
         labels=labels,
@@ -143,7 +134,18 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
     )
 
 
-def _three_numbers(position: Any) -> list[float | None]:
-    if not isinstance(position, list) or len(position) != 3:
+def _position(control: Mapping[str, Any], point_text: str, faults: list[str]) -> list[float | None]:
+    """Place of a point, which may be set nowhere; what is wrong with it goes into ``faults``."""
+    status: Any = control.get("positionStatus", "defined")
+    if status != "defined":
+        if status not in ("undefined", "preview"):
+            faults.append(f"{point_text} has the status {str(status)[:40]!r}")
         return [None] * 3
-    return [None if isinstance(number, str) else finite(number) for number in position]
+    position: Any = control.get("position")
+    point: list[float | None] = [None] * 3
+    if isinstance(position, list) and len(position) == 3:
+        point = [None if isinstance(number, str) else finite(number) for number in position]
+    if None in point:
+        position_text = f"has the position {str(position)[:40]}, not three finite numbers"
+        faults.append(f"{point_text} {position_text}")
+    return point

@@ -74,23 +74,22 @@ def read_regions(path: str | Path) -> Regions:
     """
     name = Path(path).name
     content = read_bytes(path, what="file of regions", most_bytes=LARGEST_FILE)
-    faults: list[str] = []
-    readers: list[tuple[str, Callable[[], Region]]] = []
-    in_pixels = content.startswith((ZIP, ROI))
-    if in_pixels:
+    units: object = "pixel"
+    if content.startswith((ZIP, ROI)):
         remedy = _DRAW
-        for part_name, data in selections_in(content, name, most=MOST_REGIONS, remedy=_DRAW):
-            read_part = partial(_selection, data, PurePosixPath(part_name).stem)
-            readers.append((repr(part_name[:80]), read_part))
+        readers = _readers_of_imagej(content, name)
     else:
         remedy = "Coordinates are [x, y] in um of the reference; docs/linking.md shows an example."
         root, features = _features(content, name)
         units = root.get("units", "pixel" if any(map(_is_of_qupath, features)) else "um")
-        in_pixels = units in ("pixel", "px")
-        if units != "um" and not in_pixels:
-            faults.append("its units are neither um nor pixel")
-        for k, feature in enumerate(features, 1):
-            readers.append((f"region {k}", partial(_region, feature, f"region {k}")))
+        titles = [f"region {k + 1}" for k in range(len(features))]
+        readers = [
+            (title, partial(_region, f, title)) for title, f in zip(titles, features, strict=True)
+        ]
+    in_pixels = units in ("pixel", "px")
+    faults: list[str] = []
+    if units != "um" and not in_pixels:
+        faults.append("its units are neither um nor pixel")
     regions: list[Region] = []
     point_count = 0
     for title, read_region in readers:
@@ -113,6 +112,15 @@ def read_regions(path: str | Path) -> Regions:
     return Regions(declared=tuple(regions), in_pixels=in_pixels)
 
 
+def _readers_of_imagej(content: bytes, name: str) -> list[tuple[str, Callable[[], Region]]]:
+    """What reads each selection of a file of ImageJ, by the name of the selection."""
+    readers: list[tuple[str, Callable[[], Region]]] = []
+    for part_name, data in selections_in(content, name, most=MOST_REGIONS, remedy=_DRAW):
+        read_part = partial(_selection, data, PurePosixPath(part_name).stem)
+        readers.append((repr(part_name[:80]), read_part))
+    return readers
+
+
 def _selection(data: bytes, default_name: str) -> Region:
     """Make a region of a selection; ValueError, with the reason, where it is none."""
     roi = selection_of(data)
@@ -122,20 +130,8 @@ def _selection(data: bytes, default_name: str) -> Region:
         )
     if roi.composite:
         polygons = nested([ring_of(ring) for ring in _composite_rings(roi)])
-    elif roi.roitype in (ROI_TYPE.RECT, ROI_TYPE.OVAL):
-        if roi.roitype == ROI_TYPE.RECT and roi.rounded_rect_arc_size > 0:
-            raise ValueError("it is a rectangle with rounded corners")
-        polygons = ((ring_of(_box(roi)),),)
-    elif roi.roitype in _POLYGONS:
-        if roi.options & ROI_OPTIONS.SPLINE_FIT:
-            raise ValueError(
-                "it is fitted with a spline; take points along it (Edit, Selection, Interpolate)"
-            )
-        if not 3 <= roi.n_coordinates <= MOST_POINTS:
-            raise ValueError(f"it has {roi.n_coordinates} points; 3 to {MOST_POINTS} are possible")
-        polygons = ((ring_of(roi.coordinates() + _NUDGE),),)
     else:
-        raise ValueError(f"it is of the unknown type {data[6]}")
+        polygons = ((_border(roi, data[6]),),)
     texts = {"name": text_of(roi.name or default_name, "name")}
     for line in roi.props.splitlines():
         name, _, text = line.partition(":")
@@ -143,6 +139,23 @@ def _selection(data: bytes, default_name: str) -> Region:
         if key in _TEXTS[1:]:
             texts[key] = text_of(text, key)
     return Region(polygons=polygons, **texts)
+
+
+def _border(roi: ImagejRoi, type_number: int) -> Ring:
+    """Give the border of a selection that is a single polygon, rectangle or oval."""
+    if roi.roitype in (ROI_TYPE.RECT, ROI_TYPE.OVAL):
+        if roi.roitype == ROI_TYPE.RECT and roi.rounded_rect_arc_size > 0:
+            raise ValueError("it is a rectangle with rounded corners")
+        return ring_of(_box(roi))
+    if roi.roitype not in _POLYGONS:
+        raise ValueError(f"it is of the unknown type {type_number}")
+    if roi.options & ROI_OPTIONS.SPLINE_FIT:
+        raise ValueError(
+            "it is fitted with a spline; take points along it (Edit, Selection, Interpolate)"
+        )
+    if not 3 <= roi.n_coordinates <= MOST_POINTS:
+        raise ValueError(f"it has {roi.n_coordinates} points; 3 to {MOST_POINTS} are possible")
+    return ring_of(roi.coordinates() + _NUDGE)
 
 
 def _box(roi: ImagejRoi) -> Ring:

@@ -122,7 +122,19 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
     """
     if not 0 < len(rings) <= MOST_REGIONS:
         raise ValueError(f"it has {len(rings)} borders; 1 to {MOST_REGIONS} are possible")
-    lows, highs = np.array([(ring.min(axis=0), ring.max(axis=0)) for ring in rings]).swapaxes(0, 1)
+    enclosing = _enclosing(rings)
+    polygons = {k: [ring] for k, ring in enumerate(rings) if len(enclosing[k]) % 2 == 0}
+    for k, ring in enumerate(rings):
+        if k not in polygons:
+            outer = [j for j in enclosing[k] if j in polygons]
+            polygons[max(outer, key=lambda j: len(enclosing[j]))].append(ring)
+    return tuple(map(tuple, polygons.values()))
+
+
+def _enclosing(rings: Sequence[Ring]) -> list[list[int]]:
+    """Numbers of the borders that lie around each."""
+    lows = np.array([ring.min(axis=0) for ring in rings])
+    highs = np.array([ring.max(axis=0) for ring in rings])
     enclosing: list[list[int]] = []
     for k, ring in enumerate(rings):
         # Borders may touch, so that single places of one may lie on another: most of a few decide.
@@ -131,12 +143,7 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
         encloses[k] = False
         candidates = np.flatnonzero(encloses).tolist()
         enclosing.append([j for j in candidates if _holds_most(rings[j], probes)])
-    polygons = {k: [ring] for k, ring in enumerate(rings) if len(enclosing[k]) % 2 == 0}
-    for k, ring in enumerate(rings):
-        if k not in polygons:
-            outer = [j for j in enclosing[k] if j in polygons]
-            polygons[max(outer, key=lambda j: len(enclosing[j]))].append(ring)
-    return tuple(map(tuple, polygons.values()))
+    return enclosing
 
 
 def _holds_most(ring: Ring, places: Floats) -> bool:
