@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from itertools import cycle
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -51,8 +52,7 @@ def columns(rows: Sequence[object], fields: Mapping[str, str]) -> Table:
 
     What is not known is empty.
     """
-    values = {heading: [getattr(row, name) for row in rows] for heading, name in fields.items()}
-    return {heading: or_blank(column) for heading, column in values.items()}
+    return {heading: or_blank(map(attrgetter(name), rows)) for heading, name in fields.items()}
 
 
 def colours_of(names: Iterable[str]) -> dict[str, str]:
@@ -232,18 +232,17 @@ class Axes:
         The place is moved by some pixels.
         """
         x_px, y_px = (_n(v) for v in self.place((x, y))[0] + shift)
-        attributes = ' font-weight="600"' if bold else ""
-        attributes += f' text-anchor="{anchor}"' if anchor != "start" else ""
-        attributes += f' transform="rotate(-90 {x_px} {y_px})"' if upwards else ""
-        attributes += (
-            f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"'
-            if halo
-            else ""
-        )
-        self._elements.append(
-            f'<text x="{x_px}" y="{y_px}" font-size="{size:g}"'
-            f' fill="{colour}"{attributes}>{escape(text)}</text>'
-        )
+        attributes = f'x="{x_px}" y="{y_px}" font-size="{size:g}" fill="{colour}"'
+        if bold:
+            attributes += ' font-weight="600"'
+        if anchor != "start":
+            attributes += f' text-anchor="{anchor}"'
+        if upwards:
+            attributes += f' transform="rotate(-90 {x_px} {y_px})"'
+        if halo:
+            outline = 'stroke-width="3" paint-order="stroke" stroke-linejoin="round"'
+            attributes += f' stroke="{halo}" {outline}'
+        self._elements.append(f"<text {attributes}>{escape(text)}</text>")
 
     def arrows(
         self,
@@ -285,7 +284,7 @@ class Axes:
 
         shown, (left, right, bottom, top) = self.shown, self.shown.extent
         rows, cols = shown.values.shape
-        if min(rows, cols) < 2 or not np.isfinite(shown.values).any():
+        if min(rows, cols) < 2:
             return
         x_um = left + (np.arange(cols) + 0.5) * (right - left) / cols
         y_um = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
@@ -350,11 +349,12 @@ class Axes:
         opacity: float = 1.0,
         cap: str = "butt",
     ) -> None:
-        optional = (f' stroke-dasharray="{dash}"' if dash else "") + (
-            f' opacity="{opacity:g}"' if opacity < 1 else ""
-        )
         stroke = f'stroke="{colour}" stroke-width="{_n(width)}" stroke-linecap="{cap}"'
-        self._elements.append(f'<path d="{path_data}" fill="none" {stroke}{optional}/>')
+        if dash:
+            stroke += f' stroke-dasharray="{dash}"'
+        if opacity < 1:
+            stroke += f' opacity="{opacity:g}"'
+        self._elements.append(f'<path d="{path_data}" fill="none" {stroke}/>')
 
 
 class Canvas(Axes):
@@ -398,16 +398,17 @@ class Canvas(Axes):
 
         Upwards, or to the right where it is wider than high.
         """
-        across, low, high = width > height, scale.low, scale.high
-        shades = (
-            np.linspace(low, high, 128)[None] if across else np.linspace(high, low, 128)[:, None]
-        )
+        low, high = scale.low, scale.high
+        is_across = width > height
+        shades = np.linspace(low, high, 128)[None]
+        max_count = width / 58
+        if not is_across:
+            shades = np.linspace(high, low, 128)[:, None]
+            max_count = height / 42
         self._elements.append(_image((x, y, width, height), shades, scale))
-        for value, text in _ticks(
-            low, high, max_count=width / 58 if across else height / 42, log=log
-        ):
+        for value, text in _ticks(low, high, max_count=max_count, log=log):
             share = (value - low) / (high - low)
-            if across:
+            if is_across:
                 self._tick(x + share * width, y + height, 0, 1, text)
             else:
                 self._tick(x + width, y + (1 - share) * height, 1, 0, text)
@@ -560,11 +561,14 @@ def row_axes(
     Rows are 1 high and the first begins at 0; ``values`` are all that has to find room;
     ``widest_px``: of the names.
     """
-    low, high = min(values), max(values)
+    low = min(values)
+    high = max(values)
     margin = 0.06 * (high - low) or 0.05 * abs(high) or 0.5
-    low, high = low - margin, high + margin
+    low -= margin
+    high += margin
     left = min(max(map(len, names)) * LETTER_PX + 16, widest_px)
-    right, bottom = HALF - 20, _ROWS_TOP + _ROW * len(names)
+    right = HALF - 20
+    bottom = _ROWS_TOP + _ROW * len(names)
     canvas = Canvas(HALF, bottom + 50)
     extent = (low, high, float(len(names)), 0.0)
     axes = canvas.axes(left, _ROWS_TOP, right - left, bottom - _ROWS_TOP, extent)
@@ -636,11 +640,8 @@ def magnified(vectors: Array, length_um: float) -> Magnified:
 
 def pitch(coordinates: Array) -> float:
     """Return the step of a regular axis; 1 for a single point."""
-    return (
-        float(coordinates[-1] - coordinates[0]) / (len(coordinates) - 1)
-        if len(coordinates) > 1
-        else 1.0
-    )
+    steps = len(coordinates) - 1
+    return float(coordinates[-1] - coordinates[0]) / steps if steps else 1.0
 
 
 def pixel_of(*axes: Array) -> str:

@@ -15,8 +15,25 @@ from scipy import ndimage
 
 from planish.core.memory import SAMPLE_PIXELS
 from planish.core.numbers import count, in_words, length, number, percent, plain
-from planish.report import draw
 from planish.report.colours import Array, Scale, colours_of, limits, partner_of
+from planish.report.draw import (
+    ACCENT,
+    BELOW,
+    BESIDE,
+    FULL,
+    HALF,
+    MARGIN,
+    THIRD,
+    Box,
+    Canvas,
+    Picture,
+    Table,
+    draw_map,
+    n_of,
+    panel_height,
+    pixel_of,
+    reduced,
+)
 from planish.report.registration import ARROW, EDGE, ground_of
 from planish.report.text import HOLES, label_of, left_out, stated_of, title_of, unit_of
 from planish.results import LayerFacts, PropertyFacts, Results
@@ -40,12 +57,11 @@ class RunMaps:
 
         That is ``surfaces``, ``flat``, ``strain``, ``maps`` or ``slices``.
         """
-        is_only_sheet = (
-            layer.sheet is not None
-            and sum(other.sheet is not None for other in self.results.layers) == 1
-        )
         sheet_data = self.data.get(f"layers/{layer.name}/{name}")
-        return self.data.get(name) if sheet_data is None and is_only_sheet else sheet_data
+        sheets = [other.name for other in self.results.layers if other.sheet is not None]
+        if sheet_data is None and sheets == [layer.name]:
+            return self.data.get(name)
+        return sheet_data
 
     @property
     def registered(self) -> str:
@@ -72,13 +88,13 @@ class RunMaps:
         maps_by_layer: dict[str, xr.Dataset] = {}
         if not self.results.is_link:
             return maps_by_layer
+        linked_maps = read_group("linked")
         for layer in self.results.layers:
             data = read_group(f"layers/{layer.name}")
-            if data is None and (linked_maps := read_group("linked")) is not None:
+            if data is None and linked_maps is not None:
+                is_image = layer.kind == "image"
                 data = (
-                    linked_maps[["image", "valid"]]
-                    if layer.kind == "image"
-                    else linked_maps.drop_vars("image")
+                    linked_maps[["image", "valid"]] if is_image else linked_maps.drop_vars("image")
                 )
             if data is not None:
                 maps_by_layer[layer.name] = data
@@ -86,17 +102,15 @@ class RunMaps:
 
     def _smaller(self, name: str) -> xr.Dataset | None:
         """A group, or the finest of its smaller copies that is small enough to be drawn."""
-        maps = self.data.get(name)
+        maps = smaller = self.data.get(name)
         for k in numbers_from(1):
-            smaller = self.data.get(f"overviews/{name}/{k}")
-            # More pixels than the widest figure has.
-            if (
-                maps is None
-                or smaller is None
-                or maps.sizes["y"] * maps.sizes["x"] <= SAMPLE_PIXELS
-            ):
+            if smaller is None:
                 break
             maps = smaller
+            # More pixels than the widest figure has.
+            if maps.sizes["y"] * maps.sizes["x"] <= SAMPLE_PIXELS:
+                break
+            smaller = self.data.get(f"overviews/{name}/{k}")
         return maps
 
     @property
@@ -123,7 +137,7 @@ def draw_maps(
     headline: str,
     rim_um: float,
     lead_only: bool = False,
-) -> list[draw.Picture]:
+) -> list[Picture]:
     """Draw every property that has values, the headline first and large.
 
     ``rim_um`` around holes is left out.
@@ -133,7 +147,7 @@ def draw_maps(
     """
     names = [name for name in facts if name in maps and bool(np.isfinite(maps[name].values).any())]
     names.sort(key=lambda name: name != headline)
-    widths = [2 * draw.THIRD] if lead_only else [draw.FULL, *[draw.HALF] * len(names)]
+    widths = [2 * THIRD] if lead_only else [FULL, *[HALF] * len(names)]
     return [
         _draw_property(
             maps, name, facts[name], width=width, rim_um=rim_um, partner=partner_of(name, names)
@@ -150,22 +164,22 @@ def _draw_property(
     width: float,
     rim_um: float,
     partner: str | None,
-) -> draw.Picture:
+) -> Picture:
     """Draw a map of a sheet with its colours, which it shares with a partner, and a histogram."""
     data = maps[name]
-    map_px = width - draw.MARGIN - _BESIDE
+    map_px = width - MARGIN - _BESIDE
     values = data.values.astype(np.float64)
-    shown = draw.reduced(data, data["v"].values, data["u"].values, width=map_px)
-    size = shown.fit(map_px, 480.0 if width < draw.FULL else 640.0)
+    shown = reduced(data, data["v"].values, data["u"].values, width=map_px)
+    size = shown.fit(map_px, 480.0 if width < FULL else 640.0)
     names = sorted({name, partner or name})
     scale = colours_of(data, np.concatenate([maps[k].values.ravel() for k in names]))
-    bar_height = draw.panel_height(size, "colours")
-    canvas = draw.Canvas(width, bar_height + draw.BELOW + 38)
-    axes = canvas.map_axes(draw.MARGIN, 8, size, shown, scale)
-    bar_left = draw.MARGIN + size[0] + 12
+    bar_height = panel_height(size, "colours")
+    canvas = Canvas(width, bar_height + BELOW + 38)
+    axes = canvas.map_axes(MARGIN, 8, size, shown, scale)
+    bar_left = MARGIN + size[0] + 12
     canvas.colour_bar(bar_left, 8, 13, bar_height, scale)
     canvas.text(
-        draw.MARGIN + size[0] + _BESIDE - 10,
+        MARGIN + size[0] + _BESIDE - 10,
         8 + bar_height / 2,
         label_of(data),
         anchor="middle",
@@ -187,8 +201,8 @@ def _draw_property(
     return canvas.picture(
         title=title_of(data),
         caption=(
-            f"{mean_text}Drawn: n = {draw.n_of(values)} map pixels of"
-            f" {draw.pixel_of(data['v'].values)}; mask: columns with both faces found, without"
+            f"{mean_text}Drawn: n = {n_of(values)} map pixels of"
+            f" {pixel_of(data['v'].values)}; mask: columns with both faces found, without"
             f" holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the"
             f" 99th percentile{partner_text}."
         ),
@@ -202,29 +216,21 @@ def draw_side_by_side(
     *,
     same_scale: bool,
     excluded_text: str = HOLES,
-) -> draw.Picture:
+) -> Picture:
     """Draw two maps (y, x) side by side, NaN where not valid.
 
     ``excluded_text`` says in words what masks leave out.
     """
-    y, x, map_px = maps[0]["y"].values, maps[0]["x"].values, draw.HALF - draw.MARGIN - draw.BESIDE
-    shown_maps = [draw.reduced(data.values, y, x, width=map_px) for data in maps]
+    y, x, map_px = maps[0]["y"].values, maps[0]["x"].values, HALF - MARGIN - BESIDE
+    shown_maps = [reduced(data.values, y, x, width=map_px) for data in maps]
     map_size = shown_maps[0].fit(map_px, 480.0)
-    canvas = draw.Canvas(draw.FULL, draw.panel_height(map_size, "colours") + draw.BELOW + 64)
+    canvas = Canvas(FULL, panel_height(map_size, "colours") + BELOW + 64)
     for k, (data, shown, layer) in enumerate(zip(maps, shown_maps, layers, strict=True)):
-        left_px = k * (draw.FULL - draw.HALF)
-        canvas.text(left_px + draw.MARGIN, 18, layer, bold=True, size=13)
-        colour_values = (
-            np.concatenate([m.values.ravel() for m in maps]) if same_scale else data.values
-        )
-        canvas.panel(
-            left_px,
-            24,
-            shown,
-            map_size,
-            scale=colours_of(data, colour_values),
-            label=label_of(data),
-        )
+        left_px = k * (FULL - HALF)
+        canvas.text(left_px + MARGIN, 18, layer, bold=True, size=13)
+        scaled_maps = maps if same_scale else [data]
+        scale = colours_of(data, np.concatenate([m.values.ravel() for m in scaled_maps]))
+        canvas.panel(left_px, 24, shown, map_size, scale=scale, label=label_of(data))
     titles = [in_words(title_of(m)) for m in maps]
     units = [unit_of(m) or "none" for m in maps]
     scale_text = "Both have the same" if same_scale else "Each has its own"
@@ -234,15 +240,15 @@ def draw_side_by_side(
             f"Left, {titles[0]} of {layers[0]}; right, {titles[1]} of {layers[1]}, at the same"
             " places."
             f" {scale_text} colour scale, from the 1st to the 99th percentile. n ="
-            f" {' and '.join(draw.n_of(m.values) for m in maps)} pixels of {draw.pixel_of(x)};"
+            f" {' and '.join(n_of(m.values) for m in maps)} pixels of {pixel_of(x)};"
             f" units: {' and '.join(units)}; mask: measured, without {excluded_text}."
         ),
     )
 
 
 def _draw_histogram(
-    canvas: draw.Canvas, box: draw.Box, values: Array, scale: Scale, facts: PropertyFacts
-) -> draw.Table:
+    canvas: Canvas, box: Box, values: Array, scale: Scale, facts: PropertyFacts
+) -> Table:
     low, high = scale.low, scale.high
     counts, edges = np.histogram(values, bins=80, range=(low, high))
     max_count = max(int(counts.max()), 1)
@@ -252,16 +258,14 @@ def _draw_histogram(
     axes.upright(0, width=1.6)
     x, mean, sd = 1.14 * max_count, facts.mean, facts.sd
     if mean is not None and sd is not None:
-        axes.line(
-            [(x, max(mean - sd, low)), (x, min(mean + sd, high))], colour=draw.ACCENT, width=1.6
-        )
-        axes.dots([(x, min(max(mean, low), high))], colour=draw.ACCENT, size=5)
+        axes.line([(x, max(mean - sd, low)), (x, min(mean + sd, high))], colour=ACCENT, width=1.6)
+        axes.dots([(x, min(max(mean, low), high))], colour=ACCENT, size=5)
     return {"from": edges[:-1].tolist(), "to": edges[1:].tolist(), "map pixels": counts.tolist()}
 
 
 def draw_outlines(
     linked: xr.Dataset, *, name: str, thin_um: float, excluded_text: str = HOLES
-) -> list[draw.Picture]:
+) -> list[Picture]:
     """Draw property and image, and the image with thin regions outlined (Hirn et al.
 
     2009, Fig. 6).
@@ -273,26 +277,20 @@ def draw_outlines(
     values = np.where(valid, linked[name].values.astype(np.float64), np.nan)
     title = title_of(linked[name])
     unit = unit_of(linked[name])
-    n_text = (
-        f"n = {draw.n_of(values)} pixels of {draw.pixel_of(x)}; mask: measured, without"
-        f" {excluded_text}."
-    )
-    map_canvas, _ = draw.draw_map(values, y, x, scale=limits(values), label=label_of(linked[name]))
-    image_canvas, _ = draw.draw_map(ground.values, y, x, scale=ground.scale, label="")
-    canvas, axes = ground.draw(draw.FULL)
+    n_text = f"n = {n_of(values)} pixels of {pixel_of(x)}; mask: measured, without {excluded_text}."
+    map_canvas, _ = draw_map(values, y, x, scale=limits(values), label=label_of(linked[name]))
+    image_canvas, _ = draw_map(ground.values, y, x, scale=ground.scale, label="")
+    canvas, axes = ground.draw(FULL)
     thin_share = float(np.count_nonzero(values < thin_um)) / max(int(np.isfinite(values).sum()), 1)
     below = f"{in_words(title)} below"
     limit_um = thin_um
     note_text = f"Outlined: {below} {plain(thin_um)}, {percent(thin_share)} of the valid pixels."
     if thin_share < 1e-3:  # the outlines would show next to nothing
-        limit_um = (
-            float(np.nanpercentile(values, _THINNEST)) if np.isfinite(values).any() else thin_um
-        )
-        too_few_text = (
-            "No valid pixel is"
-            if thin_share == 0
-            else f"Only {percent(thin_share)} of the valid pixels are"
-        )
+        if np.isfinite(values).any():
+            limit_um = float(np.nanpercentile(values, _THINNEST))
+        too_few_text = f"Only {percent(thin_share)} of the valid pixels are"
+        if thin_share == 0:
+            too_few_text = "No valid pixel is"
         note_text = (
             f"{too_few_text} below {plain(thin_um)}; too few to outline. Outlined instead: the"
             f" thinnest {_THINNEST:g} %, {below} {length(limit_um)}."
@@ -313,23 +311,23 @@ def draw_outlines(
             title="(b) The image, same region",
             caption=(
                 f"{title_of(linked['image'])} between limits set by the valid pixels; n = "
-                f"{draw.n_of(ground.values)} pixels of {draw.pixel_of(x)}, no mask."
+                f"{n_of(ground.values)} pixels of {pixel_of(x)}, no mask."
             ),
         ),
         canvas.picture(title="(c) Thin regions on the image", caption=f"{note_text}{n_text}"),
     ]
 
 
-def draw_light(light: xr.Dataset, layer: str) -> draw.Picture:
+def draw_light(light: xr.Dataset, layer: str) -> Picture:
     """Draw what an image was divided by, of pixels that count."""
     factor = light["factor"].where(light["status"] == 0)
     y, x = light["y"].values, light["x"].values
-    canvas, _ = draw.draw_map(factor.values, y, x, scale=limits(factor.values), label="")
+    canvas, _ = draw_map(factor.values, y, x, scale=limits(factor.values), label="")
     return canvas.picture(
         title=f"Light on {layer}",
         caption=(
             "White image less the dark one, over its median: what the image was divided by."
-            f" n = {draw.n_of(factor.values)} pixels of {draw.pixel_of(x)}; mask: neither saturated"
+            f" n = {n_of(factor.values)} pixels of {pixel_of(x)}; mask: neither saturated"
             " nor too dark."
         ),
     )
@@ -338,14 +336,11 @@ def draw_light(light: xr.Dataset, layer: str) -> draw.Picture:
 def _darkness_sentence(
     image: Array, is_outlined: NDArray[np.bool_], valid: NDArray[np.bool_]
 ) -> str:
-    inside_greys, outside_greys = image[is_outlined & valid], image[valid & ~is_outlined]
-    if (
-        inside_greys.size == 0
-        or outside_greys.size == 0
-        or (grey_sd := float(np.std(image[valid]))) == 0
-    ):
+    inside_greys = image[is_outlined & valid]
+    outside_greys = image[valid & ~is_outlined]
+    if not inside_greys.size or not outside_greys.size or not np.ptp(image[valid]):
         return ""
-    shift = float(inside_greys.mean() - outside_greys.mean()) / grey_sd
+    shift = float(inside_greys.mean() - outside_greys.mean()) / float(np.std(image[valid]))
     comparative = "darker" if shift < 0 else "lighter"
     return (
         f"Inside, the image is on average {abs(shift):.2f} standard deviations {comparative} than"

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -145,7 +146,7 @@ def render_report(
     pairs = _map_pairs(run_maps)
     leading = first_screen.draw_first(run_maps, pairs)
     if not leading:
-        leading = [picture for sheet in sheets for picture in sheet["leading"]]
+        leading = [*chain.from_iterable(sheet["leading"] for sheet in sheets)]
     blocks = [
         _registration_section(run_maps, layer, marks.get(layer.name)) for layer in results.moving
     ]
@@ -212,12 +213,13 @@ def _registration_section(
     """Draw how a layer lies on the reference; None where it is not known, or maps are elsewhere."""
     r = registration.judged(layer.registration)
     results = run_maps.results
-    reference_layer = run_maps.results.reference
+    reference_layer = results.reference
     layer_maps = run_maps.drawn.get(layer.name)
     reference_maps = run_maps.drawn.get(reference_layer.name)
     if r is None or layer_maps is None or reference_maps is None:
         return None
-    marks = marks if marks is not None and marks.sizes["mark"] else None
+    if marks is not None and not marks.sizes["mark"]:
+        marks = None
     reference_map = reference_maps[reference_layer.headline]
     map_texts = (
         _map_in_words(layer_maps[layer.headline], layer),
@@ -254,39 +256,28 @@ def _registration_section(
         "linked": linked_pictures,
         "outlined": is_outlined,
         "check": summary.lag_verdict(r.lag, moving_text=map_texts[0], reference_text=map_texts[1]),
-        "pictures": _registration_pictures(
-            layer, r, layer_maps, reference_map, marks, results, map_texts
-        ),
+        "pictures": _registration_pictures(run_maps, layer, r, marks, map_texts),
     }
 
 
 def _registration_pictures(
+    run_maps: maps.RunMaps,
     layer: LayerFacts,
     r: RegistrationFacts,
-    layer_maps: xr.Dataset,
-    reference_map: xr.DataArray,
     marks: xr.Dataset | None,
-    results: Results,
     map_texts: tuple[str, str],
 ) -> list[Picture]:
     """Draw a layer's residuals, expected error and lags of tiles.
 
     ``map_texts``: its map and the reference's.
     """
-    reference_layer = results.reference
-    has_two_layers = len(results.layers) == 2
+    results = run_maps.results
+    reference = results.reference.name
+    width = FULL if len(results.layers) == 2 else HALF
     hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))) / 2)
-    has_window = "valid" in layer_maps and reference_layer.kind == "image"
-    valid = layer_maps["valid"].values.astype(bool) if has_window else None
-    edge_names = ("u", "image", "thickness", *layer_maps.data_vars)
-    edge_name = next(name for name in edge_names if name in layer_maps)
-    is_on_reference = r.to == reference_layer.name
-    ground = registration.ground_of(
-        reference_map,
-        layer=reference_layer.name,
-        valid=valid,
-        edge=np.isfinite(layer_maps[edge_name].values),
-        edge_layer=layer.name,
+    ground = _ground_of(run_maps, layer)
+    lags = registration.draw_lags(
+        r.lag, ground, moving_text=map_texts[0], reference_text=map_texts[1]
     )
     pictures: list[Picture | None] = []
     if marks is not None:
@@ -294,29 +285,45 @@ def _registration_pictures(
         pictures.append(
             registration.draw_registration(
                 r,
-                ground if is_on_reference else blank,
+                ground if r.to == reference else blank,
                 marks,
                 hole_um=hole_um,
                 moving_layer=layer.name,
-                width=FULL if has_two_layers else HALF,
+                width=width,
             )
         )
-    lags = registration.draw_lags(
-        r.lag, ground, moving_text=map_texts[0], reference_text=map_texts[1]
-    )
+    layer_maps = run_maps.drawn[layer.name]
     if "expected_error" in layer_maps:
-        # Alone it takes the whole width, beside another figure half of it.
         pictures.append(
             registration.draw_expected_error(
                 layer_maps["expected_error"],
-                marks if is_on_reference else None,
+                marks if r.to == reference else None,
                 hole_um=hole_um,
-                width=FULL if has_two_layers and lags is None else HALF,
-                reference=reference_layer.name,
+                # Alone it takes the whole width, beside another figure half of it.
+                width=width if lags is None else HALF,
+                reference=reference,
                 layer=layer.name,
             )
         )
-    return [picture for picture in (*pictures, lags) if picture is not None]
+    return [*filter(None, (*pictures, lags))]
+
+
+def _ground_of(run_maps: maps.RunMaps, layer: LayerFacts) -> registration.Ground:
+    """The map of the reference to draw on, with the edge of a layer."""
+    reference = run_maps.results.reference
+    layer_maps = run_maps.drawn[layer.name]
+    valid = None
+    if "valid" in layer_maps and reference.kind == "image":
+        valid = layer_maps["valid"].values.astype(bool)
+    edge_names = ("u", "image", "thickness", *layer_maps.data_vars)
+    edge_name = next(name for name in edge_names if name in layer_maps)
+    return registration.ground_of(
+        run_maps.drawn[reference.name][reference.headline],
+        layer=reference.name,
+        valid=valid,
+        edge=np.isfinite(layer_maps[edge_name].values),
+        edge_layer=layer.name,
+    )
 
 
 def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
@@ -347,53 +354,49 @@ def _evidence_section(
     run_maps: maps.RunMaps, e: EvidenceFacts, pairs: Mapping[summary.PairKey, MapPair]
 ) -> dict[str, Any]:
     """Draw and say what is known of the relation of two maps beside its r, by section."""
-    titles = run_maps.titles
-    excluded_text = run_maps.excluded_text
     is_same_map = e.a_map == e.b_map
-    titles_text = summary.names_in_words(e, titles)
-    pair = pairs.get(summary.key_of(e))
-    names = (f"{titles_text[0]} of {e.a}", f"that of {e.b}") if is_same_map else titles_text
-    sections: tuple[Section, ...] = ("scale", "distance", "repeated", "light")
-    figures: dict[Section, list[Picture]] = {section: [] for section in sections}
-    if e.sizes or e.bands:
-        figures["scale"].append(
-            diagnostics.draw_scale(
-                e, names=names, excluded_text=excluded_text, registered=run_maps.registered
-            )
-        )
     map_titles: list[str] = []
     for curve in e.variograms:
         layer_text = f", {curve.layer}" if is_same_map else ""
-        map_titles.append(titles.get((curve.layer, curve.map), curve.map) + layer_text)
-    if e.variograms:
-        figures["distance"].append(
-            diagnostics.draw_variograms(e, titles=map_titles, excluded_text=excluded_text)
-        )
-    if e.correlogram is not None:
-        figures["distance"].append(
-            diagnostics.draw_correlogram(e.correlogram, names=names, excluded_text=excluded_text)
-        )
-    if e.agreement is not None and e.agreement.rings:
-        rings = diagnostics.draw_rings(
-            e.agreement, name=titles_text[0], layers=(e.a, e.b), excluded_text=excluded_text
-        )
-        figures["repeated"].append(rings)
-    if e.kubelka_munk is not None and is_known(e.kubelka_munk.scattering) and pair is not None:
-        figures["light"].append(
-            diagnostics.draw_kubelka_munk(
-                e,
-                e.kubelka_munk,
-                pair.points,
-                pair.coarse,
-                titles=summary.titles_of(e, titles),
-                excluded_text=excluded_text,
-                registered=run_maps.registered,
-            )
-        )
+        map_titles.append(run_maps.titles.get((curve.layer, curve.map), curve.map) + layer_text)
+    titles_text = summary.names_in_words(e, run_maps.titles)
+    names = (f"{titles_text[0]} of {e.a}", f"that of {e.b}") if is_same_map else titles_text
+    sections: tuple[Section, ...] = ("scale", "distance", "repeated", "light")
+    figures: dict[Section, list[Picture]] = {section: [] for section in sections}
+    pair = pairs.get(summary.key_of(e))
+    for section, picture in _evidence_pictures(run_maps, e, pair, names, map_titles):
+        figures[section].append(picture)
     point_um = float(run_maps.results.parameters.get("correlate", {}).get("point_um", "nan"))
     wording = Wording(point_um, titles_text[1], tuple(map_titles))
     section_sentences = {section: [*sentences(e, section, wording)] for section in figures}
     return {"of": f"{e.a} and {e.b}", "figures": figures, "sentences": section_sentences}
+
+
+def _evidence_pictures(
+    run_maps: maps.RunMaps,
+    e: EvidenceFacts,
+    pair: MapPair | None,
+    names: tuple[str, str],
+    map_titles: Sequence[str],
+) -> Iterator[tuple[Section, Picture]]:
+    """Draw what is known of two maps beside their r; each figure comes with its section."""
+    mask = {"excluded_text": run_maps.excluded_text}
+    stated = mask | {"registered": run_maps.registered}
+    titles = summary.titles_of(e, run_maps.titles)
+    if e.sizes or e.bands:
+        yield "scale", diagnostics.draw_scale(e, names=names, **stated)
+    if e.variograms:
+        yield "distance", diagnostics.draw_variograms(e, titles=map_titles, **mask)
+    if e.correlogram is not None:
+        yield "distance", diagnostics.draw_correlogram(e.correlogram, names=names, **mask)
+    if e.agreement is not None and e.agreement.rings:
+        name = in_words(titles[0])
+        rings = diagnostics.draw_rings(e.agreement, name=name, layers=(e.a, e.b), **mask)
+        yield "repeated", rings
+    curve = e.kubelka_munk
+    if curve is not None and is_known(curve.scattering) and pair is not None:
+        points = (pair.points, pair.coarse)
+        yield "light", diagnostics.draw_kubelka_munk(e, curve, *points, titles=titles, **stated)
 
 
 def _valid_values(maps: xr.Dataset, name: str) -> xr.DataArray:

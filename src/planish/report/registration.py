@@ -5,6 +5,7 @@ Residuals, expected error, and where the maps themselves lie against each other.
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,8 +15,25 @@ from planish.analyze import LagNumbers
 from planish.core.facts import is_known
 from planish.core.numbers import capital, count, in_words, length, plain, with_article
 from planish.marks.exchange.model import paired, points_of
-from planish.report import draw
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
+from planish.report.draw import (
+    BELOW,
+    FULL,
+    HALF,
+    INK,
+    MARGIN,
+    Axes,
+    Canvas,
+    Magnified,
+    Picture,
+    draw_map,
+    levels_between,
+    magnified,
+    n_of,
+    pitch,
+    pixel_of,
+    reduced,
+)
 from planish.report.text import title_of
 from planish.results import RegistrationFacts
 
@@ -41,15 +59,15 @@ class Ground:
     edge: NDArray[np.bool_] | None = None
     edge_of: str = ""
 
-    def draw(self, width: float) -> tuple[draw.Canvas, draw.Axes]:
+    def draw(self, width: float) -> tuple[Canvas, Axes]:
         """Draw it with its scale bar, and the border where there is one.
 
         Below it is room for another scale bar.
         """
-        shown = draw.reduced(self.values, self.y, self.x, width=width - draw.MARGIN)
-        box = shown.fit(width - draw.MARGIN - 12, 700.0 if width == draw.FULL else 480.0)
-        canvas = draw.Canvas(width, box[1] + draw.BELOW + 36)
-        axes = canvas.map_axes((width - box[0] + draw.MARGIN - 12) / 2, 4, box, shown, self.scale)
+        shown = reduced(self.values, self.y, self.x, width=width - MARGIN)
+        box = shown.fit(width - MARGIN - 12, 700.0 if width == FULL else 480.0)
+        canvas = Canvas(width, box[1] + BELOW + 36)
+        axes = canvas.map_axes((width - box[0] + MARGIN - 12) / 2, 4, box, shown, self.scale)
         canvas.draw_scale_row(axes, 2, max_share=0.2)
         return canvas, axes
 
@@ -70,7 +88,7 @@ def ground_of(
     y = data["y"].values
     x = data["x"].values
     window_values = values[valid] if valid is not None and valid.any() else values
-    pixels_text = f"{draw.n_of(values)} pixels of {draw.pixel_of(x)}"
+    pixels_text = f"{n_of(values)} pixels of {pixel_of(x)}"
     name = "the image"
     caption = f"{title_of(data)} of {pixels_text}, no mask."
     if data.name != "image":
@@ -90,11 +108,12 @@ def blank_ground(points: Array, *, layer: str) -> Ground:
     For places in coordinates of which no map is at hand.
     """
     points = points[np.isfinite(points).all(axis=1)]
-    low, high = (
-        (points.min(axis=0), points.max(axis=0)) if points.size else (np.zeros(2), np.ones(2))
-    )
+    if not points.size:
+        points = np.array([[0.0, 0.0], [1.0, 1.0]])
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     margin = 0.2 * max(float((high - low).max()), 1.0)
-    x, y = (np.linspace(low[k] - margin, high[k] + margin, _BLANK) for k in (0, 1))
+    x, y = np.linspace(low - margin, high + margin, _BLANK).T
     grid = f"the coordinates of {layer}, which is not resampled to this grid"
     caption = f"Places are in {grid}; no map is shown, no mask."
     return Ground(
@@ -108,8 +127,8 @@ def blank_ground(points: Array, *, layer: str) -> Ground:
 
 
 def _draw_arrows(
-    canvas: draw.Canvas,
-    axes: draw.Axes,
+    canvas: Canvas,
+    axes: Axes,
     starts: Array,
     vectors: Array,
     *,
@@ -117,17 +136,17 @@ def _draw_arrows(
     max_share: float,
     label: str,
     width: float,
-) -> draw.Magnified:
+) -> Magnified:
     """Draw vectors, the longest over a share of the width.
 
     With a scale bar of their own beside that of the ground.
     """
-    magnification = draw.magnified(vectors, width_share * axes.shown.width)
+    magnification = magnified(vectors, width_share * axes.shown.width)
     axes.arrows(starts, magnification.times * vectors, colour=ARROW, width=width)
     if magnification.longest > 1e-9:
         canvas.scale_bar(
             axes.x + 0.4 * axes.width,
-            axes.height + draw.BELOW + 6,
+            axes.height + BELOW + 6,
             width=axes.width,
             um=axes.shown.width / magnification.times,
             max_share=max_share,
@@ -164,16 +183,18 @@ def draw_registration(
     hole_um: float,
     moving_layer: str,
     width: float,
-) -> draw.Picture:
+) -> Picture:
     """Draw a ground with its numbered marks, and the residual of each as an arrow.
 
     The marks (``fixed_*``) are ``hole_um`` wide.
     """
     canvas, axes = ground.draw(width)
+    note_text = ""
     if ground.edge is not None:
         axes.outline(ground.edge, ground.y, ground.x, colour=EDGE, width=1.6)
+        note_text = f"Blue: edge of {with_article(ground.edge_of)}. "
     fixed_xy = points_of(marks, "fixed")
-    _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
+    _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == FULL else 11)
     # A residual is the mark in the image minus the mark that was carried over: the arrow shows
     # where that one falls.
     magnification = _draw_arrows(
@@ -184,10 +205,10 @@ def draw_registration(
         width_share=0.09,
         max_share=0.12,
         label="{} of residual",
-        width=3.0 if width == draw.FULL else 2.2,
+        width=3.0 if width == FULL else 2.2,
     )
-    note_text = f"Blue: edge of {with_article(ground.edge_of)}. " if ground.edge is not None else ""
-    if (direction := machine_direction(r, moving_layer)) is not None:
+    direction = machine_direction(r, moving_layer)
+    if direction is not None:
         _draw_direction(canvas, axes, direction[0], fixed_xy)
         note_text += (
             f"MD: machine direction, {direction[0] % 180:.0f}° from x clockwise ({direction[1]}). "
@@ -210,11 +231,9 @@ def draw_registration(
 
 
 def _tiles_of(marks: xr.Dataset) -> NDArray[np.bool_]:
-    return (
-        marks["is_tile"].values
-        if "is_tile" in marks.coords
-        else np.zeros(marks.sizes["mark"], dtype=np.bool_)
-    )
+    if "is_tile" in marks.coords:
+        return marks["is_tile"].values
+    return np.zeros(marks.sizes["mark"], dtype=np.bool_)
 
 
 def _marks_in_words(marks: xr.Dataset, hole_um: float) -> str:
@@ -226,39 +245,24 @@ def _marks_in_words(marks: xr.Dataset, hole_um: float) -> str:
     return f"{n} marks (orange circles of {plain(hole_um)}{tiles_text})"
 
 
-def _draw_marks(axes: draw.Axes, marks: xr.Dataset, *, hole_um: float, font_size: float) -> None:
+def _draw_marks(axes: Axes, marks: xr.Dataset, *, hole_um: float, font_size: float) -> None:
     """Draw holes as numbered circles, and tiles, which have no diameter, as numbered crosses."""
     angles = np.linspace(0, 2 * np.pi, 49)
     circle = hole_um / 2 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    for k, ((x, y), is_tile) in enumerate(
-        zip(points_of(marks, "fixed"), _tiles_of(marks), strict=True), 1
-    ):
-        away_um, shift, halo = (
-            (0.0, (-5, -4), draw.INK) if is_tile else (0.42 * hole_um, (-2, -2), "")
-        )
+    style: dict[str, Any] = {"size": font_size, "colour": _MARK}
+    marked = zip(points_of(marks, "fixed"), _tiles_of(marks), strict=True)
+    for k, ((x, y), is_tile) in enumerate(marked, 1):
+        away_um = 0.0
+        shift = (-5, -4)
+        halo = INK
         if not is_tile:
             axes.line(circle + np.array([x, y]), colour=_MARK, width=1.9)
-        axes.text(
-            x,
-            y,
-            "+",
-            shift=(0, 0.32 * font_size),
-            size=font_size,
-            anchor="middle",
-            colour=_MARK,
-            halo=halo,
-        )
-        label_xy = x - away_um, y - away_um
-        axes.text(
-            *label_xy,
-            str(k),
-            shift=shift,
-            size=font_size,
-            anchor="end",
-            colour=_MARK,
-            halo=draw.INK,
-            bold=True,
-        )
+            away_um = 0.42 * hole_um
+            shift = (-2, -2)
+            halo = ""
+        axes.text(x, y, "+", shift=(0, 0.32 * font_size), anchor="middle", halo=halo, **style)
+        label = (x - away_um, y - away_um, str(k))
+        axes.text(*label, shift=shift, anchor="end", halo=INK, bold=True, **style)
 
 
 def draw_expected_error(
@@ -269,7 +273,7 @@ def draw_expected_error(
     width: float,
     reference: str,
     layer: str,
-) -> draw.Picture | None:
+) -> Picture | None:
     """Draw the expected error of ``layer`` on ``reference``, with contour lines and marks.
 
     None if unknown.
@@ -282,11 +286,11 @@ def draw_expected_error(
     mean = float(finite_errors.mean())
     most = float(finite_errors.max())
     scale = limits(finite_errors, GEOMETRY, percent=0.1)
-    levels, step = draw.levels_between(least, most, steps=5)
+    levels, step = levels_between(least, most, steps=5)
     if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
         scale = Scale(0.0, 2 * mean or 1.0, GEOMETRY)
         levels = np.empty(0)
-    canvas, axes = draw.draw_map(
+    canvas, axes = draw_map(
         error.values, y, x, scale=scale, label="expected error / µm", width=width
     )
     axes.contours(
@@ -296,7 +300,7 @@ def draw_expected_error(
     )
     shared_text = "an error that all marks share is not included"
     if marks is not None:
-        _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
+        _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == FULL else 11)
         if _tiles_of(marks).all():
             shared_text = (
                 "of an error that all tiles share, only what light from one side explains is"
@@ -314,15 +318,15 @@ def draw_expected_error(
             f"Expected error of the position in {with_article(reference)} (rms, from the scatter of"
             f" the marks): {length(least, 2)} to {length(most, 2)}, median"
             f" {length(float(np.median(finite_errors)), 2)}. {contour_text}{marks_text}It grows"
-            f" away from the marks; {shared_text}. n = {draw.n_of(finite_errors)} pixels of"
-            f" {draw.pixel_of(x)}; unit µm; mask: where {with_article(layer)} is shown."
+            f" away from the marks; {shared_text}. n = {n_of(finite_errors)} pixels of"
+            f" {pixel_of(x)}; unit µm; mask: where {with_article(layer)} is shown."
         ),
     )
 
 
 def draw_lags(
     lag: LagNumbers | None, ground: Ground, *, moving_text: str, reference_text: str
-) -> draw.Picture | None:
+) -> Picture | None:
     """Draw the lags of the tiles of two maps, named in words, that have a distinct one.
 
     None where there are none.
@@ -332,7 +336,7 @@ def draw_lags(
     distinct_xy, lags, silent_xy = lag_places(lag, ground)
     if not len(distinct_xy):
         return None
-    canvas, axes = ground.draw(draw.HALF)
+    canvas, axes = ground.draw(HALF)
     axes.dots(silent_xy, size=4, colour=_SILENT, halo="white")
     axes.dots(distinct_xy, size=4, colour=ARROW, halo="white")
     magnification = _draw_arrows(
@@ -370,12 +374,9 @@ def machine_direction(r: RegistrationFacts, moving_layer: str) -> tuple[float, s
     o = r.orientation
     if o.md_deg_fixed is not None:
         return o.md_deg_fixed, f"given for {with_article(r.to)}"
-    carried_deg = o.md_deg_fixed_from_moving
-    return (
-        None
-        if carried_deg is None
-        else (carried_deg, f"carried over from {with_article(moving_layer)}")
-    )
+    if o.md_deg_fixed_from_moving is None:
+        return None
+    return o.md_deg_fixed_from_moving, f"carried over from {with_article(moving_layer)}"
 
 
 def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
@@ -387,7 +388,7 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
     several.
     """
     y0, x0 = (
-        float(c[0]) + (p - draw.pitch(c)) / 2
+        float(c[0]) + (p - pitch(c)) / 2
         for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True)
     )
     tile_rows = np.array(
@@ -397,9 +398,7 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
     return tile_rows[is_distinct, :2], tile_rows[is_distinct, 2:], tile_rows[~is_distinct, :2]
 
 
-def _draw_direction(
-    canvas: draw.Canvas, axes: draw.Axes, angle_deg: float, marks_xy: Array
-) -> None:
+def _draw_direction(canvas: Canvas, axes: Axes, angle_deg: float, marks_xy: Array) -> None:
     corners = np.array([(0, 0), (axes.width, 0), (0, axes.height), (axes.width, axes.height)])
     mark_pixels = axes.place(marks_xy[np.isfinite(marks_xy).all(axis=1)])
     offsets = (corners[:, None] - mark_pixels[None]).transpose(2, 0, 1)
@@ -415,7 +414,7 @@ def _draw_direction(
     corner_axes.arrows(
         [-0.22 * normal] * 2,
         [0.92 * direction, -0.92 * direction],
-        colour=draw.INK,
+        colour=INK,
         width=2.0,
         halo="",
     )

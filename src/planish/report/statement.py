@@ -16,33 +16,33 @@ def r2_limits(row: Row) -> tuple[float, float] | None:
     return (low if row.direction else 0.0, high)
 
 
-def r2_text(row: Row | None) -> str:
+def r2_text(row: Row) -> str:
     """Write r² with two decimals, as the page writes it in per cent.
 
     Three where the interval is narrow.
     """
-    return NONE if row is None else fixed(row.r2, decimals_of_r(r2_limits(row)))
+    return fixed(row.r2, decimals_of_r(r2_limits(row)))
 
 
-def r2_interval_text(row: Row | None) -> str:
+def r2_interval_text(row: Row) -> str:
     """Write the interval of r²."""
-    limits = None if row is None else r2_limits(row)
-    return NONE if row is None else interval_text(limits, decimals_of_r(limits))
+    limits = r2_limits(row)
+    return interval_text(limits, decimals_of_r(limits))
 
 
-def r_text(row: Row | LightField | None) -> str:
+def r_text(row: Row | LightField) -> str:
     """Write r with two decimals, three where the interval is narrow."""
-    return NONE if row is None else fixed(row.r, decimals_of_r(row.interval))
+    return fixed(row.r, decimals_of_r(row.interval))
 
 
-def r_interval_text(row: Row | LightField | None) -> str:
+def r_interval_text(row: Row | LightField) -> str:
     """Write the interval of r."""
-    return NONE if row is None else interval_text(row.interval, decimals_of_r(row.interval))
+    return interval_text(row.interval, decimals_of_r(row.interval))
 
 
-def rho_text(row: Row | None) -> str:
+def rho_text(row: Row) -> str:
     """Write Spearman's rank correlation with as many decimals as r."""
-    return NONE if row is None else fixed(row.rho, decimals_of_r(row.interval))
+    return fixed(row.rho, decimals_of_r(row.interval))
 
 
 def r_sentence(row: Row | LightField) -> str:
@@ -51,11 +51,11 @@ def r_sentence(row: Row | LightField) -> str:
     return f"r = {r_text(row)}{limits_text}"
 
 
-def p_of(row: Row | None) -> float | None:
+def p_of(row: Row) -> float | None:
     """Return p of a row, after Holm where it stands among others."""
     if isinstance(row, CorrelationRow) and "p_of_table" in row.model_fields_set:
         return row.p_of_table
-    return None if row is None else row.p
+    return row.p
 
 
 def p_text(p: float | None) -> str:
@@ -67,8 +67,6 @@ def p_text(p: float | None) -> str:
     return number(p, 2) if p < 0.0995 else fixed(p, 2)
 
 
-def points_text(row: Row | None) -> str:
+def points_text(row: Row) -> str:
     """Write the points, and how many of them are independent."""
-    if row is None:
-        return NONE
-    return count(row.n) if not is_known(row.n_eff) else f"{count(row.n)}\n{count(round(row.n_eff))}"
+    return f"{count(row.n)}\n{count(round(row.n_eff))}" if is_known(row.n_eff) else count(row.n)
