@@ -186,9 +186,11 @@ def test_what_has_no_octaves_is_refused_or_said():
 def test_the_page_answers_and_its_table_holds_the_numbers():
     values = texture(np.random.default_rng(3))[0]
     level = dataset(a=20.0 - 0.8 * values, b=values)
+    level["b"].attrs["form_um"] = 400.0
     found = pl.scales(level, of=["a"], against="b", formation_cell_um=300.0, **OF_SHEET)
     page = scales_page(found, source="run", version="1")
-    for words in ("mirrors b most", "a falls by 0.80", "What would make it more certain"):
+    cut = "B is a height above its form, which takes half of waves of 400"
+    for words in ("mirrors b most", "a falls by 0.80", "What would make it more certain", cut):
         assert words in page
     table = tables_of(found)["octaves"]
     shortest_first = found.bands["a"][::-1]

@@ -71,41 +71,55 @@ def of_image(run: pl.Run) -> CorrelationRow:
 
 
 def explained(runs: Mapping[str, pl.Run]) -> str:
-    """What the model that the study declares says of one run, or of runs by their sheets."""
-    models = {
-        sheet: run.results.explained
-        for sheet, run in runs.items()
-        if run.results.explained is not None
-    }
+    """What the model that the study declares says of one run, or of runs by their sheets.
+
+    Doubtful ones are left out, as they are of r.
+    """
+    found = {sheet: run.results.explained for sheet, run in runs.items() if run.results.explained}
+    models = {sheet: model for sheet, model in found.items() if model.trust == "ok"}
+    left_out = _left_out([sheet for sheet in found if sheet not in models])
     if not models:
         reasons = dict.fromkeys(run.results.explain_reason for run in runs.values())
-        return "".join(f" No model: {reason}" for reason in reasons if reason)
+        return "".join(f" No model: {reason}" for reason in reasons if reason) + left_out
     model = next(iter(models.values()))
     if len(runs) > 1:
         model = explained_over_sheets(models, {sheet: sheet for sheet in models}, {})
-    return f" {in_ascii(say_answer(model))}"
+    return f" {in_ascii(say_answer(model))}{left_out}"
 
 
 def levelled(runs: Mapping[str, pl.Run]) -> str:
-    """What the octaves that the study declares say of one run, or their gains over sheets."""
-    scales = [run.results.scales for run in runs.values() if run.results.scales is not None]
-    if len(scales) == 1:
-        return f" {in_ascii(say_octaves(scales[0]))}"
+    """What the octaves that the study declares say of one run, or their gains over sheets.
+
+    Doubtful ones are left out, as they are of r.
+    """
+    found = {sheet: run.results.scales for sheet, run in runs.items() if run.results.scales}
+    scales = {
+        sheet: octaves
+        for sheet, octaves in found.items()
+        if octaves.maps["coating_top"].trust == "ok"
+    }
+    left_out = _left_out([sheet for sheet in found if sheet not in scales])
+    if len(runs) == 1 and scales:
+        return f" {in_ascii(say_octaves(next(iter(scales.values()))))}"
     gains: dict[str, list[float]] = {}
-    for found in scales:
-        for band in found.bands["coating_top"]:
+    for octaves in scales.values():
+        for band in octaves.bands["coating_top"]:
             if math.isfinite(band.gain):
                 gains.setdefault(f"{band.low_um:g} to {band.high_um:g} um", []).append(band.gain)
     if not gains:
-        return ""
+        return left_out
     waves = [
         f"{octave}: {np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
         for octave, values in gains.items()
     ]
     return (
         " Gain of the coating for the surface of its base, mean and range over sheets, in waves of"
-        f" {'; '.join(waves)}."
+        f" {'; '.join(waves)}.{left_out}"
     )
+
+
+def _left_out(sheets: list[str]) -> str:
+    return f" Left out, as a check leaves it doubtful: sheet {', '.join(sheets)}." if sheets else ""
 
 
 def cloud(ax: Axes, run: pl.Run, label: str) -> None:

@@ -61,6 +61,7 @@ class MapScales(ResultModel):
     pixel_um: Pair | None = optional("Size of a pixel along y and x.")
     field_um: Pair | None = optional("Size of the field along y and x.")
     known_share: Value = optional("Share of the pixels of the grid that count.")
+    form_um: Value = optional("Nesting index of the form that a surface is above.")
     shared: str | None = optional("What two half measurements share; None where there are none.")
     formation: Formation | None = optional("Where the fibres are stated.")
     trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
@@ -77,6 +78,7 @@ class Scales(ResultModel):
     against: str | None = optional("Map that each one is compared with.")
     against_title: str = Field(default="", description="Its title.")
     against_units: str = Field(default="1", description="Its unit.")
+    against_form_um: Value = optional("Nesting index of the form that it is above.")
     declared: bool | None = optional("Whether the study declared it; None where it declares none.")
 
 

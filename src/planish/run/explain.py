@@ -13,14 +13,22 @@ import xarray as xr
 from planish.analyze.explain import Explained, ModelMaps, explain_maps
 from planish.analyze.params import ExplainParams
 from planish.core.bands import thinned
-from planish.core.checks import CORRELATION, POSITION, trust_of
+from planish.core.checks import CORRELATION, POSITION
 from planish.core.errors import InputError, PlanishError
 from planish.core.grid import Grid
 from planish.core.text import and_join
 from planish.core.typing import Pair
 from planish.marks.regions import read_regions
 from planish.resample.maps import se_of_mean
-from planish.run.named_maps import EXPLAINED, NamedMap, maps_of, maps_of_dataset, named
+from planish.run.named_maps import (
+    EXPLAINED,
+    NamedMap,
+    is_declared,
+    maps_of,
+    maps_of_dataset,
+    named,
+    trust_of_maps,
+)
 from planish.run.regions import regions_on
 from planish.run.run import Run
 
@@ -45,22 +53,19 @@ def explain_run(run: Run, params: ExplainParams) -> Explained:
     """
     check_model(params)
     maps = maps_of(run)
-    layers = {named(maps, name).layer for name in (params.response, *params.of)}
-    stated = [_errors_of_sheet(run, layer, params.cell_um) for layer in sorted(layers)]
+    of_model = [named(maps, name) for name in (params.response, *params.of)]
+    layers = sorted({m.layer for m in of_model})
+    stated = [_errors_of_sheet(run, layer, params.cell_um) for layer in layers]
     known = [errors for errors in stated if errors]
     # Maps of one name, of two sheets, share no surface.
     errors = known[0] if len(known) == 1 else {}
     explained = explain_maps(
         _model_maps(params, maps, errors), cell_um=params.cell_um, corrected=params.corrected
     )
-    names = [named(maps, name).values.name for name in (params.response, *params.of)]
-    figures = [*map(str, names), *((POSITION, CORRELATION) if run.results.is_link else ())]
-    return explained.model_copy(
-        update={
-            "trust": trust_of(run.results.checks, layers, figures),
-            "declared": is_declared(run, params),
-        }
-    )
+    figures = (POSITION, CORRELATION) if run.results.is_link else ()
+    trust = trust_of_maps(run, of_model, *figures)
+    declared = is_declared(run.study.explain, params)
+    return explained.model_copy(update={"trust": trust, "declared": declared})
 
 
 def check_model(params: ExplainParams) -> None:
@@ -70,12 +75,6 @@ def check_model(params: ExplainParams) -> None:
         raise InputError("No map is given that explains the response. Name one or more with `of`.")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise InputError(f"{and_join(twice)} is given twice. Name each map of a model once.")
-
-
-def is_declared(run: Run, params: ExplainParams) -> bool | None:
-    """Whether the study declared this very model; None where it declares none."""
-    declared = run.study.explain
-    return declared == params if declared.is_declared else None
 
 
 def with_declared_model(run: Run) -> Run:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +27,6 @@ from planish.analyze.sheet_columns import SheetColumns
 from planish.analyze.split_half import row_difference
 from planish.core.arrays import check_path
 from planish.core.axial import is_axial
-from planish.core.checks import trust_of
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.grid import Grid, pitch
 from planish.core.options import params_of
@@ -36,7 +36,16 @@ from planish.measure.registry import HEIGHTS, LENGTHS, NEGATIVE_CONTROLS, has_tr
 from planish.report.scales import scales_page, tables_of
 from planish.report.sentences.scales import leading
 from planish.run.answers import write_answer
-from planish.run.named_maps import OCTAVES, NamedMap, choices, maps_of, maps_of_dataset, named
+from planish.run.named_maps import (
+    OCTAVES,
+    NamedMap,
+    choices,
+    is_declared,
+    maps_of,
+    maps_of_dataset,
+    named,
+    trust_of_maps,
+)
 from planish.run.run import Run, open_run
 from planish.texture.octave_spectra import OctaveField, OctaveFields
 
@@ -125,28 +134,23 @@ def scales_of_dataset(data: xr.Dataset, params: ScalesParams, halves: Halves) ->
 
     def read(names: Sequence[str]) -> Reading:
         sources = [named(maps, name) for name in names]
-        scaled = [
-            ScaledMap(
-                facts=_facts(source, name),
-                values=_counted(source),
-                has_zero=True,
-                is_mass=True,
-            )
-            for name, source in zip(names, sources, strict=True)
-        ]
+        scaled: list[ScaledMap] = []
         pixel_um = Grid.of(sources[0].values).pixel_um
-        differences: dict[bool, dict[int, Array]] = {}
-        for number, name in enumerate(names):
+        differences: dict[bool, dict[int, Array]] = {True: {}, False: {}}
+        for number, (name, source) in enumerate(zip(names, sources, strict=True)):
+            values = _counted(source)
+            facts = _facts(source, name)
+            scaled.append(ScaledMap(facts=facts, values=values, has_zero=True, is_mass=True))
             pair = halves.get(name)
             if pair == ROWS:
-                rows = row_difference(scaled[number].values.astype(np.float64))
-                differences.setdefault(True, {})[number] = rows
+                differences[True][number] = row_difference(values.astype(np.float64))
             elif pair is not None:
                 first, second = (_counted(named(maps, half)) for half in pair)
-                differences.setdefault(False, {})[number] = 0.5 * (first - second)
+                differences[False][number] = 0.5 * (first - second)
         found = [
             HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=of_rows)
             for of_rows, of_maps in differences.items()
+            if of_maps
         ]
         return Reading(scaled, pixel_um, found)
 
@@ -166,15 +170,14 @@ def with_declared_scales(run: Run) -> Run:
     except PlanishError as fault:
         results = run.results.model_copy(update={"scales_reason": fault.text})
         return replace(run, results=results)
-    results = run.results.model_copy(update={"scales": found})
     maps = maps_of(run)
     bands: dict[str, xr.DataArray] = {}
     for name in leading(found):
         if found.bands[name]:
             bands |= _band_maps(named(maps, name), name)
-    if not bands:
-        return replace(run, results=results)
-    return replace(run, results=results, groups={**run.groups, OCTAVES: xr.Dataset(bands)})
+    groups = {OCTAVES: xr.Dataset(bands)} if bands else {}
+    results = run.results.model_copy(update={"scales": found})
+    return replace(run, results=results, groups={**run.groups, **groups})
 
 
 def _band_maps(source: NamedMap, name: str) -> dict[str, xr.DataArray]:
@@ -211,32 +214,27 @@ def scales_of_run(run: Run, params: ScalesParams) -> Scales:
         scaled = [
             _scaled(fact, _counted(source)) for source, fact in zip(sources, facts, strict=True)
         ]
-        found: list[HalfDifferences] = []
-        for number, of_sheet in enumerate(columns):
-            if of_sheet is not None:
-                alone = _read_columns(of_sheet, [facts[number]])
-                of_maps = {number: alone.halves[0].of_maps[0]}
-                pixel_um = alone.halves[0].pixel_um
-                found.append(HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=True))
+        found = [
+            _halves_of(of_sheet, {number: facts[number].map})
+            for number, of_sheet in enumerate(columns)
+            if of_sheet is not None
+        ]
         return Reading(scaled, Grid.of(sources[0].values).pixel_um, found)
 
     found = _scales(params, maps, _shown_maps(run, maps), read)
-    declared = run.study.scales == params if run.study.scales.is_declared else None
-    facts: dict[str, MapScales] = {}
+    others = [] if params.against is None else [params.against]
+    facts = dict(found.maps)
     bands = dict(found.bands)
     for name, fact in found.maps.items():
-        names = [name] if params.against is None else [name, params.against]
-        sources = [named(maps, other) for other in names]
-        trust = trust_of(
-            run.results.checks,
-            {source.layer for source in sources},
-            [str(source.values.name) for source in sources],
-        )
-        facts[name] = fact.model_copy(update={"trust": trust})
+        sources = [named(maps, other) for other in (name, *others)]
+        trust = trust_of_maps(run, sources)
+        update: dict[str, Any] = {"trust": trust}
         if trust == "withheld":
             reason = "A check of the run failed, and withholds it."
-            facts[name] = facts[name].model_copy(update={"reason": reason, "formation": None})
+            update |= {"reason": reason, "formation": None}
             bands[name] = ()
+        facts[name] = fact.model_copy(update=update)
+    declared = is_declared(run.study.scales, params)
     return found.model_copy(update={"maps": facts, "bands": bands, "declared": declared})
 
 
@@ -254,19 +252,20 @@ def _scales(
 ) -> Scales:
     against = params.against
     chosen = params.of or [name for name in all_names if name != against]
-    for name in [*chosen, *([against] if against else [])]:
+    others = [] if against is None else [against]
+    for name in [*chosen, *others]:
         if is_axial(named(maps, name).values):
             raise InputError(
                 f"{name} holds angles of an axis, which have no standard deviation by octaves."
                 " Name other maps."
             )
     fields = OctaveFields()
+    sheet = _random_sheet(params)
     bands: dict[str, tuple[ScaleBand, ...]] = {}
     facts: dict[str, MapScales] = {}
     for name in chosen:
-        reading = read([name] if against is None else [name, against])
+        reading = read([name, *others])
         fact, rows = octaves_of_map(reading.maps, reading.pixel_um, reading.halves, fields=fields)
-        sheet = _random_sheet(params)
         if sheet is not None and reading.maps[0].is_mass:
             rows = with_formation(rows, sheet)
             fact = fact.model_copy(update=_formation(reading, sheet, params.formation_cell_um))
@@ -275,7 +274,13 @@ def _scales(
     if against is None:
         return found
     other = _facts(named(maps, against), against)
-    return found.model_copy(update={"against_title": other.title, "against_units": other.units})
+    return found.model_copy(
+        update={
+            "against_title": other.title,
+            "against_units": other.units,
+            "against_form_um": other.form_um,
+        }
+    )
 
 
 def _formation(reading: Reading, sheet: RandomSheet, cell_um: float) -> dict[str, Any]:
@@ -317,6 +322,7 @@ def _facts(source: NamedMap, name: str) -> MapScales:
         layer=source.layer,
         title=str(attrs.get("long_name", name)),
         units=str(attrs.get("units", "1")),
+        form_um=attrs.get("form_um", math.nan),
     )
 
 
@@ -352,16 +358,18 @@ def _columns_of(run: Run, source: NamedMap) -> SheetColumns | None:
 def _read_columns(columns: SheetColumns, facts: Sequence[MapScales]) -> Reading:
     """Maps of one sheet on its columns, with the differences of odd and even rows."""
     scaled: list[ScaledMap] = []
-    of_maps: dict[int, Array] = {}
-    for number, fact in enumerate(facts):
-        name = fact.map
-        shared = columns.shared(alone=name in LENGTHS or name in HEIGHTS)
+    for fact in facts:
+        shared = columns.shared(alone=fact.map in LENGTHS or fact.map in HEIGHTS)
         facts_shared = fact.model_copy(update={"shared": shared})
-        scaled.append(_scaled(facts_shared, columns.measured[name].values))
-        of_maps[number] = row_difference(columns.faces(name))
-    pixel_um = pitch(columns.measured)
-    halves = HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=True)
-    return Reading(scaled, pixel_um, [halves])
+        scaled.append(_scaled(facts_shared, columns.measured[fact.map].values))
+    halves = _halves_of(columns, {number: fact.map for number, fact in enumerate(facts)})
+    return Reading(scaled, halves.pixel_um, [halves])
+
+
+def _halves_of(columns: SheetColumns, names: Mapping[int, str]) -> HalfDifferences:
+    """Half the differences of odd and even rows of some maps of a sheet, by their numbers."""
+    of_maps = {number: row_difference(columns.faces(name)) for number, name in names.items()}
+    return HalfDifferences(of_maps=of_maps, pixel_um=pitch(columns.measured), of_rows=True)
 
 
 def _shown_maps(run: Run, maps: Mapping[str, NamedMap]) -> list[str]:

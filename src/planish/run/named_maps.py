@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import xarray as xr
 
+from planish.analyze.params import ExplainParams, ScalesParams
 from planish.analyze.shared_errors import bare_name
 from planish.core.arrays import check_dataset
+from planish.core.checks import trust_of
 from planish.core.errors import InputError
+from planish.core.facts import Trust
+from planish.core.options import Params
 from planish.run.overlay import LINKED
 from planish.run.run import Run
 
@@ -69,6 +73,18 @@ def named(maps: Mapping[str, NamedMap], name: str) -> NamedMap:
     if name in maps:
         return maps[name]
     raise InputError(f"There is no map {name!r}. There are {', '.join(choices(maps))}.")
+
+
+def trust_of_maps(run: Run, maps: Iterable[NamedMap], *figures: str) -> Trust:
+    """What the checks of a run leave of an answer about some of its maps, and of other figures."""
+    maps = list(maps)
+    layers = {m.layer for m in maps}
+    return trust_of(run.results.checks, layers, [*(str(m.values.name) for m in maps), *figures])
+
+
+def is_declared(declared: ExplainParams | ScalesParams, params: Params) -> bool | None:
+    """Whether a study declared this very question; None where it declares none."""
+    return declared == params if declared.is_declared else None
 
 
 def choices(maps: Mapping[str, NamedMap]) -> list[str]:

@@ -115,8 +115,9 @@ def _say_relation(found: Scales, facts: MapScales, bands: Sequence[ScaleBand]) -
         f" {with_unit_of(size, facts.units)} (95 %:"
         f" {fixed(ends[0], digits)} to {fixed(ends[1], digits)})."
     )
-    if _levels(found, facts) and best.gain < 0:
-        text += f" The coating levels {percent(-best.gain, 2)} of the height of these waves."
+    if _levels(found, facts) and best.gain_interval[1] >= -1 and best.gain < 0:
+        share_text = percent(min(-best.gain, 1.0), 2)
+        text += f" The coating levels {share_text} of the height of these waves."
     silent = [waves(band) for band in known if not band.coherence_interval[0] > 0]
     if silent:
         text += f" In waves of {and_join(silent)} it does not follow beyond chance."
@@ -206,7 +207,9 @@ def say_reading(found: Scales) -> list[str]:
     if any(_levels(found, facts) for facts in found.maps.values()):
         sentences.append(
             "Coating and base meet at one interface: where it was found too high or too low, the"
-            " gain is -1 as well. Only the noise of it is taken off."
+            " gain is -1 as well. Only the noise of it is taken off. A gain beyond -1 is no"
+            " levelling: the face is high over valleys of the base, as where thick coating was"
+            " pressed into it."
         )
     if "image" in (facts.map for facts in found.maps.values()):
         sentences.append(
@@ -233,6 +236,17 @@ def say_notes(found: Scales) -> list[str]:
             shared.setdefault(facts.shared, []).append(in_words(facts.title))
     for cause, titles in shared.items():
         notes.append(f"All rows share {cause}: it stays in {and_join(titles)}.")
+    forms = {facts.title: facts.form_um for facts in found.maps.values()}
+    forms[found.against_title] = found.against_form_um
+    bands = next(iter(found.bands.values()), ())
+    for title, form_um in forms.items():
+        cut = [waves(band) for band in bands if is_known(form_um) and band.high_um > form_um]
+        if cut:
+            notes.append(
+                f"{capital(in_words(title))} is a height above its form, which takes half of waves"
+                f" of {plain(form_um)}, and longer ones: in waves of {and_join(cut)} it varies less"
+                " than the face itself, and a gain for it is too large."
+            )
     if found.declared is False:
         notes.append("The study declared other maps: these were chosen later.")
     return notes
