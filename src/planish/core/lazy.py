@@ -4,10 +4,11 @@ Shape and type are known, values only where they are asked for.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
-from typing import Any, TypeVar
+from itertools import product
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -15,6 +16,28 @@ from planish.core.typing import Array, DType, Shape
 
 T = TypeVar("T")
 Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
+
+
+class ChunkPart(NamedTuple):
+    """What a part of an array takes from one of its chunks."""
+
+    position: Shape  # of the chunk among all
+    within: Where  # of the chunk
+    target: Where  # of the part
+
+
+def chunk_parts(where: Where, chunk: Sequence[int]) -> Iterator[ChunkPart]:
+    """Chunks in which a part of an array lies, by the lengths of a chunk."""
+    numbers = [range(w.start // c, -(-w.stop // c)) for w, c in zip(where, chunk, strict=True)]
+    for position in product(*numbers):
+        within: list[slice] = []
+        target: list[slice] = []
+        for w, k, c in zip(where, position, chunk, strict=True):
+            start = max(w.start, k * c)
+            stop = min(w.stop, (k + 1) * c)
+            within.append(slice(start - k * c, stop - k * c))
+            target.append(slice(start - w.start, stop - w.start))
+        yield ChunkPart(position, tuple(within), tuple(target))
 
 
 class LazyArray:

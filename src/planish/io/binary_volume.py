@@ -22,7 +22,7 @@ from planish.io.headed import (
     unpacked_head,
     values_behind,
 )
-from planish.io.lazy import FileArray, ViewArray, stored_planes
+from planish.io.lazy import ViewArray, unmapped
 from planish.io.orientation import Orientation
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
@@ -76,10 +76,9 @@ def _load_nifti(path: Path) -> LoadedVolume:
     header = _header_of(path, axes, dtype, offset, stated)._replace(orientations=orientations)
     values = values_behind(header)
     if (slope, intercept) not in ((None, None), (1.0, 0.0)):
-        if not isinstance(values, FileArray):
-            values = stored_planes(path, header.shape, dtype, offset=offset)
+        inner: Any = unmapped(values)
         scale = partial(_scaled, slope=slope, intercept=intercept)
-        values = ViewArray(values, range(3), scale, np.dtype(np.float32))
+        values = ViewArray(inner, range(3), scale, np.dtype(np.float32))
     return header.volume(values)
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planish.core.files import delete, write_whole
+from planish.core.lazy import chunk_parts
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, is_slice_name, loader
 from planish.io.guard import reading, size_of_file
 from planish.io.sections import COUNTER, is_section_folder
@@ -69,9 +70,8 @@ class ShardLists:
 
     def names(self, level: Array, where: Where) -> list[str]:
         """Files of the shards of a block, in the folder of their level."""
-        edge = level.shards or level.chunks
-        z, y, x = (range(w.start // s, -(-w.stop // s)) for w, s in zip(where, edge, strict=True))
-        return [f"{self.prefix}{a}/{b}/{c}" for a in z for b in y for c in x]
+        parts = chunk_parts(where, level.shards or level.chunks)
+        return [self.prefix + "/".join(map(str, part.position)) for part in parts]
 
     def has(self, level: Array, where: Where) -> bool:
         """True if all shards of a block are listed."""

@@ -38,7 +38,7 @@ from planish.io.formats import (
     referenced_file,
 )
 from planish.io.guard import reading, size_of_file
-from planish.io.lazy import FileArray, transposed
+from planish.io.lazy import FileArray, reordered
 from planish.io.tiff import damaged
 
 MOST_COORDINATES = 10_000_000  # along one axis
@@ -212,7 +212,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         along = [_coordinates_along(dataset, axis, namings) for axis in range(len(shape))]
         by_coordinates, orientations = stated_by_coordinates(along, placed.order)
     return LoadedVolume(
-        values=transposed(array, placed.order),
+        values=reordered(array, placed.order),
         stated=[*by_coordinates, *stated],
         files=files,
         attrs={"dataset": name},

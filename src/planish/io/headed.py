@@ -19,7 +19,7 @@ from planish.core.typing import Array, DType, Shape, Texts
 from planish.io.axes import AxisNames, extended_axes, place_axes
 from planish.io.formats import ADVICE, LoadedVolume
 from planish.io.guard import check_blown_up, head_of, reading, size_of_file
-from planish.io.lazy import Values, WholeArray, mapped, reordered
+from planish.io.lazy import Values, mapped, reordered, whole_array
 from planish.io.orientation import Orientation
 from planish.io.sizes import Stated
 from planish.io.tiff import damaged, size_words
@@ -91,12 +91,8 @@ def values_behind(header: Header) -> Values:
     stored_bytes = file_bytes - offset
     if header.packing:
         check_blown_up(data_file, decoded_bytes=needed_bytes, stored_bytes=max(stored_bytes, 0))
-        return WholeArray(
-            header.path,
-            header.shape,
-            header.stored_dtype.newbyteorder("="),
-            partial(_unpacked, header),
-        )
+        dtype = header.stored_dtype.newbyteorder("=")
+        return whole_array(header.path, header.shape, dtype, partial(_unpacked, header))
     if stored_bytes != needed_bytes:
         raise FileError(
             f"{header.path.name} declares {size_words(header.shape)} values of"

@@ -24,6 +24,7 @@ class FileArray(LazyArray):
     """An array in a file, of which ``piece_bytes`` are decoded at least, however small the part."""
 
     piece_bytes: int = 0
+    is_whole: bool = False  # whether all of it is decoded for any part
 
     def __init__(
         self,
@@ -58,13 +59,9 @@ class PagedArray(FileArray):
         unit_rows: int,
         rows: Callable[[int, int, int], Array],
     ) -> None:
-        self.path, self.shape, self.dtype, self.unit_rows, self.rows = (
-            path,
-            shape,
-            dtype,
-            unit_rows,
-            rows,
-        )
+        super().__init__(path, shape, dtype, self._read_pages)
+        self.unit_rows = unit_rows
+        self.rows = rows
         self.piece_bytes = min(unit_rows, shape[1]) * math.prod(shape[2:]) * dtype.itemsize
         self.whole_slices = unit_rows >= shape[1]
         self._strip = lru_cache(max(DECODED_BYTES // self.piece_bytes, 1))(self._decoded)
@@ -73,7 +70,7 @@ class PagedArray(FileArray):
         """Another process decodes anew."""
         return PagedArray, (self.path, self.shape, self.dtype, self.unit_rows, self.rows)
 
-    def read(self, where: Where) -> Array:
+    def _read_pages(self, where: Where) -> Array:
         """Read a part page by page."""
         pages, rows, *across = where
         first_strip, end_strip = rows.start // self.unit_rows, -(-rows.stop // self.unit_rows)
@@ -96,45 +93,40 @@ class PagedArray(FileArray):
         )
 
 
-class StoredArray(FileArray):
+def stored_array(
+    planes: Sequence[tuple[Path, int]], shape: Shape, stored_dtype: DType
+) -> FileArray:
     """Planes that lie in files as they are, in any byte order.
 
     Open only while read: mapped they would use memory.
     """
-
-    def __init__(
-        self,
-        planes: Sequence[tuple[Path, int]],
-        shape: Shape,
-        stored_dtype: DType,
-    ) -> None:
-        self.planes, self.shape, self.stored_dtype = planes, shape, stored_dtype
-        self.path = planes[0][0]
-        self.dtype = stored_dtype.newbyteorder("=")
-
-    def read(self, where: Where) -> Array:
-        """Read whole rows, plane by plane, and keep a part of them."""
-        planes, rows, *across = where
-        values = np.empty(lengths(where), self.dtype)
-        rows_shape = (rows.stop - rows.start, *self.shape[2:])
-        skip_bytes = rows.start * math.prod(self.shape[2:]) * self.stored_dtype.itemsize
-        for i, k in enumerate(range(planes.start, planes.stop, planes.step)):
-            path, offset = self.planes[k]
-            plane_values = np.fromfile(
-                path, self.stored_dtype, math.prod(rows_shape), offset=offset + skip_bytes
-            )
-            if plane_values.size < math.prod(rows_shape):
-                raise damaged(path, f"it ends within the rows at byte {offset + skip_bytes}")
-            values[i] = plane_values.reshape(rows_shape)[(slice(None, None, rows.step), *across)]
-        return values
+    read = partial(_read_planes, planes, shape, stored_dtype)
+    return FileArray(planes[0][0], shape, stored_dtype.newbyteorder("="), read)
 
 
-def stored_planes(path: Path, shape: Shape, stored_dtype: DType, *, offset: int) -> StoredArray:
+def _read_planes(
+    stored_planes: Sequence[tuple[Path, int]], shape: Shape, stored_dtype: DType, where: Where
+) -> Array:
+    """Read whole rows, plane by plane, and keep a part of them."""
+    planes, rows, *across = where
+    values = np.empty(lengths(where), stored_dtype.newbyteorder("="))
+    rows_shape = (rows.stop - rows.start, *shape[2:])
+    n_values = math.prod(rows_shape)
+    skip_bytes = rows.start * math.prod(shape[2:]) * stored_dtype.itemsize
+    for i, (path, offset) in enumerate(stored_planes[planes]):
+        first_byte = offset + skip_bytes
+        plane_values = np.fromfile(path, stored_dtype, n_values, offset=first_byte)
+        if plane_values.size < n_values:
+            raise damaged(path, f"it ends within the rows at byte {first_byte}")
+        values[i] = plane_values.reshape(rows_shape)[(slice(None, None, rows.step), *across)]
+    return values
+
+
+def stored_planes(path: Path, shape: Shape, stored_dtype: DType, *, offset: int) -> FileArray:
     """An array whose planes lie in a file one after the other."""
     plane_bytes = math.prod(shape[1:]) * stored_dtype.itemsize
-    return StoredArray(
-        [(path, offset + k * plane_bytes) for k in range(shape[0])], shape, stored_dtype
-    )
+    planes = [(path, offset + k * plane_bytes) for k in range(shape[0])]
+    return stored_array(planes, shape, stored_dtype)
 
 
 def lengths(where: Where) -> list[int]:
@@ -162,35 +154,16 @@ def mapped(path: Path, shape: Shape, stored_dtype: DType, *, offset: int) -> Val
     return stored_planes(path, shape, stored_dtype, offset=offset)
 
 
-class WholeArray(FileArray):
+def whole_array(path: Path, shape: Shape, dtype: DType, decode: Callable[[], Array]) -> FileArray:
     """Values that can only be decoded all at once, and so never stay in their file."""
-
-    whole_slices = True
-
-    def __init__(
-        self,
-        path: Path,
-        shape: Shape,
-        dtype: DType,
-        decode: Callable[[], Array],
-    ) -> None:
-        self.path, self.shape, self.dtype, self.decode = path, shape, dtype, decode
-        self.piece_bytes = self.nbytes
-
-    def read(self, where: Where) -> Array:
-        """Decode everything and take a part."""
-        return self.decode()[where]
-
-    def in_order(self, order: Sequence[int]) -> "WholeArray":
-        """The same with its axes in another order."""
-        if tuple(order) == tuple(range(self.ndim)):
-            return self
-        shape = tuple(self.shape[axis] for axis in order)
-        return WholeArray(self.path, shape, self.dtype, partial(_turned, self.decode, tuple(order)))
+    array = FileArray(path, shape, dtype, partial(_part_of_decoded, decode))
+    array.is_whole = array.whole_slices = True
+    array.piece_bytes = array.nbytes
+    return array
 
 
-def _turned(decode: Callable[[], Array], order: Sequence[int]) -> Array:
-    return decode().transpose(order)
+def _part_of_decoded(decode: Callable[[], Array], where: Where) -> Array:
+    return decode()[where]
 
 
 class ViewArray(FileArray):
@@ -209,16 +182,18 @@ class ViewArray(FileArray):
         change: Change = np.asarray,
         dtype: DType | None = None,
     ) -> None:
+        shape = tuple(inner.shape[axis] for axis in order)
+        super().__init__(inner.path, shape, dtype or inner.dtype, self._read_view)
         self.inner = inner
         self.order = tuple(order)
         self.change = change
-        self.path = inner.path
-        self.shape = tuple(inner.shape[axis] for axis in order)
-        self.dtype = dtype or inner.dtype
-        self.chunks = None if inner.chunks is None else tuple(inner.chunks[axis] for axis in order)
-        self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
+        if inner.chunks is not None:
+            self.chunks = tuple(inner.chunks[axis] for axis in order)
+        self.piece_bytes = inner.piece_bytes
+        self.whole_slices = inner.whole_slices
+        self.is_whole = inner.is_whole
 
-    def read(self, where: Where) -> Array:
+    def _read_view(self, where: Where) -> Array:
         """Read a part, turn it and change its values."""
         inner_slices = [slice(0, n, 1) for n in self.inner.shape]
         for axis_slice, axis in zip(where, self.order, strict=True):
@@ -229,18 +204,11 @@ class ViewArray(FileArray):
         return np.asarray(self.change(turned), self.dtype).reshape(lengths(where))
 
 
-def transposed(inner: FileArray, order: Sequence[int]) -> FileArray:
-    """Return the array itself where the order is its own."""
-    return inner if tuple(order) == tuple(range(inner.ndim)) else ViewArray(inner, order)
-
-
 def reordered(values: Values, order: Sequence[int]) -> Values:
     """Values with their axes in another order, wherever they lie."""
-    if isinstance(values, WholeArray):
-        return values.in_order(order)
-    if isinstance(values, FileArray):
-        return transposed(values, order)
-    return values.transpose(order)
+    if isinstance(values, FileArray) and [*order] != [*range(values.ndim)]:
+        return ViewArray(values, order)
+    return values if isinstance(values, FileArray) else values.transpose(order)
 
 
 def supported_type(dtype: DType) -> DType:
@@ -261,9 +229,9 @@ def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
     if not is_small(array, limit):
         check_memory(array.path, needed_bytes=array.piece_bytes, limit_bytes=limit)
         return array
-    if isinstance(array, WholeArray):
+    if array.is_whole:
         with array.guarded():
-            return array.decode()
+            return array.read(tuple(slice(0, n, 1) for n in array.shape))
     values = np.empty(array.shape, array.dtype)
     chunk = (array.chunks or (1,))[0]
     # Whole chunks; parts enough for all threads.

@@ -5,7 +5,6 @@ as long as packing. Here each thread packs and writes its own. A chunk is packed
 CRC-32C (4 bytes, little endian) follows.
 """
 
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from google_crc32c import value as crc32c
 from numcodecs import Blosc
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 
-from planish.core.lazy import Where
+from planish.core.lazy import Where, chunk_parts
 from planish.core.typing import Array
 
 _BLOSC = Blosc(cname="lz4", clevel=1, shuffle=Blosc.SHUFFLE)
@@ -38,7 +37,8 @@ def write_chunks(folder: Path, array: zarr.Array[Any], where: Where, values: Arr
 
     Where a chunk holds more than that, what was written before stays.
     """
-    for file, within, source in _chunks(folder, array, where):
+    for position, within, source in chunk_parts(where, array.chunks):
+        file = folder / array.metadata.encode_chunk_key(position)
         chunk = np.require(_unpacked(file, array), requirements="W")
         chunk[within] = values[source]
         packed = _BLOSC.encode(chunk)
@@ -52,7 +52,8 @@ def read_chunks(folder: Path, array: zarr.Array[Any], where: Where) -> Array:
     ValueError, RuntimeError or OSError where it is damaged.
     """
     values = np.empty([w.stop - w.start for w in where], array.dtype)
-    for file, within, target in _chunks(folder, array, where):
+    for position, within, target in chunk_parts(where, array.chunks):
+        file = folder / array.metadata.encode_chunk_key(position)
         values[target] = _unpacked(file, array)[within]
     return values
 
@@ -66,26 +67,3 @@ def _unpacked(file: Path, array: zarr.Array[Any]) -> Array:
     if crc32c(packed) != int.from_bytes(raw[-4:], "little"):
         raise ValueError(f"the chunk {file.name} of {array.path} is damaged")
     return np.frombuffer(_BLOSC.decode(packed), array.dtype).reshape(array.chunks)
-
-
-def _chunks(folder: Path, array: zarr.Array[Any], where: Where) -> list[tuple[Path, Where, Where]]:
-    """Give the files of the chunks of a part.
-
-    Also the places of the part within each, and the places of each within the part.
-    """
-    ranges = [
-        range(w.start // c, -(-w.stop // c)) for w, c in zip(where, array.chunks, strict=True)
-    ]
-    chunks: list[tuple[Path, Where, Where]] = []
-    for index in product(*ranges):
-        starts = [k * c for k, c in zip(index, array.chunks, strict=True)]
-        ends = [
-            (max(w.start, s), min(w.stop, s + c))
-            for w, s, c in zip(where, starts, array.chunks, strict=True)
-        ]
-        within = tuple(slice(a - s, b - s) for (a, b), s in zip(ends, starts, strict=True))
-        target = tuple(
-            slice(a - w.start, b - w.start) for (a, b), w in zip(ends, where, strict=True)
-        )
-        chunks.append((folder / array.metadata.encode_chunk_key(index), within, target))
-    return chunks

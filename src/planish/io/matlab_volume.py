@@ -16,7 +16,7 @@ from planish.core.typing import Array, Texts
 from planish.io.axes import extended_axes
 from planish.io.formats import LoadedVolume, Place, describe_volumes, only_volume
 from planish.io.guard import check_blown_up, reading, size_of_file
-from planish.io.lazy import WholeArray, transposed
+from planish.io.lazy import reordered, whole_array
 from planish.io.sizes import stated_in
 
 
@@ -53,13 +53,13 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 
         with opened(path) as file:
             array, doubts = lazy_dataset(file[variable.name], path)
-        values = transposed(array, [len(variable.shape) - 1 - axis for axis in axis_order])
+        values = reordered(array, [len(variable.shape) - 1 - axis for axis in axis_order])
     else:
         dtype = matlab.NUMBERS[variable.kind]
         decoded_bytes = variable.count * dtype.itemsize
         check_blown_up(path, decoded_bytes=decoded_bytes, stored_bytes=size_of_file(path))
         shape = (variable.shape[slice_axis], variable.shape[row_axis], variable.shape[column_axis])
-        values = WholeArray(path, shape, dtype, partial(_decoded, path, variable))
+        values = whole_array(path, shape, dtype, partial(_decoded, path, variable))
     stated = stated_in("the variable voxel_um", sizes, ["um"] * 3)
     return LoadedVolume(
         values=values,

@@ -6,7 +6,6 @@ then an index of the place and size of each, 8 bytes little endian either, and i
 """
 
 import math
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,8 @@ from zarr.codecs import (
     ZstdCodec,
 )
 
-from planish.core.lazy import Where
-from planish.core.typing import Array, Shape
+from planish.core.lazy import Where, chunk_parts
+from planish.core.typing import Array
 
 _ABSENT = np.uint64(2**64 - 1)  # place of a chunk that holds the fill value
 
@@ -51,60 +50,34 @@ def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> Array:
     ValueError or OSError if it is damaged.
     """
     assert array.shards is not None
-    shape = [w.stop - w.start for w in where]
-    values = np.zeros(shape, array.dtype)
+    values = np.zeros([w.stop - w.start for w in where], array.dtype)
     if array.fill_value:
         values[:] = array.fill_value
-    per_shard = [s // c for s, c in zip(array.shards, array.chunks, strict=True)]
-    ranges = [
-        range(w.start // s, -(-w.stop // s)) for w, s in zip(where, array.shards, strict=True)
-    ]
-    for shard in product(*ranges):
-        file = folder / array.metadata.encode_chunk_key(shard)
+    for position, within, target in chunk_parts(where, array.shards):
+        file = folder / array.metadata.encode_chunk_key(position)
         if file.is_file():
-            firsts = [k * n for k, n in zip(shard, per_shard, strict=True)]
-            _read_shard(file, firsts, per_shard, array.chunks, where, values)
+            _read_shard(file, array, within, values[target])
     return values
 
 
-def _read_shard(
-    path: Path,
-    firsts: list[int],
-    per_shard: list[int],
-    chunk: Shape,
-    where: Where,
-    values: Array,
-) -> None:
-    """Put what lies ``where`` of the chunks of one shard into ``values``.
-
-    ``firsts``: number of its first chunk.
-    """
-    index_bytes = 16 * math.prod(per_shard)
-    raw_block = bytearray(math.prod(chunk) * values.itemsize)
-    block = np.frombuffer(raw_block, values.dtype).reshape(chunk)
+def _read_shard(path: Path, array: zarr.Array[Any], where: Where, values: Array) -> None:
+    """Put what lies ``where`` of one shard into ``values``."""
+    assert array.shards is not None
+    chunks_shape = [s // c for s, c in zip(array.shards, array.chunks, strict=True)]
+    n_chunks = math.prod(chunks_shape)
+    raw_block = bytearray(math.prod(array.chunks) * values.itemsize)
+    block = np.frombuffer(raw_block, values.dtype).reshape(array.chunks)
     with path.open("rb") as file:
-        file.seek(-index_bytes - 4, 2)
+        file.seek(-16 * n_chunks - 4, 2)
         raw = file.read()
         if crc32c(raw[:-4]) != int.from_bytes(raw[-4:], "little"):
             raise ValueError(f"the index of {path.name} is damaged")
-        index = np.frombuffer(raw, "<u8", 2 * math.prod(per_shard)).reshape(*per_shard, 2)
-        spans = [
-            range(max(w.start // c - first, 0), min(-(-w.stop // c) - first, n))
-            for w, c, first, n in zip(where, chunk, firsts, per_shard, strict=True)
-        ]
-        for place in product(*spans):
-            offset, size = index[place]
+        index = np.frombuffer(raw, "<u8", 2 * n_chunks).reshape(*chunks_shape, 2)
+        for position, within, target in chunk_parts(where, array.chunks):
+            offset, size = index[position]
             if offset == _ABSENT:
                 continue
             file.seek(int(offset))
             if len(zstd_decode(file.read(int(size)), out=raw_block)) != len(raw_block):
                 raise ValueError(f"a chunk of {path.name} is damaged")
-            target: list[slice] = []
-            source: list[slice] = []
-            for w, first, k, c in zip(where, firsts, place, chunk, strict=True):
-                begin = (first + k) * c
-                start = max(w.start, begin)
-                stop = min(w.stop, begin + c)
-                target.append(slice(start - w.start, stop - w.start))
-                source.append(slice(start - begin, stop - begin))
-            values[tuple(target)] = block[tuple(source)]
+            values[target] = block[within]

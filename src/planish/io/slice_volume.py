@@ -17,7 +17,7 @@ from planish.core.threads import map_threads
 from planish.core.typing import Array, DType, Entries, Shape
 from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
-from planish.io.lazy import PagedArray, StoredArray, Values, supported_type, widened
+from planish.io.lazy import PagedArray, Values, stored_array, supported_type, widened
 from planish.io.orientation import tag_orientation
 from planish.io.picture import ADVICE, PLUGINS, DecodedPicture, kind_of, load_picture
 from planish.io.scan_log import check_extent, read_scan, slices_by_log
@@ -104,7 +104,7 @@ def load_pictures(
         if has_same_type and file_header.offset is not None:
             planes.append((file, file_header.offset))
     if len(planes) == len(files):
-        return widened(StoredArray(planes, shape, header.dtype)), first
+        return widened(stored_array(planes, shape, header.dtype)), first
     rows = partial(_slice_rows, load_one, files, channel, grey.shape)
     if strip_rows < shape[1]:
         rows = partial(_strip_rows, files, grey.shape)

@@ -20,11 +20,11 @@ from planish.io.lazy import (
     Change,
     FileArray,
     PagedArray,
-    StoredArray,
     Values,
     ViewArray,
     is_small,
     mapped,
+    stored_array,
     stored_planes,
 )
 from planish.io.orientation import tag_orientation
@@ -130,7 +130,7 @@ def _paged(
     if not has_one_plane or len(pages) != shape[0]:
         return None
     if frame.is_final and all(map(_is_joined, pages)):
-        return StoredArray([(path, page.dataoffsets[0]) for page in pages], shape, stored_dtype)
+        return stored_array([(path, page.dataoffsets[0]) for page in pages], shape, stored_dtype)
     if frame.is_subsampled:
         return None
     tiff_pages = TiffPages(path, series)

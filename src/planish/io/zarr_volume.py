@@ -5,7 +5,6 @@ import re
 import struct
 from collections.abc import Iterator
 from functools import lru_cache, partial
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ import zarr
 from zarr.storage import LocalStore
 
 from planish.core.errors import FileError, VolumeError
-from planish.core.lazy import Where
+from planish.core.lazy import Where, chunk_parts
 from planish.core.typing import Array, Fields, Shape
 from planish.io.attributes import (
     Coordinates,
@@ -27,7 +26,7 @@ from planish.io.axes import AxisNames, extended_axes, place_axes
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_type
 from planish.io.guard import reading
 from planish.io.hashes import missing_shards
-from planish.io.lazy import FileArray, transposed
+from planish.io.lazy import FileArray, reordered
 from planish.io.orientation import orientation_by_words
 from planish.io.shards import is_plain, read_plain
 from planish.io.sizes import Stated, stated_in
@@ -78,7 +77,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         words = [named.directions[axis] for axis in placed.order]
         orientations = orientation_by_words("the OME-Zarr axes", words)
     return LoadedVolume(
-        values=transposed(lazy, placed.order),
+        values=reordered(lazy, placed.order),
         stated=stated,
         files=files,
         attrs={"dataset": name or "/", **hand},
@@ -360,11 +359,8 @@ def _check_blosc(array: Any, where: Where, folder: Path, path: Path) -> None:
     Blosc itself would read on behind their end.
     """
     needed_bytes = math.prod(array.chunks) * array.dtype.itemsize
-    spans = [
-        range(s.start // c, (s.stop - 1) // c + 1) for s, c in zip(where, array.chunks, strict=True)
-    ]
-    for position in product(*spans):
-        chunk = folder / array.metadata.encode_chunk_key(position)
+    for part in chunk_parts(where, array.chunks):
+        chunk = folder / array.metadata.encode_chunk_key(part.position)
         if not chunk.is_file():
             continue
         with chunk.open("rb") as file:
