@@ -167,23 +167,31 @@ def map_pixel_um(name: str, values: Any, pixel_um: Sequence[float] | None) -> Pa
     if not isinstance(values, xr.DataArray):
         return None
     axes = [str(axis) for axis in values.dims]
-    steps = [step_um(values, axis) for axis in axes]
+    row_um, col_um = (step_um(values, axis) for axis in axes)
     source = "coordinates"
-    if steps == [None, None] and IMAGE.size_attribute in values.attrs:
-        steps = [float(size) for size in values.attrs[IMAGE.size_attribute]]
-        source = f"attribute {IMAGE.size_attribute}"
-    sizes = zip(steps, pixel_um or (None, None), strict=True)
-    if not all(agree(step, size) for step, size in sizes if step and size):
-        drop_text = f"{name}.drop_vars({axes})" if source == "coordinates" else f"{name}.values"
+    fix = f"{name}.drop_vars({axes})"
+    is_in_um = all(_unit_of(values[axis]) for axis in axes)
+    attribute = IMAGE.size_attribute
+    if row_um is None and col_um is None and attribute in values.attrs:
+        row_um, col_um = map(float, values.attrs[attribute])
+        source = f"attribute {attribute}"
+        fix = f"{name}.values"
+        is_in_um = True
+    if pixel_um is not None and not _are_alike((row_um, col_um), pixel_um):
         raise SizeError(
-            f"`pixel_um` gives {_sizes_text(pixel_um or (), ' x ')} um, but the {source} of {name}"
-            f" say {_sizes_text(steps, ' x ')} um ({', '.join(axes)}). Leave `pixel_um` out, or"
-            f" write {drop_text} if they are wrong."
+            f"`pixel_um` gives {_sizes_text(pixel_um, ' x ')} um, but the {source} of {name}"
+            f" say {_sizes_text((row_um, col_um), ' x ')} um ({', '.join(axes)}). Leave `pixel_um`"
+            f" out, or write {fix} if they are wrong."
         )
-    has_units = source != "coordinates" or all(_unit_of(values[axis]) for axis in axes)
-    if steps[0] is None or steps[1] is None or not has_units:
+    if row_um is None or col_um is None or not is_in_um:
         return None
-    return steps[0], steps[1]
+    return row_um, col_um
+
+
+def _are_alike(steps: Sequence[float | None], sizes: Sequence[float]) -> bool:
+    """True where no step is another than the size."""
+    pairs = zip(steps, sizes, strict=True)
+    return all(agree(step, size) for step, size in pairs if step and size)
 
 
 def _sizes_text(sizes: Sequence[float | None], separator: str) -> str:
@@ -283,11 +291,9 @@ def _checked_size(array: object, kind: ArrayKind, call_format: str) -> tuple[flo
     check_values(array, kind, [str(name) for name in array.dims])
     stated_um: Sequence[float] | None = array.attrs.get(kind.size_attribute)
     steps = [step_um(array, axis) for axis in kind.axes]
-    is_sized = None not in steps
-    if stated_um is not None:
-        # An image may be known by its size alone; faces are heights along a volume's coordinates.
-        is_sized = kind is IMAGE or all(axis in array.coords for axis in kind.axes)
-    if not is_sized:
+    # An image may be known by its size alone; faces are heights along a volume's coordinates.
+    has_coords = kind is IMAGE or array.coords.keys() >= {*kind.axes}
+    if not has_coords or (stated_um is None and None in steps):
         raise SizeError(f"The {kind.name} has no size along its axes. Write {fix}.")
     if stated_um is None:
         return tuple(step or 1.0 for step in steps)

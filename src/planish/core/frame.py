@@ -118,6 +118,21 @@ def likely_through(values: Array | LazyArray | xr.Variable) -> Axis | None:
     """
     import numpy as np
 
+    sample = _sample(values)
+    is_value = np.isfinite(sample)
+    sample[~is_value] = np.mean(sample[is_value]) if is_value.any() else 0.0
+    variances = [float(sample.mean(axis=tuple({0, 1, 2} - {k})).var()) for k in range(3)]
+    order = np.argsort(variances)[::-1]
+    # The second axis may have this share of the variance along the first.
+    if not variances[order[0]] > 0 or variances[order[1]] > 0.3 * variances[order[0]]:
+        return None
+    return AXES[order[0]]
+
+
+def _sample(values: Array | LazyArray | xr.Variable) -> Floats:
+    """Some values of a volume, its axes as they are."""
+    import numpy as np
+
     # 24 of the slices and 200 places along either other axis; of a file in chunks only three rows
     # of these, each once.
     depth, height, _ = getattr(values, "encoding", {}).get("chunks") or (1, 1, 1)
@@ -135,15 +150,7 @@ def likely_through(values: Array | LazyArray | xr.Variable) -> Axis | None:
             part = np.asarray(values[indices[0] : indices[-1] + 1, band])[indices - indices[0]]
             parts.append(part[:, :: steps[0], :: steps[1]])
         planes += [*np.concatenate(parts, axis=1)]
-    sample: Floats = np.stack(planes).astype(np.float64)
-    is_value = np.isfinite(sample)
-    sample[~is_value] = np.mean(sample[is_value]) if is_value.any() else 0.0
-    variances = [float(sample.mean(axis=tuple({0, 1, 2} - {k})).var()) for k in range(3)]
-    order = np.argsort(variances)[::-1]
-    # The second axis may have this share of the variance along the first.
-    if not variances[order[0]] > 0 or variances[order[1]] > 0.3 * variances[order[0]]:
-        return None
-    return AXES[order[0]]
+    return np.stack(planes).astype(np.float64)
 
 
 def other_axis(volume: xr.DataArray, through: str) -> str:

@@ -78,29 +78,33 @@ class LazyArray:
         k = keys.index(Ellipsis)
         whole_axes = (slice(None),) * (self.ndim - len(keys) + 1)
         keys = keys[:k] + whole_axes + keys[k + 1 :]
-        slices: list[slice] = []
-        part_keys: list[Any] = []
-        for axis_key, length in zip(keys, self.shape, strict=True):
-            if isinstance(axis_key, slice):
-                indices = range(length)[axis_key]
-                direction = 1 if indices.step > 0 else -1
-                ordered = indices[::direction]
-                stop = ordered[-1] + 1 if ordered else ordered.start
-                slices.append(slice(ordered.start, stop, ordered.step))
-                part_keys.append(slice(None, None, direction))
-            else:
-                index = range(length)[int(axis_key)]
-                slices.append(slice(index, index + 1, 1))
-                part_keys.append(0)
-        shape = tuple(len(range(s.start, s.stop, s.step)) for s in slices)
+        where, part_keys = zip(*map(_selected, keys, self.shape), strict=True)
+        shape = lengths(where)
         with self.guarded():
-            part = self.read(tuple(slices)) if all(shape) else np.empty(shape, self.dtype)
-            chosen = part[tuple(part_keys)]
+            part = self.read(where) if all(shape) else np.empty(shape, self.dtype)
+            chosen = part[part_keys]
             # A view would keep the whole file mapped, or the slice that it was cut from.
             is_whole = chosen.base is part and part.base is None and chosen.size == part.size
             if chosen.base is None or is_whole:
                 return np.ascontiguousarray(chosen, self.dtype)
             return np.array(chosen, dtype=self.dtype)
+
+
+def _selected(key: Any, length: int) -> tuple[slice, slice | int]:
+    """The part of an axis with what a key selects, its step above 0, and the key within it."""
+    if not isinstance(key, slice):
+        index = range(length)[int(key)]
+        return slice(index, index + 1, 1), 0
+    indices = range(length)[key]
+    direction = 1 if indices.step > 0 else -1
+    ordered = indices[::direction]
+    stop = ordered[-1] + 1 if ordered else ordered.start
+    return slice(ordered.start, stop, ordered.step), slice(None, None, direction)
+
+
+def lengths(where: Where) -> list[int]:
+    """Places along each axis of a part."""
+    return [len(range(s.start, s.stop, s.step)) for s in where]
 
 
 class ReadOnDemand(Mapping[str, T]):

@@ -9,9 +9,9 @@ every length and type is checked here first.
 import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
@@ -197,54 +197,74 @@ def _variables_5(file: BinaryIO, endian_mark: bytes) -> Iterator[Variable]:
         offset += 8 + size
 
 
-def _variable_5(header: bytes, byte_order: str) -> Variable | None:  # noqa: C901
+def _variable_5(header: bytes, byte_order: str) -> Variable | None:
     """A variable that begins with these bytes; None for an empty element."""
     element_type, matrix_bytes = struct.unpack_from(f"{byte_order}II", header)
     if element_type != _MATRIX:
         raise Damaged("what was compressed is no variable")
     if not matrix_bytes:
         return None
-    element_type, start, size, offset = _element(header, 8, byte_order)
-    if (element_type, size) != (_UINT32, 8):
-        raise Damaged("a variable has no flags")
-    flags = struct.unpack_from(f"{byte_order}I", header, start)[0]
+    elements = _elements(header, byte_order)
+    flag_bytes = _content(next(elements), _UINT32, (8,), "flags")
+    flags = struct.unpack_from(f"{byte_order}I", flag_bytes)[0]
     if not 1 <= flags & 0xFF <= len(_CLASSES):
         raise Damaged(f"a variable is of the unknown class {flags & 0xFF}")
     class_name = _CLASSES[(flags & 0xFF) - 1]
     if class_name == "opaque":
         return None  # of MATLAB's own objects only the flags are alike
-    element_type, start, size, offset = _element(header, offset, byte_order)
-    if element_type != _INT32 or size % 4 or not 8 <= size <= 4 * _MOST_AXES:
-        raise Damaged("a variable has no shape")
-    shape = struct.unpack_from(f"{byte_order}{size // 4}i", header, start)
+    shape_bytes = _content(next(elements), _INT32, range(8, 4 * _MOST_AXES + 1, 4), "shape")
+    shape = struct.unpack_from(f"{byte_order}{len(shape_bytes) // 4}i", shape_bytes)
     if min(shape) < 0:
         raise Damaged("a variable has a negative size")
-    element_type, start, size, offset = _element(header, offset, byte_order)
-    if element_type != _INT8 or size > _LONGEST_NAME:
-        raise Damaged("a variable has no name")
-    name = header[start : start + size].decode("utf-8", "replace")
+    name_bytes = _content(next(elements), _INT8, range(_LONGEST_NAME + 1), "name")
+    name = name_bytes.decode("utf-8", "replace")
     if class_name not in NUMBERS or not math.prod(shape):
         return Variable(name=name, shape=shape, kind=class_name, real=class_name in NUMBERS)
-    element_type, _, size, _ = _element(header, offset, byte_order)
-    value_type = _TYPES.get(element_type)
-    if value_type is None or size != math.prod(shape) * np.dtype(value_type).itemsize:
-        raise Damaged(f"a variable of shape {shape} holds {size} bytes of type {element_type}")
-    if size > matrix_bytes:
-        raise Damaged("the values of a variable are longer than the variable")
+    _check_values(next(elements), shape, matrix_bytes)
     number_flags = (flags >> 8) & (_COMPLEX | _LOGICAL)
     if number_flags:
         class_name = "complex" if number_flags & _COMPLEX else "logical"
     return Variable(name=name, shape=shape, kind=class_name, real=not number_flags)
 
 
-def _element(header: bytes, offset: int, byte_order: str) -> tuple[int, int, int, int]:
-    element_type, size = struct.unpack_from(f"{byte_order}II", header, offset)
-    small_size = element_type >> 16
-    if small_size > 4:
-        raise Damaged("a small element is too long")
-    if small_size:  # size and type share a word, four bytes follow
-        return element_type & 0xFFFF, offset + 4, small_size, offset + 8
-    return element_type, offset + 8, size, offset + 8 + (size + 7) // 8 * 8
+class _Element(NamedTuple):
+    """A part of a variable: the type of its values, their bytes, and those that were read."""
+
+    kind: int
+    size: int
+    content: bytes
+
+
+def _elements(header: bytes, byte_order: str) -> Iterator[_Element]:
+    """Parts of a variable, behind its own type and length."""
+    offset = 8
+    while True:
+        kind, size = struct.unpack_from(f"{byte_order}II", header, offset)
+        start = offset + 8
+        offset = start + (size + 7) // 8 * 8
+        small_size = kind >> 16
+        if small_size > 4:
+            raise Damaged("a small element is too long")
+        if small_size:  # size and type share a word, four bytes follow
+            kind, size, offset = kind & 0xFFFF, small_size, start
+            start -= 4
+        yield _Element(kind, size, header[start : start + size])
+
+
+def _content(element: _Element, kind: int, sizes: Container[int], name: str) -> bytes:
+    if element.kind != kind or element.size not in sizes:
+        raise Damaged(f"a variable has no {name}")
+    return element.content
+
+
+def _check_values(element: _Element, shape: Shape, matrix_bytes: int) -> None:
+    """Refuse a variable whose values do not fit its shape, or are longer than it."""
+    kind, size, _ = element
+    value_type = _TYPES.get(kind)
+    if value_type is None or size != math.prod(shape) * np.dtype(value_type).itemsize:
+        raise Damaged(f"a variable of shape {shape} holds {size} bytes of type {kind}")
+    if size > matrix_bytes:
+        raise Damaged("the values of a variable are longer than the variable")
 
 
 def _variables_4(file: BinaryIO) -> Iterator[Variable]:

@@ -11,7 +11,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -183,23 +183,27 @@ def split_rows(text: str) -> Rows:
     Cells without blanks at their ends; without rows and last columns that are empty throughout.
     """
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    delimiter = ""
     # Excel's own line in front of a table.
-    own_line = re.fullmatch(r'"?sep=(.)"?[,;\s]*', lines[0][1], re.IGNORECASE) if lines else None
-    if own_line:
+    if lines and (match := re.fullmatch(r'"?sep=(.)"?[,;\s]*', lines[0][1], re.IGNORECASE)):
+        delimiter = match[1]
         lines = lines[1:]
-    table_lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
-    delimiter = own_line[1] if own_line else _delimiter_of([line for _, line in table_lines[:20]])
-    hash_lines = [(number, line) for number, line in lines if line.lstrip()[0] == "#"]
-    comments = [line.strip().lstrip("#").strip() for _, line in hash_lines]
-    # A label such as #1, and no comment.
-    faults = [
-        f"row {number} begins with #: write '# ' before a comment, a label in quotation marks"
-        for number, line in hash_lines
-        if line.lstrip()[1:2].isdecimal() and delimiter in line
-    ]
-    rows, row_faults = _rows_of(table_lines, delimiter)
-    faults += row_faults
-    return Rows(rows=rows, comments=comments, delimiter=delimiter, faults=faults)
+    table_lines = [(number, line) for number, line in lines if line.lstrip()[0] != "#"]
+    delimiter = delimiter or _delimiter_of([line for _, line in table_lines[:20]])
+    rows, faults = _rows_of(table_lines, delimiter)
+    comments: list[str] = []
+    label_faults: list[str] = []
+    for number, line in lines:
+        if line.lstrip()[0] != "#":
+            continue
+        comments.append(line.strip().lstrip("#").strip())
+        # A label such as #1, and no comment.
+        if line.lstrip()[1:2].isdecimal() and delimiter in line:
+            label_faults.append(
+                f"row {number} begins with #: write '# ' before a comment, a label in quotation"
+                " marks"
+            )
+    return Rows(rows=rows, comments=comments, delimiter=delimiter, faults=label_faults + faults)
 
 
 def _rows_of(lines: Sequence[tuple[int, str]], delimiter: str) -> tuple[list[CsvRow], list[str]]:
@@ -318,17 +322,7 @@ def parse_table(
     if not content.rows:
         raise error(f"{name} is empty. {advice}")
     header, um = _columns_of(content.rows[0].cells, (*needed, *optional))
-    faults: list[str] = []
-    missing = [column for column in needed if column not in header]
-    if missing:
-        faults.append(
-            f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]})."
-            f" {advice.rstrip('.')}"
-        )
-    duplicates = sorted({column for column in header if column and header.count(column) > 1})
-    if duplicates:
-        faults.append(f"columns given twice: {', '.join(duplicates)}")
-    faults += content.faults
+    faults = [*_header_faults(header, needed, advice), *content.faults]
     rows: list[CsvRow] = []
     widest = 0
     for line, cells in content.rows[1:]:
@@ -342,14 +336,21 @@ def parse_table(
     if content.delimiter == "," and widest > len(header):
         faults[-1] += f" ({DECIMAL_COMMAS})"
     return CsvTable(
-        name=name,
-        header=header,
-        rows=rows,
-        content=content,
-        error=error,
-        um=um,
-        faults=faults,
+        name=name, header=header, rows=rows, content=content, error=error, um=um, faults=faults
     )
+
+
+def _header_faults(header: Sequence[str], needed: Sequence[str], advice: str) -> Iterator[str]:
+    """Say which columns are missing, and which are given twice."""
+    missing = [column for column in needed if column not in header]
+    if missing:
+        yield (
+            f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]})."
+            f" {advice.rstrip('.')}"
+        )
+    duplicates = sorted({column for column in header if column and header.count(column) > 1})
+    if duplicates:
+        yield f"columns given twice: {', '.join(duplicates)}"
 
 
 def _columns_of(

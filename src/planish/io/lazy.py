@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from planish.core.lazy import LazyArray, Where
+from planish.core.lazy import LazyArray, Where, lengths
 from planish.core.memory import DECODED_BYTES, EAGER_BYTES
 from planish.core.threads import map_threads
 from planish.core.typing import Array, DType, Shape
@@ -127,11 +127,6 @@ def stored_planes(path: Path, shape: Shape, stored_dtype: DType, *, offset: int)
     plane_bytes = math.prod(shape[1:]) * stored_dtype.itemsize
     planes = [(path, offset + k * plane_bytes) for k in range(shape[0])]
     return stored_array(planes, shape, stored_dtype)
-
-
-def lengths(where: Where) -> list[int]:
-    """Places along each axis of a part."""
-    return [len(range(s.start, s.stop, s.step)) for s in where]
 
 
 def unmapped(array: Values) -> Values:
