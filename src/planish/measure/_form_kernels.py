@@ -22,7 +22,8 @@ def normal_equations(i, place, normal, weight, distance, reach, width_um, shape)
     that the sheet carries, whose own shape is then left out.
     """
     rows, cols, kinds = distance.shape
-    matrix, right = np.zeros((cols, _TERMS, _TERMS)), np.zeros((cols, _TERMS, kinds))
+    matrix = np.zeros((cols, _TERMS, _TERMS))
+    right = np.zeros((cols, _TERMS, kinds))
     term = np.ones(_TERMS)
     for j in range(cols):
         n0, n1, n2 = normal[i, j]

@@ -23,7 +23,8 @@ def inscribed(distance, step):  # noqa: C901
                 r = distance[i, j, k]
                 if r <= 0 or _swallowed(distance, i, j, k, step):
                     continue
-                di, dj = int(r / step[0]), int(r / step[1])
+                di = int(r / step[0])
+                dj = int(r / step[1])
                 for a in range(max(i - di, 0), min(i + di, rows - 1) + 1):
                     left = r * r - ((a - i) * step[0]) ** 2
                     if left <= 0:

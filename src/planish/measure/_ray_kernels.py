@@ -29,7 +29,8 @@ def height_at(field, r, c):
     rows, cols = field.shape
     if not (-1.0 <= r <= rows and -1.0 <= c <= cols):
         return np.nan
-    i, j = min(max(int(r), 0), rows - 2), min(max(int(c), 0), cols - 2)
+    i = min(max(int(r), 0), rows - 2)
+    j = min(max(int(c), 0), cols - 2)
     fr, fc = r - i, c - j
     p, q, s, t = field[i, j], field[i, j + 1], field[i + 1, j], field[i + 1, j + 1]
     if not np.isfinite(p) and (1 - fr) * (1 - fc) <= _HALF:
@@ -131,10 +132,9 @@ def resample_rays(
                 s = (low + k) * ds
                 # Coordinates are those of the whole volume: rounding must not depend on the block.
                 r, c, d = at_r + s * sr, at_c + s * sc, d0 + s * sd
-                if sure:
-                    r0, c0, d0i = int(r), int(c), int(d)
-                else:
-                    r0, c0, d0i = int(np.floor(r)), int(np.floor(c)), int(np.floor(d))
+                r0 = int(np.floor(r))
+                c0 = int(np.floor(c))
+                d0i = int(np.floor(d))
                 fr, fc, fd = r - r0, c - c0, d - d0i
                 r0, c0, d0i = r0 - corner[0], c0 - corner[1], d0i - corner[2]
                 r1, c1, d1 = r0 + (fr > 0), c0 + (fc > 0), d0i + (fd > 0)
@@ -143,10 +143,14 @@ def resample_rays(
                 ):
                     out[i, j, k] = np.nan
                     continue
-                a, b = float(block[r0, c0, d0i]), float(block[r0, c0, d1])
-                e, f = float(block[r0, c1, d0i]), float(block[r0, c1, d1])
-                p, q = float(block[r1, c0, d0i]), float(block[r1, c0, d1])
-                u, v = float(block[r1, c1, d0i]), float(block[r1, c1, d1])
+                a = float(block[r0, c0, d0i])
+                b = float(block[r0, c0, d1])
+                e = float(block[r0, c1, d0i])
+                f = float(block[r0, c1, d1])
+                p = float(block[r1, c0, d0i])
+                q = float(block[r1, c0, d1])
+                u = float(block[r1, c1, d0i])
+                v = float(block[r1, c1, d1])
                 if padded and (
                     a == padding
                     or b == padding
@@ -177,7 +181,8 @@ def _piece(g, x0, x1, least, most):
     ends = 0
     k = int(x0)
     while k < x1 and x0 < x1:
-        a, b = max(x0 - k, 0.0), min(x1 - k, 1.0)
+        a = max(x0 - k, 0.0)
+        b = min(x1 - k, 1.0)
         if b > a:
             g0 = float(g[k])
             g1 = float(g[k + 1]) if k + 1 < g.size else g0
@@ -185,7 +190,8 @@ def _piece(g, x0, x1, least, most):
             v0, v1 = g0 + (g1 - g0) * a, g0 + (g1 - g0) * b
             if not (np.isfinite(v0) and np.isfinite(v1)):
                 return np.nan, np.nan, 0
-            lo, hi = min(v0, v1), max(v0, v1)
+            lo = min(v0, v1)
+            hi = max(v0, v1)
             if hi == lo:
                 if least <= lo <= most:
                     length += b - a
@@ -205,7 +211,8 @@ def pieces(grey, s0, ds, lower, upper, least, most):
     upper lies below lower, NaN where unknown.
     """
     rows, cols, _ = grey.shape
-    integral, length = np.empty((rows, cols)), np.empty((rows, cols))
+    integral = np.empty((rows, cols))
+    length = np.empty((rows, cols))
     ends = np.zeros((rows, cols), dtype=np.int32)
     for i in range(rows):
         for j in range(cols):
@@ -233,7 +240,8 @@ def layers(grey, s0, ds, face, inward, level, polarity, reach, gap, limit):  # n
     layer), and crossings inside the layer.
     """
     rows, cols, count = grey.shape
-    summed, envelope = np.empty((rows, cols)), np.empty((rows, cols))
+    summed = np.empty((rows, cols))
+    envelope = np.empty((rows, cols))
     ends = np.zeros((rows, cols), dtype=np.int32)
     for i in range(rows):
         for j in range(cols):

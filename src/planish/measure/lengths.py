@@ -70,28 +70,29 @@ def _check_ink(params: InkOptions, _greys: Greys) -> None:
 
 
 @cached
-def _depths(rays: Rays) -> tuple[Floats, NDArray[np.uint8]]:
+def _depths(rays: Rays) -> tuple[Floats, Floats, NDArray[np.uint8]]:
+    """Depths of 50, 90 and 95 % of the ink (3, rows, cols), their standard error, and reasons."""
     from planish.measure import _ray_kernels
 
     options = rays.params.of(InkOptions)
     assert options.ink_grey is not None
-    reach = options.ink_reach_um
-    limit = (
-        0.5 * (rays.top + rays.bottom)
-        if reach is None
-        else np.maximum(rays.top - reach, rays.bottom)
-    )
     low, high = options.ink_grey
-    step, shares = rays.step_um, np.array([0.50, 0.90, 0.95])
+    if options.ink_reach_um is None:
+        limit = 0.5 * (rays.top + rays.bottom)
+    else:
+        limit = np.maximum(rays.top - options.ink_reach_um, rays.bottom)
+    step_um = rays.step_um
+    shares = np.array([0.50, 0.90, 0.95])
     depth, total = _ray_kernels.depths_of_shares(
-        rays.grey, float(rays.s_um[0]), step, rays.top, limit, low, high, shares
+        rays.grey, float(rays.s_um[0]), step_um, rays.top, limit, low, high, shares
     )
     # Ink that is still there where the search ends may go deeper: its shares are not known.
-    near, _ = rays.length(limit, limit + step, least=low, most=high)
+    near, _ = rays.length(limit, limit + step_um, least=low, most=high)
     reason = np.zeros(total.shape, dtype=np.uint8)
-    reason[near > 0.5 * step] = AT_LIMIT
+    reason[near > 0.5 * step_um] = AT_LIMIT
     reason[total < rays.voxel_um] = NO_INK
-    return np.where(reason == 0, depth, np.nan), reason
+    se = np.sqrt(2.0) * rays.crossing_se(0.5 * (high - low))
+    return np.where(reason == 0, depth, np.nan), se, reason
 
 
 for _which, (_share, _title) in enumerate(
@@ -119,14 +120,9 @@ for _which, (_share, _title) in enumerate(
         by the resin look like ink. SE: the face's and one crossing's with the contrast of half the
         ink's range.
         """
-        options = rays.params.of(InkOptions)
-        assert options.ink_grey is not None
-        depths, reason = _depths(rays)
-        low, high = options.ink_grey
-        se = np.where(
-            np.isfinite(depths[which]), np.sqrt(2.0) * rays.crossing_se(0.5 * (high - low)), np.nan
-        )
-        return Measured(values=depths[which], se=se, reason=reason)
+        depths, se, reason = _depths(rays)
+        values = depths[which]
+        return Measured(values=values, se=np.where(np.isfinite(values), se, np.nan), reason=reason)
 
 
 class ThicknessOptions(Params):
@@ -239,10 +235,11 @@ def thickness_envelope(sheet: Sheet) -> Measured:
     """
     from planish.core._envelope_kernels import rolled
 
-    f = sheet.frame
-    faces = (np.where(sheet.valid, face, np.nan) for face in (f.faces["top"], -f.faces["bottom"]))
+    faces = sheet.frame.faces
+    radius_um = sheet.params.of(ThicknessOptions).envelope_radius_um
     top, bottom = (
-        rolled(face, f.pitch_um, f.params.of(ThicknessOptions).envelope_radius_um) for face in faces
+        rolled(np.where(sheet.valid, face, np.nan), sheet.frame.pitch_um, radius_um)
+        for face in (faces["top"], -faces["bottom"])
     )
     return Measured(values=top + bottom)
 
@@ -251,30 +248,28 @@ def thickness_envelope(sheet: Sheet) -> Measured:
 def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
     """Return t_sum, t_env and the standard error of both of the coating of one side."""
     from planish.measure import _ray_kernels
-    from planish.measure.uncertainty import layer_errors
+    from planish.measure.uncertainty import face_errors
 
     greys = rays.greys
     coating_level = greys.coating(side)
-    face, other = (
-        (rays.top, rays.interface_bottom) if side == "top" else (rays.bottom, rays.interface_top)
-    )
+    if side == "top":
+        face, inwards, limit = rays.top, -1.0, rays.interface_bottom
+    else:
+        face, inwards, limit = rays.bottom, 1.0, rays.interface_top
     summed, envelope, ends = _ray_kernels.layers(
         rays.grey,
         float(rays.s_um[0]),
         rays.step_um,
         face,
-        -1.0 if side == "top" else 1.0,
+        inwards,
         0.5 * (coating_level + greys.base),
         greys.polarity,
         rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
         rays.params.of(ThicknessOptions).gap_um,
-        other,
+        limit,
     )
-    face_se = rays.oblique * layer_errors(envelope / rays.oblique, greys, rays.noise_um, side)[0]
-    se = np.hypot(
-        face_se, np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coating_level - greys.base)
-    )
-    return summed, envelope, se
+    ends_se = np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coating_level - greys.base)
+    return summed, envelope, np.hypot(face_errors(rays, envelope, side), ends_se)
 
 
 @ray_property(
@@ -407,12 +402,13 @@ def roughness(sheet: Sheet, side: Side) -> Measured:
     SE: the face's, times what the S-filter leaves of white noise, pitch / (2 sqrt(pi) sigma) where
     it is below 1.
     """
-    f, p = sheet.frame, sheet.params.of(RoughnessOptions)
-    check_filters(p.s_filter_um, p.l_filter_um)
-    above = _above_form(sheet, f"topography_{side}", p.l_filter_um)
-    filter_width_um = 2 * np.sqrt(np.pi) * _sigma(p.s_filter_um)
-    noise_share = np.prod([min(1.0, np.sqrt(p_um / filter_width_um)) for p_um in f.pitch_um])
-    values = without_short(above.values, f.pitch_um, p.s_filter_um)
+    pitch_um = sheet.frame.pitch_um
+    options = sheet.params.of(RoughnessOptions)
+    check_filters(options.s_filter_um, options.l_filter_um)
+    above = _above_form(sheet, f"topography_{side}", options.l_filter_um)
+    filter_width_um = 2 * np.sqrt(np.pi) * _sigma(options.s_filter_um)
+    noise_share = np.prod(np.minimum(1.0, np.sqrt(np.divide(pitch_um, filter_width_um))))
+    values = without_short(above.values, pitch_um, options.s_filter_um)
     return Measured(values=values, se=above.se * float(noise_share))
 
 
@@ -489,14 +485,15 @@ def scale_limited(
     from planish.measure.form import above_form
 
     check_filters(s_filter_um, l_filter_um)
-    (above,) = above_form(
+    name = "topography_top"
+    above = above_form(
         {"top": height},
         np.zeros(height.shape),
         np.isfinite(height),
         pitch_um,
-        names=("topography_top",),
+        names=(name,),
         nesting_um=l_filter_um,
-    ).values()
+    )[name]
     return without_short(above, pitch_um, s_filter_um)
 
 
@@ -553,8 +550,8 @@ def warp(sheet: Sheet) -> Floats:
 )
 def tilt(sheet: Sheet) -> Floats:
     """Angle between the normal and the axis through the sheet."""
-    slope = sheet.frame.slopes()
-    return np.rad2deg(np.arctan(np.hypot(slope[..., 0], slope[..., 1])))
+    by_y, by_x = np.moveaxis(sheet.frame.slopes(), -1, 0)
+    return np.rad2deg(np.arctan(np.hypot(by_y, by_x)))
 
 
 @sheet_property(
@@ -596,13 +593,11 @@ def _derivatives(sheet: Sheet) -> list[Floats]:
     """
     c = sheet.frame.heights["centre"]
     dy, dx = sheet.frame.pitch_um
-    up, down, left, right, centre = (
-        c[:-2, 1:-1],
-        c[2:, 1:-1],
-        c[1:-1, :-2],
-        c[1:-1, 2:],
-        c[1:-1, 1:-1],
-    )
+    up = c[:-2, 1:-1]
+    down = c[2:, 1:-1]
+    left = c[1:-1, :-2]
+    right = c[1:-1, 2:]
+    centre = c[1:-1, 1:-1]
     derivatives = (
         (right - left) / (2 * dx),
         (down - up) / (2 * dy),

@@ -145,11 +145,12 @@ def coating_absorption(rays: Rays, side: Side) -> Measured:
 
     SE: sqrt(noise * L + ((base - air) SE_face)^2) / (coating - base), L the length of the integral.
     """
-    from planish.measure.uncertainty import layer_errors
+    from planish.measure.uncertainty import face_errors
 
     greys = rays.greys
     margin_um = _blur_margin_um(rays)
-    coating_contrast, base_contrast = greys.coating(side) - greys.air, greys.base - greys.air
+    base_contrast = greys.base - greys.air
+    contrast = (greys.coating(side) - greys.air) - base_contrast
     if side == "top":
         lower, upper = rays.interface_top - margin_um, rays.top + margin_um
         length_from_face = rays.top - lower
@@ -157,14 +158,9 @@ def coating_absorption(rays: Rays, side: Side) -> Measured:
         lower, upper = rays.bottom - margin_um, rays.interface_bottom + margin_um
         length_from_face = upper - rays.bottom
     excess = rays.integral(lower, upper) - base_contrast * length_from_face
-    face_se = (
-        rays.oblique
-        * layer_errors((length_from_face - margin_um) / rays.oblique, greys, rays.noise_um, side)[0]
-    )
-    se = np.hypot(rays.integral_se(upper - lower), base_contrast * face_se) / abs(
-        coating_contrast - base_contrast
-    )
-    return Measured(values=excess / (coating_contrast - base_contrast), se=se)
+    face_se = base_contrast * face_errors(rays, length_from_face - margin_um, side)
+    se = np.hypot(rays.integral_se(upper - lower), face_se) / abs(contrast)
+    return Measured(values=excess / contrast, se=se)
 
 
 ray_property(
@@ -187,13 +183,9 @@ def _weight_check(params: Options, greys: Greys, side: Side) -> None:
 
 
 def _layer(params: Options, _greys: Greys, side: Side) -> tuple[str, ...]:
-    return (
-        (
-            f"coating_{side}"
-            if params.coat_weight_from == "thickness"
-            else f"coating_absorption_{side}"
-        ),
-    )
+    if params.coat_weight_from == "thickness":
+        return (f"coating_{side}",)
+    return (f"coating_absorption_{side}",)
 
 
 @sheet_property(
@@ -212,14 +204,11 @@ def coat_weight(sheet: Sheet, side: Side) -> Measured:
 
     SE: the layer's, times the same factor.
     """
-    layer = sheet.maps[_layer(sheet.params.of(Options), sheet.frame.greys, side)[0]]
-    return _in_grams(
-        layer,
-        sheet,
-        f"Coat weight, {side} side,",
-        sheet.params.of(Options).coat_weight(side),
-        "coating_g_cm3",
-    )
+    params = sheet.params.of(Options)
+    (layer,) = _layer(params, sheet.frame.greys, side)
+    quantity_text = f"Coat weight, {side} side,"
+    weighed_g_m2 = params.coat_weight(side)
+    return _in_grams(sheet.maps[layer], sheet, quantity_text, weighed_g_m2, "coating_g_cm3")
 
 
 def _absorbs(_params: Common, greys: Greys) -> None:
@@ -234,7 +223,8 @@ def _absorption(rays: Rays) -> Measured:
     From three blurs outside the one face to three outside the other. SE: sqrt(noise L) / (base -
     air).
     """
-    margin_um, contrast = _blur_margin_um(rays), rays.greys.base - rays.greys.air
+    margin_um = _blur_margin_um(rays)
+    contrast = rays.greys.base - rays.greys.air
     lower, upper = rays.bottom - margin_um, rays.top + margin_um
     return Measured(
         values=rays.integral(lower, upper) / contrast,
@@ -291,9 +281,7 @@ def _has_masses(params: Options, greys: Greys) -> bool:
 
 def _sources(params: Options, greys: Greys) -> tuple[str, ...]:
     coated_sides: list[Side] = [side for side in SIDES if greys.coated(side)]
-    is_separable = params.coating_g_cm3 is not None or None not in map(
-        params.coat_weight, coated_sides
-    )
+    is_separable = params.coating_g_cm3 or None not in map(params.coat_weight, coated_sides)
     if not coated_sides or (params.grammage_g_m2 is not None and not is_separable):
         return ("absorption",)
     return ("absorption_base", *(f"coating_absorption_{side}" for side in coated_sides))
@@ -323,11 +311,10 @@ def grammage(sheet: Sheet) -> Measured:
             params.coat_weight(side),
             "coating_g_cm3",
         )
-        for side in SIDES
-        if greys.coated(side)
+        for side in filter(greys.coated, SIDES)
     ]
     if base_g_m2 is not None:
-        coats_g_m2 = sum(sheet.mean(p.values) for p in layers)
+        coats_g_m2 = sum(sheet.mean(layer.values) for layer in layers)
         if not base_g_m2 > coats_g_m2:
             raise CannotMeasure(
                 f"The coatings weigh {coats_g_m2:.4g} g/m2 and the whole sheet {base_g_m2:g} g/m2:"
@@ -335,10 +322,8 @@ def grammage(sheet: Sheet) -> Measured:
             )
         base_g_m2 -= coats_g_m2
     layers.append(_in_grams(maps["absorption_base"], sheet, "Grammage", base_g_m2, "base_g_cm3"))
-    total_g_m2 = np.sum([p.values for p in layers], axis=0)
-    return Measured(
-        values=total_g_m2, se=np.sqrt(np.sum([np.asarray(p.se) ** 2 for p in layers], axis=0))
-    )
+    variance = np.sum([np.square(layer.se) for layer in layers], axis=0)
+    return Measured(values=np.sum([layer.values for layer in layers], axis=0), se=np.sqrt(variance))
 
 
 @sheet_property(
@@ -359,12 +344,10 @@ def apparent_density(sheet: Sheet) -> Measured:
     f = sheet.frame
     sigma = f.params.of(Options).density_support_um / FWHM
     noise_share = min(1.0, float(np.sqrt(np.prod(f.pitch_um))) / (2 * np.sqrt(np.pi) * sigma))
-    grammage_map, thickness_map = sheet.maps["grammage"], sheet.maps["thickness"]
+    maps = sheet.maps["grammage"], sheet.maps["thickness"]
     # Both means are of the same rays.
-    is_measured = sheet.valid & np.isfinite(grammage_map.values) & np.isfinite(thickness_map.values)
-    w, t = (
-        smoothed(np.where(is_measured, m.values, np.nan), f.pitch_um, sigma)
-        for m in (grammage_map, thickness_map)
-    )
-    relative = np.sqrt((grammage_map.se / w) ** 2 + (thickness_map.se / t) ** 2) * noise_share
+    is_measured = sheet.valid & np.isfinite([m.values for m in maps]).all(axis=0)
+    w, t = (smoothed(np.where(is_measured, m.values, np.nan), f.pitch_um, sigma) for m in maps)
+    w_se, t_se = (m.se for m in maps)
+    relative = np.sqrt((w_se / w) ** 2 + (t_se / t) ** 2) * noise_share
     return Measured(values=np.where(is_measured, w / t, np.nan), se=np.abs(w / t) * relative)

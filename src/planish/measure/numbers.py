@@ -20,7 +20,7 @@ from planish.measure.depth_profiles import depth_profiles
 from planish.measure.form import above_form
 from planish.measure.lengths import check_filters, without_short
 from planish.measure.params import MeasureParams
-from planish.measure.rays import meet
+from planish.measure.rays import meet, slopes_of
 from planish.measure.registry import SIDES, Side
 from planish.texture.covariance import Lags, covariance_of
 
@@ -71,51 +71,47 @@ def thin_fraction(
     marks = np.array(marked_um, dtype=np.float64)
     # At 0 the values that are 0 count: nothing is thinner than no coating.
     masks = [thickness.values < mark if mark > 0 else thickness.values <= 0 for mark in marks]
-    shares = np.array([mask[is_finite].mean() for mask in masks])
-    share_se = [_share_se(mask, is_finite, pitch(thickness)) for mask in masks]
+    marked_share = np.array([mask[is_finite].mean() for mask in masks])
+    marked_se = [_share_se(mask, is_finite, pitch(thickness)) for mask in masks]
     value_se_um = np.zeros(marks.size)
     if se is not None:
         se_um = np.where(is_finite, se, np.nan).astype(np.float64)
-        for k, mark in enumerate(marks):
-            near_se_um = se_um[
-                np.isfinite(se_um) & (np.abs(thickness.values - mark) <= max(2.0, 0.5 * mark))
-            ]
-            value_se_um[k] = np.median(near_se_um) if near_se_um.size else 0.0
-    is_biased = (marks < 2 * value_se_um).astype(np.uint8)
+        value_se_um = np.array([_se_near(mark, thickness.values, se_um) for mark in marks])
+    is_biased = marks < 2 * value_se_um
     attrs: dict[str, object] = {"n": int(sorted_um.size), "mean_um": float(sorted_um.mean())}
     if "support_um" in thickness.attrs:
         attrs["support_um"] = float(thickness.attrs["support_um"])
     if is_biased.any():
-        biased_text = ", ".join(f"{m:g}" for m in marks[is_biased > 0])
+        biased_text = ", ".join(f"{mark:g}" for mark in marks[is_biased])
         attrs["warning"] = (
-            f"One value has a standard error of {value_se_um[is_biased > 0].max():.2g} um: noise"
+            f"One value has a standard error of {value_se_um[is_biased].max():.2g} um: noise"
             f" adds to the share at {biased_text} um, or takes from it. Average the map first, or"
             " compare larger thicknesses."
         )
+    share = np.searchsorted(sorted_um, x, side="left") / sorted_um.size
     share_attrs = {"units": "1", "long_name": "Share of the area with a thinner coating"}
+    value_attrs = {"units": "um", "long_name": "Standard error of one value"}
+    bias_attrs = {"long_name": "Thickness below two standard errors of one value"}
     variables = {
-        "share": (
-            "thickness",
-            np.searchsorted(sorted_um, x, side="left") / sorted_um.size,
-            share_attrs,
-        ),
-        "marked_share": ("marked", shares, share_attrs),
-        "marked_se": ("marked", share_se, {"units": "1"}),
-        "value_se": (
-            "marked",
-            value_se_um,
-            {"units": "um", "long_name": "Standard error of one value"},
-        ),
-        "biased": (
-            "marked",
-            is_biased,
-            {"long_name": "Thickness below two standard errors of one value"},
-        ),
+        "share": ("thickness", share, share_attrs),
+        "marked_share": ("marked", marked_share, share_attrs),
+        "marked_se": ("marked", marked_se, {"units": "1"}),
+        "value_se": ("marked", value_se_um, value_attrs),
+        "biased": ("marked", is_biased.astype(np.uint8), bias_attrs),
     }
     coords = {
-        name: (name, um, {"units": "um"}) for name, um in (("thickness", x), ("marked", marks))
+        "thickness": ("thickness", x, {"units": "um"}),
+        "marked": ("marked", marks, {"units": "um"}),
     }
     return xr.Dataset(variables, coords=coords, attrs=attrs)
+
+
+def _se_near(mark_um: float, thickness_um: Floats, se_um: Floats) -> float:
+    """Median standard error of the values around a thickness; 0 where there are none."""
+    is_near = np.isfinite(se_um) & (np.abs(thickness_um - mark_um) <= max(2.0, 0.5 * mark_um))
+    if not is_near.any():
+        return 0.0
+    return float(np.median(se_um[is_near]))
 
 
 def _share_se(is_thin: Bools, is_known: Bools, pitch_um: Pair) -> float:
@@ -131,22 +127,34 @@ def roughness_numbers(
 ) -> RoughnessFacts:
     """Sa, Sq, Ssk, Sku, Sz and Sdq of what :func:`scale_limited` gives.
 
+    Parameters
+    ----------
+    limited : (rows, cols)
+        Heights in um; NaN where unknown.
+    pitch_um : (float, float)
+    s_filter_um, l_filter_um : float
+        The filters that it was made with.
+
+    Returns
+    -------
+    RoughnessFacts
+
     Raises
     ------
     CannotMeasure
         If it is empty or flat.
     """
-    is_finite = np.isfinite(limited)
-    if np.count_nonzero(is_finite) < 2:
+    h = limited[np.isfinite(limited)]
+    if h.size < 2:
         raise CannotMeasure("No height of the face is known. Look at 'status'.")
-    h = limited[is_finite] - limited[is_finite].mean()
+    h = h - h.mean()
     sq = float(np.sqrt(np.mean(h**2)))
     if sq == 0:
         raise CannotMeasure(
             "The surface is exactly flat: it has no skewness. Check that it was measured."
         )
-    slopes = [np.gradient(limited, p, axis=k) for k, p in enumerate(pitch_um)]
-    squared_slope = slopes[0] ** 2 + slopes[1] ** 2
+    by_y, by_x = np.moveaxis(slopes_of(limited, pitch_um), -1, 0)
+    squared_slope = by_y**2 + by_x**2
     squared_slope = squared_slope[np.isfinite(squared_slope)]
     if not squared_slope.size:
         raise CannotMeasure(
@@ -191,18 +199,21 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
     numbers: dict[str, float] = {}
     for pair in ("coating", "half_thickness", "topography"):
         names = [f"{pair}_{side}" for side in SIDES]
-        if any(name not in maps for name in names):
+        if not set(names) <= set(maps):
             continue
         top, bottom = (maps[name].values.astype(np.float64) for name in names)
         is_finite = np.isfinite(top) & np.isfinite(bottom)
-        if np.count_nonzero(is_finite) < 3:
+        top = top[is_finite]
+        bottom = bottom[is_finite]
+        if top.size < 3:
             continue
-        a, b = top[is_finite], bottom[is_finite]
-        sd = float(a.std()), float(b.std())
-        numbers[f"{pair}_difference_um"] = float(a.mean() - b.mean())
-        numbers[f"{pair}_sd_ratio"] = sd[0] / sd[1] if sd[1] > 0 else np.nan
-        numbers[f"{pair}_correlation"] = float(np.corrcoef(a, b)[0, 1]) if min(sd) > 0 else np.nan
-        numbers[f"{pair}_n"] = int(a.size)
+        top_sd = float(top.std())
+        bottom_sd = float(bottom.std())
+        numbers[f"{pair}_difference_um"] = float(top.mean() - bottom.mean())
+        numbers[f"{pair}_sd_ratio"] = top_sd / bottom_sd if bottom_sd > 0 else np.nan
+        r = np.corrcoef(top, bottom)[0, 1] if min(top_sd, bottom_sd) > 0 else np.nan
+        numbers[f"{pair}_correlation"] = float(r)
+        numbers[f"{pair}_n"] = int(top.size)
     if not numbers:
         raise CannotMeasure(
             "Two-sidedness needs coating_top and coating_bottom, or topography_top and"
@@ -234,71 +245,68 @@ def sheet_numbers(
     profile_names = [name for name in ("porosity", "filler") if name in measured]
     profiles = None
     if profile_names and volume is not None:
-        depth_profile = depth_profiles(
-            volume, measured, names=profile_names, params=params, engine=engine
+        shares = depth_profiles(volume, measured, names=profile_names, params=params, engine=engine)
+        profiles = ProfileFacts(
+            depth=_numbers(shares["depth"]),
+            values={name: _numbers(shares[name]) for name in profile_names},
         )
-        depth, *shares = (
-            tuple(depth_profile[name].values.tolist()) for name in ("depth", *profile_names)
-        )
-        profiles = ProfileFacts(depth=depth, values=dict(zip(profile_names, shares, strict=True)))
-    of_sides = map_threads(_numbers_of_side, repeat(measured), SIDES, repeat(params))
-    thin: dict[Side, ThinFacts] = {
-        side: facts for side, (facts, _) in zip(SIDES, of_sides, strict=True) if facts is not None
-    }
-    roughness: dict[Side, RoughnessFacts] = {
-        side: facts for side, (_, facts) in zip(SIDES, of_sides, strict=True)
-    }
-    two_sides = TwoSidesFacts.model_validate(two_sidedness(measured))
-    form_um = measured["topography_top"].attrs.get("form_um")
+    coated_sides: list[Side] = [
+        side for side in SIDES if np.isfinite(measured[f"coating_{side}"].values).any()
+    ]
+    thin = map_threads(_thin_facts, repeat(measured), coated_sides)
+    roughness = map_threads(_roughness_of_side, repeat(measured), SIDES, repeat(params))
     return SheetNumbers(
-        thin=thin, form_um=form_um, roughness=roughness, two_sides=two_sides, profiles=profiles
+        thin=dict(zip(coated_sides, thin, strict=True)),
+        form_um=measured["topography_top"].attrs.get("form_um"),
+        roughness=dict(zip(SIDES, roughness, strict=True)),
+        two_sides=TwoSidesFacts.model_validate(two_sidedness(measured)),
+        profiles=profiles,
     )
 
 
-def _numbers_of_side(
-    measured: xr.Dataset, side: Side, params: MeasureParams
-) -> tuple[ThinFacts | None, RoughnessFacts]:
-    pitch_um, filters_um = (
-        pitch(measured),
-        {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um},
+def _numbers(array: xr.DataArray) -> tuple[float, ...]:
+    return tuple(array.values.tolist())
+
+
+def _thin_facts(measured: xr.Dataset, side: Side) -> ThinFacts:
+    support_um = float(np.sqrt(np.prod(pitch(measured))))
+    coating = measured[f"coating_{side}"].assign_attrs(support_um=support_um)
+    shares = thin_fraction(coating, se=measured.get(f"coating_{side}_se"))
+    return ThinFacts(
+        thinner_than_um=_numbers(shares["marked"]),
+        share=_numbers(shares["marked_share"]),
+        standard_error=_numbers(shares["marked_se"]),
+        support_um=support_um,
+        warning=shares.attrs.get("warning"),
     )
-    thin, coating = None, measured[f"coating_{side}"]
-    if np.isfinite(coating.values).any():
-        support_um = float(np.sqrt(np.prod(pitch_um)))
-        thin_shares = thin_fraction(
-            coating.assign_attrs(support_um=support_um), se=measured.get(f"coating_{side}_se")
-        )
-        marked_um, share, standard_error = (
-            tuple(thin_shares[name].values.tolist())
-            for name in ("marked", "marked_share", "marked_se")
-        )
-        thin = ThinFacts(
-            thinner_than_um=marked_um,
-            share=share,
-            standard_error=standard_error,
-            support_um=support_um,
-            warning=thin_shares.attrs.get("warning"),
-        )
+
+
+def _roughness_of_side(measured: xr.Dataset, side: Side, params: MeasureParams) -> RoughnessFacts:
     try:
-        roughness_map = _scale_limited_face(measured, side, params)
-        return thin, roughness_numbers(roughness_map, pitch_um, **filters_um)
+        return roughness_numbers(
+            _scale_limited_face(measured, side, params),
+            pitch(measured),
+            s_filter_um=params.s_filter_um,
+            l_filter_um=params.l_filter_um,
+        )
     # A face of which little is known has none, which is no fault of the run.
     except CannotMeasure as reason:
-        return thin, RoughnessFacts(reason=reason.text)
+        return RoughnessFacts(reason=reason.text)
 
 
 def _scale_limited_face(measured: xr.Dataset, side: Side, params: MeasureParams) -> Floats:
     check_filters(params.s_filter_um, params.l_filter_um)
-    topography, pitch_um = measured[f"topography_{side}"], pitch(measured)
-    above_um = topography.values
-    if topography.attrs.get("form_um") != params.l_filter_um:
+    name = f"topography_{side}"
+    pitch_um = pitch(measured)
+    above_um = measured[name].values
+    if measured[name].attrs.get("form_um") != params.l_filter_um:
         heights, faces = meet(measured, "normal")
-        (above_um,) = above_form(
+        above_um = above_form(
             faces,
             heights["centre"],
             np.isfinite(above_um),
             pitch_um,
-            names=(f"topography_{side}",),
+            names=(name,),
             nesting_um=params.l_filter_um,
-        ).values()
+        )[name]
     return without_short(above_um, pitch_um, params.s_filter_um)

@@ -85,13 +85,14 @@ def porosity(rays: Rays) -> Measured:
 
 def share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
     """Share of void on each ray between two places (rows, cols)."""
-    greys, solid_grey = rays.greys, rays.params.of(Options).solid_grey
-    if solid_grey is None:
-        matter = _share_beyond(
-            rays, lower, upper, void_level(greys, rays.params.of(Options)), greys.base - greys.air
-        )
+    greys = rays.greys
+    options = rays.params.of(Options)
+    if options.solid_grey is None:
+        level = void_level(greys, options)
+        matter = _share_beyond(rays, lower, upper, level, greys.base - greys.air)
         return Measured(values=1 - matter.values, se=matter.se)
-    length, contrast = upper - lower, solid_grey - greys.air
+    length = upper - lower
+    contrast = options.solid_grey - greys.air
     is_long = length >= rays.step_um
     with np.errstate(divide="ignore", invalid="ignore"):
         void_share = 1 - rays.integral(lower, upper) / length / contrast
@@ -151,17 +152,16 @@ def filler(rays: Rays) -> Measured:
     from planish.core.grid import first_and_last
 
     lower, upper = rays.core
-    is_beyond = (
-        rays.greys.polarity * (rays.grey - np.float32(filler_level(rays.params, rays.greys))) > 0
-    )
+    level = np.float32(filler_level(rays.params, rays.greys))
     is_within = rays.between(lower, upper)
-    is_dark = is_within & ~is_beyond
-    (first, last), ends = (first_and_last(mask) for mask in (is_dark, is_within))
+    is_dark = is_within & ~(rays.greys.polarity * (rays.grey - level) > 0)
+    first_within, last_within = first_and_last(is_within)
+    first_dark, last_dark = first_and_last(is_dark)
     # An end that is dark already, or a ray that is bright throughout, stays as it is, between two
     # samples.
     has_dark = is_dark.any(axis=-1)
-    start = np.where(has_dark & (ends[0] != first), rays.s_um[first], lower)
-    stop = np.where(has_dark & (ends[1] != last), rays.s_um[last], upper)
+    start = np.where(has_dark & (first_within != first_dark), rays.s_um[first_dark], lower)
+    stop = np.where(has_dark & (last_within != last_dark), rays.s_um[last_dark], upper)
     return share_of_filler(rays, start, stop)
 
 
@@ -188,8 +188,7 @@ def filler_weight(sheet: Sheet) -> Measured:
 
     SE: the share's, likewise.
     """
-    mass = sheet.maps["base_thickness"].values * sheet.params.of(Densities).need(
-        "Filler", "filler_g_cm3"
-    )
+    density = sheet.params.of(Densities).need("Filler", "filler_g_cm3")
+    mass = sheet.maps["base_thickness"].values * density
     share = sheet.maps["filler"]
     return Measured(values=share.values * mass, se=share.se * mass)

@@ -6,8 +6,9 @@ Further maps are worked out on row tiles on threads: the same bytes however they
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -27,7 +28,7 @@ from planish.core.typing import Floats
 from planish.measure.form import F_OPERATOR, above_form
 from planish.measure.greys import FWHM, Greys
 from planish.measure.params import MeasureParams
-from planish.measure.rays import CUTOFF_UM, RayFrame, Rays, meet
+from planish.measure.rays import CUTOFF_UM, RayFrame, Rays, meet, secant, slopes_of
 from planish.measure.registry import (
     HEIGHTS,
     LENGTHS,
@@ -46,6 +47,12 @@ from planish.measure.registry import (
     length_of,
 )
 from planish.measure.uncertainty import SharedNoise, common_errors, ray_noise, thickness_errors
+
+T = TypeVar("T")
+#: Standard error of each thickness (rows, cols) and what averaging does not lessen of it, um, and
+#: the area that one independent value stands for, um2.
+Errors = tuple[dict[str, Floats], dict[str, float], float]
+_SEEN_THROUGH = 2.5  # widths of the blur: a thicker layer shows its own grey in its middle
 
 
 def measure_properties(
@@ -105,46 +112,35 @@ def measure_properties(
         source="pl.find_surfaces(volume)",
         call_format="pl.measure_properties({})",
     )
+    names_in_volume = [name for name in params.maps if name not in OF_FACES]
     if volume is not None:
         check_volume(volume, "pl.measure_properties(surfaces, volume={})")
-    elif names := [name for name in params.maps if name not in OF_FACES]:
+    elif names_in_volume:
         raise InputError(
-            f"`property={', '.join(names)}`: measured in the volume, which is not given. Give"
-            " it with `volume`, or leave them out."
+            f"`property={', '.join(names_in_volume)}`: measured in the volume, which is not given."
+            " Give it with `volume`, or leave them out."
         )
     is_labels = "from_labels" in surfaces.attrs
     if is_labels:
         check_maps(params, labels=True)
-    surfaces = surfaces_of(surfaces)  # those of a run hold its maps
-    in_greys = volume is not None and not is_labels
-    faces = _measure_faces(surfaces, params, () if in_greys else params.maps)
-    measured = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")
-    noise_um = float("nan")
-    if volume is not None and not is_labels:
-        names = [name for name in chosen(params, Greys.of(surfaces)) if name not in PROPERTIES]
-        if names:
-            further = measure_along_rays(
-                volume, measured, names=names, params=params, engine=engine
-            )
-            measured = measured.merge(
-                further.drop_vars("status"), compat="override", combine_attrs="override"
-            )
-            noise_um = float(further.attrs["ray_noise_um"])
-    return _with_errors(measured, noise_um)
+    bare_surfaces = surfaces_of(surfaces)  # those of a run hold its maps
+    if volume is None or is_labels:
+        return _with_errors(_measure_faces(bare_surfaces, params, params.maps))
+    measured = _measure_faces(bare_surfaces, params, ())
+    names = [name for name in chosen(params, Greys.of(measured)) if name not in PROPERTIES]
+    further = measure_along_rays(volume, measured, names=names, params=params, engine=engine)
+    measured = measured.assign(further.drop_vars("status").data_vars)
+    return _with_errors(measured, float(further.attrs["ray_noise_um"]))
 
 
 def surfaces_of(measured: xr.Dataset) -> xr.Dataset:
     """The surfaces that :func:`measure_properties` was given, of what it gave."""
-    names = {*PROPERTIES, *OF_FACES, *further_maps(measured)}
-    names |= {
-        name for name in measured.data_vars if re.sub("_(se|status)$", "", str(name)) in names
-    }
-    surfaces = measured.drop_vars(names, errors="ignore")
-    status = surfaces["status"]
-    status_before = np.where(status.values == Status.NORMAL_LEAVES_SHEET, 0, status.values).astype(
-        status.dtype
-    )
-    return surfaces.assign(status=status.copy(data=status_before))
+    maps = {*PROPERTIES, *OF_FACES, *further_maps(measured)}
+    names = [name for name in measured.data_vars if re.sub("_(se|status)$", "", str(name)) in maps]
+    status = measured["status"]
+    left_sheet = status.values == Status.NORMAL_LEAVES_SHEET
+    status_before = np.where(left_sheet, 0, status.values).astype(status.dtype)
+    return measured.drop_vars(names).assign(status=status.copy(data=status_before))
 
 
 def further_maps(measured: xr.Dataset) -> list[str]:
@@ -159,72 +155,84 @@ def further_maps(measured: xr.Dataset) -> list[str]:
     return maps + [name for name in errors if np.isfinite(measured[name].values).any()]
 
 
-def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
+def _with_errors(measured: xr.Dataset, noise_um: float = np.nan) -> xr.Dataset:
     """Add the standard error of each thickness where it is known how the faces were found.
 
-    NaN for white noise.
+    ``noise_um`` is that of single rays; NaN for white noise.
     """
-    attrs, frame, pitch_um = measured.attrs, Frame.of(measured), pitch(measured)
+    attrs = measured.attrs
     if "voxel_um" not in attrs or not ("from_labels" in attrs or "grey_noise" in attrs):
         return measured
-    voxel_um = dict(zip("zyx", map(float, attrs["voxel_um"]), strict=True))
-    through_um, column_um2 = voxel_um[frame.through], pitch_um[0] * pitch_um[1]
     if "from_labels" in attrs:
-        # A face lies anywhere within a voxel: the difference of two has the variance of two uniform
-        # distributions.
-        common, patch_um2 = common_errors(through_um), column_um2
-        errors = {name: np.hypot(through_um / np.sqrt(6), se_um) for name, se_um in common.items()}
+        errors, common, patch_um2 = _errors_of_labels(measured)
     else:
-        greys = Greys.of(measured)
-        column_px = float(np.sqrt(column_um2 / (voxel_um[frame.rows] * voxel_um[frame.cols])))
-        shared_noise = SharedNoise.of(
-            greys, voxel_um=through_um, pitch_um=pitch_um, column_px=column_px, noise_um=noise_um
-        )
-        common, patch_um2 = shared_noise.common_um, shared_noise.patch_um2
-        slopes = np.gradient(measured["centre"].values, *pitch_um)
-        coatings_um: dict[Side, Floats] = {
-            side: measured[f"coating_{side}"].values for side in SIDES
-        }
-        cos_tilt = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        errors = thickness_errors(coatings_um, greys, shared_noise, cosine=cos_tilt)
-        if attrs.get("method") == "paper":
-            # A crossing of half the step uses one place of the edge, a fit all of it.
-            crossing_factor = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through_um))
-            errors = {name: se * crossing_factor for name, se in errors.items()}
+        errors, common, patch_um2 = _errors_of_greys(measured, noise_um)
     # What corrections and the grey of an uncoated base leave open; a wrong grey moves all columns
     # alike.
     level_um = 0.0
     for side in SIDES:
-        for added in (
-            measured.get(f"correction_{side}_error"),
-            measured.get(f"level_{side}_error"),
-        ):
-            if added is not None:
-                added_um = np.nan_to_num(added.values.astype(np.float64))
-                errors |= {
-                    k: np.hypot(errors[k], added_um)
-                    for k in (f"coating_{side}", "base_thickness", "thickness")
-                }
-                level_um += float(added.attrs.get("common_um", 0.0))
-    coating_um = {side: _grey_error_um(measured, side) for side in SIDES}
-    common = {
-        **common,
-        **{f"coating_{k}": float(np.hypot(common[f"coating_{k}"], coating_um[k])) for k in SIDES},
-        **{k: float(np.hypot(common[k], level_um)) for k in ("base_thickness", "thickness")},
-    }
+        coating = f"coating_{side}"
+        for source in (f"correction_{side}_error", f"level_{side}_error"):
+            if source in measured:
+                source_um = np.nan_to_num(measured[source].values.astype(np.float64))
+                for name in (coating, "base_thickness", "thickness"):
+                    errors[name] = np.hypot(errors[name], source_um)
+                level_um += float(measured[source].attrs.get("common_um", 0.0))
+        common[coating] = float(np.hypot(common[coating], _grey_error_um(measured, side)))
+    for name in ("base_thickness", "thickness"):
+        common[name] = float(np.hypot(common[name], level_um))
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)
         if np.isfinite(se).any():
-            attrs_of_se = {
+            se_attrs = {
                 "units": "um",
                 "long_name": _se_name(PROPERTIES[name]),
                 "common_um": common[name],
+                "patch_um2": patch_um2,
             }
-            variables[f"{name}_se"] = xr.Variable(
-                ("y", "x"), se, attrs_of_se | {"patch_um2": patch_um2}
-            )
+            variables[f"{name}_se"] = xr.Variable(("y", "x"), se, se_attrs)
     return measured.assign(variables)
+
+
+def _voxel_um(measured: xr.Dataset) -> dict[str, float]:
+    """Size of the voxels that the faces were found in, by axis of the volume."""
+    return dict(zip("zyx", map(float, measured.attrs["voxel_um"]), strict=True))
+
+
+def _errors_of_labels(measured: xr.Dataset) -> Errors:
+    """Errors of faces between voxels of labels."""
+    through_um = _voxel_um(measured)[Frame.of(measured).through]
+    common = common_errors(through_um)
+    # A face lies anywhere within a voxel: the difference of two has the variance of two uniform
+    # distributions.
+    errors = {name: np.hypot(through_um / np.sqrt(6), se_um) for name, se_um in common.items()}
+    return errors, common, float(np.prod(pitch(measured)))
+
+
+def _errors_of_greys(measured: xr.Dataset, noise_um: float) -> Errors:
+    """Errors of faces found in grey values."""
+    greys = Greys.of(measured)
+    frame = Frame.of(measured)
+    pitch_um = pitch(measured)
+    voxel_um = _voxel_um(measured)
+    through_um = voxel_um[frame.through]
+    voxel_um2 = voxel_um[frame.rows] * voxel_um[frame.cols]
+    shared_noise = SharedNoise.of(
+        greys,
+        voxel_um=through_um,
+        pitch_um=pitch_um,
+        column_px=float(np.sqrt(pitch_um[0] * pitch_um[1] / voxel_um2)),
+        noise_um=noise_um,
+    )
+    coatings_um: dict[Side, Floats] = {side: measured[f"coating_{side}"].values for side in SIDES}
+    cos_tilt = 1 / secant(slopes_of(measured["centre"].values, pitch_um))
+    errors = thickness_errors(coatings_um, greys, shared_noise, cosine=cos_tilt)
+    if measured.attrs.get("method") == "paper":
+        # A crossing of half the step uses one place of the edge, a fit all of it.
+        crossing_factor = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through_um))
+        errors = {name: se * crossing_factor for name, se in errors.items()}
+    return errors, dict(shared_noise.common_um), shared_noise.patch_um2
 
 
 def _grey_error_um(measured: xr.Dataset, side: Side) -> float:
@@ -237,7 +245,8 @@ def _grey_error_um(measured: xr.Dataset, side: Side) -> float:
         return 0.0
     greys = Greys.of(measured)
     seen_through_um = np.fmin(measured[f"coating_{side}"].values, _SEEN_THROUGH * greys.blur_um)
-    return error / abs(greys.coating(side) - greys.base) * float(np.nanmean(seen_through_um))
+    contrast = abs(greys.coating(side) - greys.base)
+    return error / contrast * float(np.nanmean(seen_through_um))
 
 
 def _se_name(long_name: str) -> str:
@@ -247,7 +256,7 @@ def _se_name(long_name: str) -> str:
 def _measure_faces(
     surfaces: xr.Dataset, params: MeasureParams, further_names: Sequence[str]
 ) -> xr.Dataset:
-    """Measure what the faces alone give, and further maps that they give as well."""
+    """Add to the surfaces what the faces alone give, and further maps that they give as well."""
     titles = PROPERTIES | {name: find_property(name).long_name for name in further_names}
     heights, faces = meet(surfaces, "normal")
     lengths_um = {name: face_length(faces, name) for name in LENGTHS}
@@ -256,11 +265,13 @@ def _measure_faces(
     # A column counts as measured when everything that the sheet has was measured there.
     is_whole = np.isfinite(lengths_um["thickness"])
     for side in SIDES:
+        coating = f"coating_{side}"
+        has_coating = np.isfinite(lengths_um[coating])
+        if has_coating.any():
+            is_whole &= has_coating
         if faces[f"interface_{side}"] is faces[side]:
-            for name in (f"coating_{side}", f"base_surface_{side}"):
-                lengths_um[name] = np.full(is_whole.shape, np.nan)
-        elif np.isfinite(lengths_um[f"coating_{side}"]).any():
-            is_whole &= np.isfinite(lengths_um[f"coating_{side}"])
+            nothing = np.full(is_whole.shape, np.nan)
+            lengths_um |= {coating: nothing, f"base_surface_{side}": nothing}
     status[(status == 0) & ~is_whole] = Status.NORMAL_LEAVES_SHEET
     is_valid = status == 0
     if not is_valid.any():
@@ -281,14 +292,10 @@ def _measure_faces(
         length_um = np.where(is_valid, lengths_um[name], np.nan)
         variables[name] = xr.Variable(("y", "x"), length_um, attrs)
     variables["status"] = xr.Variable(("y", "x"), status, status_flags())
-    return xr.Dataset(variables, coords=surfaces.coords, attrs=surfaces.attrs)
+    return surfaces.drop_vars("status").assign(variables)
 
 
-T = TypeVar("T")
-_SEEN_THROUGH = 2.5  # widths of the blur: a thicker layer shows its own grey in its middle
-
-
-def measure_along_rays(  # noqa: C901
+def measure_along_rays(
     volume: xr.DataArray,
     surfaces: xr.Dataset,
     *,
@@ -333,60 +340,27 @@ def measure_along_rays(  # noqa: C901
     if not properties:
         raise CannotMeasure("No property was named. Name one or more.")
     frame = ray_frame(volume, surfaces, params)
-    halo_rows = {prop.name: _halo(prop, frame) for prop in properties if prop.kind == "rays"}
     status = frame.status.copy()
-    maps = {
-        name: Measured(
-            values=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
-            se=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
-            reason=np.zeros(status.shape, np.uint8),
-        )
-        for name in halo_rows
-    }
-
-    def measure_tile(tile: Rays, inner_rows: slice, sheet_rows: slice) -> None:
-        status[sheet_rows] = tile.status[inner_rows]
-        rays_of_halo: dict[int, tuple[Rays, slice]] = {}
-        for prop in properties:
-            if prop.kind != "rays":
-                continue
-            halo = halo_rows[prop.name]
-            if halo not in rays_of_halo:
-                start, stop = (
-                    max(inner_rows.start - halo, 0),
-                    min(inner_rows.stop + halo, tile.status.shape[0]),
-                )
-                halo_rays = (
-                    tile
-                    if (start, stop) == (0, tile.status.shape[0])
-                    else tile.rows(slice(start, stop))
-                )
-                rays_of_halo[halo] = (
-                    halo_rays,
-                    slice(inner_rows.start - start, inner_rows.stop - start),
-                )
-            halo_rays, tile_rows = rays_of_halo[halo]
-            answer = _measured(prop, halo_rays)
-            for name in ("values", "se", "reason"):
-                getattr(maps[prop.name], name)[sheet_rows] = getattr(answer, name)[tile_rows]
-
-    if halo_rows:
-        each_tile(
-            volume,
-            frame,
-            measure_tile,
-            halo=max(halo_rows.values()),
-            rows=rows_per_tile,
-            engine=engine,
-        )
-    sheet = Sheet(frame=replace(frame, status=status), maps=maps)
+    maps: dict[str, Measured] = {}
+    by_halo: dict[int, list[Property]] = {}
     for prop in properties:
-        if prop.kind == "sheet":
-            maps[prop.name] = _measured(prop, sheet)
-    requested_names = {name if isinstance(name, str) else name.name for name in names}
+        if prop.kind == "rays":
+            by_halo.setdefault(_halo(prop, frame), []).append(prop)
+            maps[prop.name] = Measured(
+                values=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
+                se=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
+                reason=np.zeros(status.shape, np.uint8),
+            )
+    if by_halo:
+        measure_tile = partial(_measure_tile, by_halo, maps, status)
+        each_tile(volume, frame, measure_tile, halo=max(by_halo), rows=rows_per_tile, engine=engine)
+    sheet = Sheet(frame=replace(frame, status=status), maps=maps)
+    requested = [find_property(name) for name in names]
     variables: dict[str, xr.Variable] = {}
     for prop in properties:
-        if prop.name in requested_names:
+        if prop.kind == "sheet":
+            maps[prop.name] = _measured(prop, sheet, status.shape)
+        if prop in requested:
             variables |= _variables(prop, maps[prop.name], status, frame)
     variables["status"] = xr.Variable(
         ("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME)
@@ -395,6 +369,26 @@ def measure_along_rays(  # noqa: C901
     return xr.Dataset(
         variables, coords=surfaces.coords, attrs=surfaces.attrs | ray_attrs | params.known()
     )
+
+
+def _measure_tile(
+    by_halo: Mapping[int, Sequence[Property]],
+    maps: Mapping[str, Measured],
+    status: NDArray[np.uint8],
+    tile: Rays,
+    inner_rows: slice,
+    sheet_rows: slice,
+) -> None:
+    """Measure some rows of the sheet, each property with as many rows around them as it needs."""
+    status[sheet_rows] = tile.status[inner_rows]
+    for halo, properties in by_halo.items():
+        start = max(inner_rows.start - halo, 0)
+        halo_rays = tile.rows(slice(start, inner_rows.stop + halo))
+        rows = slice(inner_rows.start - start, inner_rows.stop - start)
+        for prop in properties:
+            answer = _measured(prop, halo_rays, halo_rays.status.shape)
+            for name in ("values", "se", "reason"):
+                getattr(maps[prop.name], name)[sheet_rows] = getattr(answer, name)[rows]
 
 
 def ray_frame(volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams | None) -> RayFrame:
@@ -439,37 +433,32 @@ def each_tile(
     tiles = [slice(start, min(start + rows, row_count)) for start in range(0, row_count, rows)]
 
     def run_tile(tile: slice) -> T:
-        start, stop = max(tile.start - halo, 0), min(tile.stop + halo, row_count)
-        return work(
-            frame.tile(volume, slice(start, stop)),
-            slice(tile.start - start, tile.stop - start),
-            tile,
-        )
+        start = max(tile.start - halo, 0)
+        rays = frame.tile(volume, slice(start, tile.stop + halo))
+        return work(rays, slice(tile.start - start, tile.stop - start), tile)
 
     return map_threads(run_tile, tiles, number=threads)
 
 
 def _halo(prop: Property, frame: RayFrame) -> int:
     halo_um = length_of(prop.halo_um, frame.params)
-    return int(np.ceil(halo_um / frame.pitch_um[0])) + 1 if halo_um > 0 else 0
+    if halo_um > 0:
+        return int(np.ceil(halo_um / frame.pitch_um[0])) + 1
+    return 0
 
 
-def _measured(prop: Property, rays_or_sheet: Rays | Sheet) -> Measured:
+def _measured(prop: Property, rays_or_sheet: Rays | Sheet, shape: tuple[int, ...]) -> Measured:
     with faults_named(f"The property {prop.name!r}", prop.function.__module__):
         answer = prop.function(rays_or_sheet)
     if not isinstance(answer, Measured):
         answer = Measured(values=np.asarray(answer))
-    shape = (
-        rays_or_sheet.status.shape
-        if isinstance(rays_or_sheet, Rays)
-        else rays_or_sheet.frame.status.shape
-    )
     if answer.values.shape != shape:
         raise CannotMeasure(
             f"The property '{prop.name}' returned the shape {answer.values.shape} for {shape[0]} x"
             f" {shape[1]} rays. Return one value for each ray: (rows, cols)."
         )
-    se, reason = (np.broadcast_to(field, shape) for field in (answer.se, answer.reason))
+    se = np.broadcast_to(answer.se, shape)
+    reason = np.broadcast_to(answer.reason, shape)
     return Measured(values=answer.values, se=se, reason=reason)
 
 
@@ -480,28 +469,27 @@ def _variables(
 
     Also gives its status where it has reasons of its own.
     """
-    is_valid, dims, title = status == 0, ("y", "x"), prop.long_name
+    dims = ("y", "x")
+    title = prop.long_name
     ray_width_um = max(*frame.pitch_um, FWHM * frame.greys.blur_um)
-    support_um = max(
-        0.0 if prop.support_um is None else length_of(prop.support_um, frame.params), ray_width_um
-    )
-    values = np.where(is_valid, answer.values, np.nan).astype(np.float32)
+    support_um = max(length_of(prop.support_um, frame.params), ray_width_um)
+    values = np.where(status == 0, answer.values, np.nan).astype(np.float32)
     se = np.where(np.isfinite(values), answer.se, np.nan).astype(np.float32)
     attrs = {"units": prop.units, "long_name": title, "support_um": round(support_um, 3)}
-    stated = {name: getattr(frame.params, name) for name in prop.stated}
-    attrs |= prop.attrs | {name: value for name, value in stated.items() if value is not None}
+    attrs |= prop.attrs
+    for name in prop.stated:
+        if getattr(frame.params, name) is not None:
+            attrs[name] = getattr(frame.params, name)
+    se_attrs = {"units": prop.units, "long_name": _se_name(title)}
     variables = {
         prop.name: xr.Variable(dims, values, attrs),
-        f"{prop.name}_se": xr.Variable(
-            dims, se, {"units": prop.units, "long_name": _se_name(title)}
-        ),
+        f"{prop.name}_se": xr.Variable(dims, se, se_attrs),
     }
     if prop.reasons:
-        status_or_reason = np.where(
-            is_valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status
-        )
+        has_reason = (status == 0) & (answer.reason > 0)
+        own_status = np.where(has_reason, answer.reason + np.uint8(FIRST_OWN - 1), status)
         flags = status_flags(
             f"Status of {title}", last=Status.RAY_LEAVES_VOLUME, reasons=prop.reasons
         )
-        variables[f"{prop.name}_status"] = xr.Variable(dims, status_or_reason, flags)
+        variables[f"{prop.name}_status"] = xr.Variable(dims, own_status, flags)
     return variables

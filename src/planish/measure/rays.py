@@ -72,9 +72,10 @@ class Rays:
     @property
     def edge_um(self) -> Floats:
         """Length left out of the base at both ends, along the ray (rows, cols)."""
-        return self.oblique * (
-            2 * self.greys.blur_um if self.params.edge_um is None else self.params.edge_um
-        )
+        edge_um = self.params.edge_um
+        if edge_um is None:
+            edge_um = 2 * self.greys.blur_um
+        return self.oblique * edge_um
 
     @property
     def core(self) -> tuple[Floats, Floats]:
@@ -99,10 +100,14 @@ class Rays:
 
         Grey times um.
         """
-        grey_integral = _ray_kernels.pieces(
-            self.grey, float(self.s_um[0]), self.step_um, lower, upper, 0.0, 0.0
-        )[0]
+        grey_integral, _, _ = self._pieces(lower, upper, 0.0, 0.0)
         return grey_integral - self.greys.air * np.maximum(upper - lower, 0.0)
+
+    def _pieces(
+        self, lower: Floats, upper: Floats, least: float, most: float
+    ) -> tuple[Floats, Floats, NDArray[np.int32]]:
+        first_um = float(self.s_um[0])
+        return _ray_kernels.pieces(self.grey, first_um, self.step_um, lower, upper, least, most)
 
     def mean(self, lower: Floats, upper: Floats) -> Floats:
         """Mean grey above the air between two places; NaN where they are not a step apart."""
@@ -117,10 +122,8 @@ class Rays:
 
         Also gives how many ends it has there.
         """
-        grey_range = float(least), float(most)
-        return _ray_kernels.pieces(
-            self.grey, float(self.s_um[0]), self.step_um, lower, upper, *grey_range
-        )[1:]
+        _, length_um, ends = self._pieces(lower, upper, float(least), float(most))
+        return length_um, ends
 
     def beyond(
         self, lower: Floats, upper: Floats, level: float
@@ -129,8 +132,9 @@ class Rays:
 
         Also gives how many ends it has.
         """
-        least, most = (level, np.inf) if self.greys.polarity > 0 else (-np.inf, level)
-        return self.length(lower, upper, least=least, most=most)
+        if self.greys.polarity > 0:
+            return self.length(lower, upper, least=level, most=np.inf)
+        return self.length(lower, upper, least=-np.inf, most=level)
 
     def crossing_se(self, contrast: float) -> Floats:
         """Standard error in um of one crossing of a blurred step (rows, cols).
@@ -141,10 +145,9 @@ class Rays:
         pi) w) where it is half way, and noise of standard deviation sigma moves that place by sigma
         over the slope.
         """
-        blur = max(self.greys.blur_um, 0.5 * self.voxel_um)
-        return self.oblique * (
-            np.sqrt(2 * np.pi) * blur * self.greys.noise / max(abs(contrast), 1e-12)
-        )
+        blur_um = max(self.greys.blur_um, 0.5 * self.voxel_um)
+        se_um = np.sqrt(2 * np.pi) * blur_um * self.greys.noise / max(abs(contrast), 1e-12)
+        return self.oblique * se_um
 
     def integral_se(self, length: Floats | float) -> Floats:
         """Standard error of an integral over ``length`` um: sqrt(noise_um * length)."""
@@ -175,31 +178,31 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict
     signed distances of the faces along the rays. An interface of a side without a coating is its
     face, the same array.
     """
-    if lacking := [name for name in (*FACES, "centre", "status") if name not in surfaces]:
+    names = (*FACES, "centre")
+    if lacking := [name for name in (*names, "status") if name not in surfaces]:
         raise SurfaceError(
             f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'."
         )
     up_sign = Frame.of(surfaces).sign
-    heights = {
-        name: up_sign * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")
-    }
-    if inverted_count := int(np.count_nonzero(heights["top"] < heights["bottom"])):
+    heights = {name: up_sign * surfaces[name].values.astype(np.float64) for name in names}
+    inverted_count = np.count_nonzero(heights["top"] < heights["bottom"])
+    if inverted_count:
         raise SurfaceError(
             f"The top lies below the bottom at {inverted_count} points. Check `top`."
         )
+    centre_um = heights["centre"]
     pitch_um = pitch(surfaces)
-    normals = directions(slopes_of(heights["centre"], pitch_um), rays)
-    unit_vector = [np.ascontiguousarray(component) for component in np.moveaxis(normals, -1, 0)]
+    normals = directions(slopes_of(centre_um, pitch_um), rays)
+    unit_vector = map(np.ascontiguousarray, np.moveaxis(normals, -1, 0))
+    vectors = (*unit_vector, *pitch_um)
     faces: dict[str, Floats] = {}
     for name in FACES:
         if name.startswith("interface") and not np.isfinite(heights[name]).any():
             faces[name] = faces[name.removeprefix("interface_")]
         elif rays == "vertical":
-            faces[name] = heights[name] - heights["centre"]
+            faces[name] = heights[name] - centre_um
         else:
-            faces[name] = _ray_kernels.along_normals(
-                heights[name], heights["centre"], *unit_vector, *pitch_um
-            )
+            faces[name] = _ray_kernels.along_normals(heights[name], centre_um, *vectors)
     return heights, faces
 
 
@@ -236,18 +239,18 @@ class RayFrame:
 
         Of the volume only size and coordinates are looked at.
         """
-        (heights, faces), frame = meet(surfaces, params.rays), Frame.of(surfaces)
-        volume_shape, shape = (
-            (volume.sizes[frame.rows], volume.sizes[frame.cols]),
-            surfaces["centre"].shape,
-        )
+        heights, faces = meet(surfaces, params.rays)
+        frame = Frame.of(surfaces)
+        pitch_um = pitch(surfaces)
+        volume_rows = volume.sizes[frame.rows]
+        volume_cols = volume.sizes[frame.cols]
+        rows, cols = surfaces["centre"].shape
         # Voxels along the edge of a column of the surfaces.
-        column_px = max(volume_shape[0] // max(shape[0], 1), 1)
-        if (volume_shape[0] // column_px, volume_shape[1] // column_px) != shape:
+        column_px = max(volume_rows // max(rows, 1), 1)
+        if (volume_rows // column_px, volume_cols // column_px) != (rows, cols):
             raise SurfaceError(
-                f"The volume has {volume_shape[0]} x {volume_shape[1]} columns and the surfaces"
-                f" have {shape[0]} x {shape[1]}: they do not belong together. Find the surfaces in"
-                " this volume."
+                f"The volume has {volume_rows} x {volume_cols} columns and the surfaces have {rows}"
+                f" x {cols}: they do not belong together. Find the surfaces in this volume."
             )
         through_um = volume.coords[frame.through].values
         voxel_um = abs(float(through_um[1] - through_um[0]))
@@ -255,14 +258,14 @@ class RayFrame:
         greys = Greys.of(surfaces)
         margin_um = 3 * greys.blur_um + 6 * voxel_um  # beyond the faces
         status = surfaces["status"].values.astype(np.uint8)
-        top, bottom = faces["top"], faces["bottom"]
+        top = faces["top"]
+        bottom = faces["bottom"]
         is_whole = np.isfinite(top) & np.isfinite(bottom) & (status == 0)
-        thickness_um = (
-            float(np.median((top - bottom)[is_whole])) if is_whole.any() else float("nan")
-        )
-        # A face so many thicknesses from the centre surface is not this ray's.
-        is_whole &= (np.abs(top) < 1.5 * thickness_um) & (np.abs(bottom) < 1.5 * thickness_um)
-        is_whole &= np.isfinite(faces["interface_top"]) & np.isfinite(faces["interface_bottom"])
+        if is_whole.any():
+            # A face so many thicknesses from the centre surface is not this ray's.
+            reach_um = 1.5 * float(np.median((top - bottom)[is_whole]))
+            is_whole &= (np.abs(top) < reach_um) & (np.abs(bottom) < reach_um)
+            is_whole &= np.isfinite(faces["interface_top"]) & np.isfinite(faces["interface_bottom"])
         if not is_whole.any():
             raise CannotMeasure(
                 "No ray of the centre surface meets both faces. Look at the surfaces in the report."
@@ -270,14 +273,14 @@ class RayFrame:
         status[(status == 0) & ~is_whole] = Status.NORMAL_LEAVES_SHEET
         low = int(np.floor((float(bottom[is_whole].min()) - margin_um) / step_um))
         high = int(np.ceil((float(top[is_whole].max()) + margin_um) / step_um))
-        slope = slopes_of(heights["centre"], pitch(surfaces))
+        slope = slopes_of(heights["centre"], pitch_um)
         stretch = np.sqrt(1 + slope[np.isfinite(slope).all(axis=-1)] ** 2).mean(axis=0)
         return cls(
             frame=frame,
             heights=heights,
             faces=faces,
             status=status,
-            pitch_um=pitch(surfaces),
+            pitch_um=pitch_um,
             voxel_um=voxel_um,
             step_um=step_um,
             low=low,
@@ -302,12 +305,12 @@ class RayFrame:
         """Length of ray for one um along the normal (rows, cols)."""
         if self.params.rays == "normal":
             return np.ones(slope.shape[:-1])
-        return np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)
+        return secant(slope)
 
     def tile(self, volume: xr.DataArray, rows: slice) -> Rays:
         """Straighten some rows; only the voxels that they need are read."""
         start, stop, _ = rows.indices(self.status.shape[0])
-        rows, contrast = slice(start, stop), self.greys.base - self.greys.air
+        rows = slice(start, stop)
         slope = self.slopes(rows)
         normals = directions(slope, self.params.rays)
         status = self.status[rows].copy()
@@ -335,40 +338,40 @@ class RayFrame:
         )
         grey_integral = tile.integral(tile.bottom, tile.top)
         status[(status == 0) & ~np.isfinite(grey_integral)] = Status.RAY_LEAVES_VOLUME
+        contrast = self.greys.base - self.greys.air
         with np.errstate(invalid="ignore"):
             is_faint = grey_integral / np.maximum(tile.top - tile.bottom, 1e-9) / contrast < 0.25
         status[(status == 0) & is_faint] = Status.LOW_CONTRAST
         return tile
 
     def _grey(self, volume: xr.DataArray, rows: slice, normals: Floats, is_wanted: Bools) -> Grey:
+        """Grey values along the wanted rays of some rows, from the box of voxels around them."""
         grey = np.full((*is_wanted.shape, self.samples), np.nan, dtype=np.float32)
         if not is_wanted.any():
             return grey
-        frame, column_px = self.frame, self.column_px
+        frame = self.frame
+        column_px = self.column_px
         through = volume.coords[frame.through].values
         voxel_um = float(through[1] - through[0])
         depth = (frame.sign * self.heights["centre"][rows] - float(through[0])) / voxel_um
         steps = [normals[..., axis] * column_px / self.pitch_um[axis] for axis in (0, 1)]
         steps.append(frame.sign * normals[..., 2] / voxel_um)
         # The box around both ends of all rays, in voxels.
-        row_index, col_index = (
-            np.arange(rows.start, rows.stop)[:, None],
-            np.arange(is_wanted.shape[1]),
-        )
-        starts = (*(column_px * k + 0.5 * (column_px - 1) for k in (row_index, col_index)), depth)
+        middle_px = 0.5 * (column_px - 1)
+        row_px = column_px * np.arange(rows.start, rows.stop)[:, None] + middle_px
+        col_px = column_px * np.arange(is_wanted.shape[1]) + middle_px
+        axes = (frame.rows, frame.cols, frame.through)
         box: dict[str, slice] = {}
-        for axis, start_px, step in zip(
-            (frame.rows, frame.cols, frame.through), starts, steps, strict=True
-        ):
-            ends = [
-                (start_px + end * self.step_um * step)[is_wanted] for end in (self.low, self.high)
-            ]
+        for axis, start_px, step in zip(axes, (row_px, col_px, depth), steps, strict=True):
+            first_end = (start_px + self.low * self.step_um * step)[is_wanted]
+            last_end = (start_px + self.high * self.step_um * step)[is_wanted]
             n = volume.sizes[axis]
-            first_px, last_px = int(np.floor(np.min(ends))), int(np.ceil(np.max(ends))) + 2
+            first_px = int(np.floor(min(first_end.min(), last_end.min())))
+            last_px = int(np.ceil(max(first_end.max(), last_end.max()))) + 2
             box[axis] = slice(min(max(first_px, 0), n - 1), max(min(last_px, n), 1))
-        block, padding = np.ascontiguousarray(read_box(volume, box)), self.greys.padding
+        padding = self.greys.padding
         _ray_kernels.resample_rays(
-            block,
+            np.ascontiguousarray(read_box(volume, box)),
             np.array([part.start for part in box.values()]),
             rows.start,
             column_px,
@@ -390,19 +393,29 @@ def slopes_of(heights: Floats, pitch: Pair, rows: slice = slice(None)) -> Floats
     Of some rows the same as of the whole surface.
     """
     start, stop, _ = rows.indices(heights.shape[0])
-    first_row, last_row = max(start - 1, 0), min(stop + 1, heights.shape[0])
-    while last_row - first_row < 2:
-        first_row, last_row = max(first_row - 1, 0), min(last_row + 1, heights.shape[0])
-    slopes = [np.gradient(heights[first_row:last_row], p, axis=i) for i, p in enumerate(pitch)]
+    first_row = max(start - 1, 0)
+    part = heights[first_row : stop + 1]
+    slopes = [np.gradient(part, p, axis=axis) for axis, p in enumerate(pitch)]
     return np.stack(slopes, axis=-1)[start - first_row : stop - first_row]
+
+
+def secant(slope: Floats) -> Floats:
+    """Length along the vertical of one um along the normal, by the slope (rows, cols, 2)."""
+    return np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)
 
 
 def directions(slope: Floats, rays: Direction) -> Floats:
     """Unit vectors of the rays along rows, columns and height (rows, cols, 3), pointing up.
 
     NaN without a slope.
+
+    Parameters
+    ----------
+    slope : (rows, cols, 2)
+        Of the centre surface, as :func:`slopes_of` gives it.
+    rays : {"normal", "vertical"}
     """
     if rays == "vertical":
         return np.where(np.isfinite(slope).all(axis=-1, keepdims=True), [0.0, 0.0, 1.0], np.nan)
-    length = np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)
+    length = secant(slope)
     return np.stack([-slope[..., 0] / length, -slope[..., 1] / length, 1 / length], axis=-1)

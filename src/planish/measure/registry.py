@@ -136,6 +136,7 @@ def shared_parts(a: str, b: str, maps: xr.Dataset) -> tuple[str, ...]:
 
 
 def _contents(name: str) -> list[str]:
+    """Give a map and all that it contains, with repetitions."""
     contents = [name]
     for part in PARTS.get(name, ()):
         contents += _contents(part)
@@ -215,8 +216,8 @@ class Property:
     kind: Literal["rays", "sheet"]
     function: Answer  #: of :class:`~planish.measure.rays.Rays`, or of :class:`Sheet`
     halo_um: Length = 0.0  #: rows beyond a tile that a ray's answer depends on, as a length
-    #: width of what one value speaks for; None: one ray, with what the blur adds.
-    support_um: Length | None = None
+    #: width of what one value speaks for; at least one ray, with what the blur adds.
+    support_um: Length = 0.0
     reasons: tuple[str, ...] = ()  #: the property's own reasons for a missing value
     #: properties that this is made from, or a function from parameters and grey levels to them.
     after: After = ()
@@ -243,7 +244,7 @@ def _registers(kind: Literal["rays", "sheet"]):
         *,
         units: str,
         long_name: str,
-        support_um: Length | None = None,
+        support_um: Length = 0.0,
         check: Check | None = None,
         when: When | None = None,
         halo_um: Length = 0.0,
@@ -271,7 +272,8 @@ def _registers(kind: Literal["rays", "sheet"]):
     return register
 
 
-ray_property, sheet_property = _registers("rays"), _registers("sheet")
+ray_property = _registers("rays")
+sheet_property = _registers("sheet")
 
 
 def _add(added: Property) -> Property:
@@ -344,7 +346,11 @@ def has_true_zero(name: str) -> bool:
 def check_maps(params: Common, *, labels: bool = False) -> None:
     """Refuse maps that no sheet can have with these parameters, before a volume is read.
 
-    ``labels``: in which there are no grey values.
+    Parameters
+    ----------
+    params : MeasureParams
+    labels : bool
+        Whether the volume holds labels, in which there are no grey values.
 
     Raises
     ------

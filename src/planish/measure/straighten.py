@@ -12,15 +12,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import StudyError, SurfaceError
-from planish.core.frame import Frame
-from planish.core.grid import Grid, bilinear, pitch
+from planish.core.grid import Grid, bilinear
 from planish.core.labelled import variable_data
 from planish.core.lazy import LazyArray, Where
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Floats, Pair
 from planish.measure.params import MeasureParams
-from planish.measure.rays import RayFrame, directions, slopes_of
+from planish.measure.rays import RayFrame, directions
 
 # Pixels along the width of a part: its box of voxels has to be small where the sheet is steep.
 _WIDE = 256
@@ -82,15 +81,12 @@ def straightened(
     depths_um: Floats = depth_px.astype(np.float64) * voxel_um
     grid = Grid.of(maps)
     lazy_volume = _Straightened(volume, surfaces, maps, depths_um, frame)
-    coords = {
-        k: (k, um, {"units": "um"})
-        for k, um in (("z", depths_um), ("y", grid.y_um), ("x", grid.x_um))
-    }
-    straight_volume = xr.DataArray(
-        xr.Variable(("z", "y", "x"), variable_data(lazy_volume)), coords=coords, name="grey"
-    )
-    return straight_volume.assign_attrs(
-        voxel_um=(voxel_um, *(round(float(p), 9) for p in grid.pixel_um))
+    coords_um = {"z": depths_um, "y": grid.y_um, "x": grid.x_um}
+    voxel_um_zyx = (voxel_um, *(round(float(p), 9) for p in grid.pixel_um))
+    return xr.DataArray(
+        xr.Variable(tuple(coords_um), variable_data(lazy_volume), {"voxel_um": voxel_um_zyx}),
+        coords={axis: (axis, um, {"units": "um"}) for axis, um in coords_um.items()},
+        name="grey",
     )
 
 
@@ -122,12 +118,13 @@ class _Straightened(LazyArray):
         depths_um: Floats,
         frame: RayFrame,
     ) -> None:
-        self._volume, self._depths = volume, depths_um
+        self._volume = volume
+        self._depths = depths_um
         self._places = {axis: maps[f"volume_{axis}"] for axis in ("z", "y", "x")}
-        self._frame, self._pitch = Frame.of(surfaces), pitch(surfaces)
+        self._frame = frame.frame
+        self._pitch = frame.pitch_um
         self._first = float(surfaces["y"].values[0]), float(surfaces["x"].values[0])
-        slope = slopes_of(frame.heights["centre"], self._pitch)
-        self._slopes = [np.ascontiguousarray(component) for component in np.moveaxis(slope, -1, 0)]
+        self._slopes = list(map(np.ascontiguousarray, np.moveaxis(frame.slopes(), -1, 0)))
         self._padding = frame.greys.padding
         self.shape = (depths_um.size, *Grid.of(maps).shape)
         self.dtype = np.dtype(np.float32)
@@ -135,55 +132,54 @@ class _Straightened(LazyArray):
     def read(self, where: Where) -> NDArray[Any]:
         """Work out a part, in pieces on threads."""
         depth, rows, cols = where
-        row_range, col_range = (
-            range(n)[s] for n, s in zip(self.shape[1:], (rows, cols), strict=True)
-        )
+        row_range = range(self.shape[1])[rows]
+        col_range = range(self.shape[2])[cols]
         depths_um = self._depths[depth]
         grey = np.empty((depths_um.size, len(row_range), len(col_range)), np.float32)
         # Samples that a thread works on.
         rows_per_tile = max(1, 1_000_000 // (_WIDE * max(depths_um.size, 1)))
         tiles = tiles_of((len(row_range), len(col_range)), (rows_per_tile, _WIDE))
-        map_threads(partial(self._fill, grey, depths_um, (rows, cols)), tiles)
+        map_threads(partial(self._fill, grey, depths_um, row_range, col_range), tiles)
         return grey
 
     def _fill(
-        self, grey: NDArray[np.float32], depths_um: Floats, slices: tuple[slice, slice], tile: Tile
+        self,
+        grey: NDArray[np.float32],
+        depths_um: Floats,
+        row_range: range,
+        col_range: range,
+        tile: Tile,
     ) -> None:
+        """Set the grey values of one tile of a part, (depths, rows, cols)."""
         from scipy import ndimage
 
         tile_grey = grey[:, tile.rows, tile.cols]
         tile_grey[:] = np.nan
         rows, cols = (
-            slice(w.start + w.step * a, w.start + w.step * b, w.step)
-            for w, a, b in zip(slices, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
+            slice(pixels.start, pixels.stop, pixels.step)
+            for pixels in (row_range[tile.rows], col_range[tile.cols])
         )
         place_um = {
-            axis: np.asarray(self._places[axis][rows, cols].values) for axis in ("z", "y", "x")
+            axis: np.asarray(places[rows, cols].values) for axis, places in self._places.items()
         }
         frame = self._frame
-        row, col = (
-            (place_um[axis] - first) / p
-            for axis, first, p in zip(
-                (frame.rows, frame.cols), self._first, self._pitch, strict=True
-            )
-        )
+        row = (place_um[frame.rows] - self._first[0]) / self._pitch[0]
+        col = (place_um[frame.cols] - self._first[1]) / self._pitch[1]
         slope = np.stack([bilinear(field, row, col) for field in self._slopes], axis=-1)
         normal_r, normal_c, normal_h = np.moveaxis(directions(slope, "normal"), -1, 0)
         normal = {frame.rows: normal_r, frame.cols: normal_c, frame.through: frame.sign * normal_h}
-        is_inside = np.all(
-            [np.isfinite(place_um[axis]) & np.isfinite(normal[axis]) for axis in place_um], axis=0
-        )
+        is_inside = np.isfinite([*place_um.values(), *normal.values()]).all(axis=0)
         if not is_inside.any():
             return
-        depth_column = depths_um[:, None]
         points_um = {
-            axis: um[is_inside] + depth_column * normal[axis][is_inside]
+            axis: um[is_inside] + depths_um[:, None] * normal[axis][is_inside]
             for axis, um in place_um.items()
         }
         voxels, voxel_indices = voxels_around(self._volume, points_um)
-        if voxels.dtype.kind != "f" or np.isfinite(self._padding):
+        is_padded = np.isfinite(self._padding)
+        if voxels.dtype.kind != "f" or is_padded:
             voxels = voxels.astype(np.float32)
-        if np.isfinite(self._padding):
+        if is_padded:
             voxels[voxels == np.float32(self._padding)] = np.nan
         tile_grey[:, is_inside] = ndimage.map_coordinates(
             voxels,

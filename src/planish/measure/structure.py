@@ -108,15 +108,13 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
     from scipy import ndimage
 
     by_row, by_col, samples = _gradients(rays)
-    bottom, base_um = rays.interface_bottom, rays.interface_top - rays.interface_bottom
+    bottom = rays.interface_bottom
+    base_um = rays.interface_top - bottom
     lower, upper = rays.core
+    level = void_level(rays.greys, rays.params.of(phases.Options))
     is_inside = rays.s_um[samples] >= np.maximum(lower, bottom + lowest * base_um)[..., None]
     is_inside &= rays.s_um[samples] < np.minimum(upper, bottom + highest * base_um)[..., None]
-    is_inside &= (
-        rays.greys.polarity
-        * (rays.grey[..., samples] - void_level(rays.greys, rays.params.of(phases.Options)))
-        > 0
-    )
+    is_inside &= rays.greys.polarity * (rays.grey[..., samples] - level) > 0
     xx_sum, yy_sum, xy_sum = (
         np.einsum("ijk,ijk,ijk->ij", a, b, is_inside, dtype=np.float64)
         for a, b in ((by_col, by_col), (by_row, by_row), (by_row, by_col))
@@ -140,7 +138,7 @@ def _in_tangent_plane(
     """
     # G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the
     # slope, G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
-    q, p = slope[..., 0], slope[..., 1]
+    q, p = np.moveaxis(slope, -1, 0)
     squared_slope = p * p + q * q
     with np.errstate(divide="ignore", invalid="ignore"):
         shrinkage = np.where(
@@ -155,14 +153,12 @@ def _in_tangent_plane(
 
 
 def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[Floats, Floats]:
+    """Give anisotropy times cosine and sine of the double angle."""
     trace, cosine, sine = _tensor(rays, lowest, highest)
     turn = -1.0 if rays.mirrored else 1.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # The fibre stands across the gradient: its double angle is the other one's plus half a
-        # turn.
-        return np.where(trace > 0, -cosine / trace, np.nan), np.where(
-            trace > 0, -turn * sine / trace, np.nan
-        )
+    trace = np.where(trace > 0, trace, np.nan)
+    # The fibre stands across the gradient: its double angle is the other one's plus half a turn.
+    return -cosine / trace, -turn * sine / trace
 
 
 @_fibre_property(
@@ -229,16 +225,16 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
     """
     properties: list[Property] = []
     for k in range(count):
-        depth_range, layer_text = (
-            {"lowest": k / count, "highest": (k + 1) / count},
-            f"layer {k + 1} of {count}",
-        )
+        depth_range = {"lowest": k / count, "highest": (k + 1) / count}
         for prop in (fibre_angle, fibre_anisotropy):
-            name, function = f"{prop.name}_layer_{k + 1}", partial(prop.function, **depth_range)
-            long_name = f"{prop.long_name}, {layer_text}"
-            properties.append(
-                replace(prop, name=name, long_name=long_name, function=function, together=())
+            layer_property = replace(
+                prop,
+                name=f"{prop.name}_layer_{k + 1}",
+                long_name=f"{prop.long_name}, layer {k + 1} of {count}",
+                function=partial(prop.function, **depth_range),
+                together=(),
             )
+            properties.append(layer_property)
     return tuple(properties)
 
 
@@ -248,9 +244,8 @@ def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     # Beyond what any base reaches there is no void; one sample more on either side is the wall
     # there.
     samples = rays.samples_within(*rays.core, more=1)
-    above_void_level = rays.greys.polarity * (
-        rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params.of(phases.Options)))
-    )
+    level = np.float32(void_level(rays.greys, rays.params.of(phases.Options)))
+    above_void_level = rays.greys.polarity * (rays.grey[..., samples] - level)
     is_void = ((above_void_level < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
     return is_void, is_void.sum(axis=-1, dtype=np.int64)
 

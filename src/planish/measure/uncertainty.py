@@ -22,7 +22,7 @@ from planish.core.facts import SIDES, Side
 from planish.core.robust import mad_sd
 from planish.core.typing import Floats, Pair
 from planish.measure.greys import Greys
-from planish.measure.rays import RayFrame
+from planish.measure.rays import RayFrame, Rays
 
 # Spread of the coating's and the base's level from place to place, as a share of their contrast.
 _LEVELS = (0.05, 0.10)
@@ -41,27 +41,26 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     white_noise = frame.greys.noise**2 * frame.voxel_um
     rows = np.flatnonzero((frame.status == 0).any(axis=1))
     sampled_rows = rows[np.unique(np.linspace(0, rows.size - 1, min(6, rows.size)).astype(int))]
-    margin_um, length_um = 3 * frame.greys.blur_um + frame.voxel_um, 3.0 * frame.voxel_um
-    air_means: list[Floats] = []
+    margin_um = 3 * frame.greys.blur_um + frame.voxel_um
+    length_um = 3.0 * frame.voxel_um
+    deviations: list[Floats] = []
     for row in sampled_rows:
         rays = frame.tile(volume, slice(int(row), int(row) + 1))
         if not (rays.status == 0).any():
             continue
-        room_um = min(
-            float(rays.s_um[-1] - np.nanmax(rays.top)), float(np.nanmin(rays.bottom) - rays.s_um[0])
-        )
-        if room_um - margin_um < length_um:
+        room_above_um = float(rays.s_um[-1] - np.nanmax(rays.top))
+        room_below_um = float(np.nanmin(rays.bottom) - rays.s_um[0])
+        if min(room_above_um, room_below_um) - margin_um < length_um:
             continue
         for lower in (rays.top + margin_um, rays.bottom - margin_um - length_um):
             means = rays.mean(lower, lower + length_um)
-            air_means.append(means[np.isfinite(means)])
-    if not air_means or sum(means.size for means in air_means) < 200:
+            means = means[np.isfinite(means)]
+            if means.size:
+                # Each side and row about its own median: shading of the air is no noise.
+                deviations.append(np.abs(means - np.median(means)))
+    if sum(part.size for part in deviations) < 200:
         return white_noise
-    # Each side and row about its own median: shading of the air is no noise.
-    deviations = np.concatenate(
-        [np.abs(means - np.median(means)) for means in air_means if means.size]
-    )
-    return max(white_noise, mad_sd(deviations, 0.0) ** 2 * length_um)
+    return max(white_noise, mad_sd(np.concatenate(deviations), 0.0) ** 2 * length_um)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,22 +96,20 @@ class SharedNoise:
         # for all axes. Beside noise that moves no face, what scatters in the air says nothing of
         # it.
         min_noise = (0.003 * (greys.base - greys.air)) ** 2 * voxel_um
-        correlation_length = (
-            max(1.0, noise_um / max(white_noise, min_noise)) if np.isfinite(noise_um) else 1.0
-        )
+        correlation_length = 1.0
+        if np.isfinite(noise_um):
+            correlation_length = max(1.0, noise_um / max(white_noise, min_noise))
         # Voxels under the Gaussian of the averaging.
         averaged_voxels = 4 * np.pi * (greys.averaged * column_px) ** 2
         columns_per_value = _SHARED + correlation_length**2 - 1 + averaged_voxels
-        column_um2 = pitch_um[0] * pitch_um[1]
         # Averaging divides the variance of white noise by 1 + averaged, but mixes the sheet's own
         # detail in: some two thirds of the gain, as a power, are left. Noise that neighbours share
         # is averaged farther, and the detail lost costs as much as is gained.
         gain = (1 + averaged_voxels) ** 0.7 if correlation_length < 1.2 else 1.0
         noise = greys.single_noise**2 * voxel_um * correlation_length / gain
-        longest_um, correlation_factor = (
-            max(voxel_um, max(pitch_um) / column_px),
-            float(np.sqrt(correlation_length)),
-        )
+        longest_um = max(voxel_um, max(pitch_um) / column_px)
+        correlation_factor = float(np.sqrt(correlation_length))
+        column_um2 = pitch_um[0] * pitch_um[1]
         return cls(
             noise_um=float(noise),
             common_um=common_errors(correlation_factor * voxel_um),
@@ -134,20 +131,16 @@ def thickness_errors(
     sheet's tilt against the columns; a tilted column holds 1 / cosine times as many voxels of the
     same blurred edge.
     """
-    root, noise_um = np.sqrt(cosine), shared_noise.noise_um
-    sides = {
-        k: [root * e for e in layer_errors(t, greys, noise_um, k)] for k, t in coatings.items()
-    }
-    top, bottom = sides["top"], sides["bottom"]
-    errors = {
-        "coating_top": top[1],
-        "coating_bottom": bottom[1],
-        "base_thickness": np.hypot(top[2], bottom[2]),
-        "thickness": np.hypot(top[0], bottom[0]),
-    }
-    for side, (face_se, _, interface_se) in sides.items():
+    errors: dict[str, Floats] = {}
+    for side, thickness in coatings.items():
+        face_se, coating_se, interface_se = np.sqrt(cosine) * layer_errors(
+            thickness, greys, shared_noise.noise_um, side
+        )
+        errors[f"coating_{side}"] = coating_se
         errors[f"half_thickness_{side}"] = errors[f"topography_{side}"] = face_se
         errors[f"base_surface_{side}"] = interface_se
+    for name, boundary in (("base_thickness", "base_surface"), ("thickness", "topography")):
+        errors[name] = np.hypot(errors[f"{boundary}_top"], errors[f"{boundary}_bottom"])
     # A trial on the sheet itself has met the pores at its boundaries, but no error of the levels.
     untried = [side for side in SIDES if side not in greys.fit_errors]
     for name, se in errors.items():
@@ -164,28 +157,25 @@ def common_errors(unit_um: float) -> dict[str, float]:
     ``unit_um``: of a voxel.
     """
     # What pores at a boundary and the levels leave, besides noise, in voxels.
-    face_um, interface_um = unit_um * 0.025, unit_um * 0.07
-    coating_um, root2 = float(np.hypot(face_um, interface_um)), float(np.sqrt(2))
-    return {
-        "coating_top": coating_um,
-        "coating_bottom": coating_um,
-        "base_thickness": root2 * interface_um,
-        "thickness": root2 * face_um,
-    } | {
-        f"{name}_{side}": error_um
-        for name, error_um in (
-            ("half_thickness", face_um),
-            ("topography", face_um),
-            ("base_surface", interface_um),
-        )
-        for side in SIDES
-    }
+    face_um = unit_um * 0.025
+    interface_um = unit_um * 0.07
+    root2 = float(np.sqrt(2))
+    errors = {"base_thickness": root2 * interface_um, "thickness": root2 * face_um}
+    for side in SIDES:
+        errors[f"coating_{side}"] = float(np.hypot(face_um, interface_um))
+        errors[f"half_thickness_{side}"] = errors[f"topography_{side}"] = face_um
+        errors[f"base_surface_{side}"] = interface_um
+    return errors
 
 
-def layer_errors(
-    thickness: Floats, greys: Greys, noise_um: float, side: Side
-) -> tuple[Floats, Floats, Floats]:
-    """Standard errors in um of a fitted staircase air-coating-base.
+def face_errors(rays: Rays, thickness: Floats, side: Side) -> Floats:
+    """Standard error along the ray of the face of a coating of so many um of ray (rows, cols)."""
+    errors = layer_errors(thickness / rays.oblique, rays.greys, rays.noise_um, side)
+    return rays.oblique * errors[0]
+
+
+def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -> Floats:
+    """Standard errors in um of a fitted staircase air-coating-base, (3, rows, cols).
 
     Those of its face, its thickness and its interface.
 
@@ -205,48 +195,45 @@ def layer_errors(
     G) F^-1 with G the same integral of their surplus.
     """
     blur_um = max(greys.blur_um, 1e-3)
-    coating_level, base_level = greys.coating(side), greys.base
+    base_contrast = greys.base - greys.air
     # Without any noise the matrix has no inverse; a hundred-thousandth of the contrast is nothing.
-    noise_um = max(noise_um, 1e-10 * (base_level - greys.air) ** 2 * blur_um)
-    if not np.isfinite(coating_level):
+    noise_um = max(noise_um, 1e-10 * base_contrast**2 * blur_um)
+    if not greys.coated(side):
         # A face has air on one side, walls and pores on the other.
         noise_um = 0.5 * (noise_um + max(noise_um, greys.texture_um))
-        face_se = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur_um)) / abs(
-            base_level - greys.air
-        )
+        face_se = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur_um)) / abs(base_contrast)
         face_map = np.full(thickness.shape, face_se)
-        return face_map, np.full(thickness.shape, np.nan), face_map
-    is_missing = ~np.isfinite(thickness)
+        return np.stack([face_map, np.full(thickness.shape, np.nan), face_map])
     if side in greys.fit_errors:  # a trial on this sheet, which knows more than the formula
-        classes_um, *class_errors = greys.fit_errors[side]
-        errors_um = (np.interp(thickness, classes_um, se_um) for se_um in class_errors)
-        return tuple(np.where(is_missing, np.nan, v) for v in errors_um)  # type: ignore[return-value]
-    # Layers thicker than 12 blurs have two edges that know nothing of each other.
-    nodes_um = np.linspace(0.02, 12.0, _NODES) * blur_um
-    levels = coating_level - greys.air, base_level - greys.air
-    se_table = np.array(
-        [_layer_errors_at(t, blur_um, *levels, noise_um, greys.texture_um) for t in nodes_um]
-    )
-    se_table[:] = se_table[
-        np.maximum(np.arange(_NODES), int(np.argmax(se_table[:, 1] <= nodes_um)))
-    ]
-    layer_um = np.clip(thickness, 0.0, nodes_um[-1])
-    face_se, thickness_se, interface_se = (
-        np.interp(layer_um, nodes_um, se_table[:, k]) for k in range(3)
-    )
-    return tuple(np.where(is_missing, np.nan, v) for v in (face_se, thickness_se, interface_se))  # type: ignore[return-value]
+        nodes_um, *errors_um = greys.fit_errors[side]
+    else:
+        # Layers thicker than 12 blurs have two edges that know nothing of each other.
+        nodes_um = np.linspace(0.02, 12.0, _NODES) * blur_um
+        levels = greys.coating(side) - greys.air, base_contrast
+        se_table = np.array(
+            [_layer_errors_at(t, blur_um, *levels, noise_um, greys.texture_um) for t in nodes_um]
+        )
+        first_node = int(np.argmax(se_table[:, 1] <= nodes_um))
+        errors_um = se_table[np.maximum(np.arange(_NODES), first_node)].T
+    errors = np.stack([np.interp(thickness, nodes_um, node_errors) for node_errors in errors_um])
+    return np.where(np.isfinite(thickness), errors, np.nan)
 
 
 def _layer_errors_at(
     t: float, w: float, c: float, b: float, noise_um: float, texture_um: float
-) -> tuple[float, float, float]:
+) -> list[float]:
+    """Standard errors of face, thickness and interface, um, of a layer of ``t`` um.
+
+    ``w`` is the blur, ``c`` and ``b`` are the levels of coating and base above the air.
+    """
     step_um = 0.05 * w
     s: Floats = np.arange(-6 * w, t + 20 * w, step_um)
 
     def bell(x: Floats) -> Floats:
         return np.exp(-0.5 * (x / w) ** 2) / (w * np.sqrt(2 * np.pi))
 
-    outer, inner = special.ndtr(s / w), special.ndtr((s - t) / w)
+    outer = special.ndtr(s / w)
+    inner = special.ndtr((s - t) / w)
     by_h = -c * bell(s) - (b - c) * bell(s - t)
     by_t = -(b - c) * bell(s - t)
     gradient = np.stack([by_h, by_t, outer - inner, inner])
@@ -259,7 +246,5 @@ def _layer_errors_at(
     inverse = np.linalg.inv(fisher)
     covariance = inverse @ (fisher + surplus @ surplus.T * step_um) @ inverse
     interface_variance = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
-    return tuple(
-        float(np.sqrt(max(v, 0.0)))
-        for v in (covariance[0, 0], covariance[1, 1], interface_variance)
-    )  # type: ignore[return-value]
+    variances = covariance[0, 0], covariance[1, 1], interface_variance
+    return [float(np.sqrt(max(variance, 0.0))) for variance in variances]
