@@ -20,12 +20,7 @@ from planish.report.maps import RunMaps
 from planish.report.relation import MapPair, draw_points, largest
 from planish.report.sentences.attenuation import LEFT_OUT
 from planish.report.summary import PairKey, key_of, lead_pair, titles_of
-from planish.report.text import (
-    BY_TEXTURE,
-    label_of,
-    registered_by,
-    title_of,
-)
+from planish.report.text import BY_TEXTURE, label_of, registered_by, title_of
 from planish.results import CorrelationRow, Results
 
 if TYPE_CHECKING:

@@ -3,8 +3,6 @@
 A section appears where there is something to show.
 """
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence

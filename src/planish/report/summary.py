@@ -29,13 +29,7 @@ from planish.core.text import and_join
 from planish.report.relation import largest, written_difference
 from planish.report.sentences.light_field import off_text
 from planish.report.sentences.partial import say_over_control
-from planish.report.statement import (
-    r2_interval_text,
-    r2_text,
-    r_interval_text,
-    r_sentence,
-    r_text,
-)
+from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_sentence, r_text
 from planish.report.text import LIGHT_OFF, as_compared, stated_of
 from planish.results import (
     CorrelationRow,

@@ -1,7 +1,5 @@
 """The folder of an answer: its page, the numbers behind it and its tables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

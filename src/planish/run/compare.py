@@ -9,12 +9,7 @@ import numpy as np
 import xarray as xr
 
 from planish.analyze import CorrelateParams
-from planish.analyze.compare import (
-    ComparisonRow,
-    CorrelationRow,
-    comparison_rows,
-    correlate_layers,
-)
+from planish.analyze.compare import ComparisonRow, CorrelationRow, comparison_rows, correlate_layers
 from planish.analyze.correlation_evidence import EvidenceFacts, correlation_diagnostics
 from planish.analyze.leading_map import leading_pair
 from planish.analyze.mottle import Mottle, mottle_of

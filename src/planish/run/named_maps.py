@@ -1,7 +1,5 @@
 """The maps of a run, or of a Dataset, by the names that questions give them."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping

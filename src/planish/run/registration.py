@@ -19,16 +19,8 @@ from planish.core.options import params_of
 from planish.core.typing import Floats
 from planish.design import read_pattern
 from planish.marks import hole_tilt
-from planish.marks.exchange import (
-    read_any,
-    write_any,
-)
-from planish.marks.exchange.model import (
-    RESULTS,
-    join_holes,
-    paired,
-    points_of,
-)
+from planish.marks.exchange import read_any, write_any
+from planish.marks.exchange.model import RESULTS, join_holes, paired, points_of
 from planish.register import (
     DesignedHoles,
     FittedTransform,

@@ -3,8 +3,6 @@
 The registration is searched, and fitted to tiles.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -70,28 +70,20 @@ def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity])
                 f"{word.capitalize()} figures take part in no mean and no comparison, because"
                 f" {meaning}: {figures} of {listed(names)}."
             )
-    names = _with_cell(counted, lambda cell: cell.trust == "doubtful" and cell.counts)
-    if names:
-        yield (
-            "Doubtful figures take part in means and comparisons, as was declared: those of"
-            f" {listed(names)}."
-        )
-    names = _with_cell(counted, lambda cell: cell.why_not.startswith("too few"))
-    if names:
-        yield (
-            f"r of {listed(names)} takes part in nothing: there are too few independent points for"
-            " an interval."
-        )
-    names = _with_cell(counted, lambda cell: cell.why_not.startswith("points of"))
-    if names:
-        yield (
-            f"r of {listed(names)} is over points of another size and takes part in nothing. Link"
-            " these with points of the size of the others."
-        )
-
-
-def _with_cell(counted: Sequence[SeriesSpecimen], is_meant: Callable[[Cell], bool]) -> list[str]:
-    return [specimen.name for specimen in counted if any(map(is_meant, specimen.cells))]
+    sentences: dict[str, Callable[[Cell], bool]] = {
+        "Doubtful figures take part in means and comparisons, as was declared: those of {}.": (
+            lambda cell: cell.trust == "doubtful" and cell.counts
+        ),
+        "r of {} takes part in nothing: there are too few independent points for an interval.": (
+            lambda cell: cell.why_not.startswith("too few")
+        ),
+        "r of {} is over points of another size and takes part in nothing. Link these with points"
+        " of the size of the others.": lambda cell: cell.why_not.startswith("points of"),
+    }
+    for sentence, is_meant in sentences.items():
+        names = [specimen.name for specimen in counted if any(map(is_meant, specimen.cells))]
+        if names:
+            yield sentence.format(listed(names))
 
 
 def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[str]:

@@ -115,11 +115,11 @@ class _TableOfRuns:
         """Factors of each run; InputError unless each has one row, and each row a run."""
         table = self._table
         rows = [self._row_of(folder) for folder in folders]
-        names = [name for name in table.header if name not in ("run", "name", "")]
         factors: list[dict[str, str]] = []
         for row in rows:
-            cells = {name: table.text(row, name) for name in names}
-            factors.append({name: cell for name, cell in cells.items() if cell})
+            cells = {name: table.text(row, name) for name in table.header}
+            names = cells.keys() - {"run", "name", ""}
+            factors.append({name: cell for name, cell in cells.items() if cell and name in names})
         idle = [row for row in table.rows if row not in rows]
         if idle:
             texts = [table.text(row, "run") or table.text(row, "name", "empty") for row in idle[:5]]

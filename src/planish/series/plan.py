@@ -18,13 +18,7 @@ from planish.core.parameter_faults import fault_texts, key_lines, toml_tables
 from planish.core.tables import DECIMAL_OR_TWO, parse_table, raise_faults, read_text
 from planish.io import find_place
 from planish.run.build import study_of
-from planish.run.study import (
-    Study,
-    checked_study,
-    in_study_words,
-    with_paths,
-    with_values,
-)
+from planish.run.study import Study, checked_study, in_study_words, with_paths, with_values
 from planish.series.declared import Declared
 from planish.series_results import Member
 
@@ -143,11 +137,13 @@ def _rows_of(path: Path, text: str) -> list[_TableRow]:
         cells: dict[str, str] = {}
         options: list[str] = []
         for name, cell in zip(table.header, row.cells, strict=True):
-            if name and cell and "." not in name:
+            if not name or not cell:
+                continue
+            if "." not in name:
                 cells[name] = cell
-            elif name and cell:
-                options.append(f"{name}={cell}")
-            if "." in name and DECIMAL_OR_TWO.fullmatch(cell):
+                continue
+            options.append(f"{name}={cell}")
+            if DECIMAL_OR_TWO.fullmatch(cell):
                 table.fault(
                     row,
                     f"{name} {cell!r} may be {cell.replace(',', '.')}, or the two numbers"
@@ -293,7 +289,7 @@ def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
     by_factor = ["-".join(row.factors.values()) for row in rows]
     by_file: list[str] = []
     for row in rows:
-        first_file = row.layers[0] if row.layers else row.cells.get("volume", "")
+        first_file, *_ = *row.layers, row.cells.get("volume", "")
         file = first_file.rpartition("=")[2]
         by_file.append(find_place(home / file).stem if file else "")
     width = len(str(len(rows)))

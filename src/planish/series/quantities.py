@@ -211,22 +211,21 @@ def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> C
 def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> Cell:
     """As :func:`cell_of`, of a correlation: at the usual points, or else its largest."""
     pair = (q.layer, q.map, q.other_layer, q.other_map)
-    pair_rows = [row for row in rows if row.other_map and _pair_of(row) == pair]
+    pair_rows = [row for row in rows if _pair_of(row) == pair]
     largest_um = _largest_points(pair_rows, q.map)
     if pair not in largest_um:
         is_linked = any(row.quantity == "r" for row in rows)
         return Cell(why_not="not measured" if is_linked else "not linked")
-    sizes = (row.at_um for row in pair_rows if row.quantity == "r")
-    at_um = next((size for size in sizes if _alike(size, q.at_um)), largest_um[pair])
+    at_um = largest_um[pair]
+    for row in pair_rows:
+        if row.quantity == "r" and _alike(row.at_um, q.at_um):
+            at_um = row.at_um
     row_by_quantity = {row.quantity: row for row in pair_rows if row.at_um == at_um}
     r = row_by_quantity["r"]
     n_eff_interval = row_by_quantity["n_eff_interval"].value
     reason = _why_not(r, with_doubtful=with_doubtful)
-    if not _alike(at_um, q.at_um):
-        reason = reason or f"points of {at_um:g} um, others of {q.at_um:g} um"
-    # With more than 4 independent points the scatter of Fisher's z is known.
-    if (n_eff_interval or 0.0) <= 4.0 or abs(r.value or 0.0) >= 1:
-        reason = reason or "too few independent points"
+    if not reason:
+        reason = _why_not_of_r(r, n_eff_interval or 0.0, q.at_um)
     return Cell(
         value=r.value,
         low=r.low,
@@ -247,6 +246,15 @@ def _why_not(row: FigureRow, *, with_doubtful: bool) -> str:
     if row.value is None:
         return "not measured"
     return f"doubtful{by}" if row.trust == "doubtful" and not with_doubtful else ""
+
+
+def _why_not_of_r(r: FigureRow, n_eff: float, usual_um: float | None) -> str:
+    """Why an r takes part in no mean although it is trusted; empty where it does."""
+    if not _alike(r.at_um, usual_um):
+        return f"points of {r.at_um:g} um, others of {usual_um:g} um"
+    # With more than 4 independent points the scatter of Fisher's z is known.
+    has_scatter = n_eff > 4.0 and abs(r.value or 0.0) < 1
+    return "" if has_scatter else "too few independent points"
 
 
 def _alike(a: float | None, b: float | None) -> bool:

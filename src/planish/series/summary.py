@@ -4,7 +4,7 @@ It gives means over sheets, differences between papers or treatments, and pooled
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
@@ -69,14 +69,10 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     for group, members in _by_levels(counted, grouped_by).items():
         levels = dict(zip(grouped_by, group, strict=True))
         groups += [_group(members, k, q, levels) for k, q in enumerate(quantities)]
-    pairs: list[tuple[dict[str, Any], analyze.SheetDifference]] = []
+    differences: Iterable[DifferenceFacts] = ()
     if compared_by is not None:
         pairs = [*_pairs(counted, quantities, compared_by, grouped_by)]
-    adjusted = analyze.p_of_tables([difference for _, difference in pairs])
-    differences: list[DifferenceFacts] = []
-    for (labels, _), difference in zip(pairs, adjusted, strict=True):
-        margin = margin_of(quantities[labels["quantity"]], declared)
-        differences.append(_difference(difference, margin, labels))
+        differences = _differences(pairs, quantities, declared)
     cautions = cautions_of(gathered, specimens, quantities, grouped_by, compared_by, _MOST_LEVELS)
     return SeriesResults(
         planish=planish.__version__,
@@ -95,14 +91,20 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     )
 
 
-def _difference(
-    difference: analyze.SheetDifference, margin: float | None, labels: Mapping[str, Any]
-) -> DifferenceFacts:
-    equivalence = None if margin is None else analyze.equivalence(difference, margin=margin)
-    smallest = difference.smallest_seen()
-    return DifferenceFacts.holding(
-        difference, **labels, smallest_seen=smallest, equivalence=equivalence
-    )
+def _differences(
+    pairs: Sequence[tuple[Mapping[str, Any], analyze.SheetDifference]],
+    quantities: Sequence[Quantity],
+    declared: Declared,
+) -> Iterator[DifferenceFacts]:
+    """Differences with p of all of them, and what their margins say."""
+    adjusted = analyze.p_of_tables([difference for _, difference in pairs])
+    for (labels, _), difference in zip(pairs, adjusted, strict=True):
+        margin = margin_of(quantities[labels["quantity"]], declared)
+        equivalence = None if margin is None else analyze.equivalence(difference, margin=margin)
+        smallest = difference.smallest_seen()
+        yield DifferenceFacts.holding(
+            difference, **labels, smallest_seen=smallest, equivalence=equivalence
+        )
 
 
 def _near_common_axes(rows: Sequence[FigureRow]) -> list[FigureRow]:

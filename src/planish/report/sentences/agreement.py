@@ -1,7 +1,5 @@
 """Two measurements of one quantity: waves in common, bias, and the line between both."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.agreement import AgreementFacts

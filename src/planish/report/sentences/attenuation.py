@@ -1,7 +1,5 @@
 """The attenuation limit: what a perfect relation would show, by misplacement and by noise."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.correlation_evidence import EvidenceFacts

@@ -1,7 +1,5 @@
 """A second interval of r."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.conley_interval import ConleyInterval

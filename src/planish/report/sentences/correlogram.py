@@ -1,7 +1,5 @@
 """R at every shift of one map."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.correlograms import CorrelogramProfiles

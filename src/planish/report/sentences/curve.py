@@ -1,7 +1,5 @@
 """Whether the relation is straight."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.correlation_evidence import EvidenceFacts

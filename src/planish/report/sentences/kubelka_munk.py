@@ -1,7 +1,5 @@
 """Kubelka and Munk's curve: scattering of the coating and its backing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.kubelka_munk import KubelkaMunk

@@ -1,7 +1,5 @@
 """R without a smooth field that the map does not explain."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.light_field import LightField

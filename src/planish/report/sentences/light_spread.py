@@ -1,7 +1,5 @@
 """R with the coating blurred as far as light spreads."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.light_spread import LightSpread

@@ -1,7 +1,5 @@
 """Where the grid of points begins."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.correlation_evidence import EvidenceFacts

@@ -1,7 +1,5 @@
 """R given the maps that stand beside."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.correlation_evidence import EvidenceFacts

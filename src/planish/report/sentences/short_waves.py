@@ -1,7 +1,5 @@
 """R of short waves alone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.correlation_evidence import EvidenceFacts

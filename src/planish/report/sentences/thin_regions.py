@@ -1,7 +1,5 @@
 """The image where the coating is thin."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.correlation_evidence import EvidenceFacts

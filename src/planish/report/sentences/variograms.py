@@ -1,7 +1,5 @@
 """How each map varies with distance."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planish.analyze.correlation_evidence import EvidenceFacts
