@@ -9,7 +9,7 @@ from pydantic import Field
 
 from planish.analyze.differences import holm
 from planish.analyze.distributions import student_tail
-from planish.analyze.explain import CoefficientFacts, Explained, ModelFacts, strongest
+from planish.analyze.explain import Coefficient, CoefficientFacts, Explained, ModelFacts, strongest
 from planish.analyze.pooled import random_effects
 from planish.analyze.sheets import Fields, RandomEffects, SheetMean, over_sheets
 from planish.core.facts import optional
@@ -39,33 +39,27 @@ def explained_over_sheets(
 ) -> ExplainedSeries:
     """Pool models of specimens over sheets, each of which counts once."""
     first = next(iter(models.values()))
+    of_models = list(models.values())
     sheet_of_model = [sheets[name] or name for name in models]
-
-    def over(values: list[float]) -> SheetMean:
-        return over_sheets(Fields(values, sheet_of_model))
-
-    shared = set.intersection(*(set(model.coefficients) for model in models.values()))
-    names = [name for name in first.coefficients if name in shared]
-    coefficients = {name: _pooled_coefficient(name, models, sheet_of_model) for name in names}
-    lead = SheetMean(sheets=0, fields=0)
-    if len(names) > 1:
-        sizes: list[list[float]] = []
-        for name in strongest(coefficients)[:2]:
-            sign = math.copysign(1.0, coefficients[name].standardised)
-            sizes.append([sign * m.coefficients[name].standardised for m in models.values()])
-        lead = over([largest - next_one for largest, next_one in zip(*sizes, strict=True)])
+    shared = set.intersection(*(set(model.coefficients) for model in of_models))
+    coefficients = {
+        name: _pooled_coefficient([model.coefficients[name] for model in of_models], sheet_of_model)
+        for name in first.coefficients
+        if name in shared
+    }
     p_of_set = holm([c.p for c in coefficients.values()])
-    declared = {model.declared for model in models.values()}
+    lead = _lead_over_sheets(coefficients, of_models, sheet_of_model)
+    declared = {model.declared for model in of_models}
     model_fields = ("response", "title", "units", "of", "cell_um", "corrected")
     return ExplainedSeries(
         **{name: getattr(first, name) for name in model_fields},
         declared=declared.pop() if len(declared) == 1 else False,
         sheets=len(set(sheet_of_model)),
         fields=len(models),
-        n=sum(model.n for model in models.values()),
-        n_eff=sum(model.n_eff for model in models.values()),
-        r2=over([model.r2 for model in models.values()]).mean,
-        r2_out=over([model.r2_out for model in models.values()]).mean,
+        n=sum(model.n for model in of_models),
+        n_eff=sum(model.n_eff for model in of_models),
+        r2=over_sheets(Fields([model.r2 for model in of_models], sheet_of_model)).mean,
+        r2_out=over_sheets(Fields([model.r2_out for model in of_models], sheet_of_model)).mean,
         coefficients={
             name: c.model_copy(update={"p_of_set": p})
             for (name, c), p in zip(coefficients.items(), p_of_set, strict=True)
@@ -77,10 +71,28 @@ def explained_over_sheets(
     )
 
 
+def _lead_over_sheets(
+    coefficients: Mapping[str, PooledCoefficient],
+    models: Sequence[Explained],
+    sheets: Sequence[str],
+) -> SheetMean:
+    """How far the largest pooled coefficient leads the next one; nothing where there is one."""
+    if len(coefficients) < 2:
+        return SheetMean(sheets=0, fields=0)
+    first, second = strongest(coefficients)[:2]
+    signs = [math.copysign(1.0, coefficients[name].standardised) for name in (first, second)]
+    leads: list[float] = []
+    for model in models:
+        of_model = model.coefficients
+        leads.append(
+            signs[0] * of_model[first].standardised - signs[1] * of_model[second].standardised
+        )
+    return over_sheets(Fields(leads, sheets))
+
+
 def _pooled_coefficient(
-    name: str, models: Mapping[str, Explained], sheets: Sequence[str]
+    of_models: Sequence[Coefficient], sheets: Sequence[str]
 ) -> PooledCoefficient:
-    of_models = [model.coefficients[name] for model in models.values()]
     fields = Fields([c.standardised for c in of_models], sheets)
     mean = over_sheets(fields)
     plain = over_sheets(Fields([c.plain for c in of_models], sheets))

@@ -5,19 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
-
 from planish.analyze.params import ExplainParams
-from planish.cli.console import sentence, table
-from planish.cli.options import (
-    build_params,
-    existing,
-    json_option,
-    options,
-    out_option,
-    verb,
-)
-from planish.core.numbers import in_ascii
+from planish.cli.answers import show_answer
+from planish.cli.options import build_params, existing, json_option, options, out_option, verb
 
 
 @verb(
@@ -55,14 +45,11 @@ def explain(run: Path, out: Path | None, as_json: bool, **values: Any) -> int:
     model = explain_folder(run, params)
     if out is not None:
         write_explained(model, out, source=run.resolve().name)
-    if as_json:
-        click.echo(model.model_dump_json(indent=2))
-    else:
-        for heading, rows in coefficient_tables(model).items():
-            table(heading, [*rows[0]], [[*row.values()] for row in rows])
-        sentence(in_ascii(say_answer(model)))
-        for text in say_surer(model):
-            sentence(in_ascii(text))
-    if out is not None:
-        click.echo(f"page: {out / 'explain.html'}", err=as_json)
+    show_answer(
+        model,
+        coefficient_tables(model),
+        [say_answer(model), *say_surer(model)],
+        page=out and out / "explain.html",
+        as_json=as_json,
+    )
     return 0

@@ -5,12 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
-
 from planish.analyze.params import ScalesParams
-from planish.cli.console import sentence, table
+from planish.cli.answers import show_answer
 from planish.cli.options import build_params, existing, json_option, options, out_option, verb
-from planish.core.numbers import in_ascii
 
 
 @verb(
@@ -29,7 +26,7 @@ def scales(run: Path, out: Path | None, as_json: bool, **values: Any) -> None:
     With --against also what they show of another map: gain, coherence and phase. OUT gets
     scales.html, scales.json and the octaves as CSV.
     """
-    from planish.report.scales import band_rows
+    from planish.report.scales import band_tables
     from planish.report.sentences.scales import say_answer, say_notes, say_surer
     from planish.run.map_scales import scales_of_run, write_scales
     from planish.run.run import open_run
@@ -41,12 +38,10 @@ def scales(run: Path, out: Path | None, as_json: bool, **values: Any) -> None:
     found = scales_of_run(opened, params)
     if out is not None:
         write_scales(found, out, source=run.resolve().name)
-    if as_json:
-        click.echo(found.model_dump_json(indent=2))
-    else:
-        for heading, rows in band_rows(found).items():
-            table(heading, [*rows[0]], [[*row.values()] for row in rows])
-        for text in (say_answer(found), *say_surer(found), *say_notes(found)):
-            sentence(in_ascii(text))
-    if out is not None:
-        click.echo(f"page: {out / 'scales.html'}", err=as_json)
+    show_answer(
+        found,
+        band_tables(found),
+        [say_answer(found), *say_surer(found), *say_notes(found)],
+        page=out and out / "scales.html",
+        as_json=as_json,
+    )

@@ -26,7 +26,7 @@ from planish.core.numbers import (
     plain,
     unit,
 )
-from planish.report import text
+from planish.report.answer import answer_page
 from planish.report.colours import limits
 from planish.report.diagnostics import draw_log_axes
 from planish.report.draw import (
@@ -68,31 +68,24 @@ def explain_page(model: AnyModel, *, source: str, version: str) -> tuple[str, li
     ``source``: name of the run or series; ``version``: of the program.
     """
     section = explained_section(model)
-    question = f"What explains {in_words(model.title)}?"
-    trust = "ok" if isinstance(model, ExplainedSeries) else model.trust
-    page = text.template("planish.report", "answer.html.j2").render(
-        title=f"{question[:-1]}: {source}",
-        question=question,
-        about=", ".join(in_words(c.title) for c in model.coefficients.values()),
-        source=source,
-        version=version,
-        state="pass" if trust == "ok" else "look",
-        surer=say_surer(model),
-        tiles=tiles_of(model),
-        **section,
-    )
-    return f"{page}\n", section["pictures"]
+    return answer_page(section, source=source, version=version), section["pictures"]
 
 
 def explained_section(model: AnyModel | None) -> dict[str, Any]:
     """Give what page and report show of a model; nothing of none."""
     if model is None:
         return {}
+    titles = [in_words(c.title) for c in model.coefficients.values()]
     return {
+        "question": f"What explains {in_words(model.title)}?",
+        "about": ", ".join(titles),
+        "is_sound": isinstance(model, ExplainedSeries) or model.trust == "ok",
         "answer": say_answer(model),
+        "tiles": tiles_of(model),
+        "surer": say_surer(model),
         "reading": say_reading(model),
-        "notes": say_notes(model),
         "tables": coefficient_tables(model),
+        "notes": say_notes(model),
         "pictures": [draw_coefficients(model), *details_of(model)],
     }
 
@@ -158,7 +151,7 @@ def _unit_of_plain(model: AnyModel, coefficient: CoefficientFacts) -> list[str]:
     """Unit of the response per unit of the map; no word where neither has one."""
     units = unit(coefficient.units)
     per_text = f"per {units}" if units else ""
-    return [text for text in (unit(model.units), per_text) if text]
+    return [part for part in (unit(model.units), per_text) if part]
 
 
 def tables_of(model: AnyModel) -> dict[str, Table]:

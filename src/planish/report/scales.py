@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from planish.analyze.scales import ScaleBand, Scales
@@ -20,7 +20,7 @@ from planish.core.numbers import (
     unit,
 )
 from planish.core.typing import Pair
-from planish.report import text
+from planish.report.answer import answer_page
 from planish.report.diagnostics import draw_log_axes
 from planish.report.draw import (
     HALF,
@@ -43,6 +43,7 @@ from planish.report.sentences.scales import (
     waves,
 )
 from planish.report.summary import KeyFigure
+from planish.report.text import HOLES
 
 _LEFT, _TOP, _WIDE, _HIGH = 74.0, 16.0, 416.0, 200.0
 _MOST_NAMED = 3  # maps in the heading
@@ -53,37 +54,27 @@ def scales_page(found: Scales, *, source: str, version: str) -> str:
 
     ``source``: name of the run; ``version``: of the program.
     """
-    against = "" if found.against is None else f" against {in_words(found.against_title)}"
-    titles = [in_words(facts.title) for facts in found.maps.values()]
-    about = ", ".join(titles) if len(titles) <= _MOST_NAMED else f"{len(titles)} maps"
-    is_doubtful = any(facts.trust != "ok" for facts in found.maps.values())
-    section = scales_section(found)
-    page = text.template("planish.report", "answer.html.j2").render(
-        title=f"At which wavelength? {source}",
-        question="At which wavelength?",
-        about=about + against,
-        source=source,
-        version=version,
-        state="look" if is_doubtful else "pass",
-        answer=section["answer"],
-        tiles=tiles_of(found),
-        pictures=section["pictures"],
-        surer=say_surer(found),
-        reading=say_reading(found),
-        tables=section["tables"],
-        notes=say_notes(found),
-    )
-    return f"{page}\n"
+    return answer_page(scales_section(found), source=source, version=version)
 
 
 def scales_section(found: Scales | None) -> dict[str, Any]:
-    """Give what the report of a run shows of the octaves that its study declares."""
+    """Give what page and report show of octaves; nothing of none."""
     if found is None:
         return {}
+    titles = [in_words(facts.title) for facts in found.maps.values()]
+    about = ", ".join(titles) if len(titles) <= _MOST_NAMED else f"{len(titles)} maps"
+    if found.against is not None:
+        about += f" against {in_words(found.against_title)}"
     return {
+        "question": "At which wavelength?",
+        "about": about,
+        "is_sound": all(facts.trust == "ok" for facts in found.maps.values()),
         "answer": say_answer(found),
-        "sentences": [*say_reading(found), *say_notes(found)],
-        "tables": band_rows(found),
+        "tiles": tiles_of(found),
+        "surer": say_surer(found),
+        "reading": say_reading(found),
+        "tables": band_tables(found),
+        "notes": say_notes(found),
         "pictures": pictures_of(found),
     }
 
@@ -121,7 +112,7 @@ def tiles_of(found: Scales) -> list[KeyFigure]:
     return tiles
 
 
-def band_rows(found: Scales) -> dict[str, list[dict[str, str]]]:
+def band_tables(found: Scales) -> dict[str, list[dict[str, str]]]:
     """The octaves of all maps in words, the shortest waves first, as tables by their headings."""
     shown = [
         (found.maps[name], band) for name, bands in found.bands.items() for band in bands[::-1]
@@ -187,13 +178,13 @@ def pictures_of(found: Scales) -> list[Picture]:
 
 def draw_spread(found: Scales, names: Sequence[str], *, is_cov: bool) -> Picture:
     """Draw how much maps vary in each octave: COV, or their standard deviation in one unit."""
-    factors = [1.0] * len(names)
+    factors = dict.fromkeys(names, 1.0)
     label = axis_label("standard deviation", unit(found.maps[names[0]].units))
     if is_cov:
-        factors = [100 / found.maps[name].mean for name in names]
+        factors = {name: 100 / found.maps[name].mean for name in names}
         label = "coefficient of variation / %"
     canvas = Canvas(HALF, _TOP + _HIGH + 58 + LINE_PX * len(names))
-    axes = _draw_octaves(canvas, (_TOP, _HIGH), found, names, "sd", "interval", factors)
+    axes = _draw_octaves(canvas, (_TOP, _HIGH), found, factors, "sd", "interval")
     draw_log_axes(canvas, axes, "wavelength / µm", label)
     _name_maps(canvas, found, names, _TOP + _HIGH + 58)
     return canvas.picture(
@@ -212,8 +203,12 @@ def draw_relation(found: Scales) -> Picture:
     names = [name for name, bands in found.bands.items() if bands]
     height, below = _HIGH - 40, _TOP + _HIGH + 16
     canvas = Canvas(HALF, 2 * (height + _TOP) + 100 + LINE_PX * len(names))
-    upper = _draw_octaves(canvas, (_TOP, height), found, names, "gain", "gain_interval")
-    lower = _draw_octaves(canvas, (below, height), found, names, "coherence", "coherence_interval")
+    upper, lower = (
+        _draw_octaves(
+            canvas, (top, height), found, dict.fromkeys(names, 1.0), key, f"{key}_interval"
+        )
+        for key, top in (("gain", _TOP), ("coherence", below))
+    )
     draw_log_axes(canvas, upper, "", "gain")
     draw_log_axes(canvas, lower, "wavelength / µm", "squared coherence")
     _name_maps(canvas, found, names, below + _HIGH + 18)
@@ -239,37 +234,38 @@ def _draw_octaves(
     canvas: Canvas,
     place: Pair,
     found: Scales,
-    names: Sequence[str],
+    factors: Mapping[str, float],
     key: str,
     interval_key: str,
-    factors: Sequence[float] | None = None,
 ) -> Axes:
     """Draw one field of octaves with their intervals, those of the maps side by side.
 
-    ``place``: top and height of the axes, which are returned; they hold 0.
+    ``place``: top and height of the axes, which are returned; they hold 0. ``factors``: of the
+    values of each map.
     """
-    rows: list[tuple[int, ScaleBand, float, list[float]]] = []
-    for index, name in enumerate(names):
-        factor = factors[index] if factors else 1.0
+    shown: list[tuple[int, ScaleBand, float, list[float]]] = []
+    ends = [0.0, 1.0] if key == "coherence" else [0.0]
+    edges: list[float] = []
+    for index, (name, factor) in enumerate(factors.items(), 1):
         for band in found.bands[name]:
-            ends = [factor * end for end in getattr(band, interval_key)]
-            rows.append((index, band, factor * getattr(band, key), ends))
-    ends = [end for *_, value, interval in rows for end in (value, *interval) if is_known(end)]
-    if key == "coherence":
-        ends.append(1.0)
-    low, high = min([0.0, *ends]), max([0.0, *ends])
+            value = factor * getattr(band, key)
+            interval = [factor * end for end in getattr(band, interval_key)]
+            shown.append((index, band, value, interval))
+            ends += [end for end in (value, *interval) if is_known(end)]
+            edges += [math.log10(band.low_um), math.log10(band.high_um)]
+    low, high = min(ends), max(ends)
     margin = 0.06 * (high - low) or 0.1
-    edges = [math.log10(edge) for _, band, *_ in rows for edge in (band.low_um, band.high_um)]
     extent = (min(edges) - 0.03, max(edges) + 0.03, low - margin * (low < 0), high + margin)
     axes = canvas.axes(_LEFT, place[0], _WIDE, place[1], extent)
     axes.across(0.0)
     colours = colours_of(found.bands)
-    for index, band, value, interval in rows:
+    names = list(factors)
+    for index, band, value, interval in shown:
         if not is_known(value):
             continue
-        colour = colours[names[index]]
+        colour = colours[names[index - 1]]
         left, right = math.log10(band.low_um), math.log10(band.high_um)
-        middle = left + (right - left) * (index + 1) / (len(names) + 1)
+        middle = left + (right - left) * index / (len(factors) + 1)
         axes.curve((left, right), (value, value), colour=colour, width=1.2)
         if is_known(interval[0]):
             axes.curve((middle, middle), interval, colour=colour, width=1.6)
@@ -281,5 +277,5 @@ def _intervals_of(found: Scales, names: Sequence[str]) -> str:
     """How a caption ends."""
     counts = {found.maps[name].n or 0 for name in names}
     n_text = " to ".join(count(n) for n in sorted({min(counts), max(counts)}))
-    mask = f"mask: measured, without {text.HOLES}"
+    mask = f"mask: measured, without {HOLES}"
     return f"Vertical lines: 95 % intervals. n = {n_text} pixels; {mask}."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from planish.analyze.scales import MapScales, ScaleBand, Scales
 from planish.core.facts import is_known
@@ -142,49 +142,46 @@ def _say_formation(facts: MapScales) -> str:
 
 def say_surer(found: Scales) -> list[str]:
     """What would make octaves more certain; at most three sentences."""
-    return list(_say_surer(found))[:3]
-
-
-def _say_surer(found: Scales) -> Iterator[str]:
-    doubtful = [in_words(facts.title) for facts in found.maps.values() if facts.trust != "ok"]
-    if doubtful:
-        yield (
+    sentences: list[str] = []
+    if doubtful := [in_words(facts.title) for facts in found.maps.values() if facts.trust != "ok"]:
+        sentences.append(
             f"Checks of the run leave {and_join(doubtful)} doubtful: look at them before anything"
             " else."
         )
-    names = [name for name in leading(found) if found.bands[name]]
-    if not names:
-        return
-    longest = [found.bands[name][0] for name in names]
-    is_largest = any(
-        max(found.bands[name], key=lambda b: b.sd) is found.bands[name][0] for name in names
-    )
-    if is_largest or any(_half(band.interval) > _WIDE * band.sd for band in longest):
-        yield (
+    octaves = {name: found.bands[name] for name in leading(found) if found.bands[name]}
+    titles = {name: in_words(found.maps[name].title) for name in octaves}
+    if any(_wants_larger_field(bands) for bands in octaves.values()):
+        longest_um = next(iter(octaves.values()))[0].high_um
+        sentences.append(
             "A larger field: four times the area halves the interval of each octave, and adds the"
-            f" octave above {plain(longest[0].high_um)}. Waves count where five of them fit along"
-            " the shorter side of the field."
+            f" octave above {plain(longest_um)}. Waves count where five of them fit along the"
+            " shorter side of the field."
         )
-    for name in names:
-        loud = [
-            band
-            for band in found.bands[name]
-            if is_known(band.noise) and band.noise**2 > _LOUD * (band.sd**2 + band.noise**2)
-        ]
-        if loud:
-            yield (
+    for name, bands in octaves.items():
+        if loud := [band for band in bands if _is_loud(band)]:
+            sentences.append(
                 f"A scan with less noise: in waves of {waves(loud[-1])} most of the variance of"
-                f" {in_words(found.maps[name].title)} is noise."
+                f" {titles[name]} is noise."
             )
-    unknown = [
-        in_words(found.maps[name].title) for name in names if found.maps[name].shared is None
-    ]
-    if unknown:
-        yield (
+    if unknown := [title for name, title in titles.items() if found.maps[name].shared is None]:
+        sentences.append(
             f"A second measurement of {and_join(unknown)}: without one its noise is not known, and"
             " counts in every octave."
         )
-    yield "Other fields and sheets: the interval is that of one field."
+    if octaves:
+        sentences.append("Other fields and sheets: the interval is that of one field.")
+    return sentences[:3]
+
+
+def _wants_larger_field(bands: Sequence[ScaleBand]) -> bool:
+    """Whether the longest waves vary most, or their interval is wide."""
+    longest = bands[0]
+    is_largest = longest.sd >= max(band.sd for band in bands)
+    return is_largest or _half(longest.interval) > _WIDE * longest.sd
+
+
+def _is_loud(band: ScaleBand) -> bool:
+    return is_known(band.noise) and band.noise**2 > _LOUD * (band.sd**2 + band.noise**2)
 
 
 def say_reading(found: Scales) -> list[str]:

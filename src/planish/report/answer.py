@@ -1,0 +1,23 @@
+"""The page that answers one question; one file that needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from planish.report import text
+
+
+def answer_page(section: Mapping[str, Any], *, source: str, version: str) -> str:
+    """Return the page of an answer as HTML.
+
+    Parameters
+    ----------
+    section : mapping of str
+        ``question``, ``about``, ``is_sound``, ``answer``, ``tiles``, ``surer``, ``reading``,
+        ``tables``, ``notes`` and ``pictures``.
+    source : str; name of the run or series
+    version : str; of the program
+    """
+    template = text.template("planish.report", "answer.html.j2")
+    return f"{template.render(**section, source=source, version=version)}\n"
