@@ -58,9 +58,8 @@ def clipped_grey(rule: CheckRule, scan: GreyScan) -> Check:
     coating_grey = denser_coating(greys)
     layer, layer_grey = ("base", greys.base) if coating_grey is None else ("coating", coating_grey)
     # So near to the layer's own level, a limit moves it.
-    is_inside = greys.polarity * (end_grey - layer_grey) < greys.noise + 0.02 * abs(
-        layer_grey - greys.air
-    )
+    margin = greys.noise + 0.02 * abs(layer_grey - greys.air)
+    is_inside = greys.polarity * (end_grey - layer_grey) < margin
     crowd_text = (
         f"{100 * spike_share:.2g} % of the voxels around the sheet have the grey {end_grey:.5g}"
     )
@@ -99,7 +98,11 @@ def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
     """
     # Whole numbers are counted once: a large part of a volume is looked at.
     is_integer = sample.dtype.kind != "f"
-    levels, counts = _levels(sample) if is_integer else (sample[np.isfinite(sample)], None)
+    if is_integer:
+        levels, counts = _levels(sample)
+    else:
+        levels = sample[np.isfinite(sample)]
+        counts = np.broadcast_to(1, levels.shape)
     if levels.size == 0:
         return 0.0, 0.0, float("nan")
     end_grey = float(levels.max() if greys.polarity > 0 else levels.min())
@@ -113,20 +116,17 @@ def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
     rounding = 1e-9 if is_integer else 1e-6
     bins = np.floor(greys.polarity * (end_grey - levels.astype(np.float64)) / width + rounding)
     is_near_end = bins <= _LAST_BIN
-    weights = None if counts is None else counts[is_near_end]
-    histogram = np.bincount(bins[is_near_end].astype(np.int64), weights, _LAST_BIN + 1).astype(
-        np.float64
-    )
+    near_bins = bins[is_near_end].astype(np.int64)
+    histogram = np.bincount(near_bins, counts[is_near_end], _LAST_BIN + 1)
     # Of real numbers, what was cut off lies at one value exactly; the rest of its bin is as wide as
     # the others.
     end_count = float(histogram[0] if is_integer else np.count_nonzero(levels == end_grey))
     other_counts = histogram[1:] + 0.5
     bin_numbers = np.arange(1.0, histogram.size)
-    expected = float(
-        np.exp(np.polyfit(bin_numbers, np.log(other_counts), 1, w=np.sqrt(other_counts))[1])
-    )
-    n_voxels = levels.size if counts is None else int(counts.sum())
-    return end_count / (expected + 3 * np.sqrt(expected) + 1), end_count / n_voxels, end_grey
+    line = np.polyfit(bin_numbers, np.log(other_counts), 1, w=np.sqrt(other_counts))
+    expected = float(np.exp(line[1]))
+    spike = end_count / (expected + 3 * np.sqrt(expected) + 1)
+    return spike, end_count / int(counts.sum()), end_grey
 
 
 def _levels(sample: Array) -> tuple[Array, Ints]:
@@ -140,7 +140,8 @@ def _levels(sample: Array) -> tuple[Array, Ints]:
 
 def steady_grey(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether all slices have one grey scale; through the sheet, the sheet itself changes."""
-    greys, coating_grey = scan.greys, denser_coating(scan.greys)
+    greys = scan.greys
+    coating_grey = denser_coating(greys)
     contrast = abs((greys.base if coating_grey is None else coating_grey) - greys.air)
     other_axes = (*scan.assembled_axes, scan.through)
     jumps = {
@@ -174,22 +175,25 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
     contrast of the base to the air; where pores make much of the base's grey, and are never as many
     everywhere, by that of the walls.
     """
-    core, grey, greys = scan.core, scan.core_grey, scan.greys
-    contrast, name = abs(greys.base - greys.air), "its contrast"
-    is_seen = _seen(grey)
-    if (wall := wall_grey(scan)) is not None:
-        contrast, name = abs(wall - greys.air), "the contrast of a wall"
-    if np.count_nonzero(is_seen) < 20 or not contrast > 0:
+    greys = scan.greys
+    contrast = abs(greys.base - greys.air)
+    name = "its contrast"
+    wall = wall_grey(scan)
+    if wall is not None:
+        contrast = abs(wall - greys.air)
+        name = "the contrast of a wall"
+    is_seen = _seen(scan.core_grey)
+    n_seen = np.count_nonzero(is_seen)
+    if n_seen < 20 or not contrast > 0:
         return rule.check(
-            "unknown",
-            f"The base is seen in {np.count_nonzero(is_seen)} tiles only, too few to follow its"
-            " grey.",
+            "unknown", f"The base is seen in {n_seen} tiles only, too few to follow its grey."
         )
-    tile_greys, frame = np.nanmedian(grey[is_seen], axis=(1, 2)), Frame.of(scan.measured)
-    grey_change, share_limit, shaded_axis = 0.0, SHADED, ""
-    for axis, numbers in zip((frame.rows, frame.cols), core.tiles, strict=True):
-        _, strip = np.unique(numbers[is_seen], return_inverse=True)
-        if strip.max() < 3:
+    tile_greys = np.nanmedian(scan.core_grey[is_seen], axis=(1, 2))
+    frame = Frame.of(scan.measured)
+    changes: dict[str, tuple[float, float]] = {}  # along an axis, and how large it may be
+    for axis, numbers in zip((frame.rows, frame.cols), scan.core.tiles, strict=True):
+        places, strip = np.unique(numbers[is_seen], return_inverse=True)
+        if places.size < 4:
             continue
         fit = np.polynomial.Polynomial.fit(numbers[is_seen], tile_greys, 2)
         change_share = float(np.ptp(fit(fit.linspace(41)[0]))) / contrast
@@ -198,8 +202,9 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
         # together.
         strip_means = np.bincount(strip, tile_greys - fit(numbers[is_seen])) / np.bincount(strip)
         chance_share = 9.0 * float(np.std(strip_means)) / contrast / np.sqrt(strip_means.size)
-        if not shaded_axis or change_share - max(SHADED, chance_share) > grey_change - share_limit:
-            grey_change, share_limit, shaded_axis = change_share, max(SHADED, chance_share), axis
+        changes[axis] = change_share, max(SHADED, chance_share)
+    shaded_axis = max(changes, key=lambda axis: np.subtract(*changes[axis]), default="")
+    grey_change, share_limit = changes.get(shaded_axis, (0.0, SHADED))
     return rule.at_most(
         grey_change,
         look=share_limit,
@@ -221,7 +226,8 @@ def _seen(grey: Array) -> Bools:
 
 def wall_grey(scan: GreyScan) -> float | None:
     """Grey that hardly any of the base passes; None where pores do not make much of its grey."""
-    greys, grey = scan.greys, scan.core_grey[_seen(scan.core_grey)]
+    greys = scan.greys
+    grey = scan.core_grey[_seen(scan.core_grey)]
     if not grey.size:
         return None
     spread = np.sqrt(max(mad_sd(grey) ** 2 - greys.single_noise**2, 0.0))
@@ -263,62 +269,70 @@ def porosity(rule: CheckRule, scan: GreyScan) -> Check | None:
 
 def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
     """Judge whether what was learnt as a coating can be one; None where no side has a coating."""
-    greys, sample = scan.greys, scan.sample[np.isfinite(scan.sample)]
-    levels: dict[Side, float] = {side: greys.coating(side) for side in SIDES if greys.coated(side)}
-    if not levels:
-        return None
-    end_grey = float(sample.max() if greys.polarity > 0 else sample.min())
+    greys = scan.greys
     contrasts: dict[Side, float] = {
-        side: greys.polarity * (level - greys.base) for side, level in levels.items()
+        side: greys.polarity * (greys.coating(side) - greys.base)
+        for side in SIDES
+        if greys.coated(side)
     }
+    if not contrasts:
+        return None
     contrast_ratio = min(contrasts.values()) / max(contrasts.values())
-    faults = (
-        [
-            f"The grey of the {side} coating lies beyond all greys of the volume, which end at"
-            f" {end_grey:.4g}."
-            for side, level in levels.items()
-            if greys.polarity * (level - end_grey) > 0
-        ]
-        + [
-            f"On the {side} side no layer shows that is denser than the base."
-            for side in levels
-            if contrasts[side] < _COATING * abs(greys.base - greys.air)
-        ]
-        + [
-            f"One coating has {100 * contrast_ratio:.0f} % of the other's contrast to the base."
-            for _ in range(contrast_ratio < _ALIKE)
-        ]
-        + [
-            f"The half of the {side} coating next to the base is {kind} than its outer half by"
-            f" {abs(change):.3g}: a pre-coat of another grey, or a grey that changes with depth."
-            for side, change, kind in _deepening(scan, contrasts)
-        ]
-    )
-    levels_text = " and ".join(f"{level:.4g} ({side})" for side, level in levels.items())
-    return rule.check(
-        "look" if faults else "pass",
-        value=contrast_ratio,
-        limit=_ALIKE,
-        units="share",
+    levels_text = " and ".join(f"{greys.coating(side):.4g} ({side})" for side in contrasts)
+    faults = _coating_faults(scan, contrasts, contrast_ratio)
+    check = functools.partial(
+        rule.check,
         sentence=" ".join(
             [f"Grey of the coating: {levels_text}; of the base: {greys.base:.4g}.", *faults]
         ),
+        value=contrast_ratio,
+        limit=_ALIKE,
+        units="share",
+    )
+    if not faults:
+        return check("pass")
+    return check(
+        "look",
         advice=(
             "Film, tape or fringes may have been taken for a coating. Look at the slices; crop the"
             " volume to the sheet."
-            if faults
-            else ""
         ),
-        remedy="Or give `coating_grey`." if faults else "",
+        remedy="Or give `coating_grey`.",
     )
 
 
-def _deepening(scan: GreyScan, contrasts: dict[Side, float]) -> Iterator[tuple[Side, float, str]]:
-    """Sides whose coating is of two greys, by how much, and what the inner half is."""
+def _coating_faults(
+    scan: GreyScan, contrasts: dict[Side, float], contrast_ratio: float
+) -> list[str]:
+    """What speaks against coatings of these contrasts to the base."""
+    greys = scan.greys
+    sample = scan.sample[np.isfinite(scan.sample)]
+    end_grey = float(sample.max() if greys.polarity > 0 else sample.min())
+    faults = [
+        f"The grey of the {side} coating lies beyond all greys of the volume, which end at"
+        f" {end_grey:.4g}."
+        for side in contrasts
+        if greys.polarity * (greys.coating(side) - end_grey) > 0
+    ]
+    faults += [
+        f"On the {side} side no layer shows that is denser than the base."
+        for side, contrast in contrasts.items()
+        if contrast < _COATING * abs(greys.base - greys.air)
+    ]
+    if contrast_ratio < _ALIKE:
+        faults.append(
+            f"One coating has {100 * contrast_ratio:.0f} % of the other's contrast to the base."
+        )
     for side, contrast in contrasts.items():
         change, error = scan.measured.attrs.get(f"coating_deepens_{side}", (0.0, 0.0))
         if abs(change) > max(_DEEPENS * contrast, 3.0 * error):
-            yield side, change, "denser" if change > 0 else "less dense"
+            kind = "denser" if change > 0 else "less dense"
+            faults.append(
+                f"The half of the {side} coating next to the base is {kind} than its outer half"
+                f" by {abs(change):.3g}: a pre-coat of another grey, or a grey that changes with"
+                " depth."
+            )
+    return faults
 
 
 def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
@@ -326,10 +340,12 @@ def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
 
     None where filler was not measured.
     """
-    greys, core = scan.greys, scan.core
+    greys = scan.greys
+    core = scan.core
     if "filler" not in scan.measured or not core.is_base.any():
         return None
-    if (level := scan.measured["filler"].attrs.get("filler_grey")) is None:
+    level = scan.measured["filler"].attrs.get("filler_grey")
+    if level is None:
         level = 0.5 * (greys.base + np.nanmean([greys.coating_top, greys.coating_bottom]))
     columns = (greys.polarity * (scan.core_grey - level) > 0)[core.is_base]
     # Along each column by itself.
@@ -337,23 +353,24 @@ def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
     sizes = np.bincount(labels.ravel())
     # What reaches the end of a column is coating that has run in.
     sizes[labels[:, [0, -1]]] = sizes[0] = 0
-    k = "zyx".index(scan.through)
-    depths = core.points.reshape(*core.shape, 3)[core.is_base][..., k]
-    step_um = float(
-        scan.volume.attrs["voxel_um"][k] * np.mean(np.ptp(depths, axis=1)) / (core.shape[2] - 1)
-    )
-    grain_um = step_um * float(np.median(sizes[sizes > 0])) if sizes.any() else 0.0
     blur_um = FWHM * greys.blur_um
+    grain_um = 0.0
+    sentence = "No grain of filler is seen in the base."
+    if sizes.any():
+        k = "zyx".index(scan.through)
+        depths = core.points.reshape(*core.shape, 3)[core.is_base][..., k]
+        length_um = scan.volume.attrs["voxel_um"][k] * np.mean(np.ptp(depths, axis=1))
+        step_um = float(length_um / (core.shape[2] - 1))
+        grain_um = step_um * float(np.median(sizes[sizes > 0]))
+        sentence = (
+            f"Bright grains in the base measure {grain_um:.2g} um through the sheet; the blur is"
+            f" {blur_um:.3g} um wide."
+        )
     return rule.at_least(
         grain_um,
         look=_RESOLVED * blur_um,
         units="um",
-        sentence=(
-            f"Bright grains in the base measure {grain_um:.2g} um through the sheet; the blur is"
-            f" {blur_um:.3g} um wide."
-            if grain_um
-            else "No grain of filler is seen in the base."
-        ),
+        sentence=sentence,
         advice=(
             "Grains below a voxel or below the blur are lost, and with them most of the filler."
             " Scan with smaller voxels, or weigh the ash."
@@ -370,10 +387,6 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
     keeps edges, as a median, takes thin layers away all the same. The noise of the air shows it.
     """
     measured = scan.measured
-    coatings = [measured[k].values for k in ("coating_top", "coating_bottom") if k in measured]
-    thinnest_um = min(
-        (float(np.nanmedian(m)) for m in coatings if np.isfinite(m).any()), default=None
-    )
     if np.isnan(measured.attrs["blur_um"]):
         fringe_text = "Fringes lie beside the faces. " if measured.attrs.get("fringe") else ""
         return rule.check(
@@ -381,10 +394,15 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
             f"{fringe_text}Walls and pores show no edge that is known to be sharp: the blur is not"
             " known, and faces lie where the grey passes half of a wall's.",
         )
+    names = [f"coating_{side}" for side in SIDES if f"coating_{side}" in measured]
+    coatings = [measured[name].values for name in names]
+    thinnest_um = min(
+        (float(np.nanmedian(um)) for um in coatings if np.isfinite(um).any()), default=None
+    )
     if thinnest_um is None:
         return None
-    edge_um, noise_um = FWHM * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
-    width_um = max(edge_um, noise_um) if np.isfinite(noise_um) else edge_um
+    edge_um = FWHM * float(measured.attrs["blur_um"])
+    width_um = float(np.fmax(edge_um, noise_width(scan.volume, measured)))
     cause_text = "An edge is blurred" if width_um == edge_um else "The noise is smoothed"
     return rule.at_most(
         width_um / max(thinnest_um, 1e-9),
@@ -406,33 +424,30 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
 
     NaN without air.
     """
-    block_lags: list[Floats] = []
-    for grey in _air_blocks(volume, measured):
-        grey -= grey.mean()
-        variance = float(np.mean(grey**2))
-        # Noise below half a step of the grey scale is that of rounding.
-        if np.isfinite(variance) and variance > 0.5**2 * (volume.dtype.kind != "f"):
-            # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the
-            # sheet.
-            turned = grey, grey.swapaxes(0, 1)
-            products = [[np.mean(v[k:] * v[: len(v) - k]) for v in turned] for k in range(_LAGS)]
-            block_lags.append(np.mean(products, axis=1))
+    # Noise below half a step of the grey scale is that of rounding.
+    least_variance = 0.0 if volume.dtype.kind == "f" else 0.5**2
+    block_lags = [_mean_products(grey) for grey in _air_blocks(volume, measured)]
+    block_lags = [lags for lags in block_lags if least_variance < lags[0] < np.inf]
     # Blocks that hold more than air, such as a part of a film, vary more.
-    lags = np.sum(
-        [lags for lags in block_lags if lags[0] < 2 * min(block_lags, key=lambda k: k[0])[0]],
-        axis=0,
-    )
-    if not (block_lags and lags[0] > lags[-1]):
+    largest_variance = 2 * min((lags[0] for lags in block_lags), default=0.0)
+    lags = sum((lags for lags in block_lags if lags[0] < largest_variance), np.zeros(_LAGS))
+    if not lags[0] > lags[-1]:
         return float("nan")
     # What goes on farther is no noise but streaks and shading.
     correlation = (lags - lags[-1]) / (lags[0] - lags[-1])
     k = int(np.argmax(correlation < 0.5))
     half_width_px = k - (0.5 - correlation[k]) / (correlation[k - 1] - correlation[k])
-    return (
-        np.sqrt(2.0)
-        * half_width_px
-        * float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
-    )
+    voxel_um = float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
+    return np.sqrt(2.0) * half_width_px * voxel_um
+
+
+def _mean_products(grey: Floats) -> Floats:
+    """Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet."""
+    grey = grey - grey.mean()
+    lags = np.zeros(_LAGS)
+    for turned in (grey, grey.swapaxes(0, 1)):
+        lags += [0.5 * np.mean(turned[k:] * turned[: len(turned) - k]) for k in range(_LAGS)]
+    return lags
 
 
 def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
@@ -441,34 +456,36 @@ def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
     There are four blocks along either axis of it.
     """
     frame = Frame.of(measured)
+    axes = (frame.rows, frame.cols, frame.through)
     rows_um, cols_um, heights = (
-        np.asarray(volume.coords[axis].values, dtype=np.float64)
-        for axis in (frame.rows, frame.cols, frame.through)
+        np.asarray(volume.coords[axis].values, dtype=np.float64) for axis in axes
     )
     faces = np.stack([measured["top"].values, measured["bottom"].values]).astype(np.float64)
     if min(rows_um.size, cols_um.size) < _EDGE:
         return
-    starts = (
-        np.unique(np.linspace(0, um.size - _EDGE, 6)[1:-1].astype(int)).tolist()
-        for um in (rows_um, cols_um)
-    )
-    for row, col in product(*([slice(k, k + _EDGE) for k in side] for side in starts)):
-        is_inside = [
-            (measured[axis].values >= um[0]) & (measured[axis].values <= um[-1])
-            for axis, um in zip("yx", (rows_um[row], cols_um[col]), strict=True)
-        ]
-        block_faces = faces[:, is_inside[0]][:, :, is_inside[1]]
+    for row, col in product(_spread_slices(rows_um.size), _spread_slices(cols_um.size)):
+        rows = _within(measured["y"].values, rows_um[row])
+        cols = _within(measured["x"].values, cols_um[col])
+        block_faces = faces[:, rows][:, :, cols]
         if not np.isfinite(block_faces).any():
             continue
-        low, high = (np.searchsorted(heights, f(block_faces)) for f in (np.nanmin, np.nanmax))
-        for start, stop in ((high + _GAP, high + _GAP + _DEPTH), (low - _GAP - _DEPTH, low - _GAP)):
-            if start >= 0 and stop <= heights.size:
-                block = volume.isel(
-                    {frame.through: slice(start, stop), frame.rows: row, frame.cols: col}
-                )
-                yield np.array(
-                    block.transpose(frame.rows, frame.cols, frame.through).values, dtype=np.float64
-                )
+        low = np.searchsorted(heights, np.nanmin(block_faces))
+        high = np.searchsorted(heights, np.nanmax(block_faces))
+        for start in (high + _GAP, low - _GAP - _DEPTH):
+            if 0 <= start <= heights.size - _DEPTH:
+                depth = slice(start, start + _DEPTH)
+                block = volume.isel(dict(zip(axes, (row, col, depth), strict=True)))
+                yield np.array(block.transpose(*axes).values, dtype=np.float64)
+
+
+def _spread_slices(size: int) -> list[slice]:
+    """Four places for a block along an axis, away from its ends."""
+    starts = np.unique(np.linspace(0, size - _EDGE, 6)[1:-1].astype(int)).tolist()
+    return [slice(start, start + _EDGE) for start in starts]
+
+
+def _within(places_um: Floats, block_um: Floats) -> Bools:
+    return (places_um >= block_um[0]) & (places_um <= block_um[-1])
 
 
 # --- of an image ----------------------------------------------------------------------------------
@@ -478,9 +495,11 @@ def clipped_image(rule: CheckRule, image: SheetImage) -> Check:
     """Judge whether the greys of an image are cut off."""
     grey = np.asarray(image.greys, dtype=np.float64)
     grey = grey[np.isfinite(grey)]
-    clipped_share, tone = 0.0, "dark"
+    clipped_share = 0.0
+    tone = "dark"
     if grey.size and np.unique(grey).size >= 8:  # fewer levels are an image of areas
-        lowest, highest = float(grey.min()), float(grey.max())
+        lowest = float(grey.min())
+        highest = float(grey.max())
         near_width = 1 / 64 * (highest - lowest)  # counted as next to an end
         for end_tone, end_grey in (("dark", lowest), ("bright", highest)):
             end_share = float(np.mean(grey == end_grey))

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from planish.checks.greys import denser_coating
 from planish.checks.scan import TILE_UM, GreyScan, ScannedSheet
-from planish.core.checks import Check, CheckRule
+from planish.core.checks import Check, CheckRule, State
 from planish.core.facts import SIDES, Side
 from planish.core.grid import blur_reach_um, pitch
 from planish.core.robust import mad_sd
@@ -55,9 +55,8 @@ def coverage(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the
     # rest.
     air_share = min(surfaces.empty_share or 0.0, surfaces.shares["no_sheet"])
-    measured_share = surfaces.shares["measured"] / max(
-        1.0 - surfaces.shares["rim"] - air_share, 1e-9
-    )
+    rest_share = max(1.0 - surfaces.shares["rim"] - air_share, 1e-9)
+    measured_share = surfaces.shares["measured"] / rest_share
     return rule.at_least(
         measured_share,
         look=0.5,
@@ -94,9 +93,10 @@ def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     None for neither.
     """
     covers = {side: float(sheet.measured.attrs.get(f"cover_{side}_um", 0.0)) for side in SIDES}
-    if covers_text := " and ".join(
+    covers_text = " and ".join(
         f"on the {side} side some {um:.0f} um" for side, um in covers.items() if um
-    ):
+    )
+    if covers_text:
         return rule.check(
             "fail",
             f"An even layer covers one of lighter grey, {covers_text} thick: tape, film or a mount"
@@ -160,18 +160,17 @@ def alignment(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
 def cutoff(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge the cut-off of the centre surface: the stated one wherever it was measured."""
     attrs = sheet.measured.attrs
-    bridged_share, cutoff_um = (
-        float(attrs.get("bridged_off_rims_share", 0.0)),
-        float(attrs["cutoff_um"]),
-    )
+    bridged_share = float(attrs.get("bridged_off_rims_share", 0.0))
+    end_text = "."
+    if bridged_share > 0:
+        end_text = ", and twice or four times as much in the alternatives."
     return rule.at_most(
         bridged_share,
         look=0.02,
         sentence=(
-            f"The centre surface has the stated cut-off of {cutoff_um:g} um in"
-            f" {100 * (1 - bridged_share):.1f} % of the columns away from holes and rims"
-        )
-        + (", and twice or four times as much in the alternatives." if bridged_share > 0 else "."),
+            f"The centre surface has the stated cut-off of {float(attrs['cutoff_um']):g} um in"
+            f" {100 * (1 - bridged_share):.1f} % of the columns away from holes and rims{end_text}"
+        ),
         remedy=(
             "Choose a longer `cutoff_um`, or a smaller `rim_um` if the rims take the sheet away."
         ),
@@ -184,38 +183,50 @@ def field_of_heights(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     Beside its border a form follows long waves and takes them off. A strip counts as the square
     that has as much border by its area.
     """
-    if (numbers := sheet.facts.numbers) is None:
+    nesting_um = _nesting_um(sheet.facts)
+    if not nesting_um:
         return None
     is_known = np.isfinite(sheet.measured["topography_top"].values)
     counts = [np.count_nonzero(is_known.any(axis=axis)) for axis in (1, 0)]
     height_um, width_um = np.multiply(counts, pitch(sheet.measured))
     side_um = 2 * height_um * width_um / max(height_um + width_um, 1e-9)
-    nesting_um = {name: numbers.form_um for name in HEIGHTS if name in sheet.facts.properties}
-    nesting_um |= {f"roughness_{side}": r.l_filter_um for side, r in numbers.roughness.items()}
-    low = {name: um for name, um in nesting_um.items() if um and side_um < _NO_LOSS_INDICES * um}
-    if not low:
+    large_um = {name: um for name, um in nesting_um.items() if side_um < _NO_LOSS_INDICES * um}
+    if not large_um:
         return None
-    index_um = max(low.values())
-    is_too_small = side_um < _LEAST_INDICES * index_um
+    index_um = max(large_um.values())
+    state: State = "pass"
+    loss_text = "some 10 %"
+    remedy = ""
+    if side_um < _LEAST_INDICES * index_um:
+        state = "look"
+        loss_text = "10 % and more"
+        remedy = (
+            "Choose a smaller form_um and l_filter_um in [properties] of a study file, or compare"
+            " fields of one size only."
+        )
     return rule.check(
-        "look" if is_too_small else "pass",
+        state,
         value=side_um / index_um,
         limit=_LEAST_INDICES,
         units="nesting indices",
         sentence=(
             f"The measured field of {height_um:.0f} x {width_um:.0f} um is small for a nesting"
             f" index of {index_um:g} um: long waves are taken for form, and Sq and the sd"
-            f" of the topography are too low, by {'10 % and more' if is_too_small else 'some 10 %'}"
-            " as a rule."
+            f" of the topography are too low, by {loss_text} as a rule."
         ),
-        remedy=(
-            "Choose a smaller form_um and l_filter_um in [properties] of a study file, or compare"
-            " fields of one size only."
-            if is_too_small
-            else ""
-        ),
-        figures=tuple(low),
+        remedy=remedy,
+        figures=tuple(large_um),
     )
+
+
+def _nesting_um(facts: SheetFacts) -> dict[str, float]:
+    """Nesting index of the form of each height and roughness that was measured."""
+    numbers = facts.numbers
+    if numbers is None:
+        return {}
+    nesting_um = {name: numbers.form_um for name in HEIGHTS if name in facts.properties}
+    nesting_um |= {f"roughness_{side}": r.l_filter_um for side, r in numbers.roughness.items()}
+    return {name: um for name, um in nesting_um.items() if um}
 
 
 def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
@@ -228,7 +239,8 @@ def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     flags = np.maximum(*(surfaces[f"correction_{face}"].values for face in SIDES))
     n_measured = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
     # The flags of the maps.
-    n_drawn, n_interpolated = (int(np.count_nonzero(flags >= flag)) for flag in (1, 2))
+    n_drawn = int(np.count_nonzero(flags >= 1))
+    n_interpolated = int(np.count_nonzero(flags >= 2))
     return rule.at_most(
         n_drawn / n_measured,
         look=0.1,
@@ -248,30 +260,32 @@ def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
 
 def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether a coating, or air, lies inside the base."""
-    greys, core, profiles = scan.greys, scan.core, scan.core_grey
+    greys = scan.greys
+    core = scan.core
+    profiles = scan.core_grey
     if not scan.voxel_count >= _LEAST_VOXELS:
         return rule.check(
             "unknown", "There are too few voxels across the sheet to tell one sheet from two."
         )
     # In a tile a few columns side by side may lie in one pore.
     is_seen = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(5, 1 / 3 * core.shape[1])
-    if np.count_nonzero(is_seen) < 10:
-        few_text = (
-            f"The base is seen in {np.count_nonzero(is_seen)} tiles of {TILE_UM:g} um only, too few"
-            " to tell one"
+    n_seen = np.count_nonzero(is_seen)
+    if n_seen < 10:
+        return rule.check(
+            "unknown",
+            f"The base is seen in {n_seen} tiles of {TILE_UM:g} um only, too few to tell one sheet"
+            " from two.",
         )
-        return rule.check("unknown", f"{few_text} sheet from two.")
     profiles = profiles[is_seen]
     root_n = np.sqrt(np.isfinite(profiles).sum(axis=1))
     # Air all over a tile is a gap, pores of some of its columns are none: its mean tells, 3
     # standard errors left out.
     mean = np.nanmean(profiles, axis=1, dtype=np.float64)
     mean_grey = float(np.median(mean))
-    inwards = np.copysign(1.0, mean_grey - greys.air)
+    contrast = mean_grey - greys.air
     doubt = 3.0 * np.nanstd(profiles, axis=1, dtype=np.float64) / root_n
-    is_dark = ((inwards * (mean_grey - mean) - doubt) / abs(mean_grey - greys.air)).max(
-        axis=1
-    ) > 0.4
+    deficit = (np.copysign(1.0, contrast) * (mean_grey - mean) - doubt) / abs(contrast)
+    is_dark = deficit.max(axis=1) > 0.4
     row, col = (numbers[is_seen][is_dark] for numbers in core.tiles)
     dark_tiles = np.zeros((row.max(initial=0) + 1, col.max(initial=0) + 1), bool)
     dark_tiles[row, col] = True
@@ -287,12 +301,10 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     # A second sheet whose coatings lie in the middle may be learnt as base; what is lighter is
     # then told by the air.
     coating_grey = denser_coating(greys)
-    coating_contrast = (
-        2 * base_grey - greys.air if coating_grey is None else coating_grey
-    ) - base_grey
-    bright_share = float(
-        np.mean(((median - base_grey - uncertainty) / coating_contrast).max(axis=1) > 0.5)
-    )
+    if coating_grey is None:
+        coating_grey = 2 * base_grey - greys.air
+    excess = (median - base_grey - uncertainty) / (coating_grey - base_grey)
+    bright_share = float(np.mean(excess.max(axis=1) > 0.5))
     if bright_share > _BRIGHT_SHARE:
         return rule.check(
             "fail",

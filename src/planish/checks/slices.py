@@ -7,8 +7,10 @@ slice to slice. Every statistic compares a slice with its own neighbourhood, so 
 scale; logarithms are natural.
 """
 
+from __future__ import annotations
+
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -39,16 +41,48 @@ _FITS = 1.3  # times the difference of neighbours: a slice fits there
 _GAINS = 0.08
 _AROUND = 5  # slices on either side that show how bright a slice ought to be
 _RUN = 10  # slices that are filled, or nearly the same, at most
-_ADVICE = {
-    "order": "Check the numbers of the files: sort them, and read the stack again.",
+_TINY = 1e-300  # differences of 0 have a ratio and a logarithm, too
+_DISORDER = frozenset({"exchanged", "moved"})
+_DISPLACING = frozenset({"repeated", "jump"})
+_SORT = "Check the numbers of the files: sort them, and read the stack again."
+_REPLACE = (
+    "Look at these slices; put the right ones in their place, or read the stack without them."
+)
+_ADVICE: dict[Kind, str] = {
+    "exchanged": _SORT,
+    "moved": _SORT,
     "repeated": "Take the copies out of the stack, or put the right slices in their place.",
     "filled": "Put the measured slices in their place if there are any.",
-    "foreign": (
-        "Look at these slices; put the right ones in their place, or read the stack without them."
-    ),
+    "foreign": _REPLACE,
+    "empty": _REPLACE,
     "jump": (
         "Compare the number of slices with the scanner's log; give the missing ones or map either"
         " part alone."
+    ),
+}
+# Of one slice, and of several.
+_SENTENCES: dict[Kind, tuple[str, ...]] = {
+    "exchanged": ("Slices {f.first} and {f.last} along {axis} are exchanged.",),
+    "moved": (
+        "Slices along {axis} are not in order: slice {f.first} does not follow {before}, and slice"
+        " {f.other} fits there.",
+    ),
+    "repeated": (
+        "Slice {f.first} along {axis} is a copy of {sources}.",
+        "Slices {f.first}-{f.last} along {axis} are copies of {sources}.",
+    ),
+    "filled": (
+        "Slice {f.first} along {axis} is the mean of the neighbours, not measured.",
+        "Slices {f.first}-{f.last} along {axis} are means of the neighbours, not measured.",
+    ),
+    "foreign": ("Slice {f.first} along {axis} does not fit between its neighbours.",),
+    "empty": (
+        "Slice {f.first} along {axis} shows nothing, while the neighbours do.",
+        "Slices {f.first}-{f.last} along {axis} show nothing, while the neighbours do.",
+    ),
+    "jump": (
+        "Between slices {f.first} and {f.last} along {axis} the specimen changes as if {missing}"
+        " missing.",
     ),
 }
 
@@ -70,8 +104,13 @@ class Fault:
 
     @property
     def count(self) -> int:
-        """Slices that are concerned."""
-        return self.last - self.first + 1
+        """Slices that are wrong; a jump counts as one."""
+        return 1 if self.kind == "jump" else self.last - self.first + 1
+
+    def shifted(self, n: int) -> Fault:
+        """Return the same fault where slices are counted from ``n`` slices before."""
+        other = None if self.other is None else self.other + n
+        return replace(self, first=self.first + n, last=self.last + n, other=other)
 
 
 def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
@@ -96,71 +135,59 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
                 " repeated, filled or missing."
             ),
         )
-    kinds = [f.kind for f in faults]
-    order_faults = [f for f in faults if f.kind in ("exchanged", "moved")]
+    order_faults = [f for f in faults if f.kind in _DISORDER]
     listed_faults = order_faults or faults
-    sentences = [_sentence(f, axis) for f in listed_faults[:4]]
-    if len(listed_faults) > 4:
-        sentences.append(f"{len(listed_faults) - 4} more such places.")
-    if n_unlisted := len(faults) - len(listed_faults):
-        sentences.append(
-            f"{n_unlisted} other {'fault' if n_unlisted == 1 else 'faults'} along the same axis."
-        )
+    kinds: list[Kind] = [f.kind for f in listed_faults]
+    commonest_kind = max(dict.fromkeys(kinds), key=kinds.count)
+    figures = (CORRELATION, POSITION, PROPERTIES)
     # Heights that are wrong displace on every slope.
-    is_grave = order_faults or axis == scan.through
-    advised_kind = "order" if order_faults else max(dict.fromkeys(kinds), key=kinds.count)
+    if not order_faults and axis != scan.through:
+        wrong_figures = {POSITION if kind in _DISPLACING else PROPERTIES for kind in kinds}
+        figures = (CORRELATION, *sorted(wrong_figures))
     return rule.check(
         "fail" if order_faults else "look",
-        value=float(sum(1 if f.kind == "jump" else f.count for f in faults)),
+        value=float(sum(f.count for f in faults)),
         limit=0.0,
         units="slices",
-        sentence=" ".join(sentences) + " Slices count from 0.",
-        advice=_ADVICE["foreign" if advised_kind == "empty" else advised_kind],
-        figures=(
-            CORRELATION,
-            *([POSITION] if is_grave or {*kinds} & {"repeated", "jump"} else []),
-            *([PROPERTIES] if is_grave or {*kinds} & {"filled", "foreign", "empty"} else []),
-        ),
+        sentence=_sentence(listed_faults, len(faults), axis),
+        advice=_ADVICE[commonest_kind],
+        figures=figures,
     )
 
 
-def _sentence(f: Fault, axis: Axis) -> str:  # noqa: PLR0911
-    is_plural = f.count > 1
-    slices_text = (
-        f"{f'Slices {f.first}-{f.last}' if is_plural else f'Slice {f.first}'} along {axis}"
+def _sentence(listed_faults: list[Fault], fault_count: int, axis: Axis) -> str:
+    """Name the first four of the faults, and count the others."""
+    sentences = [_fault_sentence(f, axis) for f in listed_faults[:4]]
+    if len(listed_faults) > 4:
+        sentences.append(f"{len(listed_faults) - 4} more such places.")
+    n_unlisted = fault_count - len(listed_faults)
+    if n_unlisted:
+        faults_text = "fault" if n_unlisted == 1 else "faults"
+        sentences.append(f"{n_unlisted} other {faults_text} along the same axis.")
+    return " ".join([*sentences, "Slices count from 0."])
+
+
+def _fault_sentence(f: Fault, axis: Axis) -> str:
+    texts = _SENTENCES[f.kind]
+    template = texts[-1] if f.last > f.first else texts[0]
+    return template.format(
+        f=f, axis=axis, before=f.first - 1, sources=_sources(f), missing=_missing(f.steps)
     )
-    match f.kind:
-        case "exchanged":
-            return f"Slices {f.first} and {f.last} along {axis} are exchanged."
-        case "moved":
-            return (
-                f"Slices along {axis} are not in order: slice {f.first} does not follow"
-                f" {f.first - 1}, and slice {f.other} fits there."
-            )
-        case "repeated":
-            assert f.other is not None
-            # Slices that all repeat one slice have no room for as many others.
-            is_block = is_plural and f.first - f.other >= f.count
-            source = f"{f.other}-{f.other + f.count - 1}" if is_block else f"{f.other}"
-            return f"{slices_text} {'are copies' if is_plural else 'is a copy'} of {source}."
-        case "filled":
-            return (
-                f"{slices_text} {'are means' if is_plural else 'is the mean'} of the neighbours,"
-                " not measured."
-            )
-        case "foreign":
-            return f"{slices_text} does not fit between its neighbours."
-        case "empty":
-            return (
-                f"{slices_text} {'show' if is_plural else 'shows'} nothing, while the"
-                " neighbours do."
-            )
-        case "jump":
-            count_text = "several" if math.isnan(f.steps) else f"some {max(round(f.steps), 1)}"
-            return (
-                f"Between slices {f.first} and {f.last} along {axis} the specimen changes as if"
-                f" {count_text} {'slice was' if count_text == 'some 1' else 'slices were'} missing."
-            )
+
+
+def _sources(f: Fault) -> str:
+    """Name the slices that others repeat."""
+    # Slices that all repeat one slice have no room for as many others.
+    if f.other is None or f.first == f.last or f.first - f.other < f.count:
+        return f"{f.other}"
+    return f"{f.other}-{f.other + f.count - 1}"
+
+
+def _missing(steps: float) -> str:
+    if math.isnan(steps):
+        return "several slices were"
+    count = max(round(steps), 1)
+    return f"some {count} {'slice was' if count == 1 else 'slices were'}"
 
 
 def find_faults(window: Window, *, assembled: bool, levelled: bool) -> list[Fault]:
@@ -179,52 +206,40 @@ def find_faults(window: Window, *, assembled: bool, levelled: bool) -> list[Faul
     visible_slices = np.flatnonzero(is_visible)
     if visible_slices.size < 8:
         return []
-    a, b = int(visible_slices[0]), int(visible_slices[-1]) + 1
+    first = int(visible_slices[0])
+    shown = slice(first, int(visible_slices[-1]) + 1)
     has_gains = assembled or level_jump(window) > _GAINS * float(np.median(slice_sd))
-    stack = _Stack(window, a, b, is_visible[a:b], slice_sd[a:b], levelled=levelled and has_gains)
+    stack = _Stack(
+        window, shown, is_visible[shown], slice_sd[shown], levelled=levelled and has_gains
+    )
     if np.median(stack.d1) == 0:  # nothing changes along the axis
         return []
-    finders = (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps)
-    for find_kind in (_foreign, _exchanged, _jumps) if assembled else finders:
-        for fault in find_kind(stack):
-            stack.faults.append(fault)
-            stack.is_good[max(fault.first - 1, 0) : fault.last + 2] = False
-        if assembled:  # between sections there are gaps, which are known
-            stack.faults = [f for f in stack.faults if f.kind != "jump"]
-    n = window.first + a
-    numbered_faults = [
-        replace(
-            f, first=f.first + n, last=f.last + n, other=None if f.other is None else f.other + n
-        )
-        for f in stack.faults
-    ]
-    return sorted(numbered_faults, key=lambda f: f.first)
+    _search(stack, _OF_ASSEMBLED if assembled else _OF_SCANS)
+    # Between sections there are gaps, which are known.
+    faults = [f for f in stack.faults if not (assembled and f.kind == "jump")]
+    return sorted([f.shifted(window.first + first) for f in faults], key=lambda f: f.first)
 
 
 class _Stack:
     """The slices of a window from the first to the last that shows anything."""
 
     def __init__(
-        self,
-        window: Window,
-        first: int,
-        stop: int,
-        is_visible: Bools,
-        slice_sd: Floats,
-        *,
-        levelled: bool,
+        self, window: Window, shown: slice, is_visible: Bools, slice_sd: Floats, *, levelled: bool
     ) -> None:
-        self.stored: Array = window.blocks[first:stop]  # (slices, blocks)
+        self.stored: Array = window.blocks[shown]  # (slices, blocks)
         self.s = _levelled(self.stored, slice_sd) if levelled else self.stored
-        self.d1, self.d2 = _differences(self.s, 1), _differences(self.s, 2)
+        self.d1 = _differences(self.s, 1)
+        self.d2 = _differences(self.s, 2)
         # Means over voxels: within a block a gain changes next to nothing of how slices differ.
-        square, product = window.square[first : stop - 1], window.product[first : stop - 2]
+        square = window.square[shown.start : shown.stop - 1]
+        product = window.product[shown.start : shown.stop - 2]
         self.square = square + self.d1 - _differences(self.stored, 1)
-        self.bend = (
-            (square[:-1] + square[1:] - 2 * product) / 4 + _bends(self.s) - _bends(self.stored)
-        )
+        bend = (square[:-1] + square[1:] - 2 * product) / 4
+        self.bend = bend + _bends(self.s) - _bends(self.stored)
         # Whether a slice shows anything; and neither it nor a neighbour has a fault that was found.
-        self.is_visible, self.is_good, self.slice_sd = is_visible, is_visible.copy(), slice_sd
+        self.is_visible = is_visible
+        self.is_good = is_visible.copy()
+        self.slice_sd = slice_sd
         self.faults: list[Fault] = []
 
     def usual_difference(self, k: int) -> float:
@@ -240,9 +255,8 @@ class _Stack:
         fourth = np.array(
             [_square(np.subtract(self.s[i + 1], self.s[i], dtype=np.float64) ** 2, 0.0) for i in k]
         )
-        return np.sqrt(
-            np.maximum(fourth / np.maximum(self.d1[k] ** 2, 1e-300) - 1, 0) / self.s.shape[1]
-        )
+        excess = fourth / np.maximum(self.d1[k] ** 2, _TINY) - 1
+        return np.sqrt(np.maximum(excess, 0) / self.s.shape[1])
 
     def all_good(self, k: Ints, last: int) -> Bools:
         """Tell for each ``k`` if slices ``k - 1`` to ``k + last`` are all good."""
@@ -250,21 +264,16 @@ class _Stack:
 
 
 def _levelled(stored: Array, slice_sd: Floats) -> NDArray[np.float32]:
-    # Without single slices that are unlike the others, and without steps.
-    def around(values: Floats) -> Floats:
-        return ndimage.uniform_filter1d(
-            ndimage.median_filter(values, 2 * _AROUND + 1, mode="nearest"), _AROUND
-        )
-
     mean = np.array([row.mean(dtype=np.float64) for row in stored])
-    gain, offset = (
-        around(slice_sd) / np.maximum(slice_sd, _EMPTY * np.median(slice_sd)),
-        around(mean),
-    )
-    return np.array(
-        [g * (row - m) + o for row, g, m, o in zip(stored, gain, mean, offset, strict=True)],
-        np.float32,
-    )
+    gain = _around(slice_sd) / np.maximum(slice_sd, _EMPTY * np.median(slice_sd))
+    rows = zip(stored, gain, mean, _around(mean), strict=True)
+    return np.array([g * (row - m) + offset for row, g, m, offset in rows], np.float32)
+
+
+def _around(values: Floats) -> Floats:
+    """Mean of values around, without single ones that are unlike the others, and without steps."""
+    medians = ndimage.median_filter(values, 2 * _AROUND + 1, mode="nearest")
+    return ndimage.uniform_filter1d(medians, _AROUND)
 
 
 def _bends(s: Array) -> Floats:
@@ -283,7 +292,7 @@ def _square(a: Array, b: Array | float) -> float:
 
 
 def _log(differences: Floats) -> Floats:
-    return np.log(np.maximum(differences, 1e-300))
+    return np.log(np.maximum(differences, _TINY))
 
 
 def _empty(t: _Stack) -> Iterable[Fault]:
@@ -297,8 +306,12 @@ def _empty(t: _Stack) -> Iterable[Fault]:
 
 
 def _foreign(t: _Stack) -> Iterator[Fault]:
+    """Slices that differ from both neighbours by more than these from each other.
+
+    Each may be a copy of another slice, fit elsewhere, or be of another body.
+    """
     indices = np.arange(1, t.d1.size)
-    ratio = np.minimum(t.d1[indices - 1], t.d1[indices]) / np.maximum(t.d2[indices - 1], 1e-300)
+    ratio = np.minimum(t.d1[:-1], t.d1[1:]) / np.maximum(t.d2, _TINY)
     copied: set[int] = set()
     for k in indices[(ratio > FOREIGN) & t.all_good(indices, 1)].tolist():
         differences = t.differences_from(k)
@@ -324,12 +337,11 @@ def _is_line(t: _Stack, k: int) -> bool:
 
     The line of a knife, or of a row of the detector, is no slice of another body.
     """
-    bends = [
-        float(np.var(0.5 * (t.s[i - 1] + t.s[i + 1]) - t.s[i], dtype=np.float64))
+    bends = {
+        i: float(np.var(0.5 * (t.s[i - 1] + t.s[i + 1]) - t.s[i], dtype=np.float64))
         for i in range(max(k - _AROUND, 1), min(k + _AROUND + 1, len(t.s) - 1))
-    ]
-    here = float(np.var(0.5 * (t.s[k - 1] + t.s[k + 1]) - t.s[k], dtype=np.float64))
-    return here < FOREIGN * float(np.median(bends))
+    }
+    return bends[k] < FOREIGN * float(np.median(list(bends.values())))
 
 
 def _copies(t: _Stack) -> Iterator[Fault]:
@@ -339,27 +351,28 @@ def _copies(t: _Stack) -> Iterator[Fault]:
     """
     copied = {k for f in t.faults if f.kind == "repeated" for k in (f.first, f.other)}
     first_indices: dict[bytes, int] = {}
-    lag = np.zeros(len(t.s) + 1, np.int64)
-    for k in np.flatnonzero(t.is_visible):
+    sources: dict[int, int] = {}
+    for k in np.flatnonzero(t.is_visible).tolist():
         if k not in copied:
-            lag[k] = k - first_indices.setdefault(t.stored[k].tobytes(), int(k))
-    k = 0
-    while k < len(t.s):
-        last = k
-        if lag[k]:
-            while lag[last + 1] and (
-                k - lag[k] == last + 1 - lag[last + 1] or lag[last + 1] == lag[k]
-            ):
-                last += 1
-            yield Fault(kind="repeated", first=k, last=last, other=k - int(lag[k]))
-        k = last + 1
+            source = first_indices.setdefault(t.stored[k].tobytes(), k)
+            if source < k:
+                sources[k] = source
+    last = -1
+    for first, source in sources.items():
+        if first <= last:
+            continue
+        last = first
+        # The same slice over and over, or one slice after the other.
+        while sources.get(last + 1) in (source, source + last + 1 - first):
+            last += 1
+        yield Fault(kind="repeated", first=first, last=last, other=source)
 
 
 def _exchanged(t: _Stack) -> Iterator[Fault]:
+    """Pairs of neighbours that fit better the other way round."""
     k = np.arange(1, t.d1.size - 1)
-    ratio = np.minimum(t.d1[k - 1], t.d1[k + 1]) / np.maximum(
-        np.maximum(t.d2[k - 1], t.d2[k]), 1e-300
-    )
+    crossed = np.maximum(t.d2[:-1], t.d2[1:])
+    ratio = np.minimum(t.d1[:-2], t.d1[2:]) / np.maximum(crossed, _TINY)
     limit = np.maximum(EXCHANGED, 1 + _SIGMA * t.scatter(k))
     is_exchanged = ratio > limit
     # Where pair after pair is exchanged, the first of one pair is next to the last of the other.
@@ -385,12 +398,10 @@ def _dips(curve: Floats, is_good: Bools, slices: int, depth: float) -> list[tupl
     while k < curve.size - 1:
         for last in range(k, min(k + _RUN, curve.size - 1)):
             limit = curve[k : last + 1].max() + depth
-            if (
-                min(curve[k - 1], curve[last + 1]) > limit
-                and np.median(curve[max(k - 12, 0) : last + 13]) > limit
-            ):
-                if not is_good[k - 1 : last + 1 + slices].all():
-                    continue
+            if min(curve[k - 1], curve[last + 1]) <= limit:
+                continue
+            is_dip = np.median(curve[max(k - 12, 0) : last + 13]) > limit
+            if is_dip and is_good[k - 1 : last + 1 + slices].all():
                 dips.append((k, last))
                 k = last
                 break
@@ -422,17 +433,14 @@ def _far_copies(t: _Stack) -> Iterator[Fault]:
         rise = log[k - 1] - np.median(log[max(k - 6, 0) : k + 5])
         if rise < 0.25 or not t.is_good[k - 1 : k + 1].all():
             continue
-        differences = t.differences_from(k, max(k - 64, 0), k - 1)
-        source = int(differences.argmin()) + max(k - 64, 0)
-        usual = min(t.usual_difference(k - 1), t.usual_difference(source))
-        if differences.min() < _COPY * usual:
-            is_copy = _differences(t.s[source : k + 64], k - source) < _COPY * usual
-            yield Fault(
-                kind="repeated",
-                first=k,
-                last=k + int(np.argmin(np.append(is_copy, False))) - 1,
-                other=source,
-            )
+        earliest = max(k - 64, 0)
+        differences = t.differences_from(k, earliest, k - 1)
+        source = int(differences.argmin()) + earliest
+        limit = _COPY * min(t.usual_difference(k - 1), t.usual_difference(source))
+        if differences.min() < limit:
+            is_copy = _differences(t.s[source : k + 64], k - source) < limit
+            count = int(np.argmin(np.append(is_copy, False)))
+            yield Fault(kind="repeated", first=k, last=k + count - 1, other=source)
 
 
 def _jumps(t: _Stack) -> Iterable[Fault]:
@@ -443,15 +451,16 @@ def _jumps(t: _Stack) -> Iterable[Fault]:
     rise = log[k] - np.maximum(log[k - 1], log[k + 1])
     faults: list[Fault] = []
     for index in k[(rise > limit) & t.all_good(k, 2)].tolist():
+        if not t.is_good[index]:
+            continue
         # Of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet,
         # no fault.
         largest_ratio = 0.5 if rise[index - 1] > 1.2 else 0.3
-        if (
-            t.is_good[index]
-            and _square(np.sort(t.s[index]), np.sort(t.s[index + 1])) < largest_ratio * t.d1[index]
-        ):
-            faults.append(_jump(t, index))
-            t.is_good[faults[-1].first : faults[-1].last + 1] = False
+        sorted_difference = _square(np.sort(t.s[index]), np.sort(t.s[index + 1]))
+        if sorted_difference < largest_ratio * t.d1[index]:
+            fault = _jump(t, index)
+            faults.append(fault)
+            t.is_good[fault.first : fault.last + 1] = False
     return faults
 
 
@@ -460,33 +469,47 @@ def _jump(t: _Stack, k: int) -> Fault:
 
     One of them fits elsewhere, or slices are missing.
     """
-    from_next, from_slice = t.differences_from(k + 1), t.differences_from(k)
-    from_next[k : k + 4] = from_slice[max(k - 2, 0) : k + 2] = np.inf
+    from_next = t.differences_from(k + 1)
+    from_slice = t.differences_from(k)
+    from_next[k : k + 4] = np.inf
+    from_slice[max(k - 2, 0) : k + 2] = np.inf
     differences = from_next if from_next.min() < from_slice.min() else from_slice
     nearest = int(differences.argmin())
     usual = min(t.usual_difference(k), t.usual_difference(nearest))
     if differences[nearest] < min(_FITS * usual, 0.6 * t.d1[k]):
         # That slice is at an end of the stack, or does not continue a neighbour of its own.
-        usual_difference = np.median(t.d1[max(nearest - 4, 0) : nearest + 4])
-        if (
-            nearest in (0, t.d1.size)
-            or max(t.d1[nearest - 1], t.d1[nearest]) > 1.3 * usual_difference
-        ):
+        limit = 1.3 * np.median(t.d1[max(nearest - 4, 0) : nearest + 4])
+        if nearest in (0, t.d1.size) or max(t.d1[nearest - 1], t.d1[nearest]) > limit:
             return Fault(kind="moved", first=k + 1, last=k + 1, other=nearest)
-    # Slices by which the body goes on too far: as far apart slices beside the jump must be to
-    # differ as much.
-    segments, jump_difference, previous_median = (
-        (t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]),
-        float(t.d1[k]),
-        0.0,
-    )
+    return Fault(kind="jump", first=k, last=k + 1, steps=_missing_steps(t, k))
+
+
+def _missing_steps(t: _Stack, k: int) -> float:
+    """Slices by which the body goes on too far between slices k and k + 1; NaN beyond 20.
+
+    As far apart slices beside the jump must be to differ as much.
+    """
+    segments = t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]
+    jump_difference = float(t.d1[k])
+    previous_median = 0.0
     for lag in range(1, 21):
         lag_differences = [
             _differences(segment, lag) for segment in segments if len(segment) > lag + 2
         ]
         median = float(np.median(np.concatenate(lag_differences))) if lag_differences else 0.0
         if median >= jump_difference:
-            steps = lag - (median - jump_difference) / max(median - previous_median, 1e-300) - 1.0
-            return Fault(kind="jump", first=k, last=k + 1, steps=steps)
+            return lag - (median - jump_difference) / max(median - previous_median, _TINY) - 1.0
         previous_median = median
-    return Fault(kind="jump", first=k, last=k + 1)
+    return np.nan
+
+
+_OF_SCANS = (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps)
+_OF_ASSEMBLED = (_foreign, _exchanged, _jumps)
+
+
+def _search(t: _Stack, finders: Iterable[Callable[[_Stack], Iterable[Fault]]]) -> None:
+    """Find faults of one kind after the other; beside one no other is looked for."""
+    for find_kind in finders:
+        for fault in find_kind(t):
+            t.faults.append(fault)
+            t.is_good[max(fault.first - 1, 0) : fault.last + 2] = False

@@ -40,7 +40,7 @@ class _Fit(NamedTuple):
 
 
 def _jackknife_errors(estimates: Floats) -> Floats:
-    """Standard errors (k,) from values (group, k) with each group left out."""
+    """Standard errors (...,) from values (group, ...) with each group left out."""
     n = len(estimates)
     return np.sqrt((n - 1) / n * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0))
 
@@ -79,16 +79,13 @@ def find_cupping(
         return None, (), _TOO_FEW
     # The largest radius at which there is some sheet.
     reach_um = float((radius_bins[-1] + 1) * turning.farthest_um / COARSE)
-    radius_um = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
     # Mean height of the rings over the sheet's voxels at each radius of the histogram.
     sheet_counts = sums.count[:, :, BASE:].sum(axis=(0, 1, 2)).astype(np.float64)
-    bin_radius_um = (np.arange(rings.size) + 0.5) * turning.step_um
-    coarse_bin = np.minimum(
-        (bin_radius_um / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1
-    )
+    radius_um = (np.arange(rings.size) + 0.5) * turning.step_um
+    coarse_bin = turning.coarse_bins(radius_um)
     weights = np.maximum(np.bincount(coarse_bin, sheet_counts, COARSE), 1.0)
     offset = np.bincount(coarse_bin, sheet_counts * rings, COARSE) / weights
-    share = radius_um / reach_um
+    share = turning.coarse_um / reach_um
     all_fits = {m: _fit_material(histograms, m, levels, share, offset) for m in (BASE, BRIGHT)}
     fits = {m: fit for m, fit in all_fits.items() if fit is not None}
     trends = tuple(Trend(material=MATERIALS[m], before=f.percent, se=f.se) for m, f in fits.items())
@@ -96,12 +93,13 @@ def find_cupping(
         return None, (), _TOO_FEW
     shared, is_agreed = _join_materials([*fits.values()])
     losses = ", ".join(f"{t.material} {t.before:.1f} +- {t.se:.1f} %" for t in trends)
+    why = ""
     if not is_agreed:
-        why = f"base and coating contradict each other ({losses})"
-        return None, trends, f"Cupping: {why}, nothing was corrected."
-    if abs(shared.percent) < max(_CLEAR * shared.se, _LOWEST):
-        why = f"no trend against the radius beyond its error ({losses})"
-        return None, trends, f"Cupping: {why}, nothing was corrected."
+        why = "base and coating contradict each other"
+    elif abs(shared.percent) < max(_CLEAR * shared.se, _LOWEST):
+        why = "no trend against the radius beyond its error"
+    if why:
+        return None, trends, f"Cupping: {why} ({losses}), nothing was corrected."
     cupping = Cupping(
         percent=shared.percent, se=shared.se, powers=(shared.coefficient,), reach_um=reach_um
     )
@@ -115,8 +113,7 @@ def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
     Divided by it, the correction keeps the sheet's mean grey.
     """
     voxel_counts = sums.histogram.sum(axis=(0, 1, 3, 4)).astype(np.float64)
-    radius_um = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
-    factors = factor(cupping.powers, radius_um / cupping.reach_um)
+    factors = factor(cupping.powers, turning.coarse_um / cupping.reach_um)
     return float(np.sum(voxel_counts * factors) / max(voxel_counts.sum(), 1.0))
 
 
@@ -132,16 +129,17 @@ def _fit_material(
     full_fit = _fit_coefficients(total_histogram, limits, share, offset)
     if full_fit is None:
         return None
-    partial_fits = [
+    partial_fits = (
         _fit_coefficients(total_histogram - h, limits, share, offset) for h in histograms
-    ]
-    jackknife_fits = [fit for fit in partial_fits if fit is not None]
+    )
+    jackknife_fits = list(filter(None, partial_fits))
     if len(jackknife_fits) < 3:
         return None
     coefficient, depth_coefficients = full_fit
-    loss_se = float(_jackknife_errors(np.array([[_loss_percent(p)] for p, _ in jackknife_fits]))[0])
-    replicates = np.array([coefficients for _, coefficients in jackknife_fits])
-    variance = loss_se**2 + _variance_of_depths(depth_coefficients, replicates)
+    coefficients, replicates = zip(*jackknife_fits, strict=True)
+    losses: Floats = np.array([_loss_percent(p) for p in coefficients])
+    loss_se = float(_jackknife_errors(losses))
+    variance = loss_se**2 + _variance_of_depths(depth_coefficients, np.array(replicates))
     return _Fit(coefficient, _loss_percent(coefficient), float(np.sqrt(variance)))
 
 
@@ -233,8 +231,10 @@ def _depth_coefficient(t: Floats, grey: Floats, n: Floats, is_used: Bools) -> fl
     """Fit the coefficient of one depth alone; NaN where it has no grey."""
     if not is_used.any():
         return np.nan
-    line_fit = np.polynomial.polynomial.polyfit(t[is_used], grey[is_used], 1, w=np.sqrt(n[is_used]))
-    return line_fit[1] / line_fit[0] if line_fit[0] > 0 else np.nan
+    level, slope = np.polynomial.polynomial.polyfit(
+        t[is_used], grey[is_used], 1, w=np.sqrt(n[is_used])
+    )
+    return slope / level if level > 0 else np.nan
 
 
 def _sum_between(running_sum: Floats, low: Floats, high: Floats) -> Floats:
@@ -245,7 +245,8 @@ def _sum_below(running_sum: Floats, grey: Floats) -> Floats:
     rows = np.arange(len(running_sum))
     x = np.clip((grey - GREYS[0]) / (GREYS[1] - GREYS[0]), 0.0, GREYS.size - 1.0)
     i = np.minimum(x.astype(np.int64), GREYS.size - 2)
-    return running_sum[rows, i] * (1 - (x - i)) + running_sum[rows, i + 1] * (x - i)
+    part = x - i
+    return running_sum[rows, i] * (1 - part) + running_sum[rows, i + 1] * part
 
 
 def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:

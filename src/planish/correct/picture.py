@@ -78,11 +78,10 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
         _draw_slice(axes[2], difference, title, cols_um, "RdBu_r", (-limit, limit))
         pixel_buffer = io.BytesIO()
         figure.savefig(pixel_buffer, format="rgba")
-    image = Image.frombytes(
-        "RGBA", figure.canvas.get_width_height(), pixel_buffer.getvalue()
-    ).convert("RGB")
+    size = figure.canvas.get_width_height()
+    image = Image.frombytes("RGBA", size, pixel_buffer.getvalue())
     try:
-        image.save(path, format="PNG", optimize=True)
+        image.convert("RGB").save(path, format="PNG", optimize=True)
     except OSError as error:
         raise FileError(
             f"{path} cannot be written: {error.strerror or error}. Give another place with `out`."
@@ -116,7 +115,8 @@ def _middle_slices(
 
 def _draw_profiles(axes: Axes, corrected: Corrected, air: float, contrast: float) -> None:
     """Draw the mean grey of each material against the radius, before and after, and the rings."""
-    record, turning = corrected.record, corrected.turning
+    record = corrected.record
+    turning = corrected.turning
     radius = (np.arange(turning.bins) + 0.5) * turning.step_um
     stages = ((corrected.before, _BEFORE, "before"), (corrected.after, _AFTER, "after"))
     for stage, colour, stage_name in stages:

@@ -78,19 +78,20 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     shapes: list[Floats] = []
     factors: list[Floats] = []
     rings: list[RingArtefact] = []
-    blocks: list[tuple[Floats, Floats]] = []
-    materials: list[tuple[Floats, Floats]] = []
+    blocks = np.zeros((0, 2, bins))  # profile and error of each
+    materials = blocks
     if intervals:
-        blocks = [_robust_mean(r, w) for r, w in zip(residual, weight, strict=True)]
-        materials = [_robust_mean(residual[:, :, m], weight[:, :, m]) for m in range(3)]
+        blocks = np.array([_robust_mean(r, w) for r, w in zip(residual, weight, strict=True)])
+        materials = np.array(
+            [_robust_mean(residual[:, :, m], weight[:, :, m]) for m in range(residual.shape[2])]
+        )
     for ring_bins in intervals:
         ring = profile[ring_bins]
-        if _is_structure(ring, [(p[ring_bins], e[ring_bins]) for p, e in materials]):
+        if _is_structure(ring, materials[..., ring_bins]):
             continue
         shape = np.zeros(bins)
         shape[ring_bins] = ring
-        in_blocks = [(p[ring_bins], e[ring_bins]) for p, e in blocks]
-        factor = _block_factors(ring, in_blocks)
+        factor = _block_factors(ring, blocks[..., ring_bins])
         crest = ring_bins.start + int(np.argmax(np.abs(ring)))
         height = float(profile[crest])
         shapes.append(shape)
@@ -98,9 +99,7 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
         rings.append(
             RingArtefact(
                 radius_um=(crest + 0.5) * turning.step_um,
-                width_um=float(
-                    np.count_nonzero(np.abs(ring) >= 0.5 * abs(height)) * turning.step_um
-                ),
+                width_um=np.count_nonzero(np.abs(ring) >= 0.5 * abs(height)) * turning.step_um,
                 height=height * contrast,
                 share=height,
                 share_se=float(error[crest]),
@@ -117,8 +116,11 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     )
 
 
-def _is_structure(ring: Floats, materials: list[tuple[Floats, Floats]]) -> bool:
-    """Whether a material clearly shows less than a part of a ring: it is of another one then."""
+def _is_structure(ring: Floats, materials: Floats) -> bool:
+    """Whether a material clearly shows less than a part of a ring: it is of another one then.
+
+    ``materials`` (material, 2, bin): profile and error.
+    """
     for profile, error in materials:
         factor, weight = _height_factor(ring, profile, error)
         if weight and factor + 3.0 / np.sqrt(weight) < _SHOWN:
@@ -157,21 +159,17 @@ def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
             continue
         span = slice(valid_bins[0], valid_bins[-1] + 1)
         mean_grey = np.interp(np.arange(span.start, span.stop), valid_bins, mean[cell][valid_bins])
-        ring_free = mean_grey - rings[span]
-        trend = ndimage.uniform_filter1d(
-            ndimage.median_filter(ring_free, _WINDOW, mode="nearest"), _AFTERWARDS
-        )
+        medians = ndimage.median_filter(mean_grey - rings[span], _WINDOW, mode="nearest")
+        trend = ndimage.uniform_filter1d(medians, _AFTERWARDS)
         residual[cell][span] = np.where(is_measured[cell][span], mean_grey - trend, np.nan)
     weight = np.zeros(mean.shape)
     for m in range(mean.shape[2]):
         is_valid = np.isfinite(residual[:, :, m])
         if is_valid.any():
             # Per voxel, as its mean really scatters: the texture of fibres makes neighbours alike.
-            variance = (
-                float(np.median(residual[:, :, m][is_valid] ** 2 * count[:, :, m][is_valid]))
-                / _CHI2
-            )
-            weight[:, :, m] = np.where(is_valid, count[:, :, m], 0.0) / max(variance, 1e-6)
+            squares = residual[:, :, m][is_valid] ** 2 * count[:, :, m][is_valid]
+            variance = max(float(np.median(squares)) / _CHI2, 1e-6)
+            weight[:, :, m] = np.where(is_valid, count[:, :, m], 0.0) / variance
     return np.nan_to_num(residual), weight
 
 
@@ -195,14 +193,11 @@ def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
     for _ in range(5):
         scaled_residual = np.abs(residual - mean) * np.sqrt(weight)
         # The scatter of the parts, but no less than that of their voxels.
-        scale = np.maximum(
-            _weighted_median(scaled_residual, (weight > 0).astype(np.float64)) / np.sqrt(_CHI2), 1.0
-        )
+        median = _weighted_median(scaled_residual, (weight > 0).astype(np.float64))
+        scale = np.maximum(median / np.sqrt(_CHI2), 1.0)
         robust_weight = weight * np.minimum(1.0, 2.0 * scale / np.maximum(scaled_residual, 1e-12))
-        mean = np.sum(robust_weight * residual, axis=0) / np.maximum(
-            robust_weight.sum(axis=0), 1e-12
-        )
-    weight_sum = np.maximum(robust_weight.sum(axis=0), 1e-12)
+        weight_sum = np.maximum(robust_weight.sum(axis=0), 1e-12)
+        mean = np.sum(robust_weight * residual, axis=0) / weight_sum
     scatter = np.sqrt(np.sum((robust_weight * (residual - mean)) ** 2, axis=0)) / weight_sum
     error = np.maximum(scatter, 1.0 / np.sqrt(weight_sum))
     # Circles pass the rows of voxels and the layers of the sheet in ever new ways: what that does
@@ -225,9 +220,8 @@ def _intervals(profile: Floats, error: Floats, share: float) -> list[slice]:
     height = np.nan_to_num(profile)
     clarity = np.where(np.isfinite(error), np.abs(height) / np.nan_to_num(error, nan=1.0), 0.0)
     # What fills one bin only is no ring: its neighbours have to show it too.
-    ratio = ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3) / np.where(
-        clarity > 0, height, 1.0
-    )
+    mean_height = ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3)
+    ratio = mean_height / np.where(clarity > 0, height, 1.0)
     clarity = np.minimum(clarity, ratio * clarity * np.sqrt(3.0))
     clear = (clarity > _CLEAR) & (np.abs(height) > _LOWEST)
     highest = float(np.abs(height[clear]).max(initial=0.0))
@@ -256,22 +250,20 @@ def _height_factor(shape: Floats, profile: Floats, error: Floats) -> tuple[float
     return float(np.sum(w * profile[is_valid])) / precision, precision
 
 
-def _block_factors(shape: Floats, block_profiles: list[tuple[Floats, Floats]]) -> Floats:
-    """Factor on a ring's height in each block.
+def _block_factors(shape: Floats, block_profiles: Floats) -> Floats:
+    """Factor on a ring's height in each block, by profile and error (block, 2, bin).
 
     1 everywhere where the blocks differ by no more than their errors.
     """
     factor, precision = np.array([_height_factor(shape, *block) for block in block_profiles]).T
-    variance = np.divide(
-        1.0, precision, out=np.full(len(block_profiles), np.inf), where=precision > 0
-    )
-    is_valid = np.isfinite(variance)
-    n = int(np.count_nonzero(is_valid))
+    is_valid = precision > 0
+    variance = 1.0 / precision[is_valid]
+    n = variance.size
     squared_excess = (factor[is_valid] - 1.0) ** 2
-    if n < 2 or float(np.sum(squared_excess / variance[is_valid])) < n + 4.0 * np.sqrt(2.0 * n):
-        return np.ones(len(block_profiles))
-    between_variance = max(float(np.mean(squared_excess - variance[is_valid])), 0.0)
-    shrinkage = np.where(
-        is_valid, between_variance / (between_variance + np.where(is_valid, variance, 1.0)), 0.0
-    )
-    return 1.0 + shrinkage * (factor - 1.0)
+    factors = np.ones(precision.size)
+    if n < 2 or float(np.sum(squared_excess / variance)) < n + 4.0 * np.sqrt(2.0 * n):
+        return factors
+    between_variance = max(float(np.mean(squared_excess - variance)), 0.0)
+    shrinkage = between_variance / (between_variance + variance)
+    factors[is_valid] += shrinkage * (factor[is_valid] - 1.0)
+    return factors

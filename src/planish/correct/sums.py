@@ -44,14 +44,13 @@ class Levels(NamedTuple):
 def smoothed(plane: NDArray[Any]) -> NDArray[np.float32]:
     """Smooth a slice; what is not finite counts as 0 and has to be masked."""
     # Then a single voxel shows its material in spite of the noise.
-    return ndimage.gaussian_filter(
-        np.nan_to_num(plane.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0), 1.5
-    )
+    known = np.nan_to_num(plane.astype(np.float32), posinf=0.0, neginf=0.0)
+    return ndimage.gaussian_filter(known, 1.5)
 
 
 def missing(plane: NDArray[Any], padding: float) -> Bools:
     """Voxels of a slice that hold nothing, and those too near to them to be smoothed."""
-    empty = ~np.isfinite(plane) if plane.dtype.kind == "f" else np.zeros(plane.shape, bool)
+    empty = ~np.isfinite(plane)
     if np.isfinite(padding):
         empty |= _without_specks(plane == padding)
     return ndimage.maximum_filter(empty, 9) if empty.any() else empty
@@ -59,9 +58,7 @@ def missing(plane: NDArray[Any], padding: float) -> Bools:
 
 def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
     """Find the greys in some slices; None where no sheet stands out from the air."""
-    lowest = min(
-        (float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=float("nan")
-    )
+    lowest = min((float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=np.nan)
     padding = _padding(slices, lowest, radius)
     levels = _estimate_levels(np.concatenate([smoothed(s)[~missing(s, padding)] for s in slices]))
     if levels is None:
@@ -105,20 +102,21 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
     """
     if greys.size < 1000:
         return None
-    lowest, highest = (float(q) for q in np.percentile(greys, [0.02, 99.98]))
+    lowest, highest = map(float, np.percentile(greys, [0.02, 99.98]))
     if not highest > lowest:
         return None
     bin_counts, bin_edges = np.histogram(greys, 160, (lowest, highest))
     moments = np.stack([bin_counts, bin_counts * np.arange(bin_counts.size)]).astype(np.float64)
     running_count, running_sum = np.pad(np.cumsum(moments, axis=1), ((0, 0), (1, 0)))
     split, middle = (float(bin_edges[k]) for k in otsu_borders(running_count, running_sum, 3))
-    dark_greys, sheet_greys = greys[greys <= split], greys[greys > split]
-    dark_median = float(np.median(dark_greys))  # The mean of what lies near the median.
-    air_reach = max(3 * MAD_TO_SD * float(np.median(np.abs(dark_greys - dark_median))), 1e-6)
-    air = float(
-        np.mean(dark_greys[np.abs(dark_greys - dark_median) <= air_reach], dtype=np.float64)
-    )
-    base_greys, bright_greys = sheet_greys[sheet_greys <= middle], sheet_greys[sheet_greys > middle]
+    dark_greys = greys[greys <= split]
+    sheet_greys = greys[greys > split]
+    # The mean of what lies near the median.
+    dark_deviations = np.abs(dark_greys - float(np.median(dark_greys)))
+    air_reach = max(3 * MAD_TO_SD * float(np.median(dark_deviations)), 1e-6)
+    air = float(np.mean(dark_greys[dark_deviations <= air_reach], dtype=np.float64))
+    base_greys = sheet_greys[sheet_greys <= middle]
+    bright_greys = sheet_greys[sheet_greys > middle]
     if not bright_greys.size or not base_greys.size:
         return None
     base_level = float(np.median(base_greys))
@@ -180,6 +178,15 @@ class Turning(NamedTuple):
         return int(np.ceil(self.farthest_um / self.step_um)) + 1
 
     @property
+    def coarse_um(self) -> Floats:
+        """Middles of the histogram's radii."""
+        return (np.arange(COARSE) + 0.5) * self.farthest_um / COARSE
+
+    def coarse_bins(self, radius_um: NDArray[Any]) -> NDArray[np.int64]:
+        """Numbers of the histogram's radii."""
+        return np.minimum((radius_um / self.farthest_um * COARSE).astype(np.int64), COARSE - 1)
+
+    @property
     def farthest_um(self) -> float:
         """Largest radius in the field."""
         axes = zip(self.centre_um, self.shape[1:], self.pitch_um, strict=True)
@@ -204,7 +211,8 @@ def make_turning(
     size = dict(zip("zyx", map(float, volume.attrs["voxel_um"]), strict=True))
     frame = Frame(through=axis)
     a, b = frame.rows, frame.cols
-    shape, pitch = (volume.sizes[axis], volume.sizes[a], volume.sizes[b]), (size[a], size[b])
+    shape = (volume.sizes[axis], volume.sizes[a], volume.sizes[b])
+    pitch = (size[a], size[b])
     if shape[0] < _LEAST_LENGTH:
         raise VolumeError(
             f"The volume has {shape[0]} voxel(s) along {axis}, the axis of rotation; at least"
@@ -268,9 +276,8 @@ def slices_of(
     stride = max(1, stride)
     numbers = range(stride // 2, length, stride)
     # A slab is in memory, and the one after it while that is read.
-    slab_length = max(
-        1, min(int(memory_bytes / (3 * rows * cols * volume.dtype.itemsize)), len(numbers))
-    )
+    slice_bytes = rows * cols * volume.dtype.itemsize
+    slab_length = max(1, min(int(memory_bytes / (3 * slice_bytes)), len(numbers)))
     for start in range(0, len(numbers), slab_length):
         slab_numbers = numbers[start : start + slab_length]
         span = slice(slab_numbers[0], slab_numbers[-1] + 1, stride)
@@ -286,15 +293,15 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
     offsets_um = turning.offsets_um(*(np.arange(n) for n in turning.shape[1:]))
     radius = np.hypot(*offsets_um)
     # Parts of the turn begin at the axes of the array.
-    sectors = np.minimum(
-        (np.arctan2(*offsets_um) / (2 * np.pi) % 1.0 * SECTORS).astype(np.int64), SECTORS - 1
-    )
+    turns = np.arctan2(*offsets_um) / (2 * np.pi) % 1.0
+    sectors = np.minimum((turns * SECTORS).astype(np.int64), SECTORS - 1)
     radius_bins = (radius / turning.step_um).astype(np.int64)
-    coarse_bins = np.minimum((radius / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
+    coarse_bins = turning.coarse_bins(radius)
     quarters = sectors * QUARTERS // SECTORS
+    rings_shape = (blocks, SECTORS, len(MATERIALS), turning.bins)
     sums = Sums(
-        count=np.zeros((blocks, SECTORS, len(MATERIALS), turning.bins), np.int64),
-        total=np.zeros((blocks, SECTORS, len(MATERIALS), turning.bins), np.int64),
+        count=np.zeros(rings_shape, np.int64),
+        total=np.zeros(rings_shape, np.int64),
         histogram=np.zeros((blocks, QUARTERS, COARSE, DEPTHS.size, GREYS.size - 1), np.int64),
         level=np.zeros((len(MATERIALS), 2), np.int64),
         blocks=(np.arange(blocks) + 0.5) * length / blocks - 0.5,
@@ -377,8 +384,7 @@ def _classify(
         depth[is_inside] = np.minimum(distance[is_inside], _DEEPEST)
         solid_label = np.where(smoothed_plane[is_inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
         label[is_inside] = 1 + AIR if mask is is_air else solid_label
-    contrast_share = (
-        np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air
-    ) / levels.contrast
+    known = np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0)
+    contrast_share = (known - levels.air) / levels.contrast
     grey = np.rint(np.clip(contrast_share, GREYS[0], GREYS[-1]) * UNIT).astype(np.int64)
     return number, grey, label, depth

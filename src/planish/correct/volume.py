@@ -67,7 +67,8 @@ class Change(NamedTuple):
         tables = np.zeros((len(values), self.turning.bins))
         if self.rings is not None:
             tables = self.levels.contrast * self.rings.tables(self.blocks, along)
-        is_integer, air = values.dtype.kind in "ui", self.levels.air
+        is_integer = values.dtype.kind in "ui"
+        air = self.levels.air
         limits = np.iinfo(values.dtype) if is_integer else np.finfo(values.dtype)
         out = np.empty_like(values)
         clipped = 0
@@ -154,17 +155,17 @@ def correct_volume(
             "The volume was made from photographs of sections, which have neither rings nor"
             " cupping. Leave out `correct_rings` and `correct_cupping`."
         )
-    turning = make_turning(volume, params.axis, params.centre_um)
+    axis = params.axis
+    turning = make_turning(volume, axis, params.centre_um)
     length = turning.shape[0]
     rows, cols = (np.arange(n) for n in turning.shape[1:])
     record = CorrectionRecord(
-        axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=length
+        axis=axis, centre_um=turning.centre_um, asked=params.asked, length=length
     )
     slices = partial(slices_of, volume, turning, memory_bytes=memory_bytes)
     # A first look at some slices.
-    levels = find_levels(
-        [values for _, values in slices(max_slices=24)], np.hypot(*turning.offsets_um(rows, cols))
-    )
+    first_slices = [plane for _, plane in slices(max_slices=24)]
+    levels = find_levels(first_slices, np.hypot(*turning.offsets_um(rows, cols)))
     if levels is None:
         sentences = ("No sheet stands out from the air: nothing was corrected.",)
         record = record.model_copy(update={"sentences": sentences})
@@ -173,7 +174,7 @@ def correct_volume(
 
     def sums(slices: Iterator[tuple[int, Slice]], task_text: str) -> Sums:
         if progress is not None:
-            progress(task_text, f"{length} slices across {params.axis}")
+            progress(task_text, f"{length} slices across {axis}")
         return take_sums(slices, turning, levels)
 
     before = sums(slices(), "rings and cupping")
@@ -204,11 +205,14 @@ def correct_volume(
             "clipped": clipped[0] / clipped[1],
         }
     )
-    corrected = _with_record(
-        computed(volume, partial(_read_corrected, volume.variable, change)), record
-    )
+    corrected = computed(volume, partial(_read_corrected, volume.variable, change))
     return Corrected(
-        volume=corrected, record=record, turning=turning, before=before, after=after, change=change
+        volume=_with_record(corrected, record),
+        record=record,
+        turning=turning,
+        before=before,
+        after=after,
+        change=change,
     )
 
 

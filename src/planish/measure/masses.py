@@ -299,7 +299,9 @@ def grammage(sheet: Sheet) -> Measured:
     grammage then follows the coating too strongly. SE: each part's times its factor, as
     independent.
     """
-    params, greys, maps = sheet.params.of(Options), sheet.frame.greys, sheet.maps
+    params = sheet.params.of(Options)
+    greys = sheet.frame.greys
+    maps = sheet.maps
     base_g_m2 = params.grammage_g_m2
     if "absorption" in _sources(params, greys):
         return _in_grams(maps["absorption"], sheet, "Grammage", base_g_m2, "base_g_cm3")

@@ -167,20 +167,7 @@ def _with_errors(measured: xr.Dataset, noise_um: float = np.nan) -> xr.Dataset:
         errors, common, patch_um2 = _errors_of_labels(measured)
     else:
         errors, common, patch_um2 = _errors_of_greys(measured, noise_um)
-    # What corrections and the grey of an uncoated base leave open; a wrong grey moves all columns
-    # alike.
-    level_um = 0.0
-    for side in SIDES:
-        coating = f"coating_{side}"
-        for source in (f"correction_{side}_error", f"level_{side}_error"):
-            if source in measured:
-                source_um = np.nan_to_num(measured[source].values.astype(np.float64))
-                for name in (coating, "base_thickness", "thickness"):
-                    errors[name] = np.hypot(errors[name], source_um)
-                level_um += float(measured[source].attrs.get("common_um", 0.0))
-        common[coating] = float(np.hypot(common[coating], _grey_error_um(measured, side)))
-    for name in ("base_thickness", "thickness"):
-        common[name] = float(np.hypot(common[name], level_um))
+    _add_open_errors(measured, errors, common)
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)
@@ -193,6 +180,24 @@ def _with_errors(measured: xr.Dataset, noise_um: float = np.nan) -> xr.Dataset:
             }
             variables[f"{name}_se"] = xr.Variable(("y", "x"), se, se_attrs)
     return measured.assign(variables)
+
+
+def _add_open_errors(
+    measured: xr.Dataset, errors: dict[str, Floats], common: dict[str, float]
+) -> None:
+    """Add what corrections and greys leave open; a wrong grey moves all columns alike."""
+    level_um = 0.0
+    for side in SIDES:
+        coating = f"coating_{side}"
+        for source in (f"correction_{side}_error", f"level_{side}_error"):
+            if source in measured:
+                source_um = np.nan_to_num(measured[source].values.astype(np.float64))
+                for name in (coating, "base_thickness", "thickness"):
+                    errors[name] = np.hypot(errors[name], source_um)
+                level_um += float(measured[source].attrs.get("common_um", 0.0))
+        common[coating] = float(np.hypot(common[coating], _grey_error_um(measured, side)))
+    for name in ("base_thickness", "thickness"):
+        common[name] = float(np.hypot(common[name], level_um))
 
 
 def _voxel_um(measured: xr.Dataset) -> dict[str, float]:

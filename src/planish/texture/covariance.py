@@ -7,6 +7,7 @@ Fourier transforms give.
 
 import math
 from collections.abc import Sequence
+from itertools import combinations_with_replacement, product
 
 import numpy as np
 from scipy import fft
@@ -51,9 +52,8 @@ class Lags:
 
     def own_products(self, values: Array) -> Floats:
         """Sums of products of a map (rows, cols), less its mean, with itself."""
-        spectrum = self.transform(
-            np.where(self.is_valid, values - values[self.is_valid].mean(), 0.0)
-        )
+        mean = values[self.is_valid].mean()
+        spectrum = self.transform(np.where(self.is_valid, values - mean, 0.0))
         return self.products(spectrum, spectrum)
 
     def products(self, a: Complexes, b: Complexes) -> Floats:
@@ -66,7 +66,7 @@ class Lags:
         The mean is over all directions.
         """
         rings = np.bincount(self._ring[self.inside], weights=products[self.inside])
-        turned = np.flatnonzero(rings * (1.0 if rings[0] >= 0 else -1.0) <= 0.0)
+        turned = np.flatnonzero(rings <= 0.0 if rings[0] >= 0 else rings >= 0.0)
         return self.inside & (self._ring < turned[0]) if turned.size else self.inside
 
     def covariance(self, products: Floats, used: Bools) -> Floats:
@@ -130,14 +130,15 @@ class PairCovariances:
         self.lags = lags
         self._maps = [np.where(lags.is_valid, m - m[lags.is_valid].mean(), 0.0) for m in (x, y)]
         a, b = (lags.transform(m) for m in self._maps)
-        auto_products = [lags.products(m, m) for m in (a, b)]
-        cross_products = lags.products(a, b)
-        self.used = [lags.until_zero(p) for p in auto_products]
-        self.xx, self.yy = map(lags.covariance, auto_products, self.used)
+        x_products = lags.products(a, a)
+        y_products = lags.products(b, b)
+        self.used = [lags.until_zero(x_products), lags.until_zero(y_products)]
+        self.xx = lags.covariance(x_products, self.used[0])
+        self.yy = lags.covariance(y_products, self.used[1])
         # For the interval all are cut alike: where r is large they nearly cancel each other.
         used = self.used[0] | self.used[1]
-        self._together = [lags.covariance(p, used) for p in (*auto_products, cross_products)]
-        x_products, y_products = auto_products
+        products = (x_products, y_products, lags.products(a, b))
+        self._together = [lags.covariance(p, used) for p in products]
         self.variances = (float(x_products[0, 0]) / lags.n, float(y_products[0, 0]) / lags.n)
         variance_x, variance_y = self.variances
         self._put_back = (float(self.xx[0, 0]) - variance_x, float(self.yy[0, 0]) - variance_y)
@@ -189,10 +190,9 @@ class PairCovariances:
         influence_hat = self.lags.transform(influence)
         weight = np.maximum(1.0 - self.lags.distance_um / bandwidth_um, 0.0)
         model = self._influence(r, None)
+        weighted_pairs = float(np.sum(weight * self.lags.pairs))
         model_variance = float(np.sum(weight * model))
-        model_variance -= (
-            float(model.sum()) * float(np.sum(weight * self.lags.pairs)) / self.lags.n**2
-        )
+        model_variance -= float(model.sum()) * weighted_pairs / self.lags.n**2
         observed = float(np.sum(weight * self.lags.products(influence_hat, influence_hat)))
         error = math.sqrt(max(observed / (1 - r * r) ** 2, 0.0))
         ratio = error / math.sqrt(model_variance) if model_variance > 0 else 1.0
@@ -229,22 +229,17 @@ def variance_of_products(
     """
     spectra = [lags.transform(m) for m in maps]
     covariances: dict[tuple[int, int], Floats] = {}
-    for i in range(len(maps)):
-        for j in range(i, len(maps)):
-            products = lags.products(spectra[i], spectra[j])
-            covariances[i, j] = lags.covariance(
-                products, lags.until_zero(products + _reversed(products))
-            )
-            covariances[j, i] = _reversed(covariances[i, j])
+    for i, j in combinations_with_replacement(range(len(maps)), 2):
+        products = lags.products(spectra[i], spectra[j])
+        used = lags.until_zero(products + _reversed(products))
+        covariances[i, j] = lags.covariance(products, used)
+        covariances[j, i] = _reversed(covariances[i, j])
     sd = [math.sqrt(float(covariances[i, i][0, 0])) for i in range(len(maps))]
     total = np.zeros_like(lags.pairs)
-    for i, j, v in terms:
-        for k, m, w in terms:
-            # Isserlis: of Gaussian maps the covariance of products is one of pairs.
-            product_covariance = (
-                covariances[i, k] * covariances[j, m] + covariances[i, m] * covariances[j, k]
-            )
-            total += v * w / (sd[i] * sd[j] * sd[k] * sd[m]) * product_covariance
+    for (i, j, v), (k, m, w) in product(terms, repeat=2):
+        # Isserlis: of Gaussian maps the covariance of products is one of pairs.
+        pairs = covariances[i, k] * covariances[j, m] + covariances[i, m] * covariances[j, k]
+        total += v * w / (sd[i] * sd[j] * sd[k] * sd[m]) * pairs
     return lags.variance_of_mean(total)
 
 

@@ -15,7 +15,7 @@ from scipy import fft
 from planish.core.grid import shorter_side_um
 from planish.core.robust import masked_gaussian
 from planish.core.typing import Bools, Floats, Pair
-from planish.texture.ncc import MaskedNcc
+from planish.texture.ncc import MaskedNcc, quarter_of
 from planish.texture.textures import sigma_px
 
 
@@ -54,18 +54,15 @@ def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
     Empty where it is less than a quarter of either.
     """
     a, b = (without_trend(m, is_valid)[is_valid] for m in (x, y))
-    variances = float(a.var()), float(b.var())
-    shares = (
-        1.0 - variances[0] / float(x[is_valid].var()),
-        1.0 - variances[1] / float(y[is_valid].var()),
-    )
-    if min(shares) < 0.25:
+    share_x = 1.0 - float(a.var()) / float(x[is_valid].var())
+    share_y = 1.0 - float(b.var()) / float(y[is_valid].var())
+    if min(share_x, share_y) < 0.25:
         return ""
-    spread = math.sqrt(math.prod(variances))
+    spread = math.sqrt(float(a.var()) * float(b.var()))
     r = float(np.mean(a * b)) / spread if spread > 0 else math.nan
     return (
-        f"Trends over the whole field hold {100 * shares[0]:.0f} % of the variance of the first map"
-        f" and {100 * shares[1]:.0f} % of that of the second; without them r is {r:.2f}."
+        f"Trends over the whole field hold {100 * share_x:.0f} % of the variance of the first map"
+        f" and {100 * share_y:.0f} % of that of the second; without them r is {r:.2f}."
     )
 
 
@@ -115,7 +112,8 @@ class Plane:
         by_row = valid.sum(axis=1)
         by_col = valid.sum(axis=0)
         rows, cols = (np.arange(k, dtype=np.float64) for k in valid.shape)
-        self._rows, self._cols = rows - by_row @ rows / n, cols - by_col @ cols / n
+        self._rows = rows - by_row @ rows / n
+        self._cols = cols - by_col @ cols / n
         mixed = float(self._rows @ (valid @ self._cols))
         square = np.array([[by_row @ self._rows**2, mixed], [mixed, by_col @ self._cols**2]])
         # On one line of pixels only the slope along it is known.
@@ -171,7 +169,7 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     >>> correlation_length_um(noise, is_valid, (10.0, 10.0)) < 10.0
     True
     """
-    reach = (max(values.shape[0] // 4, 1), max(values.shape[1] // 4, 1))
+    reach = quarter_of(values.shape)
     r = MaskedNcc(values, a_valid=valid, b_valid=valid, reach=reach)(values)
     y, x = (np.arange(-n, n + 1) * p for n, p in zip(reach, pixel_um, strict=True))
     distance = np.hypot(y[:, None], x[None, :])
@@ -182,7 +180,7 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     count = np.bincount(rings)
     mean = np.bincount(rings, weights=r[is_used]) / np.maximum(count, 1)
     below = np.flatnonzero((mean < np.exp(-1.0)) & (count > 0))
-    if below.size == 0:
+    if not below.size:
         return math.inf
     k = int(below[0])
     if k == 0:

@@ -67,14 +67,14 @@ class LagField:
         use = self.distinct
         if int(use.sum()) < 6:
             return None
-        centres, lag = self.at_um[use], self.lag_um[use]
-        weight = 1.0 / np.sqrt(np.trace(self.covariance_um2[use], axis1=1, axis2=2))
-        terms = np.column_stack([np.ones(len(centres)), centres - centres.mean(axis=0)])
-        design = terms * weight[:, None]
+        centres = self.at_um[use]
+        weight = 1.0 / np.sqrt(np.trace(self.covariance_um2[use], axis1=1, axis2=2))[:, None]
+        lag = self.lag_um[use] * weight
+        design = weight * np.column_stack([np.ones(len(centres)), centres - centres.mean(axis=0)])
         if np.linalg.matrix_rank(design) < 3:
             return None
-        coefficients, *_ = np.linalg.lstsq(design, lag * weight[:, None], rcond=None)
-        residuals = lag * weight[:, None] - design @ coefficients
+        coefficients = np.linalg.lstsq(design, lag, rcond=None)[0]
+        residuals = lag - design @ coefficients
         variance = (residuals**2).sum(axis=0) / (len(centres) - 3)
         spread = np.diag(np.linalg.inv(design.T @ design))[1:]
         return coefficients[0], coefficients[1:].T, np.sqrt(4.0 * np.outer(variance, spread))
@@ -112,7 +112,7 @@ def lag_field(
     side_px = [round(tile_um / p) for p in pixel_um]
     allowed = within(reach)
     wide = (reach[0] + MARGIN, reach[1] + MARGIN)
-    if any(s <= 2 * k or s > n for s, k, n in zip(side_px, wide, a.shape, strict=True)):
+    if np.less_equal(side_px, 2 * np.array(wide)).any() or np.greater(side_px, a.shape).any():
         raise SizeError(
             f"Tiles of {tile_um:g} um are too small for the reach, or larger than the map. Take"
             f" sides above {2 * max(wide[0] * pixel_um[0], wide[1] * pixel_um[1]):.3g} um, or a"
@@ -127,25 +127,27 @@ def lag_field(
     )
     for row, col in product(*starts):
         # The tile of a, and b around it as far as the search goes: every lag keeps its pairs.
-        rows = slice(max(row - wide[0], 0), row + side_px[0] + wide[0])
-        cols = slice(max(col - wide[1], 0), col + side_px[1] + wide[1])
-        inside = np.zeros(a.shape, dtype=bool)
-        inside[row : row + side_px[0], col : col + side_px[1]] = True
-        masks = (is_valid & inside)[rows, cols], is_valid[rows, cols]
-        share = float(masks[0].sum()) / (side_px[0] * side_px[1])
+        around = (
+            slice(max(row - wide[0], 0), row + side_px[0] + wide[0]),
+            slice(max(col - wide[1], 0), col + side_px[1] + wide[1]),
+        )
+        is_in_tile = np.zeros(a.shape, dtype=bool)
+        is_in_tile[row : row + side_px[0], col : col + side_px[1]] = True
+        tile_valid = (is_valid & is_in_tile)[around]
+        share = float(tile_valid.sum()) / (side_px[0] * side_px[1])
         if share < 0.5:
             continue
-        correlate = MaskedNcc(a[rows, cols], a_valid=masks[0], b_valid=masks[1], reach=wide)
-        peak = find_peak(correlate(b[rows, cols]), allowed)
+        pair = (a[around], b[around], tile_valid, is_valid[around])
+        correlate = MaskedNcc(a[around], a_valid=tile_valid, b_valid=is_valid[around], reach=wide)
+        peak = find_peak(correlate(b[around]), allowed)
         for values in unrelated:
-            r = float(np.nanmax(correlate(values[rows, cols])[allowed], initial=0.0))
+            r = float(np.nanmax(correlate(values[around])[allowed], initial=0.0))
             null_z.append(float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)))
         centre_um = (np.array([col, row]) + (np.array(side_px[::-1]) - 1) / 2) * step
-        lag, covariance = _place_of(peak, a[rows, cols], b[rows, cols], *masks)
+        lag, covariance = _place_of(peak, *pair)
         r = np.nan if peak is None else peak.r
         tiles.append((centre_um, lag * step, covariance * np.outer(step, step), r, share))
     table = np.array(tiles, dtype=_TILE)
-    # a field has many tiles.
     limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf
     height = np.arctanh(np.minimum(np.abs(table["r"]), 0.999999)) * np.sqrt(table["share"])
     distinct = np.isfinite(table["lag"][:, 0]) & (height > limit)

@@ -67,9 +67,10 @@ class LagSearch:
         ]
         # As in `relate`.
         largest = max(float(np.sum(m)) for m in powers)
-        variance = largest / (self._size[0] * self._size[1] * n**3)
-        fy = 2 * np.pi * fft.fftfreq(self._size[0])[:, None]
-        fx = 2 * np.pi * fft.rfftfreq(self._size[1])[None, :]
+        rows, cols = self._size
+        variance = largest / (rows * cols * n**3)
+        fy = 2 * np.pi * fft.fftfreq(rows)[:, None]
+        fx = 2 * np.pi * fft.rfftfreq(cols)
         power = np.sum(powers, axis=0)
         total = float(np.sum(power))
         if not total > 0:
@@ -87,7 +88,8 @@ class LagSearch:
         """
         x_slices, y_slices = overlap(self._y.shape, peak.lag_px)
         is_valid = self._is_valid[x_slices] & self._is_valid[y_slices]
-        x, y = self._x[:, x_slices[0], x_slices[1]], self._y[y_slices]
+        x = self._x[:, *x_slices]
+        y = self._y[y_slices]
         gradients = [np.gradient(self._y, axis=axis)[y_slices] for axis in (0, 1)]
         slopes = np.where(is_valid, gradients, 0.0)
         n = int(np.count_nonzero(is_valid))
@@ -128,5 +130,8 @@ def _chi2_limit(k: int, reach: tuple[int, int], root: float) -> float:
     for _ in range(60):
         middle = 0.5 * (low + high)
         # Unrelated textures give a lag so often; of those that are not alike everywhere, more do.
-        low, high = (middle, high) if expected(middle) > 0.001 else (low, middle)
+        if expected(middle) > 0.001:
+            low = middle
+        else:
+            high = middle
     return high

@@ -106,15 +106,14 @@ def find_peak(r: Floats, allowed: Bools) -> Peak | None:
     row, col = divmod(int(np.argmax(height)), r.shape[1])
     if not np.isfinite(height[row, col]):
         return None
+    highest = float(r[row, col])
     lag_px = (row - r.shape[0] // 2, col - r.shape[1] // 2)
-    pixel_peak = Peak(
-        lag_px=lag_px, summit_px=np.array(lag_px, dtype=np.float64), r=float(r[row, col])
-    )
+    pixel_peak = Peak(lag_px=lag_px, summit_px=np.array(lag_px, dtype=np.float64), r=highest)
     heights = r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
     width_px = 2 * MARGIN + 1
-    if r[row, col] < 0 or heights.shape != (width_px, width_px) or not np.isfinite(heights).all():
+    if highest < 0 or heights.shape != (width_px, width_px) or not np.isfinite(heights).all():
         return pixel_peak
-    if heights[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2].max() > r[row, col]:
+    if heights[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2].max() > highest:
         return pixel_peak
     axis = np.arange(-MARGIN, MARGIN + 1, dtype=np.float64)
     return _climbed(RectBivariateSpline(axis, axis, heights, kx=3, ky=3, s=0), pixel_peak)
@@ -177,7 +176,7 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     u = standard(a[a_slices], is_valid) - peak.r * standard(b[b_slices], is_valid)
     v = np.where(is_valid, slopes / float(b[b_slices][is_valid].std()), 0.0)
     v = np.where(is_valid, v - v.sum(axis=(1, 2), keepdims=True) / n, 0.0)
-    reach = (max(u.shape[0] // 4, 1), max(u.shape[1] // 4, 1))
+    reach = quarter_of(u.shape)
     shape = padded_shape(u.shape, reach)
     mask_hat = padded_spectrum(is_valid.astype(np.float64), shape)
     u_hat = padded_spectrum(u, shape)
@@ -195,7 +194,8 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
         covariance[i, j] = np.sum(r_u * lags(v_hat[i], v_hat[j]) + crossed)
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / n**2)
     covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return np.linalg.inv(peak.curvature) @ covariance @ np.linalg.inv(peak.curvature)
+    inverse = np.linalg.inv(peak.curvature)
+    return inverse @ covariance @ inverse
 
 
 def lost_between_pixels(peak: Peak) -> Floats:
@@ -207,6 +207,11 @@ def lost_between_pixels(peak: Peak) -> Floats:
     width = np.sqrt(-peak.r / np.diag(peak.curvature))
     most = np.where(width < _NARROW, 0.045 * width**-2.65, 0.0)
     return np.diag(most**2 * (np.sin(2 * np.pi * peak.summit_px) ** 2 + 0.01))
+
+
+def quarter_of(shape: tuple[int, ...]) -> tuple[int, int]:
+    """A quarter of a field along rows and columns, in pixels; longer lags have few pairs."""
+    return max(shape[0] // 4, 1), max(shape[1] // 4, 1)
 
 
 def overlap(

@@ -94,10 +94,7 @@ class OctaveField:
         """
         pyramids = [self._filled(values) for values in maps]
         is_of_rows = [*rows, *[False] * (len(maps) - len(rows))]
-        return [
-            window.power([pyramid[window.step] for pyramid in pyramids], is_of_rows)
-            for window in self._windows
-        ]
+        return [window.power(pyramids, is_of_rows) for window in self._windows]
 
     def band_maps(self, values: Array) -> list[Array]:
         """A map (rows, cols) with the waves of each octave alone; NaN where the field has none.
@@ -155,6 +152,7 @@ class _OctaveWindow:
     """What one octave needs of a field at its level of the pyramid."""
 
     def __init__(self, is_known: Bools, pixel_um: Pair, step: int, octave: Pair) -> None:
+        """Weigh the pixels that are known by how much of their surroundings is."""
         self.step = step
         self._low_um, self._high_um = octave
         self._first_pixel_um = pixel_um
@@ -174,29 +172,31 @@ class _OctaveWindow:
         share = self._mean_around(is_known.astype(np.float32), mode="constant")
         self._weight = np.where(is_known, share * share, np.float32(0.0))
         squares = np.square(self._weight, dtype=np.float64)
-        self._area_um2 = float(squares.sum()) ** 2 / float(np.square(squares).sum())
-        self._area_um2 *= self._pixel_um2
+        pixels = float(squares.sum()) ** 2 / float(np.square(squares).sum())
+        self._area_um2 = pixels * self._pixel_um2
         self._lag_window = self._window_of_lags()
         self._frequencies = [
             fft.fftfreq(fft.next_fast_len(4 * reach + 1), pixel)
             for reach, pixel in zip(self._reach, self._pixel_um, strict=True)
         ]
 
-    def power(self, maps: Levels, is_of_rows: Sequence[bool]) -> OctavePower:
-        """Power of maps at the level in the octave."""
+    def power(self, pyramids: Sequence[Levels], is_of_rows: Sequence[bool]) -> OctavePower:
+        """Power in the octave of maps, by their means at each level."""
+        maps = [levels[self.step] for levels in pyramids]
         spectra = [self._transform(self._weight * (m - self._mean_around(m))) for m in maps]
         frequency = np.hypot(self._frequencies[0][:, None], self._frequencies[1])
-        steps_per_um = [float(f[1]) for f in self._frequencies]
-        step_per_um = math.sqrt(math.prod(steps_per_um))
+        cell_per_um2 = math.prod(float(f[1]) for f in self._frequencies)
+        step_per_um = math.sqrt(cell_per_um2)
         # Share of each cell of frequency that lies in the ring of the octave.
         ring = np.clip((frequency - 1 / self._high_um) / step_per_um + 0.5, 0.0, 1.0)
         ring *= np.clip((1 / self._low_um - frequency) / step_per_um + 0.5, 0.0, 1.0)
-        along_x, along_y = self._frequencies[1], self._frequencies[0][:, None]
-        is_forward = (along_x > 0) | ((along_x == 0) & (along_y > 0))
+        along_y, along_x = self._frequencies
+        is_forward = (along_x > 0) | ((along_x == 0) & (along_y[:, None] > 0))
         waves = np.nonzero(is_forward & (ring > 0))
-        cells = 2.0 * math.prod(steps_per_um) * ring[waves]
+        cells = 2.0 * cell_per_um2 * ring[waves]
         passed = self._passed(waves)
-        losses = [np.where(of_rows, self._passed_rows(waves), 1.0) for of_rows in is_of_rows]
+        passed_rows = self._passed_rows(waves)
+        losses = [passed_rows if of_rows else np.ones(cells.size) for of_rows in is_of_rows]
         densities = np.empty((len(maps), len(maps), cells.size), dtype=np.complex128)
         for i, first in enumerate(spectra):
             for j, second in enumerate(spectra[: i + 1]):
@@ -242,7 +242,8 @@ class _OctaveWindow:
 
     def _passed(self, waves: tuple[Array, ...]) -> Floats:
         """Share of the power of waves that the means leave."""
-        around, within = np.ones(waves[0].size), np.ones(waves[0].size)
+        around = np.ones(waves[0].size)
+        within = np.ones(waves[0].size)
         for axis, place in enumerate(waves):
             frequency = self._frequencies[axis][place]
             within *= _mean_of_wave(frequency * self._first_pixel_um[axis], 2**self.step)
@@ -257,6 +258,7 @@ class _OctaveWindow:
     def _mean_around(
         self, values: NDArray[np.float32], mode: Literal["nearest", "constant"] = "nearest"
     ) -> Array:
+        """Twice a mean over the surroundings of each pixel."""
         once = ndimage.uniform_filter(values, self._widths, mode=mode)
         return ndimage.uniform_filter(once, self._widths, mode=mode)
 

@@ -166,7 +166,8 @@ def textures(
     shown = {k: m for k, m in shown.items() if count[k] >= least}
     if not shown:
         return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
-    band = _Band(np.logical_and.reduce([*map(np.isfinite, shown.values())]), pixel_um, band_um)
+    is_shown = np.logical_and.reduce([*map(np.isfinite, shown.values())])
+    band = _Band(is_shown, pixel_um, band_um)
     return Textures(
         maps={k: band(m) for k, m in shown.items()}, known=band.is_valid, pixel_um=pixel_um
     )
@@ -199,7 +200,8 @@ def relate(
     n = int(np.count_nonzero(is_valid))
     if n == 0:
         return Relation(0.0, math.inf, 0.0, math.inf)
-    sd_whole = float(np.std((b if of is None else of)[is_valid]))
+    whole = b if of is None else of
+    sd_whole = float(np.std(whole[is_valid]))
     share = float(np.std(b[is_valid])) / sd_whole if sd_whole > 0 else 0.0
     a = standard(a, is_valid)
     b = standard(b, is_valid)
@@ -226,11 +228,12 @@ def standard(values: Floats, is_valid: Bools) -> Floats:
     0 elsewhere and of a constant.
     """
     out = np.zeros(values.shape)
-    inside = values[is_valid]
-    centred = inside - inside.mean() if inside.size else inside
-    sd = math.sqrt(np.square(centred).mean()) if inside.size else 0.0
-    if sd > 0:
-        out[is_valid] = centred / sd
+    if is_valid.any():
+        centred = values[is_valid]
+        centred = centred - centred.mean()
+        sd = math.sqrt(np.square(centred).mean())
+        if sd > 0:
+            out[is_valid] = centred / sd
     return out
 
 
@@ -268,7 +271,8 @@ class _Band:
     """The band of maps with one mask; its filters' weights are computed once."""
 
     def __init__(self, shown: Bools, pixel_um: Pair, band_um: Pair) -> None:
-        self._pixel_um, self._band_um = pixel_um, band_um
+        self._pixel_um = pixel_um
+        self._band_um = band_um
         # The neighbourhood of 1 mm in which all maps are given the same spread.
         self._local = [max(round(500.0 / p), 1) for p in pixel_um]
         self._shown = shown
