@@ -149,9 +149,11 @@ class Sampler:
             # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps
             # less, so it is tried.
             self.noise = self.single_noise = air_noise
-            for blend_sd in sorted({min(b, widest) for b in _BLENDS} | set(_BLENDS)):
-                is_far = self.scale.blend_sd >= widest
-                if step / self.noise >= (_SEEN if is_far else _QUIET):
+            # Less than half a column averages nothing, and blurs all the same.
+            is_wide = widest >= _BLENDS[0]
+            for blend_sd in sorted({*_BLENDS, widest}) if is_wide else _BLENDS:
+                needed = _QUIET if blend_sd <= widest else _SEEN
+                if step / self.noise >= needed:
                     break
                 self._blend(blend_sd)
                 self.noise = self._air_noise()
