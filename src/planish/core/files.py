@@ -115,6 +115,11 @@ def write_whole(path: Path, data: bytes, *, over: bool = False) -> None:
         partial.write_bytes(data)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text with the same bytes on every system: in UTF-8, lines end with a line feed."""
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
 @contextmanager
 def new_file(
     path: Path, *, needed: int | None = None, over: bool = False, with_parents: bool = False

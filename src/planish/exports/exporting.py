@@ -16,6 +16,7 @@ from planish.core.grid import Grid
 from planish.core.options import params_of
 from planish.core.plugins import faults_named
 from planish.core.threads import limit_threads
+from planish.core.typing import Texts
 from planish.exports import run_contents
 from planish.exports.content import Maps
 from planish.exports.formats import (
@@ -139,14 +140,7 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
     group = run_contents.map_group(run, request.params.group)
     names = run_contents.map_names(run, group, request.params.maps)
     if group == "maps" and IMAGE in names:
-        height, width = Grid.of(run.groups["linked"]).shape
-        image_bytes, memory_bytes = 8 * height * width, request.compute.for_work
-        if image_bytes > memory_bytes:
-            raise ResourceError(
-                f"The image on the flat sheet takes {image_bytes / 1e9:.1f} GB of memory,"
-                f" {memory_bytes / 1e9:.1f} GB are allowed. Allow more with `memory`, or choose"
-                " other maps with `map`."
-            )
+        _check_image(request)
     levels: dict[str, list[Path]] = {}
     if request.store is not None:
         levels = {name: run_contents.map_levels(request.store, group, name) for name in names}
@@ -164,6 +158,18 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
         )
     maps_text = ", ".join(names) if len(names) < 5 else f"{len(names)} maps"
     return [OutputFile([f"{group.rsplit('/', 1)[-1]}{suffix}"], maps, maps_text)]
+
+
+def _check_image(request: ExportRequest) -> None:
+    """Raise ResourceError where the image does not fit into the memory."""
+    height, width = Grid.of(request.run.groups["linked"]).shape
+    image_bytes, memory_bytes = 8 * height * width, request.compute.for_work
+    if image_bytes > memory_bytes:
+        raise ResourceError(
+            f"The image on the flat sheet takes {image_bytes / 1e9:.1f} GB of memory,"
+            f" {memory_bytes / 1e9:.1f} GB are allowed. Allow more with `memory`, or choose"
+            " other maps with `map`."
+        )
 
 
 def _straightened(request: ExportRequest) -> list[OutputFile]:
@@ -215,30 +221,32 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
 
 def _chosen(
     surfaces: xr.Dataset, requested: Sequence[str], headline: str | None
-) -> tuple[list[str], tuple[str, ...]]:
+) -> tuple[list[str], Texts]:
     """Surfaces that are written, and the maps that they carry.
 
     Where none is named, all that were measured, and all properties, the headline first.
     """
-    names: list[str] = []
-    properties: list[str] = []
-    for name, variable in surfaces.data_vars.items():
-        if variable.ndim == 2 and variable.dtype.kind in "fiub":
-            names.append(str(name))
-        if is_property(variable) and name not in SURFACES:
-            properties.append(str(name))
+    variables = {str(name): variable for name, variable in surfaces.data_vars.items()}
+    names = [n for n, v in variables.items() if v.ndim == 2 and v.dtype.kind in "fiub"]
+    checked = checked_names(requested, names, "surfaces")
+    maps = [name for name in checked if name not in SURFACES]
+    if not maps:
+        properties = [n for n, v in variables.items() if is_property(v) and n not in SURFACES]
+        maps = sorted(properties, key=lambda name: (name != headline, name))
+    return _measured_surfaces(surfaces, checked), tuple(maps)
+
+
+def _measured_surfaces(surfaces: xr.Dataset, names: Sequence[str]) -> list[str]:
+    """Surfaces among some names, or all; InputError where one of them was not measured."""
     present = [name for name in SURFACES if name in surfaces]
     measured = [name for name in present if np.isfinite(surfaces[name].values).any()]
-    checked = checked_names(requested, names, "surfaces")
-    surface_names = [name for name in checked if name in SURFACES] or measured
-    unmeasured = [name for name in surface_names if name not in measured]
+    chosen = [name for name in names if name in SURFACES] or measured
+    unmeasured = [name for name in chosen if name not in measured]
     if unmeasured:
         raise InputError(
             f"The sheet has no {' and no '.join(unmeasured)}; it has {', '.join(measured)}."
         )
-    maps = [name for name in checked if name not in SURFACES]
-    maps = maps or sorted(properties, key=lambda name: (name != headline, name))
-    return surface_names, tuple(maps)
+    return chosen
 
 
 def _registrations(request: ExportRequest) -> list[OutputFile]:
@@ -337,20 +345,24 @@ def export(
         request = ExportRequest(run, store, params, compute, progress, out, is_single_file)
         files = _output_files(request)
         if is_single_file or "run" in file_format.holds:
-            (file,) = files
-            progress("write", file.summary_text)
-            if file_format.is_folder and isinstance(file.content, xr.DataArray):
-                request.write(file.content, out)  # a store, which goes on where it was killed
-            else:
-                is_folder = file_format.is_folder or "run" in file_format.holds
-                with new_folder(out) if is_folder else new_file(out, with_parents=True) as path:
-                    request.write(file.content, path)
+            _write_one(request, *files)
             return [out]
         with new_folder(out) as folder:
             for file in files:
                 progress("write", file.summary_text)
                 request.write(file.content, folder / file.names[0])
         return [out / name for file in files for name in file.names]
+
+
+def _write_one(request: ExportRequest, file: OutputFile) -> None:
+    """Write what an export makes as one file, or as one folder of its format."""
+    request.progress("write", file.summary_text)
+    out, is_folder = request.out, request.file_format.is_folder
+    if is_folder and isinstance(file.content, xr.DataArray):
+        request.write(file.content, out)  # a store, which goes on where it was killed
+        return
+    with new_folder(out) if is_folder else new_file(out, with_parents=True) as path:
+        request.write(file.content, path)
 
 
 def _check_options(params: ExportParams, file_format: ExportFormat) -> None:

@@ -297,6 +297,7 @@ FORMATS: dict[str, ExportFormat] = {
         writer="extras:write_crate",
         holds=("run",),
         suffixes=(),
+        is_folder=True,
         needs="rocrate",
         gives=(
             "the whole run with `ro-crate-metadata.json`: what was made by which program from which"

@@ -223,28 +223,28 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
         column_of(n, units_of(nodes[n])): nodes[n].values[is_node].astype(np.float32)
         for n in surface.maps
     }
-    axes_text = (
-        "y of the volume with its sign turned" if params.as_seen else "x, y, z of the volume"
-    )
-    about, colours = f"surface {surface.name}; um; {axes_text}", None
-    for colour_map in surface.maps[:1]:
-        from planish.exports.picture import colormap_of  # matplotlib is needed for colours alone
-
-        scale = surface.scales[colour_map]
-        colour_fraction = (nodes[colour_map].values[is_node].astype(np.float64) - scale.low) / (
-            scale.high - scale.low
-        )
-        colours = colormap_of(scale)(np.clip(colour_fraction, 0, 1), bytes=True)[:, :3]
-        colours = np.where(np.isfinite(colour_fraction)[:, None], colours, (212, 214, 216)).astype(
-            np.uint8
-        )
-        units = units_of(nodes[colour_map])
-        about += f"; colour: {colour_map} from {scale.low:.6g} to {scale.high:.6g}"
-        if units != "1":
-            about += f" {units}"
+    about = f"surface {surface.name}; um; x, y, z of the volume"
+    if params.as_seen:
+        about = f"surface {surface.name}; um; y of the volume with its sign turned"
+    colours = None
+    if surface.maps:
+        colour_map = nodes[surface.maps[0]]
+        scale = surface.scales[surface.maps[0]]
+        colours = _colours(colour_map.values[is_node], scale)
+        about += f"; colour: {colour_map.name} from {scale.low:.6g} to {scale.high:.6g}"
+        about += f" {units_of(colour_map)}".removesuffix(" 1")
     points = np.ascontiguousarray(points, np.float32)
     quads = np.ascontiguousarray(quads)
     return SurfaceMesh(points, quads, maps, colours, about)
+
+
+def _colours(values: Array, scale: Scale) -> NDArray[np.uint8]:
+    """Colours of values on a scale, grey where they are missing."""
+    from planish.exports.picture import colormap_of  # matplotlib is needed for colours alone
+
+    shares = (values.astype(np.float64) - scale.low) / (scale.high - scale.low)
+    colours = colormap_of(scale)(np.clip(shares, 0, 1), bytes=True)[:, :3]
+    return np.where(np.isfinite(shares)[:, None], colours, (212, 214, 216)).astype(np.uint8)
 
 
 def steps_of(columns: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:

@@ -58,13 +58,20 @@ def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportP
             " a larger `point_um`, or 0 for every pixel."
         )
     y, x = maps.dims
-    names = [name for name in maps.names if name != "valid" or not point_um]
-    column_names = [f"{x}_um", f"{y}_um", *(column_of(name, maps.units[name]) for name in names)]
-    rows_text = f"points of {point_um:g} um" if point_um else "pixels"
+    names = maps.names
+    rows_text = "pixels"
+    blocks = _pixels(maps, names)
+    last_columns: list[str] = []
+    if point_um:
+        names = [name for name in names if name != "valid"]
+        rows_text = f"points of {point_um:g} um"
+        blocks = _points(maps, names, point_um)
+        last_columns = ["valid_share"]
+    map_columns = [column_of(name, maps.units[name]) for name in names]
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(f"# {history.json(**maps.facts(), rows=rows_text)}\n")
-        file.write(",".join([*column_names, "valid_share"] if point_um else column_names) + "\n")
-        for block in _points(maps, names, point_um) if point_um else _pixels(maps, names):
+        file.write(",".join([f"{x}_um", f"{y}_um", *map_columns, *last_columns]) + "\n")
+        for block in blocks:
             file.writelines(",".join(row) + "\n" for row in _texts(block.T))
 
 

@@ -52,15 +52,7 @@ def write_imagej(
         "Info": history.json(**stack.facts),
     }
     if isinstance(content, Maps):
-        # Limits between which maps are shown at first.
-        if content.scales.keys() >= {*content.names}:
-            scales = [content.scales[name] for name in content.names]
-            limits = np.array([(scale.low, scale.high) for scale in scales]).ravel().tolist()
-            metadata |= {"min": limits[0], "max": limits[1]}
-            # ImageJ takes the ranges of up to seven channels; of more, one for all.
-            if len(content.names) > 1:
-                metadata["Ranges"] = limits
-        metadata["Labels"] = stack.labels
+        metadata |= _limits(content) | {"Labels": stack.labels}
         if len(stack.labels) > 1:
             metadata["mode"] = "grayscale"
     else:
@@ -68,6 +60,17 @@ def write_imagej(
     pixel_fractions = [Fraction(pitch).limit_denominator(10**6) for pitch in stack.pixel_um[:-3:-1]]
     resolution = tuple((fraction.denominator, fraction.numerator) for fraction in pixel_fractions)
     stack.write(path, history, imagej=True, ome=False, resolution=resolution, metadata=metadata)
+
+
+def _limits(maps: Maps) -> Entries:
+    """Limits between which maps are shown at first; empty where they are not all known."""
+    if not maps.scales.keys() >= {*maps.names}:
+        return {}
+    scales = [maps.scales[name] for name in maps.names]
+    limits = np.array([(scale.low, scale.high) for scale in scales]).ravel().tolist()
+    first = {"min": limits[0], "max": limits[1]}
+    # ImageJ takes the ranges of up to seven channels; of more, one for all.
+    return first | {"Ranges": limits} if len(scales) > 1 else first
 
 
 def write_ome(
@@ -121,42 +124,50 @@ class _Stack:
     @classmethod
     def of(cls, content: Maps | xr.DataArray) -> _Stack:
         """Lay out the planes of maps or of a volume."""
-        dtype = np.dtype(np.float32)
-        if isinstance(content, Maps):
-            names = content.names
-            has_channels = len(content.names) > 1
-            if not has_channels and content.data[names[0]].dtype.kind in "bu":
-                dtype = np.dtype(np.uint8)
-            return cls(
-                content=content,
-                axes="CYX" if has_channels else "YX",
-                dtype=dtype,
-                shape=(len(names), *content.shape) if has_channels else content.shape,
-                pixel_um=content.pixel_um,
-                origin_um=content.origin_um,
-                labels=[f"{name} ({content.units[name]})".removesuffix(" (1)") for name in names],
-                facts=content.facts() | {"maps": content.titles},
-            )
-        coords_um = [content[dim].values for dim in content.dims]
+        return cls._of_maps(content) if isinstance(content, Maps) else cls._of_volume(content)
+
+    @classmethod
+    def _of_maps(cls, maps: Maps) -> _Stack:
+        names = maps.names
+        axes, shape, dtype = "YX", maps.shape, np.dtype(np.float32)
+        if len(names) > 1:
+            axes, shape = "CYX", (len(names), *shape)
+        elif maps.data[names[0]].dtype.kind in "bu":
+            dtype = np.dtype(np.uint8)
+        return cls(
+            content=maps,
+            axes=axes,
+            dtype=dtype,
+            shape=shape,
+            pixel_um=maps.pixel_um,
+            origin_um=maps.origin_um,
+            labels=[f"{name} ({maps.units[name]})".removesuffix(" (1)") for name in names],
+            facts=maps.facts() | {"maps": maps.titles},
+        )
+
+    @classmethod
+    def _of_volume(cls, volume: xr.DataArray) -> _Stack:
+        coords_um = [volume[dim].values for dim in volume.dims]
         first_um = tuple(exact(axis_um[0]) for axis_um in coords_um)
         pixel_um = tuple(
             exact((axis_um[-1] - axis_um[0]) / max(axis_um.size - 1, 1)) for axis_um in coords_um
         )
-        facts = {str(key): value for key, value in content.attrs.items() if key != "voxel_um"}
+        facts = {str(key): value for key, value in volume.attrs.items() if key != "voxel_um"}
         facts |= {
-            "axes": "".join(map(str, content.dims)),
+            "axes": "".join(map(str, volume.dims)),
             "voxel_um": list(pixel_um),
             "first_voxel_um": list(first_um),
+            "missing": "NaN",
         }
         return cls(
-            content=content,
+            content=volume,
             axes="ZYX",
-            dtype=dtype,
-            shape=tuple(content.shape),
+            dtype=np.dtype(np.float32),
+            shape=volume.shape,
             pixel_um=pixel_um,
             origin_um=first_um,
             labels=[],
-            facts=facts | {"missing": "NaN"},
+            facts=facts,
         )
 
     def parts(self) -> Iterator[tuple[int, int, Array]]:

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 import zarr
 
+from planish.core.files import write_text
 from planish.core.grid import Grid
 from planish.core.transform import Affine
 from planish.core.typing import Array, Bools, Floats, Ints, Pair, Texts, pair_of
@@ -325,7 +326,7 @@ def _write_elastix_file(
 
 
 def _write_lines(path: Path, lines: Iterable[str]) -> None:
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def write_nrrd(

@@ -119,6 +119,7 @@ def _unpacked(header: Header) -> Array:
 def unpacked_parts(header: Header) -> Iterator[bytes]:
     """Unpack values bit by bit; in the end they were as many as declared, or an error is raised."""
     needed_bytes = header.needed_bytes
+    is_bzip2 = header.packing == "bzip2"
     unpacker = _unpacker(header.packing)
     n_unpacked = -header.skip_bytes
     with reading(header.data), header.data.open("rb") as file:
@@ -127,12 +128,13 @@ def unpacked_parts(header: Header) -> Iterator[bytes]:
         while not unpacker.eof and n_unpacked <= needed_bytes:
             # What is unpacked at once is limited, and so some input may be left: that of deflate
             # here, that of bzip2 inside the unpacker.
-            if getattr(unpacker, "needs_input", not packed):
+            needs_input = unpacker.needs_input if is_bzip2 else not packed
+            if needs_input:
                 packed = file.read(PACKED_BYTES)
                 if not packed:
                     break
             part = unpacker.decompress(packed, min(needed_bytes - n_unpacked + 1, UNPACKED_BYTES))
-            packed = getattr(unpacker, "unconsumed_tail", b"")
+            packed = b"" if is_bzip2 else unpacker.unconsumed_tail
             n_unpacked += len(part)
             if 0 < n_unpacked <= needed_bytes:
                 yield part[-n_unpacked:]

@@ -368,9 +368,9 @@ def _read_meta(path: Path, where: Where) -> Array:
     return values[tuple(slice(None, None, s.step) for s in where)]
 
 
+BYTE_TYPES = ("uint8", "int8")
 RAW_TYPES = (
-    "uint8",
-    "int8",
+    *BYTE_TYPES,
     "uint16",
     "int16",
     "uint32",
@@ -409,7 +409,7 @@ def _raw_header(path: Path) -> Header:
     fields = toml_tables(header_file.name, read_text(header_file, what="header"))
     data_name = str(fields.get("file", header_file.name[: -len(".toml")]))
     data_file = referenced_file(header_file.parent, data_name, header_file)
-    faults = _raw_faults(fields)
+    faults = [*_raw_faults(fields)]
     if faults:
         raise FileError(f"{header_file.name}: {'; '.join(faults)}. Correct the header, {EXAMPLE}.")
     stated = Stated("the TOML header", (None, None, None), "it has no voxel_um")
@@ -428,25 +428,26 @@ def _raw_header(path: Path) -> Header:
     )
 
 
-def _raw_faults(fields: Fields) -> list[str]:
+def _raw_faults(fields: Fields) -> Iterator[str]:
     """Faults of a TOML header of raw values, in words."""
-    unknown_texts = [f"unknown key {key!r}" for key in fields if key not in KEYS]
+    for key in fields:
+        if key not in KEYS:
+            yield f"unknown key {key!r}"
     shape, dtype, byte_order = map(fields.get, ("shape", "dtype", "byte_order"))
+    if not _are_three(shape, int):
+        yield f"shape is {shape!r}, needed are three whole numbers [z, y, x]"
+    if dtype not in RAW_TYPES:
+        yield f"dtype is {dtype!r}, needed is one of {', '.join(RAW_TYPES)}"
+    elif dtype not in BYTE_TYPES and byte_order not in ("little", "big"):
+        yield f'byte_order is {byte_order!r}, needed is "little" or "big"'
     offset = fields.get("offset", 0)
+    if type(offset) is not int or offset < 0:
+        yield f"offset is {offset!r}, needed is a number of bytes"
     voxel_um = fields.get("voxel_um", 1)
-    is_right = {
-        f"shape is {shape!r}, needed are three whole numbers [z, y, x]": _are_three(shape, int),
-        f"dtype is {dtype!r}, needed is one of {', '.join(RAW_TYPES)}": dtype in RAW_TYPES,
-        # Of two bytes and more.
-        f'byte_order is {byte_order!r}, needed is "little" or "big"': dtype not in RAW_TYPES[2:]
-        or byte_order in ("little", "big"),
-        f"offset is {offset!r}, needed is a number of bytes": type(offset) is int and offset >= 0,
-        f"voxel_um is {voxel_um!r}, needed is a number or [z, y, x], in um": _are_three(
-            _per_axis(voxel_um), int, float
-        ),
-        "file is no name": isinstance(fields.get("file", ""), str),
-    }
-    return unknown_texts + [fault for fault, right in is_right.items() if not right]
+    if not _are_three(_per_axis(voxel_um), int, float):
+        yield f"voxel_um is {voxel_um!r}, needed is a number or [z, y, x], in um"
+    if not isinstance(fields.get("file", ""), str):
+        yield "file is no name"
 
 
 def _per_axis(voxel_um: Any) -> list[Any]:

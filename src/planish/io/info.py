@@ -294,10 +294,7 @@ def is_image(place: Place) -> bool:
         return False
     if kind_of(place.path) != "tiff":
         return True
-    with open_series(place.path, error=FileError, advice="Give one volume or one image.") as (
-        _,
-        series,
-    ):
+    with open_series(place.path, advice="Give one volume or one image.") as (_, series):
         return is_picture(series)
 
 

@@ -13,9 +13,10 @@ import xarray as xr
 import zarr
 
 from planish.core.errors import FileError
-from planish.core.files import check_exists
+from planish.core.files import check_exists, write_text
 from planish.core.lazy import ReadOnDemand
 from planish.core.threads import map_threads
+from planish.io.guard import quiet
 from planish.io.map_chunks import is_ours, write_chunks
 from planish.io.map_store import (
     COMPLETE,
@@ -45,7 +46,8 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     for name, data in groups.items():
         write = partial(_write_array, path, open_group(path, name, data), data, {})
         map_threads(write, map(str, data.variables))
-    _consolidate(path)
+    with quiet:  # it is no part of zarr 3 yet, and xarray warns without it
+        zarr.consolidate_metadata(path)
 
 
 def _write_array(
@@ -77,34 +79,9 @@ def _write_array(
 def _copy_metadata(source: Path, folder: Path, attrs: Mapping[Any, Any]) -> None:
     """Make an array like another one but for its attributes; zarr takes longer than its chunks."""
     metadata = json.loads((source / _METADATA).read_text(encoding="utf-8"))
-    text = json.dumps(metadata | {"attributes": json_attrs(attrs)}, indent=2)
     folder.mkdir()
-    (folder / _METADATA).write_text(text, encoding="utf-8", newline="\n")
-
-
-def _consolidate(path: Path) -> None:
-    """Gather the metadata of all groups and arrays in the file of the root.
-
-    Without it xarray warns.
-    """
-    nodes = {
-        file.parent: json.loads(file.read_text(encoding="utf-8"))
-        for file in sorted(path.rglob(_METADATA))
-    }
-    inline: dict[str, Any] = {"kind": "inline", "must_understand": False}
-    for node in nodes.values():
-        node |= (
-            {"consolidated_metadata": {**inline, "metadata": {}}}
-            if node["node_type"] == "group"
-            else {}
-        )
-    metadata = {
-        folder.relative_to(path).as_posix(): node
-        for folder, node in nodes.items()
-        if folder != path
-    }
-    root = nodes[path] | {"consolidated_metadata": {**inline, "metadata": metadata}}
-    (path / _METADATA).write_text(json.dumps(root), encoding="utf-8", newline="\n")
+    text = json.dumps(metadata | {"attributes": json_attrs(attrs)}, indent=2)
+    write_text(folder / _METADATA, text)
 
 
 def take_group(path: Path, source: Path, name: str) -> None:
@@ -165,7 +142,7 @@ def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
             present = [name for name in among if name in root]
             _check_chunks(path, present)
             return present
-        _check_chunks(path)
+        _check_chunks(path, [""])
         names: list[str] = []
         copies: list[str] = []
         for name, node in sorted(root.members(max_depth=None)):
@@ -202,7 +179,7 @@ def read_group(path: Path, name: str, variables: Iterable[str] | None = None) ->
         return selection if is_large(group.data_vars.values()) else selection.load()
 
 
-def _check_chunks(path: Path, groups: Iterable[str] = ("",)) -> None:
+def _check_chunks(path: Path, groups: Iterable[str]) -> None:
     """Raise FileError where a chunk was lost: zarr takes it for missing values."""
     root = zarr.open_group(path, mode="r")
     if not root.attrs.get(COMPLETE):

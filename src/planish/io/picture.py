@@ -22,6 +22,7 @@ from planish.io.guard import check_blown_up, check_memory, head_of, reading
 from planish.io.resolution import Writer, writer_of
 from planish.io.sizes import Stated, stated_by_tiff, stated_density
 from planish.io.tiff import (
+    PICTURE_ADVICE,
     has_rgb,
     long_axes,
     long_shape,
@@ -39,7 +40,6 @@ PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
     "bmp": BmpImagePlugin.BmpImageFile,
 }
 
-ADVICE = "One picture is needed: save it alone."
 NO_DATA = 42113  # tag of GDAL, with the number of pixels that are missing
 PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
 Colour = Literal["grey", "rgb", "other"]
@@ -92,10 +92,12 @@ def load_picture(
     """
     if kind_of(path) != "tiff":
         return _load_raster(path, memory_bytes=memory_bytes, decode=decode)
-    with open_series(path, error=FileError, advice=ADVICE) as (tif, series):
+    with open_series(path) as (tif, series):
         axes = long_axes(series)
         if axes not in PICTURE_AXES:
-            raise FileError(f"{path.name} is not one picture but {shape_words(series)}. {ADVICE}")
+            raise FileError(
+                f"{path.name} is not one picture but {shape_words(series)}. {PICTURE_ADVICE}"
+            )
         page = series.keyframe
         values = _series_values(series, path, memory_bytes=memory_bytes, decode=decode)
         bits = int(page.bitspersample)
@@ -181,7 +183,7 @@ def is_mapped(path: Path) -> bool:
     """True if windows of a picture are read from its file without decoding all of it."""
     if kind_of(path) != "tiff":
         return False
-    with open_series(path, error=FileError, advice=ADVICE) as (_, series):
+    with open_series(path) as (_, series):
         palette = series.keyframe.photometric == PHOTOMETRIC.PALETTE
         return mapped_from(series) is not None and not palette
 

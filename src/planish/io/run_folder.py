@@ -16,7 +16,16 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from planish.core.errors import FileError
-from planish.core.files import DiskFull, check_length, check_name, delete, disk_full, move, writing
+from planish.core.files import (
+    DiskFull,
+    check_length,
+    check_name,
+    delete,
+    disk_full,
+    move,
+    write_text,
+    writing,
+)
 from planish.io.formats import find_place
 
 # File that marks a folder as one that planish made and may remove.
@@ -118,10 +127,10 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
             )
         lock = acquire_lock(work / "lock", path)
         try:
-            marker.write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
+            write_text(marker, _WORK_TEXT)
             if not _has_text(key_file, key):
                 shutil.rmtree(work / "tiles", ignore_errors=True)
-                key_file.write_text(key, encoding="utf-8", newline="\n")
+                write_text(key_file, key)
             for partial_folder in work.glob(".*.partial"):
                 shutil.rmtree(partial_folder, ignore_errors=True)
             yield work
@@ -163,7 +172,7 @@ def claim_folder(folder: Path, marker_name: str, marker_text: str, *, for_what: 
     temporary_folder = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
     temporary_folder.mkdir()
     try:
-        (temporary_folder / marker_name).write_text(marker_text, encoding="utf-8", newline="\n")
+        write_text(temporary_folder / marker_name, marker_text)
         move(temporary_folder, folder)
     except (OSError, FileError):
         shutil.rmtree(temporary_folder, ignore_errors=True)
@@ -261,6 +270,4 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     path : Path
     data : mapping; NaN in it is an error: use None
     """
-    path.write_text(
-        json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n"
-    )
+    write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n")

@@ -165,14 +165,14 @@ def agreed_size(
     if user_um is not None:
         size = size_per_axis(user_um, asked)
         source = _source_of_given(size, statements, file_name, asked, override=override)
-        _check_range(size, (), file_name=file_name, asked=asked, unusual=unusual)
+        _check_range(size, (), file_name, asked, unusual=unusual)
         return size, source
-    merged_size = _merge_stated(statements, file_name=file_name, asked=asked)
+    merged_size = _merge_stated(statements, file_name, asked)
     size = tuple(um for um in merged_size if um is not None)
     if len(size) < len(merged_size):
         missing_text = _missing_text(merged_size, stated, statements, asked)
         raise SizeError(f"{file_name} states no {asked.name} size{missing_text}, in um.")
-    _check_range(size, statements, file_name=file_name, asked=asked, unusual=unusual)
+    _check_range(size, statements, file_name, asked, unusual=unusual)
     return size, _sources(statements)
 
 
@@ -201,7 +201,7 @@ def _source_of_given(
         return f"given, in place of {replaced_text}"
     # A repeated run gives the very size that the metadata stated the first time; it still comes
     # from there.
-    merged_size = _merge_stated(statements, file_name=file_name, asked=asked)
+    merged_size = _merge_stated(statements, file_name, asked)
     return _sources(statements) if merged_size == size else "given"
 
 
@@ -246,7 +246,7 @@ def size_per_axis(size_um: float | Sequence[float], asked: Asked) -> tuple[float
 
 
 def _merge_stated(
-    statements: Sequence[Stated], *, file_name: str, asked: Asked
+    statements: Sequence[Stated], file_name: str, asked: Asked
 ) -> tuple[float | None, ...]:
     """Join what several kinds of metadata state; the first that states an axis gives its number."""
     sizes: list[float | None] = [None] * len(asked.axes)
@@ -281,9 +281,9 @@ def with_advice(doubt: str, asked: Asked) -> str:
 def _check_range(
     size: Sequence[float],
     statements: Sequence[Stated],
-    *,
     file_name: str,
     asked: Asked,
+    *,
     unusual: bool,
 ) -> None:
     """Ask about sizes that no image of paper has, and refuse those that no image has.

@@ -18,7 +18,7 @@ from planish.core.errors import FileError, VolumeError
 from planish.core.text import MOST_NAMES, first_few
 from planish.core.typing import Texts
 from planish.io.formats import is_slice_name
-from planish.io.picture import ADVICE, is_picture, kind_of
+from planish.io.picture import is_picture, kind_of
 from planish.io.tiff import open_series, shape_words
 
 # A sign is part of a number where not all names have it, and a hyphen otherwise.
@@ -77,7 +77,7 @@ def check_several(files: list[Path]) -> None:
         return
     file, folder = files[0], files[0].parent
     if kind_of(file) == "tiff":
-        with open_series(file, error=FileError, advice=ADVICE) as (_, series):
+        with open_series(file) as (_, series):
             if not is_picture(series):
                 raise VolumeError(
                     f"{folder.name} holds one stack, {file.name}, of {shape_words(series)}. Give"

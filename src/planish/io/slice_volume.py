@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tifffile import PHOTOMETRIC
 
-from planish.core.errors import FileError, SizeError, VolumeError
+from planish.core.errors import SizeError, VolumeError
 from planish.core.memory import EAGER_BYTES
 from planish.core.numbers import agree
 from planish.core.threads import map_threads
@@ -19,7 +19,7 @@ from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, gr
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.lazy import PagedArray, Values, stored_array, supported_type, widened
 from planish.io.orientation import tag_orientation
-from planish.io.picture import ADVICE, PLUGINS, DecodedPicture, kind_of, load_picture
+from planish.io.picture import PLUGINS, DecodedPicture, kind_of, load_picture
 from planish.io.scan_log import check_extent, read_scan, slices_by_log
 from planish.io.slice_names import list_slices
 from planish.io.tiff import open_series, size_words
@@ -134,7 +134,7 @@ def _strip_rows(
     stop: int,
 ) -> Array:
     """Decode the strips of a grey TIFF slice in which some rows lie."""
-    with open_series(files[page], error=FileError, advice=ADVICE) as (_, series):
+    with open_series(files[page]) as (_, series):
         _check_unchanged(files[page], series.keyframe.shape, shape)
         values = TiffPages(files[page], series)[0:1, start:stop]
     return values[0].astype(supported_type(values.dtype), copy=False)
@@ -167,7 +167,7 @@ def _slice_header(file: Path) -> SliceHeader:
             orientation = image.getexif().get(274, 1) if format_name == "jpeg" else 1
             key = (format_name, image.size, image.mode, image.info.get("dpi"), orientation)
             return SliceHeader(key, np.dtype(np.uint8))
-    with open_series(file, error=FileError, advice=ADVICE) as (tif, series), reading(file):
+    with open_series(file) as (tif, series), reading(file):
         page = series.keyframe
         resolution = tuple(page.tags.valueof(code) for code in (282, 283, 296))
         orientation = page.tags.valueof(274, default=1)

@@ -40,6 +40,7 @@ LAYOUT_NUMBERS = (  # Attributes of a page on which the position and meaning of 
     "fillorder",
 )
 
+PICTURE_ADVICE = "One picture is needed: save it alone."
 MOST_PAGES = 100_000  # no scan has more slices; a chain this long is damage
 # Bytes of one value, by TIFF type.
 TYPE_BYTES = {code: struct.calcsize(f"={form}") for code, form in TIFF.DATA_FORMATS.items()}
@@ -51,7 +52,7 @@ NEEDED_TAGS = frozenset({256, 257, 258, 259, 262, 270, 273, 277, 278, 279, 322, 
 
 @contextmanager
 def open_series(
-    path: Path, *, error: type[InputError], advice: str
+    path: Path, *, error: type[InputError] = FileError, advice: str = PICTURE_ADVICE
 ) -> Generator[tuple[TiffFile, TiffPageSeries]]:
     """Open a TIFF file and give its one series of equal pages, with all data in the file.
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 
-from planish.core.errors import FileError, VolumeError
+from planish.core.errors import VolumeError
 from planish.core.typing import Array, DType, Entries, Shape, Texts
 from planish.io.axes import may_be_slices, slices_note
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
@@ -233,5 +233,5 @@ class TiffPages(PagedArray):
 
 
 def _open_pages(path: Path) -> TiffPages:
-    with open_series(path, error=FileError, advice="Copy it again.") as (_, series), reading(path):
+    with open_series(path, advice="Copy it again.") as (_, series), reading(path):
         return TiffPages(path, series)

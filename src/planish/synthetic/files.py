@@ -9,6 +9,7 @@ import numpy as np
 import tifffile
 import xarray as xr
 
+from planish.core.files import write_text
 from planish.core.typing import Entries, Floats, Texts
 from planish.synthetic.specimen import InstrumentFiles, Specimen
 
@@ -67,7 +68,7 @@ def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
             name = f"{_PREFIX}{rows - 1 - start - k:08d}.tif"
             tifffile.imwrite(scan_folder / name, np.ascontiguousarray(row.T))
     log_path = scan_folder / f"{_PREFIX.removesuffix('_rec')}_rec.log"
-    log_path.write_text(_rec_log(specimen), encoding="utf-8", newline="\n")
+    write_text(log_path, _rec_log(specimen))
     last_um = (rows - 1) * voxel
 
     def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
@@ -125,7 +126,7 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
             photo_folder / name, picture, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER"
         )
         lines.append(f"{name},{poses.counter_um[k]:.3f}")
-    (photo_folder / COUNTER).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    write_text(photo_folder / COUNTER, "\n".join(lines) + "\n")
     middle = 0.5 * (np.array(microtome.shape[::-1]) - 1) * p.pixel_um
 
     def to_physical(points: Floats, sections: xr.Dataset | None = None) -> Floats:
@@ -256,9 +257,7 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
         "warp": asdict(specimen.warp),
         "camera": asdict(specimen.pose),
     }
-    (folder / "parameters.json").write_text(
-        json.dumps(data, indent=2) + "\n", encoding="utf-8", newline="\n"
-    )
+    write_text(folder / "parameters.json", json.dumps(data, indent=2) + "\n")
 
 
 def _table(path: Path, names: Texts, rows: Floats) -> None:

@@ -310,18 +310,8 @@ def sensitivity(
     InputError if the scenario is no line of stages, has no nuisance, or is refused by the program
     without any of them.
     """
-    if scenario.kind != "line":
-        raise InputError(
-            f"The scenario {scenario.name} has no nuisances. Give one that runs the whole line."
-        )
-    names = scenario.active
+    names = _nuisances_of(scenario)
     seed_list = seed_numbers(scenario, seeds)
-    if not names:
-        raise InputError(
-            f"No nuisance of the scenario {scenario.name} is on. Give one with nuisances, such as"
-            " small."
-        )
-
     measure = partial(_rms_figures, scenario, seed_list, progress, compute)
     base_figures, refusal = measure("no nuisance", NONE)
     if refusal is not None:
@@ -343,13 +333,12 @@ def sensitivity(
     deviating = [
         stage for stage, r in ratio.items() if r is not None and not 1 / _AGREES <= r <= _AGREES
     ]
+    figures_without: dict[str, Values] = {}
     if len(names) == 1:
         deviating = []  # without it nothing is left to compare
-    figures_without: dict[str, Values] = {}
-    if deviating:
-        for name in names:
-            remaining = tuple(other for other in names if other != name)
-            figures_without[name], _ = measure(f"all but {NUISANCES[name].title}", remaining)
+    for name in names if deviating else ():
+        remaining = tuple(other for other in names if other != name)
+        figures_without[name], _ = measure(f"all but {NUISANCES[name].title}", remaining)
     return Sensitivity(
         keys=keys,
         quiet=quiet,
@@ -359,6 +348,20 @@ def sensitivity(
         together=_together(deviating, keys, loud, figures_without),
         seeds=tuple(seed_list),
     )
+
+
+def _nuisances_of(scenario: Scenario) -> list[str]:
+    """Nuisances of a scenario that are on; InputError where it has none."""
+    if scenario.kind != "line":
+        raise InputError(
+            f"The scenario {scenario.name} has no nuisances. Give one that runs the whole line."
+        )
+    if not scenario.active:
+        raise InputError(
+            f"No nuisance of the scenario {scenario.name} is on. Give one with nuisances, such as"
+            " small."
+        )
+    return scenario.active
 
 
 def _key_figures(measured: Container[str]) -> dict[str, str]:

@@ -99,14 +99,11 @@ def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
         f"{verdict(certificate)} {summary(certificate)}",
         "",
     ]
-    notes = [f"- {note}" for note in certificate.notes]
-    refusals: list[str] = []
-    failures: list[str] = []
-    for entry in certificate.entries:
-        if entry.refusal:
-            refusals.append(f"- Seed {entry.seed}: {entry.refusal}")
-        failures += [f"- Seed {entry.seed}, failed: {check}" for check in entry.failed]
-    for bullets in (notes, refusals + failures):
+    entries = certificate.entries
+    faults = [f"- Seed {entry.seed}: {entry.refusal}" for entry in entries if entry.refusal]
+    for entry in entries:
+        faults += [f"- Seed {entry.seed}, failed: {check}" for check in entry.failed]
+    for bullets in ([f"- {note}" for note in certificate.notes], faults):
         if bullets:
             lines += [*bullets, ""]
     lines += [
@@ -114,13 +111,8 @@ def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
         "|---|---|---|---:|---:|---:|---:|---|",
     ]
     for stage, group in by_stage(certificate):
-        for k, line in enumerate(group):
-            *row, limit, state = cells(line)
-            if line.limit and line.limit.source:
-                limit = f"{limit} ({line.limit.source})"
-            if line.met is False:
-                state = f"**{state}**"
-            lines.append(_table_line(["" if k else stage, *row, limit, state]))
+        lines += [_table_line([stage, *_figure_cells(group[0])])]
+        lines += [_table_line(["", *_figure_cells(line)]) for line in group[1:]]
     if table is not None:
         heading, rows = sensitivity_rows(table)
         lines += [
@@ -134,6 +126,14 @@ def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
             *(f"- {sum_sentence(stage, table)}" for stage in table.keys),
         ]
     return "\n".join(lines) + "\n"
+
+
+def _figure_cells(line: LedgerLine) -> list[str]:
+    """Cells of a figure, with the source of its limit, and bold where it is missed."""
+    *row, limit, state = cells(line)
+    if line.limit and line.limit.source:
+        limit = f"{limit} ({line.limit.source})"
+    return [*row, limit, f"**{state}**" if line.met is False else state]
 
 
 def _table_line(row: Sequence[str]) -> str:
@@ -245,21 +245,19 @@ def summary(certificate: Certificate) -> str:
         sentences.append(f"On {refused} of {n} {noun}s the program gave no result.")
     if failed:
         sentences.append(f"On {failed} of {n} {noun}s a check of the run failed.")
-    missed = limits_met.count(False)
+    specimens_text = f"the one {noun}" if n == 1 else f"all {n} {noun}s"
+    if refused:
+        specimens_text = f"the {noun}s with a result"
+    return " ".join([*sentences, _limits_sentence(limits_met, specimens_text)])
+
+
+def _limits_sentence(limits_met: Sequence[bool], specimens_text: str) -> str:
     if not limits_met:
-        sentences.append("The scenario sets no limits.")
-    elif missed:
-        sentences.append(
-            f"{missed} of {len(limits_met)} limits {'is' if missed == 1 else 'are'} missed."
-        )
-    else:
-        specimens_text = f"all {n} {noun}s"
-        if refused:
-            specimens_text = f"the {noun}s with a result"
-        elif n == 1:
-            specimens_text = f"the one {noun}"
-        sentences.append(f"All {len(limits_met)} limits are met by {specimens_text}.")
-    return " ".join(sentences)
+        return "The scenario sets no limits."
+    missed = limits_met.count(False)
+    if missed:
+        return f"{missed} of {len(limits_met)} limits {'is' if missed == 1 else 'are'} missed."
+    return f"All {len(limits_met)} limits are met by {specimens_text}."
 
 
 def limit_sentence(line: LedgerLine) -> str:
