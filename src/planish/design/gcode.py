@@ -18,6 +18,58 @@ from planish.design.params import StageParams
 from planish.design.pattern import Pattern, size_text
 
 Groups = list[tuple[int, Any]]
+# Colour numbers: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
+_LAYER_COLOURS = {"HOLES": 1, "BURNT": 8, "FIELD": 3, "VIEW": 8, "NUMBERS": 7, "ORIGIN": 5}
+_DXF_HEAD = """\
+999
+planish hole pattern, {name}: mm, x right, y up as the laser sees the sheet
+  0
+SECTION
+  2
+HEADER
+  9
+$ACADVER
+  1
+AC1009
+  9
+$EXTMIN
+{lowest}  9
+$EXTMAX
+{highest}  0
+ENDSEC
+  0
+SECTION
+  2
+TABLES
+  0
+TABLE
+  2
+LTYPE
+ 70
+1
+  0
+LTYPE
+  2
+CONTINUOUS
+ 70
+64
+  3
+Solid line
+ 72
+65
+ 73
+0
+ 40
+0.0
+  0
+ENDTAB
+  0
+TABLE
+  2
+LAYER
+ 70
+{count}
+"""
 
 
 def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
@@ -135,43 +187,15 @@ def pattern_dxf(pattern: Pattern) -> str:
     and the drawing's extents say what is meant.
     """
     (x0, y0), (width, height), diameter = pattern.origin_um, pattern.view_um, pattern.diameter_um
-    # Colour numbers: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
-    layer_colours = {"HOLES": 1, "BURNT": 8, "FIELD": 3, "VIEW": 8, "NUMBERS": 7, "ORIGIN": 5}
-    groups: Groups = [
-        (
-            999,
-            (
-                f"planish hole pattern, {ascii_only(pattern.name)}: mm, x right, y up as the laser"
-                " sees the sheet"
-            ),
-        ),
-        (0, "SECTION"),
-        (2, "HEADER"),
-        (9, "$ACADVER"),
-        (1, "AC1009"),
-        (9, "$EXTMIN"),
-        *_point(10, x0, y0),
-        (9, "$EXTMAX"),
-        *_point(10, x0 + width, y0 + height),
-        (0, "ENDSEC"),
-        (0, "SECTION"),
-        (2, "TABLES"),
-        (0, "TABLE"),
-        (2, "LTYPE"),
-        (70, 1),
-        (0, "LTYPE"),
-        (2, "CONTINUOUS"),
-        (70, 64),
-        (3, "Solid line"),
-        (72, 65),
-        (73, 0),
-        (40, "0.0"),
-        (0, "ENDTAB"),
-        (0, "TABLE"),
-        (2, "LAYER"),
-        (70, len(layer_colours)),
-    ]
-    for name, colour in layer_colours.items():
+    x1, y1 = x0 + width, y0 + height
+    head = _DXF_HEAD.format(
+        name=ascii_only(pattern.name),
+        lowest=_lines(_point(10, x0, y0)),
+        highest=_lines(_point(10, x1, y1)),
+        count=len(_LAYER_COLOURS),
+    )
+    groups: Groups = []
+    for name, colour in _LAYER_COLOURS.items():
         groups += [(0, "LAYER"), (2, name), (70, 64), (62, colour), (6, "CONTINUOUS")]
     groups += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
     for label, (x, y) in zip(pattern.labels, pattern.points_um.tolist(), strict=True):
@@ -179,7 +203,6 @@ def pattern_dxf(pattern: Pattern) -> str:
             groups += [(0, "CIRCLE"), (8, layer), *_point(10, x, y), (40, _mm(radius))]
         groups += _text("NUMBERS", x + 0.6 * diameter + pattern.rim_um, y, diameter, label)
     (x, y), (w, h), arm = pattern.field_low_um, pattern.field_um, 3 * diameter
-    x1, y1 = x0 + width, y0 + height
     for layer, corners in (
         ("FIELD", ((x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y))),
         ("VIEW", ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))),
@@ -191,6 +214,10 @@ def pattern_dxf(pattern: Pattern) -> str:
     groups += _text("ORIGIN", x0 + arm, y0, diameter, "x")
     groups += _text("ORIGIN", x0, y0 + arm, diameter, "y")
     groups += [(0, "ENDSEC"), (0, "EOF")]
+    return head + _lines(groups)
+
+
+def _lines(groups: Groups) -> str:
     return "".join(f"{code:3d}\n{value}\n" for code, value in groups)
 
 
@@ -312,13 +339,19 @@ def _words_of(text: str) -> tuple[list[str], dict[str, float]]:
     foreign_text = _WORD.sub("", text)
     if foreign_text:
         raise MarkError(f"{foreign_text[:20]!r} is not in the dialect ({_KNOWN})")
-    words = [(letter, float(number)) for letter, number in _WORD.findall(text) if letter != "N"]
-    commands = [f"{letter}{number:g}" for letter, number in words if letter in "GM"]
-    arguments = {letter: number for letter, number in words if letter not in "GM"}
+    commands: list[str] = []
+    arguments: dict[str, float] = {}
+    has_twin = False
+    for letter, number in _WORD.findall(text):
+        if letter in "GM":
+            commands.append(f"{letter}{float(number):g}")
+        elif letter != "N":
+            has_twin |= letter in arguments
+            arguments[letter] = float(number)
     for command in commands:
         if command not in _COMMANDS:
             raise MarkError(f"{command} is not known; the dialect has {_KNOWN}")
-    if len(arguments) + len(commands) != len(words):
+    if has_twin:
         raise MarkError("a letter is given twice")
     if sum(command not in ("G21", "G90") for command in commands) > 1:
         raise MarkError("two commands stand in one line; give each a line of its own")
@@ -350,7 +383,7 @@ class _Machine:
         # After the first move a position without a command is one, too.
         if not commands and self.executed & {"G0", "G1"} and arguments.keys() & {"X", "Y"}:
             commands = ["G0"]
-        allowed_letters = "".join(_COMMANDS[command] for command in commands) if commands else "F"
+        allowed_letters = "".join(map(_COMMANDS.__getitem__, commands)) if commands else "F"
         for letter in arguments:
             if letter not in allowed_letters:
                 raise MarkError(f"{letter} has no meaning here")
@@ -364,10 +397,7 @@ class _Machine:
     def _command(self, command: str, arguments: dict[str, float]) -> None:
         """Carry out one command; G21 and G90 say only how numbers are meant."""
         if command in ("G0", "G1"):
-            if arguments.keys() & {"X", "Y"}:
-                self._move(arguments)
-            elif "F" not in arguments:
-                raise MarkError("a move without a position")
+            self._move(arguments)
         elif command == "G4":
             self._wait(arguments.get("P", -1.0))
         elif command in ("M64", "M65") and "P" not in arguments:
@@ -415,7 +445,11 @@ class _Machine:
         self.pulses_s.append(self.laser_on_s)
 
     def _move(self, arguments: dict[str, float]) -> None:
-        """Go to a position, within the stage's range and with the laser off."""
+        """Go to a position, within the stage's range and with the laser off; or set the speed."""
+        if not arguments.keys() & {"X", "Y"}:
+            if "F" not in arguments:
+                raise MarkError("a move without a position")
+            return
         if not {"G21", "G90"} <= self.executed:
             raise MarkError("a move before G21 (millimetres) and G90 (absolute positions)")
         if self.on_command:
@@ -429,9 +463,10 @@ class _Machine:
                 )
             if letter in arguments:
                 self.position_um[letter] = target_um
-        if len(self.position_um) < 2:
-            return
-        target = self.position_um["X"], self.position_um["Y"]
+        if len(self.position_um) == 2:
+            self._go((self.position_um["X"], self.position_um["Y"]))
+
+    def _go(self, target: Pair) -> None:
         if self.corners_um:
             if self.speed_mm_min is None:
                 raise MarkError("a move before a speed F")

@@ -14,6 +14,7 @@ from planish.core.typing import Pair
 from planish.design.params import DesignParams
 from planish.design.pattern import BORDER_DIAMETERS, BURN, SIDES, Pattern, size_text
 from planish.design.rules import (
+    LAST_RULE,
     MARKER_DIAMETERS,
     SPACING_DIAMETERS,
     Rule,
@@ -200,47 +201,56 @@ def _blank_pattern(params: DesignParams) -> Pattern:
     )
 
 
-def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design | str:  # noqa: C901
+def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design | str:
     """Draw patterns until some keep all rules.
 
     Gives the one with the weakest rival, or the reason why there is none.
     """
     area = area_rule(blank, hole_count)
     if not area.passed:
-        return f"With {hole_count} holes, {area.sentence()}: {area.remedy}."
-    candidates: list[tuple[Pair, Design]] = []
+        return f"With {hole_count} holes, {_faults_text([area])}."
+    candidates: list[Design] = []
     fewest_broken: list[Rule] = []
     n_searched = 0  # patterns whose rivals were looked for
     for _ in range(_ATTEMPTS[blank.layout]):
         pattern = _draw_pattern(blank, hole_count, rng)
         if pattern is None:
             continue
-        rules = simple_rules(pattern)  # The quick ones first.
-        if not _broken(rules):
-            rules += code_rules(pattern)
-        if not _broken(rules):
-            rules += matching_rules(pattern)
-            n_searched += 1
+        rules = _rules_of(pattern)
+        n_searched += rules[-1].name == LAST_RULE
         broken = _broken(rules)
         if not broken:
-            candidates.append((_rank(rules), (pattern, rules)))
-            if len(candidates) == 6:
-                break
+            candidates.append((pattern, rules))
         elif not fewest_broken or len(broken) < len(fewest_broken):
             fewest_broken = broken
-        # No other draw is better with these rules.
-        names = {rule.name for rule in fewest_broken}
-        if n_searched == 25 or names & {"count", "spacing", "around"}:
+        if n_searched == 25 or len(candidates) == 6 or _are_lasting(fewest_broken):
             break
     if candidates:
-        return min(candidates, key=lambda entry: entry[0])[1]
-    if not fewest_broken:
-        return (
-            f"rule 'spacing': {hole_count} holes do not fit with {blank.spacing_um:g} um between"
-            " any two: take fewer or smaller holes, a larger field, or a smaller `spacing_um`."
-        )
-    faults = "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in fewest_broken)
-    return f"With {hole_count} holes, {faults}."
+        return min(candidates, key=lambda design: _rank(design[1]))
+    if fewest_broken:
+        return f"With {hole_count} holes, {_faults_text(fewest_broken)}."
+    return (
+        f"rule 'spacing': {hole_count} holes do not fit with {blank.spacing_um:g} um between any"
+        " two: take fewer or smaller holes, a larger field, or a smaller `spacing_um`."
+    )
+
+
+def _are_lasting(broken: list[Rule]) -> bool:
+    """Return whether one of these rules is broken by every other draw, too."""
+    return any(rule.name in ("count", "spacing", "around") for rule in broken)
+
+
+def _faults_text(broken: list[Rule]) -> str:
+    return "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in broken)
+
+
+def _rules_of(pattern: Pattern) -> tuple[Rule, ...]:
+    """Apply the rules, the quick ones first, until some are broken."""
+    rules = simple_rules(pattern)
+    for more_rules in (code_rules, matching_rules):
+        if not _broken(rules):
+            rules += more_rules(pattern)
+    return rules
 
 
 def _broken(rules: tuple[Rule, ...]) -> list[Rule]:

@@ -136,6 +136,7 @@ SPACING_DIAMETERS = 3.0
 CROP = 0.3
 RIVAL_SHARE = 0.5
 MARKER_DIAMETERS = 6.0
+LAST_RULE = "crop told apart"  # which is applied last, and takes longest
 _REMEDY = "use unequal pitches, or another seed"
 _MEET = "share of the holes that meet holes when the pattern is"
 # Sense, unit, what is measured, and what to change where the rule is broken.
@@ -182,7 +183,7 @@ _RULES: dict[str, tuple[Sense, str, str, str]] = {
     "quarter turn": ("at most", "", f"{_MEET} turned by about 90 degrees", _REMEDY),
     "mirror": ("at most", "", f"{_MEET} turned over, about any axis", _REMEDY),
     "shift": ("at most", "", f"{_MEET} shifted, scaled by 3 % or turned by another angle", _REMEDY),
-    "crop told apart": (
+    LAST_RULE: (
         "at most",
         "",
         "share of the holes left by the worst crop that meet holes elsewhere",
@@ -291,7 +292,7 @@ def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
     # Of so few survivors, three may meet by chance; four are needed to believe an arrangement.
     worst_share = float(np.max(hit_counts / np.maximum(crop_masks.sum(axis=1), 6)))
     rivals = [_rule(kind, motions.best_count(kind) / len(points), RIVAL_SHARE) for kind in kinds]
-    return (*rivals, _rule("crop told apart", worst_share, RIVAL_SHARE))
+    return (*rivals, _rule(LAST_RULE, worst_share, RIVAL_SHARE))
 
 
 def crops(pattern: Pattern) -> Bools:

@@ -51,35 +51,35 @@ _INNER_SUMS = {**_SUMS, "forceinline": True}
 
 
 @njit(**_INNER)
+def _of_springs(values, i):
+    """Row i of the four families of springs; the only one where one row stands for all."""
+    s = min(i, values.shape[1] - 1)
+    return values[0, s], values[1, s], values[2, s], values[3, s]
+
+
+@njit(**_INNER)
+def _square(dx, dy):
+    return dx * dx + dy * dy + _TINY
+
+
+@njit(**_INNER)
+def _pull(k, dx, dy, du, dv):
+    return k * (dx * du + dy * dv) / _square(dx, dy)
+
+
+@njit(**_INNER)
 def _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n):
     """Set t to k d.(du) / |d|^2 for the springs within row i and between the rows i and i + 1."""
-    xa = x[i]
-    ya = y[i]
-    xb = x[i + 1]
-    yb = y[i + 1]
-    s = min(i, stiff.shape[1] - 1)
-    k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
+    xa, ya, xb, yb = x[i], y[i], x[i + 1], y[i + 1]
+    k0, k1, k2, k3 = _of_springs(stiff, i)
     for j in range(n):
-        dx, dy = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
-        t0[j] = (
-            k0[j]
-            * (dx * (ua[j + 1] - ua[j]) + dy * (va[j + 1] - va[j]))
-            / (dx * dx + dy * dy + _TINY)
-        )
-        dx, dy = xb[j] - xa[j], yb[j] - ya[j]
-        t1[j] = k1[j] * (dx * (ub[j] - ua[j]) + dy * (vb[j] - va[j])) / (dx * dx + dy * dy + _TINY)
-        dx, dy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
-        t2[j] = (
-            k2[j]
-            * (dx * (ub[j + 1] - ua[j]) + dy * (vb[j + 1] - va[j]))
-            / (dx * dx + dy * dy + _TINY)
-        )
-        dx, dy = xb[j] - xa[j + 1], yb[j] - ya[j + 1]
-        t3[j] = (
-            k3[j]
-            * (dx * (ub[j] - ua[j + 1]) + dy * (vb[j] - va[j + 1]))
-            / (dx * dx + dy * dy + _TINY)
-        )
+        u, v = ua[j], va[j]
+        a, b = xa[j], ya[j]
+        t0[j] = _pull(k0[j], xa[j + 1] - a, ya[j + 1] - b, ua[j + 1] - u, va[j + 1] - v)
+        t1[j] = _pull(k1[j], xb[j] - a, yb[j] - b, ub[j] - u, vb[j] - v)
+        t2[j] = _pull(k2[j], xb[j + 1] - a, yb[j + 1] - b, ub[j + 1] - u, vb[j + 1] - v)
+        u, v = ua[j + 1], va[j + 1]
+        t3[j] = _pull(k3[j], xb[j] - xa[j + 1], yb[j] - ya[j + 1], ub[j] - u, vb[j] - v)
 
 
 @njit(**_INNER)
@@ -130,6 +130,13 @@ def _strain(dx, dy, rest, k):
     return k * strain, k * stretch * stretch
 
 
+@njit(**_INNER_SUMS)
+def _tension(dx, dy, rest, k):
+    """Give the pull of a spring, k (1 - L / l) d, and k (l - L)^2."""
+    t, energy = _strain(dx, dy, rest, k)
+    return t * dx, t * dy, energy
+
+
 @njit(**_SUMS)
 def forces(xy, rest, stiff, force, sums, n, r0, r1):
     """Set ``force`` to minus half the gradient of the spring energy.
@@ -152,26 +159,18 @@ def forces(xy, rest, stiff, force, sums, n, r0, r1):
     py = np.zeros(width, np.float32)
     for i in range(r0 - 1, r1):
         xa, ya, xb, yb = x[i], y[i], x[i + 1], y[i + 1]
-        l0, l1, l2, l3 = rest[0, i], rest[1, i], rest[2, i], rest[3, i]
-        s = min(i, stiff.shape[1] - 1)
-        k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
+        l0, l1, l2, l3 = _of_springs(rest, i)
+        k0, k1, k2, k3 = _of_springs(stiff, i)
         energy = 0.0
         for j in range(n + 1):
-            u, v = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
-            t, e = _strain(u, v, l0[j], k0[j])
-            hx[j], hy[j] = t * u, t * v
+            a, b = xa[j], ya[j]
+            hx[j], hy[j], e = _tension(xa[j + 1] - a, ya[j + 1] - b, l0[j], k0[j])
             energy += e
-            u, v = xb[j] - xa[j], yb[j] - ya[j]
-            t, e = _strain(u, v, l1[j], k1[j])
-            vx[j], vy[j] = t * u, t * v
+            vx[j], vy[j], e = _tension(xb[j] - a, yb[j] - b, l1[j], k1[j])
             energy += e
-            u, v = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
-            t, e = _strain(u, v, l2[j], k2[j])
-            dx[j], dy[j] = t * u, t * v
+            dx[j], dy[j], e = _tension(xb[j + 1] - a, yb[j + 1] - b, l2[j], k2[j])
             energy += e
-            u, v = xb[j] - xa[j + 1], yb[j] - ya[j + 1]
-            t, e = _strain(u, v, l3[j], k3[j])
-            sx[j], sy[j] = t * u, t * v
+            sx[j], sy[j], e = _tension(xb[j] - xa[j + 1], yb[j] - ya[j + 1], l3[j], k3[j])
             energy += e
         if i >= r0:
             sums[i, 0] = energy
@@ -197,21 +196,14 @@ def prepare(near, stiff, ease, n, r0, r1):
     b = np.zeros((8, near.shape[2]), dtype=np.float32)
     t0, t1, t2, t3, p1, p2, p3, out = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
     for i in range(r0 - 1, r1):
-        xb = x[i]
-        yb = y[i]
-        xc = x[i + 1]
-        yc = y[i + 1]
-        s = min(i, stiff.shape[1] - 1)
-        k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
+        xb, yb, xc, yc = x[i], y[i], x[i + 1], y[i + 1]
+        k0, k1, k2, k3 = _of_springs(stiff, i)
         for j in range(n + 1):  # stiffness over squared length
-            dx, dy = xb[j + 1] - xb[j], yb[j + 1] - yb[j]
-            t0[j] = k0[j] / (dx * dx + dy * dy + _TINY)
-            dx, dy = xc[j] - xb[j], yc[j] - yb[j]
-            t1[j] = k1[j] / (dx * dx + dy * dy + _TINY)
-            dx, dy = xc[j + 1] - xb[j], yc[j + 1] - yb[j]
-            t2[j] = k2[j] / (dx * dx + dy * dy + _TINY)
-            dx, dy = xc[j] - xb[j + 1], yc[j] - yb[j + 1]
-            t3[j] = k3[j] / (dx * dx + dy * dy + _TINY)
+            u, v = xb[j], yb[j]
+            t0[j] = k0[j] / _square(xb[j + 1] - u, yb[j + 1] - v)
+            t1[j] = k1[j] / _square(xc[j] - u, yc[j] - v)
+            t2[j] = k2[j] / _square(xc[j + 1] - u, yc[j + 1] - v)
+            t3[j] = k3[j] / _square(xc[j] - xb[j + 1], yc[j] - yb[j + 1])
         if i >= r0:
             xa, ya = x[i - 1], y[i - 1]
             for j in range(1, n + 1):
@@ -329,21 +321,8 @@ def restrict(near, stiff, force, move, coarse_force, n, coarse_n, r0, r1):
     # Fine rows of the coarse row r0 - 1 + 1: from the odd one above it to the odd one below.
     start = max(1, 2 * (r0 - 1))
     for i in range(start - 1, min(rows, 2 * (r1 - 1)) + 1):
-        _pulls(
-            x,
-            y,
-            i,
-            stiff,
-            move[0, i],
-            move[1, i],
-            move[0, i + 1],
-            move[1, i + 1],
-            t0,
-            t1,
-            t2,
-            t3,
-            n + 1,
-        )
+        ua, va, ub, vb = move[0, i], move[1, i], move[0, i + 1], move[1, i + 1]
+        _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n + 1)
         if i >= start:
             _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
             f, g = force[0, i], force[1, i]
@@ -405,10 +384,9 @@ def survey(xy, rest, stiff, side, sums, n, r0, r1):
     """
     x, y = xy[0], xy[1]
     for i in range(r0, r1):
-        xa, ya, xb, yb, right, left = x[i], y[i], x[i + 1], y[i + 1], rest[2, i], rest[3, i]
-        l0, l1 = rest[0, i], rest[1, i]
-        s = min(i, stiff.shape[1] - 1)
-        k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
+        xa, ya, xb, yb = x[i], y[i], x[i + 1], y[i + 1]
+        l0, l1, right, left = _of_springs(rest, i)
+        k0, k1, k2, k3 = _of_springs(stiff, i)
         energy = 0.0
         down = 0.0
         for j in range(n + 1):
@@ -436,20 +414,12 @@ def descend(
     is solved by ``inverse`` (2 nodes, 2 nodes), the nodes standing at [row, col] of its arrays.
     """
     for k in range(last):
-        rows = near[k].shape[1] - 2
+        end = near[k].shape[1] - 1
         fixed = near[k], stiff[k], ease[k], force[k]
-        smooth(_NEW, *fixed, move[k], move[k], alone[k], first, second, cols[k], _FIRST, rows + 1)
-        restrict(
-            near[k],
-            stiff[k],
-            force[k],
-            move[k],
-            force[k + 1],
-            cols[k],
-            cols[k + 1],
-            _FIRST,
-            near[k + 1].shape[1] - 1,
-        )
+        smooth(_NEW, *fixed, move[k], move[k], alone[k], first, second, cols[k], _FIRST, end)
+        end = near[k + 1].shape[1] - 1
+        fine = near[k], stiff[k], force[k], move[k]
+        restrict(*fine, force[k + 1], cols[k], cols[k + 1], _FIRST, end)
     f, u = force[last], move[last]
     for a in range(row.size):
         x = y = 0.0
@@ -459,17 +429,7 @@ def descend(
             y += inverse[2 * a + 1, 2 * b] * p + inverse[2 * a + 1, 2 * b + 1] * q
         u[0, row[a], col[a]], u[1, row[a], col[a]] = x, y
     for k in range(last - 1, -1, -1):
-        rows = near[k].shape[1] - 2
+        end = near[k].shape[1] - 1
         fixed = near[k], stiff[k], ease[k], force[k]
-        smooth(
-            _CORRECTED,
-            *fixed,
-            move[k + 1],
-            move[k],
-            alone[k],
-            once,
-            once,
-            cols[k],
-            _FIRST,
-            rows + 1,
-        )
+        moves = move[k + 1], move[k], alone[k]
+        smooth(_CORRECTED, *fixed, *moves, once, once, cols[k], _FIRST, end)

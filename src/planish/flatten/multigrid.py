@@ -77,12 +77,6 @@ def _dot(a: Singles, b: Singles) -> float:
     return float(np.sum(a * b, dtype=np.float64))
 
 
-def _largest_ratio(gains: list[float]) -> float:
-    """Largest ratio of a gain to the one before it, as the rate of the steps to come."""
-    ratios = [b / a if a else 1.0 for a, b in itertools.pairwise(gains)]
-    return float(np.clip(max(ratios), 0.01, 0.95))
-
-
 # Forces, move and their product at a step.
 _Direction = tuple[Singles, Singles, float]
 
@@ -117,6 +111,7 @@ class Multigrid:
         # observed.
         self.rate = 0.1
         self._corrects_twice, self._is_rough = True, False
+        self._previous: _Direction | None = None
         # From here on a level is the work of one thread.
         alone = (k for k, level in enumerate(self.levels) if k and len(level.parts) == 1)
         self._first_small = next(alone, len(self.levels))
@@ -129,16 +124,8 @@ class Multigrid:
             coarse, fine = self.levels[k + 1], self.levels[k]
             coarse.drop_springs()
             fine.open()
-            self.team.run(
-                interpolate,
-                fine.parts,
-                coarse.xy,
-                fine.xy,
-                fine.near,
-                fine.cols,
-                coarse.cols,
-                self.gaps,
-            )
+            arrays = (coarse.xy, fine.xy, fine.near)
+            self.team.run(interpolate, fine.parts, *arrays, fine.cols, coarse.cols, self.gaps)
             if self.gaps:
                 is_gone = ~fine.nodes
                 fine.inside(fine.xy)[:, is_gone] = fine.inside(fine.near)[:, is_gone] = FAR
@@ -151,9 +138,8 @@ class Multigrid:
     def _start(self, level: Level) -> None:
         """Relax the coarsest mesh exactly, from the mean rest lengths between columns and rows."""
         coordinates: list[Floats] = []
-        for lengths, axis, count in zip(
-            level.inside(level.rest), (0, 1), (level.cols, level.rows), strict=False
-        ):
+        for axis, count in enumerate((level.cols, level.rows)):
+            lengths = level.inside(level.rest)[axis]
             is_spring = lengths > 0
             mean_lengths = lengths.sum(axis=axis) / np.maximum(is_spring.sum(axis=axis), 1)
             typical_length = lengths[is_spring].mean() if is_spring.any() else 1.0
@@ -162,7 +148,8 @@ class Multigrid:
         level.open()
         self._network = Network.of(level)
         is_node = self._network.mask
-        grid = np.stack(np.meshgrid(self.side * coordinates[0], coordinates[1]), axis=-1)
+        across, down = coordinates
+        grid = np.stack(np.meshgrid(self.side * across, down), axis=-1)
         uv = relax_exactly(
             self._network, grid[is_node], tolerance=1e-10 if len(self.levels) == 1 else 0.3
         )
@@ -173,64 +160,84 @@ class Multigrid:
         if self._exact.inverse is None:
             self._first_small = len(self.levels)
 
-    def relax(self, k: int, tolerance: float) -> Outcome:  # noqa: C901, PLR0912
+    def relax(self, k: int, tolerance: float) -> Outcome:
         """Step on level ``k`` until the excess of energy over the minimum is small enough.
 
         It is then below ``tolerance`` times the energy.
         """
         level = self.levels[k]
-        count = level.rows * level.cols
         gains: list[float] = []
         slow_steps = 0
-        previous: _Direction | None = None
+        self._previous = None
         for step in range(300):
             energy = self.balance(level)
-            is_smoothing_only = k == 0 and step == 0 and self._is_rough
-            if is_smoothing_only:
-                # What the coarser levels could not see is most of the energy, and short: smoothing
-                # deals with it alone.
-                self._smooth(0, level, level, *_FOUR[:2])
-                for weight in _FOUR[2:]:
-                    self._smooth(2, level, level, weight, weight)
-            else:
-                self._corrects_twice = k > 0 or step > 1
-                self._cycle(k)
-            wanted_gain = 0.0
-            if self.guarded:
-                wanted_gain = self._guard(level, energy)
-                gain, square_move = self.advance(level)
-            elif slow_steps:
-                previous = _make_conjugate(level, previous)
-                gain, square_move = self._reach(level, *self.advance(level))
-            else:
-                gain, square_move = self.advance(level)
-            mean_move = float(np.sqrt(square_move / count))
-            self.history.append(Step(count, energy, gain, mean_move))
+            is_smoothed = self._correct(k, step)
+            wanted_gain, gain, mean_move = self._take(level, energy, slow_steps)
             if not np.isfinite(gain):
                 return Outcome.NOT_FINITE
             if step == 0:
                 # The next finer level is then taken as rough, too.
                 self._is_rough = gain > 0.02 * energy
-            if is_smoothing_only:
+            if is_smoothed:
                 continue
             gains.append(gain)
-            if len(gains) > 1:
-                # One lucky step is no proof where progress is slow.
-                self.rate = _largest_ratio(gains[-4 if slow_steps else -2 :])
-            # Excess of energy and, as its square root, distance from the minimum: the steps to
-            # come, summed.
-            excess_energy = gain * self.rate / (1 - self.rate)
-            root_rate = np.sqrt(self.rate)
-            distance = mean_move * (root_rate / (1 - root_rate))
-            if excess_energy <= tolerance * energy or distance <= _STILL:
-                if wanted_gain <= max(100 * tolerance * energy, gain):
-                    return Outcome.RESTED
-                return Outcome.HELD_OPEN
+            self._observe(gains, slow_steps)
+            if self._is_near(gain, mean_move, tolerance * energy):
+                is_held = wanted_gain > max(100 * tolerance * energy, gain)
+                return Outcome.HELD_OPEN if is_held else Outcome.RESTED
             slow_steps += slow_steps > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
             # Slow progress may be that of a mesh that folds.
             if self._has_folds(level, slow_steps):
                 return Outcome.FOLDED
         return Outcome.OUT_OF_STEPS
+
+    def _correct(self, k: int, step: int) -> bool:
+        """Set the move on level ``k``; give whether by smoothing alone.
+
+        That deals with it where what the coarser levels could not see, which is short, is most of
+        the energy.
+        """
+        if k > 0 or step > 0 or not self._is_rough:
+            self._corrects_twice = k > 0 or step > 1
+            self._cycle(k)
+            return False
+        level = self.levels[k]
+        self._smooth(0, level, level, *_FOUR[:2])
+        for weight in _FOUR[2:]:
+            self._smooth(2, level, level, weight, weight)
+        return True
+
+    def _take(self, level: Level, energy: float, slow_steps: int) -> tuple[float, float, float]:
+        """Make a move; give the gain that was wanted, that which came of it, and the mean move."""
+        wanted_gain = 0.0
+        if self.guarded:
+            wanted_gain = self._guard(level, energy)
+        elif slow_steps:
+            self._previous = _make_conjugate(level, self._previous)
+        gain, square_move = self.advance(level)
+        if slow_steps and not self.guarded:
+            gain, square_move = self._reach(level, gain, square_move)
+        count = level.rows * level.cols
+        mean_move = float(np.sqrt(square_move / count))
+        self.history.append(Step(count, energy, gain, mean_move))
+        return wanted_gain, gain, mean_move
+
+    def _observe(self, gains: list[float], slow_steps: int) -> None:
+        """Take the rate of the steps to come for the largest ratio of a gain to the one before."""
+        # One lucky step is no proof where progress is slow.
+        last_gains = gains[-4 if slow_steps else -2 :]
+        ratios = [b / a if a else 1.0 for a, b in itertools.pairwise(last_gains)]
+        if ratios:
+            self.rate = float(np.clip(max(ratios), 0.01, 0.95))
+
+    def _is_near(self, gain: float, mean_move: float, least_energy: float) -> bool:
+        """Return whether the excess of energy over the minimum, or the distance, is small enough.
+
+        Both are the steps to come, summed; the distance goes with the root of the energy.
+        """
+        root_rate = np.sqrt(self.rate)
+        distance = mean_move * (root_rate / (1 - root_rate))
+        return gain * self.rate / (1 - self.rate) <= least_energy or distance <= _STILL
 
     def _has_folds(self, level: Level, slow_steps: int) -> bool:
         """Whether cells are folded, which is looked for after every fourth slow step."""
@@ -255,17 +262,8 @@ class Multigrid:
         wanted_gain = _dot(level.force, level.move)
         move_share = np.ones(level.move.shape[1:], np.float32)
         for _ in range(_HALVINGS):
-            if not hold_open(
-                level.xy,
-                level.rest,
-                level.move,
-                move_share,
-                OPEN,
-                self.side,
-                level.cols,
-                1,
-                level.rows,
-            ):
+            mesh = (level.xy, level.rest, level.move, move_share)
+            if not hold_open(*mesh, OPEN, self.side, level.cols, 1, level.rows):
                 break
             # What is next to a node that is held back may not run into it.
             np.minimum(move_share, 2 * ndimage.minimum_filter(move_share, size=3), out=move_share)
@@ -284,30 +282,14 @@ class Multigrid:
 
     def balance(self, level: Level) -> float:
         """Set the forces of a level and give its energy."""
-        self.team.run(
-            forces,
-            level.parts,
-            level.xy,
-            level.rest,
-            level.stiff,
-            level.force,
-            level.sums,
-            level.cols,
-        )
+        arrays = (level.xy, level.rest, level.stiff, level.force, level.sums)
+        self.team.run(forces, level.parts, *arrays, level.cols)
         return float(level.sums[1 : level.rows + 1, 0].sum())
 
     def advance(self, level: Level) -> tuple[float, float]:
         """Move the nodes; give force times move and the squared move, summed over the nodes."""
-        self.team.run(
-            advance,
-            level.parts,
-            level.xy,
-            level.near,
-            level.move,
-            level.force,
-            level.sums,
-            level.cols,
-        )
+        arrays = (level.xy, level.near, level.move, level.force, level.sums)
+        self.team.run(advance, level.parts, *arrays, level.cols)
         work, square_move = level.sums[1 : level.rows + 1].sum(axis=0)
         return float(work), float(square_move)
 
@@ -324,8 +306,8 @@ class Multigrid:
             # thread has no more.
             n_coarser = len(self.levels) - 1 - k
             descent_levels = [*self.levels[k:], *self.levels[-1:] * (7 - n_coarser)]
-            array_names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
-            arrays = [tuple(map(attrgetter(name), descent_levels)) for name in array_names]
+            of_levels = attrgetter("near", "stiff", "ease", "force", "move", "alone", "cols")
+            arrays = zip(*map(of_levels, descent_levels), strict=True)
             node_indices = (1 + index for index in np.nonzero(self._network.mask))
             descend(*arrays, n_coarser, self._exact.inverse, *node_indices, *_TWICE, _ONCE)
             return
@@ -337,40 +319,23 @@ class Multigrid:
         coarse = self.levels[k + 1]
         self._smooth(0, level, level, *_TWICE)
         for _ in range(2 if depth == 1 and self._corrects_twice else 1):
-            self.team.run(
-                restrict,
-                coarse.parts,
-                level.near,
-                level.stiff,
-                level.force,
-                level.move,
-                coarse.force,
-                level.cols,
-                coarse.cols,
-            )
+            arrays = (level.near, level.stiff, level.force, level.move, coarse.force)
+            self.team.run(restrict, coarse.parts, *arrays, level.cols, coarse.cols)
             self._cycle(k + 1, depth + 1)
             self._smooth(1, level, coarse, _ONCE, _ONCE)
 
     def _smooth(
         self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32
     ) -> None:
-        shared_args = (
-            kind,
-            level.near,
-            level.stiff,
-            level.ease,
-            level.force,
-            coarse.move,
-            level.move,
-        )
-        borders = [level.alone]
-        if len(level.parts) > 1:
-            # Rows that two threads share are copied before either of them moves its own.
-            borders = [np.ascontiguousarray(level.move[:, [r0 - 1, r1]]) for r0, r1 in level.parts]
-        calls = [
-            (*shared_args, border_rows, first, weight, level.cols, *rows)
-            for border_rows, rows in zip(borders, level.parts, strict=True)
-        ]
+        fixed = (level.near, level.stiff, level.ease, level.force)
+        borders = level.alone
+        calls: list[tuple[object, ...]] = []
+        for r0, r1 in level.parts:
+            if len(level.parts) > 1:
+                # Rows that two threads share are copied before either of them moves its own.
+                borders = np.ascontiguousarray(level.move[:, [r0 - 1, r1]])
+            moves = (coarse.move, level.move, borders)
+            calls.append((kind, *fixed, *moves, first, weight, level.cols, r0, r1))
         self.team.each(smooth, calls)
 
 

@@ -63,7 +63,7 @@ class Relaxed:
     dropped: Bools  #: (rows, cols): nodes of specks beside the sheet, which were left out.
 
 
-def relax_grid(  # noqa: C901
+def relax_grid(
     points: Floats,
     *,
     method: Method | RelaxationParams = "multigrid",
@@ -110,10 +110,8 @@ def relax_grid(  # noqa: C901
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     _check(points, weights, tolerance, method=method, rest=rest)
-    is_brace = None
-    imputed = dropped = np.zeros(points.shape[:2], dtype=bool)
-    if weights is not None:
-        points, weights, imputed = _impute_doubtful(points, np.asarray(weights, dtype=np.float64))
+    dropped = is_brace = np.zeros(points.shape[:2], dtype=bool)
+    points, weights, imputed = _impute_doubtful(points, weights)
     pitch = mean_pitch(points)
     with Team(count_threads()) as team:
         level, springs, straight_share = make_springs(points, pitch, rest, team)
@@ -124,7 +122,7 @@ def relax_grid(  # noqa: C901
                 pitch = mean_pitch(points)
                 level, springs, straight_share = make_springs(points, pitch, rest, team)
             points, weights, is_brace = _brace(points, weights)
-            if is_brace is not None:
+            if is_brace.any():
                 level = make_springs(points, pitch, rest, team)[0]
         if weights is not None:
             stiffen(level, weights)
@@ -133,25 +131,23 @@ def relax_grid(  # noqa: C901
             steps, outcome, history = _multigrid(level, side, team, tolerance, gaps=has_gaps)
         else:
             steps, outcome, history = _relaxation(level, points, points[..., :2] / pitch, method)
-        if is_brace is not None:
-            stiffen(level, np.where(is_brace, 0.0, 1.0 if weights is None else weights))
+        if weights is not None and is_brace.any():
+            stiffen(level, np.where(is_brace, 0.0, weights))
         energy, n_folded = count_folds(level, team, side)
         level.drop_springs()
         uv = _lay_on_projection(level, points, pitch, team)
-    if is_brace is not None:
-        uv[is_brace] = np.nan
-    # Cells that the step rule held open are as good as folded.
-    floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
+    uv[is_brace] = np.nan
     folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
-    if n_folded or floor:
-        folded = folded_cells(points, uv, side=side, floor=floor)
-    if folded.any() and outcome is Outcome.RESTED:
-        outcome = Outcome.FOLDED
+    if outcome is Outcome.HELD_OPEN:
+        # Cells that the step rule held open are as good as folded.
+        folded = folded_cells(points, uv, side=side, floor=1.5 * OPEN)
+    elif n_folded:
+        folded = folded_cells(points, uv, side=side)
     return Relaxed(
         uv=uv,
         energy=energy * pitch * pitch,
         springs=springs,
-        outcome=outcome,
+        outcome=Outcome.FOLDED if outcome is Outcome.RESTED and folded.any() else outcome,
         steps=steps,
         history=history,
         folded=folded,
@@ -171,7 +167,7 @@ def _check(
     rest: object,
 ) -> None:
     """Refuse arguments that do not fit, all faults in one message."""
-    if points.ndim != 3 or points.shape[2] != 3:
+    if points.shape[2:] != (3,):
         raise CannotFlatten(
             f"Points of shape {points.shape} were given; needed is a grid (rows, cols, 3) of x,"
             " y, z."
@@ -209,10 +205,10 @@ def _drop_specks(points: Floats) -> tuple[Floats, Bools]:
     return np.where((is_node & ~is_dropped)[..., None], points, np.nan), is_dropped
 
 
-def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools | None]:
+def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools]:
     """Add nodes around those that hang loosely on the sheet.
 
-    Give points, weights and the added nodes, if any.
+    Give points, weights and the added nodes.
     """
     is_node = np.asarray(np.isfinite(points).all(axis=-1))
     n = np.count_nonzero(is_node)
@@ -243,7 +239,7 @@ def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | Non
             " apart there, and flatten each by itself."
         )
     if not is_loose.any():
-        return points, weights, None
+        return points, weights, is_loose
     is_brace = ~is_node & ndimage.binary_dilation(
         is_loose, structure=np.ones((3, 3), dtype=bool), iterations=2
     )
@@ -254,21 +250,22 @@ def _first_six(texts: list[str]) -> str:
     return ", ".join(texts[:6]) + " ..." * (len(texts) > 6)
 
 
-def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | None, Bools]:
+def _impute_doubtful(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools]:
     """Impute the nodes of little weight.
 
     Give points, the weights if they differ, and the nodes that are imputed.
     """
+    if weights is None:
+        return points, None, np.zeros(points.shape[:2], dtype=bool)
+    weights = np.asarray(weights, dtype=np.float64)
     is_node = np.isfinite(points).all(axis=-1)
-    if not (
-        np.isfinite(weights[is_node]).all()
-        and (weights[is_node] >= 0).all()
-        and (weights[is_node] > 0).any()
-    ):
+    node_weights = weights[is_node]
+    is_weight = np.isfinite(node_weights) & (node_weights >= 0)
+    if not (is_weight.all() and node_weights.any()):
         raise CannotFlatten(
             "A weight is negative or not finite, or all are 0. Give a confidence from 0 upwards."
         )
-    is_doubtful = is_node & (weights < TRUSTED * np.median(weights[is_node & (weights > 0)]))
+    is_doubtful = is_node & (weights < TRUSTED * np.median(node_weights[node_weights > 0]))
     n_trusted = np.count_nonzero(is_node & ~is_doubtful)
     if n_trusted < 4:
         raise CannotFlatten(
@@ -277,7 +274,7 @@ def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | 
         )
     if is_doubtful.any():
         return (*impute_nodes(points, weights, is_node & ~is_doubtful, is_doubtful), is_doubtful)
-    is_uniform = np.ptp(weights[is_node]) == 0 and weights[is_node][0] == 1
+    is_uniform = np.all(node_weights == 1)
     return points, None if is_uniform else np.where(is_node, weights, 0.0), is_doubtful
 
 
@@ -337,14 +334,10 @@ def _lay_on_projection(level: Level, points: Floats, pitch: float, team: Team) -
     row_sums = np.zeros((level.rows + 2, 7))
     team.run(moments, level.parts, points, 1 / pitch, level.xy, row_sums)
     n_nodes, u, v, p, q, sum_dot, sum_cross = row_sums.sum(axis=0)
-    angle = (
-        np.arctan2(sum_cross - (u * q - v * p) / n_nodes, sum_dot - (u * p + v * q) / n_nodes)
-        if n_nodes
-        else 0.0
-    )
+    n_nodes = max(n_nodes, 1.0)
+    angle = np.arctan2(sum_cross - (u * q - v * p) / n_nodes, sum_dot - (u * p + v * q) / n_nodes)
     cos = float(np.cos(angle))
     sin = float(np.sin(angle))
-    n_nodes = max(n_nodes, 1.0)
     shift = (p - cos * u + sin * v) / n_nodes, (q - sin * u - cos * v) / n_nodes
     team.run(lay_down, level.parts, level.xy, cos, sin, *shift, pitch, level.cols)
     # In place, u and v apart: a copy would cost as much memory as all the corrections.

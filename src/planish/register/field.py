@@ -71,6 +71,7 @@ class _KernelFit(NamedTuple):
     coefficient_cov: Floats  # (a, g, 6, 6): covariance of the six coefficients
     coefficients: Floats  # (a, g, 6): the six coefficients
     misfit: Floats  # (a, g): sum of squares that remains
+    mark_variances: Floats  # (a, g): of one coordinate of a mark
     log_posterior: Floats  # (a, g): logarithm of the restricted likelihood times prior
 
 
@@ -87,7 +88,7 @@ class DeviationField:
         self._all_pairs, self.mirrored = pairs, mirrored
         # (n,), which marks were taken together; more than `MOST` are.
         self.group = _groups(pairs.fixed, MOST)
-        self._pairs = pairs = pairs if len(pairs) <= MOST else _grouped_pairs(pairs, self.group)
+        self._pairs = pairs = _grouped_pairs(pairs, self.group)
         self.middle, self.size = pairs.frame()
         self.nodes = (pairs.moving - self.middle) / self.size
         self._unit = float(np.median(pairs.weights))
@@ -102,16 +103,18 @@ class DeviationField:
         squares = np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)
         self.freedom = 2 * len(pairs) - 4
         floor = (COINCIDENT * float(np.hypot(*self._first[2:4]))) ** 2
-        which = [k for k in range(len(KERNELS)) if mixture is None or mixture[k].any()]
-        kernel_fits = {k: self._fit(KERNELS[k], squares, columns, y, floor) for k in which}
+        kernel_fits = {
+            k: self._fit(kernel, squares, columns, y, floor)
+            for k, kernel in enumerate(KERNELS)
+            if mixture is None or mixture[k].any()
+        }
         if mixture is None:
             mixture = _shares(np.array([v.log_posterior for v in kernel_fits.values()]))
         self.mixture = mixture
-        self._kernel_fits = {k: v for k, v in kernel_fits.items() if self.mixture[k].any()}
-        self._mark_variances = {
-            k: v.misfit / max(self.freedom, 1) for k, v in self._kernel_fits.items()
-        }
-        total = sum(float(np.sum(self.mixture[k] * v)) for k, v in self._mark_variances.items())
+        self._kernel_fits = {k: v for k, v in kernel_fits.items() if mixture[k].any()}
+        total = sum(
+            float(np.sum(mixture[k] * v.mark_variances)) for k, v in self._kernel_fits.items()
+        )
         self.mark_variance = total * self._unit if self.freedom > 0 else float("nan")
 
     def _columns(self, scaled: Floats) -> Floats:
@@ -156,15 +159,21 @@ class DeviationField:
         coefficients = (coefficient_cov @ projected[..., None])[..., 0]
         residual_squares = shrinkage @ (y * y) - np.sum(coefficients * projected, axis=-1)
         misfit = np.maximum(residual_squares, 0.0) + max(self.freedom, 1) * misfit_floor
-        log_posterior = np.broadcast_to(
-            0.5 * np.sum(np.log(shrinkage), axis=1), misfit.shape
-        ).copy()
+        log_posterior = np.tile(0.5 * np.sum(np.log(shrinkage), axis=1), (len(_AFFINE), 1))
         log_posterior[0] -= 0.5 * np.linalg.slogdet(gram[:, :4, :4])[1]
         log_posterior[1:] -= 0.5 * np.linalg.slogdet(penalised)[1] + np.log(_AFFINE[1:, None])
         log_posterior -= 0.5 * self.freedom * np.log(misfit)
         log_posterior += _log_prior(_FIELD) + _log_prior(_AFFINE)[:, None]
         return _KernelFit(
-            eigenvectors, y, design, shrinkage, coefficient_cov, coefficients, misfit, log_posterior
+            eigenvectors,
+            y,
+            design,
+            shrinkage,
+            coefficient_cov,
+            coefficients,
+            misfit,
+            misfit / max(self.freedom, 1),
+            log_posterior,
         )
 
     # --- the map and its errors -------------------------------------------------------------------
@@ -218,7 +227,7 @@ class DeviationField:
         )[0]
         unwhitening = block_diag(*self._whitening.swapaxes(1, 2))
         for k, kernel_fit in self._kernel_fits.items():
-            probabilities, variances = self.mixture[k], self._mark_variances[k]
+            probabilities, variances = self.mixture[k], kernel_fit.mark_variances
             # Rows of which the products with (columns, eigenvectors) are squared and summed.
             root = np.linalg.cholesky(
                 kernel_fit.coefficient_cov + np.diag([0.0, 0, 0, 0, 1e-300, 1e-300])
@@ -381,9 +390,11 @@ def _groups(places: Floats, most: int) -> Ints:
 def _grouped_pairs(pairs: Pairs, group: Ints) -> Pairs:
     """Give one pair for each group: the mean place on either side, and its information.
 
-    Any affine map keeps the mean place.
+    Any affine map keeps the mean place. Pairs of which each is a group by itself stay as they are.
     """
     group_count = int(group.max()) + 1
+    if group_count == len(pairs):
+        return pairs
     weights = pairs.weights
     share = weights / np.bincount(group, weights)[group]
     moving = np.zeros((group_count, 2))

@@ -117,11 +117,7 @@ def fit_transform(
     weighted_pairs = replace(pairs, information=pairs.information * robust_weights[:, None, None])
     fitted_pairs = weighted_pairs.take(weighted_pairs.weights > 0)
     if model == "auto":
-        model = lowest
-        if len(fitted_pairs) >= 6:
-            model = AVERAGED.name
-        elif len(fitted_pairs) >= 3:
-            model = "similarity"
+        model = _model_for(len(fitted_pairs), lowest)
     if field is not None and model == AVERAGED.name:
         transform = AVERAGED.of(field)
     else:
@@ -141,6 +137,13 @@ def fit_transform(
     )
     model_warnings = (*_warn_of_structure(fit), *_warn_of_size(fit)) if inspect else ()
     return replace(fit, warnings=(*_warn_of_marks(fit, repeated_rows), *model_warnings))
+
+
+def _model_for(count: int, lowest: str) -> str:
+    """Name of the model that so many marks allow."""
+    if count >= 6:
+        return AVERAGED.name
+    return "similarity" if count >= 3 else lowest
 
 
 def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.facts import Side
+from planish.core.grid import centres_of
 from planish.core.typing import Floats, Pair
 from planish.register.fit import fit_transform, has_other_unit
 from planish.register.match import Matched, match_by_design, match_marks
@@ -74,7 +75,7 @@ def register_marks(
     for holes, name in zip(sides, names, strict=True):
         need_holes(holes, hole_um, name=name)
     is_facing = seen_from[0] != seen_from[1]
-    moving_um, fixed_um = map(_centres, sides)
+    moving_um, fixed_um = map(centres_of, sides)
     options: dict[str, Any] = params.model_dump(
         include={"scale_tolerance", "tolerance_um", "mirror"}
     )
@@ -122,7 +123,7 @@ def fit_pairs(
         If fewer than 3 pairs are given, or they cannot be used.
     """
     sides, cov_names = (moving, fixed), ("cov_xx", "cov_xy", "cov_yy")
-    source, target = map(_centres, sides)
+    source, target = map(centres_of, sides)
     if len(source) < 3:
         raise MarkError(
             f"{len(source)} control points given, a similarity needs 3 to state its error. Add"
@@ -153,10 +154,6 @@ def fit_pairs(
     return fit
 
 
-def _centres(holes: xr.Dataset) -> Floats:
-    return np.stack([holes["x"].values, holes["y"].values], axis=1).astype(np.float64)
-
-
 def _covariances(holes: xr.Dataset) -> Floats:
     """Covariances (n, 2, 2) of the centres, along x and y."""
     entries = [holes[f"cov_{axes}"].values for axes in ("xx", "xy", "xy", "yy")]
@@ -180,7 +177,7 @@ def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> 
     count = holes.sizes["mark"]
     if count < 3:
         count_text = f"Only {count} hole{'s' * (count > 1)}" if count else "No hole"
-        places_text = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in _centres(holes))
+        places_text = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in centres_of(holes))
         rejected: dict[str, int] = holes.attrs.get("not_taken", {})
         open_count = rejected.get("open", 0) + rejected.get("not_round", 0)
         open_text = ""

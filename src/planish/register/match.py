@@ -121,15 +121,13 @@ def match_marks(
         )
     if count < choice.needed_count:
         raise CannotRegister(f"{sides_text}: {_no_match(choice, smaller_count, mirror)}")
-    if smaller_count == 3:
-        for triangle in (source[choice.pairs[:, 0]], target[choice.pairs[:, 1]]):
-            lengths = np.sort(np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1))
-            if np.diff(lengths).min() < 3.0 * tolerance_um:
-                raise CannotRegister(
-                    f"{sides_text}: three marks match, but two of their three distances are alike"
-                    f" within {3.0 * tolerance_um:g} um, so they could be taken for one another."
-                    f" Add a fourth mark, or {_HINT}."
-                )
+    triangles = (source[choice.pairs[:, 0]], target[choice.pairs[:, 1]])
+    if smaller_count == 3 and any(_has_alike(t, 3.0 * tolerance_um) for t in triangles):
+        raise CannotRegister(
+            f"{sides_text}: three marks match, but two of their three distances are alike within"
+            f" {3.0 * tolerance_um:g} um, so they could be taken for one another. Add a fourth"
+            f" mark, or {_HINT}."
+        )
     rival_chance = min(choice.second_log_chance, mirror_choice.log_chance)
     hint_text = _HINT + ". Without `mirror=True`, only one handedness competes" * mirror
     transform, rms = _fit_choice(
@@ -144,18 +142,8 @@ def match_marks(
         )
     sentence = (
         f"{sides_text}: {count} match ({_similarity_text(transform)}, residual {rms:.1f} um rms);"
-        f" the second-best match has {choice.second_best_count}."
+        f" the second-best match has {choice.second_best_count}.{_caution(choice, smaller_count)}"
     )
-    if choice.stretch >= 0.001 and count >= 6:
-        sentence += (
-            f" One direction is stretched by {100 * choice.stretch:.1f} % against the other: an"
-            " affine fit may be better."
-        )
-    if smaller_count == 3:
-        sentence += (
-            " Three marks only: all match and their distances differ, but one false mark would not"
-            " be noticed."
-        )
     return Matched(
         pairs=choice.pairs,
         transform=transform,
@@ -164,6 +152,26 @@ def match_marks(
         sentence=sentence,
         labels=tuple(f"hole {k + 1}" for k in range(count)),
     )
+
+
+def _has_alike(triangle: Floats, within_um: float) -> bool:
+    lengths = np.sort(np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1))
+    return bool(np.diff(lengths).min() < within_um)
+
+
+def _caution(choice: BestMatch, smaller_count: int) -> str:
+    """Say what to be careful about in a match."""
+    if smaller_count == 3:
+        return (
+            " Three marks only: all match and their distances differ, but one false mark would not"
+            " be noticed."
+        )
+    if choice.stretch >= 0.001 and len(choice.pairs) >= 6:
+        return (
+            f" One direction is stretched by {100 * choice.stretch:.1f} % against the other: an"
+            " affine fit may be better."
+        )
+    return ""
 
 
 def _no_match(choice: BestMatch, smaller_count: int, mirror: bool) -> str:

@@ -188,52 +188,55 @@ def self_likeness(
     is_met = symmetries.squares <= (REACH * tolerance_um) ** 2
     n_met = np.count_nonzero(is_met, axis=1)
     n_common_met = np.count_nonzero(is_met[:, :n_common], axis=1)
-    missing_share = min(0.9, 0.1 + _LOST_OF_ALONE * (count - n_common + 1.0) / (count + 2.0))
-    lost_share = float(
-        np.prod([_LOST_OF_ALONE * (c + 1.0) / (n_common + c + 2.0) for c in alone_counts])
-    )
-    # Where as many partners are missing as in fewer than this share of symmetric patterns, there is
-    # no symmetry.
-    is_plausible = np.array(
-        [_at_least(count - k, count, missing_share) > 1e-3 for k in range(count + 1)]
-    )
-    # The same for marks found on both sides, of whose partners only those lost on both are missing.
-    # A wrong arrangement that agrees well makes losses look rare; the symmetry itself gives what
-    # has to be lost.
-    common_lost_shares = [
-        max(lost_share, (gap / max(n_common + gap, 1)) ** 2) for gap in range(n_common + 1)
-    ]
-    is_plausible_common = np.array(
-        [
-            _at_least(gap, n_common, _NOT_BURNT + p) > 3e-3
-            for gap, p in enumerate(common_lost_shares)
-        ]
-    )
+    is_plausible, is_plausible_common = _plausible_gaps(n_common, alone_counts)
     # How much better than chance a symmetry has to explain the marks before it counts: symmetric
     # patterns are rare among those that people burn, but a wrong match is worse than none. Marks on
     # one line meet by chance so often that what is plausible alone decides.
     evidence_limit = -2.0 if extents(points)[1] > 4.0 * tolerance_um else -8.0
     log_alike = np.array([_lost_alike(count - k, count, alone_counts) for k in range(count + 1)])
-    is_suspect = is_plausible[n_met] & is_plausible_common[n_common - n_common_met]
+    is_suspect = is_plausible[count - n_met] & is_plausible_common[n_common - n_common_met]
     is_suspect &= log_evidence + log_alike[n_met] > evidence_limit
     if not np.any(is_suspect):
         return None
     # The most complete one is the clearest to name.
     worst = int(np.lexsort((-log_evidence, -n_met, ~is_suspect))[0])
-    turn_deg = abs(float(np.degrees(np.angle(symmetries.alpha[worst]))))
-    motion_text = "turned over" if symmetries.mirrored[worst] else f"turned by {turn_deg:.0f} deg"
-    if not symmetries.mirrored[worst] and turn_deg < 5.0:
-        middle = points.mean()
-        moved_point = (
-            symmetries.alpha[worst] * middle
-            + symmetries.gamma[worst] * np.conj(middle)
-            + symmetries.beta[worst]
-        )
-        motion_text = f"shifted by {abs(moved_point - middle):.0f} um"
     return (
         f"of the {count} marks in all, {n_met[worst]} coincide with a mark again when the pattern"
-        f" is {motion_text}"
+        f" is {_motion_text(symmetries, worst, points.mean())}"
     )
+
+
+def _plausible_gaps(n_common: int, alone_counts: tuple[int, int]) -> tuple[Bools, Bools]:
+    """Return how many partners may be missing in a symmetric pattern: of all marks, of the common.
+
+    More are missing in fewer than a small share of such patterns.
+    """
+    count = n_common + sum(alone_counts)
+    missing_share = min(0.9, 0.1 + _LOST_OF_ALONE * (count - n_common + 1.0) / (count + 2.0))
+    is_plausible = [_at_least(gap, count, missing_share) > 1e-3 for gap in range(count + 1)]
+    # The same for marks found on both sides, of whose partners only those lost on both are missing.
+    first_share, second_share = (
+        _LOST_OF_ALONE * (c + 1.0) / (n_common + c + 2.0) for c in alone_counts
+    )
+    is_plausible_common: list[bool] = []
+    for gap in range(n_common + 1):
+        # A wrong arrangement that agrees well makes losses look rare; the symmetry itself gives
+        # what has to be lost.
+        lost_share = max(first_share * second_share, (gap / max(n_common + gap, 1)) ** 2)
+        is_plausible_common.append(_at_least(gap, n_common, _NOT_BURNT + lost_share) > 3e-3)
+    return np.array(is_plausible), np.array(is_plausible_common)
+
+
+def _motion_text(symmetries: Arrangements, row: int, middle: complex) -> str:
+    """Say how a symmetry moves the pattern."""
+    alpha = symmetries.alpha[row]
+    turn_deg = abs(float(np.degrees(np.angle(alpha))))
+    if symmetries.mirrored[row]:
+        return "turned over"
+    if turn_deg >= 5.0:
+        return f"turned by {turn_deg:.0f} deg"
+    moved = alpha * middle + symmetries.gamma[row] * np.conj(middle) + symmetries.beta[row]
+    return f"shifted by {abs(moved - middle):.0f} um"
 
 
 def _log_evidence(

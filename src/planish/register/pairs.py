@@ -91,7 +91,7 @@ def as_complex(points: Floats, mirrored: bool) -> Complexes:
     return (-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]
 
 
-def check_pairs(  # noqa: C901
+def check_pairs(
     moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None
 ) -> tuple[Pairs, Ints]:
     """Bring marks and weights into one form; MarkError names all their faults.
@@ -100,8 +100,6 @@ def check_pairs(  # noqa: C901
     than two pairs, a mark with two partners, all marks at one place. A pair given again counts
     once: the numbers of the others are returned.
     """
-    from scipy.spatial import KDTree
-
     sides = {"moving": points_of(moving, "moving marks"), "fixed": points_of(fixed, "fixed marks")}
     source, target = sides.values()
     if len(source) != len(target):
@@ -137,6 +135,15 @@ def check_pairs(  # noqa: C901
                 f"All {used.size} {name} marks lie at ({x:g}, {y:g}) um; at least two places are"
                 " needed."
             )
+    repeated = _repeated(sides, used, coincidence_um)
+    pairs.information[repeated] = 0.0
+    return pairs, repeated
+
+
+def _repeated(sides: dict[str, Floats], used: Ints, coincidence_um: dict[str, float]) -> Ints:
+    """Rows that repeat earlier ones; MarkError where they do so on one side alone."""
+    from scipy.spatial import KDTree
+
     repeated_rows: set[int] = set()
     for (name, points), (other_name, partners) in zip(
         sides.items(), reversed(sides.items()), strict=True
@@ -152,9 +159,7 @@ def check_pairs(  # noqa: C901
                     " wrong: correct or remove it."
                 )
             repeated_rows.add(int(second_row))
-    repeated = np.array(sorted(repeated_rows), dtype=np.intp)
-    pairs.information[repeated] = 0.0
-    return pairs, repeated
+    return np.array(sorted(repeated_rows), dtype=np.intp)
 
 
 def listed(rows: Sequence[int] | Ints) -> str:

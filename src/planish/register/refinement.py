@@ -379,7 +379,7 @@ def _prepare(
             f"The maps have the shapes {linked.shape} and {image.shape}. Link them first: a"
             " refinement needs maps and mask on one grid."
         )
-    if not all(math.isfinite(v) and v > 0 for v in (*pixel_um, grid_um)):
+    if not all(0 < v < math.inf for v in (*pixel_um, grid_um)):
         raise SizeError(f"Pixel {pixel_um} um and mesh {grid_um} um: positive lengths are needed.")
     maps = [
         np.where(np.isfinite(m) & is_allowed, m, np.nan).astype(np.float64) for m in (linked, image)
@@ -394,12 +394,15 @@ def _prepare(
         raise CannotRegister(
             f"{count} pixels are known in both maps; a refinement needs 400. Keep the marks only."
         )
-    filled: list[Floats] = []
-    for values, mask in zip(maps, masks, strict=True):
-        sd = values[mask].std()
-        if float(sd) == 0:
-            raise CannotRegister(
-                "One of the maps is constant: nothing can be refined on it. Keep the marks only."
-            )
-        filled.append(np.where(mask, (values - values[mask].mean()) / sd, 0.0))
+    filled = [_standardised(values, mask) for values, mask in zip(maps, masks, strict=True)]
     return filled, masks, (factor * pixel_um[0], factor * pixel_um[1]), first_um
+
+
+def _standardised(values: Floats, mask: Bools) -> Floats:
+    """Values of mean 0 and standard deviation 1; 0 outside the mask."""
+    sd = values[mask].std()
+    if float(sd) == 0:
+        raise CannotRegister(
+            "One of the maps is constant: nothing can be refined on it. Keep the marks only."
+        )
+    return np.where(mask, (values - values[mask].mean()) / sd, 0.0)

@@ -27,6 +27,29 @@ def _place(number, wb, wc, cols):
 
 
 @njit(cache=True, nogil=True)
+def _on_target(uv, i, j, first, pitch):
+    """Place of a node in pixels of the target."""
+    return (uv[i, j, 0] - first[0]) * (1.0 / pitch[0]), (uv[i, j, 1] - first[1]) * (1.0 / pitch[1])
+
+
+@njit(cache=True, nogil=True)
+def _weights(area, nb, nc):
+    """Weights of a triangle's second and third corner, from these times the area; -1 outside."""
+    if area < 0.0:
+        area, nb, nc = -area, -nb, -nc
+    slack = _EDGE * area
+    # The area is divided by only where it is known that the pixel is inside.
+    if not (area > 0.0 and nb >= -slack and nc >= -slack and nb + nc <= area + slack):
+        return -1.0, -1.0
+    inverse = 1.0 / area
+    wb = max(nb * inverse, 0.0)
+    wc = max(nc * inverse, 0.0)
+    if wb + wc > 1.0:
+        wb, wc = wb / (wb + wc), wc / (wb + wc)
+    return wb, wc
+
+
+@njit(cache=True, nogil=True)
 def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin, end):  # noqa: C901, PLR0912
     """Find, for every pixel of a regular grid, the triangle of a quad mesh that it lies in.
 
@@ -48,7 +71,6 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
     """
     rows, cols = uv.shape[:2]
     width = triangle.shape[1]
-    first_u, first_v, per_u, per_v = first[0], first[1], 1.0 / pitch[0], 1.0 / pitch[1]
     count = 0
     for y in range(begin, end):
         for x in range(width):
@@ -62,18 +84,12 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
                 continue
             start = s * segment
             # Corners of the quad: a = 0, b = 1, c = 2, d = 3; b and c are a and d of the next one.
-            bx, by = (uv[i, start, 0] - first_u) * per_u, (uv[i, start, 1] - first_v) * per_v
-            cx, cy = (
-                (uv[i + 1, start, 0] - first_u) * per_u,
-                (uv[i + 1, start, 1] - first_v) * per_v,
-            )
+            bx, by = _on_target(uv, i, start, first, pitch)
+            cx, cy = _on_target(uv, i + 1, start, first, pitch)
             for j in range(start, min(start + segment, cols - 1)):
                 ax, ay, dx, dy = bx, by, cx, cy
-                bx, by = (uv[i, j + 1, 0] - first_u) * per_u, (uv[i, j + 1, 1] - first_v) * per_v
-                cx, cy = (
-                    (uv[i + 1, j + 1, 0] - first_u) * per_u,
-                    (uv[i + 1, j + 1, 1] - first_v) * per_v,
-                )
+                bx, by = _on_target(uv, i, j + 1, first, pitch)
+                cx, cy = _on_target(uv, i + 1, j + 1, first, pitch)
                 total = (ax + bx) + (cx + dx) + ((ay + by) + (cy + dy))
                 if total - total != 0.0:  # a corner is missing
                     continue
@@ -95,31 +111,13 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
                     for x in range(int(left), int(right) + 1):
                         p = x - ax
                         across = p * fy - fx * q
-                        # Weights times the area, which is divided by only where it is known that
-                        # the pixel is inside.
-                        t, area, nb, nc = 0, upper, across, ex * q - p * ey
-                        if area < 0.0:
-                            area, nb, nc = -area, -nb, -nc
-                        slack = _EDGE * area
-                        if not (
-                            area > 0.0 and nb >= -slack and nc >= -slack and nb + nc <= area + slack
-                        ):
-                            t, area, nb, nc = 1, lower, p * gy - gx * q, -across
-                            if area < 0.0:
-                                area, nb, nc = -area, -nb, -nc
-                            slack = _EDGE * area
-                            if not (
-                                area > 0.0
-                                and nb >= -slack
-                                and nc >= -slack
-                                and nb + nc <= area + slack
-                            ):
-                                continue
-                        inverse = 1.0 / area
-                        wb = max(nb * inverse, 0.0)
-                        wc = max(nc * inverse, 0.0)
-                        if wb + wc > 1.0:
-                            wb, wc = wb / (wb + wc), wc / (wb + wc)
+                        t = 0
+                        wb, wc = _weights(upper, across, ex * q - p * ey)
+                        if wb < 0.0:
+                            t = 1
+                            wb, wc = _weights(lower, p * gy - gx * q, -across)
+                        if wb < 0.0:
+                            continue
                         if triangle[y, x] < 0:
                             triangle[y, x] = number + t
                             weight[0, y, x] = wb
@@ -201,6 +199,16 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
 
 
 @njit(cache=True, nogil=True)
+def _sum_of(nodes, weights):
+    """Sum of four places, (x, y), with their weights."""
+    x = y = 0.0
+    for a in range(4):
+        x += nodes[a, 0] * weights[a]
+        y += nodes[a, 1] * weights[a]
+    return x, y
+
+
+@njit(cache=True, nogil=True)
 def interpolate(image, nodes, down, across, least, out):
     """Set ``out`` to bilinear values of an image at places that are polynomials.
 
@@ -215,21 +223,11 @@ def interpolate(image, nodes, down, across, least, out):
     """
     height, width = image.shape
     for r in range(out.shape[0]):
-        x0, x1, x2, x3, y0, y1, y2, y3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        in_row = np.zeros((4, 2))
         for a in range(4):
-            w = down[r, a]
-            x0 += w * nodes[a, 0, 0]
-            x1 += w * nodes[a, 1, 0]
-            x2 += w * nodes[a, 2, 0]
-            x3 += w * nodes[a, 3, 0]
-            y0 += w * nodes[a, 0, 1]
-            y1 += w * nodes[a, 1, 1]
-            y2 += w * nodes[a, 2, 1]
-            y3 += w * nodes[a, 3, 1]
+            in_row += down[r, a] * nodes[a]
         for c in range(out.shape[1]):
-            u0, u1, u2, u3 = across[c, 0], across[c, 1], across[c, 2], across[c, 3]
-            x = x0 * u0 + x1 * u1 + x2 * u2 + x3 * u3
-            y = y0 * u0 + y1 * u1 + y2 * u2 + y3 * u3
+            x, y = _sum_of(in_row, across[c])
             left = int(np.floor(x))
             top = int(np.floor(y))
             fx, fy = x - left, y - top

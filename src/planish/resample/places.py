@@ -109,7 +109,7 @@ def find_places(
             f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size."
         )
     # Two triangles per node are numbered in 32 bits.
-    if uv.ndim != 3 or uv.shape[2] != 2 or uv.shape[0] * uv.shape[1] > 2**30:
+    if uv.shape[2:] != (2,) or uv.shape[0] * uv.shape[1] > 2**30:
         raise SurfaceError(
             f"The flat coordinates have the shape {uv.shape}; (rows, cols, 2) is needed, with 2^30"
             " nodes at most."
@@ -131,20 +131,10 @@ def find_places(
         segment_low, segment_high = _extents(uv[..., 1], first[1], step[1])
         is_double = np.zeros(size, np.uint8)
 
+        extents = (_SEGMENT, segment_low, segment_high)
+
         def band(begin: int, end: int) -> int:
-            return locate(
-                uv,
-                first,
-                step,
-                _SEGMENT,
-                segment_low,
-                segment_high,
-                triangle,
-                weight,
-                is_double,
-                begin,
-                end,
-            )
+            return locate(uv, first, step, *extents, triangle, weight, is_double, begin, end)
 
         overlaps = sum(each_band(band, size[0]))
     return Places(

@@ -99,28 +99,7 @@ def warp_image(
     ones as NaN.
     """
     shape, size = grid.shape, image.shape
-    if image.ndim != 2 or min(size) < 1 or image.dtype.kind != "f":
-        raise InputError(
-            f"The image has the shape {size} and {image.dtype} values; (rows, cols) of floats is"
-            " needed."
-        )
-    if min(shape) < 1 or not np.isfinite(grid.origin_um).all():
-        raise SizeError(
-            f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size and the"
-            " origin."
-        )
-    for image_name, (rows, cols) in (("image", pixel_um), ("target", grid.pixel_um)):
-        if not (0 < rows < np.inf and 0 < cols < np.inf):
-            raise SizeError(
-                f"The pixel size of the {image_name} is {rows:g} x {cols:g} um. Give positive"
-                " numbers."
-            )
-    needed = shape[0] * shape[1] * image.dtype.itemsize
-    if needed > memory_bytes:
-        raise ResourceError(
-            f"The warped image needs {needed / 1e9:.2f} GB of memory, {memory_bytes / 1e9:.2f} GB"
-            " are allowed. Allow more, or warp to a smaller or coarser grid."
-        )
+    _check(image, grid, pixel_um, memory_bytes)
 
     def mapping(points: Floats) -> Floats:
         points_um = points * grid.pixel_um[::-1] + grid.origin_um
@@ -144,6 +123,33 @@ def warp_image(
         f" {height_um:.0f} um high: nothing overlaps. Check the pixel sizes and the origin, and"
         " that the transformation goes from target to image (else use its inverse)."
     )
+
+
+def _check(image: NDArray[np.floating[Any]], grid: Grid, pixel_um: Pair, memory_bytes: int) -> None:
+    """Refuse what cannot be warped."""
+    shape, size = grid.shape, image.shape
+    if image.ndim != 2 or min(size) < 1 or image.dtype.kind != "f":
+        raise InputError(
+            f"The image has the shape {size} and {image.dtype} values; (rows, cols) of floats is"
+            " needed."
+        )
+    if min(shape) < 1 or not np.isfinite(grid.origin_um).all():
+        raise SizeError(
+            f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size and the"
+            " origin."
+        )
+    for image_name, (rows, cols) in (("image", pixel_um), ("target", grid.pixel_um)):
+        if not (0 < rows < np.inf and 0 < cols < np.inf):
+            raise SizeError(
+                f"The pixel size of the {image_name} is {rows:g} x {cols:g} um. Give positive"
+                " numbers."
+            )
+    needed = shape[0] * shape[1] * image.dtype.itemsize
+    if needed > memory_bytes:
+        raise ResourceError(
+            f"The warped image needs {needed / 1e9:.2f} GB of memory, {memory_bytes / 1e9:.2f} GB"
+            " are allowed. Allow more, or warp to a smaller or coarser grid."
+        )
 
 
 def _warp_tile(image: Array, mapping: Mapping, out: Array, tile: Tile) -> None:

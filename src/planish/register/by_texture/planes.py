@@ -11,10 +11,10 @@ import xarray as xr
 from planish.core.area import common_means
 from planish.core.errors import InputError
 from planish.core.facts import Side
-from planish.core.grid import Grid, hole_mask
+from planish.core.grid import Grid, centres_of, hole_mask
 from planish.core.older_names import height_map
 from planish.core.transform import Similarity
-from planish.core.typing import Array, Bools, Floats, Pair
+from planish.core.typing import Array, Bools, Floats
 from planish.register.by_texture.rotations import BAND_UM
 from planish.texture.length_unit import length_unit_um
 from planish.texture.textures import Textures, textures
@@ -49,10 +49,8 @@ class TexturedPlane:
             grid = Grid.of(layer)
             valid = None
             if holes is not None and holes.sizes["mark"]:
-                centres_um = np.stack([holes["x"].values, holes["y"].values], axis=1)
-                valid = ~hole_mask(
-                    grid, centres_um, 0.5 * holes["diameter"].values + unit_um * _RIM_UM
-                )
+                radii_um = 0.5 * holes["diameter"].values + unit_um * _RIM_UM
+                valid = ~hole_mask(grid, centres_of(holes), radii_um)
             plane = cls(maps={"image": layer.values}, face={}, valid=valid, grid=grid)
             return plane.scaled(1.0 / unit_um)
         names = (f"coating_{side}", "base_thickness", "thickness")
@@ -66,7 +64,8 @@ class TexturedPlane:
                 "The maps hold no thickness whose texture could be searched. Measure one"
                 " (`property`)."
             )
-        face = {name: layer[name].values for name in (height_map(side, layer),) if name in layer}
+        heights = height_map(side, layer)
+        face = {heights: layer[heights].values} if heights in layer else {}
         valid = layer["valid"].values if "valid" in layer else None
         plane = cls(maps=maps, face=face, valid=valid, grid=Grid.of(layer))
         return plane.scaled(1.0 / unit_um)
@@ -99,20 +98,13 @@ class TexturedPlane:
 
     def part(self, low_um: Floats, high_um: Floats) -> TexturedPlane:
         """What lies between two places ``(x, y)``."""
-        rows, cols = (
-            slice(*np.searchsorted(axis, [low, high]).tolist())
-            for axis, low, high in zip(
-                (self.grid.y_um, self.grid.x_um), low_um[::-1], high_um[::-1], strict=True
-            )
-        )
-
-        def cut(values: Array) -> Array:
-            return values[rows, cols]
-
+        (left, upper), (right, lower) = low_um, high_um
+        rows = slice(*np.searchsorted(self.grid.y_um, [upper, lower]).tolist())
+        cols = slice(*np.searchsorted(self.grid.x_um, [left, right]).tolist())
         return TexturedPlane(
-            maps={k: cut(m) for k, m in self.maps.items()},
-            face={k: cut(m) for k, m in self.face.items()},
-            valid=None if self.valid is None else cut(self.valid),
+            maps={k: m[rows, cols] for k, m in self.maps.items()},
+            face={k: m[rows, cols] for k, m in self.face.items()},
+            valid=None if self.valid is None else self.valid[rows, cols],
             grid=self.grid.part(rows, cols),
         )
 
@@ -127,22 +119,21 @@ class TexturedPlane:
         faces = self.face if slopes else {}
         for name, heights in faces.items():
             # With noise on them, slopes would take up less of the light than there is.
-            is_valid = (
-                np.isfinite(heights) if self.valid is None else np.isfinite(heights) & self.valid
-            )
+            is_valid = np.logical_and.reduce([np.isfinite(heights), *masks])
             shown_maps[name] = without_white_noise(heights, is_valid)
         shown = {
             k: common_means([m], (factors[0], factors[1]), masks=masks)[0]
             for k, m in shown_maps.items()
         }
-        coarse_um: Pair = factors[0] * self.grid.pixel_um[0], factors[1] * self.grid.pixel_um[1]
+        row_um, col_um = self.grid.pixel_um
+        coarse_um = factors[0] * row_um, factors[1] * col_um
         is_known = np.any([np.isfinite(m) for m in shown.values()], axis=0)
-        first = [0.5 * (c - p) for c, p in zip(coarse_um, self.grid.pixel_um, strict=True)]
+        first = [0.5 * (coarse_um[1] - col_um), 0.5 * (coarse_um[0] - row_um)]
         layer = textures(shown, is_known, coarse_um, band_um=BAND_UM, most_pixels=np.inf)
         for name in faces.keys() & layer.maps.keys():
             # Light spreads in paper: an image shows short waves of slopes less than long ones.
             layer = layer.with_slopes(name).halved(f"{name}_x", f"{name}_y")
-        return layer, np.array(self.grid.origin_um) + first[::-1]
+        return layer, np.array(self.grid.origin_um) + first
 
 
 class PlanePair(NamedTuple):

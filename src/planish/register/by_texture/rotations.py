@@ -257,11 +257,7 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: i
     probability = 1.0
     if len(unrelated) >= _LEAST_ROTATIONS:
         probability = _exceeded(z(best), np.array([z(p) for p in unrelated]))
-    finest = best
-    for turn, scales in steps.about(best.turn):
-        finer = [p for p in scanner.peaks(turn, scales, best.near) if p.names == best.names]
-        finest = max(finest, *finer, key=z)
-    candidates = [scanner.candidate(finest, z(best))]
+    candidates = [scanner.candidate(_finest(scanner, steps, best), z(best))]
     for peak in sorted((*best_of_cells[1:], *scanner.rivals(best)), key=z, reverse=True):
         other = scanner.candidate(peak, z(peak))
         if not any(scanner.are_one(c, other) for c in candidates):
@@ -271,6 +267,14 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: i
     return PlaceSearch(
         candidates=tuple(candidates), false_probability=min(looks * probability, 1.0)
     )
+
+
+def _finest(scanner: _Scanner, steps: _Steps, best: _Peak) -> _Peak:
+    """The highest peak of the best one's maps, between the steps too."""
+    peaks = [best]
+    for turn, scales in steps.about(best.turn):
+        peaks += [p for p in scanner.peaks(turn, scales, best.near) if p.names == best.names]
+    return max(peaks, key=lambda peak: abs(peak.height))
 
 
 def _exceeded(z: float, chance_z: Floats) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import CannotRegister, InputError
+from planish.core.grid import centres_of
 from planish.core.text import plain_numbers
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Pair, pair_of
@@ -37,6 +38,7 @@ from planish.register.by_texture.rotations import (
 )
 from planish.register.fit import fit_transform
 from planish.register.params import RegistrationParams
+from planish.texture.textures import Textures
 
 _SEARCH_UM, _FINE_UM = 20.0, 8.0  # pixels: at 36 um a weak texture is at chance
 _SEARCHED_UM = 5000.0  # of the middle of a sheet: it says enough
@@ -126,34 +128,33 @@ def _nears(
     The order is about a given place, where a hole lies on a hole, everywhere.
     """
     if params.near is not None:
-        x, y, *radius = params.near
-        usual_um = layers.unit_um * _NEAR_UM
-        radius_um = radius[0] if radius else usual_um
-        if radius_um <= 0:
-            raise InputError(
-                f"The radius of `near` is {radius_um:g} um. Give one above 0, such as {usual_um:g}."
-            )
-        x, y, radius_um = (length_um / layers.unit_um for length_um in (x, y, radius_um))
-        if layers.swapped:  # the middle of the second layer lies there in the first one
-            middle_um = pair_of(layers.b.middle_um)
-            yield [Near(fixed_um=middle_um, radius_um=radius_um, moving_um=(x, y))]
-        else:
-            yield [Near(fixed_um=(x, y), radius_um=radius_um)]
+        yield [_given_near(layers, params.near)]
         return
     if holes is not None and all(1 <= h.sizes["mark"] <= _FEW_HOLES for h in holes):
         first, second = reversed(holes) if layers.swapped else holes
+        centres = (map(pair_of, centres_of(h) / layers.unit_um) for h in (first, second))
         yield [
             Near(fixed_um=b_um, radius_um=_HOLE_UM, moving_um=a_um)
-            for a_um, b_um in product(
-                _centres_of(first, layers.unit_um), _centres_of(second, layers.unit_um)
-            )
+            for a_um, b_um in product(*centres)
         ]
     yield ()
 
 
-def _centres_of(holes: xr.Dataset, unit_um: float) -> list[Pair]:
-    x, y = ((holes[axis].values / unit_um).tolist() for axis in ("x", "y"))
-    return list(zip(x, y, strict=True))
+def _given_near(layers: PlanePair, near: Sequence[float]) -> Near:
+    """The place that the user gives, with or without a radius."""
+    x, y, *radius = near
+    usual_um = layers.unit_um * _NEAR_UM
+    radius_um = radius[0] if radius else usual_um
+    if radius_um <= 0:
+        raise InputError(
+            f"The radius of `near` is {radius_um:g} um. Give one above 0, such as {usual_um:g}."
+        )
+    x, y, radius_um = (length_um / layers.unit_um for length_um in (x, y, radius_um))
+    if not layers.swapped:
+        return Near(fixed_um=(x, y), radius_um=radius_um)
+    # The middle of the second layer lies there in the first one.
+    middle_um = pair_of(layers.b.middle_um)
+    return Near(fixed_um=middle_um, radius_um=radius_um, moving_um=(x, y))
 
 
 def _searched(
@@ -186,18 +187,7 @@ def _searched(
                 "A layer shows no texture: it is empty, or none of it is valid. Check both files."
             )
         places = [_of_textures(n, a, a_first, b_first, guess) for n in near]
-        if b_texture.area_um2 < a_texture.area_um2:
-            inverse = [
-                Near(fixed_um=n.moving_um or (0, 0), radius_um=n.radius_um, moving_um=n.fixed_um)
-                for n in places
-            ]
-            search = search_place(
-                b_texture, a_texture, mirrored=mirrored, scale_tolerance=tolerance, near=inverse
-            ).inverse
-        else:
-            search = search_place(
-                a_texture, b_texture, mirrored=mirrored, scale_tolerance=tolerance, near=places
-            )
+        search = _smaller_in_larger(a_texture, b_texture, mirrored, tolerance, places)
         probability = min(looks * len(guesses) * search.false_probability, 1.0)
         if best is None or probability < best.search.false_probability:
             places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
@@ -210,6 +200,17 @@ def _searched(
             break
     assert best is not None
     return best
+
+
+def _smaller_in_larger(
+    a: Textures, b: Textures, mirrored: bool | None, tolerance: float, near: Sequence[Near]
+) -> PlaceSearch:
+    """Search for the places of the first layer in the second one, or the other way round."""
+    if b.area_um2 >= a.area_um2:
+        return search_place(a, b, mirrored=mirrored, scale_tolerance=tolerance, near=near)
+    inverse = [replace(n, fixed_um=n.moving_um or (0, 0), moving_um=n.fixed_um) for n in near]
+    search = search_place(b, a, mirrored=mirrored, scale_tolerance=tolerance, near=inverse)
+    return search.inverse
 
 
 def _seen_from(
@@ -284,10 +285,12 @@ def tiles_near(
     # Two sheets are compared map by map; an image shows the other maps, too.
     other_maps = tuple(k for k in a.maps if has_light and k in moving.maps and k != names[0])
     with_light = (*other_maps, *light)
-    if off_um and light:
-        reach_um = off_um + BAND_UM[1] / 4
-        place = shifted_place(moving, fixed, names, place, reach_um=reach_um, other_maps=with_light)
     if off_um:
+        reach_um = off_um + BAND_UM[1] / 4
+        if light:
+            place = shifted_place(
+                moving, fixed, names, place, reach_um=reach_um, other_maps=with_light
+            )
         place = tuned_place(moving, fixed, names, place, reach_um=off_um, other_maps=with_light)
     tiles_at = partial(tile_places, moving, fixed, names, other_maps=other_maps, light=light)
     tiles = tiles_at(place)
