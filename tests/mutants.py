@@ -134,9 +134,9 @@ MUTANTS = [
     Mutant("io/sections.py", "if len(kinds) > 1:", "if len(kinds) > 2:", "io/test_sections.py"),
     # surface
     Mutant(
-        "surface/faces.py",
-        '("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")',
-        '("top", "bottom")',
+        "core/frame.py",
+        '"top" if from_high == (self.top == "high") else "bottom"',
+        '"top" if from_high else "bottom"',
         "surface/test_any_sheet.py surface/test_find.py",
     ),
     Mutant(

@@ -21,6 +21,7 @@ from planish.core.errors import InputError, check_choice
 if TYPE_CHECKING:
     import xarray as xr
 
+    from planish.core.facts import Side
     from planish.core.lazy import LazyArray
     from planish.core.typing import Array, Floats
 
@@ -57,6 +58,10 @@ class Frame:
     def sign(self) -> float:
         """Factor on heights that makes the top the larger one."""
         return 1.0 if self.top == "high" else -1.0
+
+    def side_at(self, *, from_high: bool) -> Side:
+        """Name the side of the sheet at the high end of the axis through it, or at the low end."""
+        return "top" if from_high == (self.top == "high") else "bottom"
 
     @property
     def mirrored(self) -> bool:

@@ -9,7 +9,7 @@ from math import ceil, floor, isfinite
 import numpy as np
 
 from planish.core.jit import njit
-from planish.surface._fit_kernels import _bell, _step
+from planish.surface._fit_kernels import _bell, _step, is_finite
 
 _PER_VOXEL = 4  # places that are tried
 _RIDGE = 1e-6
@@ -90,15 +90,11 @@ def draw_edges(
         w = width[k]
         lo = int(floor(expected[k] - band[k] - 3.0 * w))
         hi = int(ceil(expected[k] + band[k] + 3.0 * w))
-        if not isfinite(expected[k]) or lo < 0 or hi > g.size - 1:
+        if not isfinite(expected[k]) or lo < 0 or hi > g.size - 1 or not is_finite(g, lo, hi):
             continue
-        fine = True
         mean = 0.0
         for d in range(lo, hi + 1):
-            fine = fine and isfinite(g[d])
             mean += g[d]
-        if not fine:
-            continue
         mean /= hi - lo + 1
         flat = 0.0
         for d in range(lo, hi + 1):

@@ -56,6 +56,19 @@ def _bell(x):
     return exp(-0.5 * x * x) / _ROOT2PI
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _edge(x, w, fringe, ratio):
+    """Return the blurred edge with its fringe, x widths from it, and its slope."""
+    value, slope = _step(x)
+    slope /= w
+    if fringe is not None:
+        y = ratio * x
+        part = fringe * _bell(y)
+        value += y * part
+        slope += ratio * (1.0 - y * y) * part / w
+    return value, slope
+
+
 @njit(cache=True, nogil=True)
 def _solve4(m, r, n):
     """Solve the symmetric positive system m[:n, :n] x = r[:n] in place by Cholesky.
@@ -87,7 +100,7 @@ def _solve4(m, r, n):
 
 
 @njit(cache=True, nogil=True)
-def evaluate(  # noqa: C901, PLR0912
+def evaluate(
     g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio, wall, depth
 ):
     """Return the cost at p.
@@ -100,21 +113,9 @@ def evaluate(  # noqa: C901, PLR0912
     scale = 1.0 / (noise * noise)
     face, inside, coat, base = p[0], p[0] + p[1], p[2], p[3]
     for d in range(lo, hi + 1):
-        x = (d - face) / w
-        outer, bell = _step(x)
-        bell /= w
-        if fringe is not None:
-            y = ratio * x
-            part = fringe * _bell(y)
-            outer, bell = outer + y * part, bell + ratio * (1.0 - y * y) * part / w
+        outer, bell = _edge((d - face) / w, w, fringe, ratio)
         if coated:
-            x = (d - inside) / w
-            j3, inner = _step(x)
-            inner /= w
-            if fringe is not None:
-                y = ratio * x
-                part = fringe * _bell(y)
-                j3, inner = j3 + y * part, inner + ratio * (1.0 - y * y) * part / w
+            j3, inner = _edge((d - inside) / w, w, fringe, ratio)
             e = g[d] - (air + (coat - air) * outer + (base + wall - coat) * j3)
             j1 = -(base + wall - coat) * inner
             if wall > 0.0:
@@ -149,12 +150,8 @@ def evaluate(  # noqa: C901, PLR0912
     matrix[0, 0] = scale * m00
     matrix[1, 0], matrix[1, 1] = scale * m10, scale * m11
     matrix[2, 0], matrix[2, 1], matrix[2, 2] = scale * m20, scale * m21, scale * m22
-    matrix[3, 0], matrix[3, 1], matrix[3, 2], matrix[3, 3] = (
-        scale * m30,
-        scale * m31,
-        scale * m32,
-        scale * m33,
-    )
+    matrix[3, 0], matrix[3, 1] = scale * m30, scale * m31
+    matrix[3, 2], matrix[3, 3] = scale * m32, scale * m33
     for i in range(4):
         if spread[i] > 0.0:
             k = 1.0 / (spread[i] * spread[i])
@@ -165,10 +162,7 @@ def evaluate(  # noqa: C901, PLR0912
     for i in range(4):
         if spread[i] < 0.0 or (not coated and i == 1):
             for j in range(4):
-                if j <= i:
-                    matrix[i, j] = 0.0
-                else:
-                    matrix[j, i] = 0.0
+                matrix[max(i, j), min(i, j)] = 0.0
             matrix[i, i] = 1.0
             step[i] = 0.0
     return cost
@@ -200,9 +194,25 @@ def fit_column(  # noqa: C901
     """
     damping = 1e-3
     old = np.empty((6, 4))  # matrix, step and p before a trial
-    cost = evaluate(
-        g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio, wall, depth
+    problem = (
+        g,
+        lo,
+        hi,
+        air,
+        noise,
+        w,
+        p,
+        prior,
+        spread,
+        coated,
+        matrix,
+        step,
+        fringe,
+        ratio,
+        wall,
+        depth,
     )
+    cost = evaluate(*problem)
     for _ in range(_STEPS):
         for i in range(4):
             for j in range(i + 1):
@@ -218,24 +228,7 @@ def fit_column(  # noqa: C901
         for i in range(4):
             p[i] += step[i]
         p[1] = max(p[1], 0.0)
-        new = evaluate(
-            g,
-            lo,
-            hi,
-            air,
-            noise,
-            w,
-            p,
-            prior,
-            spread,
-            coated,
-            matrix,
-            step,
-            fringe,
-            ratio,
-            wall,
-            depth,
-        )
+        new = evaluate(*problem)
         if new <= cost:
             cost = new
             damping *= 0.1
@@ -318,6 +311,15 @@ def _guess(g, d0, air, w, middle, prior, coated):
 
 
 @njit(cache=True, nogil=True)
+def is_finite(g, lo, hi):
+    """Whether all of g[lo:hi+1] is finite."""
+    finite = True
+    for d in range(lo, hi + 1):
+        finite = finite and isfinite(g[d])
+    return finite
+
+
+@njit(cache=True, nogil=True)
 def fit_faces(  # noqa: C901, PLR0912
     slab,
     expected,
@@ -380,16 +382,14 @@ def fit_faces(  # noqa: C901, PLR0912
     # Where the noise is as strong as half of the base, the coating or a wall passes more.
     if coated:
         base_level = max(base_level, air + min(2.5 * noise, 0.25 * (prior[2] - air)))
+    result[:] = np.nan
     for i in range(rows):
         for j in range(cols):
-            for n in range(5):
-                result[n, i, j] = np.nan
             e = expected[i, j]
             if not isfinite(e):
                 continue
             if reverse:
-                for d in range(depth):
-                    g[d] = slab[i, j, depth - 1 - d]
+                g[:] = slab[i, j, ::-1]
             else:
                 g = slab[i, j]
             w = width / tilt[i, j]
@@ -421,14 +421,12 @@ def fit_faces(  # noqa: C901, PLR0912
                 hi = max(min(hi, int(deepest) + 1), min(int(h0 + 2.0 * v) + 2, depth - 1))
                 if amid > 0.0:  # few samples are left where the gap is narrow
                     hi = max(hi, min(lo + 5, int(middle) + 1, depth - 1))
-                fine = True
-                for d in range(lo, hi + 1):
-                    fine = fine and isfinite(g[d])
                 # Near an end of the column two widths of the blur must be left.
-                if not fine or hi - lo < 4 or h0 < 2.0 * v or h0 + thick > depth - 1 - 2.0 * v:
+                near_end = h0 < 2.0 * v or h0 + thick > depth - 1 - 2.0 * v
+                if near_end or hi - lo < 4 or not is_finite(g, lo, hi):
                     continue
                 local[3] = spread[3]
-                now = fit_column(
+                problem = (
                     g,
                     lo,
                     hi,
@@ -443,32 +441,14 @@ def fit_faces(  # noqa: C901, PLR0912
                     step,
                     fringe,
                     ratio,
-                    wall,
-                    wall_depth / tilt[i, j],
                 )
+                now = fit_column(*problem, wall, wall_depth / tilt[i, j])
                 if coated and p[3] > 0.5 * (prior[2] + prior[3]):
                     # No base is as bright: this is coating in a valley that the blur dims from the
                     # sides.
                     local[3] = -1.0
                     p[0], p[1], p[2], p[3] = h0, thick, prior[2], prior[3]
-                    now = fit_column(
-                        g,
-                        lo,
-                        hi,
-                        air,
-                        noise,
-                        w,
-                        p,
-                        prior,
-                        local,
-                        coated,
-                        matrix,
-                        step,
-                        fringe,
-                        ratio,
-                        wall,
-                        wall_depth / tilt[i, j],
-                    )
+                    now = fit_column(*problem, wall, wall_depth / tilt[i, j])
                 if now < cost:
                     cost = now
                     best[0], best[1], best[2], best[3] = p[0], p[1], p[2], p[3]

@@ -8,6 +8,8 @@ import numpy as np
 from planish.core.jit import njit
 
 _ABREAST = 16  # columns whose means are worked out together
+_ONE = np.float32(1.0)
+_HALF = np.float32(0.5)
 
 
 @njit(cache=True, nogil=True)
@@ -86,31 +88,28 @@ def blend(grey, slope, weights, down, right, out):
             total = out[r, c]
             total[:] = 0.0
             for i in range(-reach, reach + 1):
-                rr, cc = min(max(r + down * i, 0), rows - 1), min(max(c + right * i, 0), cols - 1)
-                beside, weight = grey[rr, cc], weights[abs(i)]
+                rr = min(max(r + down * i, 0), rows - 1)
+                cc = min(max(c + right * i, 0), cols - 1)
+                beside = grey[rr, cc]
+                weight = weights[abs(i)]
                 move = slope[r, c] * (rr - r + cc - c)
                 k = int(floor(move + 0.5))
                 f = np.float32(move - k)  # -0.5 to 0.5 about voxel k
                 if abs(f) < 0.01:
-                    a, b = min(max(-k, 0), depth), max(min(depth - k, depth), 0)
+                    a = min(max(-k, 0), depth)
+                    b = max(min(depth - k, depth), a)
                     for d in range(a, b):
                         total[d] += weight * beside[d + k]
                 else:
                     if f < 0:
-                        k, f = k - 1, f + np.float32(1.0)
-                    w0 = (
-                        weight
-                        * f
-                        * (np.float32(-0.5) + f * (np.float32(1.0) - np.float32(0.5) * f))
-                    )
-                    w1 = weight * (
-                        np.float32(1.0) + f * f * (np.float32(-2.5) + np.float32(1.5) * f)
-                    )
-                    w2 = (
-                        weight * f * (np.float32(0.5) + f * (np.float32(2.0) - np.float32(1.5) * f))
-                    )
-                    w3 = weight * f * f * (np.float32(-0.5) + np.float32(0.5) * f)
-                    a, b = min(max(1 - k, 0), depth), max(min(depth - 2 - k, depth), 0)
+                        k -= 1
+                        f += _ONE
+                    w0 = weight * f * (f * (_ONE - _HALF * f) - _HALF)
+                    w1 = weight * (_ONE + f * f * (np.float32(1.5) * f - np.float32(2.5)))
+                    w2 = weight * f * (_HALF + f * (np.float32(2.0) - np.float32(1.5) * f))
+                    w3 = weight * f * f * (_HALF * f - _HALF)
+                    a = min(max(1 - k, 0), depth)
+                    b = max(min(depth - 2 - k, depth), a)
                     for d in range(a, b):
                         total[d] += (
                             w0 * beside[d + k - 1]
@@ -120,7 +119,7 @@ def blend(grey, slope, weights, down, right, out):
                         )
                 for d in range(a):
                     total[d] += weight * beside[min(max(d + k, 0), depth - 1)]
-                for d in range(max(b, a), depth):
+                for d in range(b, depth):
                     total[d] += weight * beside[min(max(d + k, 0), depth - 1)]
 
 
@@ -134,9 +133,12 @@ def trilinear(flat, shape, first, deep, r, c, d, fr, fc):
     voxel come apart from them, because the place in a tile must not round them.
     """
     rows, cols, depth = shape
-    step_r, step_c = floor(fr), floor(fc)
-    i, j = r + int(step_r), c + int(step_c)
-    fr, fc = fr - step_r, fc - step_c
+    step_r = floor(fr)
+    step_c = floor(fc)
+    i = r + int(step_r)
+    j = c + int(step_c)
+    fr -= step_r
+    fc -= step_c
     if i == rows - 1 and fr == 0.0:
         i, fr = i - 1, 1.0
     if j == cols - 1 and fc == 0.0:
@@ -149,7 +151,9 @@ def trilinear(flat, shape, first, deep, r, c, d, fr, fc):
     if not 0 <= k < depth - 1:
         return np.nan
     # Unsigned, numba does not look for indices that count from the end.
-    p, right, one = np.uint64((i * cols + j) * depth + k), np.uint64(depth), np.uint64(1)
+    p = np.uint64((i * cols + j) * depth + k)
+    right = np.uint64(depth)
+    one = np.uint64(1)
     q = p + np.uint64(cols * depth)
     a = (flat[p] * (1 - fd) + flat[p + one] * fd) * (1 - fc)
     a += (flat[p + right] * (1 - fd) + flat[p + right + one] * fd) * fc
@@ -181,11 +185,12 @@ def presence(
 
     slab           : (rows + halo, cols + halo, depth) float32, contiguous; carries ``lead_r`` more
                      rows and ``lead_c`` more columns before the first of the maps
-    first, deep    : depth index of its first voxel, and length of the whole columns centre, normal
-    : (rows, cols), height of the centre surface and the normal, per um, all in voxels offsets
-    : (n,), distances from the centre surface along the normal, in um layers         : (m, k) int64,
-    which of the offsets each layer is the mean of out            : (m, rows, cols), set; NaN where
-    the normal leaves the slab
+    first, deep    : depth index of its first voxel, and length of the whole columns
+    centre, normal : (rows, cols), height of the centre surface and the normal, per um, all in
+                     voxels
+    offsets        : (n,), distances from the centre surface along the normal, in um
+    layers         : (m, k) int64, which of the offsets each layer is the mean of
+    out            : (m, rows, cols), set; NaN where the normal leaves the slab
     """
     rows, cols = centre.shape
     flat = slab.reshape(-1)
@@ -197,7 +202,8 @@ def presence(
                 d = c + offsets[n] * nd
                 g = np.nan
                 if isfinite(d):
-                    fr, fc = offsets[n] * nr, offsets[n] * nc
+                    fr = offsets[n] * nr
+                    fc = offsets[n] * nc
                     g = trilinear(flat, slab.shape, first, deep, lead_r + i, lead_c + j, d, fr, fc)
                 share[n] = min(max((g - air) / (base - air), 0.0), 1.0) if isfinite(g) else np.nan
             for m in range(layers.shape[0]):
@@ -224,11 +230,9 @@ def block_sums(voxels, wide, corner, sums, bad, holds):
                        voxels are not finite, ``holds`` whether a voxel has the value of the corner
     """
     last = np.array([n - 1 for n in sums.shape])
-    total, lost, seen = (
-        np.empty(voxels.shape[2]),
-        np.empty(voxels.shape[2]),
-        np.empty(voxels.shape[2]),
-    )
+    total = np.empty(voxels.shape[2])
+    lost = np.empty_like(total)
+    seen = np.empty_like(total)
     for p in range(sums.shape[0]):
         end_i = voxels.shape[0] if p == last[0] else (p + 1) * wide[0]
         for i in range(p * wide[0], end_i):
@@ -280,17 +284,15 @@ def mean_columns(voxels, step, slope_r, slope_c, missing, out):  # noqa: C901, P
                     j = first + m // step
                     move = slope_r[i, j] * (a - middle) + slope_c[i, j] * (m % step - middle)
                     shift[m] = int(floor(move + 0.5)) if isfinite(move) else 0
-                    low, high = min(low, shift[m]), max(high, shift[m])
+                    low = min(low, shift[m])
+                    high = max(high, shift[m])
                 row = voxels[i * step + a, first * step : first * step + wide]
                 for d in range(depth):
                     if some or d + low < 0 or d + high > depth - 1:
                         for m in range(wide):
                             value = row[m, min(max(d + shift[m], 0), depth - 1)]
-                            total[d, m] += (
-                                np.float32(np.nan)
-                                if some and value == missing
-                                else np.float32(value)
-                            )
+                            is_missing = some and value == missing
+                            total[d, m] += np.float32(np.nan) if is_missing else np.float32(value)
                     elif low == high:  # all alike: many columns at once
                         for m in range(wide):
                             total[d, m] += np.float32(row[m, d])

@@ -9,6 +9,7 @@ it does not reach is alone.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -18,7 +19,7 @@ from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Floats
 from planish.surface.columns import Columns, Guide, LoneGrey, Priors, oriented
-from planish.surface.faces import fit_tile
+from planish.surface.faces import fit_job, fit_tile
 
 RADII = (4.0, 3.68, 3.39, 3.11, 2.86)
 """Radius of the ball in widths of the blur; the first that leaves enough is taken. A plane at the
@@ -36,22 +37,25 @@ def lone_greys(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Lon
 
     ``priors``: of a first look; their blur and greys may be somewhat off.
     """
-    sides = [from_high for from_high, side in priors.sides.items() if side.coated]
-    if not sides:
+    if not any(priors.coated):
         return {}
+    greys = {k: _grey(sums) for k, sums in _lone_sums(columns, guide, priors).items()}
+    return {k: grey for k, grey in greys.items() if grey is not None}
+
+
+def _lone_sums(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Floats]:
+    """Sums over lone voxels by side, (fields, radii, blocks), of so many patches as are needed."""
     patches = patches_of(columns, guide, _ROUNDS * _ROUND)
     per_round = -(-len(patches) // _ROUNDS)
-    sums_of: dict[bool, list[Floats]] = {from_high: [] for from_high in sides}
+    sums: dict[bool, Floats] = {}
     for start in range(0, len(patches), per_round):
         jobs = [(columns, guide, priors, patch) for patch in patches[start : start + per_round]]
-        for sums_by_side in map_threads(_patch_sums, jobs):
-            for from_high, sums in sums_by_side.items():
-                sums_of[from_high].append(sums)
-        voxels = [float(sum(s[0, 0].sum() for s in sums_of[from_high])) for from_high in sides]
-        if min(voxels) >= _ENOUGH:
+        for patch_sums in map_threads(_patch_sums, jobs):
+            for k, field in patch_sums.items():
+                sums[k] = np.concatenate([sums[k], field], axis=2) if k in sums else field
+        if min(field[0, 0].sum() for field in sums.values()) >= _ENOUGH:
             break
-    greys = {from_high: _grey(np.concatenate(sums_of[from_high], axis=2)) for from_high in sides}
-    return {from_high: grey for from_high, grey in greys.items() if grey is not None}
+    return sums
 
 
 def patches_of(columns: Columns, guide: Guide, most: int) -> list[Tile]:
@@ -72,8 +76,7 @@ def patches_of(columns: Columns, guide: Guide, most: int) -> list[Tile]:
 def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
     """Sums over lone voxels by side: (fields, radii, blocks)."""
     columns, guide, priors, patch = job
-    shape = columns.shape[:2]
-    depths = fit_tile((columns, guide.part(priors.scale.grown(patch, shape)), priors, None), patch)
+    depths = fit_tile(fit_job(columns, guide, priors, patch), patch)
     # As it is: neighbours would dim what lies beside a face.
     scale = replace(priors.scale, blend_sd=0.0)
     grey, _ = oriented(columns, patch, guide.part(patch), scale)
@@ -81,7 +84,7 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
         (np.arange(n) * pitch_um // min(_BLOCK_UM, n * pitch_um / 3.0)).astype(int)
         for n, pitch_um in zip(patch.shape, columns.pitch[:2], strict=True)
     )
-    block_index = block_row[:, None] * (block_col[-1] + 1) + block_col
+    block_index = (block_row[:, None] * (block_col[-1] + 1) + block_col).ravel()
     # A fringe reaches as far as a blur of its own width.
     edge = priors.edge
     unit_um = max(edge.width, edge.fringe_width if edge.fringe else 0.0) * columns.pitch[2]
@@ -92,18 +95,14 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
         inward_grey = grey[..., ::-1] if from_high else grey
         summed = np.zeros((*patch.shape, grey.shape[2] + 1))
         np.cumsum(np.nan_to_num(inward_grey), axis=2, dtype=np.float64, out=summed[..., 1:])
-        outer, inner = depths[2 * k], depths[2 * k] + depths[2 * k + 1]
-        by_radius = [
-            _run_sums(summed, *_beyond_ball(outer, inner, radius * unit_um, columns.pitch))
-            for radius in RADII
-        ]
-        sums[from_high] = np.array(
-            [
-                [np.bincount(block_index.ravel(), field.ravel()) for field in fields]
-                for fields in by_radius
-            ],
-            np.float64,
-        ).swapaxes(0, 1)
+        outer, thickness = depths[2 * k : 2 * k + 2]
+        by_radius: list[Floats] = []
+        for radius in RADII:
+            lone = _beyond_ball(outer, outer + thickness, radius * unit_um, columns.pitch)
+            fields = _run_sums(summed, *lone)
+            block_sums = [np.bincount(block_index, field.ravel()) for field in fields]
+            by_radius.append(np.array(block_sums, np.float64))
+        sums[from_high] = np.stack(by_radius, axis=1)
     return sums
 
 
@@ -114,13 +113,12 @@ def _beyond_ball(
     reach = [int(radius_um / p) for p in pitch_um[:2]]
     rows_um, cols_um = (np.arange(-n, n + 1) * p for n, p in zip(reach, pitch_um[:2], strict=True))
     square_um2 = radius_um**2 - rows_um[:, None] ** 2 - cols_um**2
-    is_inside = square_um2 >= 0
-    ball = np.where(is_inside, np.sqrt(np.maximum(square_um2, 0.0)) / pitch_um[2], 0.0)
+    ball: Any = np.sqrt(np.maximum(square_um2, 0.0)) / pitch_um[2]
     is_known = np.isfinite(outer) & np.isfinite(inner)
     lowered, raised = (
         ndimage.grey_dilation(
             np.where(is_known, depth, _UNKNOWN),
-            footprint=is_inside,
+            footprint=square_um2 >= 0,
             structure=ball,
             mode="constant",
             cval=_UNKNOWN,

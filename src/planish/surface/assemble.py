@@ -5,7 +5,7 @@ It is sheet, rim and hole, centre surface, presence of material, and status.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from planish.core._envelope_kernels import rolled
 from planish.core.errors import VolumeError
-from planish.core.facts import SIDES
 from planish.core.grid import filled
 from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine, Tile
@@ -52,13 +51,9 @@ class ColumnStates(NamedTuple):
         has_faces = up_sign * (faces.heights["top"] - faces.heights["bottom"]) > 0
         runs_out = may_run_out & ~has_faces
         is_touching = may_touch & ~runs_out
-        has_faces = has_faces & ~is_touching
-        return cls(
-            has_faces,
-            is_touching,
-            runs_out,
-            faces.below_particle & ~(has_faces | is_touching | runs_out),
-        )
+        has_faces &= ~is_touching
+        below_particle = faces.below_particle & ~(has_faces | is_touching | runs_out)
+        return cls(has_faces, is_touching, runs_out, below_particle)
 
     @property
     def is_sheet(self) -> Bools:
@@ -98,7 +93,8 @@ def assemble(
     the volume; ``levels``: grey of air and base.
     """
     pitch = columns.pitch[:2]
-    states = ColumnStates.of(faces, columns.frame.sign, *doubt)
+    sign = columns.frame.sign
+    states = ColumnStates.of(faces, sign, *doubt)
     if not states.has_faces.any():
         raise VolumeError(
             "There is no sheet in the volume: no column shows two faces. Check `through` and"
@@ -115,73 +111,80 @@ def assemble(
             " `sheet_grey`."
         )
     centre, cutoff_used = centre_surface(face_mean, in_outline, pitch, params)
+    has_centre = np.isfinite(centre)
+    variables = _face_variables(heights, faces)
+    variables["centre"] = _variable(centre, "Centre surface")
+    if params.envelope_um is not None:
+        variables |= _envelopes(heights, sign, pitch, params.envelope_um)
+    interface_mean = 0.5 * (heights["interface_top"] + heights["interface_bottom"])
+    surfaces = alternative_surfaces(
+        interface_mean - face_mean, face_mean, centre, in_outline, pitch, params
+    )
+    for name, (height, title) in surfaces.items():
+        variables[name] = _variable(height.astype(np.float32), title)
+    shares = find_presence(columns, centre, thickness, sign, levels, engine)
+    for name, share in shares.items():
+        title = f"Material {_PLACES[name]}"
+        variables[name] = _variable(share, title, "1", layer=list(LAYERS[name]))
+    if np.isfinite([heights["interface_top"], heights["interface_bottom"]]).any():
+        # A coating stands out from what fills the holes where the base hardly does, as in resin.
+        has_faces = np.where(has_centre, states.is_closed, np.nan).astype(np.float32)
+        title = "Columns in which both faces of a coated sheet are seen"
+        variables["presence_faces"] = _variable(has_faces, title, "1", layer=[-0.5, 0.5])
+    if (cutoff_used > params.cutoff_um).any():
+        title = "Cut-off of the centre surface, wider than stated across gaps"
+        variables["centre_cutoff_um"] = _variable(cutoff_used.astype(np.float32), title)
+    status = states.status(in_sheet, in_rim, has_centre)
+    variables["status"] = ("y", "x"), status, status_flags()
+    attrs = _attrs(columns, params, faces, states, thickness, cutoff_used, status)
+    lateral_um = columns.lateral_um()
+    coords = {axis: (axis, um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}
+    return xr.Dataset(variables, coords, attrs)
+
+
+def _attrs(
+    columns: Columns,
+    params: SurfaceParams,
+    faces: Faces,
+    states: ColumnStates,
+    thickness: float,
+    cutoff_used: Floats,
+    status: NDArray[np.uint8],
+) -> dict[str, Any]:
+    """Options of the search, what was removed, bridged gaps and half-closed holes."""
+    is_bridged = cutoff_used > params.cutoff_um
+    off_rims = is_bridged[(status != Status.NO_SHEET) & (status != Status.RIM)]
+    bridged_share = np.count_nonzero(is_bridged) / np.count_nonzero(np.isfinite(cutoff_used))
+    holes = half_closed(states.is_sheet, states.runs_out, columns.pitch[:2])
+    holes_um = [
+        np.interp(index, np.arange(um.size), um)
+        for index, um in zip(holes.T, columns.lateral_um(), strict=True)
+    ]
+    attrs = columns.frame.attrs() | {
+        "thickness_um": thickness,
+        "cutoff_um": params.cutoff_um,
+        "bridged_share": float(bridged_share),
+        "bridged_off_rims_share": float(off_rims.mean()) if off_rims.size else 0.0,
+        "rim_um": params.rim_um,
+        "voxel_um": [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")],
+        "particles_removed": faces.particles,
+        "half_closed_holes": len(holes),
+        "half_closed_at_um": np.transpose(holes_um).ravel().tolist(),
+    }
+    if params.method != "profile":
+        attrs["method"] = params.method
+    return attrs
+
+
+def _face_variables(heights: dict[str, Floats], faces: Faces) -> dict[str, Variable]:
+    """Faces and interfaces, and how far the wall's grey moves them."""
     variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()}
     for side, (level_error, mean_um) in faces.level_errors.items():
         title = f"Standard error of the {side} face from the wall's grey"
         variables[f"level_{side}_error"] = _variable(
             level_error.astype(np.float32), title, common_um=mean_um
         )
-    variables["centre"] = _variable(centre, "Centre surface")
-    if params.envelope_um is not None:
-        variables |= _envelopes(heights, columns.frame.sign, pitch, params.envelope_um)
-    base_offset = 0.5 * (heights["interface_top"] + heights["interface_bottom"]) - face_mean
-    surfaces = alternative_surfaces(base_offset, face_mean, centre, in_outline, pitch, params)
-    variables |= {
-        name: _variable(height.astype(np.float32), title)
-        for name, (height, title) in surfaces.items()
-    }
-    variables |= {
-        name: _variable(share, f"Material {_PLACES[name]}", "1", layer=list(LAYERS[name]))
-        for name, share in find_presence(
-            columns, centre, thickness, columns.frame.sign, levels, engine
-        ).items()
-    }
-    if any(np.isfinite(heights[f"interface_{side}"]).any() for side in SIDES):
-        # A coating stands out from what fills the holes where the base hardly does, as in resin.
-        has_faces = np.where(np.isfinite(centre), states.is_closed, np.nan).astype(np.float32)
-        title = "Columns in which both faces of a coated sheet are seen"
-        variables["presence_faces"] = _variable(has_faces, title, "1", layer=[-0.5, 0.5])
-    is_bridged = cutoff_used > params.cutoff_um
-    if is_bridged.any():
-        variables["centre_cutoff_um"] = _variable(
-            cutoff_used.astype(np.float32),
-            "Cut-off of the centre surface, wider than stated across gaps",
-        )
-    status = states.status(in_sheet, in_rim, np.isfinite(centre))
-    variables["status"] = ("y", "x"), status, status_flags()
-    is_bridged_off_rims = is_bridged[(status != Status.NO_SHEET) & (status != Status.RIM)]
-    hole_centres, lateral_um = (
-        half_closed(states.is_sheet, states.runs_out, pitch),
-        columns.lateral_um(),
-    )
-    attrs = (
-        columns.frame.attrs()
-        | {
-            "thickness_um": thickness,
-            "cutoff_um": params.cutoff_um,
-            "bridged_share": float(
-                np.count_nonzero(is_bridged) / np.count_nonzero(np.isfinite(centre))
-            ),
-            "bridged_off_rims_share": (
-                float(is_bridged_off_rims.mean()) if is_bridged_off_rims.size else 0.0
-            ),
-            "rim_um": params.rim_um,
-            "voxel_um": [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")],
-            "particles_removed": faces.particles,
-            "half_closed_holes": len(hole_centres),
-            "half_closed_at_um": [
-                float(np.interp(index, np.arange(um.size), um))
-                for hole_centre in hole_centres
-                for index, um in zip(hole_centre, lateral_um, strict=True)
-            ],
-        }
-        | ({} if params.method == "profile" else {"method": params.method})
-    )
-    return xr.Dataset(
-        variables,
-        {axis: (axis, um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)},
-        attrs,
-    )
+    return variables
 
 
 def _envelopes(
@@ -190,11 +193,10 @@ def _envelopes(
     envelopes: dict[str, Variable] = {}
     for name, outwards in (("top", sign), ("bottom", -sign)):
         outward = outwards * heights[name]
-        rolled_over = np.where(
-            np.isfinite(outward), rolled(filled(outward), pitch, radius_um), np.nan
-        )
+        envelope = rolled(filled(outward), pitch, radius_um)
+        envelope = np.where(np.isfinite(outward), outwards * envelope, np.nan)
         title = f"{_TITLES[name]} below a ball of {radius_um:g} um"
-        envelopes[f"{name}_envelope"] = _variable(outwards * rolled_over, title)
+        envelopes[f"{name}_envelope"] = _variable(envelope, title)
     return envelopes
 
 
@@ -220,12 +222,9 @@ def alternative_surfaces(
     interface is missing.
     """
     shorter_params = params.model_copy(update={"cutoff_um": _SHORTER * params.cutoff_um})
-    surfaces = {
-        "centre_shorter": (
-            centre_surface(face_mean, in_outline, pitch, shorter_params)[0] - centre,
-            f"Centre surface of {_SHORTER:g} of the cut-off, over the centre surface",
-        )
-    }
+    shorter = centre_surface(face_mean, in_outline, pitch, shorter_params)[0] - centre
+    title = f"Centre surface of {_SHORTER:g} of the cut-off, over the centre surface"
+    surfaces = {"centre_shorter": (shorter, title)}
     if np.isfinite(base_offset).mean() >= 0.5 * np.isfinite(face_mean).mean():
         base_middle = centre_surface(base_offset, in_outline, pitch, params)[0]
         surfaces["base_middle"] = base_middle, "Middle of the base, over the centre surface"
@@ -245,22 +244,21 @@ def centre_surface(
     """
     cutoff_um = params.cutoff_um
     if params.method == "paper":
-        centre = np.where(
-            in_outline, slice_smoothed(face_mean, pitch[1], cutoff_um=cutoff_um), np.nan
-        )
-        return centre, np.where(np.isfinite(centre), cutoff_um, np.nan)
-    centre = gaussian_regression(face_mean, pitch, cutoff_um=cutoff_um)
+        centre = slice_smoothed(face_mean, pitch[1], cutoff_um=cutoff_um)
+    else:
+        centre = gaussian_regression(face_mean, pitch, cutoff_um=cutoff_um)
     used_um = np.full(centre.shape, cutoff_um)
     # A hole with its rim may be wider than a short cut-off reaches: it is bridged with a longer
     # one.
-    for wider_um in (2.0 * cutoff_um, 4.0 * cutoff_um):
+    wider_cutoffs_um = () if params.method == "paper" else (2.0 * cutoff_um, 4.0 * cutoff_um)
+    for wider_um in wider_cutoffs_um:
         is_gap = np.isnan(centre)
         if is_gap[in_outline].any():
             bridge = gaussian_regression(face_mean, pitch, cutoff_um=wider_um)
-            centre, used_um = np.where(is_gap, bridge, centre), np.where(is_gap, wider_um, used_um)
-    return np.where(in_outline, centre, np.nan), np.where(
-        in_outline & np.isfinite(centre), used_um, np.nan
-    )
+            centre = np.where(is_gap, bridge, centre)
+            used_um = np.where(is_gap, wider_um, used_um)
+    centre = np.where(in_outline, centre, np.nan)
+    return centre, np.where(np.isfinite(centre), used_um, np.nan)
 
 
 # Of the thickness, and places between; the bottom's layer mirrors the top's.
@@ -274,13 +272,11 @@ LAYERS = {
 }
 """First and last place of each layer in shares of the thickness, from the centre surface towards
 the top."""
-_PLACES = dict(
-    zip(
-        LAYERS,
-        ("below the top face", "around the centre surface", "above the bottom face"),
-        strict=True,
-    )
-)
+_PLACES = {
+    "presence": "below the top face",
+    "presence_centre": "around the centre surface",
+    "presence_bottom": "above the bottom face",
+}
 
 
 def find_presence(
@@ -297,7 +293,7 @@ def find_presence(
     change places to the last bit.
     """
     pitch = columns.pitch
-    slope = [np.gradient(centre, p, axis=i) for i, p in enumerate(pitch[:2])]
+    slope = np.gradient(centre, *pitch[:2])
     length = np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
     normals = [
         up_sign * n / length / p for n, p in zip((-slope[0], -slope[1], 1.0), pitch, strict=True)
@@ -305,25 +301,22 @@ def find_presence(
     depth = (centre - float(columns.depth_um[0])) / pitch[2]
 
     def job(tile: Tile) -> tuple[Columns, list[Floats], float, Pair]:
-        return (
-            columns,
-            [field[tile.rows, tile.cols] for field in (depth, *normals)],
-            thickness,
-            levels,
-        )
+        fields = [field[tile.rows, tile.cols] for field in (depth, *normals)]
+        return columns, fields, thickness, levels
 
     # Larger tiles have less of a border that is read twice.
-    share = min(
-        float(np.nanmax(depth) - np.nanmin(depth) + thickness / pitch[2]) / columns.shape[2], 1.0
-    )
-    presence_by_tile = engine.map("layers", _tile_presence, job, columns.tiles(engine, share=share))
+    range_px = float(np.nanmax(depth) - np.nanmin(depth) + thickness / pitch[2])
+    tiles = columns.tiles(engine, share=min(range_px / columns.shape[2], 1.0))
+    presence_by_tile = engine.map("layers", _tile_presence, job, tiles)
     shares = join_tiles(presence_by_tile, np.full((len(LAYERS), *columns.shape[:2]), np.nan))
     return dict(zip(LAYERS, shares, strict=True))
 
 
 def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -> Floats:
+    """Shares of material in the layers of a tile, (layers, rows, cols)."""
     columns, depth_and_normal, thickness, grey_levels = job
-    depth_count, shares = columns.shape[2], np.full((len(LAYERS), *tile.shape), np.nan)
+    depth_count = columns.shape[2]
+    shares = np.full((len(LAYERS), *tile.shape), np.nan)
     centre_depth, *normal = (np.ascontiguousarray(a) for a in depth_and_normal)
     is_sheet = np.isfinite(centre_depth) & np.isfinite(normal[2])
     if not is_sheet.any():
@@ -332,33 +325,29 @@ def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -
     # the two places of either neighbour that lie in it, and three of its own.
     top_offsets = np.linspace(_FROM, _TO, _STEPS)
     inner_offset = 2 * top_offsets[0] - top_offsets[1]
-    offsets = thickness * np.concatenate(
-        [top_offsets, -top_offsets, [0.0, inner_offset, -inner_offset]]
-    )
+    middle_offsets = [0.0, inner_offset, -inner_offset]
+    offsets = thickness * np.concatenate([top_offsets, -top_offsets, middle_offsets])
     centre_indices = [0, 1, _STEPS, _STEPS + 1, *range(2 * _STEPS, offsets.size)]
     layer_indices = np.array([range(_STEPS), centre_indices, range(_STEPS, 2 * _STEPS)])
     # Only what the normals pass through is read.
-    end_depths = [
-        centre_depth[is_sheet] + s * normal[2][is_sheet] for s in (offsets.min(), offsets.max())
-    ]
-    min_depth, max_depth = float(np.min(end_depths)), float(np.max(end_depths))
+    end_offsets = np.array([[offsets.min()], [offsets.max()]])
+    end_depths = centre_depth[is_sheet] + end_offsets * normal[2][is_sheet]
+    min_depth = float(end_depths.min())
+    max_depth = float(end_depths.max())
     if max_depth < 0 or min_depth > depth_count - 1:
         return shares
     first_px = min(max(int(np.floor(min_depth)), 0), depth_count - 2)
-    halo = [
+    stop_px = min(int(np.ceil(max_depth)) + 2, depth_count)
+    halo_rows, halo_cols = (
         int(np.ceil(np.abs(offsets).max() * float(np.abs(n[is_sheet]).max()))) + 1
         for n in normal[:2]
-    ]
-    tile_with_halo = tile.grown(halo[0], halo[1], columns.shape[:2])
-    lead = tile.within(tile_with_halo)[::2]
-    grey = columns.grey(
-        tile_with_halo, depth=slice(first_px, min(int(np.ceil(max_depth)) + 2, depth_count))
     )
+    tile_with_halo = tile.grown(halo_rows, halo_cols, columns.shape[:2])
     _kernels.presence(
-        grey,
+        columns.grey(tile_with_halo, depth=slice(first_px, stop_px)),
         first_px,
         depth_count,
-        *lead,
+        *tile.within(tile_with_halo)[::2],
         centre_depth,
         *normal,
         offsets,

@@ -106,14 +106,17 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
         sheet_label = leading_label
     elif len(sheet_labels) > 1:
         shares_text = ", ".join(f"{100 * covered_shares[k]:.0f} %" for k in sheet_labels)
-        sheets = [labels == k for k in sheet_labels]
+        points_text = _points_text(labels, sheet_labels, blocks, inside, threshold, choice)
         raise VolumeError(
             f"The volume shows {len(sheet_labels)} separate sheets (they cover {shares_text} of the"
-            f" columns). {_CHOOSE} {_points_text(sheets, blocks, inside, threshold, choice)}"
+            f" columns). {_CHOOSE} {points_text}"
         )
     in_sheet = labels == sheet_label
     _check_slab(in_sheet)
     low, high = _extent_of(blocks, in_sheet, threshold)
+    # Fewer blocks are noise.
+    specks = int(np.count_nonzero(n_blocks[1:] >= 8)) - len(sheet_labels)
+    sheet_labels.remove(sheet_label)
     return CoarseSheet(
         low=low,
         high=high,
@@ -121,11 +124,8 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
         is_leaving=in_sheet[..., 0] | in_sheet[..., -1],
         threshold=threshold,
         is_touching=np.zeros(low.shape, bool),
-        # Fewer blocks are noise.
-        specks=int(np.count_nonzero(n_blocks[1:] >= 8)) - len(sheet_labels),
-        companions=tuple(
-            _companion(blocks, labels == k, low, high) for k in sheet_labels if k != sheet_label
-        ),
+        specks=specks,
+        companions=tuple(_companion(blocks, labels == k, low, high) for k in sheet_labels),
     )
 
 
@@ -164,10 +164,16 @@ def _check_slab(in_sheet: Bools) -> None:
 
 
 def _points_text(
-    objects: Sequence[Bools], blocks: Blocks, inside: Bools, threshold: float, choice: Choice
+    labels: Labels,
+    sheet_labels: list[int],
+    blocks: Blocks,
+    inside: Bools,
+    threshold: float,
+    choice: Choice,
 ) -> str:
     points: list[str] = []
-    for in_object in objects:
+    for label in sheet_labels:
+        in_object = labels == label
         rows, cols = np.nonzero(in_object.any(axis=-1))
         k = int(np.argmin((rows - np.median(rows)) ** 2 + (cols - np.median(cols)) ** 2))
         depth = np.flatnonzero(in_object[rows[k], cols[k]])

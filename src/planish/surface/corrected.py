@@ -1,5 +1,6 @@
 """Surfaces with corrections, and the surfaces as they were found before them."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ def correct_surfaces(
     -----
     A correction makes no sheet where a hole was seen, and takes no rim off.
     """
-    params, engine = params or SurfaceParams(), engine or Engine()
+    params = params or SurfaceParams()
     original = uncorrected(surfaces)
     if not corrections.stretches:
         return original
@@ -76,7 +77,7 @@ def correct_surfaces(
             "Faces are corrected in grey values, with `surface_method=profile`. Correct labels in"
             " the program that made them, or leave `corrections` out."
         )
-    drawn = Drawing(original, volume, corrections, engine)
+    drawn = Drawing(original, volume, corrections, engine or Engine())
     corrected = _with_drawn(original, drawn, params)
     return corrected.assign_attrs(
         corrections=corrections.to_json(), corrected_tiles=len(drawn.tiles)
@@ -87,9 +88,7 @@ def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
     """Give the surfaces as they were before corrections, to the last bit."""
     if "corrections" not in surfaces.attrs:
         return surfaces
-    names = [
-        str(name) for name in surfaces.data_vars if str(name).startswith(("found_", "correction_"))
-    ]
+    names = [name for name in surfaces if str(name).startswith(("found_", "correction_"))]
     original = surfaces.drop_vars(names)
     is_changed = surfaces["found_status"].values != _UNCHANGED
     is_centre_moved = np.isfinite(surfaces["found_centre"].values)
@@ -122,30 +121,30 @@ def preview_faces(
         Window of the columns that was drawn, which holds all that changes in ``part``; None where
         nothing does.
     """
-    boxes = [(stretch, _box(stretch, surfaces)) for stretch in corrections.stretches]
-    near_boxes = [
-        (stretch, box)
-        for stretch, box in boxes
-        if all(a.start < b.stop and a.stop > b.start for a, b in zip(box, part, strict=True))
-    ]
-    if not near_boxes:
+    near_stretches: list[Stretch] = []
+    near_boxes: list[list[slice]] = []
+    for stretch in corrections.stretches:
+        box = _box(stretch, surfaces)
+        if _overlap(box, part):
+            near_stretches.append(stretch)
+            near_boxes.append(box)
+    if not near_stretches:
         return None
     rows, cols = (
-        slice(min(box[k].start for _, box in near_boxes), max(box[k].stop for _, box in near_boxes))
-        for k in (0, 1)
+        slice(min(k.start for k in sides), max(k.stop for k in sides))
+        for sides in zip(*near_boxes, strict=True)
     )
-    frame, step = Frame.of(surfaces), columns_of(surfaces, volume).step
+    frame = Frame.of(surfaces)
+    step = columns_of(surfaces, volume).step
     near_surfaces = uncorrected(surfaces.isel(y=rows, x=cols).load())
-    voxel_slices = {
-        axis: slice(k.start * step, k.stop * step)
-        for axis, k in ((frame.rows, rows), (frame.cols, cols))
-    }
-    near_corrections = corrections.model_copy(
-        update={"stretches": tuple(stretch for stretch, _ in near_boxes)}
+    near_volume = volume.isel(
+        {
+            axis: slice(k.start * step, k.stop * step)
+            for axis, k in ((frame.rows, rows), (frame.cols, cols))
+        }
     )
-    heights = Drawing(
-        near_surfaces, volume.isel(voxel_slices), near_corrections, Engine(threads=1)
-    ).heights
+    near_corrections = corrections.model_copy(update={"stretches": tuple(near_stretches)})
+    heights = Drawing(near_surfaces, near_volume, near_corrections, Engine(threads=1)).heights
     is_crossed = frame.sign * (heights["top"] - heights["bottom"]) <= 0
     return (rows, cols), {
         face: np.where(is_crossed, near_surfaces[face].values, heights[face]) for face in SIDES
@@ -153,15 +152,22 @@ def preview_faces(
 
 
 def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
-    frame, margin = Frame.of(surfaces), 1.5 * stretch.reach_um + 2 * RING_UM
-    box_slices: list[slice] = []
-    for dim, axis, step in zip("yx", (frame.rows, frame.cols), pitch(surfaces), strict=True):
-        point_coords_um = [float(getattr(point, axis)) for point in stretch.points]
-        column_coords_um = surfaces[dim].values
-        first = max(int((min(point_coords_um) - margin - float(column_coords_um[0])) // step), 0)
-        last = int((max(point_coords_um) + margin - float(column_coords_um[0])) // step) + 2
-        box_slices.append(slice(first, max(min(last, column_coords_um.size), first + 1)))
-    return box_slices
+    frame = Frame.of(surfaces)
+    margin_um = 1.5 * stretch.reach_um + 2 * RING_UM
+    box: list[slice] = []
+    for dim, axis, step_um in zip("yx", (frame.rows, frame.cols), pitch(surfaces), strict=True):
+        points_um = [float(getattr(point, axis)) for point in stretch.points]
+        columns_um = surfaces[dim].values
+        first_um = float(columns_um[0])
+        first = max(int((min(points_um) - margin_um - first_um) // step_um), 0)
+        last = int((max(points_um) + margin_um - first_um) // step_um) + 2
+        box.append(slice(first, max(min(last, columns_um.size), first + 1)))
+    return box
+
+
+def _overlap(first: Sequence[slice], second: Sequence[slice]) -> bool:
+    pairs = zip(first, second, strict=True)
+    return all(a.start < b.stop and b.start < a.stop for a, b in pairs)
 
 
 def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> xr.Dataset:
@@ -170,7 +176,7 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
     What was before is put in too.
     """
     top, bottom = (drawn.heights[face] for face in SIDES)
-    is_changed = np.any([drawn.how[face] > 0 for face in SIDES], axis=0)
+    is_changed = (drawn.how["top"] > 0) | (drawn.how["bottom"] > 0)
     # Where the two faces would change places nothing is drawn.
     is_changed &= ~(Frame.of(surfaces).sign * (top - bottom) <= 0)
     corrected: dict[str, NDArray[Any]] = {
@@ -186,24 +192,24 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
         variables[name] = surfaces[name].copy(data=field)
         original = surfaces[name].values
         attrs = {"long_name": f"{surfaces[name].attrs['long_name']}, before corrections"}
+        is_other = field != original if name == "centre" else is_changed
         if name == "status":
-            found_field = np.where(is_changed, original, _UNCHANGED).astype(np.uint8)
+            found_field = np.where(is_other, original, _UNCHANGED).astype(np.uint8)
         else:
             attrs["units"] = "um"
-            found_field = np.where(
-                field != original if name == "centre" else is_changed, original, np.nan
-            )
+            found_field = np.where(is_other, original, np.nan)
         variables[f"found_{name}"] = (("y", "x"), found_field, attrs)
     for face in SIDES:
-        correction_flags = np.where(is_changed, drawn.how[face], 0).astype(np.uint8)
-        flags = {"flag_values": [0, 1, 2], "flag_meanings": "found image interpolated"}
-        attrs = {"long_name": f"How the {face} face was corrected", **flags}
-        variables[f"correction_{face}"] = (("y", "x"), correction_flags, attrs)
-        error = np.where(correction_flags > 0, drawn.error_um[face], np.nan).astype(np.float32)
+        how = np.where(is_changed, drawn.how[face], 0).astype(np.uint8)
         attrs = {
-            "units": "um",
-            "long_name": f"Standard error that the correction adds to the {face} face",
+            "long_name": f"How the {face} face was corrected",
+            "flag_values": [0, 1, 2],
+            "flag_meanings": "found image interpolated",
         }
+        variables[f"correction_{face}"] = (("y", "x"), how, attrs)
+        error = np.where(how > 0, drawn.error_um[face], np.nan).astype(np.float32)
+        title = f"Standard error that the correction adds to the {face} face"
+        attrs = {"units": "um", "long_name": title}
         variables[f"correction_{face}_error"] = (("y", "x"), error, attrs)
     return surfaces.assign(variables)
 
@@ -211,31 +217,32 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
 def _moved_centre(
     surfaces: xr.Dataset, corrected: dict[str, NDArray[Any]], params: SurfaceParams
 ) -> Floats:
+    """Centre surface, moved as far as the smoothing of corrected faces reaches."""
     original = {name: surfaces[name].values for name in (*SIDES, "status")}
     face_means = [
         np.where(faces["status"] == Status.MEASURED, 0.5 * (faces["top"] + faces["bottom"]), np.nan)
         for faces in (original, corrected)
     ]
-    centre, steps = surfaces["centre"].values, pitch(surfaces)
-    is_different = ~(
-        (face_means[0] == face_means[1]) | (np.isnan(face_means[0]) & np.isnan(face_means[1]))
-    )
+    centre = surfaces["centre"].values
+    steps_um = pitch(surfaces)
+    is_missing = np.isnan(face_means[0]) & np.isnan(face_means[1])
+    is_different = (face_means[0] != face_means[1]) & ~is_missing
     if not is_different.any():
         return centre
     slices: list[slice] = []
-    for axis, step in enumerate(steps):
+    for axis, step_um in enumerate(steps_um):
         # The smoothing reaches three cut-offs.
         changed_lines = np.flatnonzero(is_different.any(axis=1 - axis))
-        reach = int(np.ceil(3.0 * params.cutoff_um / step))
-        slices.append(
-            slice(max(int(changed_lines[0]) - reach, 0), int(changed_lines[-1]) + reach + 1)
-        )
+        reach = int(np.ceil(3.0 * params.cutoff_um / step_um))
+        first = max(int(changed_lines[0]) - reach, 0)
+        slices.append(slice(first, int(changed_lines[-1]) + reach + 1))
     window = slices[0], slices[1]
     outline = np.isfinite(centre[window])
     centres = [
-        centre_surface(face_mean[window], outline, steps, params)[0] for face_mean in face_means
+        centre_surface(face_mean[window], outline, steps_um, params)[0] for face_mean in face_means
     ]
-    moved_centre, shift_um = centre.copy(), centres[1] - centres[0]
+    shift_um = centres[1] - centres[0]
+    moved_centre = centre.copy()
     # Where a correction moves it by less than a nanometre it stays.
     moved_centre[window] += np.where(np.abs(shift_um) >= 0.001, shift_um, 0.0)
     return moved_centre

@@ -41,16 +41,10 @@ _EDGE = 1.0
 
 def columns_of(surfaces: xr.Dataset, volume: xr.DataArray) -> Columns:
     """The columns of a volume in which surfaces were found."""
-    frame, pitch_um = Frame.of(surfaces), pitch(surfaces)
+    frame = Frame.of(surfaces)
     voxel_um = dict(zip("zyx", map(float, surfaces.attrs["voxel_um"]), strict=True))
-    step = max(
-        1,
-        round(
-            float(
-                np.sqrt(pitch_um[0] * pitch_um[1] / (voxel_um[frame.rows] * voxel_um[frame.cols]))
-            )
-        ),
-    )
+    voxel_area_um2 = voxel_um[frame.rows] * voxel_um[frame.cols]
+    step = max(1, round(float(np.sqrt(np.prod(pitch(surfaces)) / voxel_area_um2))))
     return Columns(volume=volume, frame=frame, step=step, padding=surfaces.attrs.get("padding"))
 
 
@@ -63,28 +57,22 @@ class Patch:
     def __init__(
         self, lateral_um: tuple[Floats, Floats], points: Floats, reach_um: float, voxel_um: float
     ) -> None:
-        self.points, self.voxel_um, self.far_um = (
-            points,
-            voxel_um,
-            reach_um + max(RING_UM, 0.5 * reach_um),
-        )
-        low, high = points[:, :2].min(axis=0) - self.far_um, points[:, :2].max(axis=0) + self.far_um
-        starts = [
-            int(np.searchsorted(um, first)) for um, first in zip(lateral_um, low, strict=True)
-        ]
-        stops = [
-            int(np.searchsorted(um, last, "right"))
-            for um, last in zip(lateral_um, high, strict=True)
-        ]
+        self.points = points
+        self.voxel_um = voxel_um
+        self.reach_um = reach_um
+        self.far_um = reach_um + max(RING_UM, 0.5 * reach_um)
         rows, cols = (
-            slice(start, max(stop, start + 1)) for start, stop in zip(starts, stops, strict=True)
+            self._slice_near(um, places) for um, places in zip(lateral_um, points.T, strict=False)
         )
         self.window: Window = rows, cols
-        self.grid = np.stack(
-            np.meshgrid(lateral_um[0][rows], lateral_um[1][cols], indexing="ij"), axis=-1
-        )
+        grid = np.meshgrid(lateral_um[0][rows], lateral_um[1][cols], indexing="ij")
+        self.grid = np.stack(grid, axis=-1)
         self.away = distance_to_line(self.grid, points[:, :2])
-        self.reach_um = reach_um
+
+    def _slice_near(self, um: Floats, places_um: Floats) -> slice:
+        start = int(np.searchsorted(um, places_um.min() - self.far_um))
+        stop = int(np.searchsorted(um, places_um.max() + self.far_um, "right"))
+        return slice(start, max(stop, start + 1))
 
     def expect(
         self,
@@ -96,16 +84,15 @@ class Patch:
         uses_points: bool = False,
     ) -> tuple[Floats, Floats] | None:
         """Krige a field and its error where wanted, from trusted places and from the points."""
-        sample_indices = subsample(np.argwhere(is_trusted), 160)
-        rows, cols = sample_indices.T
+        rows, cols = subsample(np.argwhere(is_trusted), 160).T
         points = self.points if uses_points else self.points[:0]
-        if not (len(points) + len(sample_indices) and is_wanted.any()):
+        heights = np.concatenate([points[:, 2], field[rows, cols]])
+        if not (heights.size and is_wanted.any()):
             return None
         lag_um = max(0.25 * self.reach_um, 2 * max(pitch))
         slope = variogram_slope(
             np.where(is_trusted, field, np.nan), pitch, lag_um, least=(0.25 * self.voxel_um) ** 2
         )
-        heights = np.concatenate([points[:, 2], field[rows, cols]])
         return krige(
             self.grid[is_wanted],
             places=np.concatenate([points[:, :2], self.grid[rows, cols]]),
@@ -124,50 +111,60 @@ class Drawing:
     def __init__(
         self, surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, engine: Engine
     ) -> None:
-        self.columns, self.engine = columns_of(surfaces, volume), engine
-        self.attrs, self.pitch = surfaces.attrs, pitch(surfaces)
+        """Draw the faces to all stretches, one after the other."""
+        self.columns = columns_of(surfaces, volume)
+        self.engine = engine
+        self.attrs = surfaces.attrs
+        self.pitch = pitch(surfaces)
         self.contrast = abs(self.attrs["grey_base"] - self.attrs["grey_air"])
-        blend_sd = float(self.attrs.get("averaged_columns", 0.0))
         self.scale = GreyScale(
-            air_grey=self.attrs["grey_air"], polarity=self.attrs["polarity"], blend_sd=blend_sd
+            air_grey=self.attrs["grey_air"],
+            polarity=self.attrs["polarity"],
+            blend_sd=float(self.attrs.get("averaged_columns", 0.0)),
         )
-        self.lateral_um, self.voxel_um = self.columns.lateral_um(), self.columns.pitch[2]
-        names = [name for face in SIDES for name in (face, f"interface_{face}")]
-        self.heights = {name: surfaces[name].values.astype(np.float64) for name in names}
+        self.lateral_um = self.columns.lateral_um()
+        self.voxel_um = self.columns.pitch[2]
+        self.heights: dict[str, Floats] = {}
+        self.how: dict[Side, NDArray[np.uint8]] = {}
+        self.error_um: dict[Side, Floats] = {}
         self.status: NDArray[np.uint8] = surfaces["status"].values
-        self.how: dict[Side, NDArray[np.uint8]] = {
-            face: np.zeros(self.status.shape, np.uint8) for face in SIDES
-        }
-        self.error_um: dict[Side, Floats] = {
-            face: np.full(self.status.shape, np.nan) for face in SIDES
-        }
+        for face in SIDES:
+            for name in (face, f"interface_{face}"):
+                self.heights[name] = surfaces[name].values.astype(np.float64)
+            self.how[face] = np.zeros(self.status.shape, np.uint8)
+            self.error_um[face] = np.full(self.status.shape, np.nan)
         self.tiles: set[Tile] = set()
-        # Slopes and tilt of the sheet, from its centre surface.
-        centre = surfaces["centre"].values.astype(np.float64)
-        slopes = [np.where(np.isfinite(s), s, 0.0) for s in np.gradient(centre, *self.pitch)]
-        rise_px = [
-            s * p / self.columns.step / self.voxel_um
-            for s, p in zip(slopes, self.pitch, strict=True)
-        ]
-        no_depth, cos_tilt = (
-            np.full(centre.shape, np.nan),
-            1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2),
-        )
-        self.guide = Guide(
-            low=no_depth, high=no_depth, slope_r=rise_px[0], slope_c=rise_px[1], cos_tilt=cos_tilt
-        )
+        self.guide = self._guide(surfaces["centre"].values.astype(np.float64))
         for stretch in corrections.stretches:
             for face in SIDES:
                 if stretch.of(face):
                     self._draw(stretch, face)
 
-    def _draw(self, stretch: Stretch, face: Side) -> None:
-        patch = Patch(self.lateral_um, self._points(stretch, face), stretch.reach_um, self.voxel_um)
-        measured_um, in_reach = self._measured(face, patch.window), patch.away <= patch.reach_um
-        is_inside = in_reach & ~np.isin(
-            self.status[patch.window], (Status.NO_SHEET, Status.LEAVES_VOLUME)
+    def _guide(self, centre: Floats) -> Guide:
+        """Slopes and tilt of the sheet, from its centre surface."""
+        slopes = np.nan_to_num(np.gradient(centre, *self.pitch))
+        rise_r, rise_c = (
+            slope * p / self.columns.step / self.voxel_um
+            for slope, p in zip(slopes, self.pitch, strict=True)
         )
-        is_around = np.isfinite(measured_um) & ~in_reach & (patch.away <= patch.far_um)
+        no_depth = np.full(centre.shape, np.nan)
+        return Guide(
+            low=no_depth,
+            high=no_depth,
+            slope_r=rise_r,
+            slope_c=rise_c,
+            cos_tilt=1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2),
+        )
+
+    def _draw(self, stretch: Stretch, face: Side) -> None:
+        """Draw a face to the points of a stretch, where it is wrong, and what hangs on it."""
+        patch = Patch(self.lateral_um, self._points(stretch, face), stretch.reach_um, self.voxel_um)
+        measured_um = self._measured(face, patch.window)
+        is_measured = np.isfinite(measured_um)
+        in_reach = patch.away <= patch.reach_um
+        no_face = (Status.NO_SHEET, Status.LEAVES_VOLUME)
+        is_inside = in_reach & ~np.isin(self.status[patch.window], no_face)
+        is_around = is_measured & ~in_reach & (patch.away <= patch.far_um)
         expected = patch.expect(measured_um, is_around, is_inside, self.pitch, uses_points=True)
         if expected is None:
             return
@@ -177,13 +174,14 @@ class Drawing:
         if not is_wrong.any():
             return
         # Beside what is wrong a face turns towards it.
-        blur_columns = int(np.ceil(2 * blur_reach_um(self.attrs) / min(self.pitch))) + 1
+        step_um = min(self.pitch)
+        blur_columns = int(np.ceil(2 * blur_reach_um(self.attrs) / step_um)) + 1
+        ring_columns = max(2, int(np.ceil(RING_UM / step_um)))
         is_wrong = ndimage.binary_dilation(is_wrong, iterations=blur_columns) & is_inside
-        is_near_wrong = ndimage.binary_dilation(
-            is_wrong, iterations=max(2, int(np.ceil(RING_UM / min(self.pitch))))
-        )
-        is_right = is_near_wrong & ~is_wrong & np.isfinite(measured_um) & (is_inside | is_around)
-        is_right = is_right if np.count_nonzero(is_right) >= 10 else is_around
+        is_near_wrong = ndimage.binary_dilation(is_wrong, iterations=ring_columns)
+        is_right = is_near_wrong & ~is_wrong & is_measured & (is_inside | is_around)
+        if np.count_nonzero(is_right) < 10:
+            is_right = is_around
         expected = patch.expect(measured_um, is_right, is_wrong, self.pitch, uses_points=True)
         assert expected is not None
         self._redraw(face, patch.window, is_wrong, expected)
@@ -191,7 +189,8 @@ class Drawing:
         is_missing = is_wrong & ~np.isfinite(self.heights[other_face][patch.window])
         opposite_um = self._measured(other_face, patch.window)
         is_trusted = np.isfinite(opposite_um) & is_near_wrong
-        if (expected := patch.expect(opposite_um, is_trusted, is_missing, self.pitch)) is not None:
+        expected = patch.expect(opposite_um, is_trusted, is_missing, self.pitch)
+        if expected is not None:
             self._redraw(other_face, patch.window, is_missing, expected)
         self._redraw_interface(face, patch, is_wrong, is_near_wrong)
         self._redraw_interface(other_face, patch, is_missing, is_near_wrong)
@@ -203,12 +202,10 @@ class Drawing:
         """
         axes = self.columns.axes
         points = np.array(
-            [[getattr(point, axis) for axis in axes] for point in stretch.of(face)],
-            dtype=np.float64,
+            [[getattr(point, axis) for axis in axes] for point in stretch.of(face)], np.float64
         )
-        for axis, um, points_um in zip(
-            axes, (*self.lateral_um, self.columns.depth_um), points.T, strict=True
-        ):
+        coords_um = (*self.lateral_um, self.columns.depth_um)
+        for axis, um, points_um in zip(axes, coords_um, points.T, strict=True):
             is_outside = (points_um < um[0] - 1e-6) | (points_um > um[-1] + 1e-6)
             if is_outside.any():
                 point = stretch.of(face)[is_outside.argmax()]
@@ -225,8 +222,10 @@ class Drawing:
     def _redraw(
         self, face: Side, window: Window, is_redrawn: Bools, expected: tuple[Floats, Floats]
     ) -> None:
+        """Move a face to where it is expected, or between that and an edge in the image."""
         height, error = expected
-        interface, heights = self.heights[f"interface_{face}"], self.heights[face]
+        interface = self.heights[f"interface_{face}"]
+        heights = self.heights[face]
         offset_px = np.full(height.size, np.nan)
         if np.isfinite(interface).any():
             offset_px[:] = np.nanmedian(np.abs(interface - heights)[window]) / self.voxel_um
@@ -242,14 +241,11 @@ class Drawing:
         )
         has_edge = np.isfinite(edge_heights)
         # Both say where the face is, each as sure as it is.
-        edge_weight = error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2)
-        heights[window][is_redrawn] = np.where(
-            has_edge, height + edge_weight * (edge_heights - height), height
-        )
+        weight = np.where(has_edge, error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2), 0.0)
+        shift = np.where(has_edge, weight * (edge_heights - height), 0.0)
+        heights[window][is_redrawn] = height + shift
         self.how[face][window][is_redrawn] = np.where(has_edge, IMAGE, INTERPOLATED)
-        self.error_um[face][window][is_redrawn] = np.where(
-            has_edge, np.sqrt(1 - edge_weight) * error, error
-        )
+        self.error_um[face][window][is_redrawn] = np.sqrt(1 - weight) * error
 
     def _redraw_interface(
         self, face: Side, patch: Patch, is_redrawn: Bools, is_near: Bools
@@ -258,16 +254,19 @@ class Drawing:
 
         It is moved to edges in the image, or by the coating around.
         """
-        interface, window = self.heights[f"interface_{face}"], patch.window
+        window = patch.window
+        interface = self.heights[f"interface_{face}"]
         if not np.isfinite(interface).any() or not is_redrawn.any():
             return
         coating_um = np.abs(interface - self.heights[face])[window]
         is_trusted = is_near & ~is_redrawn & np.isfinite(coating_um)
-        if (thickness := patch.expect(coating_um, is_trusted, is_redrawn, self.pitch)) is None:
+        thickness = patch.expect(coating_um, is_trusted, is_redrawn, self.pitch)
+        if thickness is None:
             return
-        face_height, sign = self.heights[face][window][is_redrawn], self.columns.frame.sign
-        inward = -sign if face == "top" else sign
-        height, error = face_height + inward * np.maximum(thickness[0], 0.0), thickness[1]
+        face_height = self.heights[face][window][is_redrawn]
+        inward = self.columns.frame.sign * (-1 if face == "top" else 1)
+        height = face_height + inward * np.maximum(thickness[0], 0.0)
+        error = thickness[1]
         grey_step = self.attrs["grey_base"] - self.attrs[f"grey_coating_{face}"]
         edge_heights = self._edges(
             face,
@@ -281,17 +280,15 @@ class Drawing:
         )
         has_edge = np.isfinite(edge_heights) & (inward * (edge_heights - face_height) > 0)
         interface[window][is_redrawn] = np.where(has_edge, edge_heights, height)
-        face_error_um = self.error_um[face][window][is_redrawn]
-        self.error_um[face][window][is_redrawn] = np.where(
-            has_edge, face_error_um, np.hypot(face_error_um, error)
-        )
+        face_errors = self.error_um[face][window]
+        face_errors[is_redrawn] = np.hypot(face_errors[is_redrawn], np.where(has_edge, 0.0, error))
 
     def _depth(self, height: Floats, face: Side) -> Floats:
         depth = (height - float(self.columns.depth_um[0])) / self.voxel_um
         return self.columns.shape[2] - 1 - depth if self._is_high(face) else depth
 
     def _is_high(self, face: Side) -> bool:
-        return (face == "top") == (self.columns.frame.top == "high")
+        return face == self.columns.frame.side_at(from_high=True)
 
     def _edges(
         self,
@@ -306,33 +303,32 @@ class Drawing:
         min_step: float,
     ) -> Floats:
         """Heights of edges near those that are expected, (n,); NaN where the image shows none."""
-        columns, is_high = self.columns, self._is_high(face)
-        column_indices = np.stack(np.nonzero(is_searched)) + np.array(
-            [[window[0].start], [window[1].start]]
-        )
-        blur_px = blur_reach_um(self.attrs) / self.voxel_um
+        columns, attrs, scale = self.columns, self.attrs, self.scale
+        is_high = self._is_high(face)
+        starts = [[window[0].start], [window[1].start]]
+        column_indices = np.stack(np.nonzero(is_searched)) + np.array(starts)
+        blur_px = blur_reach_um(attrs) / self.voxel_um
         error_px = np.maximum(expected[1] / self.voxel_um, 0.25)
         # How far from the expected place an edge is sought, in voxels.
         band_px = np.clip(2.0 * error_px + 1, 2.0, 8.0)
         edge_searches = np.stack([self._depth(expected[0], face), error_px, band_px, second_edge])
+        noise = attrs["grey_noise"]
+        fringe_px = attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX
         # The noise; the least step, and how much it gains: an edge of five standard errors; the
         # fringe.
         search_options = (
-            max(self.attrs["grey_noise"], _MISFIT * self.contrast),
-            max(min_step, 4 * self.attrs["grey_noise"]),
+            max(noise, _MISFIT * self.contrast),
+            max(min_step, 4 * noise),
             25.0,
-            self.attrs.get("fringe", 0.0),
-            blur_px / (self.attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX),
+            attrs.get("fringe", 0.0),
+            blur_px / fringe_px,
         )
 
         def job(tile: Tile) -> EdgeJob:
-            in_tile, guide = (
-                _in_tile(column_indices, tile),
-                self.guide.part(self.scale.grown(tile, columns.shape[:2])),
-            )
-            reading = columns, guide, self.scale, is_high, blur_px
+            in_tile = _in_tile(column_indices, tile)
+            guide = self.guide.part(scale.grown(tile, columns.shape[:2]))
             return (
-                reading,
+                (columns, guide, scale, is_high, blur_px),
                 column_indices[:, in_tile],
                 edge_searches[:, in_tile],
                 (is_relative, sign),
@@ -341,15 +337,14 @@ class Drawing:
 
         tiles = [t for t in columns.tiles(self.engine) if _in_tile(column_indices, t).any()]
         self.tiles.update(tiles)
-        depths = np.full(column_indices.shape[1], np.nan)
         # Named by what is asked for: a run that goes on with other corrections finds nothing of
         # these.
         request = hashlib.sha256(
             b"".join(a.tobytes() for a in (*column_indices, *expected, second_edge))
         )
-        for tile, tile_depths in self.engine.map(
-            f"drawn-{request.hexdigest()[:16]}", _search_edges, job, tiles
-        ):
+        step = f"drawn-{request.hexdigest()[:16]}"
+        depths = np.full(column_indices.shape[1], np.nan)
+        for tile, tile_depths in self.engine.map(step, _search_edges, job, tiles):
             depths[_in_tile(column_indices, tile)] = tile_depths
         if is_high:
             depths = columns.shape[2] - 1 - depths
@@ -374,39 +369,32 @@ def _in_tile(places: NDArray[np.intp], tile: Tile) -> Bools:
 
 
 def _search_edges(job: EdgeJob, tile: Tile) -> Floats:
-    (
-        (columns, guide, scale, is_high, blur_px),
-        (rows, cols),
-        edge_searches,
-        edge_kind,
-        search_options,
-    ) = job
+    (columns, guide, scale, is_high, blur_px), (rows, cols), searches, kind, options = job
     grey, guide = oriented(columns, tile, guide, scale)
     tile_indices = rows - tile.r0, cols - tile.c0
-    profiles = np.ascontiguousarray(grey[tile_indices][:, ::-1] if is_high else grey[tile_indices])
+    profiles = grey[tile_indices]
+    if is_high:
+        profiles = np.ascontiguousarray(profiles[:, ::-1])
     width_px = blur_px / guide.cos_tilt[tile_indices]
     depths = np.empty(len(profiles))
-    _draw_kernels.draw_edges(
-        profiles, *edge_searches, *edge_kind, width_px, *search_options, depths
-    )
+    _draw_kernels.draw_edges(profiles, *searches, *kind, width_px, *options, depths)
     return depths
 
 
 def distance_to_line(grid: Floats, places: Floats) -> Floats:
     """Distance of places (..., 2) from the line through points (n, 2), in their order."""
-    distance = np.hypot(*np.moveaxis(grid - places[0], -1, 0))
+    distance = _length(grid - places[0])
     for start, end in pairwise(places):
         segment = end - start
         length = float(segment @ segment)
-        share = (
-            np.clip(((grid - start) @ segment) / length, 0, 1)
-            if length > 0
-            else np.zeros(grid.shape[:-1])
-        )
-        distance = np.minimum(
-            distance, np.hypot(*np.moveaxis(grid - start - share[..., None] * segment, -1, 0))
-        )
+        if length > 0:
+            share = np.clip(((grid - start) @ segment) / length, 0, 1)
+            distance = np.minimum(distance, _length(grid - start - share[..., None] * segment))
     return distance
+
+
+def _length(vectors: Floats) -> Floats:
+    return np.hypot(vectors[..., 0], vectors[..., 1])
 
 
 def krige(
@@ -420,30 +408,30 @@ def krige(
     ``slope * r``, um2 (Matheron 1963, doi:10.2113/gsecongeo.58.8.1246). Heights have their own
     variances; a plane takes slow trends off.
     """
-    centroid, n = places.mean(axis=0), len(heights)
+    n = len(heights)
+    centroid = places.mean(axis=0)
     plane = np.zeros(3)
     if n >= 6:
-        plane = np.linalg.lstsq(
-            np.column_stack([np.ones(n), places - centroid]), heights, rcond=1e-6
-        )[0]
+        terms = np.column_stack([np.ones(n), places - centroid])
+        plane = np.linalg.lstsq(terms, heights, rcond=1e-6)[0]
     residuals = heights - plane[0] - (places - centroid) @ plane[1:]
 
     def semivariance(points: Floats) -> Floats:
-        return slope * np.hypot(*(points[:, None, k] - places[None, :, k] for k in (0, 1)))
+        return slope * _length(points[:, None] - places[None])
 
     system = np.ones((n + 1, n + 1))
     system[:n, :n] = -semivariance(places) + np.diag(variances)
     system[n, n] = 0.0
     inverse = np.linalg.inv(system)
-    height, error = np.empty(len(targets)), np.empty(len(targets))
+    height = np.empty(len(targets))
+    error = np.empty(len(targets))
     for start in range(0, len(targets), 20_000):
         chunk = slice(start, start + 20_000)
-        semivariances = np.ones((len(targets[chunk]), n + 1))
-        semivariances[:, :n] = -semivariance(targets[chunk])
+        points = targets[chunk]
+        semivariances = np.ones((len(points), n + 1))
+        semivariances[:, :n] = -semivariance(points)
         weights = semivariances @ inverse
-        height[chunk] = (
-            weights[:, :n] @ residuals + plane[0] + (targets[chunk] - centroid) @ plane[1:]
-        )
+        height[chunk] = weights[:, :n] @ residuals + plane[0] + (points - centroid) @ plane[1:]
         error[chunk] = np.sqrt(np.maximum(-np.sum(weights * semivariances, axis=1), 0.0))
     return height, error
 
@@ -455,18 +443,15 @@ def variogram_slope(heights: Floats, pitch: Pair, lag_um: float, *, least: float
 
     ``least``: variance at that lag where no more is seen.
     """
-    squared_differences: list[Floats] = []
-    for axis, step in enumerate(pitch):
+    squared_differences = [np.empty(0)]
+    for field, step in zip((heights, heights.T), pitch, strict=True):
         k = max(1, round(lag_um / step))
-        if heights.shape[axis] > k:
-            first, second = (
-                np.take(heights, range(a, heights.shape[axis] - k + a), axis) for a in (0, k)
-            )
-            squares_at_lag = (second - first)[np.isfinite(second - first)] ** 2
-            squared_differences.append(squares_at_lag * lag_um / (k * step))
-    squares_at_lag = np.concatenate(squared_differences) if squared_differences else np.empty(0)
+        difference = (field[k:] - field[:-k]).ravel()
+        squares = difference[np.isfinite(difference)] ** 2
+        squared_differences.append(squares * lag_um / (k * step))
+    squares_at_lag = np.concatenate(squared_differences)
+    if not squares_at_lag.size:
+        return least / lag_um
     # The median of the square of a normal deviate is 0.4549 of its variance.
-    typical_variance = (
-        float(np.median(squares_at_lag)) / (2 * 0.4549) if squares_at_lag.size else 0.0
-    )
+    typical_variance = float(np.median(squares_at_lag)) / (2 * 0.4549)
     return max(typical_variance, least) / lag_um

@@ -1,6 +1,5 @@
 """Both faces and interfaces of every column, tile by tile."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 from typing import Any
@@ -23,6 +22,7 @@ _AROUND = 5  # columns along the edge of a neighbourhood
 # Faces this far apart, so many along an edge: a fibre of 40 um takes less than a fifth of them.
 _SPARSE_UM, _SPARSE_AROUND = 20.0, 11
 _LEVEL_DOUBT = 0.14  # of a wall's grey: what filler and walls thinner than the blur leave open
+Pitch = tuple[float, float, float]
 FitJob = tuple[Columns, Guide, Priors, Floats | None]
 """Of a tile's fit: the guide is that of the tile and its halo; of (2, rows, cols), where given,
 only columns with a number, and those next to them, are fitted."""
@@ -49,94 +49,104 @@ def find_faces(
     columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int
 ) -> Faces:
     """Fit every column from both ends; ``particles`` float in the air beside the sheet."""
-    shape, depth = columns.shape[:2], columns.shape[2]
-
-    def job(tile: Tile) -> FitJob:
-        return columns, guide.part(priors.scale.grown(tile, shape)), priors, None
-
-    tiles = columns.tiles(engine)
-    depths = join_tiles(
-        engine.map("faces", fit_tile, job, tiles), np.empty((_planes(priors), *shape))
-    )
+    depths = _fit("faces", columns, guide, priors, engine)
     if not priors.embedded_level:
-        # The coarse sheet is one connected object: what is seen far outside it hangs on nothing,
-        # and the face is looked for again below it. Where the gap is so narrow that the coarse
-        # search saw one object, a plate with a step all around is tried too. Such plates are
-        # counted here; what floats farther away was counted by the coarse search.
-        is_floating, expected_depths = np.zeros((2, *shape), dtype=bool), np.empty((2, *shape))
-        plates_by_end, opened_faces = zip(
-            *map_threads(_plates, -depths[:4:2], repeat(columns.pitch)), strict=True
-        )
-        for k, from_high in enumerate((True, False)):
-            plate_labels, opened = plates_by_end[k], opened_faces[k]
-            expected_depths[k] = np.where(
-                plate_labels > 0, -opened, guide.faces(depth, from_high=from_high)[0]
-            )
-            with np.errstate(invalid="ignore"):
-                is_floating[k] = (expected_depths[k] - depths[2 * k] > _FLOATS / guide.cos_tilt) | (
-                    plate_labels > 0
-                )
-        search_depths = np.where(is_floating, expected_depths, np.nan)
-
-        def job_below(tile: Tile) -> FitJob:
-            return *job(tile)[:3], search_depths[:, tile.rows, tile.cols]
-
-        tiles = [t for t in tiles if is_floating[:, t.rows, t.cols].any()]
-        depths_by_tile = engine.map("faces_below", fit_tile, job_below, tiles)
-        depths_below = join_tiles(depths_by_tile, np.full((_planes(priors), *shape), np.nan))
-        for k, plate_labels in enumerate(plates_by_end):
-            is_better = is_floating[k] & np.isfinite(depths_below[2 * k])
-            # A plate floats when there is a face below most of it.
-            is_floating_plate = np.append(
-                False, _share(is_better, plate_labels, int(plate_labels.max())) > _MOST_OF
-            )
-            particles += int(np.count_nonzero(is_floating_plate))
-            is_better &= (plate_labels == 0) | is_floating_plate[plate_labels]
-            depths[2 * k][is_floating_plate[plate_labels] & ~is_better] = np.nan
-            for plane in (2 * k, 2 * k + 1, *([4 + k] if len(depths) > 4 else [])):
-                depths[plane, is_better] = depths_below[plane, is_better]
-        depths = _found_again(depths, job, columns, priors, engine)
-    for k, from_high in enumerate((True, False)):
-        if priors.sides[from_high].wall_level:
-            face, next_wall = depths[2 * k : 2 * k + 2]
-            # Below a fibre that stands out there is a void.
-            is_loose = _loose_fibres(face, columns.pitch) & np.isfinite(next_wall)
-            depths[2 * k] = np.where(is_loose, next_wall, face)
-            depths[2 * k + 1] = 0.0
-    cleaned = not priors.sides[True].wall_level, not priors.sides[False].wall_level
+        particles += _fit_below(depths, columns, guide, priors, engine)
+        _fit_lost(depths, columns, guide, priors, engine)
+    has_wall = [priors.sides[from_high].wall_level > 0 for from_high in (True, False)]
+    for k in np.flatnonzero(has_wall):
+        face, next_wall = depths[2 * k : 2 * k + 2]
+        # Below a fibre that stands out there is a void.
+        is_loose = _loose_fibres(face, columns.pitch) & np.isfinite(next_wall)
+        depths[2 * k] = np.where(is_loose, next_wall, face)
+        depths[2 * k + 1] = 0.0
+    cleaned = not has_wall[0], not has_wall[1]
     return faces_from_depths(depths, columns, priors.coated, cleaned=cleaned, particles=particles)
 
 
-def _found_again(
-    depths: Floats, job: Callable[[Tile], FitJob], columns: Columns, priors: Priors, engine: Engine
+def fit_job(
+    columns: Columns, guide: Guide, priors: Priors, tile: Tile, search_depths: Floats | None = None
+) -> FitJob:
+    """Return what the fit of a tile needs, from the guide and the depths of all columns."""
+    if search_depths is not None:
+        search_depths = search_depths[:, tile.rows, tile.cols]
+    grown = priors.scale.grown(tile, columns.shape[:2])
+    return columns, guide.part(grown), priors, search_depths
+
+
+def _fit(
+    step: str,
+    columns: Columns,
+    guide: Guide,
+    priors: Priors,
+    engine: Engine,
+    search_depths: Floats | None = None,
 ) -> Floats:
-    """Depths in which a coated face that was lost in noise is fitted from where its neighbours say.
+    """Fit all columns, or those of the tiles in which a face is looked for at a depth."""
+
+    def job(tile: Tile) -> FitJob:
+        return fit_job(columns, guide, priors, tile, search_depths)
+
+    tiles = columns.tiles(engine)
+    if search_depths is not None:
+        tiles = [t for t in tiles if np.isfinite(search_depths[:, t.rows, t.cols]).any()]
+    depths = np.full((_planes(priors), *columns.shape[:2]), np.nan)
+    return join_tiles(engine.map(step, fit_tile, job, tiles), depths)
+
+
+def _fit_below(
+    depths: Floats, columns: Columns, guide: Guide, priors: Priors, engine: Engine
+) -> int:
+    """Put the face below what floats in the air in its place; return how many plates float.
+
+    The coarse sheet is one connected object: what is seen far outside it hangs on nothing, and the
+    face is looked for again below it. Where the gap is so narrow that the coarse search saw one
+    object, a plate with a step all around is tried too. Such plates are counted here; what floats
+    farther away was counted by the coarse search.
+    """
+    search_depths = np.empty((2, *depths.shape[1:]))
+    plates = map_threads(_plates, -depths[:4:2], repeat(columns.pitch))
+    for k, (plate_labels, opened) in enumerate(plates):
+        in_plate = plate_labels > 0
+        coarse_face = guide.faces(columns.shape[2], from_high=k == 0)[0]
+        expected = np.where(in_plate, -opened, coarse_face)
+        is_floating = in_plate | (expected - depths[2 * k] > _FLOATS / guide.cos_tilt)
+        search_depths[k] = np.where(is_floating, expected, np.nan)
+    depths_below = _fit("faces_below", columns, guide, priors, engine, search_depths)
+    floating_count = 0
+    for k, (plate_labels, _) in enumerate(plates):
+        is_better = np.isfinite(search_depths[k]) & np.isfinite(depths_below[2 * k])
+        # A plate floats when there is a face below most of it.
+        is_floating_plate = _is_mostly(is_better, plate_labels, int(plate_labels.max()))
+        floating_count += int(np.count_nonzero(is_floating_plate))
+        in_floating = is_floating_plate[plate_labels]
+        is_better &= (plate_labels == 0) | in_floating
+        depths[2 * k][in_floating & ~is_better] = np.nan
+        planes = [plane for plane in (2 * k, 2 * k + 1, 4 + k) if plane < len(depths)]
+        depths[planes] = np.where(is_better, depths_below[planes], depths[planes])
+    return floating_count
+
+
+def _fit_lost(
+    depths: Floats, columns: Columns, guide: Guide, priors: Priors, engine: Engine
+) -> None:
+    """Fit a coated face that was lost in noise again, from where its neighbours say.
 
     Noise just outside a face may be taken for it, and with next to no coating a face may be too
     faint to be searched for.
     """
     search_depths = np.full((2, *depths.shape[1:]), np.nan)
     usual_px = np.zeros(2)
-    for k, from_high in enumerate((True, False)):
-        if priors.sides[from_high].coated:
-            around, is_lost, usual_px[k] = _lost(depths[2 * k], columns.pitch[2])
-            search_depths[k] = np.where(is_lost, around, np.nan)
+    for k in np.flatnonzero(priors.coated):
+        around, is_lost, usual_px[k] = _lost(depths[2 * k], columns.pitch[2])
+        search_depths[k] = np.where(is_lost, around, np.nan)
     known_place = replace(priors, search_px=0.0)
-
-    def job_again(tile: Tile) -> FitJob:
-        return *job(tile)[:2], known_place, search_depths[:, tile.rows, tile.cols]
-
-    tiles = [
-        t for t in columns.tiles(engine) if np.isfinite(search_depths[:, t.rows, t.cols]).any()
-    ]
-    depths_by_tile = engine.map("faces_again", fit_tile, job_again, tiles)
-    found = join_tiles(depths_by_tile, np.full(depths.shape, np.nan))
+    found = _fit("faces_again", columns, guide, known_place, engine, search_depths)
     for k in range(2):
         planes = slice(2 * k, 2 * k + 2)
         # What lies farther off is something else, such as the rim of a particle.
         is_found = np.abs(found[2 * k] - search_depths[k]) <= usual_px[k]
         depths[planes] = np.where(is_found, found[planes], depths[planes])
-    return depths
 
 
 def faces_from_depths(
@@ -154,30 +164,28 @@ def faces_from_depths(
     grey; ``coated`` and ``cleaned`` in the same order. ``cleaned``: take off spikes and attached
     particles; ``particles`` were removed before.
     """
-    first_um, step_um, last_index = (
-        float(columns.depth_um[0]),
-        columns.pitch[2],
-        columns.shape[2] - 1,
-    )
+    first_um = float(columns.depth_um[0])
+    step_um = columns.pitch[2]
     below_particle = np.zeros(depths.shape[1:], dtype=bool)
     heights: dict[str, Floats] = {}
     level_errors: dict[str, tuple[Floats, float]] = {}
     faces = map_threads(_cleaned, depths[:4:2], repeat(columns.pitch), cleaned)
-    for k, side in enumerate(
-        ("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")
-    ):
-        (outer, is_particle), thickness = faces[k], depths[2 * k + 1]
+    for k, (outer, is_particle) in enumerate(faces):
+        side = columns.frame.side_at(from_high=k == 0)
         if len(depths) > 4:
             # The rms of neighbours: whether a wall is seen or not is chance in one column.
-            squares, known = depths[4 + k] ** 2, np.isfinite(depths[4 + k])
-            mean_square, weight = masked_gaussian(squares, known, [3.0, 3.0], truncate=3.0)
+            off = depths[4 + k]
+            mean_square, weight = masked_gaussian(
+                off**2, np.isfinite(off), [3.0, 3.0], truncate=3.0
+            )
             rms = np.sqrt(mean_square / np.maximum(weight, 1e-9))
-            level_errors[side] = step_um * rms, step_um * float(np.nanmean(depths[4 + k]))
+            level_errors[side] = step_um * rms, step_um * float(np.nanmean(off))
         particles += int(ndimage.label(is_particle, np.ones((3, 3)))[1])
         below_particle |= is_particle
-        interface = np.where(np.isfinite(outer) & coated[k], outer + thickness, np.nan)
-        for name, depth in ((side, outer), (f"interface_{side}", interface)):
-            heights[name] = first_um + step_um * (last_index - depth if k == 0 else depth)
+        inner = np.where(np.isfinite(outer) & coated[k], outer + depths[2 * k + 1], np.nan)
+        for name, depth in ((side, outer), (f"interface_{side}", inner)):
+            index = columns.shape[2] - 1 - depth if k == 0 else depth
+            heights[name] = first_um + step_um * index
     return Faces(
         heights=heights,
         below_particle=below_particle,
@@ -186,31 +194,31 @@ def faces_from_depths(
     )
 
 
-def _cleaned(
-    outer: Floats, pitch: tuple[float, float, float], is_asked: bool
-) -> tuple[Floats, Bools]:
+def _cleaned(outer: Floats, pitch: Pitch, is_asked: bool) -> tuple[Floats, Bools]:
     """Give a face without spikes and attached particles, and where these are.
 
     As it is where that is not asked.
     """
-    if not is_asked or not np.isfinite(outer).any():
+    is_finite = np.isfinite(outer)
+    if not is_asked or not is_finite.any():
         return outer, np.zeros(outer.shape, dtype=bool)
+    step_um = pitch[2]
     # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
-    is_finite, step_um = np.isfinite(outer), pitch[2]
-    deviation_px = np.abs(
-        outer - ndimage.median_filter(filled(outer), size=_AROUND, mode="nearest")
-    )
+    deviation_px = np.abs(outer - _around(outer))
     limit_px = largest_step_px(deviation_px[is_finite], step_um)
     outer = np.where(is_finite & (deviation_px <= limit_px), outer, np.nan)
     # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow
-    # place.
-    is_finite, filled_face = np.isfinite(outer), filled(-outer)
-    rows, cols = (max(int(15.0 / p), 1) + 1 for p in pitch[:2])  # an attached particle is narrower
-    top_hat = filled_face - _opened(filled_face, (rows, cols))
-    is_particle = is_finite & (
-        top_hat > max(8.0 * mad_sd(top_hat[is_finite]) + 1.0, 6.0 / step_um, 3.0)
-    )
+    # place: an attached particle is narrower than 15 um.
+    is_finite = np.isfinite(outer)
+    top_hat, _ = _top_hat(outer, 15.0, 1, pitch)
+    limit_px = max(_usual_step_px(top_hat[is_finite]), 6.0 / step_um, 3.0)
+    is_particle = is_finite & (top_hat > limit_px)
     return np.where(is_particle, np.nan, outer), is_particle
+
+
+def _around(face: Floats) -> Floats:
+    """Median of the columns around, of a face that is filled first."""
+    return ndimage.median_filter(filled(face), size=_AROUND, mode="nearest")
 
 
 def largest_step_px(deviations_px: Floats, step_um: float) -> float:
@@ -232,7 +240,7 @@ def _lost(face: Floats, step_um: float) -> tuple[Floats, Bools, float]:
     is_found = np.isfinite(face)
     if not is_found.any():
         return face, is_found, 0.0
-    around = ndimage.median_filter(filled(face), size=_AROUND, mode="nearest")
+    around = _around(face)
     deviation_px = np.abs(face - around)
     usual_px = _usual_step_px(deviation_px[is_found])
     is_found &= deviation_px <= largest_step_px(deviation_px[is_found], step_um)
@@ -240,7 +248,7 @@ def _lost(face: Floats, step_um: float) -> tuple[Floats, Bools, float]:
     return around, ~is_found & (share > 0.5), usual_px
 
 
-def _loose_fibres(face: Floats, pitch: tuple[float, float, float]) -> Bools:
+def _loose_fibres(face: Floats, pitch: Pitch) -> Bools:
     """Find what stands out of a rough face as far as hardly any fibre that lies in it does.
 
     That is two standard deviations above the upper fifth of the faces around: one in 400 of a
@@ -257,42 +265,43 @@ def _loose_fibres(face: Floats, pitch: tuple[float, float, float]) -> Bools:
     return is_found & (height > 2.0 * mad_sd(height[is_found]))
 
 
-def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Floats]:
+def _plates(outward: Floats, pitch: Pitch) -> tuple[NDArray[np.int32], Floats]:
     """Label what stands three voxels off the face with a step all round; give the face below."""
     is_finite = np.isfinite(outward)
     if not is_finite.any():
         return np.zeros(outward.shape, np.int32), outward
-    filled_face = filled(outward)
-    # As wide as it may be, in um.
-    opened = _opened(filled_face, (int(100.0 / pitch[0]) + 2, int(100.0 / pitch[1]) + 2))
-    top_hat = filled_face - opened
-    labels, count = ndimage.label(
-        is_finite & (top_hat > max(_FLOATS - 0.5, 8.0 * mad_sd(top_hat[is_finite])))
-    )
-    if not count:
-        return np.asarray(labels, np.int32), opened
+    top_hat, opened = _top_hat(-outward, 100.0, 2, pitch)  # as wide as it may be, in um
+    limit_px = max(_FLOATS - 0.5, 8.0 * mad_sd(top_hat[is_finite]))
+    labels, count = ndimage.label(is_finite & (top_hat > limit_px))
     # A bump, or a fibre that lies on others with its ends, has no step all around.
     ring_labels = np.where((labels == 0) & is_finite, ndimage.grey_dilation(labels, size=(9, 9)), 0)
-    is_plate = np.append(False, _share(top_hat < 1.5, ring_labels, count) > _MOST_OF)
+    is_plate = _is_mostly(top_hat < 1.5, ring_labels, count)
     return np.where(is_plate[labels], labels, 0).astype(np.int32), opened
 
 
-def _opened(height: Floats, size: tuple[int, int]) -> Floats:
-    """Opening of a face that goes on beyond its border with the slope it has there."""
-    pad_widths = [(min(n, m - 1),) * 2 for n, m in zip(size, height.shape, strict=True)]
-    padded = np.pad(height, pad_widths, mode="reflect", reflect_type="odd")
-    inner_window = tuple(
-        slice(a, n - a) for (a, _), n in zip(pad_widths, padded.shape, strict=True)
-    )
-    return ndimage.grey_opening(padded, size=size)[inner_window]
+def _top_hat(face: Floats, width_um: float, more: int, pitch: Pitch) -> tuple[Floats, Floats]:
+    """How far narrow places stand out of a face, and the face outwards without them.
+
+    Narrower than ``width_um`` and so many columns more. The face goes on beyond its border with the
+    slope it has there.
+    """
+    outward = filled(-face)
+    rows, cols = (max(int(width_um / p), 1) + more for p in pitch[:2])
+    pad = [min(n, m - 1) for n, m in zip((rows, cols), face.shape, strict=True)]
+    padded = np.pad(outward, [(n, n) for n in pad], mode="reflect", reflect_type="odd")
+    opened = ndimage.grey_opening(padded, size=(rows, cols))
+    opened = opened[pad[0] : pad[0] + face.shape[0], pad[1] : pad[1] + face.shape[1]]
+    return outward - opened, opened
 
 
-def _share(mask: Bools, labels: NDArray[np.integer], count: int) -> Floats:
+def _is_mostly(mask: Bools, labels: NDArray[np.integer], count: int) -> Bools:
+    """Tell of each label if most of its columns are in the mask; not of 0."""
     flat_labels = labels.ravel()
-    column_count = np.bincount(flat_labels, minlength=count + 1)[1:]
-    return np.bincount(flat_labels, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(
-        column_count, 1
-    )
+    column_count = np.bincount(flat_labels, minlength=count + 1)
+    mask_count = np.bincount(flat_labels, mask.ravel(), count + 1)
+    is_mostly = mask_count / np.maximum(column_count, 1) > _MOST_OF
+    is_mostly[0] = False
+    return is_mostly
 
 
 def fit_tile(job: FitJob, tile: Tile) -> Floats:
@@ -306,39 +315,45 @@ def fit_tile(job: FitJob, tile: Tile) -> Floats:
     """
     columns, guide, priors, search_depths = job
     grey, guide = oriented(columns, tile, guide, priors.scale)
-    cos_tilt = np.ascontiguousarray(guide.cos_tilt)
+    looked_for = priors
+    margin_px = priors.search_px
+    if search_depths is not None:
+        margin_px = 1.0
+        if priors.search_px > 0:
+            looked_for = replace(priors, embedded_level=0.5 * priors.base_level)
     depths = np.zeros((_planes(priors), *tile.shape))
     for k, from_high in enumerate((True, False)):
-        outer, opposite = (
-            np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], from_high=from_high)
-        )
-        side, embedded_level = priors.sides[from_high], priors.embedded_level
+        outer, opposite = guide.faces(grey.shape[2], from_high=from_high)
         if search_depths is not None:
-            outer = np.ascontiguousarray(search_depths[k])
-            if priors.search_px > 0:
-                embedded_level = 0.5 * priors.base_level
-        if side.wall_level:
-            start = outer - (1.0 if search_depths is not None else priors.search_px) / cos_tilt
+            outer = search_depths[k]
+        wall_level = priors.sides[from_high].wall_level
+        if wall_level:
             inward_grey = grey[..., ::-1] if from_high else grey
-            levels = [
-                0.5 * side.wall_level * (1.0 + doubt)
-                for doubt in (0.0, -_LEVEL_DOUBT, _LEVEL_DOUBT)
-            ]
-            face, outwards, inwards = (
-                outermost_crossing(inward_grey, start, opposite, level) for level in levels
-            )
-            # Where the next wall is taken for this one the face moves far to one side alone.
-            off = np.sqrt(0.5 * ((inwards - face) ** 2 + (face - outwards) ** 2))
-            below_first = first_where(inward_grey <= levels[0], np.ceil(filled(face)))
-            depths[2 * k], depths[4 + k] = face, off
-            depths[2 * k + 1] = outermost_crossing(
-                inward_grey, below_first.astype(np.float64), opposite, levels[0]
-            )
-            continue
-        looked_for = replace(priors, embedded_level=embedded_level)
-        fit = fit_side(grey, (outer, opposite, cos_tilt), looked_for, columns, from_high)
-        depths[2 * k : 2 * k + 2] = fit[:2]
+            start = outer - margin_px / guide.cos_tilt
+            walls = _wall_depths(inward_grey, start, opposite, wall_level)
+            depths[[2 * k, 2 * k + 1, 4 + k]] = walls
+        else:
+            fit = fit_side(grey, (outer, opposite, guide.cos_tilt), looked_for, columns, from_high)
+            depths[2 * k : 2 * k + 2] = fit[:2]
     return depths
+
+
+def _wall_depths(
+    grey: NDArray[np.float32], start: Floats, stop: Floats, wall_level: float
+) -> tuple[Floats, Floats, Floats]:
+    """Depth of the first wall, of the next one below a void, and how far the grey moves the first.
+
+    ``grey`` (rows, cols, depth) is read from outside.
+    """
+    level = 0.5 * wall_level
+    face, outwards, inwards = (
+        outermost_crossing(grey, start, stop, level * (1.0 + doubt))
+        for doubt in (0.0, -_LEVEL_DOUBT, _LEVEL_DOUBT)
+    )
+    below_first = first_where(grey <= level, np.ceil(filled(face))).astype(np.float64)
+    next_wall = outermost_crossing(grey, below_first, stop, level)
+    # Where the next wall is taken for this one the face moves far to one side alone.
+    return face, next_wall, np.sqrt(0.5 * ((inwards - face) ** 2 + (face - outwards) ** 2))
 
 
 def fit_side(
@@ -357,7 +372,7 @@ def fit_side(
     fit = np.empty((5, *grey.shape[:2]))
     _fit_kernels.fit_faces(
         grey,
-        *expected,
+        *map(np.ascontiguousarray, expected),
         0.0,
         edge.width,
         priors.scatter,
@@ -388,10 +403,10 @@ def outermost_crossing(
 
     NaN for nowhere.
     """
-    inside = first_where(
-        grey > level, np.where(np.isfinite(start), np.maximum(np.floor(start), 1), grey.shape[-1])
-    )
-    is_found = inside <= np.minimum(stop, grey.shape[-1] - 1)
+    depth_count = grey.shape[-1]
+    first = np.where(np.isfinite(start), np.maximum(np.floor(start), 1), depth_count)
+    inside = first_where(grey > level, first)
+    is_found = inside <= np.minimum(stop, depth_count - 1)
     outside = np.where(is_found, inside - 1, 0)
     return np.where(is_found, outside + crossing(grey, outside, level), np.nan)
 

@@ -111,10 +111,8 @@ def find_surfaces(
     the width of the blur.
     """
     check_volume(volume, "pl.find_surfaces({})")
-    frame, params = (
-        Frame.asked(volume, frame, through, top),
-        params_of(SurfaceParams, params, "pl.find_surfaces"),
-    )
+    frame = Frame.asked(volume, frame, through, top)
+    params = params_of(SurfaceParams, params, "pl.find_surfaces")
     try:
         surfaces = _search(volume, frame, params, step, engine or Engine())
         check_sheet(surfaces, unusual_size=unusual_size)
@@ -128,6 +126,7 @@ def find_surfaces(
 def _search(
     volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int, engine: Engine
 ) -> xr.Dataset:
+    """Search for the surfaces, of grey or of labels, and correct them."""
     if params.labels is not None:
         if params.corrections is not None:
             raise InputError(
@@ -155,16 +154,17 @@ def _search(
         (air_grey, priors.scale.polarity * priors.base_level + air_grey),
         engine,
     )
-    share_attrs = {"missing_share": survey.missing_share, "empty_share": survey.empty_share}
-    surfaces.attrs |= priors.attrs(columns.pitch[2], frame) | share_attrs
+    attrs = surfaces.attrs
+    attrs |= priors.attrs(columns.pitch[2], frame)
+    attrs["missing_share"] = survey.missing_share
+    attrs["empty_share"] = survey.empty_share
     if params.method == "profile":
         for from_high, errors_px in fit_errors(columns, guide, priors).items():
-            side = "top" if from_high == (frame.top == "high") else "bottom"
-            errors_um = errors_px * columns.pitch[2]
-            surfaces.attrs[f"fit_errors_{side}_um"] = errors_um.ravel().tolist()
+            side = frame.side_at(from_high=from_high)
+            attrs[f"fit_errors_{side}_um"] = (errors_px * columns.pitch[2]).ravel().tolist()
     if survey.padding is not None:
-        surfaces.attrs["padding"] = survey.padding
-    surfaces.attrs |= _attrs_of_companions(survey.coarse, columns, surfaces)
+        attrs["padding"] = survey.padding
+    attrs |= _attrs_of_companions(survey.coarse, columns, surfaces)
     if params.corrections is None:
         return surfaces
     corrections = read_corrections(params.corrections)
@@ -178,11 +178,13 @@ def _attrs_of_companions(
 
     A gap is the median air between the face of the sheet and that of the object.
     """
+    if not coarse.companions:
+        return {}
     voxel_um = columns.pitch[2]
     texts: list[str] = []
     gaps_um: list[float] = []
     for companion in coarse.companions:
-        side = "top" if companion.end == columns.frame.top else "bottom"
+        side = columns.frame.side_at(from_high=companion.end == "high")
         face_um = surfaces[side].values
         facing_px = to_columns(companion.facing, coarse.block, face_um.shape)
         facing_um = float(columns.depth_um[0]) + voxel_um * facing_px
@@ -192,8 +194,6 @@ def _attrs_of_companions(
             f"{companion.thickness_px * voxel_um:.0f} um thick, some {gap_um:.0f} um from the"
             f" {side} side, in {100 * companion.share:.0f} % of the columns"
         )
-    if not texts:
-        return {}
     return {"beside": "; ".join(texts), "beside_gap_um": min(gaps_um)}
 
 

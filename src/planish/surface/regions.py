@@ -26,22 +26,19 @@ def regions(
     padded = np.pad(is_sheet, 2 * radius_px, mode="edge")
     inner = (slice(2 * radius_px, -2 * radius_px),) * 2
     is_closed = ndimage.binary_closing(padded, _disc(radius_px))
-    in_sheet = (
-        ndimage.binary_opening(is_closed, _disc(radius_px))
-        | ndimage.binary_erosion(is_closed, _disc(1))
-    )[inner]
+    is_open = ndimage.binary_opening(is_closed, _disc(radius_px))
+    in_sheet = (is_open | ndimage.binary_erosion(is_closed, _disc(1)))[inner]
     labels, gap_count = ndimage.label(~in_sheet)
-    border_labels = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    column_count = np.bincount(labels.ravel(), minlength=gap_count + 1)
+    flat_labels = labels.ravel()
+    column_count = np.bincount(flat_labels, minlength=gap_count + 1)
     # Half of a hole at the border lies beyond it.
     max_area_um2 = np.full(gap_count + 1, np.pi / 4 * _HOLE_UM**2)
-    max_area_um2[border_labels] /= 2
-    leaving_count = np.bincount(labels.ravel(), weights=runs_out.ravel(), minlength=gap_count + 1)
+    for border_labels in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        max_area_um2[border_labels] = np.pi / 8 * _HOLE_UM**2
+    leaving_count = np.bincount(flat_labels, runs_out.ravel(), gap_count + 1)
     is_continued = leaving_count > 0.5 * np.maximum(column_count, 1)
-    is_continued[0] = False
     is_hole = (column_count * pitch[0] * pitch[1] <= max_area_um2) & ~is_continued
-    is_hole[0] = False
-    in_hole = is_hole[labels]
+    in_hole = is_hole[labels] & ~in_sheet
     # The sheet's edge, which nothing has burnt, is kept clear of 20 um.
     is_beyond_edge = ~in_sheet & ~in_hole & ~is_continued[labels]
     in_rim = _near(in_hole, pitch, rim_um) | _near(is_beyond_edge, pitch, min(rim_um, 20.0))
@@ -55,20 +52,16 @@ def doubtful(
     extent = (guide.high - guide.low) * guide.cos_tilt
     is_finite = np.isfinite(extent)
     typical_extent = float(np.median(extent[is_finite])) if is_finite.any() else np.inf
-    is_touching = is_finite & (
-        np.where(is_finite, extent, 0.0) > MERGED * typical_extent + 2.0 * width
-    )
+    is_touching = extent > MERGED * typical_extent + 2.0 * width
     is_touching |= flags_to_columns(coarse_sheet.is_touching, coarse_sheet.block, extent.shape)
     if is_touching.any():
         # The columns beside whose faces it disturbs.
         is_touching = ndimage.binary_dilation(is_touching, _disc(2))
     # Two widths of the blur and the block's own inaccuracy are needed outside a face.
     margin_px = 2.0 * width / guide.cos_tilt + 2.0
-    is_near_end = (guide.low < margin_px) | (guide.high > depth - 1 - margin_px)
-    return (
-        is_touching,
-        flags_to_columns(coarse_sheet.is_leaving, coarse_sheet.block, extent.shape) | is_near_end,
-    )
+    may_run_out = (guide.low < margin_px) | (guide.high > depth - 1 - margin_px)
+    may_run_out |= flags_to_columns(coarse_sheet.is_leaving, coarse_sheet.block, extent.shape)
+    return is_touching, may_run_out
 
 
 def _near(region: Bools, pitch: Pair, distance_um: float) -> Bools:
@@ -105,20 +98,19 @@ def all_holes(in_sheet: Bools, pitch: Pair) -> Floats:
     radius_px = max(1, round(3.0 / float(np.sqrt(pitch[0] * pitch[1]))))
     # Fibres and flaps across a hole belong to its outline, single columns without a face do not.
     in_gap = ndimage.binary_opening(~in_sheet, np.ones((2, 2), dtype=bool))
-    gap_labels, gap_count = ndimage.label(ndimage.binary_dilation(in_gap, iterations=radius_px))
+    gap_labels, _ = ndimage.label(ndimage.binary_dilation(in_gap, iterations=radius_px))
     holes: list[tuple[float, ...]] = []
-    for k, bounds in enumerate(ndimage.find_objects(gap_labels)[:gap_count], start=1):
+    for k, bounds in enumerate(ndimage.find_objects(gap_labels), start=1):
         if any(s.start == 0 or s.stop == n for s, n in zip(bounds, in_sheet.shape, strict=True)):
             continue
-        points_um = np.argwhere(in_gap[bounds] & (gap_labels[bounds] == k)).astype(
-            np.float64
-        ) * np.array(pitch)
-        if points_um.shape[0] < 8 or np.ptp(points_um, axis=0).min() <= 0:
+        points = np.argwhere(in_gap[bounds] & (gap_labels[bounds] == k))
+        points_um = points.astype(np.float64) * np.array(pitch)
+        if len(points) < 8 or np.ptp(points_um, axis=0).min() <= 0:
             continue
         ellipse_um2 = _ellipse(points_um)
         if np.pi / 4 * 40.0**2 <= ellipse_um2 <= np.pi / 4 * _HOLE_UM**2:
             row, col = points_um.mean(axis=0) / pitch
-            open_um2 = points_um.shape[0] * pitch[0] * pitch[1]
+            open_um2 = len(points) * pitch[0] * pitch[1]
             holes.append((bounds[0].start + row, bounds[1].start + col, open_um2, ellipse_um2))
     return np.array(holes).reshape(-1, 4)
 
@@ -130,13 +122,13 @@ def _ellipse(points: Floats) -> float:
     except spatial.QhullError:
         return 0.0
     x, y = (hull - hull.mean(axis=0)).T
-    x1, y1 = np.roll(x, -1), np.roll(y, -1)
+    x1, y1 = np.roll((x, y), -1, axis=1)
     cross = x * y1 - x1 * y
     area = 0.5 * cross.sum()
-    centre = np.array([((x + x1) * cross).sum(), ((y + y1) * cross).sum()]) / (6 * area)
-    xx = ((x * x + x * x1 + x1 * x1) * cross).sum() / (12 * area) - centre[0] ** 2
-    yy = ((y * y + y * y1 + y1 * y1) * cross).sum() / (12 * area) - centre[1] ** 2
-    xy = ((x * y1 + 2 * x * y + 2 * x1 * y1 + x1 * y) * cross).sum() / (24 * area) - centre[
-        0
-    ] * centre[1]
+    middle_x = ((x + x1) * cross).sum() / (6 * area)
+    middle_y = ((y + y1) * cross).sum() / (6 * area)
+    xx = ((x * x + x * x1 + x1 * x1) * cross).sum() / (12 * area) - middle_x**2
+    yy = ((y * y + y * y1 + y1 * y1) * cross).sum() / (12 * area) - middle_y**2
+    xy = ((x * y1 + 2 * x * y + 2 * x1 * y1 + x1 * y) * cross).sum() / (24 * area)
+    xy -= middle_x * middle_y
     return float(4 * np.pi * np.sqrt(max(xx * yy - xy * xy, 0.0)))

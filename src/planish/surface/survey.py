@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import VolumeError
-from planish.core.grid import first_and_last
+from planish.core.grid import at_index, first_and_last
 from planish.core.robust import mad_sd
 from planish.core.tiles import Engine, Tile
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints
 from planish.surface._kernels import block_sums
 from planish.surface.choose import Surroundings, choose_sheet, make_choice, seed_grey
 from planish.surface.coarse import CoarseSheet, search_sheet
@@ -45,22 +45,22 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     """
     depth = columns.shape[2]
     reading = _read(columns, engine)
-    profiles, missing_share = reading.profiles.reshape(-1, depth), reading.missing_share
+    if reading.missing_share > 0.9:
+        raise VolumeError(
+            "More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported."
+        )
+    profiles = reading.profiles.reshape(-1, depth)
     padding = padding_value(profiles)
     blocks, sharp_blocks = reading.blocks(padding)
     if params.seed_um is None:
         sharp_blocks = blocks  # only a seed needs both
-    if missing_share > 0.9:
-        raise VolumeError(
-            "More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported."
-        )
     choice = make_choice(columns, reading.block, blocks.shape, params)
     # The level comes from means over blocks: where the export has cut the air's noise at 0, single
     # voxels crowd there.
-    end_grey = _ends(blocks.reshape(-1, depth), np.isfinite(blocks).reshape(-1, depth))
-    end_voxels = _ends(
-        profiles, np.ones(profiles.shape, bool) if padding is None else profiles != padding
-    )
+    block_columns = blocks.reshape(-1, depth)
+    end_grey = _ends(block_columns, np.isfinite(block_columns))
+    in_field = np.full(profiles.shape, True) if padding is None else profiles != padding
+    end_voxels = _ends(profiles, in_field)
     scatter = None
     if choice.seed is not None:
         end_grey, end_voxels = _airy(end_grey, end_voxels, seed_grey(sharp_blocks, choice.seed))
@@ -79,7 +79,7 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
         noise=voxel_noise(end_voxels, air_grey),
         polarity=polarity,
         padding=padding,
-        missing_share=missing_share,
+        missing_share=reading.missing_share,
         empty_share=float(empty_share),
         surroundings=surroundings,
     )
@@ -96,9 +96,8 @@ def survey_labels(
     """
     reading = _read(columns, engine)
     shares = reading.blocks(None)[1]
-    coarse_sheet = search_sheet(
-        shares, shares > 0.5, 0.5, make_choice(columns, reading.block, shares.shape, params)
-    )
+    choice = make_choice(columns, reading.block, shares.shape, params)
+    coarse_sheet = search_sheet(shares, shares > 0.5, 0.5, choice)
     return coarse_sheet, float(1.0 - (shares > 0).any(axis=2).mean())
 
 
@@ -134,57 +133,56 @@ class _Reading:
 
     def blocks(self, padding: float | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Block means, smoothed and as they are, NaN for gaps."""
-        means, is_missing = self.means, ~np.isfinite(self.means)
+        means = self.means
+        is_missing = ~np.isfinite(means)
         if padding is not None:
             is_missing |= self.holds_corner
-        if not is_missing.any():
-            return (
-                ndimage.uniform_filter(
-                    means, (3, 3, 3) if self.block < 3 else (1, 1, 3), mode="nearest"
-                ),
-                means,
-            )
-        means[is_missing] = np.nan
-        return means, means
+        if is_missing.any():
+            means[is_missing] = np.nan
+            return means, means
+        lateral = 3 if self.block < 3 else 1
+        return ndimage.uniform_filter(means, (lateral, lateral, 3), mode="nearest"), means
 
 
 def _read(columns: Columns, engine: Engine) -> _Reading:
+    """Read all columns once."""
     block, stride = _block(columns)
     rows, cols, depth = columns.shape
-    means = np.empty((max(rows // block, 1), max(cols // block, 1), depth), dtype=np.float32)
-    holds_corner, missing_count = np.empty(means.shape, dtype=bool), 0.0
-    profiles = np.empty(
-        (-(-rows // stride[0]), -(-cols // stride[1]), depth), dtype=columns.volume.dtype
-    )
+    block_shape = max(rows // block, 1), max(cols // block, 1), depth
+    sample_shape = -(-rows // stride[0]), -(-cols // stride[1]), depth
+    fields: dict[str, NDArray[Any]] = {
+        "means": np.empty(block_shape, np.float32),
+        "holds_corner": np.empty(block_shape, bool),
+        "profiles": np.empty(sample_shape, columns.volume.dtype),
+    }
+    missing_count = 0.0
     corner = float(columns.voxels(Tile(0, 1, 0, 1), slice(1))[0, 0, 0])
-    tiles = [
-        # What remains belongs to the last block of the axis, and so to the last tile.
-        Tile(
-            t.r0, rows if t.r1 > rows - block else t.r1, t.c0, cols if t.c1 > cols - block else t.c1
-        )
-        for t in columns.tiles(engine, multiple=block)
-        if t.r0 <= max(rows - block, 0) and t.c0 <= max(cols - block, 0)
-    ]
     for tile, found in engine.map(
-        "survey", _read_tile, lambda _tile: (columns, block, stride, corner), tiles
+        "survey",
+        _read_tile,
+        lambda _tile: (columns, block, stride, corner),
+        _block_tiles(columns, engine, block),
     ):
-        row, col = tile.r0 // block, tile.c0 // block
-        sample_row, sample_col = -(-tile.r0 // stride[0]), -(-tile.c0 // stride[1])
-        for field, part, r, c in (
-            (means, found["means"], row, col),
-            (holds_corner, found["holds_corner"], row, col),
-            (profiles, found["profiles"], sample_row, sample_col),
-        ):
-            field[r : r + part.shape[0], c : c + part.shape[1]] = part
+        for name, field in fields.items():
+            steps = stride if name == "profiles" else (block, block)
+            row, col = (-(-start // n) for start, n in zip(tile[::2], steps, strict=True))
+            part = found[name]
+            field[row : row + part.shape[0], col : col + part.shape[1]] = part
         missing_count += float(found["missing"])
     missing_share = missing_count / (rows * cols * depth * columns.step**2)
-    return _Reading(
-        means=means,
-        holds_corner=holds_corner,
-        profiles=profiles,
-        missing_share=missing_share,
-        block=block,
-    )
+    return _Reading(**fields, missing_share=missing_share, block=block)
+
+
+def _block_tiles(columns: Columns, engine: Engine, block: int) -> list[Tile]:
+    """Tiles of whole blocks: what remains belongs to the last block of the axis."""
+    rows, cols, _ = columns.shape
+    tiles: list[Tile] = []
+    for r0, r1, c0, c1 in columns.tiles(engine, multiple=block):
+        if r0 <= max(rows - block, 0) and c0 <= max(cols - block, 0):
+            row_stop = rows if r1 > rows - block else r1
+            col_stop = cols if c1 > cols - block else c1
+            tiles.append(Tile(r0, row_stop, c0, col_stop))
+    return tiles
 
 
 def _read_tile(job: tuple[Columns, int, tuple[int, int], float], tile: Tile) -> NDArray[Any]:
@@ -198,31 +196,26 @@ def _read_tile(job: tuple[Columns, int, tuple[int, int], float], tile: Tile) -> 
     block_counts = [max(n // block_px, 1) for n in voxels.shape[:2]]
     # As it lies in memory: the depth may be the first, the second or the last axis.
     axis_order = np.argsort(voxels.strides, kind="stable")[::-1]
-    sums_shape, block_sides = (
-        np.array([*block_counts, voxels.shape[2]]),
-        np.array([block_px, block_px, 1]),
-    )
-    sums, missing, holds_corner = (
-        np.zeros(sums_shape[axis_order], dtype) for dtype in (float, float, bool)
-    )
+    sums_shape = np.array([*block_counts, voxels.shape[2]])[axis_order]
+    block_sides = np.array([block_px, block_px, 1])[axis_order]
+    sums, missing, holds_corner = (np.zeros(sums_shape, dtype) for dtype in (float, float, bool))
     stored = np.ascontiguousarray(voxels.transpose(axis_order))
-    block_sums(stored, tuple(block_sides[axis_order].tolist()), corner, sums, missing, holds_corner)
-    sums, holds_corner = (field.transpose(np.argsort(axis_order)) for field in (sums, holds_corner))
+    block_sums(stored, tuple(block_sides.tolist()), corner, sums, missing, holds_corner)
+    column_order = np.argsort(axis_order)
     block_widths = [
         np.diff([*(block_px * np.arange(k)), n])
         for k, n in zip(block_counts, voxels.shape, strict=False)
     ]
     # Columns of the sample lie at multiples of the stride in the whole grid.
-    sampled = voxels[
-        tuple(
-            slice((-k % n) * columns.step, None, n * columns.step)
-            for k, n in zip(tile[::2], stride, strict=True)
-        )
-    ]
+    sampled = tuple(
+        slice((-k % n) * columns.step, None, n * columns.step)
+        for k, n in zip(tile[::2], stride, strict=True)
+    )
+    means = sums.transpose(column_order) / np.multiply.outer(*block_widths)[..., None]
     fields = {
-        "means": (sums / np.multiply.outer(*block_widths)[..., None]).astype(np.float32),
-        "holds_corner": holds_corner,
-        "profiles": sampled,
+        "means": means.astype(np.float32),
+        "holds_corner": holds_corner.transpose(column_order),
+        "profiles": voxels[sampled],
         "missing": missing.sum(),
     }
     record = np.empty((), [(name, field.dtype, field.shape) for name, field in fields.items()])
@@ -236,26 +229,28 @@ def _ends(profiles: NDArray[Any], inside: Bools) -> Floats:
 
     (2 n, 3).
     """
-    is_long = inside.sum(axis=1) > 12
-    if not is_long.any():
+    rows = np.flatnonzero(inside.sum(axis=1) > 12)
+    if not rows.size:
         return np.full((1, 3), np.nan)
-    rows, inside = np.flatnonzero(is_long)[:, None], inside[is_long]
     # One voxel is skipped where the field of view begins within the column: it may be cut.
-    first, last = first_and_last(inside)
-    first, last = first + (first > 0), last - (last < profiles.shape[1] - 1)
-    starts, stops = first[:, None] + np.arange(3), last[:, None] - np.arange(3)
-    return np.concatenate([profiles[rows, k].astype(np.float64) for k in (starts, stops)])
+    first, last = first_and_last(inside[rows])
+    first += first > 0
+    last -= last < profiles.shape[1] - 1
+    ends = first[:, None] + np.arange(3), last[:, None] - np.arange(3)
+    return np.concatenate([profiles[rows[:, None], k].astype(np.float64) for k in ends])
 
 
 def _airy(ends: Floats, voxels: Floats, seed: Floats) -> tuple[Floats, Floats]:
     """Where the columns' two ends differ, keep the one less like the object at the seed."""
-    values_by_end = [(part[: len(part) // 2], part[len(part) // 2 :]) for part in (ends, voxels)]
-    levels = [mode(half) for half in values_by_end[0]]
+    levels = [mode(half) for half in np.split(ends, [len(ends) // 2])]
     contrasts = [abs(level - float(np.median(seed))) for level in levels]
     if abs(levels[0] - levels[1]) < 0.1 * max(contrasts):
         return ends, voxels
     clearest_end = int(np.argmax(contrasts))
-    return values_by_end[0][clearest_end], values_by_end[1][clearest_end]
+    end_grey, end_voxels = (
+        np.split(part, [len(part) // 2])[clearest_end] for part in (ends, voxels)
+    )
+    return end_grey, end_voxels
 
 
 def mode(values: Floats) -> float:
@@ -292,32 +287,46 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     is_padding = columns == corner
     if not np.isfinite(corner) or columns[-1, -1] != corner or is_padding.mean() < 1e-3:
         return None
-    has_inside, last_index = (~is_padding).sum(axis=1) > 12, columns.shape[1] - 1
+    has_inside = (~is_padding).sum(axis=1) > 12
     if np.count_nonzero(has_inside) < 10:
         return None
-    profiles, padding = columns[has_inside].astype(np.float64), float(corner)
-    first, last = first_and_last(~is_padding[has_inside])
+    padding = float(corner)
+    last_index = columns.shape[1] - 1
+    profiles = columns[has_inside].astype(np.float64)
+    is_outside = is_padding[has_inside]
+    first, last = first_and_last(~is_outside)
     is_cut = (first > 0) | (last < last_index)
     if np.count_nonzero(is_cut) < 0.05 * is_cut.size:
         # Few columns end in the padding. If others hold nothing else, the circle lies across the
         # columns.
         is_empty = is_padding.all(axis=1)
-        is_across = is_empty.mean() > 0.01 and not (~is_padding[~is_empty][:, 0]).mean() < 0.5
+        is_across = is_empty.mean() > 0.01 and is_padding[~is_empty][:, 0].mean() <= 0.5
         return padding if is_across else None
-    rows = np.flatnonzero(is_cut & (first > 0))
+    rows = np.flatnonzero(first > 0)
     if rows.size < 10:
-        rows, first, profiles = np.flatnonzero(is_cut), last_index - last, profiles[:, ::-1]
-    inner_grey = profiles[
-        rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), last_index)
-    ]
+        rows = np.flatnonzero(is_cut)
+        first = last_index - last
+        profiles = profiles[:, ::-1]
+    is_sharp = _is_sharp(profiles[rows], is_outside[rows], first[rows], padding)
+    return padding if is_sharp else None
+
+
+def _is_sharp(profiles: Floats, is_outside: Bools, first: Ints, padding: float) -> bool:
+    """Tell if the step from the padding to what lies inside is sharp, and something stands out.
+
+    ``first``: index of the first voxel inside of each profile (n, depth).
+    """
+    inner_index = np.minimum(first[:, None] + np.arange(2, 6), profiles.shape[1] - 1)
+    inner_grey = np.take_along_axis(profiles, inner_index, axis=1)
     inner_level = float(np.median(inner_grey))
     scatter = max(mad_sd(inner_grey - inner_level), 1e-9)
-    running_mean = (profiles[rows, :-2] + profiles[rows, 1:-1] + profiles[rows, 2:]) / 3
-    running_mean = np.where(is_padding[has_inside][rows][:, 1:-1], inner_level, running_mean)
-    stands_out = float(np.median(np.max(np.abs(running_mean - inner_level), axis=1))) > 4 * scatter
+    running_mean = (profiles[:, :-2] + profiles[:, 1:-1] + profiles[:, 2:]) / 3
+    running_mean = np.where(is_outside[:, 1:-1], inner_level, running_mean)
+    highest = float(np.median(np.max(np.abs(running_mean - inner_level), axis=1)))
     contrast = abs(inner_level - padding)
-    is_sharp = abs(float(np.median(profiles[rows, first[rows]])) - inner_level) < 0.2 * contrast
-    return padding if is_sharp and contrast > 3 * scatter and stands_out else None
+    first_grey = float(np.median(at_index(profiles, first)))
+    is_step = abs(first_grey - inner_level) < 0.2 * contrast and contrast > 3 * scatter
+    return is_step and highest > 4 * scatter
 
 
 def voxel_noise(ends: Floats, air: float) -> float:
