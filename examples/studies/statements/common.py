@@ -6,7 +6,7 @@ The runs of a series, r of its fields, intervals as text, maps and clouds of poi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -73,53 +73,57 @@ def of_image(run: pl.Run) -> CorrelationRow:
 def explained(runs: Mapping[str, pl.Run]) -> str:
     """What the model that the study declares says of one run, or of runs by their sheets.
 
-    Doubtful ones are left out, as they are of r.
+    Of several, the doubtful ones are left out, as they are of r.
     """
     found = {sheet: run.results.explained for sheet, run in runs.items() if run.results.explained}
-    models = {sheet: model for sheet, model in found.items() if model.trust == "ok"}
-    left_out = _left_out([sheet for sheet in found if sheet not in models])
+    doubtful = [sheet for sheet, model in found.items() if model.trust != "ok"]
+    models = {sheet: model for sheet, model in found.items() if sheet not in doubtful}
+    if len(runs) == 1:
+        models = found
     if not models:
         reasons = dict.fromkeys(run.results.explain_reason for run in runs.values())
-        return "".join(f" No model: {reason}" for reason in reasons if reason) + left_out
+        reasons_text = "".join(f" No model: {reason}" for reason in reasons if reason)
+        return reasons_text + _say_doubtful(doubtful, runs)
     model = next(iter(models.values()))
     if len(runs) > 1:
         model = explained_over_sheets(models, {sheet: sheet for sheet in models}, {})
-    return f" {in_ascii(say_answer(model))}{left_out}"
+    return f" {in_ascii(say_answer(model))}{_say_doubtful(doubtful, runs)}"
 
 
 def levelled(runs: Mapping[str, pl.Run]) -> str:
     """What the octaves that the study declares say of one run, or their gains over sheets.
 
-    Doubtful ones are left out, as they are of r.
+    Of several, the doubtful ones are left out, as they are of r.
     """
     found = {sheet: run.results.scales for sheet, run in runs.items() if run.results.scales}
-    scales = {
-        sheet: octaves
-        for sheet, octaves in found.items()
-        if octaves.maps["coating_top"].trust == "ok"
-    }
-    left_out = _left_out([sheet for sheet in found if sheet not in scales])
-    if len(runs) == 1 and scales:
-        return f" {in_ascii(say_octaves(next(iter(scales.values()))))}"
+    doubtful = [sheet for sheet, one in found.items() if one.maps["coating_top"].trust != "ok"]
+    if len(runs) == 1 and found:
+        return f" {in_ascii(say_octaves(next(iter(found.values()))))}"
     gains: dict[str, list[float]] = {}
-    for octaves in scales.values():
+    for sheet, octaves in found.items():
         for band in octaves.bands["coating_top"]:
-            if math.isfinite(band.gain):
+            if sheet not in doubtful and math.isfinite(band.gain):
                 gains.setdefault(f"{band.low_um:g} to {band.high_um:g} um", []).append(band.gain)
     if not gains:
-        return left_out
+        return ""
     waves = [
         f"{octave}: {np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
         for octave, values in gains.items()
     ]
     return (
-        " Gain of the coating for the surface of its base, mean and range over sheets, in waves of"
-        f" {'; '.join(waves)}.{left_out}"
+        " Gain of the coating for the surface of its base, mean and range over the same sheets, in"
+        f" waves of {'; '.join(waves)}."
     )
 
 
-def _left_out(sheets: list[str]) -> str:
-    return f" Left out, as a check leaves it doubtful: sheet {', '.join(sheets)}." if sheets else ""
+def _say_doubtful(sheets: Sequence[str], runs: Mapping[str, pl.Run]) -> str:
+    """Which runs a check leaves doubtful, and that they are left out where there are others."""
+    if not sheets:
+        return ""
+    if len(runs) > 1:
+        return f" Left out, as a check leaves it doubtful: sheet {', '.join(sheets)}."
+    checks = [check.name for check in runs[sheets[0]].results.checks if check.state == "look"]
+    return f" A check asks for a look: {' and '.join(checks)}."
 
 
 def cloud(ax: Axes, run: pl.Run, label: str) -> None:
