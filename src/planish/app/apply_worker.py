@@ -15,7 +15,6 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -23,6 +22,7 @@ from typing import Any, TextIO
 
 from planish.core.errors import PlanishError
 from planish.core.files import as_sentence, writing
+from planish.core.typing import Fields
 
 TARGET = "target"
 """File among those of an order: where the new run will stand."""
@@ -34,7 +34,7 @@ def main() -> None:
     parent_stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what others print goes to standard error
 
-    def send(message: Mapping[str, Any]) -> None:
+    def send(message: Fields) -> None:
         with suppress(OSError):  # nobody listens any more
             print(json.dumps(message), file=parent_stream, flush=True)
 
@@ -86,7 +86,7 @@ def _warm_up() -> None:
     gc.enable()
 
 
-def _make_run(order: Mapping[str, Any], send: Any) -> None:
+def _make_run(order: Fields, send: Any) -> None:
     """Make the run of an order, and send its progress and its end."""
     from planish.run import run_study
     from planish.run.study import Study, in_study_words

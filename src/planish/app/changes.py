@@ -278,17 +278,13 @@ def _marks_after(
     """Marks of a registration after a change of one of them, or of all."""
     match change:
         case Add():
-            ends = _ends_of(change)
-            if not ends:
-                raise ChangeError("A new mark has no place. Give moving or fixed.")
+            ends = _ends_of(change, "A new mark has no place.")
             if len(marks) >= MOST_MARKS:
                 raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
             label = change.label or next(free_names("mark", {mark.label for mark in marks}))
             return (*marks, Mark(id=change.id, label=_free_label(marks, label, change.id), **ends))
         case Move():
-            ends = _ends_of(change)
-            if not ends:
-                raise ChangeError("A move gives no new place. Give moving or fixed.")
+            ends = _ends_of(change, "A move gives no new place.")
             return _with_fields(marks, change.id, **ends)
         case Use():
             return _with_fields(marks, change.id, used=change.used)
@@ -301,10 +297,13 @@ def _marks_after(
             return change.marks
 
 
-def _ends_of(change: Add | Move) -> dict[str, Any]:
-    """Ends of a mark that a change gives."""
+def _ends_of(change: Add | Move, fault: str) -> dict[str, Any]:
+    """Ends of a mark that a change gives; ChangeError where there is none."""
     ends = {"moving": change.moving, "fixed": change.fixed}
-    return {side: end for side, end in ends.items() if end is not None}
+    ends = {side: end for side, end in ends.items() if end is not None}
+    if not ends:
+        raise ChangeError(f"{fault} Give moving or fixed.")
+    return ends
 
 
 def _free_label(marks: tuple[Mark, ...], label: str, mark_id: str) -> str:

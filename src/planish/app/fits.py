@@ -12,7 +12,6 @@ from math import comb
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from planish.app.changes import Mark
@@ -22,7 +21,7 @@ from planish.core.errors import PlanishError
 from planish.core.facts import ResultModel
 from planish.core.text import and_join_few
 from planish.core.transform import Similarity
-from planish.core.typing import Bools, Complexes, Floats
+from planish.core.typing import Bools, Complexes, Floats, Ints, Pair
 from planish.register import FittedTransform, RegistrationParams, fit_transform
 from planish.register.pairs import as_complex
 from planish.run.marks_registration import fit_marks
@@ -78,7 +77,7 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
     return is_outlier
 
 
-def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
+def _best_inliers(z: Complexes, w: Complexes, count: int) -> Ints:
     """The so many marks that a similarity through two of them, refitted, follows most closely."""
     if len(z) < 56:
         i, j = np.array(list(combinations(range(len(z)), 2))).T
@@ -107,7 +106,7 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
     return best_inliers
 
 
-def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
+def _residuals(z: Complexes, w: Complexes, inliers: Ints) -> Complexes:
     z_mean = z[inliers].mean()
     w_mean = w[inliers].mean()
     z_centred = z[inliers] - z_mean
@@ -163,30 +162,25 @@ class Fitted:
             return self.error
         return self.fit.agreement([mark.label for mark in self.pairs if mark.used])
 
-    def predicted(
-        self, side: Plane, point_um: tuple[float, float]
-    ) -> tuple[tuple[float, float], float | None, str] | None:
+    def predicted(self, side: Plane, point_um: Pair) -> tuple[Pair, float | None, str] | None:
         """Place in the other plane of a point of ``side``, and its expected error.
 
         The error is given in um where known, and both also in words.
         """
         used_marks = [mark for mark in self.pairs if mark.used]
-        expected_error = None
-        if self.fit is not None and len(used_marks) >= 3:
-            transform = self.fit
-            expected_error = self.fit.expected_error_um
-            error_text = "its error is not known"
-        else:
-            moving, fixed = (_points(used_marks, plane) for plane in PLANES)
-            transform, error_text = _from_few_pairs(moving, fixed, self.mirrored)
+        fit = self.fit if len(used_marks) >= 3 else None
+        transform, error_text = (fit, "its error is not known")
+        if fit is None:
+            transform, error_text = _from_few_pairs(used_marks, self.mirrored)
         if transform is None:
             return None
-        point = np.array(point_um)
-        counterpart_um: Floats = transform(point) if side == "moving" else transform.inverse(point)
+        moving_um = point = np.array(point_um)
+        counterpart_um: Floats = transform(point)
+        if side == "fixed":
+            moving_um = counterpart_um = transform.inverse(point)
         if not np.isfinite(counterpart_um).all():
             return None
-        moving_um = point if side == "moving" else counterpart_um
-        error_um = None if expected_error is None else finite_or_none(expected_error(moving_um))
+        error_um = None if fit is None else finite_or_none(fit.expected_error_um(moving_um))
         if error_um is not None:
             error_text = f"expected error {error_um:.1f} um"
         return (float(counterpart_um[0]), float(counterpart_um[1])), error_um, error_text
@@ -237,28 +231,26 @@ def fitted(
         is_pending=quick and len(pairs) > 1,
         mirrored=mirrored,
     )
-    is_as_applied = model == "auto" and not quick
     error_text = ""
+    fitted_model = model if not quick or model in QUICK else "similarity"
     try:
-        if is_as_applied:
+        if fitted_model == "auto":
             auto_params = changed(params, model="auto")
             fit = fit_marks(dataset_of(pairs), params=auto_params, mirrored=mirrored)
         else:
-            fitted_model = model if not quick or model in QUICK else "similarity"
             fit = _least_squares(*used, fitted_model, mirrored, inspect=not quick)
     except PlanishError as refusal:
-        is_as_applied = False
+        fitted_model = "similarity"
         if n_used:
             error_text = _why_none(refusal, coincident, pairs)
         try:  # there is something to look at: which marks are wrong
-            fit = _least_squares(*used, "similarity", mirrored)
+            fit = _least_squares(*used, fitted_model, mirrored)
         except PlanishError:
             return replace(unfitted, error=error_text)
     residual_um = np.linalg.norm(fixed - fit(moving), axis=1)
     leave_one_out_um = residual_um.copy()
     leave_one_out_um[is_used] = fit.leave_one_out_um
     if is_outlier.any():
-        fitted_model = "auto" if is_as_applied else fit.model
         # Marks that stand out take part in no fit here: they would spoil the errors of the others.
         weights = (is_used & ~is_outlier).astype(np.float64)
         with suppress(PlanishError):  # too few are left for this model
@@ -302,7 +294,8 @@ def _least_squares(
     return fit_transform(moving, fixed, model=model, mirrored=mirrored, **options)
 
 
-def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, str]:
+def _from_few_pairs(marks: Sequence[Mark], mirrored: bool | None) -> tuple[Any, str]:
+    moving, fixed = (_points(marks, plane) for plane in PLANES)
     if len(moving) == 1:
         x, y = (fixed[0] - (moving[0] * (-1.0, 1.0) if mirrored else moving[0])).tolist()
         shift = Similarity(shift_um=(x, y), mirrored=bool(mirrored))
@@ -336,7 +329,7 @@ def _disagreements(
 def _coincidence_warnings(pairs: Sequence[Mark], where: Mapping[Plane, str]) -> list[FitWarning]:
     warnings: list[FitWarning] = []
     for plane, plane_text in where.items():
-        mark_at: dict[tuple[float, float], Mark] = {}
+        mark_at: dict[Pair, Mark] = {}
         for mark in (m for m in pairs if m.used):
             earlier = mark_at.setdefault(getattr(mark, plane).xy, mark)
             if earlier is not mark:

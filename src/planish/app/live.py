@@ -7,12 +7,12 @@ import logging
 import threading
 import time
 from dataclasses import asdict
-from typing import Any
 
 from planish.app.changes import Mark
 from planish.app.fits import QUICK, Fitted, fitted
 from planish.app.picture import PLANES, finite_or_none
 from planish.app.session import Session
+from planish.core.typing import Entries
 
 WAIT_S = 0.03
 """An answer waits so long for a fit that takes longer."""
@@ -98,7 +98,7 @@ class Live:
                 self._lock.notify_all()
             self.session.publish()
 
-    def shown(self, layer: str) -> dict[str, Any]:
+    def shown(self, layer: str) -> Entries:
         """The state as the page shows it; ChangeError where there is no such registration."""
         session = self.session
         version = session.version
@@ -123,10 +123,10 @@ class Live:
             "can_redo": session.can_redo and can_change,
         }
 
-    def _row(self, mark: Mark, marks_fit: Fitted, k: int | None) -> dict[str, Any]:
+    def _row(self, mark: Mark, marks_fit: Fitted, k: int | None) -> Entries:
         """A mark as the page shows it; ``k`` is its number among the pairs, where it is one."""
         sources = dict.fromkeys(end.source for end in (mark.moving, mark.fixed) if end is not None)
-        row: dict[str, Any] = {
+        row: Entries = {
             "id": mark.id,
             "label": mark.label,
             "used": mark.used,
@@ -151,9 +151,9 @@ class Live:
         return row
 
 
-def _facts_of(marks_fit: Fitted, model: str) -> dict[str, Any]:
+def _facts_of(marks_fit: Fitted, model: str) -> Entries:
     """A fit as the page shows it, and why there is none of the chosen model."""
-    facts: dict[str, Any] = dict.fromkeys(("rms_um", "loo_rms_um", "transform"))
+    facts: Entries = dict.fromkeys(("rms_um", "loo_rms_um", "transform"))
     facts |= {"model": model, "follows": marks_fit.is_pending and model not in QUICK}
     fit = marks_fit.fit
     if fit is not None:

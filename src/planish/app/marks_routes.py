@@ -21,10 +21,10 @@ from planish.app.picture import PLANES, finite_or_none
 from planish.app.served import Served, open_new_run, served_of
 from planish.app.session import Session, Stale, pairs_of
 from planish.app.snap import not_snapped, snapped
-from planish.app.view_routes import required_numbers, route
+from planish.app.view_routes import required_point, route
 from planish.core.tables import naming_faults
 from planish.core.transform import Similarity
-from planish.core.typing import Pair
+from planish.core.typing import Entries, Pair
 from planish.io.map_groups import read_group
 from planish.marks.exchange import FORMATS
 from planish.marks.exchange.formats import TARGETS
@@ -88,9 +88,9 @@ def get_session(request: Request) -> Response:
     )
 
 
-def _layer_facts(session: Session, layer: str) -> dict[str, Any]:
+def _layer_facts(session: Session, layer: str) -> Entries:
     """Where a layer is shown, and its holes as circles (x, y, diameter), by plane."""
-    circles: dict[str, Any] = {}
+    circles: Entries = {}
     shown: dict[str, dict[str, str]] = {}
     for plane, holes in session.holes(layer).items():
         circles[plane] = holes[["x", "y", "diameter"]].to_array().values.T.tolist()
@@ -111,7 +111,7 @@ def _layer_name(request: Request) -> str:
     return request.query_params.get("layer") or served_of(request).session.state.first_layer
 
 
-def _state_of(request: Request) -> dict[str, Any]:
+def _state_of(request: Request) -> Entries:
     return served_of(request).live.shown(_layer_name(request))
 
 
@@ -145,7 +145,7 @@ async def get_events(request: Request) -> Response:
 
 
 def _changing(
-    model: type[_Body], action: Callable[[Request, Any], object]
+    model: type[_Body], action: Callable[[Session, Any], object]
 ) -> Callable[..., Awaitable[Response]]:
     """Handle what changes the session.
 
@@ -158,7 +158,7 @@ def _changing(
 
         def act() -> Response:
             try:
-                message = action(request, body)
+                message = action(served_of(request).session, body)
             except Stale as error:
                 return Answer({"error": error.text} | _state_of(request), 409)
             message_field = {"said": message} if isinstance(message, str) and message else {}
@@ -169,20 +169,7 @@ def _changing(
     return handle
 
 
-def _change(request: Request, body: _ChangeBody) -> None:
-    served_of(request).session.change(body.change, version=body.version)
-
-
-def _undo(request: Request, body: _Body) -> None:
-    served_of(request).session.undo(version=body.version)
-
-
-def _redo(request: Request, body: _Body) -> None:
-    served_of(request).session.redo(version=body.version)
-
-
-def _snap(request: Request, body: _SnapBody) -> str:
-    session = served_of(request).session
+def _snap(session: Session, body: _SnapBody) -> str:
     layer = body.layer or session.state.first_layer
     mark = session.state.mark(layer, body.id)
     move = snapped(session, layer, mark)
@@ -190,19 +177,17 @@ def _snap(request: Request, body: _SnapBody) -> str:
     return not_snapped(session, layer, mark, move)
 
 
-def _import(request: Request, body: _ImportBody) -> str:
-    session = served_of(request).session
+def _import(session: Session, body: _ImportBody) -> str:
     change = imported(session, body.layer or session.state.first_layer, body, body.second)
     session.change(change, version=body.version)
     return f"{len(change.marks)} pairs of marks imported."
 
 
-def _find_texture(request: Request, body: _TextureBody) -> str:
+def _find_texture(session: Session, body: _TextureBody) -> str:
     """Take tiles of the texture in place of all marks.
 
     The tiles are about a place in the image, or where a person laid the maps.
     """
-    session = served_of(request).session
     layer = body.layer or session.state.first_layer
     if session.image is None:
         raise ChangeError(
@@ -227,8 +212,7 @@ def get_predict(request: Request) -> Response:
     side = request.query_params.get("side", "")
     if side not in PLANES:
         raise ChangeError("A point is predicted of side=moving or side=fixed.")
-    (x,) = required_numbers(request, "x", 1)
-    (y,) = required_numbers(request, "y", 1)
+    x, y = required_point(request)
     if max(abs(x), abs(y)) > FARTHEST_UM:
         raise ChangeError(f"({x:g}, {y:g}) is not a place in um.")
     prediction = live.fit(_layer_name(request)).predicted(side, (x, y))
@@ -285,9 +269,13 @@ ROUTES = [
     route("/api/session", get_session),
     route("/api/state", lambda r: Answer(_state_of(r))),
     route("/api/events", get_events),
-    route("/api/change", _changing(_ChangeBody, _change), "POST"),
-    route("/api/undo", _changing(_Body, _undo), "POST"),
-    route("/api/redo", _changing(_Body, _redo), "POST"),
+    route(
+        "/api/change",
+        _changing(_ChangeBody, lambda s, body: s.change(body.change, version=body.version)),
+        "POST",
+    ),
+    route("/api/undo", _changing(_Body, lambda s, body: s.undo(version=body.version)), "POST"),
+    route("/api/redo", _changing(_Body, lambda s, body: s.redo(version=body.version)), "POST"),
     route("/api/snap", _changing(_SnapBody, _snap), "POST"),
     route("/api/predict", get_predict),
     route("/api/marks/texture", _changing(_TextureBody, _find_texture), "POST"),

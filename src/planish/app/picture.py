@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from planish.core.area import halved_values, overview_count
 from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where
-from planish.core.typing import Floats
+from planish.core.typing import Array, Entries, Floats, Pair
 from planish.io.map_store import CHUNK, map_tiles
 from planish.run.run import is_run
 
@@ -72,7 +72,7 @@ class Codes:
         """Codes of all values from ``low`` to ``high``."""
         return cls(low, (high - low) / (LAST_CODE - 1) or 1.0)
 
-    def of(self, values: NDArray[Any]) -> NDArray[np.uint16]:
+    def of(self, values: Array) -> NDArray[np.uint16]:
         """Code each value."""
         if values.dtype == np.bool_:
             return values.astype(np.uint16) + np.uint16(1)
@@ -132,7 +132,7 @@ class PlanePicture:
         return Codes.between(low - margin, low + span + margin)
 
     @cached_property
-    def range(self) -> tuple[float, float]:
+    def range(self) -> Pair:
         """2nd to 98th percentile."""
         values = self._coarse if self._coarse.size else self._sample
         if self.full.dtype == np.bool_ or values.size == 0:
@@ -163,7 +163,7 @@ class PlanePicture:
             [self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in rows for c in cols]
         )
 
-    def described(self) -> dict[str, Any]:
+    def described(self) -> Entries:
         """Give what a page has to know."""
         return {
             **{
@@ -180,7 +180,7 @@ class PlanePicture:
         }
 
 
-def _finite_values(arrays: Sequence[NDArray[Any]]) -> Floats:
+def _finite_values(arrays: Sequence[Array]) -> Floats:
     values = np.concatenate([np.empty(0), *(array.ravel() for array in arrays)]).astype(np.float64)
     return values[np.isfinite(values)]
 
@@ -233,7 +233,7 @@ class ComputedLevels:
             k for k in range(len(self._shapes)) if k > _LAST_ON_DEMAND or (k == 0 and keep_all)
         }
         self._lock = threading.Lock()
-        self._arrays: dict[int, NDArray[Any]] = {}
+        self._arrays: dict[int, Array] = {}
 
     def levels(self) -> list[LazyArray]:
         """One array a level; reading the first coarse one waits until all of them are made."""
@@ -242,7 +242,7 @@ class ComputedLevels:
             for k, shape in enumerate(self._shapes)
         ]
 
-    def read(self, k: int, where: Where) -> NDArray[Any]:
+    def read(self, k: int, where: Where) -> Array:
         """A window of a level."""
         if k in self._cached_levels:
             return np.array(self._level_arrays()[k][where])
@@ -257,7 +257,7 @@ class ComputedLevels:
             pixels = halved_values(pixels)
         return pixels[:: where[0].step or 1, :: where[1].step or 1]
 
-    def _level_arrays(self) -> dict[int, NDArray[Any]]:
+    def _level_arrays(self) -> dict[int, Array]:
         with self._lock:
             if not self._arrays:
                 folder = self._folder if self._folder.is_dir() else self._make()

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import xarray as xr
@@ -32,6 +32,7 @@ from planish.core.grid import Grid
 from planish.core.labelled import variable_data
 from planish.core.lazy import LazyArray, Where
 from planish.core.memory import TILE_BYTES
+from planish.core.typing import Array, Ints, Window
 from planish.io import ImageParams, fingerprint
 from planish.io.image import across, channel_of
 from planish.io.light import read_corrected
@@ -107,22 +108,22 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
         for group in (EXPLAINED, OCTAVES):
             yield from group_pictures(run, group, plane="moving", layer=name)
         return
-    for name in (layer.name for layer in results.moving):
-        image = next(params.image for params in study.layers if params.name == name)
+    images = {params.name: params.image for params in study.layers}
+    for layer in results.moving:
+        name = layer.name
+        image = images[name]
         prefix = "" if study.is_sheet_on_image else f"{name}/"
         if image is None:
             yield from _sheet(layer_run(run, name), layer=name, prefix=prefix)
         elif Path(image.path).is_file():
             yield image_picture(image, plane="moving", layer=name, name=f"{prefix}image")
-    if study.is_sheet_on_image:
-        yield from group_pictures(run, LINKED, plane="fixed", layer=results.reference.name)
-    else:
-        for layer in results.layers:
-            group, prefix = f"layers/{layer.name}", f"{layer.name}/"
-            yield from group_pictures(run, group, plane="fixed", layer=layer.name, prefix=prefix)
-    for group in (EXPLAINED, OCTAVES):
-        yield from group_pictures(run, group, plane="fixed", layer=results.reference.name)
-    yield from group_pictures(run, "refined", plane="fixed", layer="refined", prefix="refined/")
+    reference = results.reference.name
+    groups = [(LINKED, reference, "")]
+    if not study.is_sheet_on_image:
+        groups = [(f"layers/{x.name}", x.name, f"{x.name}/") for x in results.layers]
+    groups += [(EXPLAINED, reference, ""), (OCTAVES, reference, "")]
+    for group, name, prefix in (*groups, ("refined", "refined", "refined/")):
+        yield from group_pictures(run, group, plane="fixed", layer=name, prefix=prefix)
 
 
 def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:
@@ -292,7 +293,7 @@ class Tiles:
     def __init__(self, pictures: Pictures, *, most_bytes: int = TILE_BYTES) -> None:
         self.pictures, self._most_bytes = pictures, most_bytes
         self._lock = threading.Lock()
-        self._blocks = OrderedDict[Key, Future[NDArray[Any]]]()
+        self._blocks = OrderedDict[Key, Future[Array]]()
         self._held_bytes = 0
         self.read_bytes = 0
 
@@ -325,7 +326,7 @@ class Tiles:
         codes[: window_codes.shape[0], : window_codes.shape[1]] = window_codes
         return codes.tobytes()
 
-    def window(self, picture: PlanePicture, level: int, rows: slice, cols: slice) -> NDArray[Any]:
+    def window(self, picture: PlanePicture, level: int, rows: slice, cols: slice) -> Array:
         """Values of a window of a level."""
         pixels = np.empty(
             (rows.stop - rows.start, cols.stop - cols.start), picture.levels[level].dtype
@@ -338,9 +339,7 @@ class Tiles:
                 pixels[to_rows, to_cols] = block[from_rows, from_cols]
         return pixels
 
-    def values_at(
-        self, picture: PlanePicture, level: int, rows: NDArray[np.intp], cols: NDArray[np.intp]
-    ) -> NDArray[Any]:
+    def values_at(self, picture: PlanePicture, level: int, rows: Ints, cols: Ints) -> Array:
         """Values of single pixels (n,) of a level."""
         pixels = np.empty(rows.size, picture.levels[level].dtype)
         block_rows, block_cols = rows // CHUNK, cols // CHUNK
@@ -351,14 +350,14 @@ class Tiles:
             ]
         return pixels
 
-    def block(self, picture: PlanePicture, level: int, i: int, j: int) -> NDArray[Any]:
+    def block(self, picture: PlanePicture, level: int, i: int, j: int) -> Array:
         """The i-th block down and j-th across.
 
         Whoever asks for it while it is read waits for the same one.
         """
         key = (picture.id, level, i, j)
         with self._lock:
-            new_future = Future[NDArray[Any]]()
+            new_future = Future[Array]()
             future = self._blocks.setdefault(key, new_future)
             self._blocks.move_to_end(key)
         if future is not new_future:
@@ -385,7 +384,7 @@ class Tiles:
         return block
 
 
-def _overlap(window: slice, k: int, length: int) -> tuple[slice, slice]:
+def _overlap(window: slice, k: int, length: int) -> Window:
     start = max(window.start, k * CHUNK)
     stop = min(window.stop, k * CHUNK + length)
     return slice(start - window.start, stop - window.start), slice(

@@ -9,7 +9,6 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -26,36 +25,33 @@ from planish.core.errors import InputError
 from planish.core.facts import is_known
 from planish.core.labelled import computed
 from planish.core.lazy import Where
-from planish.core.typing import Bools, Floats, Window
+from planish.core.typing import Bools, Entries, Floats, Ints, Pair, Window
 from planish.measure.registry import NEGATIVE_CONTROLS
 
 MOST_SAMPLES = 2000
 """Pixels along a profile; a longer line is read from a coarser level."""
 
 
-def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str, Any]:
+def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> Entries:
     """Values at a point of all pictures on the pixels of one, and its place in the volume in um.
 
     Missing values are None.
     """
     rows, cols, (is_inside,) = _pixels(picture, np.array([[x, y]]), 0)
-    pictures = tiles.pictures.on_same_pixels(picture)
-    value_of = {
-        p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if is_inside else None
-        for p in pictures
-    }
-    volume, value_by_variable = None, {(p.layer, p.variable): value_of[p.id] for p in pictures}
-    # Its own, or the first that has it.
-    for layer in dict.fromkeys([picture.layer, *(p.layer for p in pictures)]):
-        position = {axis: value_by_variable.get((layer, f"volume_{axis}")) for axis in "xyz"}
+    values: list[Entries] = []
+    # Its own place in a volume, or that of the first layer that has one.
+    of_layers: dict[str, dict[str, float | None]] = {picture.layer: {}}
+    for p in tiles.pictures.on_same_pixels(picture):
+        value = finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if is_inside else None
+        described = {"id": p.id, "layer": p.layer, "name": p.name, "title": p.title}
+        values.append(described | {"units": p.units, "value": value})
+        of_layers.setdefault(p.layer, {})[p.variable] = value
+    volume = None
+    for layer, of_layer in of_layers.items():
+        position = {axis: of_layer.get(f"volume_{axis}") for axis in "xyz"}
         if None not in position.values():
             volume = {"layer": layer} | position
             break
-    values = [
-        {"id": p.id, "layer": p.layer, "name": p.name, "title": p.title, "units": p.units}
-        | {"value": value_of[p.id]}
-        for p in pictures
-    ]
     return {
         "x": x,
         "y": y,
@@ -68,7 +64,7 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str,
 
 def nearest(
     tiles: Tiles, picture: PlanePicture, layer: str, place_um: dict[str, float]
-) -> tuple[float, float] | None:
+) -> Pair | None:
     """Find where in a plane, (x, y) in um, the sheet of a layer lies nearest to a place.
 
     The place is given along some axes of the volume.
@@ -94,7 +90,7 @@ def nearest(
 
 def profile(
     tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]
-) -> dict[str, Any]:
+) -> Entries:
     """Values along a line (x0, y0, x1, y1), at ``at_um``, of pixels ``pixel_um`` wide.
 
     None in holes.
@@ -112,7 +108,7 @@ def profile(
     shares = distances_um / length_um
     points_um = np.array([x0, y0]) + shares[:, None] * np.array([x1 - x0, y1 - y0])
     rows, cols, is_inside = _pixels(grid_picture, points_um, level)
-    lines: list[dict[str, Any]] = []
+    lines: list[Entries] = []
     for picture in pictures:
         values = np.full(distances_um.size, np.nan)
         place = (level, rows[is_inside], cols[is_inside])
@@ -126,9 +122,7 @@ def profile(
     return {"pixel_um": step_um, "at_um": distances_um.tolist(), "lines": lines}
 
 
-def _pixels(
-    picture: PlanePicture, points_um: Floats, level: int
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
+def _pixels(picture: PlanePicture, points_um: Floats, level: int) -> tuple[Ints, Ints, Bools]:
     """Rows and columns of a level's pixels that hold points (n, 2: x, y), and which lie in it.
 
     Levels share corners.
@@ -184,7 +178,7 @@ class Stopped(Exception):
 
 def density(
     tiles: Tiles, a: PlanePicture, b: PlanePicture, region: Rectangle | None = None
-) -> dict[str, Any]:
+) -> Entries:
     """Count the points of two pictures in the plane of their values, of pixels of the stated size.
 
     The limits are those of all points, also where only a region is counted; ``beyond`` lie outside
@@ -218,9 +212,7 @@ def density(
     }
 
 
-def histogram(
-    tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None = None
-) -> dict[str, Any]:
+def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None = None) -> Entries:
     """Count the valid values of a picture, of pixels of the stated size.
 
     ``range``: the 2nd to the 98th percentile.
@@ -272,7 +264,7 @@ def select(
     region: Rectangle | None = None,
     brushes: Sequence[Brush] = (),
     stop: threading.Event | None = None,
-) -> dict[str, Any]:
+) -> Entries:
     """Count what is selected at full resolution.
 
     Of a region also say how two pictures are correlated in it.
@@ -348,7 +340,7 @@ def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]
     ]
 
 
-def _limits(values: Floats) -> tuple[float, float]:
+def _limits(values: Floats) -> Pair:
     if values.size == 0:
         return 0.0, 1.0
     # Percentiles between which points are drawn; those beyond are counted.
@@ -357,6 +349,6 @@ def _limits(values: Floats) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _pixel_um(picture: PlanePicture, level: int) -> tuple[float, float]:
+def _pixel_um(picture: PlanePicture, level: int) -> Pair:
     dy, dx = picture.grid.pixel_um
     return dy * 2**level, dx * 2**level

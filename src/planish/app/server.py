@@ -131,21 +131,26 @@ class Guard:
             return
         if scope["method"] != "POST" or not is_data:
             raise Refused(405, "Nothing can be written at this address.")
-        if single("origin") != f"http://{host}":
-            raise Refused(403, "Another page cannot change anything here.")
-        if single("content-type").partition(";")[0].strip().lower() != "application/json":
-            raise Refused(415, "JSON is needed, as application/json.")
-        length = single("content-length") or "0"
-        if not length.isdecimal() or len(length) > 12 or int(length) > MOST_BYTES:
-            raise Refused(413, _TOO_LARGE)
-        shown_run = unquote(single("planish-run"))
-        if shown_run and shown_run != served_run:
-            raise Refused(
-                409,
-                f"This window shows {shown_run}, and planish serves {served_run} now. Nothing was"
-                f" changed in either. Reload the page to go on with {served_run}.",
-                {"served": served_run},
-            )
+        _check_write(single, host, served_run)
+
+
+def _check_write(single: Callable[[str], str], host: str, served_run: str) -> None:
+    """Raise Refused for a change that is not that of the page that is served."""
+    if single("origin") != f"http://{host}":
+        raise Refused(403, "Another page cannot change anything here.")
+    if single("content-type").partition(";")[0].strip().lower() != "application/json":
+        raise Refused(415, "JSON is needed, as application/json.")
+    length = single("content-length") or "0"
+    if not length.isdecimal() or len(length) > 12 or int(length) > MOST_BYTES:
+        raise Refused(413, _TOO_LARGE)
+    shown_run = unquote(single("planish-run"))
+    if shown_run and shown_run != served_run:
+        raise Refused(
+            409,
+            f"This window shows {shown_run}, and planish serves {served_run} now. Nothing was"
+            f" changed in either. Reload the page to go on with {served_run}.",
+            {"served": served_run},
+        )
 
 
 def _single(headers: Headers, name: str) -> str:

@@ -3,6 +3,7 @@
 Every change is saved before it counts.
 """
 
+import math
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -32,7 +33,7 @@ from planish.app.picture import PLANES, WHERE, Plane
 from planish.app.pictures import Pictures
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair, Texts
 from planish.io import fingerprint
 from planish.io.light import read_corrected
 from planish.io.map_groups import read_group
@@ -92,14 +93,12 @@ class Session:
             key = image_key(params)
             subject += f" {key}"
             journal_name = f"journal-{sha256(key.encode()).hexdigest()[:12]}.jsonl"
-        names = [layer.name for layer in results.moving]
         registrations = {
-            moving: Registration.read(run / marks_file(results, moving)) for moving in names
+            layer.name: Registration.read(run / marks_file(results, layer.name))
+            for layer in results.moving
         }
-        journal_path, reason = (
-            run / EDITS / journal_name,
-            "It was opened with --read-only." if read_only else "",
-        )
+        journal_path = run / EDITS / journal_name
+        reason = "It was opened with --read-only." if read_only else ""
         try:
             journal = Journal(journal_path, subject=subject, write=not read_only)
         except InUse:
@@ -129,7 +128,7 @@ class Session:
         return bool(self.reason)
 
     @property
-    def layers(self) -> tuple[str, ...]:
+    def layers(self) -> Texts:
         """Names of the moving layers, each with a registration."""
         return tuple(self.registrations) or (self.results.layers[0].name,)
 
@@ -162,24 +161,20 @@ class Session:
     def where(self, layer: str) -> dict[Plane, str]:
         """Words for both planes in a sentence."""
         names = self.view_names(layer)
-        return (
-            WHERE
-            if names["moving"] == "Volume side"
-            else {plane: f"in {name}" for plane, name in names.items()}
-        )
+        if names["moving"] == "Volume side":
+            return WHERE
+        return {plane: f"in {name}" for plane, name in names.items()}
 
     def mirrored(self, layer: str) -> bool | None:
         """Whether the fixed plane shows the other side of the sheet.
 
         None where either hand may fit.
         """
-        return (
-            None
-            if self.study.registration.mirror
-            else self.side_of(layer) != self.side_of(self.target(layer))
-        )
+        if self.study.registration.mirror:
+            return None
+        return self.side_of(layer) != self.side_of(self.target(layer))
 
-    def to_face_um(self, layer: str) -> tuple[float, float]:
+    def to_face_um(self, layer: str) -> Pair:
         """What the link added to the holes of a layer's maps to have them at the face.
 
         These holes run at an angle.
@@ -195,11 +190,9 @@ class Session:
         The top for flat maps, and for an image where nothing is given.
         """
         images = {params.name: params.image for params in self.study.layers}
-        image = (
-            self.image_params
-            if self.image_params is not None and layer == "image"
-            else images.get(layer)
-        )
+        if self.image_params is not None:
+            images["image"] = self.image_params
+        image = images.get(layer)
         return "top" if image is None else image.side or "top"
 
     @cached_property
@@ -370,26 +363,26 @@ def _image_params(run: Path, image: ImageParams | None, results: Results) -> Ima
 
     They are as it is asked for, as it was then, or by its own metadata.
     """
-    path = None if image is None else Path(image.path)
     if results.is_link:
-        if path is not None:
-            raise FileError(
-                f"{run} is linked to an image already. Leave {path.name} out: planish view {run}"
-            )
-        return None
-    if image is None or path is None:
+        if image is None:
+            return None
+        name = Path(image.path).name
+        raise FileError(
+            f"{run} is linked to an image already. Leave {name} out: planish view {run}"
+        )
+    if image is None:
         raise FileError(
             f"{run} holds the map of one sheet. Give the image as well: planish view {run} IMAGE"
         )
+    path = Path(image.path)
     if not path.is_file():
         raise FileError(f"{path} is not a file. Give the image of the sheet.")
     image = with_paths(image, lambda file: str(Path(file).resolve()))
     options = image.model_dump(exclude_unset=True)
     recorded = noted_study(run)
-    if recorded is not None:
-        for layer in recorded.layers:
-            if layer.image is not None and layer.image.path == options["path"]:
-                return layer.image.model_copy(update=options)
+    for layer in () if recorded is None else recorded.layers:
+        if layer.image is not None and layer.image.path == image.path:
+            return layer.image.model_copy(update=options)
     return ImageParams.model_validate(options)
 
 
@@ -398,13 +391,12 @@ def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     places = model.places_of(marks, plane)
     ends = list[End | None]()
     for k, (position_um, source) in enumerate(zip(places.um.tolist(), places.source, strict=True)):
-        fields: dict[str, Any] = dict(zip("xy", position_um, strict=False)) | {"source": source}
-        fields |= {
-            name: float(number)
-            for name, column in places.extras.items()
-            if np.isfinite(number := column[k])
-        }
-        ends.append(End(**fields) if np.isfinite(position_um).all() else None)
+        x_um, y_um = position_um
+        extras = {name: float(column[k]) for name, column in places.extras.items()}
+        extras = {name: number for name, number in extras.items() if math.isfinite(number)}
+        is_placed = np.isfinite(position_um).all()
+        end = {"x": x_um, "y": y_um, "source": source, **extras}
+        ends.append(End.model_validate(end) if is_placed else None)
     return ends
 
 
@@ -477,5 +469,5 @@ def _drawn_regions(path: Path) -> tuple[DrawnRegion, ...]:
     return tuple(regions)
 
 
-def _ring(points: Any) -> tuple[tuple[float, float], ...]:
+def _ring(points: Any) -> tuple[Pair, ...]:
     return tuple((float(x), float(y)) for x, y in points)

@@ -22,7 +22,7 @@ from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
 from planish.core.labelled import read_box
 from planish.core.memory import LOOK_BYTES
-from planish.core.typing import Floats
+from planish.core.typing import Array, Floats, Texts, Window
 from planish.io import find_place, read_volume
 from planish.io.map_store import stored_group
 from planish.io.params import VolumeParams
@@ -67,7 +67,7 @@ class SliceFacts(ResultModel):
     scale: float
     offset: float
     missing: int  # value of voxels that are missing; -1 where there are none
-    lines: tuple[str, ...] = ()  # names; float32 each, one value a column of the surfaces
+    lines: Texts = ()  # names; float32 each, one value a column of the surfaces
     columns: AxisFacts | None = None  # these columns along ``across``
     # Of each contour of a slice along the sheet.
     segments: dict[str, int] = Field(default_factory=dict[str, int])
@@ -137,7 +137,7 @@ class SlicedSheet:
         self,
         direction: Direction,
         index: int,
-        values: NDArray[Any],
+        values: Array,
         codes: Codes | None,
         lines: Mapping[str, Floats] | None = None,
         contours: Mapping[str, Floats] | None = None,
@@ -397,7 +397,7 @@ class SlicedSheet:
         return faces
 
 
-def _in_order(across: slice, along: slice, axis: int) -> tuple[slice, slice]:
+def _in_order(across: slice, along: slice, axis: int) -> Window:
     """Rows and columns of a part that runs along rows (``axis`` 0) or along columns."""
     return (along, across) if axis else (across, along)
 

@@ -13,6 +13,7 @@ from planish.app.picture import PLANES, Plane
 from planish.app.session import Session, ends_of
 from planish.core.errors import PlanishError
 from planish.core.grid import Grid
+from planish.core.typing import Pair
 from planish.marks.exchange import marks_of_holes
 from planish.run import find_holes
 
@@ -66,18 +67,14 @@ def warm(session: Session) -> None:
                 _search_holes(session, layer, plane, middle_um)
 
 
-def hole_at(
-    session: Session, layer: str, plane: Plane, point_um: tuple[float, float]
-) -> End | None:
+def hole_at(session: Session, layer: str, plane: Plane, point_um: Pair) -> End | None:
     """The hole around a point, with what is known of it; None where there is none."""
     return _nearest_hole(session.holes(layer)[plane], plane, point_um) or _nearest_hole(
         _search_holes(session, layer, plane, point_um), plane, point_um
     )
 
 
-def _nearest_hole(
-    holes: xr.Dataset | None, plane: Plane, point_um: tuple[float, float]
-) -> End | None:
+def _nearest_hole(holes: xr.Dataset | None, plane: Plane, point_um: Pair) -> End | None:
     if holes is None or not holes.sizes["mark"]:
         return None
     distance_um = np.hypot(holes["x"].values - point_um[0], holes["y"].values - point_um[1])
@@ -87,9 +84,7 @@ def _nearest_hole(
     return ends_of(marks_of_holes(holes.isel(mark=[k]), layer=plane), plane)[0]
 
 
-def _search_holes(
-    session: Session, layer: str, plane: Plane, point_um: tuple[float, float]
-) -> xr.Dataset | None:
+def _search_holes(session: Session, layer: str, plane: Plane, point_um: Pair) -> xr.Dataset | None:
     """Holes in a window around a point, in um of the plane; None where nothing shows holes."""
     params = session.study.holes
     reach_um = 2.0 * params.hole_um[1]  # half a window: holes at its border are left out
@@ -122,13 +117,10 @@ def _hole_layers(session: Session, layer: str, plane: Plane) -> dict[str, xr.Dat
     material_maps = {name: data for name, data in layer_maps.items() if name.startswith("presence")}
     if material_maps or shown_plane == "moving":
         return material_maps
-    images = [p.full for p in pictures if p.variable == "image"]
-    return {"image": images[0]} if images else {}
+    return {p.variable: p.full for p in reversed(pictures) if p.variable == "image"}
 
 
-def _window(
-    data: xr.DataArray, point_um: tuple[float, float], reach_um: float
-) -> xr.DataArray | None:
+def _window(data: xr.DataArray, point_um: Pair, reach_um: float) -> xr.DataArray | None:
     grid = Grid.of(data)
     indices = [
         np.flatnonzero(np.abs(v - c) <= reach_um)

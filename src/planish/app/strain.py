@@ -6,17 +6,17 @@ What it did is given on the pixels of the sheet's flat map.
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.app.picture import layer_run
 from planish.core.bands import bands
 from planish.core.frame import Frame
 from planish.core.labelled import computed
 from planish.core.lazy import Where
+from planish.core.typing import Array, Ints, Pair
 from planish.io.map_groups import read_group
 from planish.io.map_store import stored_group
 from planish.run.run import MAPS
@@ -68,12 +68,12 @@ def sheet_run(run: Path, layer: str) -> Path | None:
 
 def _on_pixels(
     cells: xr.DataArray, coordinates: tuple[xr.DataArray, xr.DataArray], where: Where
-) -> NDArray[Any]:
+) -> Array:
     """Values of the mesh's cells in which the pixels of a part of a flat map lie.
 
     ``coordinates`` are the places.
     """
-    indices: list[NDArray[np.intp]] = []
+    indices: list[Ints] = []
     is_on_mesh = True
     for axis, coordinate in zip(("y", "x"), coordinates, strict=True):
         centres_um = np.asarray(cells[axis].values, dtype=np.float64)
@@ -112,7 +112,7 @@ def strains(
         )
 
 
-def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
+def mesh_lines(run: Path) -> tuple[list[list[Pair]], int]:
     """Every n-th row and column of the mesh in the plane as lines; and n.
 
     The lines are (u, v) in um and end where the sheet does.
@@ -125,7 +125,7 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
         line_step += 1
     # Columns of the sheet that are nodes of the mesh, or nearest to them; a cell's place is its
     # middle.
-    nodes: list[NDArray[np.intp]] = []
+    nodes: list[Ints] = []
     for axis in ("y", "x"):
         columns_um = np.asarray(flat[axis].values)
         cells_um = np.asarray(strain[axis].values)
@@ -145,7 +145,7 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
             uv[is_in_band, :, j] = flat[name][band].values[
                 np.ix_(nodes[0][is_in_band] - band.start, nodes[1])
             ]
-    lines: list[list[tuple[float, float]]] = []
+    lines: list[list[Pair]] = []
     for line in (*uv, *uv.transpose(1, 0, 2)):
         is_sheet = np.isfinite(line).all(axis=1)
         run_ends = np.flatnonzero(np.diff(np.concatenate([[0], is_sheet.astype(np.int8), [0]])))

@@ -37,9 +37,11 @@ from planish.app.slices import SheetSlice, SlicedSheet, edge_of, sheets_of
 from planish.app.strain import SPACE, STRAINS, mesh_lines, sheet_run
 from planish.core.errors import InputError, PlanishError
 from planish.core.status import Status
+from planish.core.typing import Entries, Pair
 from planish.surface import Corrections, Stretch
 from planish.surface.params import REACH_UM
 
+_NO_COLOURS = ("volume_", "presence")
 # Passes over whole maps, one at a time: the other core is for the screen.
 _ONE_PASS = anyio.CapacityLimiter(1)
 
@@ -54,18 +56,12 @@ def get_tile(request: Request) -> Response:
 
 def get_cursor(request: Request) -> Response:
     """All values at a point."""
-    (x,) = required_numbers(request, "x", 1)
-    (y,) = required_numbers(request, "y", 1)
-    return Answer(cursor(_tiles(request), _picture(request, "id"), x, y))
+    return Answer(cursor(_tiles(request), _picture(request, "id"), *required_point(request)))
 
 
 def get_pixel(request: Request) -> Response:
     """The pixel of a map that shows the sheet nearest to a place in the volume."""
-    place_um = {
-        axis: required_numbers(request, axis, 1)[0]
-        for axis in "xyz"
-        if axis in request.query_params
-    }
+    place_um = {axis: _number(request, axis) for axis in "xyz" if axis in request.query_params}
     point = nearest(
         _tiles(request), _picture(request, "id"), request.query_params.get("layer", ""), place_um
     )
@@ -74,7 +70,7 @@ def get_pixel(request: Request) -> Response:
 
 def get_profile(request: Request) -> Response:
     """Values along a line."""
-    x0, y0, x1, y1 = required_numbers(request, "line", 4)
+    x0, y0, x1, y1 = _required_numbers(request, "line", 4)
     pictures = [_picture(request, key) for key in ("a", "b") if key in request.query_params]
     return Answer(profile(_tiles(request), pictures, (x0, y0, x1, y1)))
 
@@ -105,14 +101,14 @@ async def get_selection(request: Request) -> Response:
             await anyio.sleep(0.1)  # how often it is asked whether the page still waits
         stop.set()
 
-    def selected() -> dict[str, Any] | Exception:
+    def selected() -> Entries | Exception:
         """Select the pixels; a fault is a value, which the group of tasks would wrap otherwise."""
         try:
             return select(tiles, a, b, region=region, brushes=brushes, stop=stop)
         except (Stopped, PlanishError) as error:
             return error
 
-    answer: dict[str, Any] | Exception = Stopped()
+    answer: Entries | Exception = Stopped()
     async with anyio.create_task_group() as group:
         group.start_soon(watch)
         answer = await run_sync(selected, limiter=_ONE_PASS)
@@ -147,7 +143,16 @@ def _region(request: Request) -> Rectangle | None:
     return Rectangle(*corners) if corners else None
 
 
-def required_numbers(request: Request, key: str, count: int) -> list[float]:
+def required_point(request: Request) -> Pair:
+    """The place (x, y) of a query; InputError where it is missing."""
+    return _number(request, "x"), _number(request, "y")
+
+
+def _number(request: Request, key: str) -> float:
+    return _required_numbers(request, key, 1)[0]
+
+
+def _required_numbers(request: Request, key: str, count: int) -> list[float]:
     """Finite numbers of a query, apart by commas; InputError where they are missing."""
     numbers = _numbers(request, key, count)
     if not numbers:
@@ -176,7 +181,7 @@ _OPENING = threading.Lock()
 
 def get_sheets(request: Request) -> Response:
     """The sheets whose slices can be seen; what is wrong with the others."""
-    sheets: list[dict[str, Any]] = []
+    sheets: list[Entries] = []
     session = served_of(request).session
     for name in sheets_of(session.folder, session.study):
         try:
@@ -262,11 +267,9 @@ def _shown_corrections(request: Request, layer: str) -> Corrections | None:
     # What is missing in a point is empty, and refused with it.
     coordinates = ([*text.split(","), "", "", "", ""] for text in points_text.split(";"))
     points = [dict(zip(("z", "y", "x", "face"), point, strict=False)) for point in coordinates]
-    (reach_um,) = _numbers(request, "reach", 1) or [0.0]
+    reach_um = next(iter(_numbers(request, "reach", 1)), 0.0) or REACH_UM
     try:
-        trial = Stretch.model_validate(
-            {"id": "tried", "points": points, "reach_um": reach_um or REACH_UM}
-        )
+        trial = Stretch.model_validate({"id": "tried", "points": points, "reach_um": reach_um})
     except ValueError as error:
         raise InputError(
             "These are not points of a face: z, y, x in um and top or bottom."
@@ -298,15 +301,15 @@ def flattening(request: Request) -> Response:
     if sheet_run(session.folder, layer) is None:
         return Answer(None)
     ids = {p.variable: p.id for p in session.pictures.on("moving", layer)}
-    names = [name for name in ids if not name.startswith(("volume_", "presence"))]
-    colour_names = [name for name in names if name not in (*SPACE, *STRAINS, "valid")]
-    headline = session.results.layer(layer).headline
-    preferred = [name for name in (headline, "thickness", "warp") if name in colour_names]
+    colours = ids.keys() - {*SPACE, *STRAINS, "valid"}
+    preferred = [session.results.layer(layer).headline, "thickness"]
+    names = [name for name in ids if name in colours and not name.startswith(_NO_COLOURS)]
+    names.sort(key=lambda name: (*preferred, name).index(name))
     return Answer(
         {
             "strain": [ids[name] for name in STRAINS if name in ids],
             "space": [ids[name] for name in SPACE],
-            "colours": [ids[name] for name in dict.fromkeys([*preferred, *colour_names])],
+            "colours": [ids[name] for name in names],
         }
     )
 

@@ -10,7 +10,7 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from io import TextIOWrapper
 from typing import TYPE_CHECKING, Any
 
@@ -150,7 +150,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
     One of the headings, ``columns``, may be ``unit``, that of all numbers of the row but counts;
     others may end in one.
     """
-    rows = [[shown(cell) for cell in row] for row in rows]
+    rows = [[*map(shown, row)] for row in rows]
     widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
     full_width = max(sum(widths) + _GAP * (len(widths) - 1), len(title))
     terminal_width = width()
@@ -175,23 +175,29 @@ def stacked(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], w
     The name of a row, and below it a line for each of its values.
     """
     lines = [title] if title else []
-    unit_column = columns.index("unit") if "unit" in columns else None
     for row in rows:
-        lines.append(row[0])
-        is_number = [_is_number(*column) for column in zip(columns, row, strict=True)]
-        for k, (heading, cell) in enumerate(zip(columns, row, strict=True)):
-            if k == 0 or not cell or (k == unit_column and any(is_number)):
-                continue
-            name, unit = _name_and_unit(heading)
-            if not unit and unit_column is not None and is_number[k]:
-                unit = row[unit_column]
-            is_written = unit not in ("", "1") and cell != "-"
-            lines.append(f"  {name}  {cell} {unit}" if is_written else f"  {name}  {cell}")
+        lines += _lines_of(columns, row)
     return "\n".join(wrapped(line, width) for line in lines)
 
 
-def _is_number(heading: str, cell: str) -> bool:
-    return _NUMBER.fullmatch(cell) is not None and heading not in _UNITLESS
+def _lines_of(columns: Sequence[str], row: Sequence[str]) -> Iterator[str]:
+    """The name of a row, and a line for each of its values with its unit."""
+    has_unit = [
+        _NUMBER.fullmatch(cell) is not None and heading not in _UNITLESS
+        for heading, cell in zip(columns, row, strict=True)
+    ]
+    unit_of_row = ""
+    if "unit" in columns and any(has_unit):
+        unit_of_row = row[columns.index("unit")]
+    yield row[0]
+    for heading, cell, takes_unit in [*zip(columns, row, has_unit, strict=True)][1:]:
+        if not cell or (heading == "unit" and any(has_unit)):
+            continue
+        name, unit = _name_and_unit(heading)
+        if takes_unit:
+            unit = unit or unit_of_row
+        is_written = unit not in ("", "1") and cell != "-"
+        yield f"  {name}  {cell} {unit}" if is_written else f"  {name}  {cell}"
 
 
 def _name_and_unit(heading: str) -> tuple[str, str]:

@@ -1,9 +1,11 @@
 """Commands about files: info, import, properties."""
 
+from __future__ import annotations
+
 import json
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -19,9 +21,13 @@ from planish.cli.options import (
     with_commands,
 )
 from planish.core.errors import FileError, PlanishError
+from planish.core.typing import Entries
 from planish.correct.params import CorrectParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.run.compute import Compute, engine
+
+if TYPE_CHECKING:
+    from planish.io.inspection import Section
 
 
 @verb(
@@ -48,32 +54,21 @@ def info(path: Path, picture: Path | None, as_json: bool, **sizes: Any) -> None:
     down.
     """
     from planish.cli.show import fact_lines, run_facts, run_lines
-    from planish.io import describe, find_place
-    from planish.io.inspection import Section, as_text, best_section, middle_sections, write_picture
+    from planish.io import find_place
+    from planish.io.inspection import as_text, best_section, write_picture
 
-    facts_of_run = run_facts(path)
-    if facts_of_run is None and (path / "run.toml").is_file():
-        from planish.run.run import open_results
-
-        open_results(path)  # says what is wrong with it
     sections: list[Section] = []
     is_utf = (sys.stdout.encoding or "").lower().startswith("utf")
     has_drawing = not as_json and is_utf and sys.stdout.isatty()
-    if facts_of_run is None:
+    facts = run_facts(path)
+    if facts is not None:
+        lines = run_lines(facts)
+    else:
         needs_look = picture is not None or has_drawing
-        facts = describe(
-            path,
-            look=(lambda values: sections.extend(middle_sections(values))) if needs_look else None,
-            **{name: size for name, size in sizes.items() if size is not None},
-        )
-        ctx = click.get_current_context()
-        facts["warnings"] = [with_commands(warning, ctx) for warning in facts["warnings"]]
+        facts = _facts_of_file(path, sizes, sections if needs_look else None)
         lines = fact_lines(facts)
         if has_drawing and len(sections) > 1:
             lines += as_text(best_section(sections, facts["through"]))
-    else:
-        facts = facts_of_run
-        lines = run_lines(facts_of_run)
     if picture is not None:
         if not sections:
             raise FileError(
@@ -85,6 +80,25 @@ def info(path: Path, picture: Path | None, as_json: bool, **sizes: Any) -> None:
         print_json(facts)
     else:
         click.echo(shown("\n".join(lines)))
+
+
+def _facts_of_file(path: Path, sizes: Entries, sections: list[Section] | None) -> Entries:
+    """What a file holds; its middle sections are added to ``sections``."""
+    from planish.io import describe
+    from planish.io.inspection import middle_sections
+
+    if (path / "run.toml").is_file():
+        from planish.run.run import open_results
+
+        open_results(path)  # says what is wrong with it
+    facts = describe(
+        path,
+        look=None if sections is None else lambda v: sections.extend(middle_sections(v)),
+        **{name: size for name, size in sizes.items() if size is not None},
+    )
+    ctx = click.get_current_context()
+    facts["warnings"] = [with_commands(warning, ctx) for warning in facts["warnings"]]
+    return facts
 
 
 @verb(
@@ -135,9 +149,8 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
         raise click.UsageError(
             "--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping."
         )
-    record_path, picture_path = (
-        out.with_name(f"{out.stem}.corrections.{suffix}") for suffix in ("json", "png")
-    )
+    record_path = out.with_name(f"{out.stem}.corrections.json")
+    picture_path = record_path.with_suffix(".png")
     correction = None
     with stages(2) as progress:
         scan = read_whole(params, compute, progress)

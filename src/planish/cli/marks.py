@@ -25,11 +25,14 @@ from planish.cli.options import (
     out_option,
 )
 from planish.core.files import write_whole
+from planish.core.typing import Array, Entries, Pair, Texts
 from planish.design.params import DesignParams, ImagingParams, StageParams
 from planish.marks.exchange.formats import FORMATS, TARGETS, target_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Iterator, Sequence
+
+    import xarray as xr
 
     from planish.design import Pattern, Rule
 
@@ -111,9 +114,7 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
 )
 @click.option("--diameter-um", type=_POSITIVE, help="Diameter of a table's holes.")
 @json_option
-def check(
-    pattern: Path, field_um: tuple[float, float] | None, diameter_um: float | None, as_json: bool
-) -> int:
+def check(pattern: Path, field_um: Pair | None, diameter_um: float | None, as_json: bool) -> int:
     """Check a PATTERN by the rules of the design: a pattern.json, or a table with x_um and y_um.
 
     Ends with 4 when a rule is broken.
@@ -203,7 +204,7 @@ def simulate(
     return 4
 
 
-def _difference(shots_um: NDArray[Any], holes_um: NDArray[Any]) -> str | None:
+def _difference(shots_um: Array, holes_um: Array) -> str | None:
     """How the shots of a program differ from the holes of a pattern; None where they do not."""
     import numpy as np
 
@@ -220,7 +221,7 @@ def _difference(shots_um: NDArray[Any], holes_um: NDArray[Any]) -> str | None:
 
 
 def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
-    rows: list[tuple[str, ...]] = []
+    rows: list[Texts] = []
     for rule in rules:
         measured = f"{rule.value:.4g} {rule.unit}".strip()
         outcome = "kept" if rule.passed else "BROKEN"
@@ -229,7 +230,7 @@ def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
     table(title, ("rule", "measured", "limit", ""), rows)
 
 
-def _rule_facts(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
+def _rule_facts(rules: tuple[Rule, ...]) -> dict[str, list[Entries]]:
     names = ("name", "value", "sense", "limit", "unit", "passed", "meaning")
     facts_of = attrgetter(*names)
     return {"rules": [dict(zip(names, facts_of(rule), strict=True)) for rule in rules]}
@@ -284,7 +285,7 @@ def convert(
     fixed one, and marks belong together in their order. For elastix, OUT becomes two files, for -mp
     and -fp.
     """
-    from planish.marks.exchange import LayerPixels, about_layer, layer_names, read_any, write_any
+    from planish.marks.exchange import LayerPixels, layer_names, read_any, write_any
 
     if not 2 <= len(files) <= 3:
         raise click.UsageError("Give IN and OUT, or IN, IN2 and OUT.")
@@ -318,25 +319,31 @@ def convert(
             err=True,
         )
     has_unit = FORMATS[out_format].unit is not None
-    is_counted = "moving" in marks.attrs["from_first_pixel"]
-    is_shifted = "moving" in layers and is_counted != has_unit
-    if is_shifted and "origin_um" not in about_layer(marks, "moving"):
-        click.echo(
-            "moving: its first pixel was taken to lie at 0,0 um, as that of an image does. That of"
-            " a flat map lies elsewhere: give --moving-origin-um, in Python"
-            " pl.open_run(RUN).maps.u[0] and .v[0].",
-            err=True,
-        )
-    for layer in layers:
-        origin = about_layer(marks, layer).get("origin_um", {"x": 0.0, "y": 0.0})
-        if has_unit and any(origin.values()):
-            origin_text = (
-                f"{origin['x']:g},{origin['y']:g} um; give that as its origin when they are read"
-                " again."
-            )
-            click.echo(f"{layer}: positions count from its first pixel, at {origin_text}", err=True)
+    for note in _origin_notes(marks, layers, has_unit=has_unit):
+        click.echo(note, err=True)
     if out_format == "elastix":
         click.echo(
             "elastix: -mp the moving, -fp the fixed points; its transforms take fixed to moving.",
             err=True,
         )
+
+
+def _origin_notes(marks: xr.Dataset, layers: Sequence[str], *, has_unit: bool) -> Iterator[str]:
+    """From where positions count, of files with a unit and of those that were read."""
+    from planish.marks.exchange import about_layer
+
+    is_counted = "moving" in marks.attrs["from_first_pixel"]
+    is_shifted = "moving" in layers and is_counted != has_unit
+    if is_shifted and "origin_um" not in about_layer(marks, "moving"):
+        yield (
+            "moving: its first pixel was taken to lie at 0,0 um, as that of an image does. That of"
+            " a flat map lies elsewhere: give --moving-origin-um, in Python"
+            " pl.open_run(RUN).maps.u[0] and .v[0]."
+        )
+    for layer in layers:
+        origin = about_layer(marks, layer).get("origin_um", {"x": 0.0, "y": 0.0})
+        if has_unit and any(origin.values()):
+            yield (
+                f"{layer}: positions count from its first pixel, at {origin['x']:g},{origin['y']:g}"
+                " um; give that as its origin when they are read again."
+            )

@@ -16,6 +16,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from planish.core.annotations import kinds_of
+from planish.core.annotations import words_in as literal_words
 from planish.core.errors import PlanishError, StudyError
 from planish.core.options import (
     Params,
@@ -29,6 +30,7 @@ from planish.core.options import (
 from planish.core.parameter_words import flag_of, in_terminal_words, names_in
 from planish.core.tables import DECIMAL_OR_TWO
 from planish.core.text import and_join
+from planish.core.typing import Entries, Fields, Texts
 
 Command = Callable[..., Any]
 P = TypeVar("P", bound=Params)
@@ -153,7 +155,7 @@ class Value(click.ParamType[Any]):
         tuples = [get_args(t) for t in types if get_origin(t) is tuple]
         self.n_values = len(tuples[0]) if tuples else 0
         self.is_any_count = any(arguments[1:] == (...,) for arguments in tuples)
-        self.words = [str(word) for t in types if get_origin(t) is Literal for word in get_args(t)]
+        self.words = literal_words(types)
         kinds = [*self.words]
         if tuples:
             kinds.append("N,...")
@@ -222,7 +224,7 @@ def _is_params(field_type: Any) -> bool:
     return isinstance(field_type, type) and issubclass(field_type, Params)
 
 
-def _none_if_empty(_context: Any, _option: Any, values: tuple[str, ...]) -> tuple[str, ...] | None:
+def _none_if_empty(_context: Any, _option: Any, values: Texts) -> Texts | None:
     return values or None  # not given is other than an empty choice
 
 
@@ -230,7 +232,7 @@ def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> C
     """An option of a command for a field of a model, by the type of its value."""
     types = kinds_of(field.annotation)
     is_flag = types == [bool] or _is_params(types[0])
-    settings: dict[str, Any] = {
+    settings: Entries = {
         "help": in_terminal_words(field.description or "") + ("" if is_flag else _default(field)),
         "group": group,
         "required": field.is_required(),
@@ -239,10 +241,10 @@ def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> C
     if is_flag:
         return option(is_flag=True, default=None)
     metavar = option_display.metavar
-    if types == [tuple[str, ...]]:
+    if types == [Texts]:
         return option(multiple=True, metavar=metavar, callback=_none_if_empty)
     if len(types) == 1 and get_origin(types[0]) is Literal:
-        return option(type=click.Choice([str(word) for word in get_args(types[0])]))
+        return option(type=click.Choice(literal_words(types)))
     if not metavar and types == [float]:
         metavar = (unit_of(name) or "").upper() or None
     value_type = field.annotation
@@ -261,9 +263,7 @@ def _default(field: FieldInfo) -> str:
     return f"  [default: {','.join(texts)}]"
 
 
-def given_options(
-    values: Mapping[str, Any], tables_of: Mapping[str, tuple[str, ...]]
-) -> dict[str, Any]:
+def given_options(values: Fields, tables_of: Mapping[str, Texts]) -> Entries:
     """Collect the options that the command line gives in the tables where they stand.
 
     Only options with a place are collected.
@@ -276,12 +276,12 @@ def given_options(
         if switch not in given_values:
             flag = flag_of(switch)
             raise click.UsageError(f"{flag_of(name)} is an option of {flag}: give {flag} as well.")
-    tables: dict[str, Any] = {}
+    tables: Entries = {}
     put_options(tables, tables_of, given_values)
     return tables
 
 
-def build_params(model: type[P], values: Mapping[str, Any], **fields: Any) -> P:
+def build_params(model: type[P], values: Fields, **fields: Any) -> P:
     """Build a model of ``fields`` and what the command line gives; a fault is wrong usage."""
     with wrong_usage():
         return params_of(model, fields | given_options(values, words_in(model)))

@@ -35,6 +35,7 @@ from planish.cli.time_left import TimeLeft, expected_stages
 from planish.core.errors import PlanishError
 from planish.core.files import free_path
 from planish.core.source_hash import is_this_code
+from planish.core.typing import Entries, Texts
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
@@ -74,15 +75,13 @@ def _set_option(text: str) -> Command:
     )
 
 
-def image_params(path: Path, values: dict[str, Any]) -> ImageParams:
+def image_params(path: Path, values: Entries) -> ImageParams:
     """How an image is read, with the words on its size that it shares with a volume."""
     sizes = {name: bool(values[name]) for name in _SIZE_WORDS}
     return build_params(ImageParams, values, path=str(path), **sizes)
 
 
-def study_from(
-    layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False
-) -> Study:
+def study_from(layers: tuple[str | Path, ...], values: Entries, *, chain: bool = False) -> Study:
     """Build a study from the command line; what is wrong with it is wrong usage."""
     from planish.run.build import study_of, words_of
     from planish.run.study import with_paths
@@ -106,9 +105,9 @@ def _reuse_freed_memory() -> None:
 def _run_and_show(
     study: Study,
     out: Path,
-    values: dict[str, Any],
+    values: Entries,
     *,
-    changes: tuple[str, ...] = (),
+    changes: Texts = (),
     old_run: Path | None = None,
 ) -> int:
     from planish.run import run_study
@@ -149,9 +148,7 @@ def _run_and_show(
     " may be given again."
 )
 @_run_options
-def link(
-    layers: tuple[str, ...], out: Path, chain: bool, changes: tuple[str, ...], **values: Any
-) -> int:
+def link(layers: Texts, out: Path, chain: bool, changes: Texts, **values: Any) -> int:
     """Link layers of one specimen to the last of them: all maps on its pixels, correlation, report.
 
     A layer is a volume (TIFF stack, folder of slices or sections, store), the folder of a run that
@@ -199,7 +196,7 @@ def map_(volume: Path, out: Path, **values: Any) -> int:
 @compute_options
 @strict_option
 @json_option
-def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) -> int:
+def run(study: Path, out: Path | None, changes: Texts, **values: Any) -> int:
     """Run a STUDY, or repeat a run.
 
     STUDY is a file of 'planish new', or the run.toml of a run.

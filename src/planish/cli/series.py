@@ -26,6 +26,7 @@ from planish.cli.options import (
 )
 from planish.core.facts import is_known
 from planish.core.numbers import in_ascii
+from planish.core.typing import Pair, Texts
 from planish.run.compute import Compute
 from planish.series.declared import Declared
 
@@ -101,7 +102,7 @@ _STATE_TEXTS = {
 def study(
     specimens: Path,
     out: Path,
-    changes: tuple[str, ...],
+    changes: Texts,
     jobs: int,
     dry_run: bool,
     watch: Path | None,
@@ -215,7 +216,7 @@ def _dry_run(
     state: SeriesState, specimens: Sequence[PlannedSpecimen], compute: Compute, jobs: int
 ) -> int:
     """A table of what would be done; nothing is written."""
-    rows: list[tuple[str, ...]] = []
+    rows: list[Texts] = []
     to_do: list[Estimate] = []
     n_kept = 0
     for specimen in specimens:
@@ -247,7 +248,7 @@ _CLOSE_R = 0.995  # r of which more decimals are written
 
 
 def _margin(
-    _context: click.Context, _parameter: click.Parameter, assignments: tuple[str, ...]
+    _context: click.Context, _parameter: click.Parameter, assignments: Texts
 ) -> dict[str, float]:
     margins: dict[str, float] = {}
     for assignment in assignments:
@@ -405,7 +406,7 @@ def _number_text(value: float | None, statistic: str) -> str:
     return f"{value:.{digits}f}"
 
 
-def _interval_text(limits: tuple[float, float], statistic: str) -> str:
+def _interval_text(limits: Pair, statistic: str) -> str:
     return " to ".join(_number_text(v, statistic) for v in limits) if is_known(limits) else "-"
 
 

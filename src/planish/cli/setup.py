@@ -50,7 +50,7 @@ def doctor(as_json: bool, report: Path | None) -> int:
         )
         click.echo(f"From {versions['source']}. {versions['report']}")
     checks = list(check_installation())
-    faulty = [check for check in checks if check.state in ("look", "fail")]
+    faulty = [check.name for check in checks if check.state in ("look", "fail")]
     if as_json:
         records = [
             check.model_dump(include={"name", "state", "sentence", "advice"}) for check in checks
@@ -60,8 +60,7 @@ def doctor(as_json: bool, report: Path | None) -> int:
         for check in checks:
             text = f"{_STATE_TEXTS[check.state]:<8}{check.name}: {check.sentence} {check.advice}"
             sentence(text.rstrip())
-        names = ", ".join(check.name for check in faulty)
-        click.echo(f"Not well: {names}." if faulty else "All is well.")
+        click.echo(f"Not well: {', '.join(faulty)}." if faulty else "All is well.")
     return 4 if faulty else 0
 
 

@@ -19,11 +19,12 @@ from planish.core.numbers import NONE, in_ascii
 from planish.core.older_names import FORMAT
 from planish.core.text import quoted
 from planish.core.tiles import tiles_told
+from planish.core.typing import Entries, Texts
 
 if TYPE_CHECKING:
     from planish.cli.time_left import TimeLeft
     from planish.core.checks import State
-    from planish.results import ComparisonRow, CorrelationRow, LayerFacts, Results, SheetFacts
+    from planish.results import ComparisonRow, CorrelationRow, LayerFacts, Results
     from planish.run import Run
     from planish.run.compute import Progress as Tell
 
@@ -93,8 +94,7 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
         click.echo(results.to_json(), nl=False)
     else:
         for layer in results.layers:
-            if layer.sheet is not None:
-                _properties(layer.name, layer.sheet)
+            _properties(layer)
         for layer in results.moving:
             _registration(layer)
         _given_others(results)
@@ -149,9 +149,12 @@ def exit_code(results: Results, *, strict: bool = False) -> int:
     return 4 if results.state == "fail" or (strict and results.checks_in("look")) else 0
 
 
-def _properties(name: str, sheet: SheetFacts) -> None:
+def _properties(layer: LayerFacts) -> None:
     """Print the distribution of each property, the uncovered areas, and how it was flattened."""
-    rows: list[tuple[str, ...]] = []
+    sheet = layer.sheet
+    if sheet is None:
+        return
+    rows: list[Texts] = []
     labels: dict[str, str] = {}
     for key, p in sheet.properties.items():
         labels[key] = key if p.trust == "ok" else f"{key} ({p.trust})"
@@ -160,7 +163,7 @@ def _properties(name: str, sheet: SheetFacts) -> None:
         percentiles = (number(p.p5, 2), number(p.p95, 2), str(p.n))
         rows.append((labels[key], p.units, *figures, *percentiles))
     headings = ("", "unit", "mean", "sd", "cov %", "p5", "p95", "columns")
-    table(f"Properties of the {name} along its normals", headings, rows)
+    table(f"Properties of the {layer.name} along its normals", headings, rows)
     for key, (share, error) in sheet.uncovered_areas.items():
         if share is not None and sheet.properties[key].trust != "withheld":
             error_text = "" if error is None else f" +- {100 * error:.2g}"
@@ -218,8 +221,7 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
     headings += ["p (Holm)"] * is_tested + ["slope"] + ["marks um"] * has_marks
     cells: list[list[str]] = []
     for name, row in rows:
-        is_control = getattr(row, "negative_control", False)
-        label = f"{name} (negative control)" if is_control else name
+        label = name + " (negative control)" * getattr(row, "negative_control", False)
         if row.trust != "ok":
             label += f" ({row.trust})"
         low, high = row.interval
@@ -243,7 +245,7 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
     table(title, headings, cells)
 
 
-def run_facts(path: Path) -> dict[str, Any] | None:
+def run_facts(path: Path) -> Entries | None:
     """Read the facts of a run folder; None where it is none, or damaged."""
     if not (path / "run.toml").is_file():
         return None
@@ -262,7 +264,7 @@ def run_facts(path: Path) -> dict[str, Any] | None:
         return None
 
 
-def _facts_of(results: dict[str, Any], file_name: str) -> dict[str, Any]:
+def _facts_of(results: Entries, file_name: str) -> Entries:
     """Facts of the results of a run, also of one by planish 0.1.0."""
     version = str(results["planish"])
     repeat_text = "'planish run' repeats it with this version."
@@ -275,7 +277,7 @@ def _facts_of(results: dict[str, Any], file_name: str) -> dict[str, Any]:
     elif results.get("format", 0) < FORMAT:
         warning = f"made by planish {version}: its results have an older format; {repeat_text}"
     checks_key = next(key for key in ("checks", "gates", "quality") if key in results)
-    checks: list[dict[str, Any]] = results[checks_key]
+    checks: list[Entries] = results[checks_key]
     names: dict[str, list[str]] = {"fail": [], "look": []}
     for check in checks:
         state = "fail" if check.get("passed") is False else check.get("state")
@@ -298,7 +300,7 @@ def _facts_of(results: dict[str, Any], file_name: str) -> dict[str, Any]:
     }
 
 
-def run_lines(facts: dict[str, Any]) -> list[str]:
+def run_lines(facts: Entries) -> list[str]:
     """Write the facts of a run for a reader."""
     lines = [f"{facts['file_name']}: {facts['kind']}, planish {facts['planish']}"]
     if facts["warning"]:
@@ -308,7 +310,7 @@ def run_lines(facts: dict[str, Any]) -> list[str]:
     return [*lines, f"checks: {facts['checks']}{''.join(states)}"]
 
 
-def fact_lines(facts: dict[str, Any]) -> list[str]:
+def fact_lines(facts: Entries) -> list[str]:
     """Write the facts of ``planish info`` for a reader."""
     axes = ", ".join(facts["dims"])
     shape = " x ".join(map(str, facts["shape"]))
@@ -316,13 +318,7 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     lines = [f"{facts['file_name']}: {facts['kind']}, {shape} ({axes}), {facts['dtype']}, {size}"]
     if "stored" in facts:
         lines.append(f"format: {facts['format']}, {facts['stored']}")
-    element = "pixel" if facts["kind"] == "image" else "voxel"
-    if facts["size_um"]:
-        size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
-        lines.append(f"{element} size: {size} um ({axes}), from {facts['size_source']}")
-        lines.append(f"extent: {extent} um")
-    else:
-        lines.append(f"{element} size: not stated")
+    lines += _size_lines(facts, axes)
     lines += _grey_lines(facts)
     if facts.get("through"):
         option = "" if facts["through"] == "z" else f": planish map --through {facts['through']}"
@@ -337,7 +333,19 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     return lines + [f"look: {warning}" for warning in facts["warnings"]]
 
 
-def _grey_lines(facts: dict[str, Any]) -> Iterator[str]:
+def _size_lines(facts: Entries, axes: str) -> Iterator[str]:
+    element = "pixel" if facts["kind"] == "image" else "voxel"
+    if not facts["size_um"]:
+        yield f"{element} size: not stated"
+        return
+    size, extent = (
+        " x ".join(map("{:.6g}".format, facts[name])) for name in ("size_um", "extent_um")
+    )
+    yield f"{element} size: {size} um ({axes}), from {facts['size_source']}"
+    yield f"extent: {extent} um"
+
+
+def _grey_lines(facts: Entries) -> Iterator[str]:
     if facts["min"] is not None:
         percentiles = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
         yield f"grey: {facts['min']:.5g} to {facts['max']:.5g}; percentiles {percentiles}"
@@ -350,7 +358,7 @@ def _grey_lines(facts: dict[str, Any]) -> Iterator[str]:
         yield f"grey values: of {facts['sampled']}"
 
 
-def _needs(facts: dict[str, Any]) -> Iterator[str]:
+def _needs(facts: Entries) -> Iterator[str]:
     """Memory and time that linking or mapping a file takes."""
     pace = slowness()
     if "link_bytes" in facts:

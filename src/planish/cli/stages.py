@@ -34,6 +34,7 @@ from planish.cli.runs import (
     surface_options,
     volume_options,
 )
+from planish.core.typing import Entries, Texts
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
@@ -49,7 +50,7 @@ _VOLUME = "volume"
 """Attribute of a store of surfaces: the volume that they were found in."""
 
 _STORE = "Zarr store to make; it must not exist."
-_ONE_FILE: dict[str, Any] = {"type": PATH, "cls": Option}
+_ONE_FILE: Entries = {"type": PATH, "cls": Option}
 
 
 def _write(out: Path, groups: dict[str, xr.Dataset], summary: str) -> None:
@@ -76,7 +77,7 @@ def _read(path: Path, group: str, command: str) -> xr.Dataset:
 
 
 def _volume(
-    path: Path, values: dict[str, Any], **store_params: Any
+    path: Path, values: Entries, **store_params: Any
 ) -> tuple[xr.DataArray, VolumeParams, Compute]:
     """A volume of any kind, how it lies, and what may be used.
 
@@ -90,7 +91,7 @@ def _volume(
 
 
 def _image(
-    path: Path, values: dict[str, Any], *, is_compared: bool = False
+    path: Path, values: Entries, *, is_compared: bool = False
 ) -> tuple[xr.DataArray, ImageParams]:
     from planish.io.light import read_corrected
     from planish.io.sizes import PIXEL, with_advice
@@ -338,7 +339,7 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
 )
 @options(CorrelateParams, "Correlation", only=("point_um", "regions"))
 @json_option
-def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any) -> int:
+def correlate(linked: Path, names: Texts, as_json: bool, **values: Any) -> int:
     """Correlate the image with the properties, point by point, in LINKED maps.
 
     Of a run, rows that a check makes doubtful are marked, and those that a failed check concerns

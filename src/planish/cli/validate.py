@@ -15,6 +15,7 @@ from planish.cli.console import print_json, shown, table, warn
 from planish.cli.options import PATH, build_params, json_option, options, out_option, verb
 from planish.core.files import write_whole
 from planish.core.numbers import in_ascii
+from planish.core.typing import Entries, Texts
 from planish.run.compute import Compute
 from planish.synthetic.presets import SpecimenOptions
 
@@ -109,7 +110,7 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
 @options(Compute, "Resources")
 @json_option
 def validate(
-    scenarios: tuple[str, ...],
+    scenarios: Texts,
     seeds: int | None,
     like: Path | None,
     alone: bool,
@@ -130,22 +131,17 @@ def validate(
     from planish.io.run_folder import refuse_existing
     from planish.validate import table as tables
     from planish.validate.certify import run_scenario, sensitivity
-    from planish.validate.scenario import read_scenario
 
     if listed:
         _list_scenarios(as_json=as_json)
         return 0
-    # All of them are read before the first is run: a wrong name should not cost the time of the
-    # others.
-    selected = [read_scenario(name) for name in scenarios or (_DEFAULT,)]
+    selected = _read_scenarios(scenarios or (_DEFAULT,))
     notes = ()
-    if len({scenario.name for scenario in selected}) < len(selected):
-        raise click.UsageError("--scenario: the same scenario is given twice.")
     if out is not None:
         refuse_existing(out)
     if like is not None:
         selected, notes = _like_run(like, selected)
-    settings: dict[str, Any] = {"progress": _report, "compute": build_params(Compute, values)}
+    settings: Entries = {"progress": _report, "compute": build_params(Compute, values)}
     results: list[tuple[Certificate, Sensitivity | None]] = []
     for scenario in selected:
         certificate = replace(run_scenario(scenario, seeds, **settings), notes=notes)
@@ -163,7 +159,17 @@ def validate(
     return 0 if all(certificate.passed for certificate, _ in results) else 4
 
 
-def _like_run(run: Path, scenarios: Sequence[Scenario]) -> tuple[list[Scenario], tuple[str, ...]]:
+def _read_scenarios(names: Sequence[str]) -> list[Scenario]:
+    """Read all scenarios before the first is run: a wrong name should not cost their time."""
+    from planish.validate.scenario import read_scenario
+
+    scenarios = [*map(read_scenario, names)]
+    if len({scenario.name for scenario in scenarios}) < len(scenarios):
+        raise click.UsageError("--scenario: the same scenario is given twice.")
+    return scenarios
+
+
+def _like_run(run: Path, scenarios: Sequence[Scenario]) -> tuple[list[Scenario], Texts]:
     """Scenarios with the paper and the instruments of a run, and what it does not tell of them."""
     from planish.validate.specimen_template import like_run
 
@@ -219,16 +225,9 @@ def _show(certificate: Certificate, nuisances: Sensitivity | None) -> None:
         for sentence in tables.sensitivity_sentences(nuisances):
             click.echo(in_ascii(sentence))
     click.echo(in_ascii(f"{tables.verdict(certificate)} {tables.summary(certificate)}"))
-    faults = [
-        f"seed {e.seed}: {fault}"
-        for e in certificate.entries
-        for fault in (e.refusal, *e.failed)
-        if fault
-    ]
-    faults += [
-        in_ascii(tables.limit_sentence(line))
-        for line in certificate.lines().values()
-        if line.met is False
-    ]
-    for fault in faults:
-        warn(fault)
+    for entry in certificate.entries:
+        for fault in filter(None, (entry.refusal, *entry.failed)):
+            warn(f"seed {entry.seed}: {fault}")
+    for line in certificate.lines().values():
+        if line.met is False:
+            warn(in_ascii(tables.limit_sentence(line)))

@@ -1,8 +1,8 @@
 """The types, and the models, that the annotation of a field allows."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 
@@ -14,6 +14,11 @@ def kinds_of(annotation: Any) -> list[Any]:
     if get_origin(annotation) in (Union, UnionType):
         return [kind for alternative in get_args(annotation) for kind in kinds_of(alternative)]
     return [] if annotation is type(None) else [annotation]
+
+
+def words_in(kinds: Iterable[Any]) -> list[str]:
+    """The words that some types allow."""
+    return [str(word) for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
 
 
 def models_in(annotation: Any) -> Sequence[type[BaseModel]]:

@@ -13,6 +13,7 @@ from planish.analyze.agreement import AgreementFacts
 from planish.analyze.kubelka_munk import KubelkaMunk
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, count, in_words, number, plain
+from planish.core.typing import Pair
 from planish.report.draw import (
     ACCENT,
     FULL,
@@ -142,9 +143,9 @@ def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
     draw_log_axes(canvas, axes, "wavelength / µm", "squared coherence")
 
 
-def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[tuple[float, float]]) -> None:
-    lower: list[tuple[float, float]] = []
-    upper: list[tuple[float, float]] = []
+def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[Pair]) -> None:
+    lower: list[Pair] = []
+    upper: list[Pair] = []
     for v, (low, high) in zip(x, intervals, strict=True):
         if is_known((low, high)):
             lower.append((v, low))

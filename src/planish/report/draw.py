@@ -12,13 +12,13 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.area import area_mean
 from planish.core.axial import summable
 from planish.core.facts import ResultModel, is_known
 from planish.core.numbers import count, fixed, length, plain, round_step
-from planish.core.typing import Pair
+from planish.core.typing import Bools, Pair
 from planish.report.colours import MISSING, Array, Scale, image_uri
 
 Box = tuple[float, float, float, float]  # left edge, upper edge, width and height in CSS pixels
@@ -121,7 +121,7 @@ class ShownMap:
         """Extent down, in um."""
         return abs(self.extent[3] - self.extent[2])
 
-    def fit(self, width: float, height: float) -> tuple[float, float]:
+    def fit(self, width: float, height: float) -> Pair:
         """Return the largest width and height that keep its proportions."""
         ratio = self.height / self.width
         return (width, width * ratio) if width * ratio <= height else (height / ratio, height)
@@ -221,7 +221,7 @@ class Axes:
         *,
         anchor: str = "start",
         upwards: bool = False,
-        shift: tuple[float, float] = (0, 0),
+        shift: Pair = (0, 0),
         size: float = BIG,
         colour: str = INK,
         halo: str = "",
@@ -318,9 +318,7 @@ class Axes:
                     halo=INK,
                 )
 
-    def outline(
-        self, inside: NDArray[np.bool_], y: Array, x: Array, *, colour: str, width: float
-    ) -> None:
+    def outline(self, inside: Bools, y: Array, x: Array, *, colour: str, width: float) -> None:
         """Draw the border of a region along the edges of its pixels."""
         padded = np.pad(inside.astype(np.int8), 1)
         runs = []
@@ -474,7 +472,7 @@ class Canvas(Axes):
         self,
         x: float,
         y: float,
-        box: tuple[float, float],
+        box: Pair,
         shown: ShownMap,
         scale: Scale,
         *,
@@ -508,7 +506,7 @@ class Canvas(Axes):
         x: float,
         y: float,
         shown: ShownMap,
-        box: tuple[float, float],
+        box: Pair,
         *,
         scale: Scale,
         label: str,
@@ -612,7 +610,7 @@ def draw_map(
     return canvas, canvas.panel(0.0, 0.0, shown, box, scale=scale, label=label)
 
 
-def panel_height(box: tuple[float, float], label: str) -> float:
+def panel_height(box: Pair, label: str) -> float:
     """Return the height of a panel without its scale bar.
 
     A colour bar needs room for its numbers.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from planish.core.area import valid_in_all
 from planish.core.facts import is_known
 from planish.core.numbers import capital, fixed, interval_text, typeset, with_article
 from planish.core.parameter_words import in_terminal_words
@@ -38,8 +39,7 @@ def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Pict
         return []
     row = shown_pair.coarse
     maps = (shown_pair.a, shown_pair.b)
-    masks = [mask.values.astype(bool) for mask in shown_pair.valid]
-    is_valid = np.logical_and.reduce([*(np.isfinite(m.values) for m in maps), *masks])
+    is_valid = valid_in_all([m.values for m in maps], [mask.values for mask in shown_pair.valid])
     shown_maps = [
         m.copy(data=np.where(is_valid, m.values.astype(np.float64), np.nan)) for m in maps
     ]
@@ -103,7 +103,7 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
         texts.append(
             "Declare the map that leads in the study before you look at the next specimen."
         )
-    advice += [(text, None) for text in texts if text]
+    advice += [(text, None) for text in filter(None, texts)]
     usual_text = (
         "A second specimen would show whether the relation holds beyond this one."
         if results.is_link
@@ -122,14 +122,15 @@ def operator_notes(results: Results) -> list[str]:
         for check in results.checks_in("fail", "look", "unknown")
         if check.remedy
     ]
-    registrations = [layer.registration for layer in results.moving if layer.registration]
-    orientations = [registration.orientation for registration in registrations]
-    texts += [f"{view.sentence} {view.remedy}" for view in orientations if view.remedy]
+    for layer in results.moving:
+        if layer.registration is not None and layer.registration.orientation.remedy:
+            view = layer.registration.orientation
+            texts.append(f"{view.sentence} {view.remedy}")
     notes = [typeset(in_terminal_words(text)) for text in texts]
     if results.evidence and not results.evidence[0].declared:
         notes.append("The map that leads is declared with --headline.")
-    images = [layer.image for layer in results.layers if layer.image is not None]
-    if any(image.quantity == "grey value, uncalibrated" for image in images):
+    quantities = [layer.image.quantity for layer in results.layers if layer.image is not None]
+    if "grey value, uncalibrated" in quantities:
         notes.append(
             "Reflectance in place of uncalibrated grey values: --white and --dark, pictures of a"
             " white sheet and without light; or --dark-grey and --white-grey, of two known greys."

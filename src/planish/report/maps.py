@@ -10,11 +10,11 @@ from itertools import count as numbers_from
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.memory import SAMPLE_PIXELS
 from planish.core.numbers import count, in_words, length, number, percent, plain
+from planish.core.typing import Bools
 from planish.report.colours import Array, Scale, colours_of, limits, partner_of
 from planish.report.draw import (
     ACCENT,
@@ -333,9 +333,7 @@ def draw_light(light: xr.Dataset, layer: str) -> Picture:
     )
 
 
-def _darkness_sentence(
-    image: Array, is_outlined: NDArray[np.bool_], valid: NDArray[np.bool_]
-) -> str:
+def _darkness_sentence(image: Array, is_outlined: Bools, valid: Bools) -> str:
     inside_greys = image[is_outlined & valid]
     outside_greys = image[valid & ~is_outlined]
     if not inside_greys.size or not outside_greys.size or not np.ptp(image[valid]):

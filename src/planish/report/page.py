@@ -21,6 +21,7 @@ from planish.core.facts import is_known
 from planish.core.files import write_whole
 from planish.core.numbers import in_words, with_article
 from planish.core.tables import table_text
+from planish.core.typing import Entries
 from planish.io.light import LIGHT
 from planish.marks.exchange.model import points_of
 from planish.report import (
@@ -174,7 +175,7 @@ def render_report(
     return f"{page}\n", pictures
 
 
-def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] | None:
+def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> Entries | None:
     """Draw all that is shown of a sheet.
 
     None for an image, and for a sheet whose groups are elsewhere.
@@ -207,7 +208,7 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] 
 
 def _registration_section(
     run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.Dataset | None
-) -> dict[str, Any] | None:
+) -> Entries | None:
     """Draw how a layer lies on the reference; None where it is not known, or maps are elsewhere."""
     r = registration.judged(layer.registration)
     results = run_maps.results
@@ -350,7 +351,7 @@ def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
 
 def _evidence_section(
     run_maps: maps.RunMaps, e: EvidenceFacts, pairs: Mapping[summary.PairKey, MapPair]
-) -> dict[str, Any]:
+) -> Entries:
     """Draw and say what is known of the relation of two maps beside its r, by section."""
     is_same_map = e.a_map == e.b_map
     map_titles: list[str] = []

@@ -11,10 +11,11 @@ from planish.analyze.correlograms import CorrelogramProfiles
 from planish.checks.light import SIDE_LIGHT
 from planish.core.facts import is_known
 from planish.core.numbers import fixed, length, percent, plain
+from planish.flatten import FlatteningQuality
 from planish.report.relation import largest
 from planish.report.sentences.attenuation import LEFT_OUT
 from planish.report.statement import r2_limits
-from planish.report.summary import key_of, lead_pair
+from planish.report.summary import evidence_of, lead_pair
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 _ABOVE_ERROR = 3.0  # times the expected error: a lag beyond that is more than the marks allow
@@ -37,15 +38,10 @@ def reading(results: Results) -> list[str]:
         f"A straight line explains r² = {100 * row.r2:.0f} % of the variance{limits_text} over"
         f" points of {plain(round(row.point_um, 4))}; the rest has other causes."
     )
-    evidence = next((e for e in results.evidence if key_of(e) == key_of(row)), None)
-    moving = next((layer for layer in results.moving if layer.name in (row.a, row.b)), None)
-    texts = [
-        strength,
-        _limit_text(evidence),
-        _short_waves_text(row, evidence),
-        *_bearing_texts(evidence, moving),
-    ]
-    return [text for text in texts if text]
+    evidence = evidence_of(results, row)
+    moving = next(layer for layer in results.moving if layer.name in (row.a, row.b))
+    texts = (_limit_text(evidence), _short_waves_text(row, evidence))
+    return [strength, *filter(None, texts), *_bearing_texts(evidence, moving)]
 
 
 def _limit_text(evidence: EvidenceFacts | None) -> str:
@@ -78,13 +74,11 @@ def _short_waves_text(row: CorrelationRow, evidence: EvidenceFacts | None) -> st
     )
 
 
-def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) -> Iterator[str]:
+def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts) -> Iterator[str]:
     """Reconcile side light, the lag of the largest r and that with slopes allowed for.
 
     Then the strain.
     """
-    if moving is None:
-        return
     lag = None if moving.registration is None else moving.registration.lag
     if lag is not None and is_known(lag.light):
         weight = "side light affects r" if lag.light >= SIDE_LIGHT else "too little to affect r"
@@ -95,10 +89,14 @@ def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) ->
     profiles = None if evidence is None else evidence.correlogram
     if lag is not None and profiles is not None and profiles.inner:
         yield _lag_text(lag, profiles)
-    flatten = None if moving.sheet is None else moving.sheet.flatten
-    if flatten is not None and is_known(flatten.edge_strain_p95):
-        strain = flatten.edge_strain_p95 or 0.0
-        limit = flatten.curvature.limit
+    if moving.sheet is not None:
+        yield from _strain_text(moving.sheet.flatten)
+
+
+def _strain_text(flatten: FlatteningQuality) -> Iterator[str]:
+    strain = flatten.edge_strain_p95
+    limit = flatten.curvature.limit
+    if is_known(strain):
         yield (
             f"Flattening strains the sheet by {percent(strain, 2)} (95 % of its edges),"
             f" {'less' if strain < limit else 'more'} than the {percent(limit, 1)} that paper"

@@ -5,15 +5,14 @@ Residuals, expected error, and where the maps themselves lie against each other.
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.analyze import LagNumbers
 from planish.core.facts import is_known
 from planish.core.numbers import capital, count, in_words, length, plain, with_article
+from planish.core.typing import Bools, Entries
 from planish.marks.exchange.model import paired, points_of
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
 from planish.report.draw import (
@@ -56,7 +55,7 @@ class Ground:
     scale: Scale
     name: str
     caption: str
-    edge: NDArray[np.bool_] | None = None
+    edge: Bools | None = None
     edge_of: str = ""
 
     def draw(self, width: float) -> tuple[Canvas, Axes]:
@@ -76,8 +75,8 @@ def ground_of(
     data: xr.DataArray,
     *,
     layer: str,
-    valid: NDArray[np.bool_] | None = None,
-    edge: NDArray[np.bool_] | None = None,
+    valid: Bools | None = None,
+    edge: Bools | None = None,
     edge_layer: str = "",
 ) -> Ground:
     """Return a map or image (y, x) as ground, greys of its ``valid`` pixels.
@@ -230,7 +229,7 @@ def draw_registration(
     )
 
 
-def _tiles_of(marks: xr.Dataset) -> NDArray[np.bool_]:
+def _tiles_of(marks: xr.Dataset) -> Bools:
     if "is_tile" in marks.coords:
         return marks["is_tile"].values
     return np.zeros(marks.sizes["mark"], dtype=np.bool_)
@@ -249,7 +248,7 @@ def _draw_marks(axes: Axes, marks: xr.Dataset, *, hole_um: float, font_size: flo
     """Draw holes as numbered circles, and tiles, which have no diameter, as numbered crosses."""
     angles = np.linspace(0, 2 * np.pi, 49)
     circle = hole_um / 2 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    style: dict[str, Any] = {"size": font_size, "colour": _MARK}
+    style: Entries = {"size": font_size, "colour": _MARK}
     marked = zip(points_of(marks, "fixed"), _tiles_of(marks), strict=True)
     for k, ((x, y), is_tile) in enumerate(marked, 1):
         away_um = 0.0

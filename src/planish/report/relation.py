@@ -292,7 +292,7 @@ def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, u
         draw_fit(axes, [(x, value) for x in axes.extent[:2]], dash="7 4" if k else "", width=2)
     canvas.ticks(axes, axis_label("mean of the two", units), axis_label("difference", units))
     mean, spread, lower, upper = written_difference(row)
-    unit_text = f" {units}" if units else ""
+    unit_text = f" {units}".rstrip()
     numbers_text = (
         f"mean {mean}{unit_text}\u2003s. d. {spread}{unit_text}\u2003limits {lower} to"
         f" {upper}{unit_text}"

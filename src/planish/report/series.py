@@ -19,6 +19,7 @@ import xarray as xr
 
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, axis_label, plain, round_step
+from planish.core.typing import Entries
 from planish.report import series_words as words
 from planish.report import statement, text
 from planish.report.colours import image_uri, limits
@@ -62,7 +63,6 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     columns = list(range(min(len(results.quantities), 8)))
     given_factors = {name for member in results.members for name in member.factors}
     factors = [name for name in results.factors if name in given_factors]
-    pictures = [draw_groups(results, k) for k in columns]
     lines = [_specimen_line(s, factors, columns, results) for s in results.specimens]
     page = text.template("planish.report", "series.html.j2").render(
         results=results,
@@ -73,7 +73,7 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
         columns=columns,
         lines=lines,
         orders=_specimen_orders(results, factors),
-        pictures=[picture for picture in pictures if picture],
+        pictures=[*filter(None, (draw_groups(results, k) for k in columns))],
         tiled=_tile_maps(maps),
         out=[specimen for specimen in results.specimens if specimen.member.state != "whole"],
         linked=any(specimen.kind not in (None, "map") for specimen in results.specimens),
@@ -83,7 +83,7 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
 
 def _specimen_line(
     specimen: SeriesSpecimen, factors: Sequence[str], columns: Sequence[int], results: SeriesResults
-) -> dict[str, Any]:
+) -> Entries:
     """Return what the table shows of one specimen.
 
     Its cells are texts, each with a word of doubt.
@@ -190,7 +190,7 @@ def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> Sma
     return SmallMap(specimen=specimen, shown=shown, title=title, unit=text.unit_of(data))
 
 
-def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
+def _tile_maps(maps: Sequence[SmallMap]) -> Entries:
     """Colour small maps by one scale, and on one scale of lengths.
 
     The colours go from the 1st to the 99th percentile of all of them.
@@ -233,15 +233,17 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     if sum(group.fields for group in groups) < 2:
         return None
     factor = 100.0 if q.what == "thin_share" else 1.0
-    values = [_values(results, group) for group in groups]
+    values: list[list[tuple[str, float]]] = []
     plotted: list[float] = []
-    for group, group_values in zip(groups, values, strict=True):
-        plotted += [value * factor for _, value in group_values]
-        plotted += [value * factor for value in group.interval if is_known(value)]
+    for group in groups:
+        values.append(_values(results, group))
+        plotted += [value for _, value in values[-1]]
+        plotted += filter(is_known, group.interval)
     title = words.title(q)
     names = [_short_label(group.group) for group in groups]
     x_label = axis_label(title, words.units(q))
-    canvas, axes = row_axes(names, plotted, x_label, widest_px=_WIDEST_NAME)
+    scaled = [value * factor for value in plotted]
+    canvas, axes = row_axes(names, scaled, x_label, widest_px=_WIDEST_NAME)
     rows: list[tuple[str, str, float]] = []
     means: list[str] = []
     for i, (group, group_values) in enumerate(zip(groups, values, strict=True)):

@@ -17,6 +17,7 @@ from planish.core.numbers import (
     typeset,
     unit,
 )
+from planish.core.typing import Pair
 from planish.report.statement import decimals_of_r, p_text
 from planish.report.summary import KeyFigure
 from planish.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
@@ -94,7 +95,7 @@ def light_of(results: SeriesResults) -> str:
     return "pass" if all(is_whole) and not any(g.left_out for g in results.groups) else "look"
 
 
-def value(v: float | None, q: Quantity, limits: tuple[float, float] | None = None) -> str:
+def value(v: float | None, q: Quantity, limits: Pair | None = None) -> str:
     """Write a value of a quantity.
 
     A share is written in per cent, r with two decimals, others by the width of an interval.
@@ -133,7 +134,7 @@ def title(q: Quantity) -> str:
     return typeset(q.title) if q.what == "r" else capital(typeset(q.title))
 
 
-def interval(limits: tuple[float, float] | None, q: Quantity) -> str:
+def interval(limits: Pair | None, q: Quantity) -> str:
     """Write both ends of an interval."""
     if limits is None or not is_known(limits):
         return NONE

@@ -5,9 +5,9 @@ from string import ascii_uppercase
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.numbers import count, length, plain
+from planish.core.typing import Bools, Ints, Pair
 from planish.report.colours import GREYS, Array, Scale, limits
 from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Picture, pitch, pixel_of, reduced
 
@@ -33,7 +33,7 @@ class Slice:
     heights: Array  # descending: the first row is the upper one
     x: Array
     lines: dict[str, Array]
-    used: NDArray[np.bool_]  # columns that were measured
+    used: Bools  # columns that were measured
     place_um: float  # along the axis that it cuts across
 
     def window(self, left: float, right: float, margin: float) -> Window:
@@ -48,7 +48,7 @@ class Slice:
         return left, right, low, high
 
     @property
-    def range(self) -> tuple[float, float]:
+    def range(self) -> Pair:
         """Lowest and highest height."""
         return float(self.heights[-1]), float(self.heights[0])
 
@@ -106,7 +106,7 @@ def _draw_window(
     canvas: Canvas,
     cut: Slice,
     window: Window,
-    corner_px: tuple[float, float],
+    corner_px: Pair,
     zoom: float,
     scale: Scale,
     width: float,
@@ -144,19 +144,14 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
         canvas.text(left_px, 18, f"Detail of slice {ascii_uppercase[k]}", bold=True)
         _draw_window(canvas, cut, window, (left_px, 26), zoom, scale, 2.0)
     canvas.scale_bar(1, 28 + height_px, width=width, um=width / zoom)
-    drawn_lines = [
-        line for line in LINES if np.isfinite(np.stack([cut.lines[line[0]] for cut in cuts])).any()
-    ]
     canvas.box(0, height_px + 60, FULL, 28, fill="#2a2d30")
-    for k, (_, name, colour, dash) in enumerate(drawn_lines):
-        left_px = 14 + k * 205.0
-        canvas.line(
-            [(left_px, height_px + 74), (left_px + 28, height_px + 74)],
-            colour=colour,
-            width=2.6,
-            dash=dash,
-        )
-        canvas.text(left_px + 36, height_px + 78, name, colour="white")
+    left_px = 14.0
+    for name, title, colour, dash in LINES:
+        if any(np.isfinite(cut.lines[name]).any() for cut in cuts):
+            line = [(left_px, height_px + 74), (left_px + 28, height_px + 74)]
+            canvas.line(line, colour=colour, width=2.6, dash=dash)
+            canvas.text(left_px + 36, height_px + 78, title, colour="white")
+            left_px += 205.0
     voxel = pixel_of(cuts[0].x, cuts[0].heights[::-1])
     return canvas.picture(
         title="The layers, close up",
@@ -209,7 +204,7 @@ def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
     """
     sign = 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
     heights = sign * slices["height"].values.astype(np.float64)
-    order: NDArray[np.intp] = np.argsort(-heights)
+    order: Ints = np.argsort(-heights)
     row = int(slices["row"].values[k])
     x = slices["x"].values.astype(np.float64)
     # A column may be several voxels wide: each voxel shows the surfaces of its column.

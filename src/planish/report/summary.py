@@ -162,12 +162,18 @@ def lead_pair(results: Results) -> list[CorrelationRow]:
     return min(pair_groups, key=lambda group: largest(group).r2, default=[])
 
 
+def evidence_of(results: Results, row: CorrelationRow) -> EvidenceFacts | None:
+    """Return what stands beside a correlation; None where nothing does."""
+    return next((e for e in results.evidence if key_of(e) == key_of(row)), None)
+
+
 def density_of(results: Results, row: CorrelationRow) -> float | None:
     """Density by which the coating of a correlation is drawn as a weight.
 
     None where the run knows none.
     """
-    return next((e.density_g_cm3 for e in results.evidence if key_of(e) == key_of(row)), None)
+    evidence = evidence_of(results, row)
+    return None if evidence is None else evidence.density_g_cm3
 
 
 def quantities(results: Results) -> list[str]:
@@ -330,7 +336,8 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
 
 def _light_text(results: Results, row: CorrelationRow) -> str:
     """Both r where uneven light makes one doubtful; empty elsewhere, and where r is withheld."""
-    field = next((e.light_field for e in results.evidence if key_of(e) == key_of(row)), None)
+    evidence = evidence_of(results, row)
+    field = None if evidence is None else evidence.light_field
     is_asked = any(check.name == EVEN_LIGHT for check in results.checks_in("look"))
     if field is None or row.trust != "doubtful" or not is_asked:
         return ""
@@ -345,12 +352,11 @@ def cautions(results: Results) -> list[str]:
     rows = lead_pair(results)
     if not rows or largest(rows).trust == "withheld":
         return []
-    over_control = [
-        say_over_control(e.partial, e.a_map)
-        for e in results.evidence
-        if e.partial is not None and key_of(e) == key_of(rows[0])
-    ]
-    return [*largest(rows).warnings, *filter(None, over_control)]
+    warnings = [*largest(rows).warnings]
+    evidence = evidence_of(results, rows[0])
+    if evidence is not None and evidence.partial is not None:
+        warnings += filter(None, [say_over_control(evidence.partial, evidence.a_map)])
+    return warnings
 
 
 def declared(results: Results) -> str:
@@ -417,14 +423,20 @@ def _worst_errors(results: Results) -> tuple[float | None, float | None]:
 
     None where none can be trusted, or a layer is not registered.
     """
-    registrations = [layer.registration for layer in results.moving if layer.registration]
-    if len(registrations) < len(results.moving):
-        return None, None
-    errors = [registration.expected_error for registration in registrations]
-    trusted = [error for error in errors if error and error.trust == "ok"]
-    medians_um = [error.median_um for error in trusted if error.median_um is not None]
-    largest_um = [error.largest_um for error in trusted if error.largest_um is not None]
-    return max(medians_um, default=None), max(largest_um, default=None)
+    medians_um: list[float | None] = []
+    largest_um: list[float | None] = []
+    for layer in results.moving:
+        if layer.registration is None:
+            return None, None
+        error = layer.registration.expected_error
+        if error is not None and error.trust == "ok":
+            medians_um.append(error.median_um)
+            largest_um.append(error.largest_um)
+    return _largest_of(medians_um), _largest_of(largest_um)
+
+
+def _largest_of(lengths_um: list[float | None]) -> float | None:
+    return max((um for um in lengths_um if um is not None), default=None)
 
 
 def _r_figure(results: Results, row: CorrelationRow | None, label: str) -> KeyFigure:

@@ -10,6 +10,7 @@ from planish.checks.light import SIDE_LIGHT
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, fixed, in_words, interval_text, number, plain, unit
 from planish.core.status import Status
+from planish.core.typing import Entries, Fields, Texts
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r_text
 from planish.report.summary import Titles, by_pair, headline_pair, titles_of
@@ -22,8 +23,8 @@ class PairLine(NamedTuple):
     name: str
     rows: Sequence[CorrelationRow | ComparisonRow | None]
     second: str = ""
-    before: tuple[str, ...] = ()
-    after: tuple[str, ...] = ()
+    before: Texts = ()
+    after: Texts = ()
     best: bool = False
 
 
@@ -127,14 +128,14 @@ def _change_text(row: ComparisonRow) -> str:
 
 def correlations(results: Results, titles: Titles) -> list[PairLine]:
     """Return the correlation of every pair of maps, all point sizes in one line each."""
-    headlines = [headline_pair(results, layer) for layer in results.moving]
     has_two_layers = len(results.layers) == 2
+    leading = headline_pair(results, results.moving[0]) if has_two_layers else []
     sizes = _sizes(results.correlations)
     has_differences = any(row.same_quantity for row in results.correlations)
     lines: list[PairLine] = []
     for group in by_pair(results):
         row = largest(group)
-        a, b = titles_of(group[0], titles)
+        a, b = titles_of(row, titles)
         name = f"{row.a}: {in_words(a)}"
         second = f"{row.b}: {in_words(b)}"
         # One quantity of two layers needs its name only once.
@@ -142,23 +143,25 @@ def correlations(results: Results, titles: Titles) -> list[PairLine]:
         if has_two_layers and needs_one:
             name = a
             second = ""
-        difference = NONE
-        if row.same_quantity:
-            units = unit(row.units or "")
-            mean, spread, low, high = written_difference(row)
-            difference = f"{mean} ± {spread} {units}\n{low} to {high} {units}"
-        is_best = has_two_layers and group in headlines
         rows_by_size = {round(r.point_um, 4): r for r in group}
         lines.append(
             PairLine(
                 name=name,
                 second=second,
-                rows=[rows_by_size.get(size) for size in sizes],
-                after=(difference,) if has_differences else (),
-                best=is_best and len(results.correlations) > len(group),
+                rows=[*map(rows_by_size.get, sizes)],
+                after=(_difference_text(row),) if has_differences else (),
+                best=group == leading and len(results.correlations) > len(group),
             )
         )
     return lines
+
+
+def _difference_text(row: CorrelationRow) -> str:
+    if not row.same_quantity:
+        return NONE
+    units = unit(row.units or "")
+    mean, spread, low, high = written_difference(row)
+    return f"{mean} ± {spread} {units}\n{low} to {high} {units}"
 
 
 def point_sizes(rows: Iterable[CorrelationRow | ComparisonRow]) -> list[str]:
@@ -170,10 +173,10 @@ def _sizes(rows: Iterable[CorrelationRow | ComparisonRow]) -> list[float]:
     return sorted({round(float(row.point_um), 4) for row in rows})
 
 
-def parameters(values: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:
+def parameters(values: Fields) -> list[tuple[str, list[tuple[str, str]]]]:
     """Return every parameter, by section; sections of a list are named by their ``name``."""
-    sections: list[tuple[str, Mapping[str, Any]]] = []
-    unsectioned: dict[str, Any] = {}
+    sections: list[tuple[str, Fields]] = []
+    unsectioned: Entries = {}
     for section, value in values.items():
         if isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
             for k, table in enumerate(cast("Sequence[Mapping[str, Any]]", value), 1):
@@ -186,7 +189,7 @@ def parameters(values: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str
     return [section for section in rows if section[1]]
 
 
-def _flat_rows(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+def _flat_rows(section: Fields, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Write a section of parameters.
 
     What lies in a section of its own has that one's name before it.

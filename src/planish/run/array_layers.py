@@ -103,12 +103,10 @@ def layer_sources(
         yield sources
     except BaseException:
         # The arrays are in memory still, and the same call is not refused because of them.
-        if out is not None:
-            remove(folder)
+        remove(folder)
         raise
-    finally:
-        if out is None:
-            remove(folder)
+    if out is None:
+        remove(folder)
 
 
 def _source(layer: GivenSource, call_text: str) -> str | Path | ArraySource:

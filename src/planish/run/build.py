@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from planish.core.errors import StudyError
 from planish.core.options import Params, as_words, params_of, put_options, words_in
 from planish.core.parameter_faults import fault_texts
+from planish.core.typing import Entries, Fields, Texts
 from planish.io import find_place
 from planish.io.info import is_image
 from planish.io.sections import is_section_folder
@@ -123,7 +124,7 @@ def link(
 def _make(
     layers: Sequence[GivenSource],
     out: str | Path | None,
-    options: Mapping[str, Any],
+    options: Fields,
     sections: Sequence[str],
     compute: Compute | None,
     progress: Progress,
@@ -144,7 +145,7 @@ def _make(
 
 def study_of(
     layers: Sequence[str | Path | ArraySource],
-    sections: Mapping[str, Mapping[str, Any]],
+    sections: Mapping[str, Fields],
     *,
     chain: bool = False,
 ) -> Study:
@@ -194,9 +195,7 @@ def study_of(
         raise StudyError("; ".join(faults)) from error
 
 
-def _refuse_options_of_volumes(
-    options: Mapping[str, Mapping[str, Any]], files: Sequence[Path]
-) -> None:
+def _refuse_options_of_volumes(options: Mapping[str, Fields], files: Sequence[Path]) -> None:
     """Raise StudyError for what is given and means nothing without a volume."""
     names = [name for section in MAP_SECTIONS for name in options.get(section, {})]
     names += [name for name in options.get("volume", {}) if name not in (*_OF_BOTH, "md_deg")]
@@ -246,9 +245,7 @@ def _kind_of(path: Path) -> Kind:
     return "volume" if is_section_folder(place.path) or not is_image(place) else "image"
 
 
-def _table(
-    name: str, source: PathSource | ArraySource, options: Mapping[str, dict[str, Any]]
-) -> dict[str, Any]:
+def _table(name: str, source: PathSource | ArraySource, options: Mapping[str, Entries]) -> Entries:
     table = {"path": str(source.path.absolute())}
     volume = options.get("volume", {})
     array_options = source.options if isinstance(source, ArraySource) else {}
@@ -273,10 +270,14 @@ def _all_names(sources: Sequence[PathSource | ArraySource]) -> list[str]:
     if len(set(names)) < len(names):
         places = [find_place(source.path.absolute()) for source in sources]
         names = [_as_name(place.stem) for place in places]
-        stems = [source.name or name for source, name in zip(sources, names, strict=True)]
+        stems = _as_given(sources, names)
         for k, place in enumerate(places):
             if stems.count(stems[k]) > 1:
                 names[k] = f"{_as_name(place.path.parent.name)}-{names[k]}"[:40]
+    return _as_given(sources, names)
+
+
+def _as_given(sources: Sequence[PathSource | ArraySource], names: Sequence[str]) -> list[str]:
     return [source.name or name for source, name in zip(sources, names, strict=True)]
 
 
@@ -285,14 +286,14 @@ def _as_name(text: str) -> str:
 
 
 def sections_of(
-    options: Mapping[str, Any], sections: Iterable[str], compute: Compute | None, *, call: str
-) -> tuple[dict[str, dict[str, Any]], Compute | None]:
+    options: Fields, sections: Iterable[str], compute: Compute | None, *, call: str
+) -> tuple[dict[str, Entries], Compute | None]:
     """Sort what a call was given into sections of a study, and what may be used.
 
     StudyError names all faults.
     """
     word_places = words_of([*sections, "compute"])
-    tables: dict[str, Any] = {}
+    tables: Entries = {}
     if compute is not None:
         tables["compute"] = params_of(Compute, compute, call).model_dump()
     stated = {word: value for word, value in options.items() if value is not None}
@@ -318,21 +319,21 @@ def sections_of(
     return tables, None if compute_options is None else params_of(Compute, compute_options, call)
 
 
-def _table_in(value: Any) -> dict[str, Any] | None:
+def _table_in(value: Any) -> Entries | None:
     """Options of a section, of a model or a mapping; None where it is neither."""
     if isinstance(value, Params):
         return value.model_dump(exclude_unset=True)
     return deepcopy(dict[str, Any](value)) if isinstance(value, Mapping) else None
 
 
-def words_of(sections: Iterable[str] = SECTIONS) -> dict[str, tuple[str, ...]]:
+def words_of(sections: Iterable[str] = SECTIONS) -> dict[str, Texts]:
     """Words of some sections, and where each stands in a study.
 
     Of the same word in two the first one. What a study asks of its maps has a command of its own,
     and no words here.
     """
     models = {**SECTIONS, "compute": Compute}
-    places: dict[str, tuple[str, ...]] = {}
+    places: dict[str, Texts] = {}
     for section in sections:
         if section not in ANSWERS:
             places = words_in(models[section], section) | places

@@ -24,7 +24,7 @@ from planish.core.grid import Grid
 from planish.core.older_names import height_map
 from planish.core.options import params_of
 from planish.core.transform import Similarity
-from planish.core.typing import Bools
+from planish.core.typing import Bools, Window
 from planish.io.map_store import map_tiles
 from planish.marks.regions import read_regions
 from planish.resample import SheetOnto, resample_image
@@ -154,7 +154,7 @@ def _with_held_out(
     return layer.model_copy(update={"registration": judged})
 
 
-def _bounds(valid: xr.DataArray) -> tuple[slice, slice]:
+def _bounds(valid: xr.DataArray) -> Window:
     """Rows and columns that hold all valid pixels; none where there are none."""
     in_rows = np.zeros(valid.shape[0], dtype=bool)
     in_cols = np.zeros(valid.shape[1], dtype=bool)

@@ -20,7 +20,7 @@ from planish.core.facts import InputFile, Interval, Side, is_known
 from planish.core.grid import Grid, pitch
 from planish.core.numbers import capital, with_article
 from planish.core.tables import table_text
-from planish.core.typing import Bools
+from planish.core.typing import Bools, Entries
 from planish.io import fingerprint
 from planish.measure.registry import has_true_zero
 from planish.register import FittedTransform
@@ -69,12 +69,12 @@ def surface_facts(surfaces: xr.Dataset) -> SurfaceFacts:
     )
 
 
-def _error_facts(errors: xr.DataArray, column_um2: float) -> dict[str, Any]:
+def _error_facts(errors: xr.DataArray, column_um2: float) -> Entries:
     """Error of a column, how many of them are independent, and the error of their mean."""
     values = errors.values[np.isfinite(errors.values)].astype(np.float64)
     if not values.size:
         return {}
-    facts: dict[str, Any] = {"standard_error": float(np.median(values))}
+    facts: Entries = {"standard_error": float(np.median(values))}
     if "patch_um2" in errors.attrs:
         patches_per_column = column_um2 / float(errors.attrs["patch_um2"])
         n_independent = max(1.0, values.size * min(1.0, patches_per_column))
@@ -100,7 +100,7 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
         vectors = summable_of(surfaces, name)[np.isfinite(data.values)]
         mean, sd, near_mean = distribution(values, vectors)
         p5, p50, p95 = np.percentile(near_mean, [5, 50, 95])
-        error_facts: dict[str, Any] = {}
+        error_facts: Entries = {}
         if f"{name}_se" in surfaces:
             error_facts = _error_facts(surfaces[f"{name}_se"], math.prod(pitch(surfaces)))
         units = str(data.attrs["units"])

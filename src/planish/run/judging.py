@@ -76,13 +76,17 @@ def judge_link(study: Study, overlay: Overlay, comparison: Comparison, holes: Ho
         refinement=comparison.refinement,
         regions=None if regions is None else region_facts(regions, overlay.grid),
     )
-    links = [linked.link for linked in overlay.layers if linked.link is not None]
+    registrations = {
+        linked.name: linked.link.registration
+        for linked in overlay.layers
+        if linked.link is not None
+    }
     run = Run(
         study=study,
         results=results,
         groups=_groups_of_link(study, overlay, comparison),
         regions=regions,
-        registrations={link.path[0].name: link.registration for link in links},
+        registrations=registrations,
     )
     if study.is_sheet_on_image:
         return replace(run, unchanged=layers[0].unchanged)
@@ -132,12 +136,7 @@ def _results(
 def _checks_of_link(overlay: Overlay, comparison: Comparison, holes: HoleSearch) -> Iterator[Check]:
     """Checks of each layer and its registration, of what two layers share, and of all together."""
     for linked, facts in zip(overlay.layers, comparison.layers, strict=True):
-        scale_checks = [*_scale_checks(overlay, linked)]
-        names = [check.name for check in scale_checks]
-        map_checks = [check for check in linked.layer.checks if check.name not in names]
-        map_checks = [_with_fit(check, linked, comparison.layers) for check in map_checks]
-        yield from for_layers(map_checks, linked.name)
-        yield from scale_checks
+        yield from _checks_of_map(overlay, linked, comparison.layers)
         if linked.link is not None:
             yield from _registration_checks(linked.link, facts, holes)
     yield from _size_checks(comparison.layers)
@@ -153,8 +152,19 @@ def _checks_of_link(overlay: Overlay, comparison: Comparison, holes: HoleSearch)
     for evidence in comparison.evidence:
         yield from run_checks(evidence, evidence.a, evidence.b)
     if comparison.area is not None:
-        names = [linked.name for linked in overlay.layers]
-        yield from run_checks(comparison.area, *names)
+        yield from run_checks(comparison.area, *overlay.maps)
+
+
+def _checks_of_map(
+    overlay: Overlay, linked: LinkedLayer, layers: Sequence[LayerFacts]
+) -> Iterator[Check]:
+    """Checks of a layer by itself, and of its size, which the marks may judge better."""
+    scale_checks = [*_scale_checks(overlay, linked)]
+    names = [check.name for check in scale_checks]
+    for check in linked.layer.checks:
+        if check.name not in names:
+            yield from for_layers([_with_fit(check, linked, layers)], linked.name)
+    yield from scale_checks
 
 
 def _with_fit(check: Check, linked: LinkedLayer, layers: Sequence[LayerFacts]) -> Check:

@@ -16,7 +16,7 @@ from planish.core.arrays import check_dataset
 from planish.core.errors import MarkError
 from planish.core.facts import HoleTiltFacts
 from planish.core.options import params_of
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 from planish.design import read_pattern
 from planish.marks import hole_tilt
 from planish.marks.exchange import read_any, write_any
@@ -55,7 +55,7 @@ class Registration:
 
     #: Of ``both``: how far apart the places by holes and by texture lie in the middle, and how far
     #: they may, um, rms.
-    apart_um: tuple[float, float] | None = None
+    apart_um: Pair | None = None
 
     def __call__(self, points: Any) -> Floats:
         """Take points from the moving to the fixed layer, in um."""
@@ -136,7 +136,7 @@ def register_marks(
     fixed: xr.Dataset,
     *,
     params: RegistrationParams | None = None,
-    hole_um: tuple[float, float] = (100.0, 300.0),
+    hole_um: Pair = (100.0, 300.0),
 ) -> Registration:
     """Match the laser holes of two layers and fit the transformation.
 
@@ -181,7 +181,7 @@ def register_marks(
 
 
 def register_holes(
-    moving: xr.Dataset, fixed: xr.Dataset, params: RegistrationParams, hole_um: tuple[float, float]
+    moving: xr.Dataset, fixed: xr.Dataset, params: RegistrationParams, hole_um: Pair
 ) -> Registration:
     """Match the holes of two layers, by their pattern where it is known, and fit to the pairs."""
     designed = None

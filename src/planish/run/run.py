@@ -183,13 +183,13 @@ def open_run(path: str | Path) -> Run:
     """
     folder = check_path(path, "the folder of a run", "pl.open_run", 'pl.open_run("run")')
     results = open_results(folder)
+    names = [layer.name for layer in results.moving]
     return Run(
         study=study_of(folder, results),
         results=results,
         groups=open_tree(folder / MAPS),
         registrations=ReadOnDemand(
-            lambda: [layer.name for layer in results.moving],
-            lambda name: Registration.read(folder / marks_file(results, name)),
+            lambda: names, lambda name: Registration.read(folder / marks_file(results, name))
         ),
         regions=read_regions(folder / REGIONS) if results.regions else None,
         folder=folder,

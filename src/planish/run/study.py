@@ -20,6 +20,7 @@ from planish.core.options import Params, option, words_in
 from planish.core.parameter_faults import Key, fault_texts, key_lines, toml_tables
 from planish.core.parameter_words import flag_of, names_in, with_names
 from planish.core.tables import read_text
+from planish.core.typing import Entries
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
@@ -234,7 +235,7 @@ def read_study(path: Path) -> Study:
     return with_paths(checked_study(path, text, tables), lambda p: _absolute(path.parent / p))
 
 
-def checked_study(path: Path, text: str, tables: dict[str, Any]) -> Study:
+def checked_study(path: Path, text: str, tables: Entries) -> Study:
     """The study in the tables of a file with this text.
 
     InputError names the lines of all faults.
@@ -261,7 +262,7 @@ def _absolute(path: Path) -> str:
     return os.path.normpath(path.absolute()) if os.name == "nt" else str(path.resolve())
 
 
-def as_study(data: dict[str, Any]) -> Study:
+def as_study(data: Entries) -> Study:
     """Check the content of a study file, in any form that :func:`read_study` takes.
 
     ValidationError where wrong.
@@ -346,9 +347,7 @@ def _put(table: Any, keys: Sequence[str], value: str) -> None:
 _LAYER_SECTIONS = ("volume", "image", *MAP_SECTIONS)
 
 
-def _tables_of(
-    study: Study, data: dict[str, Any], keys: list[str]
-) -> tuple[list[dict[str, Any]], list[str]]:
+def _tables_of(study: Study, data: Entries, keys: list[str]) -> tuple[list[Entries], list[str]]:
     """The tables of a study that a key is in, and the rest of the key."""
     names = [layer.name for layer in study.layers]
     name = None
@@ -421,7 +420,7 @@ def relative_path(path: str | Path, base_folder: Path) -> str:
         return Path(path).as_posix()
 
 
-def to_dict(study: Study) -> dict[str, Any]:
+def to_dict(study: Study) -> Entries:
     """Give the plain values of a study.
 
     They hold nothing that is not given, and nothing about mapping where nothing is mapped.
@@ -442,7 +441,7 @@ def to_dict(study: Study) -> dict[str, Any]:
 
 def with_paths(params: P, change: Callable[[str], str | None]) -> P:
     """Change all paths of a study: those of the files that it reads."""
-    update: dict[str, Any] = {}
+    update: Entries = {}
     for name, value in params:
         if name in _PATHS and isinstance(value, str):
             update[name] = change(value)

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 import tomli_w
 from pydantic.fields import FieldInfo
 
-from planish.core.annotations import kinds_of, models_in
+from planish.core.annotations import kinds_of, models_in, words_in
 from planish.core.errors import StudyError
 from planish.core.options import Params, Shown, options_of, unit_of
 from planish.io.info import describe
@@ -150,8 +150,9 @@ def _input(
             " RUN. For a study give the volume."
         )
     facts = describe(path)
-    if (facts["kind"] == "image") is not (section == "image"):
-        kind_text = "an image" if facts["kind"] == "image" else "a volume"
+    is_image = facts["kind"] == "image"
+    if is_image is not (section == "image"):
+        kind_text = "an image" if is_image else "a volume"
         raise StudyError(
             f"{path} is {kind_text}. Give the volume first, then the image: planish new STUDY.toml"
             " VOLUME IMAGE."
@@ -163,19 +164,18 @@ def _input(
     lines.append(f"path = '{relative}'" if is_plain else f"path = {_value(relative)}")
     size_key = "voxel_um" if section == "volume" else "pixel_um"
     for key, field, shown in _options(SECTIONS[section]):
-        *comment_lines, option_line = _option(key, field, shown, section)
+        lines += _option(key, field, shown, section)
         reason = _NOT_IN_FILES[section].get(key)
         if key == size_key and facts["size_um"]:
             stated_size = _value(tuple(float(f"{um:.9g}") for um in facts["size_um"]))
-            option_line = f"#{key} = {stated_size}  # um; as stated"
+            lines[-1] = f"#{key} = {stated_size}  # um; as stated"
         elif key == size_key:
             reason = in_study_words(str(facts["size_problem"])).partition(". ")[0]
-            option_line += "; fill in"
+            lines[-1] += "; fill in"
         elif key == "through" and facts.get("through"):
-            option_line = f'through = "{facts["through"]}"  # along which the grey changes most'
+            lines[-1] = f'through = "{facts["through"]}"  # along which the grey changes most'
         elif key == "through":
             reason = "the axis through the sheet, which the grey does not tell"
-        lines += [*comment_lines, option_line]
         if reason is not None:
             missing.append(Missing(len(lines), f"{section}.{key}", reason, key == size_key))
 
@@ -218,23 +218,23 @@ def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]
             lines += _option(name, nested_field, nested_shown, f"{section}.{key}")[1:]
         return lines
     kinds = kinds_of(field.annotation)
-    words = [str(word) for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
+    words = words_in(kinds)
     default = field.get_default()
     value = _placeholder(kinds, shown) if default is None else _value(default)
     if default is None and words:
         default = words[0]
         if len(kinds) == 1:
             value = _value(default)
-    unit = unit_of(key)
-    notes = [unit] if unit else []
+    notes = [unit_of(key)]
     if kinds == [tuple[str, ...]]:
         notes = ["names in quotes, with commas between them"]
     choices = [_value(word) for word in words if word != str(default)]
+    if choices and float in kinds:
+        choices.append("a number")
     if choices:
-        choices += ["a number"] if float in kinds else []
         notes.append(f"or {' or '.join(choices)}")
-    note_text = f"  # {'; '.join(notes)}" if notes else ""
-    return [*lines, f"#{key} = {value}{note_text}"]
+    note_text = "; ".join(filter(None, notes))
+    return [*lines, f"#{key} = {value}  # {note_text}".removesuffix("  # ")]
 
 
 def _placeholder(kinds: list[Any], shown: Shown) -> str:

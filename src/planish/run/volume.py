@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import InputError, ResourceError, VolumeError
 from planish.core.frame import Frame
 from planish.core.labelled import computed
 from planish.core.lazy import Where
 from planish.core.memory import COPIES_OF_SECTIONS, PROGRAM_BYTES, bytes_to_hold, enough_gb
+from planish.core.typing import Array, Entries
 from planish.io import find_place, read_volume
 from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
@@ -42,7 +42,7 @@ def read_sheet_volume(
 
 def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
     """Read a volume that is not of sections, for local threads or the processes of a cluster."""
-    read_options: dict[str, Any] = params.how | {"memory_bytes": compute.volume_bytes}
+    read_options: Entries = params.how | {"memory_bytes": compute.volume_bytes}
     volume = read_volume(params.path, **read_options)
     if compute.scheduler is None:
         return volume
@@ -50,9 +50,7 @@ def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
     return computed(volume, partial(_read_by_name, params.path, tuple(read_options.items())))
 
 
-def _read_by_name(
-    path: str, read_options: tuple[tuple[str, Any], ...], window: Where
-) -> NDArray[Any]:
+def _read_by_name(path: str, read_options: tuple[tuple[str, Any], ...], window: Where) -> Array:
     return _opened(path, read_options).variable[window].values
 
 
@@ -149,7 +147,7 @@ def _join_sections(
         "aligned": (poses.aligned, "Aligned; others count as missing", None),
         "gain": (gains.gain, "Gain put on the grey", "1"),
     }
-    variables: dict[str, Any] = {}
+    variables: Entries = {}
     for name, (values, title, units) in section_columns.items():
         units_attr = {} if units is None else {"units": units}
         variables[name] = ("section", values, units_attr | {"long_name": title})

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from planish.core.text import and_join
+from planish.core.typing import Texts
 from planish.series.gather import Gathered
 from planish.series_results import FACTORS, Cell, Quantity, SeriesSpecimen
 
@@ -70,25 +71,33 @@ def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity])
                 f"{word.capitalize()} figures take part in no mean and no comparison, because"
                 f" {meaning}: {figures} of {listed(names)}."
             )
-    sentences: dict[str, Callable[[Cell], bool]] = {
-        "Doubtful figures take part in means and comparisons, as was declared: those of {}.": (
-            lambda cell: cell.trust == "doubtful" and cell.counts
-        ),
-        "r of {} takes part in nothing: there are too few independent points for an interval.": (
-            lambda cell: cell.why_not.startswith("too few")
-        ),
-        "r of {} is over points of another size and takes part in nothing. Link these with points"
-        " of the size of the others.": lambda cell: cell.why_not.startswith("points of"),
-    }
-    for sentence, is_meant in sentences.items():
-        names = [specimen.name for specimen in counted if any(map(is_meant, specimen.cells))]
-        if names:
-            yield sentence.format(listed(names))
+    doubtful = _with_cell(counted, lambda cell: cell.trust == "doubtful" and cell.counts)
+    if doubtful:
+        yield (
+            "Doubtful figures take part in means and comparisons, as was declared: those of"
+            f" {listed(doubtful)}."
+        )
+    too_few = _with_cell(counted, lambda cell: cell.why_not.startswith("too few"))
+    if too_few:
+        yield (
+            f"r of {listed(too_few)} takes part in nothing: there are too few independent points"
+            " for an interval."
+        )
+    of_other_size = _with_cell(counted, lambda cell: cell.why_not.startswith("points of"))
+    if of_other_size:
+        yield (
+            f"r of {listed(of_other_size)} is over points of another size and takes part in"
+            " nothing. Link these with points of the size of the others."
+        )
+
+
+def _with_cell(counted: Sequence[SeriesSpecimen], is_meant: Callable[[Cell], bool]) -> list[str]:
+    return [specimen.name for specimen in counted if any(map(is_meant, specimen.cells))]
 
 
 def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
     """What does not match of sheets and volumes."""
-    by_volumes: dict[tuple[str, ...], list[SeriesSpecimen]] = {}
+    by_volumes: dict[Texts, list[SeriesSpecimen]] = {}
     for specimen in counted:
         by_volumes.setdefault(gathered.runs[specimen.name].volumes, []).append(specimen)
     without = specimens_without("sheet", counted)
@@ -114,7 +123,7 @@ def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[s
 
 
 def _same_fields(counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
-    by_field: dict[tuple[str, ...], list[str]] = {}
+    by_field: dict[Texts, list[str]] = {}
     for specimen in counted:
         if specimen.factor("field"):
             field = (specimen.sheet, *specimen.member.factors.values())

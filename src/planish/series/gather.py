@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from planish.analyze.agreement import AgreementFacts
 from planish.core.checks import State, concerned
 from planish.core.errors import FileError, InputError
 from planish.core.facts import RoughnessFacts, ThinFacts, Trust, is_known
 from planish.core.text import without_folders
+from planish.core.typing import Entries, Texts
 from planish.report.summary import key_of
 from planish.results import (
     CorrelationRow,
@@ -66,10 +66,10 @@ class RunSummary:
     """What a series keeps of a run beside its rows."""
 
     specimen: SeriesSpecimen  # as the page names it, without sheet and figures
-    sheets: tuple[str, ...]  # names of the layers of either kind
-    images: tuple[str, ...]
-    headlines: tuple[str, ...]  # maps that stand for its sheets
-    volumes: tuple[str, ...]  # hashes of the volumes
+    sheets: Texts  # names of the layers of either kind
+    images: Texts
+    headlines: Texts  # maps that stand for its sheets
+    volumes: Texts  # hashes of the volumes
     thin_um: float | None  # limit of the study for thin regions
     column_um: float | None  # width of a column, where thin shares state it; of a voxel otherwise
     instruments: tuple[InstrumentFacts, ...]  # of two volumes
@@ -204,7 +204,7 @@ def _kind_of(results: Results) -> RunKind:
 
 def _specimen(member: Member, results: Results) -> SeriesSpecimen:
     """A specimen as the page of the series names it, without sheet and figures."""
-    spoken: dict[State, tuple[str, ...]] = {}
+    spoken: dict[State, Texts] = {}
     for state in _STATES:
         checks = results.checks_in(state)
         if checks:
@@ -246,7 +246,7 @@ def _instruments(member: Member, results: Results) -> Iterator[InstrumentFacts]:
         row = _stated_row(results, evidence, agreement.point_um)
         if row is None or not row.same_quantity:
             continue
-        figures: dict[str, Any] = {}
+        figures: Entries = {}
         if row.trust != "withheld":
             has_slopes = is_known(row.slope) and row.slope_x_on_y
             figures = {
@@ -421,7 +421,7 @@ def _differences(
 
 def _trusted(
     trust: Trust, results: Results, layers: Sequence[str], figures: Sequence[str]
-) -> dict[str, Any]:
+) -> Entries:
     if trust == "ok":
         return {"trust": trust}
     names = (

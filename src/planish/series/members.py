@@ -49,7 +49,7 @@ def members_of(
     while len(set(names)) < len(names):  # with the folders above them where two are the same
         depth += 1
         names = ["/".join(folder.parts[-depth:]) for folder in folders]
-    factors = [{} for _ in folders] if rows is None else rows.factors(folders)
+    factors = [{}] * len(folders) if rows is None else rows.factors(folders)
     return tuple(
         Member(name=name, factors=run_factors, run=relative_path(folder, home))
         for name, run_factors, folder in zip(names, factors, folders, strict=True)

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import FileError
 from planish.core.older_names import todays_names
 from planish.core.tables import parse_table, read_bytes
+from planish.core.typing import Array, Entries
 from planish.series.pages import OF_A_ROW, RESULTS, VALUES, factor_columns
 from planish.series_results import FORMAT, SeriesResults
 
@@ -104,7 +104,7 @@ def _rows_of(
     return rows_by_quantity
 
 
-def _labels(row: Mapping[str, str], has_several_sheets: bool) -> dict[str, Any]:
+def _labels(row: Mapping[str, str], has_several_sheets: bool) -> Entries:
     """Names and sizes of what a figure is of, by dim."""
     quantity = row["quantity"]
     layer = row["layer"]
@@ -122,7 +122,7 @@ def _labels(row: Mapping[str, str], has_several_sheets: bool) -> dict[str, Any]:
     )
     if row["other_map"]:
         return {"pair": f"{first_map}/{second_map}", "point_um": _number(row["at_um"])}
-    labels: dict[str, Any] = {"map": first_map}
+    labels: Entries = {"map": first_map}
     if quantity in _SIZES:
         labels[_SIZES[quantity]] = _number(row["at_um"])
     return labels
@@ -146,7 +146,7 @@ def _arrays(
     """
     figures = [{"specimen": row["specimen"]} | _labels(row, has_several_sheets) for row in rows]
     labels: dict[str, list[Any]] = {"specimen": list(names)}
-    coords: dict[str, NDArray[Any]] = {}
+    coords: dict[str, Array] = {}
     for dim in [*figures[0]][1:]:  # texts as they come, numbers in their order
         labels[dim] = list(dict.fromkeys(figure[dim] for figure in figures))
         is_text = isinstance(labels[dim][0], str)
@@ -161,7 +161,7 @@ def _arrays(
         values[(slice(None), *index)] = [_number(row[name]) for name in ("value", "low", "high")]
         trust[index] = _TRUST.get(row["trust"], -1)
     units = {row["unit"] for row in rows}
-    attrs: dict[str, Any] = {"units": units.pop()} if len(units) == 1 else {}
+    attrs: Entries = {"units": units.pop()} if len(units) == 1 else {}
     variables = {quantity: (values[0], attrs)}
     if np.isfinite(values[1]).any():
         variables |= {f"{quantity}_low": (values[1], attrs), f"{quantity}_high": (values[2], attrs)}

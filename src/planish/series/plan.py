@@ -5,7 +5,7 @@ That is a table of specimens with their files and factors, and the options that 
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -16,6 +16,7 @@ from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
 from planish.core.parameter_faults import fault_texts, key_lines, toml_tables
 from planish.core.tables import DECIMAL_OR_TWO, parse_table, raise_faults, read_text
+from planish.core.typing import Entries, Fields, Texts
 from planish.io import find_place
 from planish.run.build import study_of
 from planish.run.study import Study, checked_study, in_study_words, with_paths, with_values
@@ -36,10 +37,10 @@ class PlannedSpecimen:
     name: str  #: Name of the specimen and of the folder of its run.
     #: Volume and image, or layers with the reference last; absolute, `NAME=PATH` where a layer has
     #: a name.
-    files: tuple[str, ...]
+    files: Texts
     #: Text by factor, in the order of the table; empty cells are left out.
     factors: dict[str, str] = field(default_factory=dict[str, str])
-    changes: tuple[str, ...] = ()  #: Options of this specimen alone, `SECTION.NAME=VALUE`.
+    changes: Texts = ()  #: Options of this specimen alone, `SECTION.NAME=VALUE`.
 
     @property
     def member(self) -> Member:
@@ -54,12 +55,12 @@ class Plan:
     specimens: tuple[PlannedSpecimen, ...]
     home: Path  #: Folder of the file, to which paths in it are relative.
     #: Options of all specimens, by section, as in a study file.
-    sections: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
+    sections: dict[str, Entries] = field(default_factory=dict[str, Entries])
     #: What is compared, of the table `compare`.
     declared: Declared = field(default_factory=Declared)
     #: The table `watch`, empty where there is none.
-    watch: dict[str, Any] = field(default_factory=dict[str, Any])
-    changes: tuple[str, ...] = ()  #: Options of all specimens, `SECTION.NAME=VALUE`.
+    watch: Entries = field(default_factory=dict[str, Any])
+    changes: Texts = ()  #: Options of all specimens, `SECTION.NAME=VALUE`.
 
     def study(self, specimen: PlannedSpecimen) -> Study:
         """The study of one specimen.
@@ -113,8 +114,8 @@ class _TableRow:
 
     location: str
     cells: dict[str, str]
-    changes: tuple[str, ...] = ()
-    layers: tuple[str, ...] = ()
+    changes: Texts = ()
+    layers: Texts = ()
 
     @property
     def named_files(self) -> list[str]:
@@ -198,10 +199,10 @@ def _is_list_of(kind: type, value: object) -> bool:
     return isinstance(value, list) and all(isinstance(v, kind) for v in cast("list[Any]", value))
 
 
-def _row_of_toml(table: Mapping[str, Any], location: str, faults: list[str]) -> _TableRow:
+def _row_of_toml(table: Fields, location: str, faults: list[str]) -> _TableRow:
     """A specimen of a study file; what is wrong with its values is added to the faults."""
     cells: dict[str, str] = {}
-    lists: dict[str, tuple[str, ...]] = {}
+    lists: dict[str, Texts] = {}
     for name, value in table.items():
         if name in _EXAMPLES and _is_list_of(str, value):
             lists[name] = tuple(value)
@@ -216,7 +217,7 @@ def _row_of_toml(table: Mapping[str, Any], location: str, faults: list[str]) -> 
     return _TableRow(location, cells, lists.get("set", ()), lists.get("layers", ()))
 
 
-def _check_common(path: Path, text: str, sections: Mapping[str, Any]) -> None:
+def _check_common(path: Path, text: str, sections: Fields) -> None:
     """Refuse options that no study has; each with its line."""
     if "layers" in sections:
         raise InputError(
@@ -289,13 +290,13 @@ def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
     by_factor = ["-".join(row.factors.values()) for row in rows]
     by_file: list[str] = []
     for row in rows:
-        first_file, *_ = *row.layers, row.cells.get("volume", "")
-        file = first_file.rpartition("=")[2]
+        files = [*row.layers, row.cells.get("volume", "")]
+        file = files[0].rpartition("=")[2]
         by_file.append(find_place(home / file).stem if file else "")
     width = len(str(len(rows)))
     guesses = [f"specimen-{k:0{width}d}" for k in range(1, len(rows) + 1)]
     for names in (by_file, by_factor):
-        if all(names) and len({name.casefold() for name in names}) == len(names):
+        if all(names) and len({*map(str.casefold, names)}) == len(names):
             guesses = [checked_name(name) for name in names]
     return [row.cells.get("name", guess) for row, guess in zip(rows, guesses, strict=True)]
 

@@ -86,7 +86,7 @@ def _leading_maps(
                 f"No run has a map {name}; there are {names}.{likely(name, maps)} Name one of them."
             )
     counts = Counter(name for run in runs.values() for name in run.headlines)
-    leading_maps = declared.headline or [name for name, _ in counts.most_common()]
+    leading_maps = declared.headline or sorted(counts, key=counts.__getitem__, reverse=True)
     return list(dict.fromkeys([*leading_maps, *declared_maps]))
 
 

@@ -16,6 +16,7 @@ from planish import analyze
 from planish.core.axial import angle_of, doubled, has_axes, near_axis
 from planish.core.errors import InputError
 from planish.core.text import likely
+from planish.core.typing import Entries, Texts
 from planish.series.cautions import NEST, cautions_of, specimens_without
 from planish.series.declared import Declared
 from planish.series.gather import FigureRow, Gathered
@@ -164,7 +165,7 @@ def _specimens(
     rows_by_specimen: dict[str, list[FigureRow]] = {}
     for row in rows:
         rows_by_specimen.setdefault(row.specimen, []).append(row)
-    first_of_volume: dict[tuple[str, ...], str] = {}
+    first_of_volume: dict[Texts, str] = {}
     specimens: list[SeriesSpecimen] = []
     for member in gathered.members:
         run = gathered.runs.get(member.name)
@@ -186,9 +187,9 @@ def _specimens(
 
 def _by_levels(
     specimens: Sequence[SeriesSpecimen], factors: Sequence[str]
-) -> dict[tuple[str, ...], list[SeriesSpecimen]]:
+) -> dict[Texts, list[SeriesSpecimen]]:
     """Specimens by their levels of some factors."""
-    groups: dict[tuple[str, ...], list[SeriesSpecimen]] = {}
+    groups: dict[Texts, list[SeriesSpecimen]] = {}
     for specimen in specimens:
         groups.setdefault(tuple(map(specimen.factor, factors)), []).append(specimen)
     return groups
@@ -217,7 +218,7 @@ def _group(
     return GroupFacts.holding(mean, quantity=k, group=levels, left_out=_left_out(members, k))
 
 
-def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> tuple[str, ...]:
+def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> Texts:
     return tuple(specimen.name for specimen in specimens if not specimen.cells[k].counts)
 
 
@@ -226,7 +227,7 @@ def _pairs(
     quantities: Sequence[Quantity],
     factor: str,
     grouped_by: Sequence[str],
-) -> Iterator[tuple[dict[str, Any], analyze.SheetDifference]]:
+) -> Iterator[tuple[Entries, analyze.SheetDifference]]:
     """Compare every quantity of every two levels of a factor.
 
     This is done within each level of the other factors that make groups.

@@ -19,7 +19,7 @@ from planish.core.checks import POSITION, concerned, trust_of
 from planish.core.errors import InputError
 from planish.core.facts import Trust
 from planish.core.grid import Grid
-from planish.core.typing import Floats
+from planish.core.typing import Array, Entries, Floats, Pair, Texts
 from planish.exports.run_contents import IMAGE
 from planish.io.map_groups import read_group
 from planish.io.map_store import overviews_of
@@ -51,7 +51,7 @@ class Packed:
         """Largest difference of a value from that of its code."""
         return 0.0 if self.exact else self.step / 2
 
-    def spec(self) -> dict[str, Any]:
+    def spec(self) -> Entries:
         """Give what the script needs to unpack it."""
         return {
             "rows": self.shape[0],
@@ -63,7 +63,7 @@ class Packed:
         }
 
 
-def packed(values: NDArray[Any], *, bits: int = 8) -> Packed:
+def packed(values: Array, *, bits: int = 8) -> Packed:
     """Pack a map (rows, cols); NaN is missing.
 
     Eight bits leave 252 steps over the range of the values, sixteen 65 532. Where the outermost
@@ -95,7 +95,7 @@ def packed(values: NDArray[Any], *, bits: int = 8) -> Packed:
     )
 
 
-def _range(finite: Floats) -> tuple[float, float]:
+def _range(finite: Floats) -> Pair:
     if not finite.size:
         return 0.0, 1.0
     minimum = float(finite.min())
@@ -156,10 +156,10 @@ class PageMap:
     units: str  # typeset
     packed: Packed
     scale: Scale  # colours and their limits, those of the report
-    scatter_limits: tuple[float, float]  # what the scatter spans
+    scatter_limits: Pair  # what the scatter spans
     group_index: int  # which of the masks of valid pixels is its own
     trust: Trust  # what the checks leave of it
-    check_names: tuple[str, ...]  # those that doubt it
+    check_names: Texts  # those that doubt it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -230,15 +230,11 @@ def _map_names(run: Run) -> list[tuple[str, list[str]]]:
     properties = [name for layer in layers if layer.sheet for name in layer.sheet.properties]
     map_names: list[tuple[str, list[str]]] = []
     for group in _group_names(run):
-        ranks: dict[str, int] = {}
         of_all = group in ("linked", "maps")
         headlines = [x.headline for x in layers if of_all or group == f"layers/{x.name}"]
-        for rank, name in enumerate([*headlines, *properties]):
-            ranks.setdefault(name, rank)
-        variables = run.groups[group].data_vars.items()
-        names = [str(name) for name, data in variables if _is_shown(data)]
-        names.sort(key=lambda name: (ranks.get(name, len(ranks)), name))
-        map_names.append((group, names))
+        names = [str(name) for name, data in run.groups[group].items() if _is_shown(data)]
+        order = [*headlines, *properties, *sorted(names)]
+        map_names.append((group, sorted(names, key=order.index)))
     return map_names
 
 
@@ -343,7 +339,7 @@ def _layer_of_map(results: Results, group: str, map_name: str) -> LayerFacts:
     return next(layer for layer in results.layers if layer.kind == kind)
 
 
-def map_spec(m: PageMap) -> dict[str, Any]:
+def map_spec(m: PageMap) -> Entries:
     """Give what the script needs of a map, beside its values."""
     digits = max(0, min(6, math.ceil(-math.log10(m.packed.step))))
     return {

@@ -16,6 +16,7 @@ from planish.core.area import area_mean
 from planish.core.checks import CORRELATION, POSITION, concerned, trust_of
 from planish.core.files import write_whole
 from planish.core.threads import limit_threads
+from planish.core.typing import Entries, Texts
 from planish.io.run_folder import refuse_existing, refuse_inside
 from planish.report import summary
 from planish.report.colours import MISSING, colours_in_steps, image_uri
@@ -88,30 +89,32 @@ def render(
 
 def _data(
     results: Results, maps: MapsOfPage, stacks: Sequence[Stack]
-) -> tuple[dict[str, Any], list[dict[str, str]]]:
+) -> tuple[Entries, list[dict[str, str]]]:
     """Give what the script needs, and the blocks of packed data, under names of the page's own."""
     blocks: list[dict[str, str]] = []
 
-    def block(name: str, packed: Packed) -> dict[str, Any]:
+    def block(name: str, packed: Packed) -> Entries:
         blocks.append({"name": name, "text": packed.text})
         return packed.spec() | {"block": name}
 
     map_specs = [block(f"m{k}", m.packed) | map_spec(m) for k, m in enumerate(maps.maps)]
-    groups: list[dict[str, Any]] = []
+    groups: list[Entries] = []
     for k, group in enumerate(maps.groups):
         coordinates = {axis: block(f"g{k}{axis}", um) for axis, um in group.coordinates.items()}
         valid = None if group.valid is None else block(f"g{k}valid", group.valid)
         groups.append({"sheet": group.sheet, "valid": valid, "places": coordinates})
-    stack_specs: list[dict[str, Any]] = []
+    stack_specs: list[Entries] = []
     for k, stack in enumerate(stacks):
         pictures = f"s{k}pictures"
         lines = {name: block(f"s{k}{name}", line) for name, line in stack.lines.items()}
         used = block(f"s{k}used", stack.measured)
         stack_specs.append(stack.spec | {"pictures": pictures, "lines": lines, "used": used})
         blocks.append({"name": pictures, "text": "".join(stack.pictures)})
-    colours = sorted({m.scale.colours for m in maps.maps})
-    palettes = {name: base64.b64encode(colours_in_steps(name).tobytes()) for name in colours}
+    palettes: dict[str, str] = {}
+    for name in sorted({m.scale.colours for m in maps.maps}):
+        palettes[name] = base64.b64encode(colours_in_steps(name).tobytes()).decode("ascii")
     line_keys = ("name", "title", "colour", "dash")
+    has_several = len(results.layers) > 2 or len(stacks) > 1
     grid = maps.grid
     data = {
         "maps": map_specs,
@@ -127,10 +130,10 @@ def _data(
         },
         "pairs": _doubted_pairs(results, maps),
         "halved": maps.halvings > 0,
-        "several": len(results.layers) > 2 or len(stacks) > 1,
+        "several": has_several,
         "stacks": stack_specs,
         "lines": [dict(zip(line_keys, line, strict=True)) for line in LINES],
-        "palettes": {name: text.decode("ascii") for name, text in palettes.items()},
+        "palettes": palettes,
         "missing": MISSING,
     }
     return data, blocks
@@ -165,7 +168,7 @@ class Explored:
     bytes: int
     maps: int
     slices: int
-    notes: tuple[str, ...]
+    notes: Texts
 
 
 def explore(
@@ -205,10 +208,11 @@ def explore(
         maps = maps_of(opened)
         sheets = dict.fromkeys(group.sheet for group in maps.groups if group.sheet)
         letters = BUDGET // max(len(sheets), 1)
-        layers = map(opened.results.layer, sheets)
-        stacks = list(
-            filter(None, (stack_of(opened, layer, letters, compute, progress) for layer in layers))
-        )
+        stacks: list[Stack] = []
+        for layer in map(opened.results.layer, sheets):
+            stack = stack_of(opened, layer, letters, compute, progress)
+            if stack is not None:
+                stacks.append(stack)
         notes = _notes(maps, stacks)
         page = render(opened.results, maps, stacks, notes).encode()
     assert len(page) <= LARGEST
@@ -222,7 +226,7 @@ def explore(
     )
 
 
-def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
+def _notes(maps: MapsOfPage, stacks: list[Stack]) -> Texts:
     """Say what the page holds, and what was left out of it, with ASCII units."""
     dy, dx = maps.grid.pixel_um
     pixel_text = f"{dx:.4g} um" if abs(dy - dx) < 1e-6 * dx else f"{dx:.4g} x {dy:.4g} um"
@@ -238,11 +242,9 @@ def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
     for stack in stacks:
         name = f"{stack.spec['sheet']}: " if len(stacks) > 1 else ""
         notes.append(f"{name}{stack.note[:1].upper()}{stack.note[1:]}.")
-    sheets, sliced = (
-        {group.sheet for group in maps.groups if group.sheet},
-        {stack.spec["sheet"] for stack in stacks},
-    )
-    if without_slices := sorted(sheets - sliced):
+    sheets = {group.sheet for group in maps.groups if group.sheet}
+    without_slices = sorted(sheets - {stack.spec["sheet"] for stack in stacks})
+    if without_slices:
         notes.append(
             f"No slices of {' and '.join(without_slices)}: its surfaces are not in this run."
         )

@@ -8,7 +8,6 @@ import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -19,6 +18,7 @@ from planish.core.errors import PlanishError
 from planish.core.frame import Frame
 from planish.core.labelled import chunks_of, read_box
 from planish.core.memory import SLICES_VOXELS
+from planish.core.typing import Array, Entries, Ints, Texts
 from planish.exports.run_contents import sheet_facts, sheet_run, volume_params
 from planish.io.sections import is_section_folder
 from planish.report.colours import GREYS, Scale, limits
@@ -46,8 +46,8 @@ class Stack:
     ends in all of them, their format (``kind``), first point and pitch of lines.
     """
 
-    spec: dict[str, Any]
-    pictures: tuple[str, ...]  # in base64
+    spec: Entries
+    pictures: Texts  # in base64
     lines: dict[str, Packed]  # heights of the surfaces (slices, points), turned by ``sign``
     measured: Packed  # where the columns were measured
     note: str  # which slices there are, in words
@@ -75,9 +75,7 @@ def stack_of(
         slices, slice_surfaces, row_step = _from_volume(
             mapped, sheet, surfaces, scale, compute, progress
         )
-        rows_text = f"every row of {file_name}"
-        if row_step > 1:
-            rows_text = f"one in {row_step} rows of {file_name}"
+        rows_text = f"{f'one in {row_step} rows' if row_step > 1 else 'every row'} of {file_name}"
     except _VolumeUnavailable as unavailable:
         stored_rows = run_slices["row"].values
         slice_surfaces = surfaces[_read_names(surfaces)].isel(y=stored_rows).load()
@@ -86,10 +84,8 @@ def stack_of(
             row=("slice", np.arange(stored_rows.size)),
         )
         rows_text = f"the {stored_rows.size} that the run keeps, as {unavailable}"
-    sheet_slices = [take_slice(slices, slice_surfaces, k) for k in range(slices.sizes["slice"])]
-    sheet_slices = [
-        cut for cut in sheet_slices if np.isfinite(np.stack([*cut.lines.values()])).any()
-    ]
+    cuts = (take_slice(slices, slice_surfaces, k) for k in range(slices.sizes["slice"]))
+    sheet_slices = [cut for cut in cuts if np.isfinite([*cut.lines.values()]).any()]
     thinned_text = ""
     while sheet_slices:
         stack = _stack(sheet_slices, layer.name, Frame.of(surfaces), f"{rows_text}{thinned_text}")
@@ -160,11 +156,11 @@ def _read_names(surfaces: xr.Dataset) -> list[str]:
     return [name for name, *_ in LINES if name in surfaces] + ["thickness"]
 
 
-def _pitch(coordinates: NDArray[Any]) -> float:
+def _pitch(coordinates: Array) -> float:
     return float(coordinates[1] - coordinates[0]) if coordinates.size > 1 else 1.0
 
 
-def _planes(surfaces: xr.Dataset, depth_um: NDArray[Any]) -> slice:
+def _planes(surfaces: xr.Dataset, depth_um: Array) -> slice:
     heights_um = np.concatenate(
         [surfaces[name].values.ravel() for name in surfaces.data_vars if name != "thickness"]
     )
@@ -178,7 +174,7 @@ def _planes(surfaces: xr.Dataset, depth_um: NDArray[Any]) -> slice:
     return slice(int(planes[0]), int(planes[-1]) + 1)
 
 
-def _margin_um(thickness_um: NDArray[Any]) -> float:
+def _margin_um(thickness_um: Array) -> float:
     finite = thickness_um[np.isfinite(thickness_um)]
     return max(0.3 * float(np.median(finite)) if finite.size else 0.0, 20.0)
 
@@ -186,7 +182,7 @@ def _margin_um(thickness_um: NDArray[Any]) -> float:
 def _read_greys(
     volume: xr.DataArray,
     frame: Frame,
-    rows: NDArray[np.intp],
+    rows: Ints,
     planes: slice,
     col_step: int,
     scale: Scale,
@@ -227,9 +223,7 @@ def _read_greys(
     return greys
 
 
-def _blocks(
-    volume: xr.DataArray, frame: Frame, rows: NDArray[np.intp], planes: slice
-) -> Iterator[slice]:
+def _blocks(volume: xr.DataArray, frame: Frame, rows: Ints, planes: slice) -> Iterator[slice]:
     """Parts of the volume along z, so each plane of a file, or chunk of a store, is read once."""
     chunk_planes = chunks_of(volume)[0]
     sizes = {
@@ -246,7 +240,7 @@ def _blocks(
         yield slice(max(start, first), min(start + block_planes, last))
 
 
-def _greys(values: NDArray[Any], scale: Scale) -> NDArray[np.uint8]:
+def _greys(values: Array, scale: Scale) -> NDArray[np.uint8]:
     """Grey values in 8 bits; what is missing is black."""
     fraction = (np.asarray(values, dtype=np.float32) - scale.low) / (scale.high - scale.low)
     return np.rint(255 * np.clip(np.nan_to_num(fraction, nan=0.0), 0, 1)).astype(np.uint8)
@@ -303,7 +297,7 @@ def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     )
 
 
-def _pictures(greys: list[NDArray[Any]]) -> tuple[str, tuple[str, ...]]:
+def _pictures(greys: list[Array]) -> tuple[str, Texts]:
     from PIL import Image, features
 
     image_format = "webp" if features.check("webp") else "jpeg"
