@@ -67,7 +67,8 @@ def marks(rule: CheckRule, registered: JudgedRegistration) -> Check:
     """Judge the leave-one-out error of the marks, and whether omitted marks lie far off."""
     # Marks that were found well agree within that.
     limit_um = max(0.1 * registered.hole_um, registered.pixel_um)
-    loo_um, fit = registered.facts.leave_one_out_rms_um, registered.fit
+    loo_um = registered.facts.leave_one_out_rms_um
+    fit = registered.fit
     if loo_um is None:
         return rule.check(
             "unknown",
@@ -87,10 +88,8 @@ def marks(rule: CheckRule, registered: JudgedRegistration) -> Check:
         advice="That is worse than a tenth of a hole and a pixel. Look at the residual arrows.",
     )
     # A hole that is badly found is left out now and then; one that lies elsewhere is worth a look.
-    if (
-        check.state == "pass"
-        and (np.hypot(*fit.residuals_um[fit.robust_weights < 1.0].T) > limit_um).any()
-    ):
+    omitted_um = np.hypot(*fit.residuals_um[fit.robust_weights < 1.0].T)
+    if check.state == "pass" and (omitted_um > limit_um).any():
         advice = "Look at the marks that were left out."
         return check.model_copy(update={"state": "look", "figures": (), "advice": advice})
     return check

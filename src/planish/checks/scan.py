@@ -106,9 +106,8 @@ def voxels_through(volume: xr.DataArray, measured: xr.Dataset) -> float:
     )
     cosine = 1 / np.sqrt(1 + sum(float(s) ** 2 for s in slopes))
     # Along the normal, the voxel is as long as its sides let it be.
-    normal_um = cosine * voxel_um[frame.through] + (1 - cosine) * max(
-        voxel_um[frame.rows], voxel_um[frame.cols]
-    )
+    side_um = max(voxel_um[frame.rows], voxel_um[frame.cols])
+    normal_um = cosine * voxel_um[frame.through] + (1 - cosine) * side_um
     return thickness_um * cosine / normal_um
 
 
@@ -121,21 +120,21 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     step_um = float(volume.attrs["voxel_um"]["zyx".index(frame.through)])
     thickness = float(np.nanmedian(np.abs(high - low)[has_base])) if has_base.any() else 0.0
     # Within 2.5 widths of the blur it mixes in what lies beside the base.
-    margin = float(
-        np.clip(2.5 * blur_reach_um(measured.attrs) / max(thickness, step_um), 0.2, 0.45)
-    )
+    blur_share = 2.5 * blur_reach_um(measured.attrs) / max(thickness, step_um)
+    margin = float(np.clip(blur_share, 0.2, 0.45))
     depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / step_um), 9, 48))
     heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
     # Millions of places: two bytes each way are enough for most volumes.
-    points = np.empty(
-        (*r.shape, depths, 3), dtype=np.int16 if max(volume.shape) < 2**15 else np.int32
-    )
+    dtype = np.int16 if max(volume.shape) < 2**15 else np.int32
+    points = np.empty((*r.shape, depths, 3), dtype)
     for dim, axis, columns in (("y", frame.rows, r), ("x", frame.cols, c)):
         axis_um = np.asarray(volume.coords[axis].values, dtype=np.float64)
         axis_step = axis_um[1] - axis_um[0] if axis_um.size > 1 else 1.0
         voxel_indices = np.rint((measured[dim].values - axis_um[0]) / axis_step).astype(np.int32)
         points[..., "zyx".index(axis)] = voxel_indices[columns][..., None]
-    is_base, high, low = has_base[r, c], high[r, c], low[r, c]
+    is_base = has_base[r, c]
+    high = high[r, c]
+    low = low[r, c]
     for k, depth_share in enumerate(np.linspace(margin, 1 - margin, depths)):
         height = np.nan_to_num(high * (1 - depth_share) + low * depth_share)
         depth_index = np.rint((height - heights[0]) / step_um).astype(np.int32)
@@ -148,9 +147,8 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
 
 def _base_end(measured: xr.Dataset, side: str) -> Floats:
     """Give the height of the interface of a side; of its face where the interface is missing."""
-    interface, face = (
-        measured[name].values.astype(np.float64) for name in (f"interface_{side}", side)
-    )
+    interface = measured[f"interface_{side}"].values.astype(np.float64)
+    face = measured[side].values.astype(np.float64)
     is_coated = np.isfinite(interface[measured["status"].values == 0]).any()
     return np.where(np.isfinite(interface), interface, face) if is_coated else face
 
@@ -163,12 +161,9 @@ def _tile_columns(shape: tuple[int, ...], pitch_um: Pair) -> tuple[Ints, Ints, t
     columns: list[Ints] = []  # (tiles, columns) along one axis, 7 at most
     for n, step_um in zip(shape, pitch_um, strict=True):
         tile_edge = max(round(TILE_UM / step_um), 1)
-        offsets = np.unique(
-            np.linspace(0, tile_edge - 1, min(tile_edge, 7)).round().astype(np.intp)
-        )
-        columns.append(
-            np.minimum(np.arange(max(n // tile_edge, 1))[:, None] * tile_edge + offsets, n - 1)
-        )
+        offsets = np.linspace(0, tile_edge - 1, min(tile_edge, 7)).round().astype(np.intp)
+        starts = np.arange(max(n // tile_edge, 1))[:, None] * tile_edge
+        columns.append(np.minimum(starts + np.unique(offsets), n - 1))
     rows, cols = columns
     row, col = np.divmod(np.arange(len(rows) * len(cols)), len(cols))
     # Of a large sheet squares of tiles, so that what lies side by side is seen side by side.

@@ -208,10 +208,9 @@ def find_faults(window: Window, *, assembled: bool, levelled: bool) -> list[Faul
         return []
     first = int(visible_slices[0])
     shown = slice(first, int(visible_slices[-1]) + 1)
-    has_gains = assembled or level_jump(window) > _GAINS * float(np.median(slice_sd))
-    stack = _Stack(
-        window, shown, is_visible[shown], slice_sd[shown], levelled=levelled and has_gains
-    )
+    if levelled and not assembled:
+        levelled = level_jump(window) > _GAINS * float(np.median(slice_sd))
+    stack = _Stack(window, shown, is_visible[shown], slice_sd[shown], levelled=levelled)
     if np.median(stack.d1) == 0:  # nothing changes along the axis
         return []
     _search(stack, _OF_ASSEMBLED if assembled else _OF_SCANS)
@@ -226,6 +225,7 @@ class _Stack:
     def __init__(
         self, window: Window, shown: slice, is_visible: Bools, slice_sd: Floats, *, levelled: bool
     ) -> None:
+        """Work out how the slices ``shown`` differ; the arrays are theirs."""
         self.stored: Array = window.blocks[shown]  # (slices, blocks)
         self.s = _levelled(self.stored, slice_sd) if levelled else self.stored
         self.d1 = _differences(self.s, 1)

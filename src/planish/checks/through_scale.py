@@ -88,23 +88,21 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     tile_number = (rows[:, None] * (cols[-1] + 1) + cols)[is_good]
     n_tiles = (rows[-1] + 1) * (cols[-1] + 1)
     count = np.bincount(tile_number, minlength=n_tiles)
-    y, m2 = (
-        np.bincount(tile_number, k[is_good], minlength=n_tiles) for k in (response, slope_squared)
-    )
     is_used = count >= 0.5 * tiles[0] * tiles[1]
     if np.count_nonzero(is_used) < 4 * _BLOCKS:
         return SlopeScale(1.0, np.inf)
-    y = y[is_used] / count[is_used]
-    m2 = m2[is_used] / count[is_used]
+    y, m2 = (
+        np.bincount(tile_number, k[is_good], n_tiles)[is_used] / count[is_used]
+        for k in (response, slope_squared)
+    )
     tile_shape = (rows[-1] + 1, cols[-1] + 1)
     positions = np.argwhere(is_used.reshape(tile_shape)) / tile_shape
     block = np.floor(positions * _BLOCKS) @ [_BLOCKS, 1]
     design = np.column_stack([np.ones(y.size), m2, positions - positions.mean(axis=0)])
     scale_squared = _ratio(design, y)
     leave_one_out = np.array([_ratio(design[block != k], y[block != k]) for k in np.unique(block)])
-    spread = np.sqrt(
-        (leave_one_out.size - 1) * np.mean((leave_one_out - leave_one_out.mean()) ** 2)
-    )
+    deviations = leave_one_out - leave_one_out.mean()
+    spread = np.sqrt((deviations.size - 1) * np.mean(deviations**2))
     if not (np.isfinite(scale_squared) and np.isfinite(spread)):
         return SlopeScale(1.0, np.inf)
     scale = float(np.sqrt(max(scale_squared, 0.0)))
@@ -190,9 +188,8 @@ def judge_marks(
 
 def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
     """Whether it is the spacing or a stretch along the slope, and what speaks for it."""
-    do_agree = abs(slope.scale - marks.scale) < _BEYOND * np.hypot(
-        slope.error, max(marks.error, _NATURAL)
-    )
+    error = np.hypot(slope.error, max(marks.error, _NATURAL))
+    do_agree = abs(slope.scale - marks.scale) < _BEYOND * error
     if slope.excludes_one and do_agree:
         return "fail", f" Thickness against slope implies the same ({slope})."
     # Paper does not strain by more than 1 %, and pixels that are not square are seldom: that counts
@@ -201,12 +198,10 @@ def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
     if is_clear and marks.without_any > _CLEARLY / 2:
         return "fail", " A stretch of the sheet explains it less well."
     than_text = "better" if marks.over_stretch < -_CLEARLY else "as well"
-    stretch_text = (
-        f"a stretch by {100 * marks.stretch:.2g} % along {marks.stretch_deg:.0f}° of the flat map"
-    )
     return (
         "look",
-        f" But {stretch_text} explains it {than_text}, as pixels that are not square make it.",
+        f" But a stretch by {100 * marks.stretch:.2g} % along {marks.stretch_deg:.0f}° of the flat"
+        f" map explains it {than_text}, as pixels that are not square make it.",
     )
 
 

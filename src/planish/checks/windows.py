@@ -41,13 +41,13 @@ class Window:
     blocks: NDArray[np.float32]  # (slices, blocks): means of 5 x 5 voxels
 
 
-def window_of(slices: Array, axis: Axis = "z", first: int = 0) -> Window:
+def window_of(slices: Array, axis: Axis = "z") -> Window:
     """Sum up slices that are in memory, (slices, rows, cols)."""
     part = np.ascontiguousarray(slices, dtype=np.float32)
     square, product, blocks = _sums(part)
     voxels = part.shape[1] * part.shape[2]
     return Window(
-        axis=axis, first=first, square=square / voxels, product=product / voxels, blocks=blocks
+        axis=axis, first=0, square=square / voxels, product=product / voxels, blocks=blocks
     )
 
 
@@ -87,10 +87,9 @@ def read_windows(
             volume, axis, boxes[axis], piece, points, part, fill_grey, is_sampled=axis != through
         )
 
-    pieces = _pieces(volume, [*boxes.values()])
     jobs: list[tuple[slice, Axis, Index, Places]] = [
-        (k, axis, indices, z)
-        for k in pieces
+        (piece, axis, indices, z)
+        for piece in _pieces(volume, [*boxes.values()])
         for axis, (indices, z) in zip(axes, wanted, strict=True)
     ]
     parts = map_threads(read, *zip(*jobs, strict=True), number=threads)
@@ -194,9 +193,8 @@ def _cuts(volume: xr.DataArray, piece_box: Box, axis: Axis) -> list[slice]:
 
 
 def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet_slices: tuple[int, int]) -> Box:
-    sheet_range = slice(
-        max(sheet_slices[0] - 4, 0), min(sheet_slices[1] + 5, volume.sizes[through])
-    )
+    first, last = sheet_slices
+    sheet_range = slice(max(first - 4, 0), min(last + 5, volume.sizes[through]))
     # Some 90 000 voxels of a slice are looked at.
     widest = _EDGE
     if axis != through:

@@ -262,7 +262,7 @@ def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
     # Standard errors by which they may differ.
     if abs(a.percent - b.percent) <= 3.0 * float(np.hypot(a.se, b.se)):
         w = 1.0 / np.maximum([a.se, b.se], 1e-3) ** 2
-        coefficient = float((w[0] * a.coefficient + w[1] * b.coefficient) / w.sum())
+        coefficient = float(np.average([a.coefficient, b.coefficient], weights=w))
         return _Fit(coefficient, _loss_percent(coefficient), float(1.0 / np.sqrt(w.sum()))), True
     # What both share is corrected, and no more: the rest is the sheet's own.
     return min(fits, key=lambda fit: abs(fit.percent)), a.percent * b.percent > 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,16 +39,12 @@ def _layer_sums(
     base_um = rays.interface_top - rays.interface_bottom
     edge_um = [rays.interface_bottom + edge * base_um for edge in layer_edges]
     layer_sums = np.zeros((len(names), layer_edges.size - 1, 3, len(base_um)))
-    for name_index, name in enumerate(names):
-        for layer in range(layer_edges.size - 1):
-            share = _SHARES[name][0](rays, edge_um[layer], edge_um[layer + 1]).values
+    for sums_of_name, name in zip(layer_sums, names, strict=True):
+        for sums, (lower, upper) in zip(sums_of_name, pairwise(edge_um), strict=True):
+            share = _SHARES[name][0](rays, lower, upper).values
             is_valid = np.isfinite(share) & (rays.status == 0)
             share = np.where(is_valid, share, 0.0)
-            layer_sums[name_index, layer] = [
-                is_valid.sum(axis=1),
-                share.sum(axis=1),
-                (share**2).sum(axis=1),
-            ]
+            sums[:] = is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)
     return layer_sums
 
 
@@ -102,32 +99,24 @@ def depth_profiles(
             f"The base is too thin for {bins} layers of a step of the rays ({frame.step_um:g} um)."
             " Ask for fewer bins."
         )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.where(count > 0, total / count, np.nan)
-        sd = np.sqrt(np.maximum(squares / count - mean**2, 0.0))
+    n_rays = np.where(count > 0, count, np.nan)
+    mean = total / n_rays
+    sd = np.sqrt(np.maximum(squares / n_rays - mean**2, 0.0))
     base_map_um = frame.faces["interface_top"] - frame.faces["interface_bottom"]
-    base_um = float(np.nanmedian(np.where(frame.status == 0, base_map_um, np.nan)))
+    base_um = float(np.nanmedian(base_map_um[frame.status == 0]))
     middle_depth = 0.5 * (layer_edges[1:] + layer_edges[:-1])
     is_blurred = np.minimum(middle_depth, 1 - middle_depth) < 2 * frame.greys.blur_um / base_um
-    profiles = xr.Dataset(attrs={"base_um": base_um, "rays": frame.params.rays}).assign_coords(
-        depth=(
-            "depth",
-            middle_depth,
-            {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"},
-        )
+    attrs = {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"}
+    profiles = xr.Dataset(
+        coords={"depth": ("depth", middle_depth, attrs)},
+        attrs={"base_um": base_um, "rays": frame.params.rays},
     )
     for a, name in enumerate(names):
         title = _SHARES[name][1]
+        sd_title = f"{title}, standard deviation of rays"
         profiles[name] = "depth", mean[a], {"units": "1", "long_name": title}
-        profiles[f"{name}_sd"] = (
-            "depth",
-            sd[a],
-            {"units": "1", "long_name": f"{title}, standard deviation of rays"},
-        )
+        profiles[f"{name}_sd"] = "depth", sd[a], {"units": "1", "long_name": sd_title}
         profiles[f"{name}_n"] = "depth", count[a], {"long_name": "Rays"}
-    profiles["blurred"] = (
-        "depth",
-        is_blurred.astype(np.float64),
-        {"long_name": "Within two blurs of an interface"},
-    )
+    blur_attrs = {"long_name": "Within two blurs of an interface"}
+    profiles["blurred"] = "depth", is_blurred.astype(np.float64), blur_attrs
     return profiles

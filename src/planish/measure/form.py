@@ -47,12 +47,10 @@ def above_form(
     # As wide as that of the centre surface, see planish.surface.centre.
     width_um = 0.887 * nesting_um
     starts: list[Ints] = []
-    lines_um: list[Floats] = []
     reach: list[int] = []
     for n, p in zip(shape, pitch_um, strict=True):
         block = max(1, min(int(nesting_um / p), n) // _NODES)
         starts.append(np.arange(0, n, block))
-        lines_um.append(np.arange(n) * p)
         reach.append(int(np.ceil(1.5 * width_um / (block * p))))
 
     def means(fields: Sequence[Floats], mask: Bools) -> Floats:
@@ -63,7 +61,8 @@ def above_form(
         ]
         return np.stack([*(total / np.maximum(sums[-1], 1) for total in sums[:-1]), sums[-1]], -1)
 
-    fields = [lines_um[0][:, None], lines_um[1], centre_um, *np.moveaxis(-slopes, -1, 0)]
+    y_um, x_um = (np.arange(n) * p for n, p in zip(shape, pitch_um, strict=True))
+    fields = [y_um[:, None], x_um, centre_um, *np.moveaxis(-slopes, -1, 0)]
     sheet = means(fields, has_normal)
     # A block outside the sheet has no place.
     place = np.where(sheet[..., -1:] > 0, sheet[..., :3], np.nan)

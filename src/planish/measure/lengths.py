@@ -441,8 +441,7 @@ def smoothed(
     full_weight = ndimage.gaussian_filter(
         np.ones(values.shape), sigma, mode="constant", truncate=3.5
     )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(weight > least_share * full_weight, total / weight, np.nan)
+    return total / np.where(weight > least_share * full_weight, weight, np.nan)
 
 
 def without_short(height: Floats, pitch_um: Pair, s_filter_um: float) -> Floats:

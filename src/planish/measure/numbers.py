@@ -70,7 +70,8 @@ def thin_fraction(
     x = np.arange(0.0, float(sorted_um[-1]) + 0.25, 0.25)
     marks = np.array(marked_um, dtype=np.float64)
     # At 0 the values that are 0 count: nothing is thinner than no coating.
-    masks = [thickness.values < mark if mark > 0 else thickness.values <= 0 for mark in marks]
+    limits_um = np.where(marks > 0, marks, np.nextafter(0.0, 1.0))
+    masks = [thickness.values < limit_um for limit_um in limits_um]
     marked_share = np.array([mask[is_finite].mean() for mask in masks])
     marked_se = [_share_se(mask, is_finite, pitch(thickness)) for mask in masks]
     value_se_um = np.zeros(marks.size)

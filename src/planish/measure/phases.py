@@ -91,13 +91,12 @@ def share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
         level = void_level(greys, options)
         matter = _share_beyond(rays, lower, upper, level, greys.base - greys.air)
         return Measured(values=1 - matter.values, se=matter.se)
-    length = upper - lower
+    length = rays.span(lower, upper)
     contrast = options.solid_grey - greys.air
-    is_long = length >= rays.step_um
-    with np.errstate(divide="ignore", invalid="ignore"):
-        void_share = 1 - rays.integral(lower, upper) / length / contrast
-        se = rays.integral_se(length) / length / abs(contrast)
-    return Measured(values=np.where(is_long, void_share, np.nan), se=np.where(is_long, se, np.nan))
+    return Measured(
+        values=1 - rays.integral(lower, upper) / length / contrast,
+        se=rays.integral_se(length) / length / abs(contrast),
+    )
 
 
 def _share_beyond(
@@ -108,13 +107,9 @@ def _share_beyond(
     NaN where they are less than a step apart.
     """
     beyond, ends = rays.beyond(lower, upper, level)
-    length = upper - lower
-    is_long = length >= rays.step_um
-    with np.errstate(divide="ignore", invalid="ignore"):
-        se = np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(contrast) / length
-        return Measured(
-            values=np.where(is_long, beyond / length, np.nan), se=np.where(is_long, se, np.nan)
-        )
+    length = rays.span(lower, upper)
+    se = np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(contrast) / length
+    return Measured(values=beyond / length, se=se)
 
 
 def filler_level(params: Common, greys: Greys) -> float:

@@ -24,7 +24,7 @@ from planish.core.plugins import faults_named
 from planish.core.status import FIRST_OWN, Status, status_flags
 from planish.core.threads import count_threads, map_threads
 from planish.core.tiles import Engine
-from planish.core.typing import Floats
+from planish.core.typing import Bools, Floats
 from planish.measure.form import F_OPERATOR, above_form
 from planish.measure.greys import FWHM, Greys
 from planish.measure.params import MeasureParams
@@ -267,23 +267,17 @@ def _measure_faces(
     lengths_um = {name: face_length(faces, name) for name in LENGTHS}
     lengths_um["half_thickness_difference"] = faces["top"] + faces["bottom"]
     status = surfaces["status"].values.copy()
-    # A column counts as measured when everything that the sheet has was measured there.
-    is_whole = np.isfinite(lengths_um["thickness"])
-    for side in SIDES:
-        coating = f"coating_{side}"
-        has_coating = np.isfinite(lengths_um[coating])
-        if has_coating.any():
-            is_whole &= has_coating
-        if faces[f"interface_{side}"] is faces[side]:
-            nothing = np.full(is_whole.shape, np.nan)
-            lengths_um |= {coating: nothing, f"base_surface_{side}": nothing}
-    status[(status == 0) & ~is_whole] = Status.NORMAL_LEAVES_SHEET
+    status[(status == 0) & ~_is_whole(lengths_um)] = Status.NORMAL_LEAVES_SHEET
     is_valid = status == 0
     if not is_valid.any():
         raise CannotMeasure(
             "No normal of the centre surface meets both faces. Look at the surfaces with 'planish"
             " surface'."
         )
+    for side in SIDES:
+        if faces[f"interface_{side}"] is faces[side]:
+            nothing = np.full(status.shape, np.nan)
+            lengths_um |= {f"coating_{side}": nothing, f"base_surface_{side}": nothing}
     nesting_um = params.nesting_um(float(surfaces.attrs.get("cutoff_um", CUTOFF_UM)))
     names = [name for name in HEIGHTS if name not in lengths_um]
     lengths_um |= above_form(
@@ -298,6 +292,16 @@ def _measure_faces(
         variables[name] = xr.Variable(("y", "x"), length_um, attrs)
     variables["status"] = xr.Variable(("y", "x"), status, status_flags())
     return surfaces.drop_vars("status").assign(variables)
+
+
+def _is_whole(lengths_um: Mapping[str, Floats]) -> Bools:
+    """Mark the columns where everything that the sheet has was measured."""
+    is_whole = np.isfinite(lengths_um["thickness"])
+    for side in SIDES:
+        has_coating = np.isfinite(lengths_um[f"coating_{side}"])
+        if has_coating.any():
+            is_whole &= has_coating
+    return is_whole
 
 
 def measure_along_rays(

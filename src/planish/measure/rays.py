@@ -111,9 +111,12 @@ class Rays:
 
     def mean(self, lower: Floats, upper: Floats) -> Floats:
         """Mean grey above the air between two places; NaN where they are not a step apart."""
+        return self.integral(lower, upper) / self.span(lower, upper)
+
+    def span(self, lower: Floats, upper: Floats) -> Floats:
+        """Length between two places in um; NaN where they are not a step apart."""
         length = upper - lower
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(length >= self.step_um, self.integral(lower, upper) / length, np.nan)
+        return np.where(length >= self.step_um, length, np.nan)
 
     def length(
         self, lower: Floats, upper: Floats, *, least: float, most: float
@@ -339,8 +342,7 @@ class RayFrame:
         grey_integral = tile.integral(tile.bottom, tile.top)
         status[(status == 0) & ~np.isfinite(grey_integral)] = Status.RAY_LEAVES_VOLUME
         contrast = self.greys.base - self.greys.air
-        with np.errstate(invalid="ignore"):
-            is_faint = grey_integral / np.maximum(tile.top - tile.bottom, 1e-9) / contrast < 0.25
+        is_faint = grey_integral / np.maximum(tile.top - tile.bottom, 1e-9) / contrast < 0.25
         status[(status == 0) & is_faint] = Status.LOW_CONTRAST
         return tile
 

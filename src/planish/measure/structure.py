@@ -239,15 +239,16 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
 
 
 @cached
-def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Samples that are void (rows, cols, s), and how many there are on each ray."""
+def _voids(rays: Rays) -> tuple[NDArray[np.uint8], Floats]:
+    """Samples that are void (rows, cols, s), and how many there are on each ray; NaN for none."""
     # Beyond what any base reaches there is no void; one sample more on either side is the wall
     # there.
     samples = rays.samples_within(*rays.core, more=1)
     level = np.float32(void_level(rays.greys, rays.params.of(phases.Options)))
     above_void_level = rays.greys.polarity * (rays.grey[..., samples] - level)
     is_void = ((above_void_level < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
-    return is_void, is_void.sum(axis=-1, dtype=np.int64)
+    count = is_void.sum(axis=-1, dtype=np.float64)
+    return is_void, np.where(count > 0, count, np.nan)
 
 
 def _limit(params: Options) -> float:
@@ -291,8 +292,7 @@ def pore_chord(rays: Rays) -> Floats:
     for k, pitch in enumerate(rays.pitch_um):
         chord_steps = chords(void, k, max(int(rays.params.of(Options).pore_limit_um / pitch), 1))
         total += 0.5 * chord_steps * pitch * rays.stretch[..., k]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(count > 0, total / count, np.nan)
+    return total / count
 
 
 def distances(
@@ -338,5 +338,4 @@ def pore_diameter(rays: Rays) -> Floats:
     distance = distances(void, step, 0.5 * rays.params.of(Options).pore_limit_um + half_step_um)
     radius = _pore_kernels.inscribed(distance, step)
     diameter_um = np.where(void > 0, 2 * np.maximum(radius - half_step_um, 0.5 * half_step_um), 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(count > 0, diameter_um.sum(axis=-1, dtype=np.float64) / count, np.nan)
+    return diameter_um.sum(axis=-1, dtype=np.float64) / count
