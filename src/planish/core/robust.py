@@ -29,6 +29,11 @@ def mad_sd(values: NDArray[np.floating[Any]], centre: float | None = None) -> fl
     )
 
 
+def rms_length(vectors: Floats) -> float:
+    """Root mean square of the lengths of vectors (n, k)."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+
+
 def percentiles(values: NDArray[np.floating[Any]], *percents: float) -> tuple[float, ...]:
     """Percentiles of the finite values; NaN where there is none."""
     finite = values[np.isfinite(values)]

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 
+from planish.core.grid import grid_points
 from planish.core.numbers import round_step
 from planish.core.typing import Floats
 from planish.design.gcode import DryRun, dry_run, pattern_dxf, stage_program
@@ -312,7 +313,7 @@ def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
         low_um + np.linspace(0, side_um, max(20, round(200 * side_um / max(pattern.field_um))))
         for low_um, side_um in zip(field_low, pattern.field_um, strict=True)
     )
-    error_um = predicted.at(np.stack(np.meshgrid(x_um, y_um), axis=-1))
+    error_um = predicted.at(grid_points(x_um, y_um))
     field_high = field_low + pattern.field_um
     plot_limits = axes.axis()
     image = axes.imshow(

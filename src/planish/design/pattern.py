@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat
 
 from planish.core.errors import MarkError
+from planish.core.robust import rms_length
 from planish.core.tables import naming_faults, parse_table, read_text, table_text
 from planish.core.typing import Floats, Pair
 from planish.design.params import DesignParams, ImagingParams
@@ -295,9 +296,7 @@ class Predicted:
     @property
     def radius_um(self) -> float:
         """Rms distance of the holes from their centroid."""
-        return float(
-            np.sqrt(np.mean(np.sum((self.holes_um - self.holes_um.mean(axis=0)) ** 2, axis=1)))
-        )
+        return rms_length(self.holes_um - self.holes_um.mean(axis=0))
 
     @property
     def centre_um(self) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planish.core.errors import MarkError
+from planish.core.robust import rms_length
 from planish.core.typing import Bools, Complexes, Floats, Ints
 from planish.design.pattern import Pattern
 
@@ -247,7 +248,7 @@ def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
     field = np.array(pattern.field_um)
     outside_um = np.maximum(np.abs(points - pattern.field_low_um - field / 2) - field / 2, 0.0)
     n_inside = int(np.sum(np.hypot(*outside_um.T) < pattern.burnt_um - 1e-6))
-    rms_radius_um = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+    rms_radius_um = rms_length(points - points.mean(axis=0))
     first, second = np.triu_indices(len(points), 1)
     least_spacing_um = float(np.hypot(*(points[first] - points[second]).T).min())
     # How much farther the emptiest corner of the frame is from its nearest hole than the next one.

@@ -11,6 +11,7 @@ import xarray as xr
 from pydantic import Field
 
 from planish.core.facts import ResultModel, Value
+from planish.core.grid import are_known
 from planish.core.robust import percentiles
 from planish.core.typing import Bools, Floats, Ints
 
@@ -93,7 +94,7 @@ def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator) -> G
 
 def whole_cells(points: Floats, uv: Floats) -> Bools:
     """Cells (rows - 1, cols - 1) whose four corners are known both in space and in the plane."""
-    is_node: Bools = np.asarray(np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1))
+    is_node = are_known(points) & are_known(uv)
     return is_node[:-1, :-1] & is_node[:-1, 1:] & is_node[1:, 1:] & is_node[1:, :-1]
 
 
@@ -444,7 +445,7 @@ def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float
     """
     # And the distances (n,) in um that are left after the rotation and shift that make them
     # smallest.
-    is_node = np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1)
+    is_node = are_known(points) & are_known(uv)
     a, b = points[..., :2][is_node], uv[is_node]
     if len(a) < 3:
         return np.nan, np.nan, np.nan, np.zeros(len(a))

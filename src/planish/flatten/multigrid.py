@@ -16,6 +16,7 @@ from operator import attrgetter
 import numpy as np
 from scipy import ndimage
 
+from planish.core.grid import grid_points
 from planish.core.status import Outcome
 from planish.core.typing import Floats, Singles
 from planish.flatten._kernels import (
@@ -149,7 +150,7 @@ class Multigrid:
         self._network = Network.of(level)
         is_node = self._network.mask
         across, down = coordinates
-        grid = np.stack(np.meshgrid(self.side * across, down), axis=-1)
+        grid = grid_points(self.side * across, down)
         uv = relax_exactly(
             self._network, grid[is_node], tolerance=1e-10 if len(self.levels) == 1 else 0.3
         )

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
+from planish.core.grid import are_known
 from planish.core.status import Outcome
 from planish.core.threads import count_threads
 from planish.core.typing import Bools, Floats
@@ -196,7 +197,7 @@ def _drop_specks(points: Floats) -> tuple[Floats, Bools]:
 
     Give the points, and which nodes were dropped.
     """
-    is_node = np.isfinite(points).all(axis=-1)
+    is_node = are_known(points)
     labels, n_pieces = ndimage.label(is_node, structure=np.ones((3, 3)))
     sizes = np.bincount(labels.ravel(), minlength=n_pieces + 1)
     is_small = sizes < _LEAST_SHARE * sizes[1:].sum()
@@ -210,7 +211,7 @@ def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | Non
 
     Give points, weights and the added nodes.
     """
-    is_node = np.asarray(np.isfinite(points).all(axis=-1))
+    is_node = are_known(points)
     n = np.count_nonzero(is_node)
     if n < 4:
         raise CannotFlatten(
@@ -258,7 +259,7 @@ def _impute_doubtful(points: Floats, weights: Floats | None) -> tuple[Floats, Fl
     if weights is None:
         return points, None, np.zeros(points.shape[:2], dtype=bool)
     weights = np.asarray(weights, dtype=np.float64)
-    is_node = np.isfinite(points).all(axis=-1)
+    is_node = are_known(points)
     node_weights = weights[is_node]
     is_weight = np.isfinite(node_weights) & (node_weights >= 0)
     if not (is_weight.all() and node_weights.any()):

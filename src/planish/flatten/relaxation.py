@@ -9,8 +9,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from planish.core.errors import CannotFlatten
+from planish.core.grid import are_known
 from planish.core.status import Outcome
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Floats
 from planish.flatten._relaxation_kernels import mix, set_force
 from planish.flatten.distortion import folded_cells, triangle_areas
 from planish.flatten.levels import of_springs
@@ -135,14 +136,13 @@ def relax_dynamically(
     start = np.asarray(start, dtype=np.float64)
     rest = np.asarray(rest, dtype=np.float64)
     stiff = np.ones_like(rest) if stiffness is None else np.asarray(stiffness, dtype=np.float64)
-    is_mesh = start.shape[2:] == (2,)
-    if not is_mesh or not rest.shape == stiff.shape == (4, *start.shape[:2]):
+    if start.shape[2:] != (2,) or not rest.shape == stiff.shape == (4, *start.shape[:2]):
         raise CannotFlatten(
             f"Nodes {start.shape}, rest lengths {rest.shape} and stiffness {stiff.shape} do not fit"
             " together; needed are (rows, cols, 2) and twice (4, rows, cols). Make all of them"
             " from one mesh."
         )
-    is_node: Bools = np.asarray(np.isfinite(start).all(axis=-1))
+    is_node = are_known(start)
     tied = (
         of_springs(is_node, np.logical_and, np.zeros(rest.shape, bool))
         & np.isfinite(rest)
@@ -153,10 +153,9 @@ def relax_dynamically(
     springs = _framed(np.where(tied, rest, 0.0)), _framed(np.where(tied, stiff / unit, 0.0))
     # a mesh that leaves the finite numbers is an outcome.
     with np.errstate(invalid="ignore", over="ignore"):
-        motion = _Motion(
+        outcome, energy, log = _motion(
             x, springs, _framed(is_node.astype(np.float64)), params or RelaxationParams()
         )
-        outcome, energy, log = motion.run()
         uv = np.where(is_node[..., None], x[:, 1:-1, 1:-1].transpose(1, 2, 0), np.nan)
         side = np.sign(np.nansum(triangle_areas(start)))
         inverted = int(np.count_nonzero(folded_cells(start, uv, side=side)))
@@ -201,80 +200,70 @@ def _damping(p: RelaxationParams, c: float, gradient: float) -> float:
     return max(p.c_min, gradient / p.b, p.c_fall * c)
 
 
-class _Motion:
-    """A mesh that moves: its places ``x`` (2, rows + 2, cols + 2), velocities and forces."""
+def _motion(
+    x: Floats, springs: Springs, mask: Floats, p: RelaxationParams
+) -> tuple[Outcome, float, Floats]:
+    """Move ``x`` (2, rows + 2, cols + 2) until it rests.
 
-    def __init__(self, x: Floats, springs: Springs, mask: Floats, p: RelaxationParams) -> None:
-        self.x, self.springs, self.p = x, springs, p
-        self.weights = _difference_weights(mask)
-        self.nodes = np.count_nonzero(mask)
-        self.period = 2.0 * (max(mask.shape) - 2)  # of the slowest mode
-        self.v = np.zeros_like(x)
-        self.next_v = np.zeros_like(x)
-        self.f = np.zeros_like(x)
+    Give the energy, and time step, damping ... of each step.
+    """
+    weights = _difference_weights(mask)
+    nodes = np.count_nonzero(mask)
+    period = 2.0 * (max(mask.shape) - 2)
+    v = np.zeros_like(x)
+    next_v = np.zeros_like(x)
+    f = np.zeros_like(x)
+    energy, largest_force = set_force(x, *springs, f)
+    dt = p.fixed_dt
+    c = max(p.c_min, np.sqrt(mix(v, 0.0, f, 1.0, weights, next_v)[0] / p.b))
+    gradient = time = calm_time = 0.0
+    has_moved = False
+    # Without any force there is no motion to wait for.
+    outcome = Outcome.RESTED if largest_force == 0.0 else Outcome.OUT_OF_STEPS
+    step_log: list[tuple[float, ...]] = []
 
-    def run(self) -> tuple[Outcome, float, Floats]:
-        """Move until it rests; give the energy, and time step, damping ... of each step."""
-        p = self.p
-        energy, largest_force = set_force(self.x, *self.springs, self.f)
-        dt = p.fixed_dt
-        c = max(p.c_min, np.sqrt(self._mixed(0.0, 1.0)[0] / p.b))
-        gradient = time = calm_time = 0.0
-        has_moved = False
-        # Without any force there is no motion to wait for.
-        outcome = Outcome.RESTED if largest_force == 0.0 else Outcome.OUT_OF_STEPS
-        step_log: list[tuple[float, ...]] = []
-        while outcome is Outcome.OUT_OF_STEPS and len(step_log) < p.most_steps:
-            c = _damping(p, c, gradient)
-            dt, gradient, speed_sum = self._step(_time_step(p, dt, gradient), c)
-            energy, largest_force = set_force(self.x, *self.springs, self.f)
-            mean_speed = speed_sum / self.nodes
-            step_log.append((dt, c, gradient, mean_speed, energy))
-            time += dt
-            has_moved = has_moved or mean_speed > p.mean_speed
-            calm_time = 0.0 if mean_speed > p.mean_speed else calm_time + dt
-            has_come_to_rest = {
-                # A mesh that has not been fast within a period will never be.
-                "first": (has_moved or time >= self.period) and calm_time > 0.0,
-                "sustained": calm_time >= self.period,
-                "residual": largest_force < p.residual,
-            }[p.stop]
-            if not np.isfinite(mean_speed + energy):
-                outcome = Outcome.NOT_FINITE
-            elif has_come_to_rest:
-                outcome = Outcome.RESTED
-        return outcome, energy, np.array(step_log).reshape(-1, 5)
+    def accelerate() -> tuple[float, float, float]:
+        """Set the velocities after ``dt``.
 
-    def _step(self, dt: float, c: float) -> tuple[float, float, float]:
-        """Move by a step of ``dt``, or a shorter one where that strains or moves the mesh too far.
-
-        Give its length, the largest gradient of the velocities after it, and the sum of these.
+        Give their largest gradient, the fastest, and their sum.
         """
-        p, x = self.p, self.x
-        gradient, fastest, speed_sum = self._accelerate(dt, c)
+        if p.integrator == "euler":
+            return mix(v, 1.0 - c * dt, f, dt, weights, next_v)
+        return mix(v, 1.0 / (1.0 + c * dt), f, dt / (1.0 + c * dt), weights, next_v)
+
+    while outcome is Outcome.OUT_OF_STEPS and len(step_log) < p.most_steps:
+        c = _damping(p, c, gradient)
+        dt = _time_step(p, dt, gradient)
+        gradient, fastest, speed_sum = accelerate()
         if p.control == "scale" and dt * gradient > p.a:
             dt = p.a / gradient
-            gradient, fastest, speed_sum = self._accelerate(dt, c)
+            gradient, fastest, speed_sum = accelerate()
         if p.control != "fixed" and fastest * dt > p.most_move:
             dt *= p.most_move / (fastest * dt)
-            gradient, fastest, speed_sum = self._accelerate(dt, c)
+            gradient, fastest, speed_sum = accelerate()
         if p.integrator == "rk4":
-            x[:], self.v[:] = _runge_kutta(x, self.v, self.f, self.springs, dt, c)
-            gradient, _, speed_sum = self._mixed(1.0, 0.0)
+            x[:], next_v[:] = _runge_kutta(x, v, f, springs, dt, c)
+            gradient, _, speed_sum = mix(next_v, 1.0, f, 0.0, weights, next_v)
         else:
-            x += dt * (self.v if p.integrator == "euler" else self.next_v)
-        self.v, self.next_v = self.next_v, self.v
-        return dt, gradient, speed_sum
-
-    def _accelerate(self, dt: float, c: float) -> tuple[float, float, float]:
-        """Set the next velocities to those after ``dt``."""
-        if self.p.integrator == "euler":
-            return self._mixed(1.0 - c * dt, dt)
-        return self._mixed(1.0 / (1.0 + c * dt), dt / (1.0 + c * dt))
-
-    def _mixed(self, keep: float, push: float) -> tuple[float, float, float]:
-        """Set the next velocities; give their largest gradient, the fastest, and their sum."""
-        return mix(self.v, keep, self.f, push, self.weights, self.next_v)
+            x += dt * (v if p.integrator == "euler" else next_v)
+        energy, largest_force = set_force(x, *springs, f)
+        v, next_v = next_v, v
+        mean_speed = speed_sum / nodes
+        step_log.append((dt, c, gradient, mean_speed, energy))
+        time += dt
+        has_moved = has_moved or mean_speed > p.mean_speed
+        calm_time = 0.0 if mean_speed > p.mean_speed else calm_time + dt
+        has_come_to_rest = {
+            # A mesh that has not been fast within a period of its slowest mode will never be.
+            "first": (has_moved or time >= period) and calm_time > 0.0,
+            "sustained": calm_time >= period,
+            "residual": largest_force < p.residual,
+        }[p.stop]
+        if not np.isfinite(mean_speed + energy):
+            outcome = Outcome.NOT_FINITE
+        elif has_come_to_rest:
+            outcome = Outcome.RESTED
+    return outcome, energy, np.array(step_log).reshape(-1, 5)
 
 
 def _runge_kutta(

@@ -108,16 +108,21 @@ def closed_path(worth, first, last):
 
 
 @njit(cache=True, nogil=True)
+def _window(centre, radius, pixel, count):
+    """First row (or column) within a radius, and the one behind the last."""
+    first = max(int((centre - radius) / pixel) + 1, 0)
+    return first, min(int((centre + radius) / pixel) + 1, count)
+
+
+@njit(cache=True, nogil=True)
 def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
     """Return the centroid of what is as dark as the floor within a circle.
 
     Its centre where that is nothing.
     """
     total, tx, ty = 0, 0.0, 0.0
-    i0 = max(int((cy - radius) / py) + 1, 0)
-    i1 = min(int((cy + radius) / py) + 1, image.shape[0])
-    j0 = max(int((cx - radius) / px) + 1, 0)
-    j1 = min(int((cx + radius) / px) + 1, image.shape[1])
+    i0, i1 = _window(cy, radius, py, image.shape[0])
+    j0, j1 = _window(cx, radius, px, image.shape[1])
     for i in range(i0, i1):
         for j in range(j0, j1):
             if (
@@ -180,10 +185,8 @@ def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
         x, y = xs[h], ys[h]
         for _turn in range(6):
             total, tx, ty = 0, 0.0, 0.0
-            i0 = max(int((y - radius) / py) + 1, 0)
-            i1 = min(int((y + radius) / py) + 1, image.shape[0])
-            j0 = max(int((x - radius) / px) + 1, 0)
-            j1 = min(int((x + radius) / px) + 1, image.shape[1])
+            i0, i1 = _window(y, radius, py, image.shape[0])
+            j0, j1 = _window(x, radius, px, image.shape[1])
             for i in range(i0, i1):
                 for j in range(j0, j1):
                     if sign * image[i, j] < level and np.hypot(j * px - x, i * py - y) <= radius:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.grid import Grid, hole_mask
 from planish.core.typing import Bools, Floats, Ints, Pair
 
 Image = NDArray[np.float32]
@@ -162,17 +163,9 @@ def _quantile(values: Image, finite_counts: Ints, quantile: float) -> Image:
 
 def outside(raster: Raster, circles: Floats) -> Raster:
     """Give the image without circles ``x, y, radius`` (um), NaN there."""
-    image = raster.image.copy()
-    row_um, col_um = raster.pixel_um
-    for x, y, radius in circles:
-        i0, i1 = (max(0, int((y + side * radius) / row_um) + (side > 0)) for side in (-1, 1))
-        j0, j1 = (max(0, int((x + side * radius) / col_um) + (side > 0)) for side in (-1, 1))
-        window = image[i0:i1, j0:j1]
-        dy_squared = (np.arange(i0, i0 + window.shape[0])[:, None] * row_um - y) ** 2
-        window[
-            dy_squared + (np.arange(j0, j0 + window.shape[1]) * col_um - x) ** 2 <= radius**2
-        ] = np.nan
-    return raster._replace(image=image)
+    grid = Grid.regular(raster.image.shape, raster.pixel_um)
+    is_inside = hole_mask(grid, circles[:, :2], circles[:, 2])
+    return raster._replace(image=np.where(is_inside, np.nan, raster.image))
 
 
 def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> LocalLevels:

@@ -376,10 +376,9 @@ def set_covariance(marks: Floats, pixel_um: Pair) -> None:
     x, y = np.nan_to_num(marks[:, [k.DOUBT_X, k.DOUBT_Y]]).T
     cross_share = 0.35  # the part across the line of the two centres
     # The raster adds an error of 0.02 pixels.
-    marks[:, k.COV_XX] = (
-        marks[:, k.COV_XX] * variance + (0.02 * pixel_um[1]) ** 2 + (x**2 + (cross_share * y) ** 2)
-    )
-    marks[:, k.COV_YY] = (
-        marks[:, k.COV_YY] * variance + (0.02 * pixel_um[0]) ** 2 + (y**2 + (cross_share * x) ** 2)
-    )
-    marks[:, k.COV_XY] = marks[:, k.COV_XY] * variance + (1 - cross_share**2) * x * y
+    marks[:, [k.COV_XX, k.COV_YY, k.COV_XY]] *= variance[:, None]
+    marks[:, k.COV_XX] += (0.02 * pixel_um[1]) ** 2
+    marks[:, k.COV_YY] += (0.02 * pixel_um[0]) ** 2
+    marks[:, k.COV_XX] += x**2 + (cross_share * y) ** 2
+    marks[:, k.COV_YY] += y**2 + (cross_share * x) ** 2
+    marks[:, k.COV_XY] += (1 - cross_share**2) * x * y

@@ -14,7 +14,7 @@ from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Transform
 from planish.core.typing import Floats
 from planish.register.field import DeviationField
-from planish.register.pairs import COINCIDENT, Pairs, inverse_of
+from planish.register.pairs import COINCIDENT, Pairs, inverse_of, solved
 
 Frame = tuple[Floats, float]
 
@@ -88,8 +88,7 @@ class ParametricModel(Model):
         is_undetermined = np.linalg.eigvalsh(residual_blocks)[:, 0] < COINCIDENT
         residual_blocks[is_undetermined] = np.nan
         whitened_errors = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
-        missed = np.linalg.solve(whitening, inverse_of(residual_blocks) @ whitened_errors)
-        return np.asarray(missed[..., 0], dtype=np.float64)
+        return solved(whitening, (inverse_of(residual_blocks) @ whitened_errors)[..., 0])
 
 
 def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
@@ -98,9 +97,7 @@ def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) 
     CannotRegister if marks leave one free.
     """
     q, r = whitened_qr(whitening, design, name)
-    return np.asarray(
-        np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1)), dtype=np.float64
-    )
+    return solved(r, q.T @ (whitening @ target[..., None]).reshape(-1))
 
 
 def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, Floats]:

@@ -6,17 +6,26 @@ Its image, derivatives, inverse, strain and folds.
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister
+from planish.core.grid import are_known, grid_points
 from planish.core.threads import map_threads
 from planish.core.transform import Affine, NearSimilarity, Similarity, Transform
 from planish.core.typing import Floats, Pair, pair_of
 
 Kernel = Callable[[Floats], Floats]
+
+
+def lay_out_arrays(holder: Any) -> None:
+    """Lay the arrays of a dataclass out as read back from a file: sums have the same bytes."""
+    for name in (f.name for f in fields(holder)):
+        values = getattr(holder, name)
+        if isinstance(values, np.ndarray):
+            object.__setattr__(holder, name, np.array(values, dtype=np.float64, order="C"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,11 +44,8 @@ class Bent(NearSimilarity):
     everywhere: ClassVar[bool]
 
     def __post_init__(self) -> None:
-        """Lay the arrays out as read back from a file, so that sums have the same bytes."""
-        for name in (f.name for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)):
-            object.__setattr__(
-                self, name, np.array(getattr(self, name), dtype=np.float64, order="C")
-            )
+        """Lay the arrays out as read back from a file."""
+        lay_out_arrays(self)
 
     @abstractmethod
     def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:
@@ -124,7 +130,7 @@ class _Inverse:
         # The inverse begins at the nearest image of a grid that reaches one extent of the marks
         # beyond them.
         axes = [np.linspace(a, b, 49) for a, b in zip(self.low, self.high, strict=True)]
-        self.grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        self.grid = grid_points(*axes).reshape(-1, 2)
         self.images = bent(self.grid)
         self.slopes = bent.jacobian(self.grid)
         self.tree = KDTree(self.images)
@@ -134,7 +140,7 @@ class _Inverse:
         """Take points ``(..., 2)`` back, in um; NaN where there is none."""
         points_um = np.asarray(points, dtype=np.float64)
         sources = np.full(points_um.shape, np.nan)
-        is_finite = np.isfinite(points_um).all(axis=-1)
+        is_finite = are_known(points_um)
         if is_finite.any():
             sources[is_finite] = self._newton(points_um[is_finite])
         return sources
@@ -188,7 +194,7 @@ class _Inverse:
 
 def _solve(jacobian: Floats, error: Floats) -> Floats:
     """Solve 2 x 2 systems; a singular one gives what is not finite."""
-    a, b, c, d = jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1, 0], jacobian[:, 1, 1]
+    a, b, c, d = jacobian.reshape(-1, 4).T
     det = a * d - b * c
     x = (d * error[:, 0] - b * error[:, 1]) / det
     y = (a * error[:, 1] - c * error[:, 0]) / det
@@ -214,6 +220,12 @@ class LocalStrain(NamedTuple):
         return max(abs(self.stretch[0]), abs(self.stretch[1]))
 
 
+def determinants(matrices: Floats) -> Floats:
+    """Determinants (n,) of 2 x 2 matrices (n, 2, 2)."""
+    a, b, c, d = matrices.reshape(-1, 4).T
+    return a * d - b * c
+
+
 def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrain:
     """Strain at the marks and on a grid in their hull.
 
@@ -221,16 +233,10 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     """
     worst_place = marks.mean(axis=0)
     if isinstance(transform, Similarity):
-        return LocalStrain(
-            area=(1.0, 1.0),
-            stretch=(0.0, 0.0),
-            at_um=pair_of(worst_place),
-        )
+        return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=pair_of(worst_place))
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     jacobians = transform.jacobian(points)
-    areas = (-1.0 if mirrored else 1.0) * (
-        jacobians[:, 0, 0] * jacobians[:, 1, 1] - jacobians[:, 0, 1] * jacobians[:, 1, 0]
-    )
+    areas = (-1.0 if mirrored else 1.0) * determinants(jacobians)
     worst = int(np.argmin(np.where(np.isfinite(areas), areas, -np.inf)))
     if not areas[worst] > 0:
         if isinstance(transform, Affine):
@@ -264,7 +270,7 @@ def inside(marks: Floats, steps: int = 65) -> Floats:
     axes = [
         np.linspace(a, b, steps) for a, b in zip(marks.min(axis=0), marks.max(axis=0), strict=True)
     ]
-    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    grid = grid_points(*axes).reshape(-1, 2)
     middle = marks.mean(axis=0)
     try:
         hull = Delaunay(marks - middle)

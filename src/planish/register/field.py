@@ -22,7 +22,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planish.core.typing import Floats, Ints
-from planish.register.pairs import COINCIDENT, Pairs, inverse_of, whitened
+from planish.register.pairs import (
+    COINCIDENT,
+    Pairs,
+    inverse_of,
+    on_both_axes,
+    solved,
+    squared_distances,
+    whitened,
+)
 
 # Gaussian and Matern 3/2 covariances, each with its length over the rms distance of the marks from
 # their middle.
@@ -100,7 +108,7 @@ class DeviationField:
         self._first = np.zeros(6)
         self._first[:4] = np.linalg.lstsq(columns[:, :4], target, rcond=None)[0]
         y = target - columns @ self._first
-        squares = np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)
+        squares = squared_distances(self.nodes, self.nodes)
         self.freedom = 2 * len(pairs) - 4
         floor = (COINCIDENT * float(np.hypot(*self._first[2:4]))) ** 2
         kernel_fits = {
@@ -142,10 +150,9 @@ class DeviationField:
             weight_roots = self._whitening[:, 0, 0]
             spectrum: Any = np.linalg.eigh(weight_roots[:, None] * covariances * weight_roots)
             eigenvalues: Floats = np.repeat(spectrum[0], 2)
-            eigenvectors = np.asarray(np.kron(spectrum[1], np.eye(2)), dtype=np.float64)
+            eigenvectors = on_both_axes(spectrum[1])
         else:
-            both_axes = np.asarray(np.kron(covariances, np.eye(2)), dtype=np.float64)
-            rows = whitened(self._whitening, both_axes)
+            rows = whitened(self._whitening, on_both_axes(covariances))
             eigenvalues, eigenvectors = np.linalg.eigh(whitened(self._whitening, rows.T))
         eigenvalues = np.maximum(eigenvalues, 0.0)
         design, y = eigenvectors.T @ design, eigenvectors.T @ y
@@ -272,7 +279,7 @@ class DeviationField:
         for start in range(0, len(points), step):
             part = slice(start, start + step)
             scaled_points = (points[part] - self.middle) / self.size
-            squares = np.sum((scaled_points[:, None] - self.nodes) ** 2, axis=-1)
+            squares = squared_distances(scaled_points, self.nodes)
             plane = np.column_stack([np.ones(len(scaled_points)), scaled_points])
             deviations = images[part] - self._columns(scaled_points) @ self._first
             squares_um2 = np.sum(deviations**2, axis=1)
@@ -296,16 +303,13 @@ class DeviationField:
         if len(self._all_pairs) > len(self._pairs):
             plane, kernels, bends = self.mean()
             scaled_points = (self._all_pairs.moving - self.middle) / self.size
-            squares = np.sum((scaled_points[:, None] - self.nodes) ** 2, axis=-1)
+            squares = squared_distances(scaled_points, self.nodes)
             images = np.column_stack([np.ones(len(scaled_points)), scaled_points]) @ plane
             for kernel, bend in zip(kernels, bends, strict=True):
                 images += covariance(kernel, squares) @ bend
             errors = self._all_pairs.fixed - images
-            misfit_shares = (
-                np.einsum("ni,nij,nj->n", errors, self._all_pairs.information, errors)
-                / self.mark_variance
-            )
-            return errors, -0.5 * misfit_shares
+            misfit = np.einsum("ni,nij,nj->n", errors, self._all_pairs.information, errors)
+            return errors, -0.5 * (misfit / self.mark_variance)
         n = len(self._pairs)
         tail_exponent = 0.5 * self.freedom - 1.0
         errors = np.zeros((n, 2))
@@ -330,7 +334,7 @@ class DeviationField:
             log_chance = np.nan_to_num(
                 _log_sum(log_weights + np.concatenate(log_chances)) - _log_sum(log_weights)
             )
-        return np.linalg.solve(self._whitening, errors[..., None])[..., 0], log_chance
+        return solved(self._whitening, errors), log_chance
 
     def _missed(self, kernel_fit: _KernelFit) -> tuple[Floats, Floats, Floats]:
         """Errors of the marks left out, determinants of ``P_ii``, and ``q``.
@@ -408,7 +412,7 @@ def _grouped_pairs(pairs: Pairs, group: Ints) -> Pairs:
 
 def _log_sum(logs: Floats) -> Floats:
     top = logs.max(axis=0)
-    return np.asarray(top + np.log(np.sum(np.exp(logs - top), axis=0)), dtype=np.float64)
+    return top + np.log(np.sum(np.exp(logs - top), axis=0))
 
 
 def _log_prior(ratios: Floats) -> Floats:

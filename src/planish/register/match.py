@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister, MarkError, WrongHand
+from planish.core.robust import rms_length
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Ints
 from planish.register.match_choose import BestMatch, choose, self_likeness
@@ -412,7 +413,7 @@ def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Sim
     transform = SimilarityModel().fit(
         Pairs(moving=source, fixed=target, information=information), mirrored
     )
-    return transform, float(np.sqrt(np.mean(np.sum((transform(source) - target) ** 2, axis=1))))
+    return transform, rms_length(transform(source) - target)
 
 
 def _usable_points(marks: ArrayLike, name: str, hint_text: str) -> Floats:

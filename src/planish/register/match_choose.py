@@ -14,6 +14,7 @@ from planish.register.match_search import (
     REACH,
     Arrangements,
     Complexes,
+    bounds_of,
     extents,
     log_chance,
     marks_needed,
@@ -147,10 +148,7 @@ def _rival(
 
 def _inside(points: Complexes, field_points: Complexes, border: float) -> Bools:
     """Mask of the points in the rectangle around others, widened by a share of its longer side."""
-    x0 = field_points.real.min()
-    x1 = field_points.real.max()
-    y0 = field_points.imag.min()
-    y1 = field_points.imag.max()
+    x0, x1, y0, y1 = bounds_of(field_points)
     margin = border * max(x1 - x0, y1 - y0)
     inside_x = (points.real >= x0 - margin) & (points.real <= x1 + margin)
     return inside_x & (points.imag >= y0 - margin) & (points.imag <= y1 + margin)

@@ -141,6 +141,12 @@ def _arrangements(
     )
 
 
+def bounds_of(b: Complexes, margin: float = 0.0) -> tuple[float, float, float, float]:
+    """Least and largest x and y of marks, and a margin around."""
+    x, y = b.real, b.imag
+    return x.min() - margin, x.max() + margin, y.min() - margin, y.max() + margin
+
+
 def extents(b: Complexes) -> Pair:
     """Long and short side of the field of the marks along its own axes, in um."""
     centred = np.stack([b.real - b.real.mean(), b.imag - b.imag.mean()], axis=1)
@@ -183,18 +189,12 @@ def _hypotheses(
     pairs of ``a`` are thinned out evenly.
     """
     base, base_lengths = _by_length(a)
-    base, base_lengths = (
-        base[base_lengths >= 3.0 * tolerance],
-        base_lengths[base_lengths >= 3.0 * tolerance],
-    )
+    is_long = base_lengths >= 3.0 * tolerance
+    base, base_lengths = base[is_long], base_lengths[is_long]
     target, target_lengths = _by_length(b)
     slack = 0.6 * tolerance
-    first = np.searchsorted(
-        target_lengths, (1.0 - scale_tolerance) * base_lengths - slack, side="left"
-    )
-    stop = np.searchsorted(
-        target_lengths, (1.0 + scale_tolerance) * base_lengths + slack, side="right"
-    )
+    first = np.searchsorted(target_lengths, (1.0 - scale_tolerance) * base_lengths - slack)
+    stop = np.searchsorted(target_lengths, (1.0 + scale_tolerance) * base_lengths + slack, "right")
     tried_count = 2 * int(np.sum(stop - first))
     if tried_count > most_count:
         base_count = max(1, len(base) * most_count // tried_count)
@@ -221,15 +221,9 @@ def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np
 
     Its border is 0.
     """
-    x0 = b.real.min() - reach
-    x1 = b.real.max() + reach
-    y0 = b.imag.min() - reach
-    y1 = b.imag.max() + reach
-    size = float(
-        max(
-            reach / 3.0, np.sqrt((x1 - x0) * (y1 - y0) / 1_500_000), max(x1 - x0, y1 - y0) / 20000.0
-        )
-    )
+    x0, x1, y0, y1 = bounds_of(b, reach)
+    largest_raster = np.sqrt((x1 - x0) * (y1 - y0) / 1_500_000)
+    size = float(max(reach / 3.0, largest_raster, max(x1 - x0, y1 - y0) / 20000.0))
     x0 = float(x0 - 2.0 * size)
     y0 = float(y0 - 2.0 * size)
     near = np.zeros((int((y1 - y0) / size) + 3, int((x1 - x0) / size) + 3), np.uint8)
@@ -254,18 +248,10 @@ def _cells(
 
     It is ``x0, y0, size, rows, columns``, then ``start`` and ``index``.
     """
-    x0 = b.real.min()
-    x1 = b.real.max()
-    y0 = b.imag.min()
-    y1 = b.imag.max()
+    x0, x1, y0, y1 = bounds_of(b)
     # Never more than about a million cells, however large the field.
-    size = float(
-        max(
-            reach,
-            np.sqrt((x1 - x0 + 4 * reach) * (y1 - y0 + 4 * reach) / 1e6),
-            max(x1 - x0, y1 - y0) / 1e5,
-        )
-    )
+    most_cells = np.sqrt((x1 - x0 + 4 * reach) * (y1 - y0 + 4 * reach) / 1e6)
+    size = float(max(reach, most_cells, max(x1 - x0, y1 - y0) / 1e5))
     x0 = float(x0 - 2 * size)
     y0 = float(y0 - 2 * size)
     columns = int((x1 - x0) / size) + 3

@@ -80,6 +80,21 @@ def whitened(whitening: Floats, rows: Floats) -> Floats:
     return (whitening @ rows.reshape(len(whitening), 2, -1)).reshape(rows.shape)
 
 
+def solved(matrices: Floats, vectors: Floats) -> Floats:
+    """Solve linear equations for vectors (..., p)."""
+    return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)
+
+
+def on_both_axes(rows: Floats) -> Floats:
+    """Repeat rows (n, k) for x and y: (2n, 2k)."""
+    return np.asarray(np.kron(rows, np.eye(2)), dtype=np.float64)
+
+
+def squared_distances(places: Floats, others: Floats) -> Floats:
+    """Squares of the distances (n, m) of places (n, 2) from others (m, 2)."""
+    return np.sum((places[:, None] - others) ** 2, axis=-1)
+
+
 def inverse_of(blocks: Floats) -> Floats:
     """Inverse of symmetric 2 x 2 blocks (n, 2, 2); NaN stays NaN."""
     a, b, c = blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 1, 1]

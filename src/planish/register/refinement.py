@@ -15,9 +15,10 @@ from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.errors import CannotRegister, SizeError
+from planish.core.grid import grid_points
 from planish.core.transform import Affine
 from planish.core.typing import Bools, Floats, Pair, pair_of
-from planish.register.bent import NOTABLE
+from planish.register.bent import NOTABLE, determinants
 from planish.register.result import FittedTransform
 
 Refinement = Literal["affine", "bspline"]
@@ -123,7 +124,7 @@ class Refined:
             Cubic interpolation; NaN outside.
         """
         rows, cols = (np.arange(n) * p for n, p in zip(image.shape, pixel_um, strict=True))
-        source_px = self(np.stack(np.meshgrid(cols, rows), axis=-1)) / np.array(pixel_um)[::-1]
+        source_px = self(grid_points(cols, rows)) / np.array(pixel_um)[::-1]
         row_col = np.moveaxis(source_px[..., ::-1], -1, 0)
         is_known = np.isfinite(image)
         filled_image = np.where(
@@ -233,7 +234,7 @@ def _assess(
     Refuse folds and what the marks do not allow.
     """
     jacobians = transform.jacobian(points)
-    areas = jacobians[:, 0, 0] * jacobians[:, 1, 1] - jacobians[:, 0, 1] * jacobians[:, 1, 0]
+    areas = determinants(jacobians)
     moved_um = np.linalg.norm(transform(points) - points, axis=1)
     expected_um = fit.expected_error_um(fit.inverse(points))
     with np.errstate(divide="ignore", invalid="ignore"):

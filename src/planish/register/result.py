@@ -12,7 +12,7 @@ from planish.core.errors import MarkError
 from planish.core.text import and_join_few
 from planish.core.transform import Similarity, Transform, nearest_similarity
 from planish.core.typing import Floats
-from planish.register.bent import LocalStrain, strain_of
+from planish.register.bent import LocalStrain, lay_out_arrays, strain_of
 from planish.register.field import DeviationField
 from planish.register.models import MODELS, model_named
 from planish.register.pairs import Pairs, points_of, weighted_rms
@@ -49,11 +49,8 @@ class FittedTransform:
     likely: DeviationField | None = None  # where it is there already
 
     def __post_init__(self) -> None:
-        """Lay the arrays out as read back from a file, so that sums have the same bytes."""
-        for name in _ARRAYS:
-            object.__setattr__(
-                self, name, np.array(getattr(self, name), dtype=np.float64, order="C")
-            )
+        """Lay the arrays out as read back from a file."""
+        lay_out_arrays(self)
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um, from the moving to the fixed frame."""
@@ -246,20 +243,18 @@ class Chain:
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` of the first map to the last one, in um; NaN stays NaN."""
-        points_um = np.asarray(points, dtype=np.float64)
         for fit in self.fits:
-            points_um = fit(points_um)
-        return points_um
+            points = fit(points)
+        return np.asarray(points)
 
     def inverse(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` of the last map back to the first one, in um.
 
         NaN where a link finds no point.
         """
-        points_um = np.asarray(points, dtype=np.float64)
         for fit in reversed(self.fits):
-            points_um = fit.inverse(points_um)
-        return points_um
+            points = fit.inverse(points)
+        return np.asarray(points)
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)`` of the first map: ``(..., 2, 2)``."""

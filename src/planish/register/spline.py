@@ -16,7 +16,14 @@ from planish.core.typing import Floats, pair_of
 from planish.register.base_model import Model, refuse_line
 from planish.register.bent import Bent, Kernel
 from planish.register.field import DeviationField
-from planish.register.pairs import Pairs, inverse_of, whitened
+from planish.register.pairs import (
+    Pairs,
+    inverse_of,
+    on_both_axes,
+    solved,
+    squared_distances,
+    whitened,
+)
 
 _LEAST = 6
 
@@ -79,10 +86,7 @@ class SplineModel(Model):
     def left_out(self, pairs: Pairs, transform: ThinPlate, _field: DeviationField, /) -> Floats:
         """Errors at the same smoothing."""
         system = Smoothing(pairs)
-        errors = system.missed(transform.smoothing_um2)
-        return np.asarray(
-            np.linalg.solve(system.whitening, errors[..., None])[..., 0], dtype=np.float64
-        )
+        return solved(system.whitening, system.missed(transform.smoothing_um2))
 
 
 class Smoothing:
@@ -109,10 +113,10 @@ class Smoothing:
         self.nodes = (pairs.moving - self.middle) / self.size
         self.whitening = pairs.whitening()
         # Whitened covariance (2n, 2n) of both coordinates.
-        squares = np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)
-        half_whitened = whitened(self.whitening, _on_both_axes(bending(squares)))
+        squares = squared_distances(self.nodes, self.nodes)
+        half_whitened = whitened(self.whitening, on_both_axes(bending(squares)))
         self.kernel = whitened(self.whitening, half_whitened.T)
-        affine_part = _on_both_axes(np.column_stack([np.ones(n), self.nodes]))
+        affine_part = on_both_axes(np.column_stack([np.ones(n), self.nodes]))
         full, triangle = qr(whitened(self.whitening, affine_part))
         self.span, self.triangle = full[:, :6], triangle[:6]
         self.target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
@@ -192,7 +196,3 @@ class Smoothing:
             bend=bend,
             smoothing_um2=float(smoothing_um2),
         )
-
-
-def _on_both_axes(rows: Floats) -> Floats:
-    return np.asarray(np.kron(rows, np.eye(2)), dtype=np.float64)

@@ -12,8 +12,9 @@ from scipy import special
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import block_diag
 
+from planish.core.robust import rms_length
 from planish.core.typing import Floats
-from planish.register.pairs import Pairs, as_complex, inverse_of
+from planish.register.pairs import Pairs, as_complex, inverse_of, solved, squared_distances
 from planish.register.similarity import affine_columns, similarity_columns
 
 CHANCE = 0.0027  # that right marks exclude a scale of 1: three errors
@@ -89,7 +90,7 @@ def find_through_scale(
     # Marks nearer to a line than 1 % of their spread say nothing.
     if not width_um > 0.01 * length_um:
         return None
-    spread = float(np.sqrt(np.mean(np.sum(target**2, axis=1))))
+    spread = rms_length(target)
     # Lengths go with the square of the slope.
     spline = make_interp_spline(scales**2, places[:, rows], k=3)
     fine_scales = np.unique(np.append(np.geomspace(scales[0], scales[-1], _STEPS), 1.0))
@@ -166,9 +167,7 @@ def _solved(
     white_target = whitened[:, -1]
     projections = white_target @ columns
     normal = columns.transpose(0, 2, 1) @ columns
-    parameters = np.asarray(
-        np.linalg.solve(normal, projections[..., None])[..., 0], dtype=np.float64
-    )
+    parameters = solved(normal, projections)
     return parameters, np.maximum(
         white_target @ white_target - np.sum(projections * parameters, axis=1), 0.0
     )
@@ -190,7 +189,7 @@ def _precisions(
     free, misfit = _free_columns(designs, target, precision)
     # Standard deviation of either part of a shear of the paper: a stretch of 0.14 %, rms.
     shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * 0.0005
-    squares = np.sum((target[:, None] - target) ** 2, axis=-1) / spread**2
+    squares = squared_distances(target, target) / spread**2
     # Smooth displacements: their reach over the spread of the marks, and their variance over that
     # of a mark.
     lengths_ratios = product((0.5, 1.0), (1.0, 10.0, 100.0, 1000.0))

@@ -9,7 +9,7 @@ from scipy import special
 from planish.core.axial import angle_of, is_axial, summable_of
 from planish.core.errors import SurfaceError
 from planish.core.frame import Frame
-from planish.core.grid import Grid, pitch
+from planish.core.grid import Grid, grid_points, pitch
 from planish.core.transform import Similarity
 from planish.core.typing import Floats
 from planish.resample.places import Mesh, covering_grid, find_places, resample_dataset
@@ -201,7 +201,7 @@ class Lattice:
         self._nodes_um = [
             np.linspace(v[0], v[-1], min(v.size, 200)) for v in (grid.y_um, grid.x_um)
         ]
-        self.places: Floats = np.stack(np.meshgrid(self._nodes_um[1], self._nodes_um[0]), axis=-1)
+        self.places: Floats = grid_points(self._nodes_um[1], self._nodes_um[0])
 
     def between(self, values: Floats, part: Grid) -> Floats:
         """Interpolate values (rows, cols) of the places bilinearly on some pixels of the grid."""

@@ -19,7 +19,7 @@ from pydantic import Field
 from planish.core.axial import axial_angle, summable
 from planish.core.errors import SurfaceError
 from planish.core.facts import ResultModel
-from planish.core.grid import Grid
+from planish.core.grid import Grid, are_known, grid_points
 from planish.core.threads import count_threads, map_threads
 from planish.core.typing import Array, Bools, Floats, Pair
 from planish.resample._kernels import locate, sample
@@ -204,7 +204,7 @@ def covering_grid(uv: Floats, pixel_um: float) -> Grid:
     SurfaceError
         No node is known.
     """
-    points = uv[np.isfinite(uv).all(axis=-1)]
+    points = uv[are_known(uv)]
     if not points.size:
         raise SurfaceError(
             "No node of the mesh has flat coordinates. Check the surface and how it was flattened."
@@ -271,7 +271,7 @@ def _locate_in_delaunay(
     )
     for begin in range(0, v.size, _LEAST_ROWS):
         rows = slice(begin, begin + _LEAST_ROWS)
-        points = np.stack(np.meshgrid(u, v[rows]), axis=-1)
+        points = grid_points(u, v[rows])
         triangle[rows] = triangulation.find_simplex(points)
         # Weights of the first two corners; without a triangle they are not used.
         barycentric = triangulation.transform[triangle[rows]]

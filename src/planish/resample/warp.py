@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, InputError, ResourceError, SizeError
-from planish.core.grid import Grid
+from planish.core.grid import Grid, are_known
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Array, Floats, Pair
@@ -99,35 +99,6 @@ def warp_image(
     ones as NaN.
     """
     shape, size = grid.shape, image.shape
-    _check(image, grid, pixel_um, memory_bytes)
-
-    def mapping(points: Floats) -> Floats:
-        points_um = points * grid.pixel_um[::-1] + grid.origin_um
-        return np.asarray(to_source(points_um), dtype=np.float64) / pixel_um[::-1]
-
-    out = np.full(shape, np.nan, dtype=image.dtype)
-    map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
-    if np.isfinite(out).any() or not must_meet:
-        return out
-    x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
-    points_um = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
-    points_um = points_um[np.isfinite(points_um).all(axis=-1)]
-    where_text = "nowhere"
-    if len(points_um):
-        a, b = points_um.min(axis=0)
-        c, d = points_um.max(axis=0)
-        where_text = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
-    height_um, width_um = size[0] * pixel_um[0], size[1] * pixel_um[1]
-    raise CannotRegister(
-        f"The transformation takes the target {where_text}, which is {width_um:.0f} um wide and"
-        f" {height_um:.0f} um high: nothing overlaps. Check the pixel sizes and the origin, and"
-        " that the transformation goes from target to image (else use its inverse)."
-    )
-
-
-def _check(image: NDArray[np.floating[Any]], grid: Grid, pixel_um: Pair, memory_bytes: int) -> None:
-    """Refuse what cannot be warped."""
-    shape, size = grid.shape, image.shape
     if image.ndim != 2 or min(size) < 1 or image.dtype.kind != "f":
         raise InputError(
             f"The image has the shape {size} and {image.dtype} values; (rows, cols) of floats is"
@@ -150,6 +121,29 @@ def _check(image: NDArray[np.floating[Any]], grid: Grid, pixel_um: Pair, memory_
             f"The warped image needs {needed / 1e9:.2f} GB of memory, {memory_bytes / 1e9:.2f} GB"
             " are allowed. Allow more, or warp to a smaller or coarser grid."
         )
+
+    def mapping(points: Floats) -> Floats:
+        points_um = points * grid.pixel_um[::-1] + grid.origin_um
+        return np.asarray(to_source(points_um), dtype=np.float64) / pixel_um[::-1]
+
+    out = np.full(shape, np.nan, dtype=image.dtype)
+    map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
+    if np.isfinite(out).any() or not must_meet:
+        return out
+    x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
+    points_um = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
+    points_um = points_um[are_known(points_um)]
+    where_text = "nowhere"
+    if len(points_um):
+        a, b = points_um.min(axis=0)
+        c, d = points_um.max(axis=0)
+        where_text = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
+    height_um, width_um = size[0] * pixel_um[0], size[1] * pixel_um[1]
+    raise CannotRegister(
+        f"The transformation takes the target {where_text}, which is {width_um:.0f} um wide and"
+        f" {height_um:.0f} um high: nothing overlaps. Check the pixel sizes and the origin, and"
+        " that the transformation goes from target to image (else use its inverse)."
+    )
 
 
 def _warp_tile(image: Array, mapping: Mapping, out: Array, tile: Tile) -> None:
@@ -249,7 +243,7 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
         nodes = places_at(_NODES)
         tests = places_at(_TEST)
         is_defined = np.concatenate(
-            [np.isfinite(a).all(axis=-1).reshape(len(a), -1) for a in (nodes, tests)], axis=1
+            [are_known(a).reshape(len(a), -1) for a in (nodes, tests)], axis=1
         )
         is_finite = is_defined.all(axis=1)
         error = np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1).max(axis=(1, 2))

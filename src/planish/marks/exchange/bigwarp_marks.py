@@ -3,15 +3,14 @@
 ``Infinity`` is a position that is not set.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
-from planish.core.tables import DECIMAL_COMMAS, CsvRow, Rows, raise_faults, table_text
+from planish.core.tables import DECIMAL_COMMAS, CsvRow, raise_faults, table_text
 from planish.core.typing import Floats
 from planish.marks.exchange.lists import Content, PointList
 from planish.marks.exchange.model import labels_of, used_of
@@ -51,7 +50,10 @@ def read(content: Content) -> list[PointList]:
             continue
         if cells[1].lower() not in _STATES:
             faults.append(f"row {number}: active is {cells[1]!r}, not true or false")
-        coordinates = _coordinates(cells[2:], content.rows)
+        coordinates = [
+            np.inf if cell.lstrip("+-").lower() in _UNSET else content.rows.number(cell)
+            for cell in cells[2:]
+        ]
         if None in coordinates:
             cell = cells[2 + coordinates.index(None)]
             faults.append(f"row {number}: {cell!r} {content.rows.number_fault(cell)}")
@@ -60,24 +62,14 @@ def read(content: Content) -> list[PointList]:
     # One coordinate that is not set leaves the point without a position.
     sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
     sides = np.where(np.isfinite(sides).all(axis=2, keepdims=True), sides, np.nan)
-    moving = PointList(
-        title="moving",
-        labels=[row.cells[0] or f"row {row.line}" for row in rows],
-        points=sides[:, 0],
-        used=[_STATES[row.cells[1].lower()] for row in rows],
-        unit="um",
-        stated=False,
-    )
-    return [moving, replace(moving, title="target", points=sides[:, 1])]
-
-
-def _coordinates(cells: Sequence[str], rows: Rows) -> list[float | None]:
-    """Numbers in cells, infinite where they are not set; None where a cell holds none."""
-    numbers: list[float | None] = []
-    for cell in cells:
-        is_unset = cell.lstrip("+-").lower() in _UNSET
-        numbers.append(np.inf if is_unset else rows.number(cell))
-    return numbers
+    labels = [row.cells[0] or f"row {row.line}" for row in rows]
+    used = [_STATES[row.cells[1].lower()] for row in rows]
+    return [
+        PointList(
+            title=title, labels=labels, points=sides[:, k], used=used, unit="um", stated=False
+        )
+        for k, title in enumerate(("moving", "target"))
+    ]
 
 
 def _rows_of_json(content: Mapping[str, Any], name: str) -> list[CsvRow]:

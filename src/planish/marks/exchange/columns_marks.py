@@ -124,7 +124,11 @@ def _point_list(
     table: CsvTable, layout: Layout, title: str, names: Sequence[str], unit_row: Sequence[str]
 ) -> PointList:
     """Take points from the columns of these names, all of which state one unit, or none."""
-    headings = _headings(table, unit_row)
+    headings = [heading_of(cell) for cell in table.header]
+    for k, cell in enumerate(unit_row):
+        unit = heading_of(cell).unit
+        if unit:
+            headings[k] = Heading(headings[k].name, unit)
     columns = _columns_in_one_unit(headings, names)
     if not columns:
         raise MarkError(
@@ -157,16 +161,6 @@ def _point_list(
         first_centre=layout.first_centre,
         source=layout.source,
     )
-
-
-def _headings(table: CsvTable, unit_row: Sequence[str]) -> list[Heading]:
-    """Headings of a table, with the units that a further row of them states."""
-    headings = [heading_of(cell) for cell in table.header]
-    for k, cell in enumerate(unit_row):
-        unit = heading_of(cell).unit
-        if unit:
-            headings[k] = Heading(headings[k].name, unit)
-    return headings
 
 
 def _columns_in_one_unit(headings: Sequence[Heading], names: Sequence[str]) -> list[int]:

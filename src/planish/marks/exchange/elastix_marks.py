@@ -33,8 +33,22 @@ def looks_like(content: Content) -> bool:
 
 def read(content: Content) -> list[PointList]:
     """Read the points of one file, as one list."""
-    name = content.name
-    word, lines = _word_and_lines(content.text, name)
+    name, text = content.name, content.text
+    # Word and count may stand in one line or in two.
+    head = _HEAD.match(text)
+    word, count = (head[1], head[2]) if head else ("", "")
+    if head is None or not _is_count(count):
+        raise MarkError(
+            f"{name} states no number of points (found {count!r}). elastix reads {_NEEDED}."
+        )
+    lines = [line.split() for line in text[head.end() :].splitlines() if line.strip()]
+    if len(lines) != int(count):
+        raise MarkError(
+            f"{name} states {int(count)} points and holds {len(lines)} lines of coordinates."
+            " Correct the number in its second line, or add the points that are missing."
+        )
+    if not lines:
+        raise MarkError(f"{name} holds no point. elastix reads {_NEEDED}.")
     axes = len(lines[0])
     faults: list[str] = []
     points: list[list[float | None]] = []
@@ -50,26 +64,6 @@ def read(content: Content) -> list[PointList]:
     return [
         PointList(title=name, points=np.array(points, dtype=np.float64), unit=unit, stated=stated)
     ]
-
-
-def _word_and_lines(text: str, name: str) -> tuple[str | None, list[list[str]]]:
-    """The word that says what the numbers are, and those of each point."""
-    # Word and count may stand in one line or in two.
-    head = _HEAD.match(text)
-    word, count = head.groups() if head else ("", "")
-    if head is None or not _is_count(count):
-        raise MarkError(
-            f"{name} states no number of points (found {count!r}). elastix reads {_NEEDED}."
-        )
-    lines = [line.split() for line in text[head.end() :].splitlines() if line.strip()]
-    if len(lines) != int(count):
-        raise MarkError(
-            f"{name} states {int(count)} points and holds {len(lines)} lines of coordinates."
-            " Correct the number in its second line, or add the points that are missing."
-        )
-    if not lines:
-        raise MarkError(f"{name} holds no point. elastix reads {_NEEDED}.")
-    return word, lines
 
 
 def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:

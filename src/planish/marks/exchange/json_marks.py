@@ -4,7 +4,7 @@ It holds everything that is known of them, one mark a line, with a version.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
@@ -88,8 +88,19 @@ def looks_like(content: Content) -> bool:
 
 def read(content: Content) -> xr.Dataset:
     """Read the marks of a JSON file, as `make_marks` makes them."""
-    name = content.name
-    file = _checked_file(content)
+    name, entries = content.name, content.json
+    version = entries.get("version")
+    if type(version) is int and version > VERSION:
+        raise MarkError(
+            f"{name} has version {version} of the format; this planish reads up to version"
+            f" {VERSION}. Update planish, or write the marks again with the older one."
+        )
+    mark_entries: object = entries.get("marks")
+    check_count(name, len(mark_entries) if isinstance(mark_entries, list) else 0)
+    with naming_faults(name, _PAGE, error=MarkError):
+        file = _File.model_validate(dict(entries))
+    names = [layer.name for layer in file.layers]
+    raise_faults(name, _cross_field_faults(file, names), _PAGE, error=MarkError)
     places: dict[str, MarkPlaces] = {}
     about: dict[str, dict[str, Any]] = {}
     for layer in file.layers:
@@ -109,28 +120,21 @@ def read(content: Content) -> xr.Dataset:
     return marks
 
 
-def _checked_file(content: Content) -> _File:
-    """Content of a file; MarkError names all faults."""
-    name, entries = content.name, content.json
-    version = entries.get("version")
-    if type(version) is int and version > VERSION:
-        raise MarkError(
-            f"{name} has version {version} of the format; this planish reads up to version"
-            f" {VERSION}. Update planish, or write the marks again with the older one."
-        )
-    mark_entries: object = entries.get("marks")
-    check_count(name, len(mark_entries) if isinstance(mark_entries, list) else 0)
-    with naming_faults(name, _PAGE, error=MarkError):
-        file = _File.model_validate(dict(entries))
-    layers = [layer.name for layer in file.layers]
-    raise_faults(name, _cross_field_faults(file, layers), _PAGE, error=MarkError)
-    return file
-
-
 def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     """Write a JSON file, from which `read` gives the same numbers back."""
     places = {layer: model.places_of(marks, layer) for layer in model.layer_names(marks)}
-    rows = _mark_rows(marks, places)
+    used = model.used_of(marks).tolist()
+    results = {key: marks[key].values for key in RESULTS if key in marks}
+    rows: list[dict[str, Any]] = []
+    for k, label in enumerate(model.labels_of(marks)):
+        positions = {
+            layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()
+        }
+        row = {"label": label, "used": used[k], "at": positions}
+        for key, errors in results.items():
+            if np.isfinite(errors[k]):
+                row[f"{key}_um"] = float(errors[k])
+        rows.append(row)
     head: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -148,23 +152,6 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     with naming_faults("The marks cannot be written", error=MarkError):
         _File.model_validate(head | {"marks": rows})
     return {"": json_file(head, "marks", "[]", list(map(json_text, rows))).encode()}
-
-
-def _mark_rows(marks: xr.Dataset, places: Mapping[str, MarkPlaces]) -> list[dict[str, Any]]:
-    """Marks as they are written, with their places in the layers in which they are."""
-    used = model.used_of(marks).tolist()
-    results = {key: marks[key].values for key in RESULTS if key in marks}
-    rows: list[dict[str, Any]] = []
-    for k, label in enumerate(model.labels_of(marks)):
-        positions = {
-            layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()
-        }
-        row = {"label": label, "used": used[k], "at": positions}
-        for key, errors in results.items():
-            if np.isfinite(errors[k]):
-                row[f"{key}_um"] = float(errors[k])
-        rows.append(row)
-    return rows
 
 
 def _column(parts: Sequence[Part | None], key: str) -> Floats:

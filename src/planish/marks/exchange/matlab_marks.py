@@ -34,11 +34,19 @@ def looks_like(content: Content) -> bool:
 
 def read(content: Content) -> list[PointList]:
     """Read the moving and fixed points of a file."""
-    name = content.name
+    name, data = content.name, content.data
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            matrices = _matrices(io.BytesIO(content.data))
+            file = io.BytesIO(data)
+            # None for what is no small real matrix, or not asked for.
+            matrices: dict[str, Floats | None] = {}
+            for v in matlab.variables(file):
+                matrices[v.name] = None
+                # Larger matrices are images.
+                is_small = v.real and len(v.shape) == 2 and v.count <= 1_000_000
+                if is_small and v.name in _WANTED:
+                    matrices[v.name] = matlab.values(file, v).astype(np.float64)
     except Exception as error:
         raise FileError(
             f"{name} cannot be read as a MATLAB file: {error or type(error).__name__}. {_SAVE}"
@@ -59,18 +67,6 @@ def read(content: Content) -> list[PointList]:
         PointList(title="moving", points=moving - 1.0, unit="pixel", stated=True),
         PointList(title="fixed", points=fixed - 1.0, unit="pixel", stated=True),
     ]
-
-
-def _matrices(file: io.BytesIO) -> dict[str, Floats | None]:
-    """Variables of a file; None for what is no small real matrix, or not asked for."""
-    matrices: dict[str, Floats | None] = {}
-    for v in matlab.variables(file):
-        matrices[v.name] = None
-        # Larger matrices are images.
-        is_small = v.real and len(v.shape) == 2 and v.count <= 1_000_000
-        if is_small and v.name in _WANTED:
-            matrices[v.name] = matlab.values(file, v).astype(np.float64)
-    return matrices
 
 
 def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:

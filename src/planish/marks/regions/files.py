@@ -75,17 +75,18 @@ def read_regions(path: str | Path) -> Regions:
     name = Path(path).name
     content = read_bytes(path, what="file of regions", most_bytes=LARGEST_FILE)
     units: object = "pixel"
+    readers: list[tuple[str, Callable[[], Region]]] = []
     if content.startswith((ZIP, ROI)):
         remedy = _DRAW
-        readers = _readers_of_imagej(content, name)
+        for part_name, data in selections_in(content, name, most=MOST_REGIONS, remedy=_DRAW):
+            read_part = partial(_selection, data, PurePosixPath(part_name).stem)
+            readers.append((repr(part_name[:80]), read_part))
     else:
         remedy = "Coordinates are [x, y] in um of the reference; docs/linking.md shows an example."
         root, features = _features(content, name)
         units = root.get("units", "pixel" if any(map(_is_of_qupath, features)) else "um")
-        titles = [f"region {k + 1}" for k in range(len(features))]
-        readers = [
-            (title, partial(_region, f, title)) for title, f in zip(titles, features, strict=True)
-        ]
+        for k, feature in enumerate(features, 1):
+            readers.append((f"region {k}", partial(_region, feature, f"region {k}")))
     in_pixels = units in ("pixel", "px")
     faults: list[str] = []
     if units != "um" and not in_pixels:
@@ -110,15 +111,6 @@ def read_regions(path: str | Path) -> Regions:
             " MultiPolygons."
         )
     return Regions(declared=tuple(regions), in_pixels=in_pixels)
-
-
-def _readers_of_imagej(content: bytes, name: str) -> list[tuple[str, Callable[[], Region]]]:
-    """What reads each selection of a file of ImageJ, by the name of the selection."""
-    readers: list[tuple[str, Callable[[], Region]]] = []
-    for part_name, data in selections_in(content, name, most=MOST_REGIONS, remedy=_DRAW):
-        read_part = partial(_selection, data, PurePosixPath(part_name).stem)
-        readers.append((repr(part_name[:80]), read_part))
-    return readers
 
 
 def _selection(data: bytes, default_name: str) -> Region:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage, optimize
 
+from planish.core.robust import rms_length
 from planish.core.transform import NearSimilarity, Similarity, nearest_similarity
 from planish.core.typing import Bools, Floats, Pair
 from planish.register.by_texture.rotations import Names, compared
@@ -50,7 +51,7 @@ def tuned_place(
     maps = np.stack([moving.maps[k][rows, cols] for k in (names[0], *other_maps)])
     middle = points.mean(axis=0)
     image = _Sampled(fixed, names[1])
-    arm_um = float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1))))
+    arm_um = rms_length(points - middle)
 
     def placed(p: Floats) -> Similarity:
         turn = replace(

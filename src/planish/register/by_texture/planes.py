@@ -11,7 +11,7 @@ import xarray as xr
 from planish.core.area import common_means
 from planish.core.errors import InputError
 from planish.core.facts import Side
-from planish.core.grid import Grid, centres_of, hole_mask
+from planish.core.grid import Grid, centres_of, grid_points, hole_mask
 from planish.core.older_names import height_map
 from planish.core.transform import Similarity
 from planish.core.typing import Array, Bools, Floats
@@ -89,7 +89,7 @@ class TexturedPlane:
     def corners_um(self) -> Floats:
         """Its corners, (4, 2)."""
         x, y = (a[[0, -1]] for a in (self.grid.x_um, self.grid.y_um))
-        return np.stack(np.meshgrid(x, y), axis=-1).reshape(4, 2)
+        return grid_points(x, y).reshape(4, 2)
 
     def scaled(self, factor: float) -> TexturedPlane:
         """The layer with lengths that are larger by a factor."""
