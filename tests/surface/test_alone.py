@@ -10,6 +10,7 @@ from planish.core.frame import Frame
 from planish.core.tiles import Engine
 from planish.measure import measure_properties
 from planish.surface import SurfaceParams, find_surfaces
+from planish.surface.alone import _grey
 from planish.surface.columns import Columns, make_guide
 from planish.surface.learn import learn_priors
 from planish.surface.survey import take_survey
@@ -118,3 +119,13 @@ def test_a_scan_without_noise_has_no_error_below_that_of_its_levels():
     stated = found["coating_top_se"].values
     off = np.abs(np.nanmean(found["coating_top"].values) - 15.0)
     assert off < np.nanmin(stated) < 0.1 * sheet.voxel
+
+
+def test_a_change_with_depth_that_one_place_shows_is_not_called_certain():
+    count, half = np.full((5, 3), 400.0), np.zeros((5, 3))
+    half[:, 1] = 6.0
+    found = _grey(np.array([count, 150.0 * count, half, 150.0 * half, 165.0 * half]))
+    assert (found.deepening, found.deepening_error) == (0.0, 0.0)
+    half[:] = 6.0
+    found = _grey(np.array([count, 150.0 * count, half, 150.0 * half, 165.0 * half]))
+    assert found.deepening == pytest.approx(15.0)

@@ -29,6 +29,7 @@ _BLOCK_UM = 100.0  # greys of places farther apart are independent
 _EDGE, _PATCH_VOXELS = 96, 2**20  # of a patch: columns along an edge, and voxels at most
 _ROUND, _ROUNDS = 2**16, 2  # columns of a round of patches; another one where too little was seen
 _OF_MEDIAN = float(np.sqrt(0.5 * np.pi))  # standard error of a median over that of a mean
+_LEAST_PLACES = 2.0  # whose differences say how sure their median is
 _UNKNOWN = 1e6  # depth of a face that is not known: nothing beside it is alone
 
 
@@ -149,6 +150,8 @@ def _grey(sums: Floats) -> LoneGrey | None:
             continue
         level, error, spread = _weighted(grey, count)
         deepening, deepening_error, half_spread = _weighted(inner - outer, half)
+        if half.sum() ** 2 < _LEAST_PLACES * np.square(half).sum():
+            deepening = deepening_error = 0.0  # one place shows both halves: nothing is known
         # Noise moves the difference of two halves twice as far as their mean.
         noise = 0.5 * half_spread
         return LoneGrey(
