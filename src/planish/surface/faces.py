@@ -33,8 +33,8 @@ class Faces:
     """Faces of every column.
 
     ``heights``: of both faces and the interfaces below them, (rows, cols) in um, NaN where nothing
-    was found; ``stuck`` (rows, cols): columns below an attached particle; ``particles``: how many
-    particles were removed.
+    was found; ``below_particle`` (rows, cols): columns below an attached particle; ``particles``:
+    how many particles were removed.
     """
 
     heights: dict[str, Floats]

@@ -334,7 +334,8 @@ class _Learner(Sampler):
         search_px = self.search_px
         if self.embedded_level:
             return _fit_kernels.nearest(grey, expected, search_px, self.embedded_level)
-        first, last = max(int(expected - search_px), 0), int(expected + search_px) + 1
+        first = max(int(expected - search_px), 0)
+        last = int(expected + search_px) + 1
         return _fit_kernels.outermost(grey, first, last, 0.5 * self.base_level)
 
     def _first_side(self, profile: Floats, undershoot: float) -> Side:
@@ -376,7 +377,8 @@ class _Learner(Sampler):
         plateau = plateau[: int(0.8 * plateau.size)]  # the blur of the layer below is left out
         if brightest * self.columns.pitch[2] < _LEAST_COVER_UM or plateau.size < 3:
             return 0.0
-        level, peak_level = np.median(plateau), profile[brightest]
+        level = np.median(plateau)
+        peak_level = profile[brightest]
         is_even = float(np.ptp(plateau)) < 0.15 * float(level)
         if not is_even or level >= 0.8 * peak_level:
             return 0.0
@@ -430,7 +432,8 @@ class _Learner(Sampler):
         ``is_known``: the coating's grey is, from elsewhere.
         """
         sample = self.sample_of[from_high]
-        level, spread = side.level.copy(), side.spread.copy()
+        level = side.level.copy()
+        spread = side.spread.copy()
         side = replace(side, level=level, spread=spread, wall_below=0.0)
         for _ in range(2):
             fit = self.fit(sample, side, self.edge)
