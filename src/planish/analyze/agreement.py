@@ -17,6 +17,7 @@ from planish.analyze.correlation import (
     Correlation,
     check_varying,
     correlate,
+    filled,
     sums_of,
     valid_pixels,
 )
@@ -108,7 +109,7 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     check_varying(is_valid)
-    x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
+    x, y = filled(is_valid, (a, b), 0.0)
     sums = sums_of(x[is_valid], y[is_valid])
     differences = y - x
     slope, _, slope_x_on_y = sums.lines
@@ -379,7 +380,7 @@ def compare_instruments(
     (50.0, 0.98, 0.2)
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
-    x, y = (np.where(is_valid, m, np.nan).astype(np.float64) for m in (a, b))
+    x, y = filled(is_valid, (a, b), np.nan)
     correlation = correlate(x, y, pixel_um=pixel, point_um=point_um)
     points, size = (x, y), pixel
     if point_um is not None:

@@ -15,6 +15,7 @@ from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import (
     LEAST_CLAIMED,
     correlate,
+    filled,
     pearson,
     valid_pixels,
 )
@@ -90,7 +91,7 @@ def conley_interval(
         a, b = (area_mean(np.where(is_valid, m, np.nan), factor) for m in (a, b))
         pixel = (point_um, point_um)
         is_valid = np.isfinite(a)
-    x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
+    x, y = filled(is_valid, (a, b), 0.0)
     r = pearson(x[is_valid], y[is_valid])
     error = critical = ratio = math.nan
     if correlation.n_eff >= LEAST_CLAIMED and 1 - r * r >= 1e-14:

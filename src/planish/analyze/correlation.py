@@ -4,7 +4,7 @@
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any, Self
 
@@ -345,6 +345,11 @@ def valid_pixels(
     pixel = on_one_grid(a, b, pixel_um, mask)
     is_valid = np.isfinite(np.asarray(a)) & np.isfinite(np.asarray(b))
     return is_valid if mask is None else is_valid & np.asarray(mask), pixel
+
+
+def filled(is_valid: Bools, maps: Sequence[Array], value: float) -> list[Floats]:
+    """Maps in double precision, with a value where a pixel does not count."""
+    return [np.where(is_valid, m, value).astype(np.float64) for m in maps]
 
 
 def check_varying(is_valid: Bools, **maps: Array) -> None:

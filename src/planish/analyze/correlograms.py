@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy import fft, ndimage, optimize, special
 
 from planish.analyze.compared_maps import ComparedMaps
-from planish.analyze.correlation import LEAST_CLAIMED, check_varying, on_one_grid
+from planish.analyze.correlation import LEAST_CLAIMED, check_varying, filled, on_one_grid
 from planish.analyze.distributions import normal_tail
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Interval, ResultModel, Value
@@ -248,7 +248,7 @@ def _limits(
     maps: list[Array], lags: Lags, pairs: Floats, looked_at: Bools
 ) -> tuple[float, Floats, Floats]:
     """Independent points, and the limits of ``|r|`` by lag: at this lag alone, and at any lag."""
-    x, y = (np.where(lags.is_valid, m, 0.0).astype(np.float64) for m in maps)
+    x, y = filled(lags.is_valid, maps, 0.0)
     pair = PairCovariances(x, y, lags)
     n_eff = pair.n_eff(lags.n)
     unknown = np.full(pairs.shape, math.nan)

@@ -62,7 +62,8 @@ class RandomSheet(ResultModel):
         least = 2 * math.ceil(1000.0 * self.length_mm / cell_um)
         size = [_PARTS * fft.next_fast_len(max(count, least)) for count in shape]
         step_um = cell_um / _PARTS
-        along_y, along_x = fft.fftfreq(size[0], step_um), fft.rfftfreq(size[1], step_um)
+        along_y = fft.fftfreq(size[0], step_um)
+        along_x = fft.rfftfreq(size[1], step_um)
         radius = np.hypot(along_y[:, None], along_x)
         table = np.concatenate(
             [[0.0], np.geomspace(0.02 * radius[0, 1], radius.max() * 1.001, 800)]
@@ -166,8 +167,10 @@ def _variance_of_cells(is_known: Any, sheet: RandomSheet, cell_um: float) -> Pai
     mask = fft.rfft2(is_known.astype(np.float64), shape)
     pairs = fft.irfft2(np.abs(mask) ** 2, shape)
     sums = fft.irfft2(fft.rfft2(covariance) * mask, shape)[: is_known.shape[0], : is_known.shape[1]]
-    n, rows = int(np.count_nonzero(is_known)), sums[is_known]
-    centred = n * float(covariance[0, 0]) - float(rows.sum()) / n
+    n = int(np.count_nonzero(is_known))
+    rows = sums[is_known]
+    total = float(rows.sum())
+    centred = n * float(covariance[0, 0]) - total / n
     trace = float(np.sum(pairs * covariance**2)) - 2.0 / n * float(np.sum(rows**2))
-    trace += float(rows.sum()) ** 2 / n**2
+    trace += total**2 / n**2
     return centred / (n - 1), centred**2 / trace

@@ -18,6 +18,7 @@ from planish.analyze.correlation import (
     Correlation,
     PointsCorrelation,
     correlate,
+    filled,
     pearson,
     valid_pixels,
 )
@@ -109,7 +110,7 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     (0.62, 0.68)
     """
     is_valid, _ = valid_pixels(a, b, point_um)
-    a, b = (np.where(is_valid, m, np.nan).astype(np.float64) for m in (a, b))
+    a, b = filled(is_valid, (a, b), np.nan)
     x, y = (m[is_valid] - m[is_valid].mean() for m in (a, b))
     side = min(np.count_nonzero(is_valid.any(axis=axis)) for axis in (0, 1))
     if x.size < 3 * _TERMS or side < _LEAST_SIDE:

@@ -288,16 +288,17 @@ def _checked_size(array: object, kind: ArrayKind, call_format: str) -> tuple[flo
     fix = call_format.format(conversion_call(array, kind))
     if not isinstance(array, xr.DataArray):
         raise not_taken(array, kind.with_article, fix, call_format)
-    check_values(array, kind, [str(name) for name in array.dims])
+    check_values(array, kind, [*map(str, array.dims)])
     stated_um: Sequence[float] | None = array.attrs.get(kind.size_attribute)
     steps = [step_um(array, axis) for axis in kind.axes]
     # An image may be known by its size alone; faces are heights along a volume's coordinates.
     has_coords = kind is IMAGE or array.coords.keys() >= {*kind.axes}
     if not has_coords or (stated_um is None and None in steps):
         raise SizeError(f"The {kind.name} has no size along its axes. Write {fix}.")
+    sizes = [1.0] * len(steps) if stated_um is None else stated_um
+    size_um = tuple(float(step or size) for step, size in zip(steps, sizes, strict=True))
     if stated_um is None:
-        return tuple(step or 1.0 for step in steps)
-    size_um = tuple(float(step or stated) for step, stated in zip(steps, stated_um, strict=True))
+        return size_um
     if not all(map(agree, size_um, stated_um)):
         step_text = _sizes_text(size_um, ", ")
         raise SizeError(

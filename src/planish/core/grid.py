@@ -103,7 +103,8 @@ def filled(field: Floats) -> Floats:
     """
     from scipy import ndimage
 
-    values, is_missing = field.copy(), ~np.isfinite(field)
+    values = field.copy()
+    is_missing = ~np.isfinite(field)
     if is_missing.any() and not is_missing.all():
         nearest = ndimage.distance_transform_edt(
             is_missing, return_distances=False, return_indices=True

@@ -226,7 +226,7 @@ def _chosen(
 
     Where none is named, all that were measured, and all properties, the headline first.
     """
-    variables = {str(name): variable for name, variable in surfaces.data_vars.items()}
+    variables = dict(zip(map(str, surfaces.data_vars), surfaces.data_vars.values(), strict=True))
     names = [n for n, v in variables.items() if v.ndim == 2 and v.dtype.kind in "fiub"]
     checked = checked_names(requested, names, "surfaces")
     maps = [name for name in checked if name not in SURFACES]
@@ -238,7 +238,7 @@ def _chosen(
 
 def _measured_surfaces(surfaces: xr.Dataset, names: Sequence[str]) -> list[str]:
     """Surfaces among some names, or all; InputError where one of them was not measured."""
-    present = [name for name in SURFACES if name in surfaces]
+    present = filter(surfaces.__contains__, SURFACES)
     measured = [name for name in present if np.isfinite(surfaces[name].values).any()]
     chosen = [name for name in names if name in SURFACES] or measured
     unmeasured = [name for name in chosen if name not in measured]

@@ -129,9 +129,12 @@ class _Stack:
     @classmethod
     def _of_maps(cls, maps: Maps) -> _Stack:
         names = maps.names
-        axes, shape, dtype = "YX", maps.shape, np.dtype(np.float32)
+        axes = "YX"
+        shape: Shape = maps.shape
+        dtype = np.dtype(np.float32)
         if len(names) > 1:
-            axes, shape = "CYX", (len(names), *shape)
+            axes = "CYX"
+            shape = (len(names), *maps.shape)
         elif maps.data[names[0]].dtype.kind in "bu":
             dtype = np.dtype(np.uint8)
         return cls(

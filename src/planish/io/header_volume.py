@@ -409,7 +409,8 @@ def _raw_header(path: Path) -> Header:
     fields = toml_tables(header_file.name, read_text(header_file, what="header"))
     data_name = str(fields.get("file", header_file.name[: -len(".toml")]))
     data_file = referenced_file(header_file.parent, data_name, header_file)
-    faults = [*_raw_faults(fields)]
+    unknown_texts = [f"unknown key {key!r}" for key in fields if key not in KEYS]
+    faults = [*unknown_texts, *_raw_faults(fields)]
     if faults:
         raise FileError(f"{header_file.name}: {'; '.join(faults)}. Correct the header, {EXAMPLE}.")
     stated = Stated("the TOML header", (None, None, None), "it has no voxel_um")
@@ -430,9 +431,6 @@ def _raw_header(path: Path) -> Header:
 
 def _raw_faults(fields: Fields) -> Iterator[str]:
     """Faults of a TOML header of raw values, in words."""
-    for key in fields:
-        if key not in KEYS:
-            yield f"unknown key {key!r}"
     shape, dtype, byte_order = map(fields.get, ("shape", "dtype", "byte_order"))
     if not _are_three(shape, int):
         yield f"shape is {shape!r}, needed are three whole numbers [z, y, x]"

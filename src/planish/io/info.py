@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,7 +51,28 @@ from planish.io.volume import load_volume, open_volume
 SENTENCES = ("doubts", "notes")  # attributes of a volume that are said on their own
 # Finds the size and its source, or raises SizeError.
 Agreed = Callable[..., tuple[tuple[float, ...], str]]
-ValueFacts = Callable[[Values, int | None, Texts, bool], Entries]
+
+
+class _Look(NamedTuple):
+    """What may be looked at in a file, and what is to be said about it."""
+
+    most_bytes: int | None  # that may be decoded for its values; None where headers alone are read
+    show: Callable[[Values], None] | None
+    warnings: list[str]
+
+    def facts(self, values: Values, largest: int | None, dims: Texts, *, is_read: bool) -> Entries:
+        """Facts of values that were read, or of those that are declared."""
+        if is_read:
+            facts = inspect_values(values, largest, self.warnings, dims=dims)
+            if self.show is not None:
+                self.show(values)
+            return facts
+        if self.most_bytes is not None:
+            size_gb = math.prod(values.shape) * values.dtype.itemsize / 1e9
+            self.warnings.append(
+                f"Its {size_gb:.2g} GB can only be decoded whole, so no grey was looked at."
+            )
+        return declared_facts(values, dims)
 
 
 def describe(
@@ -108,53 +130,37 @@ def describe(
     memory_bytes = LOOK_BYTES if memory_bytes is None else memory_bytes
     options: Entries = {"override": override_size, "unusual": True}
     named_options = options | {"file_name": place.path.name}
-    warnings: list[str] = []
-
-    def value_facts(shown: Values, largest: int | None, dims: Texts, is_read: bool) -> Entries:
-        if is_read:
-            facts = inspect_values(shown, largest, warnings, dims=dims)
-            if look is not None:
-                look(shown)
-            return facts
-        if values:
-            size_gb = math.prod(shown.shape) * shown.dtype.itemsize / 1e9
-            warnings.append(
-                f"Its {size_gb:.2g} GB can only be decoded whole, so no grey was looked at."
-            )
-        return declared_facts(shown, dims)
-
     # What can be read of the values only by decoding more than that, is not.
-    most_bytes = memory_bytes if values else None
+    look_at = _Look(memory_bytes if values else None, look, [])
     if is_section_folder(place.path):
         kind = "sections"
         sections = open_sections(place.path, channel=channel, memory_bytes=memory_bytes)
         facts = _describe_sections(
-            sections, partial(sections.agreed_size, voxel_um, **options), warnings
+            sections, partial(sections.agreed_size, voxel_um, **options), look_at.warnings
         )
     elif is_image(place):
         find_size = partial(agreed_size, asked=PIXEL, user_um=pixel_um, **named_options)
         kind = "image"
-        facts = _describe_image(place.path, find_size, most_bytes, value_facts, warnings)
+        facts = _describe_image(place.path, find_size, look_at)
     else:
         find_size = partial(agreed_size, asked=VOXEL, user_um=voxel_um, **named_options)
         kind = "volume"
-        facts = _describe_volume(place, find_size, channel, most_bytes, value_facts, warnings)
-    return {"kind": kind, "file_name": place.path.name, **facts, "warnings": warnings}
+        facts = _describe_volume(place, find_size, channel, look_at)
+    return {"kind": kind, "file_name": place.path.name, **facts, "warnings": look_at.warnings}
 
 
 def _describe_volume(
     place: Place,
     find_size: Agreed,
     channel: str | None,
-    most_bytes: int | None,
-    value_facts: ValueFacts,
-    warnings: list[str],
+    look_at: _Look,
 ) -> Entries:
     """Report what a volume holds; of its values, if they can be read within ``most_bytes``."""
+    warnings = look_at.warnings
     loaded = None
-    if most_bytes is not None:
+    if look_at.most_bytes is not None:
         with suppress(ResourceError):
-            loaded = load_volume(place, channel=channel, memory_bytes=most_bytes)
+            loaded = load_volume(place, channel=channel, memory_bytes=look_at.most_bytes)
     is_read = loaded is not None
     # Of what does not fit into the memory, the values are not read.
     loaded = loaded or open_volume(place, channel=channel)
@@ -162,9 +168,8 @@ def _describe_volume(
     file_format = format_of(place)
     warnings += loaded.attrs.get("doubts", [])
     warnings += filter(None, [hand_sentence(loaded.attrs, "volume")])
-    facts = value_facts(
-        grey_values, full_scale(grey_values.dtype, loaded.bits), VOXEL.axes, is_read
-    )
+    largest = full_scale(grey_values.dtype, loaded.bits)
+    facts = look_at.facts(grey_values, largest, VOXEL.axes, is_read=is_read)
     size_facts = _size_facts(
         partial(find_size, loaded.stated),
         grey_values.shape,
@@ -210,29 +215,21 @@ def _describe_sections(sections: SectionStack, find_size: Agreed, warnings: list
         warnings.append(
             f"{subject_text} missing between the others, at most {n_missing.max()} in a row."
         )
-    facts = inspect_values(
-        sections.values,
-        full_scale(sections.values.dtype, sections.first.bits),
-        warnings,
-        dims=VOXEL.axes,
-    )
+    largest = full_scale(sections.values.dtype, sections.first.bits)
+    facts = inspect_values(sections.values, largest, warnings, dims=VOXEL.axes)
     return {"bytes": sections.file_bytes, **facts, **size_facts}
 
 
-def _describe_image(
-    path: Path,
-    find_size: Agreed,
-    most_bytes: int | None,
-    value_facts: ValueFacts,
-    warnings: list[str],
-) -> Entries:
+def _describe_image(path: Path, find_size: Agreed, look_at: _Look) -> Entries:
     """Report what an image holds.
 
     Its values are those of the luminance, or of channel 0 where there is none.
     """
+    warnings = look_at.warnings
     picture = None
-    with suppress(ResourceError):
-        picture = None if most_bytes is None else load_picture(path, memory_bytes=most_bytes)
+    if look_at.most_bytes is not None:
+        with suppress(ResourceError):
+            picture = load_picture(path, memory_bytes=look_at.most_bytes)
     is_read = picture is not None
     picture = picture or load_picture(path, decode=False)
     full_values, shape = picture.values, picture.values.shape[:2]
@@ -250,9 +247,8 @@ def _describe_image(
         warnings.append("JPEG loses detail and adds block edges. Use TIFF or PNG if there is one.")
     warnings += filter(None, [hand_sentence(picture_attrs(picture.orientation), "image")])
     shown_values = channel_values if is_read else full_values
-    facts = value_facts(
-        shown_values, full_scale(full_values.dtype, picture.bits), PIXEL.axes, is_read
-    )
+    largest = full_scale(full_values.dtype, picture.bits)
+    facts = look_at.facts(shown_values, largest, PIXEL.axes, is_read=is_read)
     if is_read and stride > 1:
         facts["sampled"] = f"every {stride} rows and columns"
     stated = across(picture.stated)

@@ -330,12 +330,9 @@ def sensitivity(
     all_figures, _ = measure("all together", all_nuisances)
     loud = {stage: all_figures.get(name) for stage, name in keys.items()}
     ratio = {stage: _ratio(stage, keys, quiet, loud, rows) for stage in keys}
-    deviating = [
-        stage for stage, r in ratio.items() if r is not None and not 1 / _AGREES <= r <= _AGREES
-    ]
+    # Without the only nuisance nothing is left to compare.
+    deviating = _deviating_stages(ratio) if len(names) > 1 else []
     figures_without: dict[str, Values] = {}
-    if len(names) == 1:
-        deviating = []  # without it nothing is left to compare
     for name in names if deviating else ():
         remaining = tuple(other for other in names if other != name)
         figures_without[name], _ = measure(f"all but {NUISANCES[name].title}", remaining)
@@ -362,6 +359,12 @@ def _nuisances_of(scenario: Scenario) -> list[str]:
             " small."
         )
     return scenario.active
+
+
+def _deviating_stages(ratio: Values) -> list[str]:
+    """Stages whose single errors do not add up to the whole."""
+    known = {stage: r for stage, r in ratio.items() if r is not None}
+    return [stage for stage, r in known.items() if not 1 / _AGREES <= r <= _AGREES]
 
 
 def _key_figures(measured: Container[str]) -> dict[str, str]:
