@@ -204,8 +204,8 @@ def pattern_dxf(pattern: Pattern) -> str:
         groups += _text("NUMBERS", x + 0.6 * diameter + pattern.rim_um, y, diameter, label)
     (x, y), (w, h), arm = pattern.field_low_um, pattern.field_um, 3 * diameter
     for layer, corners in (
-        ("FIELD", ((x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y))),
-        ("VIEW", ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))),
+        ("FIELD", _rectangle(x, y, x + w, y + h)),
+        ("VIEW", _rectangle(x0, y0, x1, y1)),
         ("ORIGIN", ((x0, y0), (x0 + arm, y0))),
         ("ORIGIN", ((x0, y0), (x0, y0 + arm))),
     ):
@@ -215,6 +215,10 @@ def pattern_dxf(pattern: Pattern) -> str:
     groups += _text("ORIGIN", x0, y0 + arm, diameter, "y")
     groups += [(0, "ENDSEC"), (0, "EOF")]
     return head + _lines(groups)
+
+
+def _rectangle(x0: float, y0: float, x1: float, y1: float) -> tuple[Pair, ...]:
+    return (x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)
 
 
 def _lines(groups: Groups) -> str:

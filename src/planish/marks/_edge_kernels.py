@@ -29,6 +29,13 @@ def sample(image, x, y):
 
 
 @njit(cache=True, nogil=True)
+def ray(k, rays, step, px, py):
+    """Give the columns and rows of the image that a step along ray ``k`` of so many takes."""
+    angle = 2 * np.pi * k / rays
+    return np.cos(angle) * step / px, np.sin(angle) * step / py
+
+
+@njit(cache=True, nogil=True)
 def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):  # noqa: C901, PLR0912
     """Return the radius of the innermost strong edge on each ray (NaN where there is none)."""
     count = int((high + window) / dt) + 2
@@ -40,9 +47,7 @@ def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):  
     sums = np.empty(count + 1)
     radii = np.full(rays, np.nan)
     for k in range(rays):
-        angle = 2 * np.pi * k / rays
-        sx = np.cos(angle) * dt / px
-        sy = np.sin(angle) * dt / py
+        sx, sy = ray(k, rays, dt, px, py)
         sums[0] = 0.0
         last = count
         for t in range(count):
@@ -109,10 +114,8 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search):  # noqa: C901,
     width = max(7.0, 0.8 * pixel)
     reach = max(1, int(round(max(5.0, pixel) / dt)))
     for k in range(rays):
-        angle = 2 * np.pi * k / rays
         x0, y0 = cx / px, cy / py
-        sx = np.cos(angle) / px
-        sy = np.sin(angle) / py
+        sx, sy = ray(k, rays, 1.0, px, py)
         start = max(0.0, model[k] - search - reach * dt)
         # A model that bends to the other side of its centre has no edge there.
         count = max(0, int((model[k] + search + reach * dt - start) / dt) + 2)
@@ -180,9 +183,7 @@ def first_crossings(image, px, py, cx, cy, sign, level, reach, dt, rays):
     radii = np.full(rays, np.nan)
     count = int(reach / dt) + 1
     for k in range(rays):
-        angle = 2 * np.pi * k / rays
-        sx = np.cos(angle) / px
-        sy = np.sin(angle) / py
+        sx, sy = ray(k, rays, 1.0, px, py)
         before = sign * sample(image, cx / px, cy / py)
         for t in range(1, count):
             after = sign * sample(image, cx / px + sx * t * dt, cy / py + sy * t * dt)
@@ -204,9 +205,7 @@ def levels(image, px, py, cx, cy, sign, radius):
     wall = np.empty(rays)
     outside = np.empty(rays * rings)
     for k in range(rays):
-        angle = 2 * np.pi * (k + 0.5) / rays
-        sx = np.cos(angle) / px
-        sy = np.sin(angle) / py
+        sx, sy = ray(k + 0.5, rays, 1.0, px, py)
         for s in range(rings):
             # Equal areas: radii go with the square root.
             r = 0.65 * radius * np.sqrt((s + 0.5) / rings)

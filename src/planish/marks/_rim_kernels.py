@@ -7,7 +7,7 @@ Images as in `_edge_kernels`.
 import numpy as np
 
 from planish.core.jit import njit
-from planish.marks._edge_kernels import sample
+from planish.marks._edge_kernels import ray, sample
 
 # A step of this share of the whole one makes a rim as good as any; the innermost of those is taken,
 # where going out by a radius costs as much as this share of the rays without an edge. A rim lies in
@@ -26,9 +26,7 @@ def polar_rises(image, px, py, cx, cy, sign, dt, count, reach, rays):
     rises = np.full((rays, count), np.nan)
     sums = np.empty(count + 1)
     for k in range(rays):
-        angle = 2 * np.pi * k / rays
-        sx = np.cos(angle) * dt / px
-        sy = np.sin(angle) * dt / py
+        sx, sy = ray(k, rays, dt, px, py)
         sums[0] = 0.0
         for t in range(count):
             sums[t + 1] = sums[t] + sign * sample(image, cx / px + sx * t, cy / py + sy * t)
@@ -148,9 +146,7 @@ def darkest_beyond(image, px, py, cx, cy, sign, model, beyond, width):
     for k in range(rays):
         if model[k] != model[k]:
             continue
-        angle = 2 * np.pi * k / rays
-        sx = np.cos(angle) / px
-        sy = np.sin(angle) / py
+        sx, sy = ray(k, rays, 1.0, px, py)
         # A model that bends to the other side of its centre has no length there.
         count = max(0, int(2 * beyond * model[k] / min(px, py))) + 2
         total, used = 0.0, 0

@@ -195,19 +195,19 @@ def _search(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats
         return share, holes
     # Where the grey of the sheet is hardly that of what fills its holes, as in resin, noise makes
     # floors uneven.
-    smooth = _smoothed(share, pixel_um)
-    smooth_holes = find_holes(
-        smooth, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark"
-    )
+    smooth, smooth_holes = _smooth_holes(share, pixel_um, diameter_range)
     if smooth_holes.sizes["mark"] > holes.sizes["mark"]:
         return smooth, smooth_holes
     return share, holes
 
 
-def _smoothed(share: Floats, pixel_um: Pair) -> Floats:
+def _smooth_holes(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats, xr.Dataset]:
+    """Take the noise out of a layer; give it and its holes."""
     has_data = np.isfinite(share)
     sums, weights = masked_gaussian(share, has_data, [NOISE_UM / step for step in pixel_um])
-    return np.where(has_data, sums / np.where(has_data, weights, 1.0), np.nan)
+    smooth = np.where(has_data, sums / np.where(has_data, weights, 1.0), np.nan)
+    holes = find_holes(smooth, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark")
+    return smooth, holes
 
 
 def _by_faces(
@@ -220,8 +220,7 @@ def _by_faces(
     not_taken = holes.attrs["not_taken"]
     if faces is None or not (not_taken["no_rim"] or not_taken["not_round"]):
         return None
-    smooth = _smoothed(faces.values, pixel_um)
-    face_holes = find_holes(smooth, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark")
+    _, face_holes = _smooth_holes(faces.values, pixel_um, diameter_range)
     return face_holes if face_holes.sizes["mark"] > holes.sizes["mark"] else None
 
 

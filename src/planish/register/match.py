@@ -105,10 +105,8 @@ def match_marks(
     Hirn et al. (2009), section 2.4. Moisan and Stival (2004), Int. J. Comput. Vis. 57, 201,
     doi:10.1023/B:VISI.0000013094.38752.54 (agreement judged against chance).
     """
-    source, target = (
-        _usable_points(marks, f"marks of the {name}", _HINT)
-        for marks, name in zip((moving, fixed), names, strict=True)
-    )
+    source = _usable_points(moving, f"marks of the {names[0]}", _HINT)
+    target = _usable_points(fixed, f"marks of the {names[1]}", _HINT)
     sides_text = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
     limits = (scale_tolerance, tolerance_um)
     choice = choose(source, target, *limits, hands=(False, True) if mirror else (False,))
@@ -239,10 +237,10 @@ def match_by_design(
     MarkError
         If a position is not finite, an array has another shape, or there is not one label a hole.
     """
-    side_points = [
-        _usable_points(marks, f"marks of the {layer}", _PAIRS_HINT)
-        for marks, layer in zip((moving, fixed), names, strict=True)
-    ]
+    side_points = (
+        _usable_points(moving, f"marks of the {names[0]}", _PAIRS_HINT),
+        _usable_points(fixed, f"marks of the {names[1]}", _PAIRS_HINT),
+    )
     holes = _usable_points(design, "designed holes", _PAIRS_HINT)
     labels = tuple(str(k + 1) for k in range(len(holes))) if labels is None else tuple(labels)
     if len(labels) != len(holes):

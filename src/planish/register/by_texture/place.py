@@ -212,10 +212,10 @@ def _shared(
     """
     reach = 3  # pixels along either axis
     lags = (reach + MARGIN, reach + MARGIN)
+    is_near = within((reach, reach))
     search = LagSearch(shown, image, is_valid, lags)
-    search_without = LagSearch(shown[:-slopes], image, is_valid, lags)
-    with_slopes = find_peak(search.share, within((reach, reach)))
-    without = find_peak(search_without.share, within((reach, reach)))
+    with_slopes = find_peak(search.share, is_near)
+    without = find_peak(LagSearch(shown[:-slopes], image, is_valid, lags).share, is_near)
     if with_slopes is None or without is None or not with_slopes.inner:
         return np.diag([(0.5 * reach * p) ** 2 for p in pixel_um[::-1]])
     taken_off = _OF_LIGHT * (with_slopes.summit_px - without.summit_px)
