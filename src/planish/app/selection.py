@@ -191,11 +191,13 @@ def density(
         window = region.on(a, level)
         x, y = x[window], y[window]
     is_valid = np.isfinite(x) & np.isfinite(y)
-    bins = [
-        np.floor((values[is_valid] - low) * (_BINS / (high - low))).astype(np.int64)
-        for values, (low, high) in zip((x, y), limits, strict=True)
-    ]
-    is_within = np.logical_and(*((bin_index >= 0) & (bin_index < _BINS) for bin_index in bins))
+    bins = np.stack(
+        [
+            np.floor((values[is_valid] - low) * (_BINS / (high - low))).astype(np.int64)
+            for values, (low, high) in zip((x, y), limits, strict=True)
+        ]
+    )
+    is_within = ((bins >= 0) & (bins < _BINS)).all(axis=0)
     counts = np.bincount((bins[1] * _BINS + bins[0])[is_within], minlength=_BINS**2).astype("<u4")
     n = int(np.count_nonzero(is_valid))
     (a_low, a_high), (b_low, b_high) = limits

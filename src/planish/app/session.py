@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Self
 
@@ -380,7 +381,8 @@ def _image_params(run: Path, image: ImageParams | None, results: Results) -> Ima
     image = with_paths(image, lambda file: str(Path(file).resolve()))
     options = image.model_dump(exclude_unset=True)
     recorded = noted_study(run)
-    for layer in () if recorded is None else recorded.layers:
+    layers = () if recorded is None else recorded.layers
+    for layer in layers:
         if layer.image is not None and layer.image.path == image.path:
             return layer.image.model_copy(update=options)
     return ImageParams.model_validate(options)
@@ -434,7 +436,7 @@ def measured_holes(marks: xr.Dataset, plane: Plane) -> xr.Dataset:
 def dataset_of(marks: Sequence[Mark], **options: Any) -> xr.Dataset:
     """Give marks of a session as files have them; ``options`` is for `make_marks`."""
     labels = [mark.label for mark in marks]
-    places = {plane: _places_of([getattr(mark, plane) for mark in marks]) for plane in PLANES}
+    places = {plane: _places_of([*map(attrgetter(plane), marks)]) for plane in PLANES}
     return make_marks(labels, places, used=[mark.used for mark in marks], **options)
 
 

@@ -54,16 +54,10 @@ def sheet_run(run: Path, layer: str) -> Path | None:
 
     None where it is no sheet.
     """
-    layer_params = next(
-        (params for params in read_study(run / RUN_TOML).layers if params.name == layer), None
-    )
+    layers = read_study(run / RUN_TOML).layers
+    sheets = [params.name for params in layers if params.kind != "image"]
     folder = layer_run(run, layer)
-    is_flattened = (
-        layer_params is not None
-        and layer_params.kind != "image"
-        and (folder / MAPS / "strain").is_dir()
-    )
-    return folder if is_flattened else None
+    return folder if layer in sheets and (folder / MAPS / "strain").is_dir() else None
 
 
 def _on_pixels(
@@ -97,19 +91,14 @@ def strains(
     frame = Frame.of(stored_group(run / MAPS, "surfaces"))
     rows, cols = (coordinates[f"volume_{axis}"] for axis in (frame.rows, frame.cols))
     for name, display in STRAINS.items():
-        if (
-            name not in strain
-            or min(strain[name].shape) < 2
-            or not np.isfinite(strain[name].values).any()
-        ):
+        if name not in strain or min(strain[name].shape) < 2:
             continue
         cells = (display.factor * (strain[name] - display.unstrained)).astype(np.float32)
+        if not np.isfinite(cells.values).any():
+            continue
         pairs = zip(rows, cols, strict=True)
-        yield (
-            name,
-            display,
-            [computed(pair[0], partial(_on_pixels, cells, pair), np.float32) for pair in pairs],
-        )
+        levels = [computed(p[0], partial(_on_pixels, cells, p), np.float32) for p in pairs]
+        yield name, display, levels
 
 
 def mesh_lines(run: Path) -> tuple[list[list[Pair]], int]:
@@ -130,11 +119,8 @@ def mesh_lines(run: Path) -> tuple[list[list[Pair]], int]:
         columns_um = np.asarray(flat[axis].values)
         cells_um = np.asarray(strain[axis].values)
         cell_pitch_um = (cells_um[-1] - cells_um[0]) / max(cells_um.size - 1, 1)
-        nodes_um = (
-            cells_um[0]
-            - 0.5 * cell_pitch_um
-            + cell_pitch_um * np.arange(0, cells_um.size + 1, line_step)
-        )
+        first_um = cells_um[0] - 0.5 * cell_pitch_um
+        nodes_um = first_um + cell_pitch_um * np.arange(0, cells_um.size + 1, line_step)
         column_pitch_um = (columns_um[-1] - columns_um[0]) / max(columns_um.size - 1, 1)
         indices = np.rint((nodes_um - columns_um[0]) / column_pitch_um)
         nodes.append(np.clip(indices, 0, columns_um.size - 1).astype(np.intp))

@@ -216,6 +216,7 @@ def _write(out: Path, results: Sequence[tuple[Certificate, Sensitivity | None]])
 
 
 def _show(certificate: Certificate, nuisances: Sensitivity | None) -> None:
+    """Print the errors of a scenario and their verdict, and warn of what failed."""
     from planish.validate import table as tables
 
     table(certificate.scenario.title, tables.COLUMNS, tables.terminal_rows(certificate))

@@ -111,7 +111,7 @@ def limits(
     if symmetric:
         high = float(np.percentile(np.abs(data), 100 - percent)) or 1.0
         return Scale(-high, high, colours)
-    bottom, top = (float(v) for v in np.percentile(data, [percent, 100 - percent]))
+    bottom, top = map(float, np.percentile(data, [percent, 100 - percent]))
     if top - bottom <= 1e-9 * max(abs(bottom), abs(top), 1e-300):
         bottom, top = bottom - 0.5, top + 0.5
     if low is None:

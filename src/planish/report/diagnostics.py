@@ -5,6 +5,7 @@ Scale, distance, two measurements of one quantity, light over a coating.
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -102,9 +103,9 @@ def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
     size_rows = [row for row in evidence.sizes if is_known(row.r)]
     if not size_rows:
         return
-    plotted = [0.0, *(row.r for row in size_rows)]
-    for row in size_rows:
-        plotted += row.band if is_known(row.band) else ()
+    r = [row.r for row in size_rows]
+    bands = [row.band for row in size_rows]
+    plotted = [0.0, *r, *chain.from_iterable(filter(is_known, bands))]
     r_min = min(plotted)
     r_max = max(plotted)
     margin = 0.06 * (r_max - r_min) or 0.1
@@ -112,11 +113,11 @@ def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
     extent = (log_sizes[0] - 0.05, log_sizes[-1] + 0.05, r_min - margin, r_max + margin)
     axes = canvas.axes(_LEFT, _TOP, _WIDE, _SCALE_HIGH, extent)
     axes.across(0.0)
-    _draw_band(axes, log_sizes, [row.band for row in size_rows])
+    _draw_band(axes, log_sizes, bands)
     for log_size, row in zip(log_sizes, size_rows, strict=True):
         if is_known(row.interval):
             axes.curve((log_size, log_size), row.interval, colour=POINT, width=1.4)
-    axes.curve(log_sizes, [row.r for row in size_rows], colour=ACCENT, width=2.2, dot_px=5)
+    axes.curve(log_sizes, r, colour=ACCENT, width=2.2, dot_px=5)
     draw_log_axes(canvas, axes, "size of a point / µm", "r")
 
 
@@ -190,7 +191,7 @@ def draw_variograms(
             name = f"{curve.layer}-{name}"
         data[name] = {"distance / µm": list(curve.distances_um), y_label: list(curve.values)}
     return canvas.picture(
-        title=f"How {' and '.join(in_words(title) for title in titles)} vary with distance",
+        title=f"How {' and '.join(map(in_words, titles))} vary with distance",
         caption=(
             "Half of the mean square difference of two places of a map, by their distance"
             " (variogram). It begins at what neighbours do not share (nugget: noise, and texture"
@@ -214,13 +215,8 @@ def draw_correlogram(
     """Draw r of both maps, one moved along x and along y, with what unrelated maps reach."""
     canvas = Canvas(FULL, 345)
     for left_px, axis, profile in ((_LEFT, "x", profiles.along_x), (_RIGHT, "y", profiles.along_y)):
-        magnitudes = [
-            abs(v)
-            for row in (profile.r, profile.limit_of_any, profile.limit)
-            for v in row
-            if is_known(v)
-        ]
-        r_max = min(_ROOM * max(magnitudes, default=1.0), 1.0)
+        levels = filter(is_known, (*profile.r, *profile.limit_of_any, *profile.limit))
+        r_max = min(_ROOM * max(map(abs, levels), default=1.0), 1.0)
         axes = canvas.axes(
             left_px, _TOP, _WIDE, _HIGH, (profile.lags_um[0], profile.lags_um[-1], -r_max, r_max)
         )
@@ -228,13 +224,8 @@ def draw_correlogram(
         axes.across(0.0)
         axes.upright(0.0)
         for sign in (1, -1):
-            axes.curve(
-                profile.lags_um,
-                [sign * v for v in profile.limit_of_any],
-                colour=POINT,
-                width=1.2,
-                dash="6 4",
-            )
+            limits = [sign * v for v in profile.limit_of_any]
+            axes.curve(profile.lags_um, limits, colour=POINT, width=1.2, dash="6 4")
         axes.curve(profile.lags_um, profile.r, colour=ACCENT, width=2.2)
         canvas.ticks(axes, f"lag along {axis} / µm", "r")
     return canvas.picture(
@@ -271,26 +262,16 @@ def draw_rings(
     """Draw how far two measurements of one map agree, against wavelength."""
     canvas = Canvas(FULL, 345)
     log_wavelengths = [math.log10(ring.wavelength_um) for ring in agreement.rings]
-    r_min = min(0.0, *(ring.correlation for ring in agreement.rings))
+    correlations = [ring.correlation for ring in agreement.rings]
+    r_min = min(0.0, *correlations)
     extent = min(log_wavelengths) - 0.03, max(log_wavelengths) + 0.03, r_min - 0.05, 1.04
     axes = canvas.axes(_LEFT, _TOP, FULL - _LEFT - 30, _HIGH, extent)
     axes.across(0.0)
-    axes.curve(
-        log_wavelengths,
-        [ring.threshold for ring in agreement.rings],
-        colour=SOFT,
-        width=1.4,
-        dash="6 4",
-    )
+    thresholds = [ring.threshold for ring in agreement.rings]
+    axes.curve(log_wavelengths, thresholds, colour=SOFT, width=1.4, dash="6 4")
     if agreement.resolution_um:
         axes.upright(math.log10(agreement.resolution_um), width=1.2, dash="2 3")
-    axes.curve(
-        log_wavelengths,
-        [ring.correlation for ring in agreement.rings],
-        colour=ACCENT,
-        width=2.0,
-        dot_px=4,
-    )
+    axes.curve(log_wavelengths, correlations, colour=ACCENT, width=2.0, dot_px=4)
     draw_log_axes(canvas, axes, "wavelength / µm", "correlation of both measurements")
     return canvas.picture(
         title=f"Down to which wavelength {layers[0]} and {layers[1]} show the same {name}",
@@ -336,14 +317,13 @@ def draw_kubelka_munk(
     axes = draw_dots(canvas, points, (_LEFT, 30.0, FULL - 130.0, 300.0))
     x = np.linspace(max(axes.extent[0], 0.0), axes.extent[1], 100)
     if is_known(curve.scattering_interval) and is_known(curve.backing_at_ends):
-        limit_params = zip(curve.scattering_interval, curve.backing_at_ends, strict=True)
-        limit_curves = [
-            curve.reflectance(x, scattering, backing) for scattering, backing in limit_params
-        ]
-        outline = np.concatenate(
-            [np.stack([x, limit_curves[0]], axis=1), np.stack([x, limit_curves[1]], axis=1)[::-1]]
+        low, high = (
+            np.stack([x, curve.reflectance(x, scattering, backing)], axis=1)
+            for scattering, backing in zip(
+                curve.scattering_interval, curve.backing_at_ends, strict=True
+            )
         )
-        axes.area(outline, colour=POINT, opacity=0.2)
+        axes.area(np.concatenate([low, high[::-1]]), colour=POINT, opacity=0.2)
     if is_known(row.slope):
         draw_fit(axes, np.array([(v, row.intercept + row.slope * v) for v in axes.extent[:2]]))
     reflectance = curve(x)

@@ -191,11 +191,11 @@ class Axes:
 
     def across(self, y: float, *, colour: str = SOFT, width: float = 0.8, dash: str = "") -> None:
         """Draw a line over the whole width."""
-        self.line([(x, y) for x in self.extent[:2]], colour=colour, width=width, dash=dash)
+        self.curve(self.extent[:2], (y, y), colour=colour, width=width, dash=dash)
 
     def upright(self, x: float, *, width: float = 0.8, dash: str = "") -> None:
         """Draw a line over the whole height."""
-        self.line([(x, y) for y in self.extent[2:]], colour=SOFT, width=width, dash=dash)
+        self.curve((x, x), self.extent[2:], colour=SOFT, width=width, dash=dash)
 
     def area(self, points: ArrayLike, *, colour: str, opacity: float = 1.0) -> None:
         """Fill the area within points (n, 2)."""
@@ -231,7 +231,7 @@ class Axes:
 
         The place is moved by some pixels.
         """
-        x_px, y_px = (_n(v) for v in self.place((x, y))[0] + shift)
+        x_px, y_px = map(_n, self.place((x, y))[0] + shift)
         attributes = f'x="{x_px}" y="{y_px}" font-size="{size:g}" fill="{colour}"'
         if bold:
             attributes += ' font-weight="600"'
@@ -306,7 +306,7 @@ class Axes:
                 labels_px = [np.hypot(*(line_pixels - label).T) for label in label_pixels]
                 k = int(np.argmax(np.min([border_px, *labels_px], axis=0)))
                 label_pixels = np.vstack([label_pixels, line_pixels[k]])
-                x, y = (float(v) for v in line[k])
+                x, y = map(float, line[k])
                 self.text(
                     x,
                     y,
@@ -427,9 +427,9 @@ class Canvas(Axes):
         x, bottom, (x0, x1, y0, y1) = axes.x, axes.y + axes.height, axes.extent
         self.line([(x, axes.y), (x, bottom), (x + axes.width, bottom)], colour=SOFT, width=0.8)
         y_ticks = _ticks(y0, y1, max_count=axes.height / 44, log=log)
-        self.number_axes(
-            axes, _ticks(x0, x1, max_count=axes.width / 62) if x_ticks is None else x_ticks, y_ticks
-        )
+        if x_ticks is None:
+            x_ticks = _ticks(x0, x1, max_count=axes.width / 62)
+        self.number_axes(axes, x_ticks, y_ticks)
         self.text(x + axes.width / 2, bottom + 36, x_label, anchor="middle")
         label_length = max((len(text) for _, text in y_ticks), default=0)
         self.text(
@@ -704,7 +704,7 @@ def _path(points: Array) -> str:
 
 
 def _image(box: Box, values: Array, scale: Scale, missing: str = MISSING) -> str:
-    x, y, width, height = (_n(v) for v in box)
+    x, y, width, height = map(_n, box)
     coarse = ' style="image-rendering:pixelated"' if values.shape[1] < box[2] else ""
     return (
         f'<image x="{x}" y="{y}" width="{width}" height="{height}"'

@@ -152,11 +152,10 @@ def draw_progress(strain: xr.Dataset) -> Picture:
     node_counts = np.unique(nodes)
     is_moved = mean_move_um > 0
     log_moves = np.log10(np.where(is_moved, mean_move_um, 1.0))
-    low, high = (
-        (float(log_moves[is_moved].min()), float(log_moves[is_moved].max()))
-        if is_moved.any()
-        else (0.0, 1.0)
-    )
+    low, high = 0.0, 1.0
+    if is_moved.any():
+        low = float(log_moves[is_moved].min())
+        high = float(log_moves[is_moved].max())
     margin = 0.05 * max(high - low, 1.0)
     low, high = low - margin, high + margin
     canvas = Canvas(HALF, 290)

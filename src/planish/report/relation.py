@@ -358,7 +358,7 @@ def _draw_heading(canvas: Canvas, left_px: float, title: str, numbers_text: str)
 def _axis_limits(values: Array, percent: float = 0.05) -> tuple[float, float]:
     if values.size == 0:
         return 0.0, 1.0
-    low, high = (float(v) for v in np.percentile(values, [percent, 100 - percent]))
+    low, high = map(float, np.percentile(values, [percent, 100 - percent]))
     margin = 0.04 * (high - low) or 0.5
     return low - margin, high + margin
 
@@ -366,9 +366,7 @@ def _axis_limits(values: Array, percent: float = 0.05) -> tuple[float, float]:
 def _correlation_text(row: CorrelationRow, units: tuple[str, str]) -> str:
     if not is_known(row.r):
         return "no correlation: too few points, or a constant map"
-    unit_text = (
-        f"{' ' + units[1] if units[1] else ''} per {units[0]}"
-        if units[0] and units[0] != units[1]
-        else ""
-    )
+    unit_text = ""
+    if units[0] and units[0] != units[1]:
+        unit_text = f" {units[1]}".rstrip() + f" per {units[0]}"
     return f"{r_sentence(row)}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{unit_text}"

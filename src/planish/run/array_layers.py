@@ -4,7 +4,7 @@ They are written beside the run, so that it can be repeated from its ``run.toml`
 """
 
 import tempfile
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -84,8 +84,7 @@ def layer_sources(
     where a folder exists.
     """
     sources = [_source(layer, call_text) for layer in layers]
-    kinds = [source.kind for source in sources if isinstance(source, ArraySource)]
-    if not kinds:
+    if not any(isinstance(source, ArraySource) for source in sources):
         yield sources
         return
     if out is None:
@@ -93,20 +92,29 @@ def layer_sources(
     else:
         folder = inputs_folder(Path(out))
         refuse_existing(Path(out), folder)
-    for k, source in enumerate(sources):
-        if isinstance(source, ArraySource):
-            stem, suffix = _FILE_NAMES[source.kind]
-            if kinds.count(source.kind) > 1:
-                stem = f"{source.kind}{k + 1}"
-            sources[k] = replace(source, path=folder / f"{stem}{suffix}")
     try:
-        yield sources
+        yield [*_with_paths(sources, folder)]
     except BaseException:
         # The arrays are in memory still, and the same call is not refused because of them.
         remove(folder)
         raise
     if out is None:
         remove(folder)
+
+
+def _with_paths(
+    sources: Sequence[str | Path | ArraySource], folder: Path
+) -> Iterator[str | Path | ArraySource]:
+    """The layers, those in memory with the files that they will have in a folder."""
+    kinds = [source.kind for source in sources if isinstance(source, ArraySource)]
+    for k, source in enumerate(sources, 1):
+        if not isinstance(source, ArraySource):
+            yield source
+            continue
+        stem, suffix = _FILE_NAMES[source.kind]
+        if kinds.count(source.kind) > 1:
+            stem = f"{source.kind}{k}"
+        yield replace(source, path=folder / f"{stem}{suffix}")
 
 
 def _source(layer: GivenSource, call_text: str) -> str | Path | ArraySource:

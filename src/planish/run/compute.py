@@ -143,7 +143,7 @@ def column_step(
     ResourceError
         If the memory does not hold the maps even with wide columns.
     """
-    voxel = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
+    voxel = dict(zip("zyx", map(float, volume.attrs["voxel_um"]), strict=True))
     pitch = (voxel[frame.rows] * voxel[frame.cols]) ** 0.5
     if column_um is not None:
         if column_um < 0.999 * pitch:

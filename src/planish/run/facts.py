@@ -47,11 +47,11 @@ def input_file(data: xr.DataArray, path: str) -> InputFile:
     size = "voxel_um" if "voxel_um" in data.attrs else "pixel_um"
     return InputFile(
         name=str(data.attrs["file_name"]),
-        shape=tuple(int(n) for n in data.shape),
+        shape=tuple(map(int, data.shape)),
         dtype=str(data.attrs.get("stored_dtype", data.dtype)),
         bytes=int(data.attrs["file_bytes"]),
         sha256=fingerprint(path),
-        size_um=tuple(float(v) for v in data.attrs[size]),
+        size_um=tuple(map(float, data.attrs[size])),
         size_source=str(data.attrs[f"{size}_source"]),
         size_doubt=str(data.attrs.get("size_doubt", "")),
     )

@@ -76,7 +76,7 @@ def _read_run(params: GivenLayer, study: Study) -> MappedLayer:
 def _read_image(params: GivenLayer) -> MappedLayer:
     assert params.image is not None
     image, corrected = read_corrected(params.image)
-    pixel_um = tuple(float(v) for v in image.attrs["pixel_um"])
+    pixel_um = tuple(map(float, image.attrs["pixel_um"]))
     return MappedLayer(
         checks=tuple(run_checks(ImageFile(image=image, light=corrected and corrected.facts))),
         params=changed(params, image={"pixel_um": pixel_um}),

@@ -129,7 +129,7 @@ def _with_marks(study: Study, run: Run, home: Path) -> Study:
 
 def _is_of_a_run(path: str | None) -> bool:
     """Whether a file lies in a run, such as edits/NAME/FILE of it."""
-    return path is not None and any(is_run(folder) for folder in Path(path).parents[:3])
+    return path is not None and any(map(is_run, Path(path).parents[:3]))
 
 
 def _with_corrections(study: Study, run: Run, folder: Path, home: Path) -> Study:

@@ -88,7 +88,7 @@ def map_layer(
     # Where single columns of voxels were measured without being asked for, nothing has to be
     # repeated.
     column_params = {"column_um": column_um} if step > 1 and v.column_um is None else {}
-    size_params = {"voxel_um": tuple(float(s) for s in volume.attrs["voxel_um"])} | column_params
+    size_params = {"voxel_um": tuple(map(float, volume.attrs["voxel_um"]))} | column_params
     return MappedLayer(
         params=changed(params, volume=size_params),
         source=input_file(volume, v.path),

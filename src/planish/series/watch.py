@@ -121,7 +121,7 @@ def watched(
         for specimen in _specimens_in(folder, params):
             name = specimen.name
             files = [Path(file) for file in specimen.files]
-            stamp = " ".join(stamp_of(file) for file in files)
+            stamp = " ".join(map(stamp_of, files))
             if name not in since or since[name][0] != stamp:
                 since[name] = (stamp, clock())
                 continue

@@ -232,9 +232,11 @@ def _map_names(run: Run) -> list[tuple[str, list[str]]]:
     for group in _group_names(run):
         of_all = group in ("linked", "maps")
         headlines = [x.headline for x in layers if of_all or group == f"layers/{x.name}"]
+        order = [*headlines, *properties]
+        last = len({*order})
         names = [str(name) for name, data in run.groups[group].items() if _is_shown(data)]
-        order = [*headlines, *properties, *sorted(names)]
-        map_names.append((group, sorted(names, key=order.index)))
+        ranks = {name: order.index(name) if name in order else last for name in names}
+        map_names.append((group, sorted(names, key=lambda name: (ranks[name], name))))
     return map_names
 
 
