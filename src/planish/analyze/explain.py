@@ -310,15 +310,15 @@ def refuse_sums(cells: _Cells) -> None:
         if float(left @ left) * _IS_SUM > left.size:
             continue
         parts = and_join(names[k] for k, w in zip(others, weights, strict=True) if abs(w) > 1e-3)
-        fault = (
-            f"beside them its coefficient means nothing. Leave {names[index]}, or one of its parts,"
-            " out."
-        )
         if index == 0:
-            fault = (
-                "there is nothing to explain. Leave one of the parts out, or take another response."
+            raise InputError(
+                f"{names[0]} is a sum of {parts}: there is nothing to explain. Leave one of the"
+                " parts out, or take another response."
             )
-        raise InputError(f"{names[index]} is a sum of {parts}: {fault}")
+        raise InputError(
+            f"{names[index]} is a sum of {parts}: beside them its coefficient means nothing. Leave"
+            f" {names[index]}, or one of its parts, out."
+        )
 
 
 def _bearable(cells: _Cells, errors: Floats | None) -> Regression:
