@@ -304,12 +304,14 @@ def refuse_sums(cells: _Cells) -> None:
     sums = {row[0] for row in SUMS}
     # A sum goes before its parts, and the response is the last.
     for index in sorted(range(len(names)), key=lambda k: (k == 0, names[k] not in sums)):
-        others = [k for k in range(1, len(names)) if k != index]
-        weights = np.linalg.lstsq(values[:, others], values[:, index], rcond=None)[0]
-        left = values[:, index] - values[:, others] @ weights
-        if float(left @ left) * _IS_SUM > left.size:
+        other_columns = [k for k in range(1, len(names)) if k != index]
+        weights = np.linalg.lstsq(values[:, other_columns], values[:, index], rcond=None)[0]
+        residual = values[:, index] - values[:, other_columns] @ weights
+        if float(residual @ residual) * _IS_SUM > residual.size:
             continue
-        parts = and_join(names[k] for k, w in zip(others, weights, strict=True) if abs(w) > 1e-3)
+        parts = and_join(
+            names[k] for k, w in zip(other_columns, weights, strict=True) if abs(w) > 1e-3
+        )
         if index == 0:
             raise InputError(
                 f"{names[0]} is a sum of {parts}: there is nothing to explain. Leave one of the"

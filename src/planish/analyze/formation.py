@@ -41,12 +41,12 @@ class RandomSheet(ResultModel):
         """Spectral density of grammage over its mean, um2, at frequencies (waves a um)."""
         length_um, width_um = 1000.0 * self.length_mm, self.width_um
         angles = (np.arange(_DIRECTIONS) + 0.5) * (0.5 * math.pi / _DIRECTIONS)
-        seen = np.empty(per_um.shape)
+        shares = np.empty(per_um.shape)
         for k, frequency in enumerate(per_um):
             along = np.sinc(length_um * frequency * np.cos(angles))
             across = np.sinc(width_um * frequency * np.sin(angles))
-            seen[k] = np.mean(np.square(along * across))
-        return self.point_cov2 * length_um * width_um * seen
+            shares[k] = np.mean(np.square(along * across))
+        return self.point_cov2 * length_um * width_um * shares
 
     def cov_of(self, low_um: float, high_um: float) -> float:
         """Coefficient of variation in waves between two lengths."""
@@ -69,8 +69,8 @@ class RandomSheet(ResultModel):
             [[0.0], np.geomspace(0.02 * radius[0, 1], radius.max() * 1.001, 800)]
         )
         density = np.interp(radius, table, self.density(table))
-        kept = np.square(np.outer(np.sinc(along_y * cell_um), np.sinc(along_x * cell_um)))
-        covariance = fft.irfft2(density * kept, size) / step_um**2
+        cell_power = np.square(np.outer(np.sinc(along_y * cell_um), np.sinc(along_x * cell_um)))
+        covariance = fft.irfft2(density * cell_power, size) / step_um**2
         lags = [np.arange(-(count // 2), count - count // 2) * _PARTS for count in shape]
         return np.fft.ifftshift(covariance[np.ix_(*lags)])
 

@@ -236,8 +236,8 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
     totals = np.einsum("ii->i", power.power).real
     shares = 1.0 - np.einsum("ii->i", noise.power).real / np.maximum(totals, 1e-300)
     modes = 0.5 * min(float(power.degrees[1]), 2.0 * power.modes)
-    seen = float(power.coherence[1, 0])
-    if modes < _LEAST_MODES or not shares.min() > _LEAST_SIGNAL or math.isnan(seen):
+    raw_coherence = float(power.coherence[1, 0])
+    if modes < _LEAST_MODES or not shares.min() > _LEAST_SIGNAL or math.isnan(raw_coherence):
         return {}
     cross = complex(power.power[1, 0])
     cross_rest = cross - complex(noise.power[1, 0])
@@ -257,8 +257,11 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
         half_deg = math.degrees(math.asin(t * error))
         fields["phase_interval"] = (phase_deg - half_deg, phase_deg + half_deg)
     factor = abs(cross_rest / cross) ** 2 / float(shares.prod()) if abs(cross) > 0 else 1.0
-    fields["coherence"] = factor * (seen - 1 / power.modes) / (1 - 1 / power.modes)
-    z, half_z = math.atanh(min(math.sqrt(seen), 1 - 1e-12)), 1.96 / math.sqrt(2 * power.modes - 2)
+    fields["coherence"] = factor * (raw_coherence - 1 / power.modes) / (1 - 1 / power.modes)
+    z, half_z = (
+        math.atanh(min(math.sqrt(raw_coherence), 1 - 1e-12)),
+        1.96 / math.sqrt(2 * power.modes - 2),
+    )
     ends = (max(z - half_z, 0.0), z + half_z)
     fields["coherence_interval"] = tuple(min(factor * math.tanh(end) ** 2, 1.0) for end in ends)
     return fields

@@ -182,7 +182,7 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
     if wall is not None:
         contrast = abs(wall - greys.air)
         name = "the contrast of a wall"
-    is_seen = _seen(scan.core_grey)
+    is_seen = _visible(scan.core_grey)
     n_seen = np.count_nonzero(is_seen)
     if n_seen < 20 or not contrast > 0:
         return rule.check(
@@ -220,14 +220,14 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
     )
 
 
-def _seen(grey: Array) -> Bools:
+def _visible(grey: Array) -> Bools:
     return np.any(np.isfinite(grey).all(axis=2), axis=1)
 
 
 def wall_grey(scan: GreyScan) -> float | None:
     """Grey that hardly any of the base passes; None where pores do not make much of its grey."""
     greys = scan.greys
-    grey = scan.core_grey[_seen(scan.core_grey)]
+    grey = scan.core_grey[_visible(scan.core_grey)]
     if not grey.size:
         return None
     spread = np.sqrt(max(mad_sd(grey) ** 2 - greys.single_noise**2, 0.0))

@@ -31,9 +31,9 @@ def explain(run: Path, out: Path | None, as_json: bool, **values: Any) -> int:
     from planish.report.sentences.explain import say_answer, say_surer
     from planish.series.explain import declared_model, explain_folder, write_explained
 
-    given = any(values[name] for name in ExplainParams.model_fields)
+    is_given = any(values[name] for name in ExplainParams.model_fields)
     params = build_params(ExplainParams, values)
-    if not given:
+    if not is_given:
         params = declared_model(run)
         if not params.is_declared:
             raise InputError(

@@ -35,13 +35,13 @@ def scales(run: Path, out: Path | None, as_json: bool, **values: Any) -> None:
     opened = open_run(run)
     if not params.is_declared:
         params = opened.study.scales
-    found = scales_of_run(opened, params)
+    octaves = scales_of_run(opened, params)
     if out is not None:
-        write_scales(found, out, source=run.resolve().name)
+        write_scales(octaves, out, source=run.resolve().name)
     show_answer(
-        found,
-        band_tables(found),
-        [say_answer(found), *say_surer(found), *say_notes(found)],
+        octaves,
+        band_tables(octaves),
+        [say_answer(octaves), *say_surer(octaves), *say_notes(octaves)],
         page=out and out / "scales.html",
         as_json=as_json,
     )

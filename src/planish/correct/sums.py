@@ -44,8 +44,8 @@ class Levels(NamedTuple):
 def smoothed(plane: NDArray[Any]) -> NDArray[np.float32]:
     """Smooth a slice; what is not finite counts as 0 and has to be masked."""
     # Then a single voxel shows its material in spite of the noise.
-    known = np.nan_to_num(plane.astype(np.float32), posinf=0.0, neginf=0.0)
-    return ndimage.gaussian_filter(known, 1.5)
+    filled = np.nan_to_num(plane.astype(np.float32), posinf=0.0, neginf=0.0)
+    return ndimage.gaussian_filter(filled, 1.5)
 
 
 def missing(plane: NDArray[Any], padding: float) -> Bools:
@@ -384,7 +384,7 @@ def _classify(
         depth[is_inside] = np.minimum(distance[is_inside], _DEEPEST)
         solid_label = np.where(smoothed_plane[is_inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
         label[is_inside] = 1 + AIR if mask is is_air else solid_label
-    known = np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0)
-    contrast_share = (known - levels.air) / levels.contrast
+    filled = np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0)
+    contrast_share = (filled - levels.air) / levels.contrast
     grey = np.rint(np.clip(contrast_share, GREYS[0], GREYS[-1]) * UNIT).astype(np.int64)
     return number, grey, label, depth

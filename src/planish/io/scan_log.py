@@ -174,8 +174,8 @@ def read_scan(folder: Path) -> Scan | None:
         return _scan_by_projections(logs, slices)
     log, *copies = _naming_logs(reconstructions, folder)
     # Copies, and the log of the whole scan beside that of a part, have to state the same size.
-    others = [o for o in reconstructions if o in copies or _is_of_whole(o, log)]
-    further = [Stated(o.name, (None, o.size_um, o.size_um)) for o in others]
+    other_logs = [o for o in reconstructions if o in copies or _is_of_whole(o, log)]
+    further = [Stated(o.name, (None, o.size_um, o.size_um)) for o in other_logs]
     return Scan(log, (_stated_by(log), *further), _note_on_others(log, slices))
 
 

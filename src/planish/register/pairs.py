@@ -90,9 +90,9 @@ def on_both_axes(rows: Floats) -> Floats:
     return np.asarray(np.kron(rows, np.eye(2)), dtype=np.float64)
 
 
-def squared_distances(places: Floats, others: Floats) -> Floats:
-    """Squares of the distances (n, m) of places (n, 2) from others (m, 2)."""
-    return np.sum((places[:, None] - others) ** 2, axis=-1)
+def squared_distances(places: Floats, targets: Floats) -> Floats:
+    """Squares of the distances (n, m) of places (n, 2) from targets (m, 2)."""
+    return np.sum((places[:, None] - targets) ** 2, axis=-1)
 
 
 def inverse_of(blocks: Floats) -> Floats:

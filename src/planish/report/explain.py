@@ -176,8 +176,8 @@ def tables_of(model: AnyModel) -> dict[str, Table]:
     tables["sizes"] = table_of(size_rows)
     if model.cells is not None:
         cells = model.cells.drop_vars([k for k in model.cells if str(k).endswith(" freed")])
-        known = cells.stack(cell=("cell_y", "cell_x")).dropna("cell")
-        columns = {"y_um": known["cell_y"], "x_um": known["cell_x"], **dict(known.items())}
+        complete = cells.stack(cell=("cell_y", "cell_x")).dropna("cell")
+        columns = {"y_um": complete["cell_y"], "x_um": complete["cell_x"], **dict(complete.items())}
         tables["cells"] = {str(name): values.values.tolist() for name, values in columns.items()}
     return tables
 
@@ -221,8 +221,8 @@ def draw_sizes(model: Explained) -> Picture:
     """Draw standardised coefficients over cells of growing size, the declared one marked."""
     rows = [row for row in model.sizes if row.standardised]
     all_ends = [end for row in rows for ends in row.intervals.values() for end in ends]
-    known = [0.0, *(end for end in all_ends if is_known(end))]
-    low, high = min(known) - 0.05, max(known) + 0.05
+    ends = [0.0, *(end for end in all_ends if is_known(end))]
+    low, high = min(ends) - 0.05, max(ends) + 0.05
     logs = [math.log10(row.cell_um) for row in rows]
     names = strongest(model.coefficients)
     colours = colours_of(names)

@@ -49,43 +49,43 @@ _LEFT, _TOP, _WIDE, _HIGH = 74.0, 16.0, 416.0, 200.0
 _MOST_NAMED = 3  # maps in the heading
 
 
-def scales_page(found: Scales, *, source: str, version: str) -> str:
+def scales_page(octaves: Scales, *, source: str, version: str) -> str:
     """Return the page of octaves as HTML.
 
     ``source``: name of the run; ``version``: of the program.
     """
-    return answer_page(scales_section(found), source=source, version=version)
+    return answer_page(scales_section(octaves), source=source, version=version)
 
 
-def scales_section(found: Scales | None) -> dict[str, Any]:
+def scales_section(octaves: Scales | None) -> dict[str, Any]:
     """Give what page and report show of octaves; nothing of none."""
-    if found is None:
+    if octaves is None:
         return {}
-    titles = [in_words(facts.title) for facts in found.maps.values()]
+    titles = [in_words(facts.title) for facts in octaves.maps.values()]
     about = ", ".join(titles) if len(titles) <= _MOST_NAMED else f"{len(titles)} maps"
-    if found.against is not None:
-        about += f" against {in_words(found.against_title)}"
+    if octaves.against is not None:
+        about += f" against {in_words(octaves.against_title)}"
     return {
         "question": "At which wavelength?",
         "about": about,
-        "is_sound": all(facts.trust == "ok" for facts in found.maps.values()),
-        "answer": say_answer(found),
-        "tiles": tiles_of(found),
-        "surer": say_surer(found),
-        "reading": say_reading(found),
-        "tables": band_tables(found),
-        "notes": say_notes(found),
-        "pictures": pictures_of(found),
+        "is_sound": all(facts.trust == "ok" for facts in octaves.maps.values()),
+        "answer": say_answer(octaves),
+        "tiles": tiles_of(octaves),
+        "surer": say_surer(octaves),
+        "reading": say_reading(octaves),
+        "tables": band_tables(octaves),
+        "notes": say_notes(octaves),
+        "pictures": pictures_of(octaves),
     }
 
 
-def tiles_of(found: Scales) -> list[KeyFigure]:
+def tiles_of(octaves: Scales) -> list[KeyFigure]:
     """What the octaves of the first map rest on."""
-    name = leading(found)[0] if found.maps else ""
-    if not found.bands.get(name):
+    name = leading(octaves)[0] if octaves.maps else ""
+    if not octaves.bands.get(name):
         return []
-    facts, bands = found.maps[name], found.bands[name]
-    named = leading_band(found, bands)
+    facts, bands = octaves.maps[name], octaves.bands[name]
+    named = leading_band(octaves, bands)
     height, width = facts.field_um or (math.nan, math.nan)
     tiles = [
         KeyFigure(
@@ -112,10 +112,10 @@ def tiles_of(found: Scales) -> list[KeyFigure]:
     return tiles
 
 
-def band_tables(found: Scales) -> dict[str, list[dict[str, str]]]:
+def band_tables(octaves: Scales) -> dict[str, list[dict[str, str]]]:
     """The octaves of all maps in words, the shortest waves first, as tables by their headings."""
     shown = [
-        (found.maps[name], band) for name, bands in found.bands.items() for band in bands[::-1]
+        (octaves.maps[name], band) for name, bands in octaves.bands.items() for band in bands[::-1]
     ]
     has = {
         key: any(is_known(getattr(band, key)) for _, band in shown)
@@ -147,93 +147,93 @@ def band_tables(found: Scales) -> dict[str, list[dict[str, str]]]:
                 "95 % of coherence": numbers_text(band.coherence_interval, 2),
                 "Phase / °": fixed(band.phase_deg, 0),
             }
-            heading = f"Against {in_words(found.against_title)}"
+            heading = f"Against {in_words(octaves.against_title)}"
             tables.setdefault(heading, []).append(relation)
     return tables
 
 
-def tables_of(found: Scales) -> dict[str, Table]:
+def tables_of(octaves: Scales) -> dict[str, Table]:
     """The octaves as one table, by the name of its file."""
     rows = [
-        {"map": name, "units": found.maps[name].units} | flat_row(band)
-        for name, bands in found.bands.items()
+        {"map": name, "units": octaves.maps[name].units} | flat_row(band)
+        for name, bands in octaves.bands.items()
         for band in reversed(bands)
     ]
     return {"octaves": table_of(rows)}
 
 
-def pictures_of(found: Scales) -> list[Picture]:
+def pictures_of(octaves: Scales) -> list[Picture]:
     """Figures: the relation with the other map first, then how much maps vary by octave."""
     pictures: list[Picture] = []
-    if found.against is not None:
-        pictures.append(draw_relation(found))
+    if octaves.against is not None:
+        pictures.append(draw_relation(octaves))
     groups: dict[str, list[str]] = {}
-    for name, bands in found.bands.items():
+    for name, bands in octaves.bands.items():
         if bands:
             has_cov = is_known(bands[0].cov)
-            groups.setdefault("%" if has_cov else found.maps[name].units, []).append(name)
-    pictures += [draw_spread(found, names, is_cov=key == "%") for key, names in groups.items()]
+            groups.setdefault("%" if has_cov else octaves.maps[name].units, []).append(name)
+    pictures += [draw_spread(octaves, names, is_cov=key == "%") for key, names in groups.items()]
     return pictures
 
 
-def draw_spread(found: Scales, names: Sequence[str], *, is_cov: bool) -> Picture:
+def draw_spread(octaves: Scales, names: Sequence[str], *, is_cov: bool) -> Picture:
     """Draw how much maps vary in each octave: COV, or their standard deviation in one unit."""
     factors = dict.fromkeys(names, 1.0)
-    label = axis_label("standard deviation", unit(found.maps[names[0]].units))
+    label = axis_label("standard deviation", unit(octaves.maps[names[0]].units))
     if is_cov:
-        factors = {name: 100 / found.maps[name].mean for name in names}
+        factors = {name: 100 / octaves.maps[name].mean for name in names}
         label = "coefficient of variation / %"
     canvas = Canvas(HALF, _TOP + _HIGH + 58 + LINE_PX * len(names))
-    axes = _draw_octaves(canvas, (_TOP, _HIGH), found, factors, "sd", "interval")
+    axes = _draw_octaves(canvas, (_TOP, _HIGH), octaves, factors, "sd", "interval")
     draw_log_axes(canvas, axes, "wavelength / µm", label)
-    _name_maps(canvas, found, names, _TOP + _HIGH + 58)
+    _name_maps(canvas, octaves, names, _TOP + _HIGH + 58)
     return canvas.picture(
         title="How much the maps vary by octave of wavelength",
         caption=(
             "Horizontal lines: octaves. Dots: standard deviation in the octave"
             f"{' over the mean of the map' if is_cov else ''}, without the noise that is known."
-            f" {_intervals_of(found, names)}"
+            f" {_intervals_of(octaves, names)}"
         ),
-        data=tables_of(found),
+        data=tables_of(octaves),
     )
 
 
-def draw_relation(found: Scales) -> Picture:
+def draw_relation(octaves: Scales) -> Picture:
     """Draw gain and squared coherence of maps for the other one, by octave."""
-    names = [name for name, bands in found.bands.items() if bands]
+    names = [name for name, bands in octaves.bands.items() if bands]
     height, below = _HIGH - 40, _TOP + _HIGH + 16
     canvas = Canvas(HALF, 2 * (height + _TOP) + 100 + LINE_PX * len(names))
     upper, lower = (
         _draw_octaves(
-            canvas, (top, height), found, dict.fromkeys(names, 1.0), key, f"{key}_interval"
+            canvas, (top, height), octaves, dict.fromkeys(names, 1.0), key, f"{key}_interval"
         )
         for key, top in (("gain", _TOP), ("coherence", below))
     )
     draw_log_axes(canvas, upper, "", "gain")
     draw_log_axes(canvas, lower, "wavelength / µm", "squared coherence")
-    _name_maps(canvas, found, names, below + _HIGH + 18)
+    _name_maps(canvas, octaves, names, below + _HIGH + 18)
     return canvas.picture(
-        title=f"What the maps show of {in_words(found.against_title)}, by octave of wavelength",
+        title=f"What the maps show of {in_words(octaves.against_title)}, by octave of wavelength",
         caption=(
             "Above, change of the map for a change of"
-            f" {axis_label(in_words(found.against_title), unit(found.against_units))}; below,"
+            f" {axis_label(in_words(octaves.against_title), unit(octaves.against_units))}; below,"
             " squared coherence, corrected for chance; both without the noise that is known."
-            f" {_intervals_of(found, names)}"
+            f" {_intervals_of(octaves, names)}"
         ),
-        data=tables_of(found),
+        data=tables_of(octaves),
     )
 
 
-def _name_maps(canvas: Canvas, found: Scales, names: Sequence[str], y: float) -> None:
-    colours = colours_of(found.bands)
-    titles = [found.maps[name].title for name in names]
+def _name_maps(canvas: Canvas, octaves: Scales, names: Sequence[str], y: float) -> None:
+    colours = colours_of(octaves.bands)
+    titles = [octaves.maps[name].title for name in names]
     canvas.name_curves(titles, [colours[name] for name in names], (_LEFT, y))
 
 
 def _draw_octaves(
     canvas: Canvas,
     place: Pair,
-    found: Scales,
+    octaves: Scales,
     factors: Mapping[str, float],
     key: str,
     interval_key: str,
@@ -247,7 +247,7 @@ def _draw_octaves(
     ends = [0.0, 1.0] if key == "coherence" else [0.0]
     edges: list[float] = []
     for index, (name, factor) in enumerate(factors.items(), 1):
-        for band in found.bands[name]:
+        for band in octaves.bands[name]:
             value = factor * getattr(band, key)
             interval = [factor * end for end in getattr(band, interval_key)]
             shown.append((index, band, value, interval))
@@ -258,7 +258,7 @@ def _draw_octaves(
     extent = (min(edges) - 0.03, max(edges) + 0.03, low - margin * (low < 0), high + margin)
     axes = canvas.axes(_LEFT, place[0], _WIDE, place[1], extent)
     axes.across(0.0)
-    colours = colours_of(found.bands)
+    colours = colours_of(octaves.bands)
     names = list(factors)
     for index, band, value, interval in shown:
         if not is_known(value):
@@ -273,9 +273,9 @@ def _draw_octaves(
     return axes
 
 
-def _intervals_of(found: Scales, names: Sequence[str]) -> str:
+def _intervals_of(octaves: Scales, names: Sequence[str]) -> str:
     """How a caption ends."""
-    counts = {found.maps[name].n or 0 for name in names}
+    counts = {octaves.maps[name].n or 0 for name in names}
     n_text = " to ".join(count(n) for n in sorted({min(counts), max(counts)}))
     mask = f"mask: measured, without {HOLES}"
     return f"Vertical lines: 95 % intervals. n = {n_text} pixels; {mask}."

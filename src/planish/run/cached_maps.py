@@ -134,17 +134,17 @@ def next_step(
     # The files of arrays are removed when this is read.
     has_arrays = any(Path(layer.path).parent == inputs for layer in study.layers)
     reference = quoted(study.layers[-1].path)
-    kept = [str(cache.path) for cache in caches.values() if cache.path.exists()]
-    if kept:
+    paths = [str(cache.path) for cache in caches.values() if cache.path.exists()]
+    if paths:
         text = (
-            f"The maps of the volume are kept in {' and '.join(kept)}; the same command goes"
+            f"The maps of the volume are kept in {' and '.join(paths)}; the same command goes"
             " on from there."
         )
         if not isinstance(error, CannotRegister | MarkError) or not study.is_sheet_on_image:
             return text
         if has_arrays:
             return f"{text} To set the marks by hand, write the arrays to files and link those."
-        return f"{text} To set the marks by hand: planish view {quoted(kept[0])} {reference}"
+        return f"{text} To set the marks by hand: planish view {quoted(paths[0])} {reference}"
     volume = next((layer for layer in study.layers if layer.kind == "volume"), None)
     if volume is None or has_arrays or not isinstance(error, CannotRegister):
         return ""

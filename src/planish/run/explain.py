@@ -56,9 +56,9 @@ def explain_run(run: Run, params: ExplainParams) -> Explained:
     of_model = [named(maps, name) for name in (params.response, *params.of)]
     layers = sorted({m.layer for m in of_model})
     stated = [_errors_of_sheet(run, layer, params.cell_um) for layer in layers]
-    known = [errors for errors in stated if errors]
+    with_errors = [errors for errors in stated if errors]
     # Maps of one name, of two sheets, share no surface.
-    errors = known[0] if len(known) == 1 else {}
+    errors = with_errors[0] if len(with_errors) == 1 else {}
     explained = explain_maps(
         _model_maps(params, maps, errors), cell_um=params.cell_um, corrected=params.corrected
     )
@@ -183,11 +183,11 @@ def _error_of_cells(standard_errors: xr.DataArray, cell_um: float, pixel_um: Pai
     """
     attrs: dict[str, Any] = standard_errors.attrs
     values = np.asarray(thinned(standard_errors)[1][0], dtype=np.float64)
-    known = values[np.isfinite(values)]
-    if not known.size:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return math.nan
     if "patch_um2" in attrs:
-        means = se_of_mean(known, attrs, cell_um)
+        means = se_of_mean(finite, attrs, cell_um)
         return float(np.sqrt(np.mean(means**2)))
     pixels = cell_um**2 / (pixel_um[0] * pixel_um[1])
-    return float(np.sqrt(np.mean(known**2) / max(pixels, 1.0)))
+    return float(np.sqrt(np.mean(finite**2) / max(pixels, 1.0)))

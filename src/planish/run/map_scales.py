@@ -166,17 +166,17 @@ def with_declared_scales(run: Run) -> Run:
     if not params.is_declared:
         return run
     try:
-        found = scales_of_run(run, params)
+        octaves = scales_of_run(run, params)
     except PlanishError as fault:
         results = run.results.model_copy(update={"scales_reason": fault.text})
         return replace(run, results=results)
     maps = maps_of(run)
     bands: dict[str, xr.DataArray] = {}
-    for name in leading(found):
-        if found.bands[name]:
+    for name in leading(octaves):
+        if octaves.bands[name]:
             bands |= _band_maps(named(maps, name), name)
     groups = {OCTAVES: xr.Dataset(bands)} if bands else {}
-    results = run.results.model_copy(update={"scales": found})
+    results = run.results.model_copy(update={"scales": octaves})
     return replace(run, results=results, groups={**run.groups, **groups})
 
 
@@ -214,19 +214,19 @@ def scales_of_run(run: Run, params: ScalesParams) -> Scales:
         scaled = [
             _scaled(fact, _counted(source)) for source, fact in zip(sources, facts, strict=True)
         ]
-        found = [
+        octaves = [
             _halves_of(of_sheet, {number: facts[number].map})
             for number, of_sheet in enumerate(columns)
             if of_sheet is not None
         ]
-        return Reading(scaled, Grid.of(sources[0].values).pixel_um, found)
+        return Reading(scaled, Grid.of(sources[0].values).pixel_um, octaves)
 
-    found = _scales(params, maps, _shown_maps(run, maps), read)
-    others = [] if params.against is None else [params.against]
-    facts = dict(found.maps)
-    bands = dict(found.bands)
-    for name, fact in found.maps.items():
-        sources = [named(maps, other) for other in (name, *others)]
+    octaves = _scales(params, maps, _shown_maps(run, maps), read)
+    references = [] if params.against is None else [params.against]
+    facts = dict(octaves.maps)
+    bands = dict(octaves.bands)
+    for name, fact in octaves.maps.items():
+        sources = [named(maps, other) for other in (name, *references)]
         trust = trust_of_maps(run, sources)
         update: dict[str, Any] = {"trust": trust}
         if trust == "withheld":
@@ -235,7 +235,7 @@ def scales_of_run(run: Run, params: ScalesParams) -> Scales:
             bands[name] = ()
         facts[name] = fact.model_copy(update=update)
     declared = is_declared(run.study.scales, params)
-    return found.model_copy(update={"maps": facts, "bands": bands, "declared": declared})
+    return octaves.model_copy(update={"maps": facts, "bands": bands, "declared": declared})
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,8 +252,8 @@ def _scales(
 ) -> Scales:
     against = params.against
     chosen = params.of or [name for name in all_names if name != against]
-    others = [] if against is None else [against]
-    for name in [*chosen, *others]:
+    references = [] if against is None else [against]
+    for name in [*chosen, *references]:
         if is_axial(named(maps, name).values):
             raise InputError(
                 f"{name} holds angles of an axis, which have no standard deviation by octaves."
@@ -264,17 +264,17 @@ def _scales(
     bands: dict[str, tuple[ScaleBand, ...]] = {}
     facts: dict[str, MapScales] = {}
     for name in chosen:
-        reading = read([name, *others])
+        reading = read([name, *references])
         fact, rows = octaves_of_map(reading.maps, reading.pixel_um, reading.halves, fields=fields)
         if sheet is not None and reading.maps[0].is_mass:
             rows = with_formation(rows, sheet)
             fact = fact.model_copy(update=_formation(reading, sheet, params.formation_cell_um))
         facts[name], bands[name] = fact, rows
-    found = Scales(bands=bands, maps=facts, against=against)
+    octaves = Scales(bands=bands, maps=facts, against=against)
     if against is None:
-        return found
+        return octaves
     other = _facts(named(maps, against), against)
-    return found.model_copy(
+    return octaves.model_copy(
         update={
             "against_title": other.title,
             "against_units": other.units,
@@ -379,20 +379,20 @@ def _shown_maps(run: Run, maps: Mapping[str, NamedMap]) -> list[str]:
     """
     headlines = [layer.headline for layer in run.results.layers]
     names: list[str] = []
-    seen: set[int] = set()
+    seen_ids: set[int] = set()
     for name in choices(maps):
         source = maps[name]
         is_left_out = is_axial(source.values) or source.values.name in NEGATIVE_CONTROLS
-        if source.values.ndim == 2 and not is_left_out and id(source) not in seen:
-            seen.add(id(source))
+        if source.values.ndim == 2 and not is_left_out and id(source) not in seen_ids:
+            seen_ids.add(id(source))
             names.append(name)
     return sorted(names, key=lambda name: name not in headlines)
 
 
-def write_scales(found: Scales, out: Path, *, source: str) -> None:
+def write_scales(octaves: Scales, out: Path, *, source: str) -> None:
     """Write the page of octaves, ``scales.json`` and the octaves as a table into a new folder.
 
     ``source``: name of the run.
     """
-    page = scales_page(found, source=source, version=__version__)
-    write_answer(out, "scales", page=page, facts=found, tables=tables_of(found))
+    page = scales_page(octaves, source=source, version=__version__)
+    write_answer(out, "scales", page=page, facts=octaves, tables=tables_of(octaves))

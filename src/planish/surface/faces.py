@@ -141,12 +141,12 @@ def _fit_lost(
         around, is_lost, usual_px[k] = _lost(depths[2 * k], columns.pitch[2])
         search_depths[k] = np.where(is_lost, around, np.nan)
     known_place = replace(priors, search_px=0.0)
-    found = _fit("faces_again", columns, guide, known_place, engine, search_depths)
+    fits = _fit("faces_again", columns, guide, known_place, engine, search_depths)
     for k in range(2):
         planes = slice(2 * k, 2 * k + 2)
         # What lies farther off is something else, such as the rim of a particle.
-        is_found = np.abs(found[2 * k] - search_depths[k]) <= usual_px[k]
-        depths[planes] = np.where(is_found, found[planes], depths[planes])
+        is_found = np.abs(fits[2 * k] - search_depths[k]) <= usual_px[k]
+        depths[planes] = np.where(is_found, fits[planes], depths[planes])
 
 
 def faces_from_depths(

@@ -157,7 +157,7 @@ def _read(columns: Columns, engine: Engine) -> _Reading:
     }
     missing_count = 0.0
     corner = float(columns.voxels(Tile(0, 1, 0, 1), slice(1))[0, 0, 0])
-    for tile, found in engine.map(
+    for tile, sums in engine.map(
         "survey",
         _read_tile,
         lambda _tile: (columns, block, stride, corner),
@@ -166,9 +166,9 @@ def _read(columns: Columns, engine: Engine) -> _Reading:
         for name, field in fields.items():
             steps = stride if name == "profiles" else (block, block)
             row, col = (-(-start // n) for start, n in zip(tile[::2], steps, strict=True))
-            part = found[name]
+            part = sums[name]
             field[row : row + part.shape[0], col : col + part.shape[1]] = part
-        missing_count += float(found["missing"])
+        missing_count += float(sums["missing"])
     missing_share = missing_count / (rows * cols * depth * columns.step**2)
     return _Reading(**fields, missing_share=missing_share, block=block)
 

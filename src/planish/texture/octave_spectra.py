@@ -57,10 +57,10 @@ def octaves_of(is_valid: Bools, pixel_um: Pair) -> list[Pair]:
     """
     sides_um: list[float] = []
     for axis in (1, 0):
-        known = np.flatnonzero(is_valid.any(axis=axis))
-        if not known.size:
+        valid_index = np.flatnonzero(is_valid.any(axis=axis))
+        if not valid_index.size:
             return []
-        sides_um.append(float(known[-1] - known[0] + 1) * pixel_um[1 - axis])
+        sides_um.append(float(valid_index[-1] - valid_index[0] + 1) * pixel_um[1 - axis])
     longest = math.floor(math.log2(SIDE_SHARE * min(sides_um) / 1000.0) + 1e-9)
     shortest = math.ceil(math.log2(LEAST_PIXELS * max(pixel_um) / 1000.0) - 1e-9)
     return [(1000.0 * 2.0 ** (k - 1), 1000.0 * 2.0**k) for k in range(longest, shortest, -1)]
@@ -203,10 +203,10 @@ class _OctaveWindow:
                 density = self._density(first, second)[waves] / passed
                 densities[i, j] = density / np.sqrt(losses[i] * losses[j])
                 densities[j, i] = densities[i, j].conj()
-        own = np.einsum("iik->ik", densities).real
+        auto_power = np.einsum("iik->ik", densities).real
         power = densities @ cells
         # The scatter of the densities themselves adds to the mean of their squares.
-        squares = np.square(own) @ cells / (1.0 + self._window_um2 / self._area_um2)
+        squares = np.square(auto_power) @ cells / (1.0 + self._window_um2 / self._area_um2)
         total = np.einsum("ii->i", power).real
         radius = np.rint(frequency[waves] / (2.0 * step_per_um)).astype(np.intp)
         return OctavePower(
@@ -274,8 +274,8 @@ class _OctaveWindow:
 
 def _coherence(densities: Complexes, cells: Floats, radius: Array) -> Floats:
     """Squared coherence (m, m) of maps in an octave where every ring of frequency counts alike."""
-    own = np.einsum("iik->ik", densities).real
-    level = np.stack([np.bincount(radius, cells * row) for row in own])
+    auto_power = np.einsum("iik->ik", densities).real
+    level = np.stack([np.bincount(radius, cells * row) for row in auto_power])
     level /= np.maximum(np.bincount(radius, cells), 1e-300)
     floor = 1e-4 * level.max(axis=1, keepdims=True)
     level = np.maximum(level, np.maximum(floor, 1e-300))[:, radius]

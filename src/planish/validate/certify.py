@@ -333,7 +333,9 @@ def sensitivity(
     # Without the only nuisance nothing is left to compare.
     deviating = _deviating_stages(ratio) if len(names) > 1 else []
     figures_without: dict[str, Values] = {}
-    for name in names if deviating else ():
+    if not deviating:
+        names = ()
+    for name in names:
         remaining = tuple(other for other in names if other != name)
         figures_without[name], _ = measure(f"all but {NUISANCES[name].title}", remaining)
     return Sensitivity(
@@ -363,8 +365,8 @@ def _nuisances_of(scenario: Scenario) -> list[str]:
 
 def _deviating_stages(ratio: Values) -> list[str]:
     """Stages whose single errors do not add up to the whole."""
-    known = {stage: r for stage, r in ratio.items() if r is not None}
-    return [stage for stage, r in known.items() if not 1 / _AGREES <= r <= _AGREES]
+    known_ratios = {stage: r for stage, r in ratio.items() if r is not None}
+    return [stage for stage, r in known_ratios.items() if not 1 / _AGREES <= r <= _AGREES]
 
 
 def _key_figures(measured: Container[str]) -> dict[str, str]:

@@ -150,11 +150,11 @@ def _with_pixels(
 ) -> xr.Dataset:
     """Marks with what is known of the layers beside what their file states."""
     layers = {layer: dict(about) for layer, about in marks.attrs["layers"].items()}
-    known = {"moving": moving.about(), "volume": volume.about(), "fixed": fixed.about()}
+    facts = {"moving": moving.about(), "volume": volume.about(), "fixed": fixed.about()}
     if list(layers) == ["marks"]:
-        known["marks"] = known["moving"] | known["fixed"]
-    for side in known.keys() & layers.keys():
-        layers[side] |= known[side]
+        facts["marks"] = facts["moving"] | facts["fixed"]
+    for side in facts.keys() & layers.keys():
+        layers[side] |= facts[side]
     return marks.assign_attrs(layers=layers, from_first_pixel=[])
 
 
@@ -304,9 +304,9 @@ def _recognised(content: Content) -> str:
     for name in FORMATS:
         if module_of(name).looks_like(content):
             return name
-    for starts, what, way in _OTHERS:
+    for starts, fault, way in _OTHERS:
         if content.text.lstrip().startswith(starts):
-            raise FileError(f"{content.name} {what}. {way}")
+            raise FileError(f"{content.name} {fault}. {way}")
     if content.text.lstrip().startswith("{"):
         keys = ", ".join(list(content.json)[:6]) or "nothing"
         raise FileError(

@@ -276,8 +276,8 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
         If there is no such layer.
     """
     _check_layer(marks, layer)
-    known = [name for name in ("x", "y", "z", *EXTRAS) if f"{layer}_{name}" in marks]
-    names: dict[Hashable, str] = {f"{layer}_{name}": name for name in known}
+    fields = [name for name in ("x", "y", "z", *EXTRAS) if f"{layer}_{name}" in marks]
+    names: dict[Hashable, str] = {f"{layer}_{name}": name for name in fields}
     holes = marks[[*names, "label"]].rename(names)
     return holes.isel(mark=np.flatnonzero(in_layers(marks, [layer])))
 
@@ -392,19 +392,19 @@ def pair_of_layers(
         If a layer is missing, or it is not clear which ones are meant.
     """
     names = layer_names(marks)
-    given = [*filter(None, (moving, fixed))]
-    for layer in given:
+    stated = [*filter(None, (moving, fixed))]
+    for layer in stated:
         _check_layer(marks, layer)
     usual = [layer for layer in ("moving", "volume") if layer in names]
-    if usual and "fixed" in names and not given:
+    if usual and "fixed" in names and not stated:
         return usual[0], "fixed"
-    _check_clear_pair(names, given, name)
-    free_layers = [n for n in names if n not in given]
+    _check_clear_pair(names, stated, name)
+    free_layers = [n for n in names if n not in stated]
     first = moving or free_layers.pop(0)
     return first, fixed or free_layers.pop(0)
 
 
-def _check_clear_pair(names: Sequence[str], given: Sequence[str], name: str) -> None:
+def _check_clear_pair(names: Sequence[str], stated: Sequence[str], name: str) -> None:
     """Refuse layers of which it is not clear which two belong together."""
     if len(names) < 2:
         raise MarkError(
@@ -412,7 +412,7 @@ def _check_clear_pair(names: Sequence[str], given: Sequence[str], name: str) -> 
             " moving and a fixed layer are needed. Give the second file as well: planish marks"
             " convert MOVING FIXED OUT."
         )
-    if len(names) > 2 and len(given) < 2:
+    if len(names) > 2 and len(stated) < 2:
         raise MarkError(
             f"{name} holds {len(names)} layers: {', '.join(names)}. Name the two that belong"
             " together moving and fixed."

@@ -39,11 +39,11 @@ def say_answer(model: Explained | ExplainedSeries) -> str:
     verb = "matters most, with" if len(order) > 1 else "has"
     sentences.append(f"{title} {verb} a standardised coefficient of {texts[0]}.")
     if len(order) > 1:
-        others = [
+        clauses = [
             f"{in_words(coefficients[name].title)} has {text}"
             for name, text in zip(order[1:], texts[1:], strict=True)
         ]
-        sentences.append(f"{capital('; '.join(others))}.")
+        sentences.append(f"{capital('; '.join(clauses))}.")
         sentences.append(_say_lead(model, order))
     sentences.append(_say_cells(model))
     return " ".join(sentences)
@@ -220,6 +220,7 @@ def _say_sizes(model: Explained) -> Iterator[str]:
 
 
 def _say_sharing(model: Explained) -> Iterator[str]:
+    """Say which maps share an error of one surface, and what that does to their coefficients."""
     for surface, surface_text in _SURFACES.items():
         pairs = [(e.a, e.b) for e in model.shared_errors if e.surface == surface]
         names = dict.fromkeys(name for pair in pairs for name in pair)

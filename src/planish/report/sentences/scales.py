@@ -24,31 +24,31 @@ _WIDE = 0.15  # half of an interval over its standard deviation: from there, a l
 _LOUD = 0.5  # share of the variance of an octave
 
 
-def say_answer(found: Scales) -> str:
+def say_answer(octaves: Scales) -> str:
     """The answer: where the first maps vary most, or what they show of the other map."""
     sentences: list[str] = []
-    for name in leading(found):
-        facts, bands = found.maps[name], found.bands[name]
+    for name in leading(octaves):
+        facts, bands = octaves.maps[name], octaves.bands[name]
         if not bands:
             sentences.append(f"{_title(facts)}: {facts.reason}")
-        elif found.against is None:
+        elif octaves.against is None:
             sentences.append(_say_spread(facts, bands))
         else:
-            sentences.append(_say_relation(found, facts, bands))
+            sentences.append(_say_relation(octaves, facts, bands))
         if facts.formation is not None:
             sentences.append(_say_formation(facts))
     return " ".join(sentences)
 
 
-def leading(found: Scales) -> list[str]:
+def leading(octaves: Scales) -> list[str]:
     """Names of the maps that the answer is about."""
-    return list(found.maps)[:_MOST]
+    return list(octaves.maps)[:_MOST]
 
 
-def leading_band(found: Scales, bands: Sequence[ScaleBand]) -> ScaleBand:
+def leading_band(octaves: Scales, bands: Sequence[ScaleBand]) -> ScaleBand:
     """The octave that the answer names: of the largest coherence, or standard deviation."""
     related = _related(bands)
-    if found.against is None or not related:
+    if octaves.against is None or not related:
         return max(bands, key=lambda band: band.sd)
     return max(related, key=lambda band: band.coherence)
 
@@ -57,9 +57,9 @@ def _related(bands: Sequence[ScaleBand]) -> list[ScaleBand]:
     return [band for band in bands if is_known(band.coherence) and is_known(band.gain)]
 
 
-def _levels(found: Scales, facts: MapScales) -> bool:
+def _levels(octaves: Scales, facts: MapScales) -> bool:
     """Whether a coating is compared with the surface of its base."""
-    return facts.map.startswith("coating_") and "base_surface" in str(found.against)
+    return facts.map.startswith("coating_") and "base_surface" in str(octaves.against)
 
 
 def waves(band: ScaleBand) -> str:
@@ -93,13 +93,13 @@ def _say_spread(facts: MapScales, bands: Sequence[ScaleBand]) -> str:
     )
 
 
-def _say_relation(found: Scales, facts: MapScales, bands: Sequence[ScaleBand]) -> str:
+def _say_relation(octaves: Scales, facts: MapScales, bands: Sequence[ScaleBand]) -> str:
     """In which waves a map follows the other one most, and by how much."""
-    other = in_words(found.against_title)
-    known = _related(bands)
-    if not known:
+    other = in_words(octaves.against_title)
+    related = _related(bands)
+    if not related:
         return f"Whether {in_words(facts.title)} follows {other} cannot be said in any octave."
-    best = leading_band(found, bands)
+    best = leading_band(octaves, bands)
     if not best.coherence_interval[0] > 0:
         return f"{_title(facts)} follows {other} in no octave beyond chance."
     follows, rises = ("follows", "rises") if best.gain > 0 else ("mirrors", "falls")
@@ -111,14 +111,14 @@ def _say_relation(found: Scales, facts: MapScales, bands: Sequence[ScaleBand]) -
     text = (
         f"{_title(facts)} {follows} {other} most in waves of {waves(best)} (squared coherence"
         f" {fixed(best.coherence, 2)}; 95 %: {interval_text(best.coherence_interval)}): where"
-        f" {other} rises by {with_unit(1.0, found.against_units)}, {title} {rises} by"
+        f" {other} rises by {with_unit(1.0, octaves.against_units)}, {title} {rises} by"
         f" {with_unit_of(size, facts.units)} (95 %:"
         f" {fixed(ends[0], digits)} to {fixed(ends[1], digits)})."
     )
-    if _levels(found, facts) and best.gain_interval[1] >= -1 and best.gain < 0:
+    if _levels(octaves, facts) and best.gain_interval[1] >= -1 and best.gain < 0:
         share_text = percent(min(-best.gain, 1.0), 2)
         text += f" The coating levels {share_text} of the height of these waves."
-    silent = [waves(band) for band in known if not band.coherence_interval[0] > 0]
+    silent = [waves(band) for band in related if not band.coherence_interval[0] > 0]
     if silent:
         text += f" In waves of {and_join(silent)} it does not follow beyond chance."
     return text
@@ -140,35 +140,37 @@ def _say_formation(facts: MapScales) -> str:
     )
 
 
-def say_surer(found: Scales) -> list[str]:
+def say_surer(octaves: Scales) -> list[str]:
     """What would make octaves more certain; at most three sentences."""
     sentences: list[str] = []
-    if doubtful := [in_words(facts.title) for facts in found.maps.values() if facts.trust != "ok"]:
+    if doubtful := [
+        in_words(facts.title) for facts in octaves.maps.values() if facts.trust != "ok"
+    ]:
         sentences.append(
             f"Checks of the run leave {and_join(doubtful)} doubtful: look at them before anything"
             " else."
         )
-    octaves = {name: found.bands[name] for name in leading(found) if found.bands[name]}
-    titles = {name: in_words(found.maps[name].title) for name in octaves}
-    if any(_wants_larger_field(bands) for bands in octaves.values()):
-        longest_um = next(iter(octaves.values()))[0].high_um
+    bands_of = {name: octaves.bands[name] for name in leading(octaves) if octaves.bands[name]}
+    titles = {name: in_words(octaves.maps[name].title) for name in bands_of}
+    if any(_wants_larger_field(bands) for bands in bands_of.values()):
+        longest_um = next(iter(bands_of.values()))[0].high_um
         sentences.append(
             "A larger field: four times the area halves the interval of each octave, and adds the"
             f" octave above {plain(longest_um)}. Waves count where five of them fit along the"
             " shorter side of the field."
         )
-    for name, bands in octaves.items():
+    for name, bands in bands_of.items():
         if loud := [band for band in bands if _is_loud(band)]:
             sentences.append(
                 f"A scan with less noise: in waves of {waves(loud[-1])} most of the variance of"
                 f" {titles[name]} is noise."
             )
-    if unknown := [title for name, title in titles.items() if found.maps[name].shared is None]:
+    if unknown := [title for name, title in titles.items() if octaves.maps[name].shared is None]:
         sentences.append(
             f"A second measurement of {and_join(unknown)}: without one its noise is not known, and"
             " counts in every octave."
         )
-    if octaves:
+    if bands_of:
         sentences.append("Other fields and sheets: the interval is that of one field.")
     return sentences[:3]
 
@@ -184,58 +186,58 @@ def _is_loud(band: ScaleBand) -> bool:
     return is_known(band.noise) and band.noise**2 > _LOUD * (band.sd**2 + band.noise**2)
 
 
-def say_reading(found: Scales) -> list[str]:
+def say_reading(octaves: Scales) -> list[str]:
     """How to read octaves, and what they do not say."""
     sentences = [
         "Each octave holds the waves between a length and its double, as if all others were taken"
         " off; their variances add up. Octaves are the same for every map, of paper and of print."
     ]
-    if any(facts.shared is not None for facts in found.maps.values()):
+    if any(facts.shared is not None for facts in octaves.maps.values()):
         sentences.append(
             "Noise is what neighbouring rows of the scan do not share; it is taken off. What they"
             " share stays."
         )
-    if found.against is not None:
+    if octaves.against is not None:
         sentences.append(
             "Gain is the change of the map for a change of the other one in these waves alone, and"
             " squared coherence the share of its variance there that goes with it. It names no"
             " cause."
         )
-    if any(_levels(found, facts) for facts in found.maps.values()):
+    if any(_levels(octaves, facts) for facts in octaves.maps.values()):
         sentences.append(
             "Coating and base meet at one interface: where it was found too high or too low, the"
             " gain is -1 as well. Only the noise of it is taken off. A gain beyond -1 is no"
             " levelling: the face is high over valleys of the base, as where thick coating was"
             " pressed into it."
         )
-    if "image" in (facts.map for facts in found.maps.values()):
+    if "image" in (facts.map for facts in octaves.maps.values()):
         sentences.append(
             "Of an image the coefficient of variation of an octave is its mottle there, after the"
             " idea of ISO/IEC 24790, without its procedure."
         )
-    if any(facts.formation for facts in found.maps.values()):
+    if any(facts.formation for facts in octaves.maps.values()):
         sentences.append(
             "A formation number of 1 is that of fibres laid at random; flocs raise it."
         )
     return sentences
 
 
-def say_notes(found: Scales) -> list[str]:
+def say_notes(octaves: Scales) -> list[str]:
     """What else stands beside the octaves: maps without any, and what halves share."""
     notes = [
         f"{_title(facts)}: {facts.reason}"
-        for facts in found.maps.values()
+        for facts in octaves.maps.values()
         if facts.reason is not None
     ]
     shared: dict[str, list[str]] = {}
-    for facts in found.maps.values():
+    for facts in octaves.maps.values():
         if facts.shared is not None:
             shared.setdefault(facts.shared, []).append(in_words(facts.title))
     for cause, titles in shared.items():
         notes.append(f"All rows share {cause}: it stays in {and_join(titles)}.")
-    forms = {facts.title: facts.form_um for facts in found.maps.values()}
-    forms[found.against_title] = found.against_form_um
-    bands = next(iter(found.bands.values()), ())
+    forms = {facts.title: facts.form_um for facts in octaves.maps.values()}
+    forms[octaves.against_title] = octaves.against_form_um
+    bands = next(iter(octaves.bands.values()), ())
     for title, form_um in forms.items():
         cut = [waves(band) for band in bands if is_known(form_um) and band.high_um > form_um]
         if cut:
@@ -244,7 +246,7 @@ def say_notes(found: Scales) -> list[str]:
                 f" of {plain(form_um)}, and longer ones: in waves of {and_join(cut)} it varies less"
                 " than the face itself, and a gain for it is too large."
             )
-    if found.declared is False:
+    if octaves.declared is False:
         notes.append("The study declared other maps: these were chosen later.")
     return notes
 
