@@ -308,31 +308,31 @@ def _coating_faults(
     greys = scan.greys
     sample = scan.sample[np.isfinite(scan.sample)]
     end_grey = float(sample.max() if greys.polarity > 0 else sample.min())
-    faults = [
+    sentences = [
         f"The grey of the {side} coating lies beyond all greys of the volume, which end at"
         f" {end_grey:.4g}."
         for side in contrasts
         if greys.polarity * (greys.coating(side) - end_grey) > 0
     ]
-    faults += [
+    sentences += [
         f"On the {side} side no layer shows that is denser than the base."
         for side, contrast in contrasts.items()
         if contrast < _COATING * abs(greys.base - greys.air)
     ]
     if contrast_ratio < _ALIKE:
-        faults.append(
+        sentences.append(
             f"One coating has {100 * contrast_ratio:.0f} % of the other's contrast to the base."
         )
     for side, contrast in contrasts.items():
         change, error = scan.measured.attrs.get(f"coating_deepens_{side}", (0.0, 0.0))
         if abs(change) > max(_DEEPENS * contrast, 3.0 * error):
             kind = "denser" if change > 0 else "less dense"
-            faults.append(
+            sentences.append(
                 f"The half of the {side} coating next to the base is {kind} than its outer half"
                 f" by {abs(change):.3g}: a pre-coat of another grey, or a grey that changes with"
                 " depth."
             )
-    return faults
+    return sentences
 
 
 def filler(rule: CheckRule, scan: GreyScan) -> Check | None:

@@ -162,8 +162,8 @@ def _sentence(listed_faults: list[Fault], fault_count: int, axis: Axis) -> str:
         sentences.append(f"{len(listed_faults) - 4} more such places.")
     n_unlisted = fault_count - len(listed_faults)
     if n_unlisted:
-        faults_text = "fault" if n_unlisted == 1 else "faults"
-        sentences.append(f"{n_unlisted} other {faults_text} along the same axis.")
+        noun = "fault" if n_unlisted == 1 else "faults"
+        sentences.append(f"{n_unlisted} other {noun} along the same axis.")
     return " ".join([*sentences, "Slices count from 0."])
 
 
