@@ -29,7 +29,10 @@ TARGET = "target"
 
 
 def main() -> None:
-    """Make one run."""
+    """Make the run that a line of JSON on standard input orders.
+
+    Lines of JSON on standard output say how it goes. The end of standard input cancels it.
+    """
     # To whoever started this process.
     parent_stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what others print goes to standard error

@@ -152,16 +152,6 @@ def values_at(maps: xr.Dataset, names: Sequence[str], points: Floats) -> Floats:
     return np.stack([bilinear(maps[name].values, row, col) for name in names], axis=1)
 
 
-def grid_points(x: Floats, y: Floats) -> Floats:
-    """``x, y`` (rows, cols, 2) of the points of a grid."""
-    return np.stack(np.meshgrid(x, y), axis=-1)
-
-
-def are_known(points: NDArray[np.floating]) -> Bools:
-    """Return which points (..., k) have all of their coordinates."""
-    return np.asarray(np.isfinite(points).all(axis=-1))
-
-
 def centres_of(holes: xr.Dataset) -> Floats:
     """``x, y`` (n, 2) of holes or marks."""
     return np.stack([holes["x"].values, holes["y"].values], axis=1).astype(np.float64)

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from planish.core.typing import Floats, Pair, pair_of
+from planish.core.typing import Bools, Floats, Pair, pair_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,6 +215,16 @@ class Projective(NearSimilarity):
 
 
 Transform = Similarity | NearSimilarity  # what every fitted transformation is
+
+
+def grid_points(x: Floats, y: Floats) -> Floats:
+    """``x, y`` (rows, cols, 2) of the points of a grid."""
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def are_known(points: NDArray[np.floating]) -> Bools:
+    """Return which points (..., k) have all of their coordinates."""
+    return np.asarray(np.isfinite(points).all(axis=-1))
 
 
 def _everywhere(matrix: Floats, points: ArrayLike) -> Floats:

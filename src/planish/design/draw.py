@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 
-from planish.core.grid import grid_points
 from planish.core.numbers import round_step
+from planish.core.transform import grid_points
 from planish.core.typing import Floats
 from planish.design.gcode import DryRun, dry_run, pattern_dxf, stage_program
 from planish.design.params import ImagingParams, StageParams

@@ -11,8 +11,8 @@ import xarray as xr
 from pydantic import Field
 
 from planish.core.facts import ResultModel, Value
-from planish.core.grid import are_known
 from planish.core.robust import percentiles
+from planish.core.transform import are_known
 from planish.core.typing import Bools, Floats, Ints
 
 # Cell (i, j) has the corners a = (i, j), b = (i, j + 1), c = (i + 1, j + 1), d = (i + 1, j) and is

@@ -16,8 +16,8 @@ from operator import attrgetter
 import numpy as np
 from scipy import ndimage
 
-from planish.core.grid import grid_points
 from planish.core.status import Outcome
+from planish.core.transform import grid_points
 from planish.core.typing import Floats, Singles
 from planish.flatten._kernels import (
     FAR,

@@ -10,9 +10,9 @@ import numpy as np
 from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
-from planish.core.grid import are_known
 from planish.core.status import Outcome
 from planish.core.threads import count_threads
+from planish.core.transform import are_known
 from planish.core.typing import Bools, Floats
 from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments

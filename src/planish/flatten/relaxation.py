@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from planish.core.errors import CannotFlatten
-from planish.core.grid import are_known
 from planish.core.status import Outcome
+from planish.core.transform import are_known
 from planish.core.typing import Floats
 from planish.flatten._relaxation_kernels import mix, set_force
 from planish.flatten.distortion import folded_cells, triangle_areas

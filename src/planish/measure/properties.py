@@ -216,7 +216,10 @@ def _errors_of_labels(measured: xr.Dataset) -> Errors:
 
 
 def _errors_of_greys(measured: xr.Dataset, noise_um: float) -> Errors:
-    """Errors of faces found in grey values."""
+    """Errors of faces found in grey values.
+
+    ``noise_um``: what noise moves an integral along a single ray by; NaN: it is taken for white.
+    """
     greys = Greys.of(measured)
     frame = Frame.of(measured)
     pitch_um = pitch(measured)

@@ -12,9 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister
-from planish.core.grid import are_known, grid_points
 from planish.core.threads import map_threads
-from planish.core.transform import Affine, NearSimilarity, Similarity, Transform
+from planish.core.transform import (
+    Affine,
+    NearSimilarity,
+    Similarity,
+    Transform,
+    are_known,
+    grid_points,
+)
 from planish.core.typing import Floats, Pair, pair_of
 
 Kernel = Callable[[Floats], Floats]

@@ -15,8 +15,7 @@ from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.errors import CannotRegister, SizeError
-from planish.core.grid import grid_points
-from planish.core.transform import Affine
+from planish.core.transform import Affine, grid_points
 from planish.core.typing import Bools, Floats, Pair, pair_of
 from planish.register.bent import NOTABLE, determinants
 from planish.register.result import FittedTransform

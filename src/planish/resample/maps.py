@@ -9,8 +9,8 @@ from scipy import special
 from planish.core.axial import angle_of, is_axial, summable_of
 from planish.core.errors import SurfaceError
 from planish.core.frame import Frame
-from planish.core.grid import Grid, grid_points, pitch
-from planish.core.transform import Similarity
+from planish.core.grid import Grid, pitch
+from planish.core.transform import Similarity, grid_points
 from planish.core.typing import Floats
 from planish.resample.places import Mesh, covering_grid, find_places, resample_dataset
 from planish.resample.warp import warp_image

@@ -19,8 +19,9 @@ from pydantic import Field
 from planish.core.axial import axial_angle, summable
 from planish.core.errors import SurfaceError
 from planish.core.facts import ResultModel
-from planish.core.grid import Grid, are_known, grid_points
+from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
+from planish.core.transform import are_known, grid_points
 from planish.core.typing import Array, Bools, Floats, Pair
 from planish.resample._kernels import locate, sample
 

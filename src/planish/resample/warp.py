@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, InputError, ResourceError, SizeError
-from planish.core.grid import Grid, are_known
+from planish.core.grid import Grid
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
+from planish.core.transform import are_known
 from planish.core.typing import Array, Floats, Pair
 from planish.resample._kernels import integrals, interpolate
 

@@ -172,6 +172,7 @@ def as_judged(member: Member, results: Results) -> Member:
 
 
 def _summary(member: Member, results: Results) -> RunSummary:
+    """What the page of a series needs of one run."""
     sheets = [layer for layer in results.layers if layer.kind == "sheet"]
     widths_um: list[float] = []
     for layer in sheets:

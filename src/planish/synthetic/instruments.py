@@ -161,7 +161,7 @@ class Scanner:
     def tiles(self, *, tile_rows: int | None = None) -> Iterator[tuple[int, NDArray[np.generic]]]:
         """Give (first row, tile (rows, x, z)) one after the other.
 
-        Some ``2 * threads`` tiles are in memory.
+        As many tiles as threads are made at a time.
         """
         # Made once, before threads ask for them.
         _ = self.sheet.packed, self._rings_image, self._cupping_factor
@@ -270,8 +270,8 @@ class Scanner:
         knot_position = np.arange(self.shape[2]) * self.params.voxel_um / _STREAK_UM
         taps = gaussian_taps(1.0)
 
-        def knot(row: int) -> Floats:
-            rng = generator(self.seed, "streaks", str(row))
+        def knot(number: int) -> Floats:
+            rng = generator(self.seed, "streaks", str(number))
             white = rng.standard_normal(
                 (1, n_knots, self.shape[0] + 2 * (taps.size - 1)), dtype=np.float32
             )

@@ -11,9 +11,9 @@ import xarray as xr
 from planish.core.area import common_means
 from planish.core.errors import InputError
 from planish.core.facts import Side
-from planish.core.grid import Grid, centres_of, grid_points, hole_mask
+from planish.core.grid import Grid, centres_of, hole_mask
 from planish.core.older_names import height_map
-from planish.core.transform import Similarity
+from planish.core.transform import Similarity, grid_points
 from planish.core.typing import Array, Bools, Floats
 from planish.register.by_texture.rotations import BAND_UM
 from planish.texture.length_unit import length_unit_um

@@ -223,7 +223,11 @@ def say_reading(octaves: Scales) -> list[str]:
 
 
 def say_notes(octaves: Scales) -> list[str]:
-    """What else stands beside the octaves: maps without any, and what halves share."""
+    """What else stands beside the octaves.
+
+    Maps without any, noise that both halves of the rows share, heights above a form, and that the
+    study declared other maps.
+    """
     notes = [
         f"{_title(facts)}: {facts.reason}"
         for facts in octaves.maps.values()
