@@ -193,11 +193,10 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
             f"A cell of {cell_um:g} um is smaller than a pixel of {pixel_um:g} um, or larger than"
             f" the field, {field_um:g} um. Give cells between these."
         )
-    predictor_columns: list[CellColumn] = []
-    for name, values in maps.predictors.items():
-        predictor_columns += columns_of(name, values)
     response_name = str(maps.response.name)
-    columns = [CellColumn(name=response_name, values=maps.response), *predictor_columns]
+    columns = [CellColumn(name=response_name, values=maps.response)]
+    for name, values in maps.predictors.items():
+        columns += columns_of(name, values)
     sizes_um = [size_um for size_um in cell_um * _SIZES if least_um <= size_um <= field_um]
     cells_by_size = means_over_cells(
         columns, maps.masks, pixel_um=maps.grid.pixel_um, sizes_um=sizes_um

@@ -51,19 +51,23 @@ def explained_over_sheets(
     lead = _lead_over_sheets(coefficients, of_models, sheet_of_model)
     declared = {model.declared for model in of_models}
     model_fields = ("response", "title", "units", "of", "cell_um", "corrected")
+    r2 = Fields([model.r2 for model in of_models], sheet_of_model)
+    r2_out = Fields([model.r2_out for model in of_models], sheet_of_model)
+    with_p_of_set: dict[str, PooledCoefficient] = {}
+    for (name, coefficient), p in zip(coefficients.items(), p_of_set, strict=True):
+        with_p_of_set[name] = coefficient.model_copy(update={"p_of_set": p})
+    n = sum(model.n for model in of_models)
+    n_eff = sum(model.n_eff for model in of_models)
     return ExplainedSeries(
         **{name: getattr(first, name) for name in model_fields},
         declared=declared.pop() if len(declared) == 1 else False,
         sheets=len(set(sheet_of_model)),
         fields=len(models),
-        n=sum(model.n for model in of_models),
-        n_eff=sum(model.n_eff for model in of_models),
-        r2=over_sheets(Fields([model.r2 for model in of_models], sheet_of_model)).mean,
-        r2_out=over_sheets(Fields([model.r2_out for model in of_models], sheet_of_model)).mean,
-        coefficients={
-            name: c.model_copy(update={"p_of_set": p})
-            for (name, c), p in zip(coefficients.items(), p_of_set, strict=True)
-        },
+        n=n,
+        n_eff=n_eff,
+        r2=over_sheets(r2).mean,
+        r2_out=over_sheets(r2_out).mean,
+        coefficients=with_p_of_set,
         lead=lead.mean,
         lead_interval=lead.interval,
         specimens=dict(models),

@@ -48,12 +48,12 @@ def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
     if state.model != original.model:
         study = changed(study, registration={"model": state.model})
     if state.regions != original.regions:
-        path = None
+        regions_path = None
         if state.regions:
             regions = Regions(declared=tuple(map(_region, state.regions)))
             file_texts[REGIONS] = geojson_text(regions)
-            path = str(staging / REGIONS)
-        study = changed(study, correlate={"regions": path})
+            regions_path = str(staging / REGIONS)
+        study = changed(study, correlate={"regions": regions_path})
     after = changed_corrections(study, original.corrections, state.corrections)
     for name, corrections in after.items():
         path = None

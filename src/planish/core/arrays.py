@@ -79,14 +79,17 @@ def check_dataset(
                 ' attrs["units"] = "um".'
             )
     for axis in _GRID_AXES:
-        if axis not in data.dims:
-            continue
-        if axis not in data.coords:
-            raise SizeError(
-                f"The {expected} have no coordinates along {axis}, so their size is unknown. Take"
-                f" them as {source} gives them, or write data.assign_coords({axis}=...), in um."
-            )
-        step_um(data, axis)
+        if axis in data.dims:
+            _check_coordinates(data, axis, expected, source)
+
+
+def _check_coordinates(data: xr.Dataset, axis: str, expected: str, source: str) -> None:
+    if axis not in data.coords:
+        raise SizeError(
+            f"The {expected} have no coordinates along {axis}, so their size is unknown. Take"
+            f" them as {source} gives them, or write data.assign_coords({axis}=...), in um."
+        )
+    step_um(data, axis)
 
 
 def check_path(path: object, expected: str, call_format: str, fix: str) -> Path:

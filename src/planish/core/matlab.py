@@ -156,21 +156,23 @@ def _variables_new(file: BinaryIO) -> Iterator[Variable]:
             # A link, external storage or a virtual data set could lead to any file of the machine.
             if not isinstance(root.get(key, getlink=True), h5py.HardLink):
                 continue
-            member: Any = root[key]
-            if isinstance(member, h5py.Group):
+            if isinstance(root[key], h5py.Group):
                 yield Variable(name=str(key), shape=(), kind="struct")
-                continue
-            shape: Any = getattr(member, "shape", None)
-            if shape is None or member.external or member.is_virtual:
-                yield Variable(name=str(key), shape=(), kind="opaque")
-                continue
-            class_name: Any = member.attrs.get("MATLAB_class", b"")
-            if isinstance(class_name, bytes):
-                class_name = class_name.decode(errors="replace")
-            kind = str(class_name) or _CLASS_OF_TYPE.get(member.dtype, str(member.dtype))
-            is_real = member.dtype.kind in "uif" and kind in NUMBERS
-            matlab_shape = tuple(int(n) for n in shape[::-1])
-            yield Variable(name=str(key), shape=matlab_shape, kind=kind, real=is_real)
+            else:
+                yield _variable_new(str(key), root[key])
+
+
+def _variable_new(name: str, member: Any) -> Variable:
+    """The variable that a data set of HDF5 holds; *opaque* where it leads to another file."""
+    shape: Any = getattr(member, "shape", None)
+    if shape is None or member.external or member.is_virtual:
+        return Variable(name=name, shape=(), kind="opaque")
+    class_name: Any = member.attrs.get("MATLAB_class", b"")
+    if isinstance(class_name, bytes):
+        class_name = class_name.decode(errors="replace")
+    kind = str(class_name) or _CLASS_OF_TYPE.get(member.dtype, str(member.dtype))
+    is_real = member.dtype.kind in "uif" and kind in NUMBERS
+    return Variable(name=name, shape=tuple(int(n) for n in shape[::-1]), kind=kind, real=is_real)
 
 
 def _variables_5(file: BinaryIO, endian_mark: bytes) -> Iterator[Variable]:

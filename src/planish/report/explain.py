@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -55,6 +55,9 @@ from planish.report.sentences.explain import (
 from planish.report.statement import p_text
 from planish.report.summary import KeyFigure
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 AnyModel = Explained | ExplainedSeries
 
 _WIDEST_NAME = 245.0  # pixels, of a row
@@ -65,7 +68,13 @@ _BOX = (86.0, 14.0, HALF - 106.0, 226.0)  # of a diagram on half a page of 310 p
 def explain_page(model: AnyModel, *, source: str, version: str) -> tuple[str, list[Picture]]:
     """Return the page of a model as HTML, and its figures in the order shown.
 
-    ``source``: name of the run or series; ``version``: of the program.
+    Parameters
+    ----------
+    model : Explained or ExplainedSeries
+    source : str
+        Name of the run or series.
+    version : str
+        That of the program.
     """
     section = explained_section(model)
     return answer_page(section, source=source, version=version), section["pictures"]
@@ -175,11 +184,16 @@ def tables_of(model: AnyModel) -> dict[str, Table]:
     ]
     tables["sizes"] = table_of(size_rows)
     if model.cells is not None:
-        cells = model.cells.drop_vars([k for k in model.cells if str(k).endswith(" freed")])
-        complete = cells.stack(cell=("cell_y", "cell_x")).dropna("cell")
-        columns = {"y_um": complete["cell_y"], "x_um": complete["cell_x"], **dict(complete.items())}
-        tables["cells"] = {str(name): values.values.tolist() for name, values in columns.items()}
+        tables["cells"] = _table_of_cells(model.cells)
     return tables
+
+
+def _table_of_cells(cells: xr.Dataset) -> Table:
+    """Cells that have all values, a row each."""
+    cells = cells.drop_vars([k for k in cells if str(k).endswith(" freed")])
+    complete = cells.stack(cell=("cell_y", "cell_x")).dropna("cell")
+    columns = {"y_um": complete["cell_y"], "x_um": complete["cell_x"], **dict(complete.items())}
+    return {str(name): values.values.tolist() for name, values in columns.items()}
 
 
 def draw_coefficients(model: AnyModel) -> Picture:

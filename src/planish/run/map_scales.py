@@ -250,6 +250,10 @@ class Reading:
 def _scales(
     params: ScalesParams, maps: Mapping[str, NamedMap], all_names: Sequence[str], read: Read
 ) -> Scales:
+    """Octaves of the chosen maps, and of each with the map that is named ``against``.
+
+    InputError where a map holds angles of an axis.
+    """
     against = params.against
     chosen = params.of or [name for name in all_names if name != against]
     references = [] if against is None else [against]

@@ -132,14 +132,18 @@ class Run:
                 f"r = {r}: {row.a_map} of {row.a}, {row.b_map} of {row.b}, points of"
                 f" {row.point_um:g} um"
             )
+        lines.append(f"groups: {self._groups_text()}")
+        return "\n  ".join(lines)
+
+    def _groups_text(self) -> str:
+        """Name the groups with their sizes, as far as a line goes."""
         groups: list[str] = []
         for name, data in self.groups.items():
             groups.append(f"{name} {'x'.join(map(str, data.sizes.values()))}")
         text = ", ".join(groups)
         if len(text) >= _MOST_LETTERS:
-            text = f"{text[:_MOST_LETTERS]} ..."
-        lines.append(f"groups: {text}")
-        return "\n  ".join(lines)
+            return f"{text[:_MOST_LETTERS]} ..."
+        return text
 
     def _repr_html_(self) -> str:
         from planish.report import run_html

@@ -171,6 +171,7 @@ def _points_text(
     threshold: float,
     choice: Choice,
 ) -> str:
+    """Name a point inside each object from which a whole sheet can be followed."""
     points: list[str] = []
     for label in sheet_labels:
         in_object = labels == label

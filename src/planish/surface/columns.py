@@ -346,25 +346,26 @@ class Priors:
             "top": self.sides[frame.top == "high"],
             "bottom": self.sides[frame.top == "low"],
         }
-        top, bottom = (
-            float(polarity * side.level[2] + air_grey) if side.coated else float("nan")
-            for side in by_name.values()
-        )
+        of_coatings: dict[str, Any] = {}
+        for name, side in by_name.items():
+            grey = polarity * side.level[2] + air_grey if side.coated else np.nan
+            of_coatings[f"grey_coating_{name}"] = float(grey)
+        for name, side in by_name.items():
+            if side.coated and side.level_error:
+                of_coatings[f"grey_coating_{name}_error"] = side.level_error
+        for name, side in by_name.items():
+            if side.lone is not None:
+                deepening = [side.lone.deepening, side.lone.deepening_error]
+                of_coatings[f"coating_deepens_{name}"] = deepening
+        of_covers: dict[str, float] = {}
+        for from_high, cover_px in self.covers_px.items():
+            if cover_px:
+                name = "top" if from_high == (frame.top == "high") else "bottom"
+                of_covers[f"cover_{name}_um"] = cover_px * pitch_um
         return {
             "grey_air": air_grey,
             "grey_base": polarity * self.base_level + air_grey,
-            "grey_coating_top": top,
-            "grey_coating_bottom": bottom,
-            **{
-                f"grey_coating_{name}_error": side.level_error
-                for name, side in by_name.items()
-                if side.coated and side.level_error
-            },
-            **{
-                f"coating_deepens_{name}": [side.lone.deepening, side.lone.deepening_error]
-                for name, side in by_name.items()
-                if side.lone is not None
-            },
+            **of_coatings,
             "grey_noise": self.noise,
             "grey_noise_single": self.single_noise,
             "averaged_columns": self.scale.blend_sd,
@@ -373,11 +374,5 @@ class Priors:
             "blur_um": edge.width * pitch_um if self.is_blur_known else float("nan"),
             "fringe": edge.fringe,
             "fringe_um": edge.fringe_width * pitch_um if edge.fringe else 0.0,
-            **{
-                f"cover_{'top' if from_high == (frame.top == 'high') else 'bottom'}_um": (
-                    cover_px * pitch_um
-                )
-                for from_high, cover_px in self.covers_px.items()
-                if cover_px
-            },
+            **of_covers,
         }

@@ -115,6 +115,7 @@ class _Learner(Sampler):
     def __init__(
         self, columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams
     ) -> None:
+        """Choose the rows that are sampled, and say what the parameters ask for."""
         super().__init__(columns, guide, survey)
         self.params = params
         self.is_separated = params.sheet_grey is not None or survey.surroundings == "material"

@@ -68,7 +68,9 @@ class Sampler:
     """
 
     def __init__(self, columns: Columns, guide: Guide, survey: Survey) -> None:
-        self.columns, self.guide = columns, guide
+        """Choose the rows that are sampled; grey is on the scale of the survey."""
+        self.columns = columns
+        self.guide = guide
         self.embedded_level = survey.coarse.threshold if survey.surroundings != "air" else 0.0
         self.scale = GreyScale(air_grey=survey.air_grey, polarity=survey.polarity)
         pitch = columns.pitch
