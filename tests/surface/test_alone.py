@@ -10,7 +10,7 @@ from planish.core.frame import Frame
 from planish.core.tiles import Engine
 from planish.measure import measure_properties
 from planish.surface import SurfaceParams, find_surfaces
-from planish.surface.alone import _grey
+from planish.surface.alone import RADII, _grey
 from planish.surface.columns import Columns, make_guide
 from planish.surface.learn import learn_priors
 from planish.surface.survey import take_survey
@@ -41,6 +41,19 @@ def learnt(made):
     columns = Columns(volume=made, frame=Frame())
     survey = take_survey(columns, SurfaceParams(), Engine())
     return learn_priors(columns, make_guide(survey.coarse, columns), survey, SurfaceParams())
+
+
+def test_charred_places_do_not_take_the_grey_along():
+    """Sixteen places, three of them charred by a laser; their mean would be 7.5 darker."""
+    count = np.full(16, 100.0)
+    level = np.full(16, 150.0)
+    level[:3] = 110.0
+    half = 0.5 * count
+    fields = [count, count * level, half, half * level, half * level]
+    found = _grey(np.repeat(np.array(fields)[:, None], len(RADII), axis=1))
+    assert found is not None
+    assert found.level == pytest.approx(150.0)
+    assert found.error > 0
 
 
 @pytest.mark.ci

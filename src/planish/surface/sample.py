@@ -151,9 +151,11 @@ class Sampler:
             # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps
             # less, so it is tried.
             self.noise = self.single_noise = air_noise
-            # Less than half a column averages nothing, and blurs all the same.
-            is_wide = widest >= _BLENDS[0]
-            for blend_sd in sorted({*_BLENDS, widest}) if is_wide else _BLENDS:
+            blends = {*_BLENDS}
+            # Averaging over less than half a column blurs, and hardly lessens what is shared.
+            if widest >= _BLENDS[0]:
+                blends.add(widest)
+            for blend_sd in sorted(blends):
                 needed = _QUIET if blend_sd <= widest else _SEEN
                 if step / self.noise >= needed:
                     break
