@@ -30,7 +30,7 @@ from planish.core.lazy import LazyArray, Where
 from planish.core.typing import Array, DType, Entries
 from planish.io.formats import full_scale
 from planish.io.lazy import read_if_small, supported_type
-from planish.io.sizes import PIXEL, VOXEL, Stated, agreed_size
+from planish.io.sizes import PIXEL, VOXEL, Stated, agreed_size, size_attrs
 
 Size = float | tuple[float, ...]
 
@@ -251,7 +251,7 @@ def _labelled(
     path = getattr(raster.variable._data, "filename", None)  # pyright: ignore  of a memory map
     file_name = Path(path).name if path else str(raster.name or "array")
     attrs = {"file_name": file_name, "file_bytes": raster.nbytes, **attrs, "units": "1"}
-    attrs |= {kind.size_attribute: list(size), f"{kind.size_attribute}_source": source}
+    attrs |= size_attrs(size_kind, size, source, stated)
     sized = labelled(values, kind.axes, size, name=kind.name, attrs=attrs)
     for axis, step in steps.items():
         if step is not None and raster[axis].values[0] != 0:

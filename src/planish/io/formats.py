@@ -210,6 +210,11 @@ def is_slice_name(name: str) -> bool:
     return not name.startswith(".") and Path(name).suffix.lower() in PICTURE_SUFFIXES
 
 
+def pictures_in(folder: Path) -> list[Path]:
+    """Visible image files of a folder, sorted by name."""
+    return sorted(p for p in folder.iterdir() if is_slice_name(p.name) and p.is_file())
+
+
 def loader(file_format: VolumeFormat) -> Callable[..., LoadedVolume]:
     """Import the module of a format and return its function ``load``."""
     plugin = file_format.plugin

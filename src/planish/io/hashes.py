@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from planish.core.files import delete, write_whole
 from planish.core.lazy import chunk_parts
-from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, is_slice_name, loader
+from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, loader, pictures_in
 from planish.io.guard import reading, size_of_file
 from planish.io.sections import COUNTER, is_section_folder
 from planish.io.slice_volume import slice_files
@@ -161,7 +161,7 @@ def files_of(place: Place) -> list[Path]:
     # Sections have gaps that are none: their counter says where each one lies, and is part of what
     # was measured.
     if is_section_folder(path):
-        return [file for file in path.iterdir() if is_slice_name(file.name) or file.name == COUNTER]
+        return [*pictures_in(path), path / COUNTER]
     if file_format is SLICES:
         return slice_files(path)
     if path.is_dir():

@@ -168,6 +168,11 @@ def source_files(dataset: Any, path: Path) -> list[Path]:
     return files
 
 
+def _shape_of(dataset: Any) -> Shape:
+    """Lengths of the axes; none of a single value, or of a data set without values."""
+    return tuple(map(int, dataset.shape or ()))
+
+
 def volumes_in(path: Path) -> list[tuple[str, Shape, str]]:
     """Names, shapes and types of all data sets with three axes longer than 1, links left aside."""
     volumes: list[tuple[str, Shape, str]] = []
@@ -175,7 +180,7 @@ def volumes_in(path: Path) -> list[tuple[str, Shape, str]]:
 
     def note_volume(name: str, member: Any) -> bool | None:
         if isinstance(member, h5py.Dataset) and member.dtype.kind in "buif":
-            shape = tuple(int(n) for n in member.shape or ())
+            shape = _shape_of(member)
             if len(extended_axes(shape)) == 3:
                 volumes.append((f"/{name}", shape, str(member.dtype)))
         return True if next(visit_count) > 20_000 else None
@@ -200,7 +205,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         if not isinstance(dataset, h5py.Dataset):
             volumes = describe_volumes(volumes_in(path), path.name)
             raise VolumeError(f"{path.name}: {place.part!r} is a group. {volumes}")
-        shape = tuple(int(n) for n in dataset.shape or ())
+        shape = _shape_of(dataset)
         namings = _axis_names(dataset)
         placed = place_axes(shape, namings, f"{path.name}: {name}")
         array, doubts = lazy_dataset(dataset, file_path)
@@ -229,18 +234,16 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, Texts]:
     """
     check_storage(dataset, path)
     chunks = dataset.chunks
-    shape = tuple(int(n) for n in dataset.shape)
-    array = FileArray(
-        path, shape, dataset.dtype.newbyteorder("="), partial(_read_part, path, dataset.name, shape)
-    )
+    shape = _shape_of(dataset)
+    read_part = partial(_read_part, path, dataset.name, shape)
+    array = FileArray(path, shape, dataset.dtype, read_part)
     array.piece_bytes = 0 if chunks is None else math.prod(chunks) * array.dtype.itemsize
     if dataset.is_virtual:
         return array, ()
     if dataset.id.get_storage_size() == 0:
         raise damaged(path, f"{dataset.name} has no values stored")
-    if chunks is None or dataset.id.get_num_chunks() == math.prod(
-        -(-n // c) for n, c in zip(array.shape, chunks, strict=True)
-    ):
+    n_chunks = 0 if chunks is None else np.prod(-(-np.array(shape) // chunks))
+    if chunks is None or dataset.id.get_num_chunks() == n_chunks:
         return array, ()
     positions: list[Shape] = []
 
@@ -248,7 +251,7 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, Texts]:
         positions.append(tuple(o // c for o, c in zip(chunk.chunk_offset, chunks, strict=True)))
 
     dataset.id.chunk_iter(note_position)
-    return array, check_chunks(positions, array.shape, chunks, name=f"{path.name}: {dataset.name}")
+    return array, check_chunks(positions, shape, chunks, name=f"{path.name}: {dataset.name}")
 
 
 def _read_part(path: Path, name: str, shape: Shape, where: Where) -> Array:

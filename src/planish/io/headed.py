@@ -91,8 +91,8 @@ def values_behind(header: Header) -> Values:
     stored_bytes = file_bytes - offset
     if header.packing:
         check_blown_up(data_file, decoded_bytes=needed_bytes, stored_bytes=max(stored_bytes, 0))
-        dtype = header.stored_dtype.newbyteorder("=")
-        return whole_array(header.path, header.shape, dtype, partial(_unpacked, header))
+        decode = partial(_unpacked, header)
+        return whole_array(header.path, header.shape, header.stored_dtype, decode)
     if stored_bytes != needed_bytes:
         raise FileError(
             f"{header.path.name} declares {size_words(header.shape)} values of"
@@ -104,16 +104,14 @@ def values_behind(header: Header) -> Values:
 
 
 def _unpacked(header: Header) -> Array:
-    values = np.empty(header.needed_bytes, np.uint8)
-    n_unpacked = 0
+    values = np.empty(header.shape, header.stored_dtype)
+    unpacked_bytes = values.reshape(-1).view(np.uint8)
+    start = 0
     for part in unpacked_parts(header):
-        values[n_unpacked : n_unpacked + len(part)] = np.frombuffer(part, np.uint8)
-        n_unpacked += len(part)
-    return (
-        values.view(header.stored_dtype)
-        .reshape(header.shape)
-        .astype(header.stored_dtype.newbyteorder("="), copy=False)
-    )
+        stop = start + len(part)
+        unpacked_bytes[start:stop] = np.frombuffer(part, np.uint8)
+        start = stop
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
 
 
 def unpacked_parts(header: Header) -> Iterator[bytes]:

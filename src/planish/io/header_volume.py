@@ -81,9 +81,7 @@ def load(place: Place, _channel: str | None, memory_bytes: int | None) -> Loaded
         for _ in unpacked_parts(header):
             pass
         extra("SimpleITK", path)
-        values = FileArray(
-            path, header.shape, header.stored_dtype.newbyteorder("="), partial(_read_meta, path)
-        )
+        values = FileArray(path, header.shape, header.stored_dtype, partial(_read_meta, path))
         values.piece_bytes = values.nbytes // header.shape[0]
     return header.volume(values)
 

@@ -17,7 +17,7 @@ from planish.io.formats import COLOURS, full_scale
 from planish.io.guard import check_memory, size_of_file
 from planish.io.orientation import orientation_attrs, tag_orientation
 from planish.io.picture import DecodedPicture, load_picture
-from planish.io.sizes import PIXEL, Stated, agreed_size, doubt_of_size
+from planish.io.sizes import PIXEL, Stated, agreed_size, size_attrs
 from planish.io.tone import Gamma, linear_grey
 
 if TYPE_CHECKING:
@@ -107,11 +107,13 @@ def read_image(
     height, width = picture.values.shape[:2]
     check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_bytes)
     values, long_name = pick_channel(picture, channel, file_name=path.name, gamma=gamma)
+    tone = picture.tone
+    if picture.in_colour and not tone.camera:
+        tone = tone._replace(camera="a colour camera")
     attrs = {
         "units": "1",
         "long_name": long_name,
-        "pixel_um": list(size),
-        "pixel_um_source": source,
+        **size_attrs(PIXEL, size, source, stated),
         "channel": channel,
         "full_scale": full_scale(picture.values.dtype, picture.bits),
         "stored_dtype": str(picture.values.dtype),
@@ -119,14 +121,9 @@ def read_image(
         **picture_attrs(picture.orientation),
         "file_name": path.name,
         "file_bytes": size_of_file(path),
-        "camera": picture.tone.camera or "a colour camera" * picture.in_colour,
-        "curve": picture.tone.curve,
-        "is_linear": picture.tone.is_linear,
-        "is_scan": picture.tone.is_scan,
+        **tone._asdict(),
     }
     attrs |= {k: v for k, v in (("side", side), ("gamma", gamma)) if v is not None}
-    if doubt := doubt_of_size(stated, source):
-        attrs["size_doubt"] = doubt
     return labelled(values, PIXEL.axes, size, name="image", attrs=attrs)
 
 

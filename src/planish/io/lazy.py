@@ -30,10 +30,10 @@ class FileArray(LazyArray):
         self,
         path: Path,
         shape: Shape,
-        dtype: DType,
+        stored_dtype: DType,
         read: Callable[[Where], Array],
     ) -> None:
-        super().__init__(shape, dtype, read)
+        super().__init__(shape, stored_dtype.newbyteorder("="), read)
         self.path = path  # for the messages
 
     def guarded(self) -> AbstractContextManager[None]:
@@ -101,7 +101,7 @@ def stored_array(
     Open only while read: mapped they would use memory.
     """
     read = partial(_read_planes, planes, shape, stored_dtype)
-    return FileArray(planes[0][0], shape, stored_dtype.newbyteorder("="), read)
+    return FileArray(planes[0][0], shape, stored_dtype, read)
 
 
 def _read_planes(

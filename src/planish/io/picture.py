@@ -19,7 +19,7 @@ from planish.core.errors import FileError
 from planish.core.typing import Array, DType, Texts
 from planish.io.formats import HEAD_BYTES, PICTURES, TIFF, format_by_bytes
 from planish.io.guard import check_blown_up, check_memory, head_of, reading
-from planish.io.resolution import Writer, writer_of
+from planish.io.resolution import UNIT_OF_TAG, Writer, writer_of
 from planish.io.sizes import Stated, stated_by_tiff, stated_density
 from planish.io.tiff import (
     PICTURE_ADVICE,
@@ -252,7 +252,7 @@ def _stated_by_raster(
     # Along x, y in the file.
     density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)
     stated = stated_density(f"the {kind.upper()} resolution", density, "inch", writer)
-    exif_unit = {2: "inch", 3: "cm"}.get(exif.get(296, 2), "")
+    exif_unit = UNIT_OF_TAG.get(exif.get(296, 2), "")
     exif_density = [_real(exif.get(tag)) for tag in (283, 282)]
     # Programs that change one of the two resolutions may leave the other.
     if None in (*stated.um[1:], *exif_density):

@@ -15,6 +15,7 @@ DEFAULT_DPI = (100, 150, 180, 200, 240, 300, 350, 400, 600)
 ROUNDING_DPI = 1.0  # of whole pixels per cm
 # In the names of flat-bed scanners and of their programs, whose resolution is one.
 SCANNERS = ("scan", "silverfast", "perfection")
+UNIT_OF_TAG = {2: "inch", 3: "cm"}  # by tag 296, of TIFF and of Exif
 _NAME_TAGS = (271, 272, 305)  # maker, model, program
 _EXPOSURE_TAGS = {33434, 33437, "ExposureTime", "FNumber"}  # by number, and as tifffile has them
 

@@ -19,7 +19,7 @@ from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.tables import finite
 from planish.core.text import first_few
 from planish.core.typing import Pair, Shape, Texts
-from planish.io.formats import is_slice_name
+from planish.io.formats import pictures_in
 from planish.io.guard import reading
 from planish.io.sizes import Stated
 from planish.io.slice_names import (
@@ -166,9 +166,8 @@ def _named(prefix: str, slices: list[Path]) -> tuple[list[NumberedFile], bool]:
 
 def read_scan(folder: Path) -> Scan | None:
     """Read the log of the slices of a folder; None where there is none."""
-    files = sorted(filter(Path.is_file, folder.iterdir()))
-    slices = [p for p in files if is_slice_name(p.name)]
-    logs = [_whole_log(p, slices) for p in filter(_is_log, files)]
+    slices = pictures_in(folder)
+    logs = [_whole_log(p, slices) for p in sorted(folder.iterdir()) if _is_log(p)]
     reconstructions = [log for log in logs if log.is_of_slices]
     if not reconstructions:
         return _scan_by_projections(logs, slices)
@@ -219,7 +218,8 @@ def _note_on_others(log: Log, slices: list[Path]) -> Texts:
 
 def _is_log(path: Path) -> bool:
     """True for a log that is short enough to be one of a reconstruction."""
-    return path.suffix.casefold() == ".log" and path.stat().st_size <= 10_000_000
+    is_named = path.suffix.casefold() == ".log" and path.is_file()
+    return is_named and path.stat().st_size <= 10_000_000
 
 
 def _scan_by_projections(logs: list[Log], slices: list[Path]) -> Scan | None:
@@ -298,10 +298,11 @@ def _log_sections(path: Path) -> dict[str, dict[str, str]]:
     return sections
 
 
-def slices_by_log(log: Log, folder: Path) -> SliceOrder:
+def ordered_slices(folder: Path, scan: Scan | None) -> SliceOrder:
     """Slices in their order, as a log names them or in the order of their numbers, with notes."""
-    if not log.is_of_slices:
+    if scan is None or not scan.log.is_of_slices:
         return list_slices(folder)
+    log = scan.log
     if not log.named_slices and log.prefix is not None:
         from planish.io.other_files import folder_contents  # here, so that slices wait for no table
 
@@ -313,7 +314,8 @@ def slices_by_log(log: Log, folder: Path) -> SliceOrder:
         order = list_slices(folder)
         _check_count(log, len(order.files), folder)
         return order if log.step == 1 else order._replace(doubts=())
-    numbers, files = [number for number, _ in log.named_slices], [p for _, p in log.named_slices]
+    numbers = [number for number, _ in log.named_slices]
+    files = [path for _, path in log.named_slices]
     check_several(files)
     if not log.is_of_whole:
         _check_numbers(log, numbers, folder)

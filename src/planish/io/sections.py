@@ -19,12 +19,12 @@ from planish.core.numbers import agree
 from planish.core.tables import CsvTable, parse_table, read_text
 from planish.core.text import first_few
 from planish.core.typing import Entries, Fields, Floats, Pair
-from planish.io.formats import check_channel, colour_attrs, full_scale, is_slice_name
+from planish.io.formats import check_channel, colour_attrs, full_scale, pictures_in
 from planish.io.guard import size_of_file
 from planish.io.image import picture_attrs
 from planish.io.lazy import Values
 from planish.io.picture import DecodedPicture
-from planish.io.sizes import VOXEL, Stated, agreed_size, doubt_of_size, size_per_axis
+from planish.io.sizes import VOXEL, Stated, agreed_size, size_attrs, size_per_axis
 
 COUNTER = "sections.csv"
 COLUMNS = ("file", "position_um")
@@ -130,16 +130,13 @@ def read_section_stack(
     sections = open_sections(Path(path), channel=channel, memory_bytes=memory_bytes)
     size, source = sections.agreed_size(voxel_um, override=override_size, unusual=unusual_size)
     attrs: Entries = {
-        "voxel_um": list(size),
-        "voxel_um_source": source,
+        **size_attrs(VOXEL, size, source, sections.first.stated),
         "full_scale": full_scale(sections.values.dtype, sections.first.bits),
         "file_name": sections.folder.name,
         "file_bytes": sections.file_bytes,
         "section_kind": sections.kind,
     } | colour_attrs(check_channel(channel), sections.folder, in_colour=sections.first.in_colour)
     attrs |= picture_attrs(sections.first.orientation)
-    if doubt := doubt_of_size(sections.first.stated, source):
-        attrs["size_doubt"] = doubt
     return sections._replace(attrs=attrs)
 
 
@@ -204,8 +201,7 @@ def _check_present(files: list[Path], folder: Path) -> None:
             f" {first_few(missing_names)}. Add them, or take their rows out: a gap in the positions"
             " is understood as a missing section."
         )
-    members = {*folder.iterdir()} - {*files}
-    unlisted = sorted(p.name for p in members if is_slice_name(p.name) and p.is_file())
+    unlisted = [file.name for file in pictures_in(folder) if file not in files]
     if unlisted:
         raise VolumeError(
             f"{folder.name} holds {len(unlisted)} pictures that {COUNTER} does not name:"

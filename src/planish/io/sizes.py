@@ -17,10 +17,17 @@ import numpy as np
 from planish.core.errors import FileError, SizeError
 from planish.core.numbers import agree
 from planish.core.text import and_join
-from planish.core.typing import Fields, Pair, Texts
+from planish.core.typing import Entries, Fields, Pair, Texts
 from planish.core.units import unit_um
 from planish.io.guard import reading
-from planish.io.resolution import Writer, doubt_of, from_density, reason_of_none, writer_of
+from planish.io.resolution import (
+    UNIT_OF_TAG,
+    Writer,
+    doubt_of,
+    from_density,
+    reason_of_none,
+    writer_of,
+)
 
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPage
@@ -270,6 +277,15 @@ def doubt_of_size(stated: Sequence[Stated], source: str) -> str:
     return "" if is_sure else " ".join(dict.fromkeys(s.doubt for s in sized))
 
 
+def size_attrs(
+    asked: Asked, size: Sequence[float], source: str, stated: Sequence[Stated]
+) -> Entries:
+    """Attributes of a volume or an image on the size that was agreed on, and where it is from."""
+    attrs: Entries = {asked.word: list(size), f"{asked.word}_source": source}
+    doubt = doubt_of_size(stated, source)
+    return attrs | {"size_doubt": doubt} if doubt else attrs
+
+
 def with_advice(doubt: str, asked: Asked) -> str:
     """Say what to do about a size that may be nobody's measurement, behind the doubt."""
     return (
@@ -326,7 +342,7 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
         if imagej is not None and str(imagej.get("unit", "")).strip():
             return (*stated, _stated_by_imagej(imagej, density, writer))
         # The resolution tags, with their unit, never state z.
-        unit = {2: "inch", 3: "cm"}.get(page.tags.valueof(296), "")
+        unit = UNIT_OF_TAG.get(page.tags.valueof(296), "")
         return (*stated, stated_density("the TIFF resolution", density, unit, writer))
 
 

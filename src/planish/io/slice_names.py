@@ -17,7 +17,7 @@ import numpy as np
 from planish.core.errors import FileError, VolumeError
 from planish.core.text import MOST_NAMES, first_few
 from planish.core.typing import Texts
-from planish.io.formats import is_slice_name
+from planish.io.formats import pictures_in
 from planish.io.picture import is_picture, kind_of
 from planish.io.tiff import open_series, shape_words
 
@@ -39,7 +39,7 @@ def list_slices(folder: Path) -> SliceOrder:
     """List the slices of a folder in the order of their numbers."""
     if not folder.is_dir():
         raise FileError(f"{folder.name} is not a folder. Check the name.")
-    files = sorted(p for p in folder.iterdir() if is_slice_name(p.name) and p.is_file())
+    files = pictures_in(folder)
     files = [*filterfalse(is_preview, files)] or files
     if not files:
         # Here, so that slices wait for no table of other files.

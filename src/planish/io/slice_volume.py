@@ -20,8 +20,7 @@ from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.lazy import PagedArray, Values, stored_array, supported_type, widened
 from planish.io.orientation import tag_orientation
 from planish.io.picture import PLUGINS, DecodedPicture, kind_of, load_picture
-from planish.io.scan_log import check_extent, read_scan, slices_by_log
-from planish.io.slice_names import list_slices
+from planish.io.scan_log import check_extent, ordered_slices, read_scan
 from planish.io.tiff import open_series, size_words
 from planish.io.tiff_volume import TiffPages
 
@@ -29,7 +28,7 @@ from planish.io.tiff_volume import TiffPages
 def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read a folder of slices at once where it fits, otherwise slice by slice on demand."""
     scan = read_scan(place.path)
-    order = list_slices(place.path) if scan is None else slices_by_log(scan.log, place.path)
+    order = ordered_slices(place.path, scan)
     values, first = load_pictures(order.files, channel=channel, memory_bytes=memory_bytes)
     attrs: Entries = colour_attrs(channel, place.path, in_colour=first.in_colour)
     stated = first.stated
@@ -56,8 +55,7 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
 
 def slice_files(folder: Path) -> list[Path]:
     """Slices of a folder in their order."""
-    scan = read_scan(folder)
-    return (list_slices(folder) if scan is None else slices_by_log(scan.log, folder)).files
+    return ordered_slices(folder, read_scan(folder)).files
 
 
 def load_pictures(

@@ -200,9 +200,8 @@ class TiffPages(PagedArray):
         if key.is_tiled:
             self._across = -(-key.imagewidth // key.tilewidth)
             strip_rows = key.tilelength
-        dtype = np.dtype(key.dtype).newbyteorder("=")
         shape = (len(self._segments), *key.shape)
-        super().__init__(path, shape, dtype, strip_rows, self._decoded_rows)
+        super().__init__(path, shape, np.dtype(key.dtype), strip_rows, self._decoded_rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Open the file again in another process."""

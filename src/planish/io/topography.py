@@ -14,7 +14,7 @@ from planish.core.typing import Pair
 from planish.core.units import unit_um
 from planish.io.formats import extra
 from planish.io.guard import check_memory, quiet, reading, size_of_file
-from planish.io.sizes import PIXEL, Stated, agreed_size
+from planish.io.sizes import PIXEL, Stated, agreed_size, size_attrs
 from planish.io.tiff import size_words
 
 
@@ -119,8 +119,7 @@ def read_topography(
     attrs = {
         "units": "um",
         "long_name": "Height",
-        "pixel_um": list(size),
-        "pixel_um_source": source,
+        **size_attrs(PIXEL, size, source, stated),
         "file_format": file_format,
         "file_name": path.name,
         "file_bytes": file_bytes,

@@ -26,7 +26,7 @@ from planish.io.formats import (
 from planish.io.guard import head_of
 from planish.io.lazy import read_if_small
 from planish.io.orientation import orientation_attrs, orientation_notes
-from planish.io.sizes import VOXEL, agreed_size, doubt_of_size
+from planish.io.sizes import VOXEL, agreed_size, size_attrs
 from planish.io.tiff import damaged, size_words
 
 if TYPE_CHECKING:
@@ -119,16 +119,13 @@ def read_volume(
     attrs = {
         "units": "1",
         "long_name": "Grey value",
-        "voxel_um": list(size),
-        "voxel_um_source": source,
+        **size_attrs(VOXEL, size, source, loaded.stated),
         "full_scale": full_scale(loaded.values.dtype, loaded.bits),
         "file_name": name,
         "file_bytes": loaded.file_bytes,
         **loaded.attrs,
         **frame_attrs,
     }
-    if doubt := doubt_of_size(loaded.stated, source):
-        attrs["size_doubt"] = doubt
     return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs)
 
 

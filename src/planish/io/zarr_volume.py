@@ -60,8 +60,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         doubts = check_chunks(positions, shape, array.shards or array.chunks, name=path.name)
         dtype = np.dtype(array.dtype)
         check_type(dtype, path)
-        read_part = partial(_read_part, path, name, shape)
-        lazy = FileArray(path, shape, dtype.newbyteorder("="), read_part)
+        lazy = FileArray(path, shape, dtype, partial(_read_part, path, name, shape))
         lazy.chunks = array.chunks
         lazy.piece_bytes = math.prod(lazy.chunks) * lazy.dtype.itemsize
     group_attrs = _group_attrs(path, name)
