@@ -127,7 +127,7 @@ def run_copy(linked_run, tmp_path) -> Path:
 @pytest.fixture
 def unread(monkeypatch):
     """No volume may be mapped; the package hides its modules behind functions of the same names."""
-    saving = import_module("planish.run.mapping")
+    saving = import_module("planish.run.workspace")
     monkeypatch.setattr(
         saving, "map_layer", lambda *_args, **_more: pytest.fail("the volume was mapped")
     )

@@ -28,7 +28,7 @@ def image_with(path, holes):
 def instead_of_mapping(monkeypatch, work):
     """Put ``work`` where volumes are mapped; the package hides its modules behind functions of the
     same names."""
-    monkeypatch.setattr(import_module("planish.run.mapping"), "map_layer", work)
+    monkeypatch.setattr(import_module("planish.run.workspace"), "map_layer", work)
 
 
 def mapped(*_args, **_more):

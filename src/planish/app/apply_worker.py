@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from planish.core.errors import PlanishError
-from planish.core.files import as_sentence, writing
+from planish.core.files import as_sentence, write_text, writing
 from planish.core.typing import Fields
 
 TARGET = "target"
@@ -105,7 +105,7 @@ def _make_run(order: Fields, send: Any) -> None:
         with suppress(*ignored_errors), writing(staging):
             staging.mkdir(parents=True, exist_ok=True)
             for name, text in {TARGET: str(out), **order["files"]}.items():
-                (staging / name).write_text(text, encoding="utf-8", newline="\n")
+                write_text(staging / name, text)
         run_study(
             Study.model_validate_json(order["study"]),
             out,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from planish.core.errors import CannotRegister, MarkError, PlanishError
+from planish.core.files import write_text
 from planish.core.text import quoted
 from planish.run.array_layers import inputs_folder
 from planish.run.compute import Compute, run_key
@@ -75,9 +76,7 @@ class CachedMaps(NamedTuple):
 
     def note(self, folder: Path, study: Study) -> None:
         """Mark the folder that will stand there with the request and the link that was refused."""
-        (folder / _REQUEST).write_text(
-            f"{self.key}\n{study.model_dump_json()}\n", encoding="utf-8", newline="\n"
-        )
+        write_text(folder / _REQUEST, f"{self.key}\n{study.model_dump_json()}\n")
 
 
 def sheets_of(

@@ -10,7 +10,7 @@ import xarray as xr
 
 from planish.analyze import LagNumbers
 from planish.analyze.compare import is_property
-from planish.analyze.image_values import ImageFacts, image_facts
+from planish.analyze.image_values import image_facts
 from planish.analyze.leading_map import leading_map
 from planish.checks.light import EVEN_LIGHT
 from planish.core.axial import distribution, summable_of
@@ -44,16 +44,17 @@ from planish.run.position_error import error_shares
 
 def input_file(data: xr.DataArray, path: str) -> InputFile:
     """What a file is, as its reader noted it."""
-    size = "voxel_um" if "voxel_um" in data.attrs else "pixel_um"
+    attrs = data.attrs
+    size = "voxel_um" if "voxel_um" in attrs else "pixel_um"
     return InputFile(
-        name=str(data.attrs["file_name"]),
-        shape=tuple(map(int, data.shape)),
-        dtype=str(data.attrs.get("stored_dtype", data.dtype)),
-        bytes=int(data.attrs["file_bytes"]),
+        name=attrs["file_name"],
+        shape=data.shape,
+        dtype=str(attrs.get("stored_dtype", data.dtype)),
+        bytes=attrs["file_bytes"],
         sha256=fingerprint(path),
-        size_um=tuple(map(float, data.attrs[size])),
-        size_source=str(data.attrs[f"{size}_source"]),
-        size_doubt=str(data.attrs.get("size_doubt", "")),
+        size_um=tuple(attrs[size]),
+        size_source=attrs[f"{size}_source"],
+        size_doubt=attrs.get("size_doubt", ""),
     )
 
 
@@ -78,10 +79,10 @@ def _error_facts(errors: xr.DataArray, column_um2: float) -> Entries:
     if "patch_um2" in errors.attrs:
         patches_per_column = column_um2 / float(errors.attrs["patch_um2"])
         n_independent = max(1.0, values.size * min(1.0, patches_per_column))
-        common_um = float(errors.attrs["common_um"])
-        variance = float(np.mean(np.maximum(values**2 - common_um**2, 0.0)))
-        mean_error = float(np.sqrt(variance / n_independent + common_um**2))
-        facts |= {"n_independent": int(n_independent), "mean_standard_error": mean_error}
+        common_um2 = float(errors.attrs["common_um"]) ** 2
+        variance_um2 = np.mean(np.maximum(values**2 - common_um2, 0.0))
+        facts["n_independent"] = int(n_independent)
+        facts["mean_standard_error"] = float(np.sqrt(variance_um2 / n_independent + common_um2))
     return facts
 
 
@@ -99,21 +100,20 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
             continue
         vectors = summable_of(surfaces, name)[np.isfinite(data.values)]
         mean, sd, near_mean = distribution(values, vectors)
-        p5, p50, p95 = np.percentile(near_mean, [5, 50, 95])
+        p5, median, p95 = map(float, np.percentile(near_mean, [5, 50, 95]))
+        has_cov = has_true_zero(str(name)) and mean > 0
         error_facts: Entries = {}
         if f"{name}_se" in surfaces:
             error_facts = _error_facts(surfaces[f"{name}_se"], math.prod(pitch(surfaces)))
-        units = str(data.attrs["units"])
-        has_cov = has_true_zero(str(name)) and mean > 0
         facts[str(name)] = PropertyFacts(
-            units=units,
-            n=int(values.size),
+            units=data.attrs["units"],
+            n=values.size,
             mean=mean,
             sd=sd,
             coefficient_of_variation=sd / mean if has_cov else None,
-            p5=float(p5),
-            median=float(p50),
-            p95=float(p95),
+            p5=p5,
+            median=median,
+            p95=p95,
             support_um=data.attrs.get("support_um"),
             period_deg=data.attrs.get("period_deg"),
             **error_facts,
@@ -146,6 +146,10 @@ def layer_facts(
     layer, link, maps = linked.layer, linked.link, linked.maps
     shown = maps["volume_z" if layer.kind == "sheet" else "image"]
     pixels = sum(int(np.count_nonzero(np.isfinite(values))) for _, (values,) in read_bands(shown))
+    image = None
+    if layer.params.image is not None:
+        image = image_facts(layer.params.image, layer.corrected and layer.corrected.facts)
+    registration = None if link is None else _registration_facts(link, maps, lag)
     return LayerFacts(
         name=layer.name,
         kind=layer.kind,
@@ -153,25 +157,24 @@ def layer_facts(
         headline=leading_map(maps, side, headline),
         share_of_reference=pixels / shown.size,
         sheet=layer.facts,
-        image=_image_facts(layer),
-        registration=None if link is None else _registration_facts(layer, link, maps, lag),
+        image=image,
+        registration=registration,
     )
 
 
-def _image_facts(layer: MappedLayer) -> ImageFacts | None:
-    if layer.params.image is None:
-        return None
-    return image_facts(layer.params.image, layer.corrected and layer.corrected.facts)
-
-
-def _registration_facts(
-    layer: MappedLayer, link: Link, maps: xr.Dataset, lag: LagNumbers | None
-) -> RegistrationFacts:
+def _registration_facts(link: Link, maps: xr.Dataset, lag: LagNumbers | None) -> RegistrationFacts:
     registration, fit = link.registration, link.registration.fit
-    _, (error,) = thinned(maps["expected_error"])
-    error = error[np.isfinite(error)]
+    layer, fixed = link.path[:2]
+    _, (errors_um,) = thinned(maps["expected_error"])
+    errors_um = errors_um[np.isfinite(errors_um)]
+    expected_error = None
+    if errors_um.size:
+        shares = error_shares(maps, has_shared=fit.shared_um > 0)
+        expected_error = ExpectedError(
+            median_um=np.median(errors_um), largest_um=errors_um.max(), shares=shares
+        )
     return RegistrationFacts(
-        to=link.path[1].name,
+        to=fixed.name,
         path=tuple(layer.name for layer in link.path),
         source=registration.source,
         found_moving=registration.count("moving"),
@@ -188,18 +191,10 @@ def _registration_facts(
         leave_one_out_rms_um=fit.leave_one_out_rms_um,
         scale=fit.transform.scale,
         mirrored=fit.mirrored,
-        expected_error=(
-            ExpectedError(
-                median_um=np.median(error),
-                largest_um=error.max(),
-                shares=error_shares(maps, has_shared=fit.shared_um > 0),
-            )
-            if error.size
-            else None
-        ),
-        rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)),
+        expected_error=expected_error,
+        rotation_deg=np.rad2deg(fit.transform.rotation_rad),
         shift_um=fit.transform.shift_um,
-        orientation=_orientation_facts(layer, link.path[1], fit),
+        orientation=_orientation_facts(layer, fixed, fit),
         lag=lag,
         false_probability=registration.false_probability,
     )
@@ -275,19 +270,19 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
     ``mask`` is that of holes.
     """
     grid = Grid.of(linked)
-    counts = np.zeros(3, dtype=np.int64)
+    n_on_sheet = n_off_holes = n_valid = 0
     for rows, (u, valid) in read_bands(linked["u"], linked["valid"]):
         is_sheet = np.isfinite(u)
-        masks = (is_sheet, is_sheet & mask(grid.part(rows)), valid)
-        counts += [np.count_nonzero(part) for part in masks]
-    n_on_sheet, n_off_holes, valid = map(int, counts)
+        n_on_sheet += int(is_sheet.sum())
+        n_off_holes += int((is_sheet & mask(grid.part(rows))).sum())
+        n_valid += int(np.count_nonzero(valid))
     pixels = math.prod(grid.shape)
     return LinkedArea(
         pixels=pixels,
         share_on_sheet=n_on_sheet / pixels,
-        share_valid=valid / pixels,
-        share_valid_of_sheet=valid / max(n_on_sheet, 1),
-        share_valid_away_from_holes=valid / max(n_off_holes, 1),
+        share_valid=n_valid / pixels,
+        share_valid_of_sheet=n_valid / max(n_on_sheet, 1),
+        share_valid_away_from_holes=n_valid / max(n_off_holes, 1),
     )
 
 

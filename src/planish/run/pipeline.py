@@ -1,6 +1,6 @@
 """The line of a run: read, map, register, overlay, compare, judge, write.
 
-Each step is one call, in a module of its own. A layer is a :class:`~planish.run.study.GivenLayer`
+Each step is one call. A layer is a :class:`~planish.run.study.GivenLayer`
 in the study, a :class:`~planish.run.layers.MappedLayer` on its own grid once it is read or mapped,
 and a :class:`~planish.run.layers.LinkedLayer` on the pixels of the reference.
 """
@@ -12,12 +12,10 @@ from planish.run.compute import Compute, Progress, silent
 from planish.run.explain import with_declared_model
 from planish.run.judging import judge_link, judge_sheet
 from planish.run.map_scales import with_declared_scales
-from planish.run.mapping import map_layers
 from planish.run.overlay import overlay_layers, take_light_off
 from planish.run.reading import read_inputs
 from planish.run.registering import register_layers
 from planish.run.run import Run
-from planish.run.save import write_run
 from planish.run.study import Study
 from planish.run.workspace import open_workspace
 
@@ -58,7 +56,7 @@ def run_study(
     with open_workspace(study, out, compute or Compute(), progress, old) as work:
         with work.keeping_maps():
             inputs = read_inputs(study, work.regions, progress)
-            layers = map_layers(study, inputs.layers, work)
+            layers = work.map_layers(inputs.layers)
             if study.is_link:
                 layers, links = register_layers(study, layers, inputs.holes, progress)
                 overlay = overlay_layers(study, layers, links, inputs.regions, work.store, progress)
@@ -69,11 +67,4 @@ def run_study(
             else:
                 run = judge_sheet(study, layers[0])
             run = with_declared_scales(with_declared_model(run))
-        return write_run(
-            run,
-            work.out,
-            inside=work.folder,
-            store=work.store,
-            progress=progress,
-            figures=figures,
-        )
+        return work.write(run, figures=figures)

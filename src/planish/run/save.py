@@ -1,21 +1,18 @@
-"""Write a run folder, whole or not at all."""
+"""Write the files of a run into its folder."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import xarray as xr
 
 from planish import __version__
 from planish.core.area import overviews
-from planish.core.files import move
+from planish.core.files import move, write_text
 from planish.io.map_groups import take_group, write_tree
-from planish.io.map_store import OVERVIEWS, StoredMaps, stored_group
-from planish.io.run_folder import new_folder
+from planish.io.map_store import OVERVIEWS, StoredMaps
 from planish.marks import write_marks
 from planish.marks.regions import geojson_text
 from planish.report import FIGURES, write_report
-from planish.run.compute import Progress
 from planish.run.facts import figures_text
 from planish.run.judging import judge_sheet
 from planish.run.overlay import LINKED
@@ -23,31 +20,6 @@ from planish.run.regions import REGIONS
 from planish.run.run import MAPS, Run, is_run, marks_file
 from planish.run.sheet import CORRECTIONS, made_corrections
 from planish.run.study import Study, changed, with_layer, write_study
-
-
-def write_run(
-    run: Run,
-    out: Path | None,
-    *,
-    inside: Path | None,
-    store: StoredMaps,
-    progress: Progress,
-    figures: bool = False,
-) -> Run:
-    """Write a run to ``out`` by way of the hidden folder ``inside``, whole or not at all.
-
-    ``store`` holds some of its groups. The run comes back with what stands there now; without
-    ``out`` nothing is written.
-    """
-    if out is None or inside is None:
-        return replace(run, unchanged={})
-    progress("write", str(out))
-    # About the bytes of its pages, and of its maps, which hold noise, with overviews.
-    needed_bytes = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3
-    with new_folder(out, inside=inside, needed=needed_bytes) as folder:
-        save_run(run, folder, home=out, store=store, figures=figures)
-    stored_groups = {name: stored_group(out / MAPS, name) for name in store.stored}
-    return replace(run, groups={**run.groups, **stored_groups}, unchanged={})
 
 
 def save_run(
@@ -79,23 +51,24 @@ def save_run(
         path = folder / marks_file(run.results, name)
         registration.save(path)
         write_marks(registration.pairs(), path.with_suffix(".csv"))
-    (folder / "results.json").write_text(run.results.to_json(), encoding="utf-8", newline="\n")
-    (folder / "figures.csv").write_text(figures_text(run.results), encoding="utf-8", newline="\n")
+    write_text(folder / "results.json", run.results.to_json())
+    write_text(folder / "figures.csv", figures_text(run.results))
     study = run.study
     if run.regions is not None:
-        (folder / REGIONS).write_text(geojson_text(run.regions), encoding="utf-8", newline="\n")
+        write_text(folder / REGIONS, geojson_text(run.regions))
         study = changed(study, correlate={"regions": str(home / REGIONS)})
     study = _with_corrections(_with_marks(study, run, home), run, folder, home)
     write_study(study, folder, home=home, version=__version__)
     write_report(folder / "report.html", run, figures=folder / FIGURES if figures else None)
-    stored = [] if store is None else store.stored
-    if store is not None and store.path is not None and stored:
+    store = store or StoredMaps()
+    if store.path is not None and store.stored:
         move(store.path, folder / MAPS)
     for name, unchanged_store in run.unchanged.items():
         take_group(folder / MAPS, unchanged_store, name)
     groups = {name: data for name, data in run.groups.items() if name not in run.unchanged}
     groups |= _missing_overviews(groups)
-    write_tree(folder / MAPS, {name: data for name, data in groups.items() if name not in stored})
+    new_names = [name for name in groups if name not in store.stored]
+    write_tree(folder / MAPS, {name: groups[name] for name in new_names})
 
 
 def _missing_overviews(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
@@ -114,16 +87,14 @@ def _with_marks(study: Study, run: Run, home: Path) -> Study:
 
     All that is known of these marks is in them.
     """
-    files = {
-        name: str(home / marks_file(run.results, name))
-        for name, registration in run.registrations.items()
-        if registration.source == "json"
-    }
-    for layer in study.layers:
-        if layer.name in files and _is_of_a_run(layer.marks):
-            study = with_layer(study, layer.name, marks=files[layer.name])
-    if len(run.registrations) == 1 and files and _is_of_a_run(study.registration.marks):
-        study = changed(study, registration={"marks": next(iter(files.values()))})
+    for name, registration in run.registrations.items():
+        if registration.source != "json":
+            continue
+        path = str(home / marks_file(run.results, name))
+        if any(layer.name == name and _is_of_a_run(layer.marks) for layer in study.layers):
+            study = with_layer(study, name, marks=path)
+        if len(run.registrations) == 1 and _is_of_a_run(study.registration.marks):
+            study = changed(study, registration={"marks": path})
     return study
 
 
@@ -143,10 +114,10 @@ def _with_corrections(study: Study, run: Run, folder: Path, home: Path) -> Study
         text = made_corrections(run.groups["surfaces"])
         if text:
             (folder / CORRECTIONS).parent.mkdir(exist_ok=True)
-            (folder / CORRECTIONS).write_text(text, encoding="utf-8", newline="\n")
+            write_text(folder / CORRECTIONS, text)
     for layer in study.layers:
-        if layer.kind == "volume" and layer.name in files:
-            file = files[layer.name]
+        file = files.get(layer.name)
+        if layer.kind == "volume" and file is not None:
             path = str(home / file) if (folder / file).is_file() else None
             study = with_layer(study, layer.name, surface={"corrections": path})
     return study

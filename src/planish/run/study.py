@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_
 
 from planish.analyze.params import CorrelateParams, ExplainParams, ScalesParams
 from planish.core.errors import FileError, InputError, StudyError
-from planish.core.files import fault_of_name
+from planish.core.files import fault_of_name, write_text
 from planish.core.options import Params, option, words_in
 from planish.core.parameter_faults import Key, fault_texts, key_lines, toml_tables
 from planish.core.parameter_words import flag_of, names_in, with_names
@@ -40,6 +40,10 @@ EDITS_APPLIED = ("surface.json",)
 """Files in it that a run was made with."""
 
 
+def _date_text(date: Any) -> Any:
+    return str(date) if isinstance(date, datetime.date) else date
+
+
 class AboutParams(Params):
     """What the page says of the run for those it is handed on to; no number depends on it."""
 
@@ -50,9 +54,7 @@ class AboutParams(Params):
     author: str | None = option(
         None, min_length=1, max_length=200, help="Who made the run, as named on the page."
     )
-    date: Annotated[
-        str | None, BeforeValidator(lambda v: str(v) if isinstance(v, datetime.date) else v)
-    ] = option(
+    date: Annotated[str | None, BeforeValidator(_date_text)] = option(
         None, min_length=1, max_length=60, help="Date stated on the page, such as 2026-03-31."
     )
     note: str | None = option(
@@ -78,11 +80,11 @@ SECTIONS: dict[str, type[Params]] = {
 ANSWERS = ("explain", "scales")
 """Sections that ask something of the maps of a run."""
 
-MAP_SECTIONS, LINK_SECTIONS = (
-    ("surface", "properties", "flatten"),
-    ("holes", "registration", "correlate", *ANSWERS),
-)
-"""Sections of the mapping of a volume, and of a link."""
+MAP_SECTIONS = ("surface", "properties", "flatten")
+"""Sections of the mapping of a volume."""
+
+LINK_SECTIONS = ("holes", "registration", "correlate", *ANSWERS)
+"""Sections of a link."""
 
 _PATHS = {"path", "run", "marks", "design", "regions", "corrections", "white", "dark", "factors"}
 
@@ -114,7 +116,7 @@ class GivenLayer(Params):
 
     @model_validator(mode="after")
     def _has_one_source(self) -> Self:
-        if sum(part is not None for part in (self.volume, self.run, self.image)) != 1:
+        if (self.volume, self.run, self.image).count(None) != 2:
             raise ValueError("give one of volume, run and image")
         return self
 
@@ -355,11 +357,15 @@ def _tables_of(study: Study, data: Entries, keys: list[str]) -> tuple[list[Entri
         name, *keys = keys
     if keys[0] in _LAYER_SECTIONS:
         kind = "image" if keys[0] == "image" else "volume"
-        layers = zip(study.layers, data["layers"], strict=True)
-        tables = [t for layer, t in layers if layer.kind == kind and name in (None, layer.name)]
+        tables = [
+            table
+            for layer, table in zip(study.layers, data["layers"], strict=True)
+            if layer.kind == kind and name in (None, layer.name)
+        ]
         return tables, keys
     is_of_study = name is None and keys[0] in Study.model_fields and keys[0] != "layers"
-    return ([data] if is_of_study else []), keys
+    tables = [data] if is_of_study else []
+    return tables, keys
 
 
 def in_study_words(text: str) -> str:
@@ -368,11 +374,9 @@ def in_study_words(text: str) -> str:
     It then says surface.rim_um for `rim_um`; what a study has no key for is an option of the
     command line.
     """
-    keys = {
-        word: ".".join(path)
-        for section, model in reversed(SECTIONS.items())  # of the same word in two the first one
-        for word, path in words_in(model, section).items()
-    }
+    keys: dict[str, str] = {}
+    for section, model in reversed(SECTIONS.items()):  # of the same word in two the first one
+        keys |= {word: ".".join(path) for word, path in words_in(model, section).items()}
     if "pixel_um" in names_in(text):
         # An image has its own; of a volume they are said in its section.
         keys |= {name: f"image.{name}" for name in ("override_size", "unusual_size")}
@@ -406,7 +410,7 @@ def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None
     """
     study = with_paths(study, lambda path: relative_path(path, home))
     text = tomli_w.dumps({"planish": version} | to_dict(study))
-    (folder / RUN_TOML).write_text(text, encoding="utf-8", newline="\n")
+    write_text(folder / RUN_TOML, text)
 
 
 def relative_path(path: str | Path, base_folder: Path) -> str:
@@ -426,11 +430,14 @@ def to_dict(study: Study) -> Entries:
     They hold nothing that is not given, and nothing about mapping where nothing is mapped.
     """
     data = study.model_dump(mode="json", exclude_none=True)
-    for name in ("about", "packages"):
-        if not data[name]:
-            del data[name]
-    for name, question in (("explain", study.explain), ("scales", study.scales)):
-        if not question.is_declared:
+    is_given = {
+        "about": data["about"],
+        "packages": data["packages"],
+        "explain": study.explain.is_declared,
+        "scales": study.scales.is_declared,
+    }
+    for name in is_given:
+        if not is_given[name]:
             del data[name]
     for layer, values in zip(study.layers, data["layers"], strict=True):
         if layer.kind != "volume":

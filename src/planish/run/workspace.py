@@ -3,14 +3,14 @@
 import secrets
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from planish.core.errors import PlanishError
 from planish.core.memory import KEPT_SHARE
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
-from planish.io.map_store import StoredMaps
+from planish.io.map_store import StoredMaps, stored_group
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, work_folder
 from planish.marks.regions import Regions
 from planish.run.cached_maps import CachedMaps, next_step, sheets_of
@@ -19,7 +19,9 @@ from planish.run.judging import judge_sheet
 from planish.run.layers import MappedLayer
 from planish.run.packages import check_packages, with_packages
 from planish.run.preflight import check_request
+from planish.run.run import MAPS, Run
 from planish.run.save import save_run
+from planish.run.sheet import map_layer
 from planish.run.study import Study, changed, to_dict
 
 
@@ -40,12 +42,41 @@ class Workspace:
     similar_sheets: Mapping[str, MappedLayer] = field(default_factory=dict[str, MappedLayer])
     caches: Mapping[str, CachedMaps] = field(default_factory=dict[str, CachedMaps])
 
-    def tile_folder(self, layer: str) -> Path | None:
-        """Folder for the tiles of a volume, in which a run that was killed finds them again."""
-        if self.folder is None:
-            return None
-        tile_folder = self.folder / "tiles"
-        return tile_folder / layer if self.study.is_link else tile_folder
+    def map_layers(self, layers: Mapping[str, MappedLayer]) -> list[MappedLayer]:
+        """Map the volumes of the study that are not mapped yet; give all layers in its order.
+
+        ``layers`` are those that were read. A run that was killed finds its tiles again.
+        """
+        for params in self.study.layers:
+            name = params.name
+            if params.kind == "volume" and name not in self.sheets:
+                tile_dir = self.folder and self.folder / "tiles"
+                if tile_dir is not None and self.study.is_link:
+                    tile_dir /= name
+                self.sheets[name] = map_layer(
+                    params,
+                    compute=self.compute,
+                    progress=self.progress,
+                    tile_dir=tile_dir,
+                    old_sheet=self.similar_sheets.get(name),
+                )
+        mapped = {**self.sheets, **layers}
+        return [mapped[params.name] for params in self.study.layers]
+
+    def write(self, run: Run, *, figures: bool) -> Run:
+        """Write a run to ``out``, whole or not at all; it comes back with what stands there now.
+
+        Without ``out`` nothing is written.
+        """
+        if self.out is None or self.folder is None:
+            return replace(run, unchanged={})
+        self.progress("write", str(self.out))
+        # About the bytes of its pages, and of its maps, which hold noise, with overviews.
+        needed_bytes = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3
+        with new_folder(self.out, inside=self.folder, needed=needed_bytes) as folder:
+            save_run(run, folder, home=self.out, store=self.store, figures=figures)
+        stored_groups = {name: stored_group(self.out / MAPS, name) for name in self.store.stored}
+        return replace(run, groups={**run.groups, **stored_groups}, unchanged={})
 
     @contextmanager
     def keeping_maps(self) -> Generator[None]:
