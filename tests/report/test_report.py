@@ -409,7 +409,7 @@ def test_scale_bars_and_ticks_are_round_and_few():
 def test_drawings_place_what_they_show():
     canvas = Canvas(200, 100)
     axes = canvas.axes(10, 20, 100, 50, (0.0, 10.0, 5.0, 0.0))
-    axes.line([(0.0, 0.0), (10.0, 5.0), (np.nan, 0.0), (2.0, 2.0), (2.0, 3.0)], colour="red")
+    axes.line((0.0, 10.0, np.nan, 2.0, 2.0), (0.0, 5.0, 0.0, 2.0, 3.0), colour="red")
     axes.outline(
         np.array([[False, True], [False, False]]),
         np.array([1.25, 3.75]),

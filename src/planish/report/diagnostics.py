@@ -14,27 +14,36 @@ from planish.analyze.agreement import AgreementFacts
 from planish.analyze.kubelka_munk import KubelkaMunk
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, count, in_words, number, plain
-from planish.core.typing import Pair
 from planish.report.draw import (
     ACCENT,
     FULL,
     POINT,
-    SOFT,
+    SMALL,
     Axes,
     Canvas,
     Picture,
     Table,
     columns,
     or_blank,
+    with_margin,
 )
-from planish.report.relation import Points, as_drawn, draw_dots, draw_fit, points_table
+from planish.report.relation import (
+    LEFT,
+    RIGHT,
+    WIDE,
+    Points,
+    as_drawn,
+    draw_dots,
+    draw_fit,
+    draw_slope,
+    points_table,
+)
 from planish.report.sentences.variograms import squared_unit
 from planish.report.text import HOLES, REGISTERED
 from planish.results import CorrelationRow, EvidenceFacts, Mottle
 
-_TOP, _HIGH, _WIDE = 40.0, 235.0, 400.0
+_TOP, _HIGH = 40.0, 235.0
 _SCALE_HIGH = 250.0
-_LEFT, _RIGHT = 85.0, 635.0
 _ROOM = 1.08
 
 
@@ -106,18 +115,16 @@ def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
     r = [row.r for row in size_rows]
     bands = [row.band for row in size_rows]
     plotted = [0.0, *r, *chain.from_iterable(filter(is_known, bands))]
-    r_min = min(plotted)
-    r_max = max(plotted)
-    margin = 0.06 * (r_max - r_min) or 0.1
     log_sizes = [math.log10(row.point_um) for row in size_rows]
-    extent = (log_sizes[0] - 0.05, log_sizes[-1] + 0.05, r_min - margin, r_max + margin)
-    axes = canvas.axes(_LEFT, _TOP, _WIDE, _SCALE_HIGH, extent)
+    extent = (log_sizes[0] - 0.05, log_sizes[-1] + 0.05, *with_margin(plotted))
+    axes = canvas.axes(LEFT, _TOP, WIDE, _SCALE_HIGH, extent)
     axes.across(0.0)
-    _draw_band(axes, log_sizes, bands)
+    axes.band(log_sizes, bands)
     for log_size, row in zip(log_sizes, size_rows, strict=True):
         if is_known(row.interval):
-            axes.curve((log_size, log_size), row.interval, colour=POINT, width=1.4)
-    axes.curve(log_sizes, r, colour=ACCENT, width=2.2, dot_px=5)
+            axes.line(log_size, row.interval, colour=POINT, width=1.4)
+    axes.line(log_sizes, r, colour=ACCENT, width=2.2)
+    axes.dots(log_sizes, r, colour=ACCENT, size=5)
     draw_log_axes(canvas, axes, "size of a point / µm", "r")
 
 
@@ -128,38 +135,28 @@ def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
     shortest = math.log10(min(band.shortest_um for band in evidence.bands))
     longest = math.log10(max(band.longest_um for band in evidence.bands))
     extent = (shortest - 0.03, longest + 0.03, -0.05, 1.02)
-    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _SCALE_HIGH, extent)
+    axes = canvas.axes(RIGHT, _TOP, WIDE, _SCALE_HIGH, extent)
     axes.across(0.0)
     for band in evidence.bands:
         if not is_known(band.coherence):
             continue
         ends = (math.log10(band.shortest_um), math.log10(band.longest_um))
-        axes.curve(ends, (band.coherence, band.coherence), colour=ACCENT, width=2.2)
+        axes.line(ends, band.coherence, colour=ACCENT, width=2.2)
         centre = (sum(ends) / 2, band.coherence)
-        axes.dots([centre], colour=ACCENT, size=8)
-        if not band.p_of_bands < 0.05:
-            axes.dots([centre], colour="white", size=5)
+        is_chance = not band.p_of_bands < 0.05
+        axes.dots(*centre, colour=ACCENT, size=8, is_open=is_chance)
         if is_known(band.gain):
-            axes.text(*centre, f"gain {number(band.gain)}", anchor="middle", shift=(0, -9), size=11)
+            gain_text = f"gain {number(band.gain)}"
+            axes.text(*centre, gain_text, anchor="middle", shift=(0, -9), size=SMALL)
     draw_log_axes(canvas, axes, "wavelength / µm", "squared coherence")
-
-
-def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[Pair]) -> None:
-    lower: list[Pair] = []
-    upper: list[Pair] = []
-    for v, (low, high) in zip(x, intervals, strict=True):
-        if is_known((low, high)):
-            lower.append((v, low))
-            upper.append((v, high))
-    if len(lower) > 1:
-        axes.area(lower + upper[::-1], colour=POINT, opacity=0.2)
 
 
 def draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
     """Draw the axes of a figure over logarithms of lengths."""
-    x_min, x_max = axes.extent[:2]
-    lengths_um = [m * 10**k for k in range(-1, 6) for m in (1, 2, 5)]
-    x_ticks = [(math.log10(v), f"{v:g}") for v in lengths_um if x_min <= math.log10(v) <= x_max]
+    x_min, x_max, *_ = axes.extent
+    lengths_um = np.outer(10.0 ** np.arange(-1, 6), (1, 2, 5)).ravel()
+    ticks = [(math.log10(length_um), f"{length_um:g}") for length_um in lengths_um]
+    x_ticks = [tick for tick in ticks if x_min <= tick[0] <= x_max]
     canvas.ticks(axes, x_label, y_label, x_ticks=x_ticks)
 
 
@@ -173,16 +170,16 @@ def draw_variograms(
     canvas = Canvas(FULL, 345)
     is_same_map = len({curve.map for curve in evidence.variograms}) < len(evidence.variograms)
     data: dict[str, Table] = {}
-    for left_px, curve, title in zip((_LEFT, _RIGHT), evidence.variograms, titles, strict=False):
+    for left_px, curve, title in zip((LEFT, RIGHT), evidence.variograms, titles, strict=False):
+        distances = (0.0, *curve.distances_um)
+        values = (curve.nugget, *curve.values)
         y_max = _ROOM * max(*curve.values, curve.sill, 1e-12)
-        axes = canvas.axes(left_px, _TOP, _WIDE, _HIGH, (0.0, curve.distances_um[-1], 0.0, y_max))
+        axes = canvas.axes(left_px, _TOP, WIDE, _HIGH, (0.0, distances[-1], 0.0, y_max))
         axes.across(curve.sill, width=1.2, dash="6 4")
         if is_known(curve.range_um):
             axes.upright(curve.range_um, width=1.2, dash="2 3")
-        axes.curve(
-            (0.0, *curve.distances_um), (curve.nugget, *curve.values), colour=ACCENT, width=2.0
-        )
-        axes.dots([(0.0, curve.nugget)], colour=ACCENT, size=6)
+        axes.line(distances, values, colour=ACCENT, width=2.0)
+        axes.dots(0.0, curve.nugget, colour=ACCENT, size=6)
         y_label = f"half mean square difference / {squared_unit(curve, title)}"
         canvas.ticks(axes, "distance / µm", y_label)
         canvas.text(left_px, 22, title, bold=True)
@@ -214,19 +211,17 @@ def draw_correlogram(
 ) -> Picture:
     """Draw r of both maps, one moved along x and along y, with what unrelated maps reach."""
     canvas = Canvas(FULL, 345)
-    for left_px, axis, profile in ((_LEFT, "x", profiles.along_x), (_RIGHT, "y", profiles.along_y)):
+    for left_px, axis, profile in ((LEFT, "x", profiles.along_x), (RIGHT, "y", profiles.along_y)):
+        lags_um = profile.lags_um
         levels = filter(is_known, (*profile.r, *profile.limit_of_any, *profile.limit))
         r_max = min(_ROOM * max(map(abs, levels), default=1.0), 1.0)
-        axes = canvas.axes(
-            left_px, _TOP, _WIDE, _HIGH, (profile.lags_um[0], profile.lags_um[-1], -r_max, r_max)
-        )
-        _draw_band(axes, profile.lags_um, [(v, -v) for v in profile.limit])
+        axes = canvas.axes(left_px, _TOP, WIDE, _HIGH, (lags_um[0], lags_um[-1], -r_max, r_max))
+        axes.band(lags_um, np.outer(profile.limit, (1, -1)))
         axes.across(0.0)
         axes.upright(0.0)
-        for sign in (1, -1):
-            limits = [sign * v for v in profile.limit_of_any]
-            axes.curve(profile.lags_um, limits, colour=POINT, width=1.2, dash="6 4")
-        axes.curve(profile.lags_um, profile.r, colour=ACCENT, width=2.2)
+        for limits in np.outer((1, -1), profile.limit_of_any):
+            axes.line(lags_um, limits, colour=POINT, width=1.2, dash="6 4")
+        axes.line(lags_um, profile.r, colour=ACCENT, width=2.2)
         canvas.ticks(axes, f"lag along {axis} / µm", "r")
     return canvas.picture(
         title=f"{capital(names[0])} shifted against {names[1]}",
@@ -264,14 +259,15 @@ def draw_rings(
     log_wavelengths = [math.log10(ring.wavelength_um) for ring in agreement.rings]
     correlations = [ring.correlation for ring in agreement.rings]
     r_min = min(0.0, *correlations)
-    extent = min(log_wavelengths) - 0.03, max(log_wavelengths) + 0.03, r_min - 0.05, 1.04
-    axes = canvas.axes(_LEFT, _TOP, FULL - _LEFT - 30, _HIGH, extent)
+    extent = (min(log_wavelengths) - 0.03, max(log_wavelengths) + 0.03, r_min - 0.05, 1.04)
+    axes = canvas.axes(LEFT, _TOP, FULL - LEFT - 30, _HIGH, extent)
     axes.across(0.0)
     thresholds = [ring.threshold for ring in agreement.rings]
-    axes.curve(log_wavelengths, thresholds, colour=SOFT, width=1.4, dash="6 4")
+    axes.line(log_wavelengths, thresholds, width=1.4, dash="6 4")
     if agreement.resolution_um:
         axes.upright(math.log10(agreement.resolution_um), width=1.2, dash="2 3")
-    axes.curve(log_wavelengths, correlations, colour=ACCENT, width=2.0, dot_px=4)
+    axes.line(log_wavelengths, correlations, colour=ACCENT, width=2.0)
+    axes.dots(log_wavelengths, correlations, colour=ACCENT, size=4)
     draw_log_axes(canvas, axes, "wavelength / µm", "correlation of both measurements")
     return canvas.picture(
         title=f"Down to which wavelength {layers[0]} and {layers[1]} show the same {name}",
@@ -314,20 +310,17 @@ def draw_kubelka_munk(
     density = evidence.density_g_cm3 if curve.weight else None
     points, (row,), _, axis_labels = as_drawn(points, (row,), titles, (unit_x, ""), density)
     canvas = Canvas(FULL, 385)
-    axes = draw_dots(canvas, points, (_LEFT, 30.0, FULL - 130.0, 300.0))
-    x = np.linspace(max(axes.extent[0], 0.0), axes.extent[1], 100)
-    if is_known(curve.scattering_interval) and is_known(curve.backing_at_ends):
-        low, high = (
-            np.stack([x, curve.reflectance(x, scattering, backing)], axis=1)
-            for scattering, backing in zip(
-                curve.scattering_interval, curve.backing_at_ends, strict=True
-            )
-        )
-        axes.area(np.concatenate([low, high[::-1]]), colour=POINT, opacity=0.2)
-    if is_known(row.slope):
-        draw_fit(axes, np.array([(v, row.intercept + row.slope * v) for v in axes.extent[:2]]))
+    axes = draw_dots(canvas, points, (LEFT, 30.0, FULL - 130.0, 300.0))
+    x_min, x_max, *_ = axes.extent
+    x = np.linspace(max(x_min, 0.0), x_max, 100)
+    scattering = curve.scattering_interval
+    backing = curve.backing_at_ends
+    if is_known(scattering) and is_known(backing):
+        ends = [curve.reflectance(x, *pair) for pair in zip(scattering, backing, strict=True)]
+        axes.band(x, np.transpose(ends))
+    draw_slope(axes, row)
     reflectance = curve(x)
-    draw_fit(axes, np.stack([x, reflectance], axis=1), dash="7 4")
+    draw_fit(axes, x, reflectance, dash="7 4")
     canvas.ticks(axes, *axis_labels)
     return canvas.picture(
         title=(

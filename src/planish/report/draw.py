@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from html import escape
 from itertools import cycle
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,7 @@ from planish.core.area import area_mean
 from planish.core.axial import summable
 from planish.core.facts import ResultModel, is_known
 from planish.core.numbers import count, fixed, length, plain, round_step
-from planish.core.typing import Bools, Pair
+from planish.core.typing import Bools, Entries, Ints, Pair
 from planish.report.colours import MISSING, Array, Scale, image_uri
 
 Box = tuple[float, float, float, float]  # left edge, upper edge, width and height in CSS pixels
@@ -86,7 +86,7 @@ def table_of(rows: Sequence[Mapping[str, object]]) -> Table:
     return table
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Picture:
     """A figure ready for the page.
 
@@ -124,7 +124,9 @@ class ShownMap:
     def fit(self, width: float, height: float) -> Pair:
         """Return the largest width and height that keep its proportions."""
         ratio = self.height / self.width
-        return (width, width * ratio) if width * ratio <= height else (height / ratio, height)
+        if width * ratio <= height:
+            return width, width * ratio
+        return height / ratio, height
 
 
 class Axes:
@@ -134,7 +136,11 @@ class Axes:
     """
 
     def __init__(self, x: float, y: float, width: float, height: float, extent: Extent) -> None:
-        self.x, self.y, self.width, self.height, self.extent = x, y, width, height, extent
+        self.x = x
+        self.y = y
+        self.width = width
+        self.height = height
+        self.extent = extent
         self.shown = ShownMap(np.empty((0, 0)), extent)
         self._elements: list[str | Axes] = []
 
@@ -156,62 +162,69 @@ class Axes:
 
         The scale bar says how large things are.
         """
-        self.shown, (left, right, bottom, top) = shown, shown.extent
-        (x0, y0), (x1, y1) = self.place([(left, top), (right, bottom)])
-        self._elements.append(_image((x0, y0, x1 - x0, y1 - y0), shown.values, scale, missing))
+        self.shown = shown
+        left, right, bottom, top = shown.extent
+        corner, far_corner = self.place([(left, top), (right, bottom)])
+        box = (*corner, *(far_corner - corner))
+        self._elements.append(_image(box, shown.values, scale, missing))
         self._elements.append(f'<rect width="100%" height="100%" fill="none" stroke="{FAINT}"/>')
 
     def line(
         self,
-        points: ArrayLike,
+        x: ArrayLike,
+        y: ArrayLike,
         *,
-        colour: str,
-        width: float = 1.2,
+        colour: str = SOFT,
+        width: float = 0.8,
         dash: str = "",
         opacity: float = 1.0,
     ) -> None:
-        """Draw a line through points (n, 2); NaN interrupts it."""
-        self._stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity)
+        """Draw a line through points x, y; NaN interrupts it, one number holds for all of them."""
+        path_data = _path(self.place(_pairs(x, y)))
+        self._stroke(path_data, colour, width, dash=dash, opacity=opacity)
 
-    def curve(
-        self,
-        x: Sequence[float],
-        y: Sequence[float],
-        *,
-        colour: str,
-        width: float,
-        dash: str = "",
-        dot_px: float = 0.0,
-    ) -> None:
-        """Draw a line through points x, y, and dots of ``dot_px`` on them."""
-        line_points = np.stack([x, y], axis=1)
-        self.line(line_points, colour=colour, width=width, dash=dash)
-        if dot_px:
-            self.dots(line_points, colour=colour, size=dot_px)
-
-    def across(self, y: float, *, colour: str = SOFT, width: float = 0.8, dash: str = "") -> None:
+    def across(self, y: float, **style: Any) -> None:
         """Draw a line over the whole width."""
-        self.curve(self.extent[:2], (y, y), colour=colour, width=width, dash=dash)
+        self.line(self.extent[:2], y, **style)
 
-    def upright(self, x: float, *, width: float = 0.8, dash: str = "") -> None:
+    def upright(self, x: float, **style: Any) -> None:
         """Draw a line over the whole height."""
-        self.curve((x, x), self.extent[2:], colour=SOFT, width=width, dash=dash)
+        self.line(x, self.extent[2:], **style)
 
     def area(self, points: ArrayLike, *, colour: str, opacity: float = 1.0) -> None:
         """Fill the area within points (n, 2)."""
-        self._elements.append(
-            f'<path d="{_path(self.place(points))}z" fill="{colour}" opacity="{opacity:g}"/>'
-        )
+        path_data = _path(self.place(points))
+        self._elements.append(f'<path d="{path_data}z" fill="{colour}" opacity="{opacity:g}"/>')
+
+    def band(self, x: ArrayLike, ends: ArrayLike) -> None:
+        """Shade between the ``ends`` (n, 2) of intervals at x, where they are known."""
+        points = np.column_stack([x, np.asarray(ends, dtype=np.float64)])
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) > 1:
+            border = np.concatenate([points[:, [0, 1]], points[::-1, [0, 2]]])
+            self.area(border, colour=POINT, opacity=0.2)
 
     def dots(
-        self, points: ArrayLike, *, colour: str, size: float, opacity: float = 1.0, halo: str = ""
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        *,
+        colour: str,
+        size: float,
+        opacity: float = 1.0,
+        halo: str = "",
+        is_open: bool = False,
     ) -> None:
-        """Draw round dots."""
-        pixels = self.place(points)
-        data = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in pixels[np.isfinite(pixels).all(axis=1)])
-        for ink, width in ((halo, size + 2.8), (colour, size)):
-            if ink and data:
-                self._stroke(data, ink, width, opacity=opacity, cap="round")
+        """Draw round dots, as :meth:`line` takes their places; open ones are white inside."""
+        pixels = self.place(_pairs(x, y))
+        pixels = pixels[np.isfinite(pixels).all(axis=1)]
+        path_data = "".join(f"M{_n(x_px)} {_n(y_px)}h0" for x_px, y_px in pixels)
+        inks = [(halo, size + 2.8), (colour, size)]
+        if is_open:
+            inks.append(("white", 5))
+        for ink, width in inks:
+            if ink and path_data:
+                self._stroke(path_data, ink, width, opacity=opacity, cap="round")
 
     def text(
         self,
@@ -263,8 +276,9 @@ class Axes:
             length_px = math.hypot(u - x, v - y)
             if not length_px > 0.3:
                 continue
-            head = min(4.5 * width, 0.6 * length_px)
-            c, s = (u - x) / length_px * head, (v - y) / length_px * head
+            head_share = min(4.5 * width, 0.6 * length_px) / length_px
+            c = (u - x) * head_share
+            s = (v - y) * head_share
             shafts += f"M{_n(x)} {_n(y)}L{_n(u - 0.8 * c)} {_n(v - 0.8 * s)}"
             wings = [f"L{_n(u - c - k * s)} {_n(v - s + k * c)}" for k in (0.45, -0.45)]
             heads += f"M{_n(u)} {_n(v)}{''.join(wings)}z"
@@ -282,58 +296,43 @@ class Axes:
         """
         from contourpy import LineType, contour_generator
 
-        shown, (left, right, bottom, top) = self.shown, self.shown.extent
-        rows, cols = shown.values.shape
+        values = self.shown.values
+        left, right, bottom, top = self.shown.extent
+        rows, cols = values.shape
         if min(rows, cols) < 2:
             return
         x_um = left + (np.arange(cols) + 0.5) * (right - left) / cols
         y_um = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
-        generator = contour_generator(
-            x_um, y_um, np.ma.masked_invalid(shown.values), line_type=LineType.Separate
-        )
+        known = np.ma.masked_invalid(values)
+        generator = contour_generator(x_um, y_um, known, line_type=LineType.Separate)
         label_pixels = self.place(avoided)
-        is_inside = (levels > np.nanmin(shown.values)) & (levels < np.nanmax(shown.values))
         line_width, opacity = (1.4, 0.9) if labels else (0.8, 0.7)
-        for level in levels[is_inside]:
-            lines = [line for line in generator.lines(float(level)) if isinstance(line, np.ndarray)]
+        for level in levels[(levels > known.min()) & (levels < known.max())]:
+            lines: Any = generator.lines(level)
             path = "".join(map(_path, map(self.place, lines)))
             self._stroke(path, "white", line_width, opacity=opacity)
-            if labels and lines:  # where the line is farthest from the border and from other labels
+            if labels and lines:
                 line = max(lines, key=len)
-                line_pixels = self.place(line)
-                size_px = np.array([self.width, self.height])
-                border_px = np.min([line_pixels, size_px - line_pixels], axis=(0, 2))
-                labels_px = [np.hypot(*(line_pixels - label).T) for label in label_pixels]
-                k = int(np.argmax(np.min([border_px, *labels_px], axis=0)))
-                label_pixels = np.vstack([label_pixels, line_pixels[k]])
-                x, y = map(float, line[k])
-                self.text(
-                    x,
-                    y,
-                    f"{level:g}",
-                    shift=(0, 4),
-                    size=SMALL,
-                    anchor="middle",
-                    colour="white",
-                    halo=INK,
-                )
+                k = self._emptiest(self.place(line), label_pixels)
+                label_pixels = np.vstack([label_pixels, self.place(line[k])])
+                style: Entries = {"size": SMALL, "anchor": "middle", "halo": INK}
+                x, y = line[k]
+                self.text(x, y, f"{level:g}", shift=(0, 4), colour="white", **style)
+
+    def _emptiest(self, pixels: Array, label_pixels: Array) -> int:
+        """Which of some places is farthest from the border and from labels."""
+        size_px = (self.width, self.height)
+        border_px = np.min([pixels, size_px - pixels], axis=(0, 2))
+        labels_px = [np.hypot(*(pixels - label).T) for label in label_pixels]
+        return int(np.argmax(np.min([border_px, *labels_px], axis=0)))
 
     def outline(self, inside: Bools, y: Array, x: Array, *, colour: str, width: float) -> None:
         """Draw the border of a region along the edges of its pixels."""
-        padded = np.pad(inside.astype(np.int8), 1)
-        runs = []
-        for edges, order in (
-            (np.diff(padded, axis=0), (0, 1)),
-            (np.diff(padded, axis=1).T, (1, 0)),
-        ):
-            ends = np.diff((edges != 0).astype(np.int8), axis=1)
-            line, start = np.nonzero(ends == 1)
-            stop = np.nonzero(ends == -1)[1]
-            runs.append(np.stack([start, line, stop, line], axis=1).reshape(-1, 2)[:, order])
-        corners = (np.concatenate(runs) - 0.5) * (pitch(x), pitch(y)) + (x[0], y[0])
-        path_data = "".join(
-            f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in self.place(corners).reshape(-1, 4)
-        )
+        padded = np.pad(inside, 1)
+        rows, cols = _edges(padded), _edges(padded.T)[:, ::-1]
+        corners = (np.concatenate([rows, cols]) - 0.5) * (pitch(x), pitch(y)) + (x[0], y[0])
+        lines = self.place(corners).reshape(-1, 4)
+        path_data = "".join(f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in lines)
         if path_data:
             self._stroke(path_data, colour, width, cap="square")
 
@@ -385,9 +384,9 @@ class Canvas(Axes):
     ) -> None:
         """Draw a round length below axes that show ``um`` on so many pixels."""
         bar_um = round_step(max_share * um)
-        bar_px = bar_um / um * width
-        self.line([(x, y + 10), (x + bar_px, y + 10)], colour=colour, width=3)
-        self.text(x + bar_px + 7, y + 14, label.format(plain(bar_um)), size=SMALL)
+        end = x + bar_um / um * width
+        self.line((x, end), y + 10, colour=colour, width=3)
+        self.text(end + 7, y + 14, label.format(plain(bar_um)), size=SMALL)
 
     def colour_bar(
         self, x: float, y: float, width: float, height: float, scale: Scale, *, log: bool = False
@@ -424,32 +423,31 @@ class Canvas(Axes):
 
         ``log``: y in powers of ten; ``x_ticks``: places, texts.
         """
-        x, bottom, (x0, x1, y0, y1) = axes.x, axes.y + axes.height, axes.extent
-        self.line([(x, axes.y), (x, bottom), (x + axes.width, bottom)], colour=SOFT, width=0.8)
+        x0, x1, y0, y1 = axes.extent
+        left = axes.x
+        bottom = axes.y + axes.height
+        self.line((left, left, left + axes.width), (axes.y, bottom, bottom))
         y_ticks = _ticks(y0, y1, max_count=axes.height / 44, log=log)
         if x_ticks is None:
             x_ticks = _ticks(x0, x1, max_count=axes.width / 62)
         self.number_axes(axes, x_ticks, y_ticks)
-        self.text(x + axes.width / 2, bottom + 36, x_label, anchor="middle")
+        self.text(left + axes.width / 2, bottom + 36, x_label, anchor="middle")
         label_length = max((len(text) for _, text in y_ticks), default=0)
-        self.text(
-            x - 18 - 6.4 * label_length,
-            axes.y + axes.height / 2,
-            y_label,
-            anchor="middle",
-            upwards=True,
-        )
+        x = left - 18 - 6.4 * label_length
+        self.text(x, axes.y + axes.height / 2, y_label, anchor="middle", upwards=True)
 
     def number_axes(self, axes: Axes, x_ticks: Ticks, y_ticks: Ticks) -> None:
         """Draw ticks with their numbers below axes and to the left of them."""
         x_min, _, y_min, _ = axes.extent
         for value, label in x_ticks:
-            self._tick(axes.x + axes.place((value, y_min))[0, 0], axes.y + axes.height, 0, 1, label)
+            x_px, _ = axes.place((value, y_min))[0]
+            self._tick(axes.x + x_px, axes.y + axes.height, 0, 1, label)
         for value, label in y_ticks:
-            self._tick(axes.x, axes.y + axes.place((x_min, value))[0, 1], -1, 0, label)
+            _, y_px = axes.place((x_min, value))[0]
+            self._tick(axes.x, axes.y + y_px, -1, 0, label)
 
     def _tick(self, x: float, y: float, right: int, down: int, text: str) -> None:
-        self.line([(x, y), (x + 3 * right, y + 3 * down)], colour=SOFT, width=0.8)
+        self.line((x, x + 3 * right), (y, y + 3 * down))
         half_px = 3.1 * len(text)
         # A long number at the end of an axis stays within the figure, and is smaller where its
         # margin is too narrow.
@@ -460,13 +458,8 @@ class Canvas(Axes):
             anchor = "start" if right > 0 else "end"
             x_px = x + 6 * right
         room_px = x_px if right < 0 else self.width
-        self.text(
-            x_px,
-            y + 4 + 12 * down,
-            text,
-            size=min(SMALL, SMALL * room_px / (2 * half_px)),
-            anchor=anchor,
-        )
+        size = min(SMALL, SMALL * room_px / (2 * half_px))
+        self.text(x_px, y + 4 + 12 * down, text, size=size, anchor=anchor)
 
     def map_axes(
         self,
@@ -484,9 +477,10 @@ class Canvas(Axes):
         """
         axes = self.axes(x, y, *box, shown.extent)
         axes.image(shown, scale)
-        x0, x1, bottom, upper = shown.extent
-        y_ticks = _ticks(*sorted((bottom, upper)), max_count=box[1] / 44) if has_y_ticks else []
-        self.number_axes(axes, _ticks(x0, x1, max_count=box[0] / 62), y_ticks)
+        x0, x1, *y_ends = shown.extent
+        x_ticks = _ticks(x0, x1, max_count=box[0] / 62)
+        y_ticks = _ticks(*sorted(y_ends), max_count=box[1] / 44) if has_y_ticks else []
+        self.number_axes(axes, x_ticks, y_ticks)
         return axes
 
     def draw_scale_row(
@@ -519,16 +513,17 @@ class Canvas(Axes):
         axes = self.map_axes(x, y, box, shown, scale)
         self.draw_scale_row(axes, 3)
         if label:
-            high = max(box[1], _LOWEST_BAR)
-            self.colour_bar(x + box[0] + 11, y, 12, high, scale)
-            self.text(x + box[0] + BESIDE - 5, y + high / 2, label, anchor="middle", upwards=True)
+            right = x + box[0]
+            height = panel_height(box, label)
+            self.colour_bar(right + 11, y, 12, height, scale)
+            self.text(right + BESIDE - 5, y + height / 2, label, anchor="middle", upwards=True)
         return axes
 
     def name_curves(self, titles: Iterable[str], colours: Iterable[str], xy: Pair) -> None:
         """Name curves by their colours, one below the other; the first one at ``xy``."""
         x, place = xy
         for title, colour in zip(titles, colours, strict=True):
-            self.line([(x, place - 4), (x + 18, place - 4)], colour=colour, width=2.5)
+            self.line((x, x + 18), place - 4, colour=colour, width=2.5)
             self.text(x + 26, place, title)
             place += LINE_PX
 
@@ -541,14 +536,7 @@ class Canvas(Axes):
         """
         view = f'viewBox="0 0 {_n(self.width)} {_n(self.height)}"'
         svg = self.svg(f'{view} role="img" aria-label="{escape(title)}" {_FONTS}')
-        return Picture(
-            svg=svg,
-            width=self.width,
-            height=self.height,
-            title=title,
-            caption=caption,
-            data=data or {},
-        )
+        return Picture(svg, self.width, self.height, title, caption, data or {})
 
 
 def row_axes(
@@ -559,11 +547,7 @@ def row_axes(
     Rows are 1 high and the first begins at 0; ``values`` are all that has to find room;
     ``widest_px``: of the names.
     """
-    low = min(values)
-    high = max(values)
-    margin = 0.06 * (high - low) or 0.05 * abs(high) or 0.5
-    low -= margin
-    high += margin
+    low, high = with_margin(values, least=0.05 * abs(max(values)) or 0.5)
     left = min(max(map(len, names)) * LETTER_PX + 16, widest_px)
     right = HALF - 20
     bottom = _ROWS_TOP + _ROW * len(names)
@@ -572,7 +556,7 @@ def row_axes(
     axes = canvas.axes(left, _ROWS_TOP, right - left, bottom - _ROWS_TOP, extent)
     for row, name in enumerate(names):
         canvas.text(left - 8, _ROWS_TOP + _ROW * (row + 0.5) + 4, name, anchor="end")
-    canvas.line([(left, bottom), (right, bottom)], colour=SOFT, width=0.8)
+    canvas.line((left, right), bottom)
     ticks = multiples(low, high, round_step((high - low) / 4))
     canvas.number_axes(axes, [(v, f"{v + 0.0:.6g}".replace("-", "−")) for v in ticks], [])
     canvas.text((left + right) / 2, bottom + 38, label, anchor="middle")
@@ -591,10 +575,10 @@ def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Sho
     factor = (max(1.0, pixel_um / abs(steps[0])), max(1.0, pixel_um / steps[1]))
     if max(factor) > 1:
         data = area_mean(summable(values, data), factor)
-    down, across = (n * f * s for n, f, s in zip(data.shape, factor, steps, strict=True))
+    down, across = np.multiply(data.shape, factor) * steps
     x = float(cols[0]) - steps[1] / 2
     y = float(rows[0]) - steps[0] / 2
-    return ShownMap(data, (x, x + across, y + down, y))
+    return ShownMap(data, (x, x + float(across), y + float(down), y))
 
 
 def draw_map(
@@ -604,8 +588,9 @@ def draw_map(
 
     With its scale bar and, where labelled, its colour bar.
     """
-    shown = reduced(values, y, x, width=width - MARGIN - BESIDE)
-    box = shown.fit(width - MARGIN - BESIDE, 480.0 if width <= HALF else 640.0)
+    map_px = width - MARGIN - BESIDE
+    shown = reduced(values, y, x, width=map_px)
+    box = shown.fit(map_px, 480.0 if width <= HALF else 640.0)
     canvas = Canvas(width, panel_height(box, label) + _TOP + BELOW + 26)
     return canvas, canvas.panel(0.0, 0.0, shown, box, scale=scale, label=label)
 
@@ -636,6 +621,14 @@ def magnified(vectors: Array, length_um: float) -> Magnified:
     return Magnified(times, longest, f"{size}; the longest is {length(longest, 2)}")
 
 
+def with_margin(values: Iterable[float], share: float = 0.06, least: float = 0.1) -> Pair:
+    """Return the ends of an axis that holds values, with a margin of a share of their range."""
+    ends = [*values]
+    low, high = min(ends), max(ends)
+    margin = share * (high - low) or least
+    return low - margin, high + margin
+
+
 def pitch(coordinates: Array) -> float:
     """Return the step of a regular axis; 1 for a single point."""
     steps = len(coordinates) - 1
@@ -654,7 +647,9 @@ def n_of(values: Array) -> str:
 
 def multiples(low: float, high: float, step: float) -> Array:
     """Return the multiples of a step between two values."""
-    return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step
+    first = np.ceil(low / step - 1e-9)
+    last = np.floor(high / step + 1e-9)
+    return np.arange(first, last + 1) * step
 
 
 def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float]:
@@ -674,31 +669,43 @@ def _ticks(low: float, high: float, *, max_count: float, log: bool = False) -> T
     ``log``: the places are powers of ten.
     """
     if log:
-        powers = np.arange(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1.0)
-        return [(float(k), f"{10.0**k:g}") for k in powers[:: max(1, math.ceil(len(powers) / 6))]]
+        powers = multiples(low, high, 1.0)
+        stride = max(1, math.ceil(len(powers) / 6))
+        return [(float(k), f"{10.0**k:g}") for k in powers[::stride]]
     step = round_step((high - low) / max(int(max_count), 2), above=True)
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    return [(float(value), fixed(float(value), decimals)) for value in multiples(low, high, step)]
+    return [(value, fixed(value, decimals)) for value in multiples(low, high, step).tolist()]
 
 
 def _n(value: float) -> str:
     return f"{round(float(value), 1) + 0.0:g}"
 
 
+def _pairs(x: ArrayLike, y: ArrayLike) -> Array:
+    return np.column_stack(np.broadcast_arrays(x, y))
+
+
+def _edges(inside: Bools) -> Ints:
+    """Return the ends (x, y) of the borders between rows of pixels, two for each border."""
+    is_edge = np.diff(inside, axis=0)
+    ends = np.diff(is_edge.astype(np.int8), axis=1)
+    line, start = np.nonzero(ends == 1)
+    stop = np.nonzero(ends == -1)[1]
+    return np.stack([start, line, stop, line], axis=1).reshape(-1, 2)
+
+
 def _path(points: Array) -> str:
     """Return a line through points in pixels as path data; NaN interrupts it."""
     tenths = np.rint(10 * points)
-    is_finite = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1])
+    is_finite = np.isfinite(tenths).all(axis=1)
     path_data = ""
-    for run in np.split(
-        np.arange(is_finite.size), np.flatnonzero(is_finite[1:] != is_finite[:-1]) + 1
-    ):
-        if len(run) > 1 and is_finite[run[0]]:
-            steps = np.diff(tenths[run], axis=0)
-            steps = steps[np.any(steps != 0, axis=1)]
-            if not len(steps):  # shorter than a tenth of a pixel
-                continue
-            x, y = tenths[run[0]] / 10
+    for run in np.split(tenths, np.flatnonzero(np.diff(is_finite)) + 1):
+        if not np.isfinite(run).all():
+            continue
+        steps = np.diff(run, axis=0)
+        steps = steps[np.any(steps != 0, axis=1)]
+        if len(steps):  # none of a line that is shorter than a tenth of a pixel
+            x, y = run[0] / 10
             path_data += f"M{x:g} {y:g}l" + " ".join([f"{v:g}" for v in (steps / 10).ravel()])
     return path_data
 

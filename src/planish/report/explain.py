@@ -210,12 +210,11 @@ def draw_coefficients(model: AnyModel) -> Picture:
     axes.upright(0.0, dash="4 3")
     colours = colours_of(names).values()
     for row, (coefficient, colour) in enumerate(zip(coefficients, colours, strict=True)):
-        value, y = coefficient.standardised, row + 0.5
+        value = coefficient.standardised
+        y = row + 0.5
         if is_known(coefficient.interval):
-            axes.line([(end, y) for end in coefficient.interval], colour=colour, width=2.5)
-        axes.dots([(value, y)], colour=colour, size=9)
-        if not coefficient.direction:
-            axes.dots([(value, y)], colour="white", size=5)
+            axes.line(coefficient.interval, y, colour=colour, width=2.5)
+        axes.dots(value, y, colour=colour, size=9, is_open=not coefficient.direction)
         # The number stands on the side of the dot that the line at 0 is not on.
         anchor = "start" if value >= 0 else "end"
         axes.text(value, y, fixed(value, 2), anchor=anchor, shift=(0, -6), size=SMALL)
@@ -243,14 +242,15 @@ def draw_sizes(model: Explained) -> Picture:
     canvas = Canvas(HALF, 290 + LINE_PX * len(names))
     axes = canvas.axes(*_BOX, (min(logs) - 0.1, max(logs) + 0.1, low, high))
     declared = math.log10(model.cell_um)
-    axes.line([(declared, low), (declared, high)], colour=FAINT, width=24)
+    axes.upright(declared, colour=FAINT, width=24)
     axes.across(0.0, dash="4 3")
     for index, (name, colour) in enumerate(colours.items()):
         places = [log + 0.02 * (index - (len(names) - 1) / 2) for log in logs]
         for place, row in zip(places, rows, strict=True):
-            axes.line([(place, end) for end in row.intervals[name]], colour=colour, width=1.4)
+            axes.line(place, row.intervals[name], colour=colour, width=1.4)
         values = [row.standardised[name] for row in rows]
-        axes.curve(places, values, colour=colour, width=1.2, dot_px=6)
+        axes.line(places, values, colour=colour, width=1.2)
+        axes.dots(places, values, colour=colour, size=6)
     draw_log_axes(canvas, axes, "Edge of the cells / µm", "Standardised coefficient")
     titles = [model.coefficients[name].title for name in names]
     canvas.name_curves(titles, colours.values(), (_BOX[0], 298))
@@ -275,8 +275,8 @@ def draw_partial(model: Explained, name: str) -> Picture:
     canvas = Canvas(HALF, 310)
     colour = colours_of(strongest(model.coefficients))[name]
     axes = draw_dots(canvas, (x, y), _BOX, bar_px=55.0, colour=colour)
-    ends = [(float(v), coefficient.plain * float(v)) for v in (x.min(), x.max())]
-    draw_fit(axes, ends, colour=INK)
+    ends = np.array([x.min(), x.max()])
+    draw_fit(axes, ends, coefficient.plain * ends, colour=INK)
     canvas.ticks(
         axes,
         axis_label(f"{coefficient.title}, freed of the others", unit(coefficient.units)),
@@ -315,7 +315,8 @@ def draw_correlogram(model: Explained, curve: Variogram) -> Picture:
     canvas = Canvas(HALF, 310)
     axes = canvas.axes(*_BOX, (0.0, distances[-1] * 1.02, min(*values, -0.1) - 0.05, 1.05))
     axes.across(0.0)
-    axes.curve(distances, values, colour=INK, width=1.4, dot_px=3)
+    axes.line(distances, values, colour=INK, width=1.4)
+    axes.dots(distances, values, colour=INK, size=3)
     canvas.ticks(axes, "Distance / µm", "Correlation of residuals")
     range_text = ""
     if is_known(curve.range_um):

@@ -162,13 +162,11 @@ def draw_progress(strain: xr.Dataset) -> Picture:
     axes = canvas.axes(78, 15, HALF - 95, 215, (0.5, max(nodes.size, 1) + 0.5, low, high))
     for node_count in node_counts:
         mesh_steps = np.flatnonzero((nodes == node_count) & is_moved)
-        curve_points = np.stack([mesh_steps + 1.0, log_moves[mesh_steps]], axis=1)[
-            :: max(1, mesh_steps.size // 600)
-        ]
+        mesh_steps = mesh_steps[:: max(1, mesh_steps.size // 600)]
         colour = ACCENT if node_count == node_counts[-1] else SOFT
-        axes.line(curve_points, colour=colour, width=1.6)
+        axes.line(mesh_steps + 1.0, log_moves[mesh_steps], colour=colour, width=1.6)
         if nodes.size <= 200:
-            axes.dots(curve_points, colour=colour, size=5)
+            axes.dots(mesh_steps + 1.0, log_moves[mesh_steps], colour=colour, size=5)
     for level in multiples(low, high, 1.0):
         axes.across(level, colour=FAINT, width=0.5)
     canvas.ticks(axes, "step", "mean move of a node / µm", log=True)

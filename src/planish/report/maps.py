@@ -256,10 +256,11 @@ def _draw_histogram(
     outline = np.stack([np.repeat([0, *counts, 0], 2)[1:-1], np.repeat(edges, 2)], axis=1)
     axes.area(outline, colour="#b9c0c7")
     axes.upright(0, width=1.6)
-    x, mean, sd = 1.14 * max_count, facts.mean, facts.sd
-    if mean is not None and sd is not None:
-        axes.line([(x, max(mean - sd, low)), (x, min(mean + sd, high))], colour=ACCENT, width=1.6)
-        axes.dots([(x, min(max(mean, low), high))], colour=ACCENT, size=5)
+    if facts.mean is not None and facts.sd is not None:
+        x = 1.14 * max_count
+        ends = np.clip((facts.mean - facts.sd, facts.mean + facts.sd), low, high)
+        axes.line(x, ends, colour=ACCENT, width=1.6)
+        axes.dots(x, np.clip(facts.mean, low, high), colour=ACCENT, size=5)
     return {"from": edges[:-1].tolist(), "to": edges[1:].tolist(), "map pixels": counts.tolist()}
 
 

@@ -247,7 +247,8 @@ def _marks_in_words(marks: xr.Dataset, hole_um: float) -> str:
 def _draw_marks(axes: Axes, marks: xr.Dataset, *, hole_um: float, font_size: float) -> None:
     """Draw holes as numbered circles, and tiles, which have no diameter, as numbered crosses."""
     angles = np.linspace(0, 2 * np.pi, 49)
-    circle = hole_um / 2 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    circle_x = hole_um / 2 * np.cos(angles)
+    circle_y = hole_um / 2 * np.sin(angles)
     style: Entries = {"size": font_size, "colour": _MARK}
     marked = zip(points_of(marks, "fixed"), _tiles_of(marks), strict=True)
     for k, ((x, y), is_tile) in enumerate(marked, 1):
@@ -255,7 +256,7 @@ def _draw_marks(axes: Axes, marks: xr.Dataset, *, hole_um: float, font_size: flo
         shift = (-5, -4)
         halo = INK
         if not is_tile:
-            axes.line(circle + np.array([x, y]), colour=_MARK, width=1.9)
+            axes.line(x + circle_x, y + circle_y, colour=_MARK, width=1.9)
             away_um = 0.42 * hole_um
             shift = (-2, -2)
             halo = ""
@@ -336,8 +337,8 @@ def draw_lags(
     if not len(distinct_xy):
         return None
     canvas, axes = ground.draw(HALF)
-    axes.dots(silent_xy, size=4, colour=_SILENT, halo="white")
-    axes.dots(distinct_xy, size=4, colour=ARROW, halo="white")
+    axes.dots(*silent_xy.T, size=4, colour=_SILENT, halo="white")
+    axes.dots(*distinct_xy.T, size=4, colour=ARROW, halo="white")
     magnification = _draw_arrows(
         canvas,
         axes,

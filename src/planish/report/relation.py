@@ -46,8 +46,9 @@ from planish.results import ComparisonRow, CorrelationRow
 Row = TypeVar("Row", CorrelationRow, ComparisonRow)
 Points = tuple[Array, Array]  # values of two maps at the same larger points
 _BINS, _LEAST_BINS = 110, 24
-_TOP, _HIGH, _WIDE = 62.0, 355.0, 400.0  # pixels of one pair of axes
-_LEFT, _RIGHT = 85.0, 635.0
+# Pixels of two pairs of axes, side by side.
+LEFT, RIGHT, WIDE = 85.0, 635.0, 400.0
+_TOP, _HIGH = 62.0, 355.0
 
 
 @dataclass(frozen=True)
@@ -133,14 +134,12 @@ def draw_pair(
         q[is_valid].astype(np.float64),
     )
     canvas = Canvas(FULL, 475)
-    axes = _draw_density(canvas, (_LEFT, _TOP, _WIDE, _HIGH), pixel_values, counted_text="pixels")
-    panels, right_text = (
-        [(axes, fine)],
-        "right, area means over the valid pixels of each larger point. ",
-    )
+    axes = _draw_density(canvas, (LEFT, _TOP, WIDE, _HIGH), pixel_values, counted_text="pixels")
+    panels = [(axes, fine)]
+    right_text = "right, area means over the valid pixels of each larger point. "
     if coarse.same_quantity:
         ends = min(axes.extent), max(axes.extent)
-        axes.line([(v, v) for v in ends], colour=SOFT, width=1.3, dash="6 4")
+        axes.line(ends, ends, width=1.3, dash="6 4")
         _draw_differences(canvas, *points, coarse, units[0])
         right_text = (
             "right, the difference (map on the vertical axis minus map on the horizontal one) of"
@@ -148,7 +147,8 @@ def draw_pair(
             " and the limits of 95 % of normal differences. Dashed, left: both equal. "
         )
     else:
-        panels.append((draw_dots(canvas, points, (_RIGHT, _TOP, _WIDE, _HIGH), bar_px=70), coarse))
+        right_axes = draw_dots(canvas, points, (RIGHT, _TOP, WIDE, _HIGH), bar_px=70)
+        panels.append((right_axes, coarse))
     for axes, row in panels:
         _draw_lines(axes, row)
         canvas.ticks(axes, *labels)
@@ -241,31 +241,32 @@ def points_table(points: Points, labels: Sequence[str]) -> Table:
 
 def _draw_lines(axes: Axes, row: CorrelationRow) -> None:
     """Draw the line of least squares of b on a, and dashed that of a on b, within the axes."""
-    if not is_known(row.slope):
-        return
-    fit_lines = [([(x, row.intercept + row.slope * x) for x in axes.extent[:2]], "")]
-    if row.slope_x_on_y and is_known(row.slope_x_on_y) and is_known(row.mean_a):
-        fit_lines.append(
-            (
-                [(row.mean_a + row.slope_x_on_y * (y - row.mean_b), y) for y in axes.extent[2:]],
-                "7 4",
-            )
-        )
-    for line_ends, dash in fit_lines:
-        draw_fit(axes, line_ends, dash=dash)
+    draw_slope(axes, row)
+    slope = row.slope_x_on_y
+    if slope and is_known(row.slope) and is_known(slope) and is_known(row.mean_a):
+        y = np.array(axes.extent[2:])
+        draw_fit(axes, row.mean_a + slope * (y - row.mean_b), y, dash="7 4")
+
+
+def draw_slope(axes: Axes, row: CorrelationRow) -> None:
+    """Draw the line of least squares of b on a over the width of the axes, if it is known."""
+    if is_known(row.slope):
+        x = np.array(axes.extent[:2])
+        draw_fit(axes, x, row.intercept + row.slope * x)
 
 
 def draw_fit(
     axes: Axes,
-    line_points: ArrayLike,
+    x: ArrayLike,
+    y: ArrayLike,
     *,
-    dash: str = "",
-    width: float = 2.2,
     colour: str = ACCENT,
+    width: float = 2.2,
+    dash: str = "",
 ) -> None:
     """Draw a line that stands out from the points below it."""
-    axes.line(line_points, colour="white", width=4)
-    axes.line(line_points, colour=colour, width=width, dash=dash)
+    axes.line(x, y, colour="white", width=4)
+    axes.line(x, y, colour=colour, width=width, dash=dash)
 
 
 def largest(rows: Sequence[Row]) -> Row:
@@ -284,12 +285,12 @@ def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, u
         margin = 0.04 * (high - low)
         low = min(low, *line_levels) - margin
         high = max(high, *line_levels) + margin
-    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (*_axis_limits(means), low, high))
+    axes = canvas.axes(RIGHT, _TOP, WIDE, _HIGH, (*_axis_limits(means), low, high))
     axes.across(0.0, width=1)
     size = 3 if means.size > 2000 else 4.4
-    axes.dots(np.stack([means, differences], axis=1), colour=POINT, size=size, opacity=0.5)
-    for k, value in enumerate(line_levels):
-        draw_fit(axes, [(x, value) for x in axes.extent[:2]], dash="7 4" if k else "", width=2)
+    axes.dots(means, differences, colour=POINT, size=size, opacity=0.5)
+    for value, dash in zip(line_levels, ("", "7 4", "7 4"), strict=False):
+        draw_fit(axes, axes.extent[:2], value, dash=dash, width=2)
     canvas.ticks(axes, axis_label("mean of the two", units), axis_label("difference", units))
     mean, spread, lower, upper = written_difference(row)
     unit_text = f" {units}".rstrip()
@@ -298,7 +299,7 @@ def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, u
         f" {upper}{unit_text}"
     )
     heading = f"Difference, points of {plain(round(row.point_um, 4))}"
-    _draw_heading(canvas, _RIGHT, heading, numbers_text)
+    _draw_heading(canvas, RIGHT, heading, numbers_text)
 
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
@@ -328,9 +329,10 @@ def draw_dots(
         return _draw_density(
             canvas, (*box[:2], box[2] - bar_px, box[3]), points, counted_text="points"
         )
-    axes = canvas.axes(*box, (*_axis_limits(points[0], 0.0), *_axis_limits(points[1], 0.0)))
+    x_limits, y_limits = (_axis_limits(values, 0.0) for values in points)
+    axes = canvas.axes(*box, (*x_limits, *y_limits))
     dot_px, opacity = (3, 0.5) if points[0].size > 2000 else (4.6, 0.7)
-    axes.dots(np.stack(points, axis=1), colour=colour, size=dot_px, opacity=opacity)
+    axes.dots(*points, colour=colour, size=dot_px, opacity=opacity)
     return axes
 
 

@@ -266,10 +266,10 @@ def _draw_octaves(
         colour = colours[names[index - 1]]
         left, right = math.log10(band.low_um), math.log10(band.high_um)
         middle = left + (right - left) * index / (len(factors) + 1)
-        axes.curve((left, right), (value, value), colour=colour, width=1.2)
+        axes.line((left, right), value, colour=colour, width=1.2)
         if is_known(interval[0]):
-            axes.curve((middle, middle), interval, colour=colour, width=1.6)
-        axes.dots([(middle, value)], colour=colour, size=7)
+            axes.line(middle, interval, colour=colour, width=1.6)
+        axes.dots(middle, value, colour=colour, size=7)
     return axes
 
 

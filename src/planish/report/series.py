@@ -220,7 +220,7 @@ def _tile_maps(maps: Sequence[SmallMap]) -> Entries:
     canvas.colour_bar(8, 6, 300, 12, scale)
     canvas.text(8, 54, labels[0])
     bar_um = round_step(0.5 * _WIDE * um_per_px)
-    canvas.line([(350, 12), (350 + bar_um / um_per_px, 12)], colour=INK, width=3)
+    canvas.line((350, 350 + bar_um / um_per_px), 12, colour=INK, width=3)
     canvas.text(350, 32, plain(bar_um), size=SMALL)
     bar = canvas.picture(title="Colours and scale of all maps", caption="")
     return {"bar": bar, "images": images, "missing": missing}
@@ -269,12 +269,13 @@ def _draw_group(
     sheets: dict[str, list[float]] = {}
     for sheet, value in values:
         sheets.setdefault(sheet, []).append(value * factor)
-    axes.dots([(value * factor, y - 0.18) for _, value in values], colour="#9db4c6", size=4)
-    axes.dots([(float(np.mean(v)), y + 0.06) for v in sheets.values()], colour=POINT, size=6)
+    scaled = [value * factor for _, value in values]
+    axes.dots(scaled, y - 0.18, colour="#9db4c6", size=4)
+    axes.dots([*map(np.mean, sheets.values())], y + 0.06, colour=POINT, size=6)
     if is_known(group.interval):
-        axes.line([(value * factor, y + 0.3) for value in group.interval], colour=ACCENT, width=2)
+        axes.line(np.multiply(group.interval, factor), y + 0.3, colour=ACCENT, width=2)
     if is_known(group.mean):
-        axes.dots([(group.mean * factor, y + 0.3)], colour=ACCENT, size=7)
+        axes.dots(group.mean * factor, y + 0.3, colour=ACCENT, size=7)
 
 
 def _short_label(group: Mapping[str, str]) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from planish.core.numbers import count, length, plain
-from planish.core.typing import Bools, Ints, Pair
+from planish.core.typing import Bools, Entries, Ints, Pair
 from planish.report.colours import GREYS, Array, Scale, limits
 from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Picture, pitch, pixel_of, reduced
 
@@ -72,14 +72,11 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
         canvas.text(1, top_px + 18, f"Slice {letter}", bold=True)
         canvas.text(62, top_px + 18, f"{cut_axis} = {plain(cut.place_um)}", colour=SOFT)
         axes = _draw_window(canvas, cut, span, (1, top_px + 26), zoom, scale, 1.1)
-        axes.line(
-            [(left, low), (left, high), (right, high), (right, low), (left, low)],
-            colour=_MARKED,
-            width=1.4,
-        )
-        axes.text(
-            left, high, letter, shift=(3, -4), size=SMALL, colour=_MARKED, halo="black", bold=True
-        )
+        border_x = (left, left, right, right, left)
+        border_y = (low, high, high, low, low)
+        axes.line(border_x, border_y, colour=_MARKED, width=1.4)
+        style: Entries = {"size": SMALL, "colour": _MARKED, "halo": "black", "bold": True}
+        axes.text(left, high, letter, shift=(3, -4), **style)
         top_px += axes.height + 32
     canvas.scale_bar(1, top_px - 2, width=FULL, um=FULL / zoom)
     stretch_text = ""
@@ -119,15 +116,16 @@ def _draw_window(
     rows = (cut.heights >= low - 1e-6) & (cut.heights <= high + 1e-6)
     grey = cut.grey[np.ix_(rows, cols)]
     axes.image(reduced(grey, cut.heights[rows], cut.x[cols], width=width_px), scale)
-    stride = slice(None, None, max(1, cut.x.size // 1400))  # points of a line
+    stride = max(1, cut.x.size // 1400)
+    x = cut.x[::stride]
     for name, _, colour, dash in LINES:
-        line = np.stack([cut.x, cut.lines[name]], axis=1)
+        line = cut.lines[name][::stride]
         if name == "centre":
-            axes.line(line[stride], colour=colour, width=0.8 * width, dash=dash)
+            axes.line(x, line, colour=colour, width=0.8 * width, dash=dash)
             continue
-        axes.line(line[stride], colour=colour, width=0.7 * width, opacity=0.4)
-        line[~cut.used] = np.nan
-        axes.line(line[stride], colour=colour, width=width)
+        axes.line(x, line, colour=colour, width=0.7 * width, opacity=0.4)
+        measured = np.where(cut.used[::stride], line, np.nan)
+        axes.line(x, measured, colour=colour, width=width)
     return axes
 
 
@@ -148,8 +146,8 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
     left_px = 14.0
     for name, title, colour, dash in LINES:
         if any(np.isfinite(cut.lines[name]).any() for cut in cuts):
-            line = [(left_px, height_px + 74), (left_px + 28, height_px + 74)]
-            canvas.line(line, colour=colour, width=2.6, dash=dash)
+            ends = (left_px, left_px + 28)
+            canvas.line(ends, height_px + 74, colour=colour, width=2.6, dash=dash)
             canvas.text(left_px + 36, height_px + 78, title, colour="white")
             left_px += 205.0
     voxel = pixel_of(cuts[0].x, cuts[0].heights[::-1])

@@ -37,8 +37,8 @@ def draw_expected(entries: Sequence[Entry]) -> Picture | None:
     canvas = Canvas(HALF, 390)
     axes = canvas.axes(62, 10, 320, 320, (0, high, 0, high))
     axes.area([(0, 0), (high, 0.8 * high), (high, 1.25 * high)], colour=FAINT, opacity=0.45)
-    axes.line([(0, 0), (high, high)], colour=SOFT, width=1.2)
-    axes.dots(pairs, colour=INK, size=7)
+    axes.line((0, high), (0, high), width=1.2)
+    axes.dots(*np.transpose(pairs), colour=INK, size=7)
     canvas.ticks(axes, "error that the run expects from its marks / µm", "true error / µm")
     expected, true = np.mean(pairs**2, axis=0)
     return canvas.picture(
