@@ -28,8 +28,12 @@ def normal_equations(i, place, normal, weight, distance, reach, width_um, shape)
     for j in range(cols):
         n0, n1, n2 = normal[i, j]
         scale = 1 / (np.hypot(n1, n2) * width_um)
-        for k in range(max(i - reach[0], 0), min(i + reach[0] + 1, rows)):
-            for m in range(max(j - reach[1], 0), min(j + reach[1] + 1, cols)):
+        upper = max(i - reach[0], 0)
+        lower = min(i + reach[0] + 1, rows)
+        left = max(j - reach[1], 0)
+        right_end = min(j + reach[1] + 1, cols)
+        for k in range(upper, lower):
+            for m in range(left, right_end):
                 if weight[k, m] == 0:
                     continue
                 m0, m1, m2 = normal[k, m]
@@ -46,7 +50,7 @@ def normal_equations(i, place, normal, weight, distance, reach, width_um, shape)
                 # The weight there is 0.0009; it is not a number about a node outside the sheet.
                 if not square < 2.25:
                     continue
-                term[1], term[2], term[3], term[4], term[5] = x, y, x * x, x * y, y * y
+                term[1:] = x, y, x * x, x * y, y * y
                 w = weight[k, m] * np.exp(-np.pi * square)
                 for p in range(_TERMS):
                     share = w * term[p]

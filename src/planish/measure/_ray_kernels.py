@@ -86,7 +86,7 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
 
 @njit(cache=True, nogil=True)
 def resample_rays(
-    block, corner, first, wide, depth, step_r, step_c, step_d, wanted, low, ds, padding, padded, out
+    block, corner, first, wide, depth, step_r, step_c, step_d, wanted, low, ds, padding, out
 ):
     """Trilinear grey along rays through a part of the volume; ``wanted`` ones only.
 
@@ -99,74 +99,58 @@ def resample_rays(
     step_r, _c, _d  : (ray rows, cols), voxels per um along the ray
     wanted          : (ray rows, cols) bool
     low, ds         : sample k lies at s = (low + k) ds, um; low is an int
-    padding, padded : value of what lies outside the field of view, where (bool) there is one
-    out             : (ray rows, cols, samples), set; NaN outside the block, and beside what is
-    missing
+    padding         : value of what lies outside the field of view; NaN where there is none
+    out             : (ray rows, cols, samples) of NaN, which stays outside the block and beside
+    what is missing
     """
     rows, cols, count = out.shape
     height, width, deep = block.shape
     middle = 0.5 * (wide - 1)
     for i in range(rows):
+        at_r = wide * (first + i) + middle
         for j in range(cols):
-            at_r, at_c = wide * (first + i) + middle, wide * j + middle
             if not wanted[i, j]:
-                out[i, j, :] = np.nan
                 continue
-            sr, sc, sd, d0 = step_r[i, j], step_c[i, j], step_d[i, j], depth[i, j]
-            # A ray whose two ends lie well inside the block needs no look at its border on the way.
-            sure = True
-            for k in (0, count - 1):
-                s = (low + k) * ds
-                r, c, d = (
-                    at_r + s * sr - corner[0],
-                    at_c + s * sc - corner[1],
-                    d0 + s * sd - corner[2],
-                )
-                sure = (
-                    sure
-                    and 0.0 <= r < height - 1.001
-                    and 0.0 <= c < width - 1.001
-                    and 0.0 <= d < deep - 1.001
-                )
+            at_c = wide * j + middle
+            sr = step_r[i, j]
+            sc = step_c[i, j]
+            sd = step_d[i, j]
             for k in range(count):
                 s = (low + k) * ds
                 # Coordinates are those of the whole volume: rounding must not depend on the block.
-                r, c, d = at_r + s * sr, at_c + s * sc, d0 + s * sd
-                r0 = int(np.floor(r))
-                c0 = int(np.floor(c))
-                d0i = int(np.floor(d))
-                fr, fc, fd = r - r0, c - c0, d - d0i
-                r0, c0, d0i = r0 - corner[0], c0 - corner[1], d0i - corner[2]
-                r1, c1, d1 = r0 + (fr > 0), c0 + (fc > 0), d0i + (fd > 0)
-                if not sure and (
-                    r0 < 0 or c0 < 0 or d0i < 0 or r1 >= height or c1 >= width or d1 >= deep
-                ):
-                    out[i, j, k] = np.nan
+                r0, r1, fr = _beside(at_r + s * sr, corner[0])
+                c0, c1, fc = _beside(at_c + s * sc, corner[1])
+                d0, d1, fd = _beside(depth[i, j] + s * sd, corner[2])
+                if r0 < 0 or c0 < 0 or d0 < 0 or r1 >= height or c1 >= width or d1 >= deep:
                     continue
-                a = float(block[r0, c0, d0i])
-                b = float(block[r0, c0, d1])
-                e = float(block[r0, c1, d0i])
-                f = float(block[r0, c1, d1])
-                p = float(block[r1, c0, d0i])
-                q = float(block[r1, c0, d1])
-                u = float(block[r1, c1, d0i])
-                v = float(block[r1, c1, d1])
-                if padded and (
-                    a == padding
-                    or b == padding
-                    or e == padding
-                    or f == padding
-                    or p == padding
-                    or q == padding
-                    or u == padding
-                    or v == padding
-                ):
-                    out[i, j, k] = np.nan
-                    continue
+                a = _seen(block[r0, c0, d0], padding)
+                b = _seen(block[r0, c0, d1], padding)
+                e = _seen(block[r0, c1, d0], padding)
+                f = _seen(block[r0, c1, d1], padding)
+                p = _seen(block[r1, c0, d0], padding)
+                q = _seen(block[r1, c0, d1], padding)
+                u = _seen(block[r1, c1, d0], padding)
+                v = _seen(block[r1, c1, d1], padding)
                 near = (a * (1 - fd) + b * fd) * (1 - fc) + (e * (1 - fd) + f * fd) * fc
                 far = (p * (1 - fd) + q * fd) * (1 - fc) + (u * (1 - fd) + v * fd) * fc
                 value = near * (1 - fr) + far * fr
-                out[i, j, k] = value if np.isfinite(value) else np.nan
+                if np.isfinite(value):
+                    out[i, j, k] = value
+
+
+@njit(cache=True, nogil=True)
+def _beside(place, corner):
+    """Indices in a block of the voxels before and after a place, and its share of the way."""
+    before = int(np.floor(place))
+    share = place - before
+    before -= corner
+    return before, before + (share > 0), share
+
+
+@njit(cache=True, nogil=True)
+def _seen(grey, padding):
+    """Grey of a voxel as a float; NaN outside the field of view."""
+    return np.nan if grey == padding else float(grey)
 
 
 @njit(cache=True, nogil=True)

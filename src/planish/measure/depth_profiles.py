@@ -93,7 +93,8 @@ def depth_profiles(
     layer_edges = np.linspace(0.0, 1.0, bins + 1)
     sum_layers = partial(_layer_sums, names, layer_edges)
     tile_sums = each_tile(volume, frame, sum_layers, rows=rows_per_tile, engine=engine)
-    count, total, squares = np.moveaxis(np.concatenate(tile_sums, axis=-1).sum(axis=-1), -1, 0)
+    sums = np.concatenate(tile_sums, axis=-1).sum(axis=-1)
+    count, total, squares = np.moveaxis(sums, -1, 0)
     if not (count > 0).any():
         raise CannotMeasure(
             f"The base is too thin for {bins} layers of a step of the rays ({frame.step_um:g} um)."
@@ -105,7 +106,8 @@ def depth_profiles(
     base_map_um = frame.faces["interface_top"] - frame.faces["interface_bottom"]
     base_um = float(np.nanmedian(base_map_um[frame.status == 0]))
     middle_depth = 0.5 * (layer_edges[1:] + layer_edges[:-1])
-    is_blurred = np.minimum(middle_depth, 1 - middle_depth) < 2 * frame.greys.blur_um / base_um
+    interface_depth = np.minimum(middle_depth, 1 - middle_depth)
+    is_blurred = interface_depth < 2 * frame.greys.blur_um / base_um
     attrs = {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"}
     profiles = xr.Dataset(
         coords={"depth": ("depth", middle_depth, attrs)},

@@ -53,13 +53,15 @@ def above_form(
         starts.append(np.arange(0, n, block))
         reach.append(int(np.ceil(1.5 * width_um / (block * p))))
 
+    def sums(field: Floats, mask: Bools) -> Floats:
+        by_rows = np.add.reduceat(np.where(mask, field, 0.0), starts[0], axis=0)
+        return np.add.reduceat(by_rows, starts[1], axis=1)
+
     def means(fields: Sequence[Floats], mask: Bools) -> Floats:
         """Of the masked columns of each block; after them their number."""
-        sums = [
-            np.add.reduceat(np.add.reduceat(np.where(mask, field, 0.0), starts[0], 0), starts[1], 1)
-            for field in (*fields, np.ones(1))
-        ]
-        return np.stack([*(total / np.maximum(sums[-1], 1) for total in sums[:-1]), sums[-1]], -1)
+        count = sums(np.ones(1), mask)
+        n_known = np.maximum(count, 1)
+        return np.stack([*(sums(field, mask) / n_known for field in fields), count], axis=-1)
 
     y_um, x_um = (np.arange(n) * p for n, p in zip(shape, pitch_um, strict=True))
     fields = [y_um[:, None], x_um, centre_um, *np.moveaxis(-slopes, -1, 0)]
@@ -80,7 +82,8 @@ def above_form(
                 i, place, normal, weight, height_um, tuple(reach), width_um, shape
             )
             full = matrix[:, :1, :1]
-            terms = np.linalg.solve(matrix + (1e-9 * full + (full == 0)) * np.eye(6), right)
+            ridge = 1e-9 * full + (full == 0)
+            terms = np.linalg.solve(matrix + ridge * np.eye(6), right)
             return np.where(full[:, 0] > 0, terms[:, 0], np.nan)
 
         return np.stack(map_threads(row, range(len(place))))
@@ -99,8 +102,9 @@ def above_form(
 def _of_columns(nodes: Floats, starts: Sequence[Ints], shape: tuple[int, ...]) -> Floats:
     """Give the columns of blocks, which begin at ``starts``, values by those of their middles."""
     for axis, first in enumerate(starts):
-        middles = 0.5 * (first + np.append(first[1:], shape[axis]) - 1)
+        n = shape[axis]
+        middles = 0.5 * (first + np.append(first[1:], n) - 1)
         degree = min(3, first.size - 1)
         spline = interpolate.make_interp_spline(middles, nodes, k=degree, axis=axis)
-        nodes = spline(np.arange(shape[axis]))
+        nodes = spline(np.arange(n))
     return nodes

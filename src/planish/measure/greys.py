@@ -44,11 +44,9 @@ class Greys:
         from planish.core.grid import blur_reach_um
 
         attrs = surfaces.attrs
-        keys = [
-            f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")
-        ]
-        keys.append("polarity")
-        if lacking := [key for key in (*keys, "blur_um") if key not in attrs]:
+        levels = ("air", "base", "coating_top", "coating_bottom", "noise")
+        keys = {name: f"grey_{name}" for name in levels} | {"polarity": "polarity"}
+        if lacking := [key for key in (*keys.values(), "blur_um") if key not in attrs]:
             raise SurfaceError(
                 f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'."
             )
@@ -56,10 +54,11 @@ class Greys:
         for side in SIDES:
             if f"fit_errors_{side}_um" in attrs:
                 fit_errors[side] = np.reshape(attrs[f"fit_errors_{side}_um"], (4, -1))
+        stated = {name: float(attrs[key]) for name, key in keys.items()}
         return cls(
+            **stated,
             fit_errors=fit_errors,
             blur_um=blur_reach_um(attrs),
-            **{key.removeprefix("grey_"): float(attrs[key]) for key in keys},
             padding=float(attrs.get("padding", np.nan)),
             averaged=float(attrs.get("averaged_columns", 0.0)),
             texture_um=float(attrs.get("base_texture_um", 0.0)),
@@ -74,15 +73,13 @@ class Greys:
         """Tell if that side has a coating."""
         return bool(np.isfinite(self.coating(side)))
 
-    def need_coating(self, side: Side, subject: str) -> float:
-        """Level of the coating; CannotMeasure if that side has none."""
-        level = self.coating(side)
-        if not np.isfinite(level):
+    def need_coating(self, side: Side, subject: str) -> None:
+        """CannotMeasure if that side has no coating."""
+        if not self.coated(side):
             raise CannotMeasure(
                 f"{subject} needs a coating on the {side} side, and none was seen there. Leave it"
                 " out."
             )
-        return level
 
     def need_absorption(self, subject: str) -> None:
         """Refuse grey values that are no X-ray absorption.

@@ -58,6 +58,11 @@ class InkOptions(Params):
 
 REASONS = ("no_ink", "ink_reaches_limit")
 NO_INK, AT_LIMIT = 1, 2
+_INK_SHARES = {
+    50: "Depth of half the ink",
+    90: "Depth of 90 % of the ink",
+    95: "Depth of 95 % of the ink",
+}
 
 
 def _check_ink(params: InkOptions, _greys: Greys) -> None:
@@ -82,7 +87,7 @@ def _depths(rays: Rays) -> tuple[Floats, Floats, NDArray[np.uint8]]:
     else:
         limit = np.maximum(rays.top - options.ink_reach_um, rays.bottom)
     step_um = rays.step_um
-    shares = np.array([0.50, 0.90, 0.95])
+    shares = np.array(list(_INK_SHARES)) / 100
     depth, total = _ray_kernels.depths_of_shares(
         rays.grey, float(rays.s_um[0]), step_um, rays.top, limit, low, high, shares
     )
@@ -95,13 +100,7 @@ def _depths(rays: Rays) -> tuple[Floats, Floats, NDArray[np.uint8]]:
     return np.where(reason == 0, depth, np.nan), se, reason
 
 
-for _which, (_share, _title) in enumerate(
-    {
-        50: "Depth of half the ink",
-        90: "Depth of 90 % of the ink",
-        95: "Depth of 95 % of the ink",
-    }.items()
-):
+for _which, (_share, _title) in enumerate(_INK_SHARES.items()):
 
     @ray_property(
         f"ink_depth_{_share}",
@@ -121,8 +120,7 @@ for _which, (_share, _title) in enumerate(
         ink's range.
         """
         depths, se, reason = _depths(rays)
-        values = depths[which]
-        return Measured(values=values, se=np.where(np.isfinite(values), se, np.nan), reason=reason)
+        return Measured(values=depths[which], se=se, reason=reason)
 
 
 class ThicknessOptions(Params):
@@ -141,6 +139,7 @@ class ThicknessOptions(Params):
 
 def thickness_se(sheet: Sheet, name: str) -> Floats:
     """Standard errors of a thickness along the sheet's rays."""
+    from planish.measure.rays import secant
     from planish.measure.uncertainty import SharedNoise, thickness_errors
 
     f = sheet.frame
@@ -155,10 +154,10 @@ def thickness_se(sheet: Sheet, name: str) -> Floats:
     # A vertical distance is longer than a normal one, and so is its error.
     oblique = f.oblique(slope)
     coatings_um: dict[Side, Floats] = {
-        k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES
+        side: face_length(f.faces, f"coating_{side}") / oblique for side in SIDES
     }
-    cosine = 1 / np.sqrt(1 + np.sum(slope**2, axis=-1))
-    return thickness_errors(coatings_um, f.greys, shared_noise, cosine=cosine)[name] * oblique
+    errors = thickness_errors(coatings_um, f.greys, shared_noise, cosine=1 / secant(slope))
+    return errors[name] * oblique
 
 
 def _has_coating(_params: Common, greys: Greys, side: Side) -> None:
@@ -235,13 +234,13 @@ def thickness_envelope(sheet: Sheet) -> Measured:
     """
     from planish.core._envelope_kernels import rolled
 
-    faces = sheet.frame.faces
+    f = sheet.frame
     radius_um = sheet.params.of(ThicknessOptions).envelope_radius_um
-    top, bottom = (
-        rolled(np.where(sheet.valid, face, np.nan), sheet.frame.pitch_um, radius_um)
-        for face in (faces["top"], -faces["bottom"])
-    )
-    return Measured(values=top + bottom)
+
+    def envelope(outward_um: Floats) -> Floats:
+        return rolled(np.where(sheet.valid, outward_um, np.nan), f.pitch_um, radius_um)
+
+    return Measured(values=envelope(f.faces["top"]) + envelope(-f.faces["bottom"]))
 
 
 @cached
@@ -256,19 +255,14 @@ def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
         face, inwards, limit = rays.top, -1.0, rays.interface_bottom
     else:
         face, inwards, limit = rays.bottom, 1.0, rays.interface_top
+    profiles = (rays.grey, float(rays.s_um[0]), rays.step_um)
+    half_way = 0.5 * (coating_level + greys.base)
+    reach_um = rays.oblique * (2.5 * greys.blur_um + rays.voxel_um)
+    gap_um = rays.params.of(ThicknessOptions).gap_um
     summed, envelope, ends = _ray_kernels.layers(
-        rays.grey,
-        float(rays.s_um[0]),
-        rays.step_um,
-        face,
-        inwards,
-        0.5 * (coating_level + greys.base),
-        greys.polarity,
-        rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
-        rays.params.of(ThicknessOptions).gap_um,
-        limit,
+        *profiles, face, inwards, half_way, greys.polarity, reach_um, gap_um, limit
     )
-    ends_se = np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coating_level - greys.base)
+    ends_se = rays.crossings_se(ends, coating_level - greys.base)
     return summed, envelope, np.hypot(face_errors(rays, envelope, side), ends_se)
 
 
@@ -407,7 +401,8 @@ def roughness(sheet: Sheet, side: Side) -> Measured:
     check_filters(options.s_filter_um, options.l_filter_um)
     above = _above_form(sheet, f"topography_{side}", options.l_filter_um)
     filter_width_um = 2 * np.sqrt(np.pi) * _sigma(options.s_filter_um)
-    noise_share = np.prod(np.minimum(1.0, np.sqrt(np.divide(pitch_um, filter_width_um))))
+    axis_shares = np.sqrt(np.divide(pitch_um, filter_width_um))
+    noise_share = np.prod(np.minimum(1.0, axis_shares))
     values = without_short(above.values, pitch_um, options.s_filter_um)
     return Measured(values=values, se=above.se * float(noise_share))
 
@@ -438,9 +433,8 @@ def smoothed(
     sigma = [sigma_um / p for p in pitch_um]
     is_finite = np.isfinite(values)
     total, weight = masked_gaussian(values, is_finite, sigma, truncate=3.5)
-    full_weight = ndimage.gaussian_filter(
-        np.ones(values.shape), sigma, mode="constant", truncate=3.5
-    )
+    ones = np.ones(values.shape)
+    full_weight = ndimage.gaussian_filter(ones, sigma, mode="constant", truncate=3.5)
     return total / np.where(weight > least_share * full_weight, weight, np.nan)
 
 
@@ -534,7 +528,7 @@ def warp(sheet: Sheet) -> Floats:
     y, x = (np.arange(n) * p for n, p in zip(height.shape, sheet.frame.pitch_um, strict=True))
     yy, xx = np.meshgrid(y - y.mean(), x - x.mean(), indexing="ij")
     is_finite = np.isfinite(height) & sheet.valid
-    terms = np.stack([np.ones(int(is_finite.sum())), yy[is_finite], xx[is_finite]], axis=1)
+    terms = np.stack([np.ones_like(yy), yy, xx], axis=-1)[is_finite]
     offset, by_y, by_x = np.linalg.lstsq(terms, height[is_finite], rcond=None)[0]
     return height - (offset + by_y * yy + by_x * xx)
 
@@ -597,11 +591,9 @@ def _derivatives(sheet: Sheet) -> list[Floats]:
     left = c[1:-1, :-2]
     right = c[1:-1, 2:]
     centre = c[1:-1, 1:-1]
-    derivatives = (
-        (right - left) / (2 * dx),
-        (down - up) / (2 * dy),
-        (right - 2 * centre + left) / dx**2,
-        (c[2:, 2:] - c[2:, :-2] - c[:-2, 2:] + c[:-2, :-2]) / (4 * dx * dy),
-        (down - 2 * centre + up) / dy**2,
-    )
-    return [np.pad(derivative, 1, constant_values=np.nan) for derivative in derivatives]
+    p = (right - left) / (2 * dx)
+    q = (down - up) / (2 * dy)
+    r = (right - 2 * centre + left) / dx**2
+    s = (c[2:, 2:] - c[2:, :-2] - c[:-2, 2:] + c[:-2, :-2]) / (4 * dx * dy)
+    t = (down - 2 * centre + up) / dy**2
+    return [np.pad(derivative, 1, constant_values=np.nan) for derivative in (p, q, r, s, t)]

@@ -225,11 +225,10 @@ def _absorption(rays: Rays) -> Measured:
     """
     margin_um = _blur_margin_um(rays)
     contrast = rays.greys.base - rays.greys.air
-    lower, upper = rays.bottom - margin_um, rays.top + margin_um
-    return Measured(
-        values=rays.integral(lower, upper) / contrast,
-        se=rays.integral_se(upper - lower) / abs(contrast),
-    )
+    lower = rays.bottom - margin_um
+    upper = rays.top + margin_um
+    se = rays.integral_se(upper - lower) / abs(contrast)
+    return Measured(values=rays.integral(lower, upper) / contrast, se=se)
 
 
 ray_property("absorption", units="um", long_name="Absorption of the sheet", check=_absorbs)(
@@ -248,13 +247,14 @@ def absorption_base(rays: Rays) -> Measured:
     greys = rays.greys
     sheet_absorption = _absorption(rays)
     base_um, variance = sheet_absorption.values, sheet_absorption.se**2
+    base_contrast = greys.base - greys.air
     thickness_um: dict[Side, Floats] = {
         "top": rays.top - rays.interface_top,
         "bottom": rays.interface_bottom - rays.bottom,
     }
     for side in filter(greys.coated, SIDES):
         layer = coating_absorption(rays, side)
-        share = (greys.coating(side) - greys.air) / (greys.base - greys.air) - 1
+        share = (greys.coating(side) - greys.air) / base_contrast - 1
         base_um = base_um - layer.values * share - thickness_um[side]
         variance = variance + (layer.se * share) ** 2
     return Measured(values=base_um, se=np.sqrt(variance))
@@ -324,8 +324,9 @@ def grammage(sheet: Sheet) -> Measured:
             )
         base_g_m2 -= coats_g_m2
     layers.append(_in_grams(maps["absorption_base"], sheet, "Grammage", base_g_m2, "base_g_cm3"))
+    values = np.sum([layer.values for layer in layers], axis=0)
     variance = np.sum([np.square(layer.se) for layer in layers], axis=0)
-    return Measured(values=np.sum([layer.values for layer in layers], axis=0), se=np.sqrt(variance))
+    return Measured(values=values, se=np.sqrt(variance))
 
 
 @sheet_property(
@@ -345,11 +346,15 @@ def apparent_density(sheet: Sheet) -> Measured:
     """
     f = sheet.frame
     sigma = f.params.of(Options).density_support_um / FWHM
-    noise_share = min(1.0, float(np.sqrt(np.prod(f.pitch_um))) / (2 * np.sqrt(np.pi) * sigma))
-    maps = sheet.maps["grammage"], sheet.maps["thickness"]
+    pitch_um = float(np.sqrt(np.prod(f.pitch_um)))
+    noise_share = min(1.0, pitch_um / (2 * np.sqrt(np.pi) * sigma))
+    mass, thickness = sheet.maps["grammage"], sheet.maps["thickness"]
     # Both means are of the same rays.
-    is_measured = sheet.valid & np.isfinite([m.values for m in maps]).all(axis=0)
-    w, t = (smoothed(np.where(is_measured, m.values, np.nan), f.pitch_um, sigma) for m in maps)
-    w_se, t_se = (m.se for m in maps)
-    relative = np.sqrt((w_se / w) ** 2 + (t_se / t) ** 2) * noise_share
-    return Measured(values=np.where(is_measured, w / t, np.nan), se=np.abs(w / t) * relative)
+    is_measured = sheet.valid & np.isfinite(mass.values) & np.isfinite(thickness.values)
+    w, t = (
+        smoothed(np.where(is_measured, m.values, np.nan), f.pitch_um, sigma)
+        for m in (mass, thickness)
+    )
+    relative = np.sqrt((mass.se / w) ** 2 + (thickness.se / t) ** 2) * noise_share
+    density = w / t
+    return Measured(values=np.where(is_measured, density, np.nan), se=np.abs(density) * relative)

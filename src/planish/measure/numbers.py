@@ -11,7 +11,13 @@ import xarray as xr
 
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure
-from planish.core.facts import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
+from planish.core.facts import (
+    ProfileFacts,
+    RoughnessFacts,
+    SheetNumbers,
+    ThinFacts,
+    TwoSidesFacts,
+)
 from planish.core.grid import pitch
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine
@@ -72,12 +78,12 @@ def thin_fraction(
     # At 0 the values that are 0 count: nothing is thinner than no coating.
     limits_um = np.where(marks > 0, marks, np.nextafter(0.0, 1.0))
     masks = [thickness.values < limit_um for limit_um in limits_um]
-    marked_share = np.array([mask[is_finite].mean() for mask in masks])
+    marked_share = [mask[is_finite].mean() for mask in masks]
     marked_se = [_share_se(mask, is_finite, pitch(thickness)) for mask in masks]
     value_se_um = np.zeros(marks.size)
     if se is not None:
         se_um = np.where(is_finite, se, np.nan).astype(np.float64)
-        value_se_um = np.array([_se_near(mark, thickness.values, se_um) for mark in marks])
+        value_se_um[:] = [_se_near(mark, thickness.values, se_um) for mark in marks]
     is_biased = marks < 2 * value_se_um
     attrs: dict[str, object] = {"n": int(sorted_um.size), "mean_um": float(sorted_um.mean())}
     if "support_um" in thickness.attrs:
@@ -109,7 +115,8 @@ def thin_fraction(
 
 def _se_near(mark_um: float, thickness_um: Floats, se_um: Floats) -> float:
     """Median standard error of the values around a thickness; 0 where there are none."""
-    is_near = np.isfinite(se_um) & (np.abs(thickness_um - mark_um) <= max(2.0, 0.5 * mark_um))
+    reach_um = max(2.0, 0.5 * mark_um)
+    is_near = np.isfinite(se_um) & (np.abs(thickness_um - mark_um) <= reach_um)
     if not is_near.any():
         return 0.0
     return float(np.median(se_um[is_near]))
@@ -120,7 +127,8 @@ def _share_se(is_thin: Bools, is_known: Bools, pitch_um: Pair) -> float:
     k = math.ceil(math.sqrt(is_known.size / _MOST_CELLS))
     cells = area_mean(np.where(is_known, is_thin, np.nan), (k, k))
     lags = Lags(np.isfinite(cells), pitch_um)
-    return math.sqrt(max(lags.variance_of_mean(covariance_of(cells, lags)), 0.0))
+    variance = lags.variance_of_mean(covariance_of(cells, lags))
+    return math.sqrt(max(variance, 0.0))
 
 
 def roughness_numbers(
@@ -283,31 +291,23 @@ def _thin_facts(measured: xr.Dataset, side: Side) -> ThinFacts:
 
 
 def _roughness_of_side(measured: xr.Dataset, side: Side, params: MeasureParams) -> RoughnessFacts:
+    filters_um = {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
     try:
-        return roughness_numbers(
-            _scale_limited_face(measured, side, params),
-            pitch(measured),
-            s_filter_um=params.s_filter_um,
-            l_filter_um=params.l_filter_um,
-        )
+        check_filters(**filters_um)
+        limited_um = _scale_limited_face(measured, side, params)
+        return roughness_numbers(limited_um, pitch(measured), **filters_um)
     # A face of which little is known has none, which is no fault of the run.
     except CannotMeasure as reason:
         return RoughnessFacts(reason=reason.text)
 
 
 def _scale_limited_face(measured: xr.Dataset, side: Side, params: MeasureParams) -> Floats:
-    check_filters(params.s_filter_um, params.l_filter_um)
     name = f"topography_{side}"
     pitch_um = pitch(measured)
     above_um = measured[name].values
-    if measured[name].attrs.get("form_um") != params.l_filter_um:
+    nesting_um = params.l_filter_um
+    if measured[name].attrs.get("form_um") != nesting_um:
         heights, faces = meet(measured, "normal")
-        above_um = above_form(
-            faces,
-            heights["centre"],
-            np.isfinite(above_um),
-            pitch_um,
-            names=(name,),
-            nesting_um=params.l_filter_um,
-        )[name]
+        sheet = (faces, heights["centre"], np.isfinite(above_um))
+        above_um = above_form(*sheet, pitch_um, names=(name,), nesting_um=nesting_um)[name]
     return without_short(above_um, pitch_um, params.s_filter_um)

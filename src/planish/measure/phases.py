@@ -51,7 +51,8 @@ def void_level(greys: Greys, params: Options) -> float:
     """
     if params.void_grey is not None:
         return params.void_grey
-    return 0.5 * (greys.air + (greys.base if params.solid_grey is None else params.solid_grey))
+    matter = greys.base if params.solid_grey is None else params.solid_grey
+    return 0.5 * (greys.air + matter)
 
 
 def _solid(params: Options, greys: Greys) -> None:
@@ -93,10 +94,8 @@ def share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
         return Measured(values=1 - matter.values, se=matter.se)
     length = rays.span(lower, upper)
     contrast = options.solid_grey - greys.air
-    return Measured(
-        values=1 - rays.integral(lower, upper) / length / contrast,
-        se=rays.integral_se(length) / length / abs(contrast),
-    )
+    solid = rays.integral(lower, upper) / length / contrast
+    return Measured(values=1 - solid, se=rays.integral_se(length) / length / abs(contrast))
 
 
 def _share_beyond(
@@ -108,8 +107,7 @@ def _share_beyond(
     """
     beyond, ends = rays.beyond(lower, upper, level)
     length = rays.span(lower, upper)
-    se = np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(contrast) / length
-    return Measured(values=beyond / length, se=se)
+    return Measured(values=beyond / length, se=rays.crossings_se(ends, contrast) / length)
 
 
 def filler_level(params: Common, greys: Greys) -> float:
@@ -155,8 +153,10 @@ def filler(rays: Rays) -> Measured:
     # An end that is dark already, or a ray that is bright throughout, stays as it is, between two
     # samples.
     has_dark = is_dark.any(axis=-1)
-    start = np.where(has_dark & (first_within != first_dark), rays.s_um[first_dark], lower)
-    stop = np.where(has_dark & (last_within != last_dark), rays.s_um[last_dark], upper)
+    starts_bright = has_dark & (first_within != first_dark)
+    stops_bright = has_dark & (last_within != last_dark)
+    start = np.where(starts_bright, rays.s_um[first_dark], lower)
+    stop = np.where(stops_bright, rays.s_um[last_dark], upper)
     return share_of_filler(rays, start, stop)
 
 

@@ -7,7 +7,7 @@ Further maps are worked out on row tiles on threads: the same bytes however they
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import TypeVar
 
@@ -172,12 +172,8 @@ def _with_errors(measured: xr.Dataset, noise_um: float = np.nan) -> xr.Dataset:
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)
         if np.isfinite(se).any():
-            se_attrs = {
-                "units": "um",
-                "long_name": _se_name(PROPERTIES[name]),
-                "common_um": common[name],
-                "patch_um2": patch_um2,
-            }
+            se_attrs = {"units": "um", "long_name": _se_name(PROPERTIES[name])}
+            se_attrs |= {"common_um": common[name], "patch_um2": patch_um2}
             variables[f"{name}_se"] = xr.Variable(("y", "x"), se, se_attrs)
     return measured.assign(variables)
 
@@ -226,12 +222,9 @@ def _errors_of_greys(measured: xr.Dataset, noise_um: float) -> Errors:
     voxel_um = _voxel_um(measured)
     through_um = voxel_um[frame.through]
     voxel_um2 = voxel_um[frame.rows] * voxel_um[frame.cols]
+    column_px = float(np.sqrt(pitch_um[0] * pitch_um[1] / voxel_um2))
     shared_noise = SharedNoise.of(
-        greys,
-        voxel_um=through_um,
-        pitch_um=pitch_um,
-        column_px=float(np.sqrt(pitch_um[0] * pitch_um[1] / voxel_um2)),
-        noise_um=noise_um,
+        greys, voxel_um=through_um, pitch_um=pitch_um, column_px=column_px, noise_um=noise_um
     )
     coatings_um: dict[Side, Floats] = {side: measured[f"coating_{side}"].values for side in SIDES}
     cos_tilt = 1 / secant(slopes_of(measured["centre"].values, pitch_um))
@@ -358,11 +351,9 @@ def measure_along_rays(
     for prop in properties:
         if prop.kind == "rays":
             by_halo.setdefault(_halo(prop, frame), []).append(prop)
-            maps[prop.name] = Measured(
-                values=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
-                se=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
-                reason=np.zeros(status.shape, np.uint8),
-            )
+            values, se = np.full((2, *status.shape), np.nan, np.float32)
+            reason = np.zeros(status.shape, np.uint8)
+            maps[prop.name] = Measured(values=values, se=se, reason=reason)  # type: ignore[arg-type]
     if by_halo:
         measure_tile = partial(_measure_tile, by_halo, maps, status)
         each_tile(volume, frame, measure_tile, halo=max(by_halo), rows=rows_per_tile, engine=engine)
@@ -374,13 +365,14 @@ def measure_along_rays(
             maps[prop.name] = _measured(prop, sheet, status.shape)
         if prop in requested:
             variables |= _variables(prop, maps[prop.name], status, frame)
-    variables["status"] = xr.Variable(
-        ("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME)
-    )
-    ray_attrs = {"rays": params.rays, "ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
-    return xr.Dataset(
-        variables, coords=surfaces.coords, attrs=surfaces.attrs | ray_attrs | params.known()
-    )
+    flags = status_flags(last=Status.RAY_LEAVES_VOLUME)
+    variables["status"] = xr.Variable(("y", "x"), status, flags)
+    attrs = surfaces.attrs | {
+        "rays": params.rays,
+        "ray_step_um": frame.step_um,
+        "ray_noise_um": frame.noise_um,
+    }
+    return xr.Dataset(variables, coords=surfaces.coords, attrs=attrs | params.known())
 
 
 def _measure_tile(
@@ -399,8 +391,9 @@ def _measure_tile(
         rows = slice(inner_rows.start - start, inner_rows.stop - start)
         for prop in properties:
             answer = _measured(prop, halo_rays, halo_rays.status.shape)
-            for name in ("values", "se", "reason"):
-                getattr(maps[prop.name], name)[sheet_rows] = getattr(answer, name)[rows]
+            for part in fields(Measured):
+                sheet_map = getattr(maps[prop.name], part.name)
+                sheet_map[sheet_rows] = getattr(answer, part.name)[rows]
 
 
 def ray_frame(volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams | None) -> RayFrame:
@@ -441,13 +434,15 @@ def each_tile(
                 " threads."
             )
         # Tiles of even size, several for each thread; a halo costs less the larger they are.
-        rows = max(min(rows, max(-(-row_count // (4 * threads)), 2 * halo)), 1)
+        even_rows = -(-row_count // (4 * threads))
+        rows = max(min(rows, max(even_rows, 2 * halo)), 1)
     tiles = [slice(start, min(start + rows, row_count)) for start in range(0, row_count, rows)]
 
     def run_tile(tile: slice) -> T:
         start = max(tile.start - halo, 0)
         rays = frame.tile(volume, slice(start, tile.stop + halo))
-        return work(rays, slice(tile.start - start, tile.stop - start), tile)
+        inner_rows = slice(tile.start - start, tile.stop - start)
+        return work(rays, inner_rows, tile)
 
     return map_threads(run_tile, tiles, number=threads)
 

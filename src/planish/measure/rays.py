@@ -18,7 +18,7 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.labelled import read_box
 from planish.core.status import Status
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats, Pair, pair_of
 from planish.measure import _ray_kernels
 from planish.measure.greys import Greys
 from planish.measure.options import Common
@@ -91,9 +91,11 @@ class Rays:
         is_finite = np.isfinite(lower) & np.isfinite(upper)
         if not is_finite.any():
             return slice(0, 1 + more)
-        first = int(np.searchsorted(self.s_um, lower[is_finite].min(), side="left")) - more
-        last = int(np.searchsorted(self.s_um, upper[is_finite].max(), side="right")) + more
-        return slice(max(first, 0), max(min(last, self.s_um.size), max(first, 0) + 1))
+        lowest_um = lower[is_finite].min()
+        highest_um = upper[is_finite].max()
+        first = max(int(np.searchsorted(self.s_um, lowest_um, side="left")) - more, 0)
+        last = int(np.searchsorted(self.s_um, highest_um, side="right")) + more
+        return slice(first, max(min(last, self.s_um.size), first + 1))
 
     def integral(self, lower: Floats, upper: Floats) -> Floats:
         """Integral of the grey above the air from ``lower`` to ``upper`` (rows, cols).
@@ -152,6 +154,10 @@ class Rays:
         se_um = np.sqrt(2 * np.pi) * blur_um * self.greys.noise / max(abs(contrast), 1e-12)
         return self.oblique * se_um
 
+    def crossings_se(self, ends: NDArray[np.int32], contrast: float) -> Floats:
+        """Standard error in um of a length with so many ends on each ray, of one or more."""
+        return np.sqrt(np.maximum(ends, 1)) * self.crossing_se(contrast)
+
     def integral_se(self, length: Floats | float) -> Floats:
         """Standard error of an integral over ``length`` um: sqrt(noise_um * length)."""
         return np.sqrt(self.noise_um * np.maximum(np.asarray(length, dtype=np.float64), 0.0))
@@ -196,8 +202,7 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict
     centre_um = heights["centre"]
     pitch_um = pitch(surfaces)
     normals = directions(slopes_of(centre_um, pitch_um), rays)
-    unit_vector = map(np.ascontiguousarray, np.moveaxis(normals, -1, 0))
-    vectors = (*unit_vector, *pitch_um)
+    components = np.ascontiguousarray(np.moveaxis(normals, -1, 0))
     faces: dict[str, Floats] = {}
     for name in FACES:
         if name.startswith("interface") and not np.isfinite(heights[name]).any():
@@ -205,7 +210,9 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict
         elif rays == "vertical":
             faces[name] = heights[name] - centre_um
         else:
-            faces[name] = _ray_kernels.along_normals(heights[name], centre_um, *vectors)
+            faces[name] = _ray_kernels.along_normals(
+                heights[name], centre_um, *components, *pitch_um
+            )
     return heights, faces
 
 
@@ -248,7 +255,6 @@ class RayFrame:
         volume_rows = volume.sizes[frame.rows]
         volume_cols = volume.sizes[frame.cols]
         rows, cols = surfaces["centre"].shape
-        # Voxels along the edge of a column of the surfaces.
         column_px = max(volume_rows // max(rows, 1), 1)
         if (volume_rows // column_px, volume_cols // column_px) != (rows, cols):
             raise SurfaceError(
@@ -274,10 +280,11 @@ class RayFrame:
                 "No ray of the centre surface meets both faces. Look at the surfaces in the report."
             )
         status[(status == 0) & ~is_whole] = Status.NORMAL_LEAVES_SHEET
-        low = int(np.floor((float(bottom[is_whole].min()) - margin_um) / step_um))
-        high = int(np.ceil((float(top[is_whole].max()) + margin_um) / step_um))
+        lowest_um = float(bottom[is_whole].min()) - margin_um
+        highest_um = float(top[is_whole].max()) + margin_um
         slope = slopes_of(heights["centre"], pitch_um)
-        stretch = np.sqrt(1 + slope[np.isfinite(slope).all(axis=-1)] ** 2).mean(axis=0)
+        known_slope = slope[np.isfinite(slope).all(axis=-1)]
+        stretch = np.sqrt(1 + known_slope**2).mean(axis=0)
         return cls(
             frame=frame,
             heights=heights,
@@ -286,13 +293,13 @@ class RayFrame:
             pitch_um=pitch_um,
             voxel_um=voxel_um,
             step_um=step_um,
-            low=low,
-            high=high,
+            low=int(np.floor(lowest_um / step_um)),
+            high=int(np.ceil(highest_um / step_um)),
             greys=greys,
             params=params,
             column_px=column_px,
             cutoff_um=float(surfaces.attrs.get("cutoff_um", CUTOFF_UM)),
-            mean_stretch=(float(stretch[0]), float(stretch[1])),
+            mean_stretch=pair_of(stretch),
         )
 
     @property
@@ -317,14 +324,13 @@ class RayFrame:
         slope = self.slopes(rows)
         normals = directions(slope, self.params.rays)
         status = self.status[rows].copy()
-        grey = self._grey(volume, rows, normals, status == 0)
+        is_whole = status == 0
         faces = {
-            name: np.where(status == 0, values[rows], np.nan) for name, values in self.faces.items()
+            name: np.where(is_whole, values[rows], np.nan) for name, values in self.faces.items()
         }
-        samples: Floats = np.arange(self.low, self.high + 1).astype(np.float64) * self.step_um
         tile = Rays(
-            grey=grey,
-            s_um=samples,
+            grey=self._grey(volume, rows, normals, is_whole),
+            s_um=self.step_um * np.arange(self.low, self.high + 1, dtype=np.float64),
             **faces,
             normals=normals,
             stretch=np.sqrt(1 + slope**2),
@@ -342,8 +348,8 @@ class RayFrame:
         grey_integral = tile.integral(tile.bottom, tile.top)
         status[(status == 0) & ~np.isfinite(grey_integral)] = Status.RAY_LEAVES_VOLUME
         contrast = self.greys.base - self.greys.air
-        is_faint = grey_integral / np.maximum(tile.top - tile.bottom, 1e-9) / contrast < 0.25
-        status[(status == 0) & is_faint] = Status.LOW_CONTRAST
+        mean_grey = grey_integral / np.maximum(tile.top - tile.bottom, 1e-9)
+        status[(status == 0) & (mean_grey / contrast < 0.25)] = Status.LOW_CONTRAST
         return tile
 
     def _grey(self, volume: xr.DataArray, rows: slice, normals: Floats, is_wanted: Bools) -> Grey:
@@ -370,22 +376,13 @@ class RayFrame:
             n = volume.sizes[axis]
             first_px = int(np.floor(min(first_end.min(), last_end.min())))
             last_px = int(np.ceil(max(first_end.max(), last_end.max()))) + 2
-            box[axis] = slice(min(max(first_px, 0), n - 1), max(min(last_px, n), 1))
-        padding = self.greys.padding
-        _ray_kernels.resample_rays(
-            np.ascontiguousarray(read_box(volume, box)),
-            np.array([part.start for part in box.values()]),
-            rows.start,
-            column_px,
-            depth,
-            *steps,
-            is_wanted,
-            self.low,
-            self.step_um,
-            padding,
-            bool(np.isfinite(padding)),
-            grey,
-        )
+            start = min(max(first_px, 0), n - 1)
+            box[axis] = slice(start, max(min(last_px, n), 1))
+        voxels = np.ascontiguousarray(read_box(volume, box))
+        corner = np.array([part.start for part in box.values()])
+        rays = (rows.start, column_px, depth, *steps, is_wanted)
+        samples = (self.low, self.step_um)
+        _ray_kernels.resample_rays(voxels, corner, *rays, *samples, self.greys.padding, grey)
         return grey
 
 
@@ -418,6 +415,7 @@ def directions(slope: Floats, rays: Direction) -> Floats:
     rays : {"normal", "vertical"}
     """
     if rays == "vertical":
-        return np.where(np.isfinite(slope).all(axis=-1, keepdims=True), [0.0, 0.0, 1.0], np.nan)
-    length = secant(slope)
-    return np.stack([-slope[..., 0] / length, -slope[..., 1] / length, 1 / length], axis=-1)
+        has_slope = np.isfinite(slope).all(axis=-1, keepdims=True)
+        return np.where(has_slope, [0.0, 0.0, 1.0], np.nan)
+    length = secant(slope)[..., None]
+    return np.concatenate([-slope / length, 1 / length], axis=-1)

@@ -77,17 +77,16 @@ def straightened(
             f" lower one first, within {max_depth_um:.0f} um."
         )
     voxel_um = frame.voxel_um
-    depth_px = np.arange(int(np.floor(low / voxel_um)), int(np.ceil(high / voxel_um)) + 1)
-    depths_um: Floats = depth_px.astype(np.float64) * voxel_um
+    lowest_px = int(np.floor(low / voxel_um))
+    highest_px = int(np.ceil(high / voxel_um))
+    depths_um = voxel_um * np.arange(lowest_px, highest_px + 1, dtype=np.float64)
     grid = Grid.of(maps)
     lazy_volume = _Straightened(volume, surfaces, maps, depths_um, frame)
-    coords_um = {"z": depths_um, "y": grid.y_um, "x": grid.x_um}
+    coords = {"z": ("z", depths_um, {"units": "um"})} | grid.coords
     voxel_um_zyx = (voxel_um, *(round(float(p), 9) for p in grid.pixel_um))
-    return xr.DataArray(
-        xr.Variable(tuple(coords_um), variable_data(lazy_volume), {"voxel_um": voxel_um_zyx}),
-        coords={axis: (axis, um, {"units": "um"}) for axis, um in coords_um.items()},
-        name="grey",
-    )
+    attrs = {"voxel_um": voxel_um_zyx}
+    variable = xr.Variable(("z", "y", "x"), variable_data(lazy_volume), attrs)
+    return xr.DataArray(variable, coords=coords, name="grey")
 
 
 def voxels_around(
@@ -98,11 +97,11 @@ def voxels_around(
     box: dict[str, slice] = {}
     for axis in map(str, volume.dims):
         coords_um = volume[axis].values
+        n = coords_um.size
         position_px = (places_um[axis] - float(coords_um[0])) / float(coords_um[1] - coords_um[0])
-        start_px = int(np.clip(np.floor(position_px.min()), 0, coords_um.size - 1))
-        box[axis] = slice(
-            start_px, int(np.clip(np.ceil(position_px.max()) + 1, start_px + 1, coords_um.size))
-        )
+        start_px = int(np.clip(np.floor(position_px.min()), 0, n - 1))
+        stop_px = int(np.clip(np.ceil(position_px.max()) + 1, start_px + 1, n))
+        box[axis] = slice(start_px, stop_px)
         indices.append(position_px - start_px)
     return volume.isel(box).values, indices
 
@@ -124,7 +123,7 @@ class _Straightened(LazyArray):
         self._frame = frame.frame
         self._pitch = frame.pitch_um
         self._first = float(surfaces["y"].values[0]), float(surfaces["x"].values[0])
-        self._slopes = list(map(np.ascontiguousarray, np.moveaxis(frame.slopes(), -1, 0)))
+        self._slopes = np.ascontiguousarray(np.moveaxis(frame.slopes(), -1, 0))
         self._padding = frame.greys.padding
         self.shape = (depths_um.size, *Grid.of(maps).shape)
         self.dtype = np.dtype(np.float32)
@@ -159,9 +158,7 @@ class _Straightened(LazyArray):
             slice(pixels.start, pixels.stop, pixels.step)
             for pixels in (row_range[tile.rows], col_range[tile.cols])
         )
-        place_um = {
-            axis: np.asarray(places[rows, cols].values) for axis, places in self._places.items()
-        }
+        place_um = {axis: places[rows, cols].values for axis, places in self._places.items()}
         frame = self._frame
         row = (place_um[frame.rows] - self._first[0]) / self._pitch[0]
         col = (place_um[frame.cols] - self._first[1]) / self._pitch[1]
@@ -171,10 +168,10 @@ class _Straightened(LazyArray):
         is_inside = np.isfinite([*place_um.values(), *normal.values()]).all(axis=0)
         if not is_inside.any():
             return
-        points_um = {
-            axis: um[is_inside] + depths_um[:, None] * normal[axis][is_inside]
-            for axis, um in place_um.items()
-        }
+        points_um: dict[str, Floats] = {}
+        for axis, um in place_um.items():
+            way_um = depths_um[:, None] * normal[axis][is_inside]
+            points_um[axis] = um[is_inside] + way_um
         voxels, voxel_indices = voxels_around(self._volume, points_um)
         is_padded = np.isfinite(self._padding)
         if voxels.dtype.kind != "f" or is_padded:
@@ -182,11 +179,5 @@ class _Straightened(LazyArray):
         if is_padded:
             voxels[voxels == np.float32(self._padding)] = np.nan
         tile_grey[:, is_inside] = ndimage.map_coordinates(
-            voxels,
-            voxel_indices,
-            output=np.float32,
-            order=1,
-            mode="constant",
-            cval=np.nan,
-            prefilter=False,
+            voxels, voxel_indices, output=np.float32, order=1, cval=np.nan
         )

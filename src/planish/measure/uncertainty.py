@@ -40,7 +40,8 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     """
     white_noise = frame.greys.noise**2 * frame.voxel_um
     rows = np.flatnonzero((frame.status == 0).any(axis=1))
-    sampled_rows = rows[np.unique(np.linspace(0, rows.size - 1, min(6, rows.size)).astype(int))]
+    spread_indices = np.linspace(0, rows.size - 1, min(6, rows.size)).astype(int)
+    sampled_rows = rows[np.unique(spread_indices)]
     margin_um = 3 * frame.greys.blur_um + frame.voxel_um
     length_um = 3.0 * frame.voxel_um
     deviations: list[Floats] = []
@@ -139,8 +140,8 @@ def thickness_errors(
         errors[f"coating_{side}"] = coating_se
         errors[f"half_thickness_{side}"] = errors[f"topography_{side}"] = face_se
         errors[f"base_surface_{side}"] = interface_se
-    for name, boundary in (("base_thickness", "base_surface"), ("thickness", "topography")):
-        errors[name] = np.hypot(errors[f"{boundary}_top"], errors[f"{boundary}_bottom"])
+    errors["base_thickness"] = np.hypot(errors["base_surface_top"], errors["base_surface_bottom"])
+    errors["thickness"] = np.hypot(errors["topography_top"], errors["topography_bottom"])
     # A trial on the sheet itself has met the pores at its boundaries, but no error of the levels.
     untried = [side for side in SIDES if side not in greys.fit_errors]
     for name, se in errors.items():
@@ -201,8 +202,8 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
     if not greys.coated(side):
         # A face has air on one side, walls and pores on the other.
         noise_um = 0.5 * (noise_um + max(noise_um, greys.texture_um))
-        face_se = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur_um)) / abs(base_contrast)
-        face_map = np.full(thickness.shape, face_se)
+        crossing_noise = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur_um))
+        face_map = np.full(thickness.shape, crossing_noise / abs(base_contrast))
         return np.stack([face_map, np.full(thickness.shape, np.nan), face_map])
     if side in greys.fit_errors:  # a trial on this sheet, which knows more than the formula
         nodes_um, *errors_um = greys.fit_errors[side]
@@ -210,9 +211,8 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
         # Layers thicker than 12 blurs have two edges that know nothing of each other.
         nodes_um = np.linspace(0.02, 12.0, _NODES) * blur_um
         levels = greys.coating(side) - greys.air, base_contrast
-        se_table = np.array(
-            [_layer_errors_at(t, blur_um, *levels, noise_um, greys.texture_um) for t in nodes_um]
-        )
+        noises_um = noise_um, greys.texture_um
+        se_table = np.array([_layer_errors_at(t, blur_um, *levels, *noises_um) for t in nodes_um])
         first_node = int(np.argmax(se_table[:, 1] <= nodes_um))
         errors_um = se_table[np.maximum(np.arange(_NODES), first_node)].T
     errors = np.stack([np.interp(thickness, nodes_um, node_errors) for node_errors in errors_um])
@@ -229,20 +229,23 @@ def _layer_errors_at(
     step_um = 0.05 * w
     s: Floats = np.arange(-6 * w, t + 20 * w, step_um)
 
+    height = w * np.sqrt(2 * np.pi)
+
     def bell(x: Floats) -> Floats:
-        return np.exp(-0.5 * (x / w) ** 2) / (w * np.sqrt(2 * np.pi))
+        return np.exp(-0.5 * (x / w) ** 2) / height
 
     outer = special.ndtr(s / w)
     inner = special.ndtr((s - t) / w)
-    by_h = -c * bell(s) - (b - c) * bell(s - t)
     by_t = -(b - c) * bell(s - t)
+    by_h = -c * bell(s) + by_t
     gradient = np.stack([by_h, by_t, outer - inner, inner])
     fisher = gradient @ gradient.T * step_um / noise_um
     fisher[2, 2] += 1 / (_LEVELS[0] * c) ** 2
     fisher[3, 3] += 1 / (_LEVELS[1] * b) ** 2
     # The fit weighs all samples alike, but below the interface walls and pores scatter more than
     # the noise.
-    surplus = gradient * np.where(s > t, np.sqrt(max(texture_um - noise_um, 0.0)), 0.0) / noise_um
+    texture_sd = np.sqrt(max(texture_um - noise_um, 0.0))
+    surplus = gradient * np.where(s > t, texture_sd, 0.0) / noise_um
     inverse = np.linalg.inv(fisher)
     covariance = inverse @ (fisher + surplus @ surplus.T * step_um) @ inverse
     interface_variance = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
