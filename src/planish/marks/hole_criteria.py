@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from planish.core.robust import mad_sd
-from planish.core.typing import Bools, Floats, Ints, Pair
+from planish.core.typing import Bools, Floats, Ints, Pair, Shape
 from planish.marks import rims as k
 
 # Depth of a hole, in robust standard deviations of the sheet around and of the whole: mottle rarely
@@ -41,7 +41,7 @@ BETTER = 0.015
 DEEPER = 0.05
 
 
-def is_whole(marks: Floats, shape: tuple[int, ...], pixel_um: Pair) -> Bools:
+def is_whole(marks: Floats, shape: Shape, pixel_um: Pair) -> Bools:
     """Return which circles lie inside the image."""
     bottom, right = ((n - 1) * step for n, step in zip(shape, pixel_um, strict=True))
     x, y, radius = (marks[:, k.X], marks[:, k.Y], marks[:, k.RADIUS] + marks[:, k.HALF_DIFFERENCE])

@@ -12,6 +12,7 @@ from pydantic import Field, TypeAdapter
 from planish.core.errors import FileError, MarkError
 from planish.core.files import write_whole
 from planish.core.tables import naming_faults, raise_faults, read_text
+from planish.core.typing import Entries
 from planish.marks.exchange.csv_marks import holes_text, table_of_holes
 from planish.marks.exchange.lists import Part, json_file, json_text, read_object
 
@@ -21,7 +22,7 @@ _REMEDY = "Find the holes again, or correct these parts."
 
 class _Variable(Part):
     type: Literal["float64", "int64", "uint8", "bool", "str"]
-    attributes: dict[str, Any]
+    attributes: Entries
     values: list[Any]
 
 
@@ -30,11 +31,11 @@ class _File(Part):
     version: Literal[1]
     units: Literal["um"]
     plane: str | None
-    attributes: dict[str, Any]
+    attributes: Entries
     variables: dict[str, _Variable]
 
 
-_COLUMN_TYPES: dict[str, Any] = {
+_COLUMN_TYPES: Entries = {
     "float64": list[Annotated[float | None, Field(allow_inf_nan=False, strict=True)]],
     "int64": list[Annotated[int, Field(ge=-(2**63), lt=2**63, strict=True)]],
     "uint8": list[Annotated[int, Field(ge=0, le=255, strict=True)]],
@@ -43,7 +44,7 @@ _COLUMN_TYPES: dict[str, Any] = {
 }
 
 
-def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
+def holes_to_json(holes: xr.Dataset) -> Entries:
     """Make a JSON object of holes that :func:`holes_from_json` turns back into the same dataset.
 
     Parameters
@@ -65,27 +66,26 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
         If a variable or an attribute has no place in JSON.
     """
     faults: list[str] = []
-    variables: dict[str, Any] = {}
+    variables: Entries = {}
     for name, variable in holes.variables.items():
         kind = "str" if variable.dtype.kind == "U" else str(variable.dtype)
         if variable.dims != ("mark",) or kind not in _COLUMN_TYPES:
             faults.append(f"{name} has dims {variable.dims} and type {kind}")
             continue
-        variables[str(name)] = {
-            "type": kind,
-            "attributes": _plain(variable.attrs, str(name), faults),
-            "values": _plain(variable.values, str(name), faults),
-        }
+        attributes = _plain(variable.attrs, str(name), faults)
+        values = _plain(variable.values, str(name), faults)
+        variables[str(name)] = {"type": kind, "attributes": attributes, "values": values}
     attributes = _plain(holes.attrs, "the holes", faults)
     remedy = f"Types are {', '.join(_COLUMN_TYPES)}, along 'mark'."
     raise_faults("The holes cannot be written", faults, remedy, error=MarkError)
-    head = {
+    return {
         "format": FORMAT,
         "version": VERSION,
         "units": "um",
         "plane": attributes.pop("plane", None),
+        "attributes": attributes,
+        "variables": variables,
     }
-    return head | {"attributes": attributes, "variables": variables}
 
 
 def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Dataset:
@@ -111,16 +111,14 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
             f"{name} has version {version!r} of the format; this planish reads version {VERSION}."
             " Update planish, or find the holes again."
         )
-    variables: dict[str, Any] = {}
+    variables: Entries = {}
     with naming_faults(name, _REMEDY, error=MarkError):
         file = _File.model_validate(dict(content))
     for key, variable in file.variables.items():
+        column_type = TypeAdapter(_COLUMN_TYPES[variable.type])
         with naming_faults(name, _REMEDY, error=MarkError, key_prefix=("variables", key, "values")):
-            checked_values = TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(
-                variable.values
-            )
-        dtype = np.str_ if variable.type == "str" else variable.type
-        column = np.array(_missing_as_nan(checked_values), dtype=dtype)
+            checked_values = column_type.validate_python(variable.values)
+        column = np.array(_missing_as_nan(checked_values), dtype=variable.type)
         variables[key] = ("mark", column, _missing_as_nan(variable.attributes))
     counts = sorted({len(variable.values) for variable in file.variables.values()})
     faults = [f"no {key}" for key in "xy" if key not in variables]
@@ -182,10 +180,10 @@ def read_holes(path: str | Path) -> xr.Dataset:
     file = Path(path)
     name = file.name
     if _checked_suffix(file) == ".json":
-        return holes_from_json(read_object(read_text(file, what="file of holes"), name), name)
-    table, points, diameters = table_of_holes(read_text(file, what="table of holes"), name)
-    if not table.rows:
-        raise MarkError(f"{name} has a header and no hole. One row for each is needed.")
+        content = read_object(read_text(file, what="file of holes"), name)
+        return holes_from_json(content, name)
+    text = read_text(file, what="table of holes")
+    table, points, diameters = table_of_holes(text, name, kind="hole")
     columns = {"x": points[:, 0], "y": points[:, 1]}
     if "diameter_um" in table.header:
         columns["diameter"] = diameters

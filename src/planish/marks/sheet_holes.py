@@ -13,7 +13,7 @@ from planish.core.errors import MarkError
 from planish.core.facts import HoleTiltFacts, Side
 from planish.core.grid import Grid, centres_of
 from planish.core.robust import MAD_TO_SD, masked_gaussian
-from planish.core.typing import Floats, Ints, Pair
+from planish.core.typing import Entries, Floats, Ints, Pair
 from planish.marks.find import find_holes
 from planish.marks.params import HoleParams
 
@@ -256,9 +256,7 @@ def _other_side(
     return states
 
 
-def _offset_statistics(
-    offsets: Floats, maps: xr.Dataset, side: Side
-) -> tuple[dict[str, Any], Floats]:
+def _offset_statistics(offsets: Floats, maps: xr.Dataset, side: Side) -> tuple[Entries, Floats]:
     """Summarise offsets from top to bottom as attributes, and give the move from layer to face."""
     measured = offsets[np.isfinite(offsets).all(axis=1)]
     offset_um = spread_um = np.full(2, np.nan)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.facts import Side
 from planish.core.grid import centres_of
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Entries, Floats, Pair, Texts
 from planish.register.fit import fit_transform, has_other_unit
 from planish.register.match import Matched, match_by_design, match_marks
 from planish.register.params import RegistrationParams
@@ -26,7 +26,7 @@ class DesignedHoles:
 
     name: str
     places_um: Floats
-    labels: tuple[str, ...]
+    labels: Texts
 
 
 def register_marks(
@@ -76,9 +76,7 @@ def register_marks(
         need_holes(holes, hole_um, name=name)
     is_facing = seen_from[0] != seen_from[1]
     moving_um, fixed_um = map(centres_of, sides)
-    options: dict[str, Any] = params.model_dump(
-        include={"scale_tolerance", "tolerance_um", "mirror"}
-    )
+    options: Entries = params.model_dump(include={"scale_tolerance", "tolerance_um", "mirror"})
     points = moving_um * (-1.0, 1.0) if is_facing else moving_um, fixed_um
     if pattern is None:
         matched = match_marks(*points, names=names, **options)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from planish.core.errors import CannotRegister, MarkError, WrongHand
 from planish.core.robust import rms_length
 from planish.core.transform import Similarity
-from planish.core.typing import Floats, Ints
+from planish.core.typing import Floats, Ints, Texts
 from planish.register.match_choose import BestMatch, choose, self_likeness
 from planish.register.match_search import ACCEPTED
 from planish.register.pairs import Pairs, listed, points_of
@@ -47,7 +47,7 @@ class Matched:
     second_best: int  # marks of the second-best match
     sentence: str  # counts, rotation, scale and residual
     # Of the rows of `pairs`: names of the holes in the design, or `hole 1`, `hole 2` ...
-    labels: tuple[str, ...]
+    labels: Texts
     # The design in a sentence, and whether it had to be turned over to match the fixed side.
     design: str | None = None
 

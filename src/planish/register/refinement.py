@@ -16,7 +16,7 @@ from scipy import ndimage
 from planish.core.area import area_mean
 from planish.core.errors import CannotRegister, SizeError
 from planish.core.transform import Affine, grid_points
-from planish.core.typing import Bools, Floats, Pair, pair_of
+from planish.core.typing import Bools, Floats, Pair, Texts, pair_of
 from planish.register.bent import NOTABLE, determinants
 from planish.register.result import FittedTransform
 
@@ -98,7 +98,7 @@ class Refined:
     share: float  # largest ratio of displacement to expected error of the marks
     area: Pair  # least and largest local change of area (determinant of the derivatives)
     strain: float  # largest local principal strain without its sign
-    warnings: tuple[str, ...]  # what to be careful about
+    warnings: Texts  # what to be careful about
     sentence: str  # model, displacement and strain
 
     def __call__(self, points: ArrayLike) -> Floats:

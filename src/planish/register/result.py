@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from planish.core.errors import MarkError
 from planish.core.text import and_join_few
 from planish.core.transform import Similarity, Transform, nearest_similarity
-from planish.core.typing import Floats
+from planish.core.typing import Entries, Floats, Texts
 from planish.register.bent import LocalStrain, lay_out_arrays, strain_of
 from planish.register.field import DeviationField
 from planish.register.models import MODELS, model_named
@@ -43,7 +43,7 @@ class FittedTransform:
     sentence: str  #: model and residuals
     #: Marks left out or given twice, few marks, a model that leaves structure, a scale far from 1,
     #: strain above 1 %.
-    warnings: tuple[str, ...] = ()
+    warnings: Texts = ()
     #: error that all marks share and none of them shows, rms, where it is known.
     shared_um: float = 0.0
     likely: DeviationField | None = None  # where it is there already
@@ -299,7 +299,7 @@ class Chain:
 FORMAT = "planish registration 1"
 
 
-def registration_to_json(fit: FittedTransform) -> dict[str, Any]:
+def registration_to_json(fit: FittedTransform) -> Entries:
     """Return a fit as numbers, texts, lists and dictionaries, for :func:`json.dump`; lengths in um.
 
     Besides what `registration_from_json` needs it holds numbers to read: scale, rotation, errors of
@@ -319,7 +319,7 @@ def registration_to_json(fit: FittedTransform) -> dict[str, Any]:
     }
 
 
-def _plain_fields(holder: object, names: Sequence[str]) -> dict[str, Any]:
+def _plain_fields(holder: object, names: Sequence[str]) -> Entries:
     return {name: _plain(getattr(holder, name)) for name in names}
 
 

@@ -4,14 +4,16 @@
 """
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
-from planish.core.tables import DECIMAL_COMMAS, CsvRow, raise_faults, table_text
-from planish.core.typing import Floats
+from planish.core.tables import DECIMAL_COMMAS, CsvRow, Rows, raise_faults, table_text
+from planish.core.transform import are_known
+from planish.core.typing import Fields, Floats
 from planish.marks.exchange.lists import Content, PointList
 from planish.marks.exchange.model import labels_of, used_of
 
@@ -38,44 +40,50 @@ def read(content: Content) -> list[PointList]:
     first = rows[0].line
     width = len(rows[0].cells)
     if width not in (6, 8):
-        hint = f" ({DECIMAL_COMMAS})" if width > 8 and content.rows.delimiter == "," else ""
+        has_commas = width > 8 and content.rows.delimiter == ","
+        hint = f" ({DECIMAL_COMMAS})" * has_commas
         raise MarkError(
             f"{name}, row {first} has {width} columns{hint}. BigWarp writes {_NEEDED}. {_AGAIN}"
         )
     points: list[list[float | None]] = []
     faults = list(content.rows.faults)
-    for number, cells in rows:
-        if len(cells) != width:
-            faults.append(f"row {number} has {len(cells)} columns, the first {width}")
+    for row in rows:
+        if len(row.cells) != width:
+            faults.append(f"row {row.line} has {len(row.cells)} columns, the first {width}")
             continue
-        if cells[1].lower() not in _STATES:
-            faults.append(f"row {number}: active is {cells[1]!r}, not true or false")
-        coordinates = [
-            np.inf if cell.lstrip("+-").lower() in _UNSET else content.rows.number(cell)
-            for cell in cells[2:]
-        ]
-        if None in coordinates:
-            cell = cells[2 + coordinates.index(None)]
-            faults.append(f"row {number}: {cell!r} {content.rows.number_fault(cell)}")
-        points.append(coordinates)
+        points.append(_coordinates(row, content.rows, faults))
     raise_faults(name, faults, f"BigWarp writes {_NEEDED}.", error=MarkError)
     # One coordinate that is not set leaves the point without a position.
     sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
-    sides = np.where(np.isfinite(sides).all(axis=2, keepdims=True), sides, np.nan)
+    sides[~are_known(sides)] = np.nan
     labels = [row.cells[0] or f"row {row.line}" for row in rows]
     used = [_STATES[row.cells[1].lower()] for row in rows]
+    list_of = partial(PointList, labels=labels, used=used, unit="um", stated=False)
     return [
-        PointList(
-            title=title, labels=labels, points=sides[:, k], used=used, unit="um", stated=False
-        )
-        for k, title in enumerate(("moving", "target"))
+        list_of(title="moving", points=sides[:, 0]),
+        list_of(title="target", points=sides[:, 1]),
     ]
 
 
-def _rows_of_json(content: Mapping[str, Any], name: str) -> list[CsvRow]:
+def _coordinates(row: CsvRow, rows: Rows, faults: list[str]) -> list[float | None]:
+    """Coordinates in a row, infinite where not set; what is wrong goes into ``faults``."""
+    state = row.cells[1]
+    if state.lower() not in _STATES:
+        faults.append(f"row {row.line}: active is {state!r}, not true or false")
+    coordinates: list[float | None] = []
+    for cell in row.cells[2:]:
+        is_unset = cell.lstrip("+-").lower() in _UNSET
+        coordinates.append(np.inf if is_unset else rows.number(cell))
+    if None in coordinates:
+        cell = row.cells[2 + coordinates.index(None)]
+        faults.append(f"row {row.line}: {cell!r} {rows.number_fault(cell)}")
+    return coordinates
+
+
+def _rows_of_json(content: Fields, name: str) -> list[CsvRow]:
     """Landmarks, alone or in a project, as the rows that BigWarp writes of them."""
     landmarks = content.get("landmarks", content)
-    entries: Mapping[str, Any] = landmarks if isinstance(landmarks, Mapping) else {}
+    entries: Fields = landmarks if isinstance(landmarks, Mapping) else {}
     axes = entries.get("numDimensions")
     for key in ("movingPoints", "fixedPoints"):
         points = entries.get(key)
@@ -93,8 +101,9 @@ def _rows_of_json(content: Mapping[str, Any], name: str) -> list[CsvRow]:
             f" {active} of active; as many of each are needed. {_AGAIN}"
         )
     rows: list[CsvRow] = []
-    for k, (label, state, moving_point, fixed_point) in enumerate(zip(*columns, strict=True), 1):
-        rows.append(CsvRow(k, [*map(str, (label, state, *moving_point, *fixed_point))]))
+    for label, state, moving_point, fixed_point in zip(*columns, strict=True):
+        cells = [*map(str, (label, state, *moving_point, *fixed_point))]
+        rows.append(CsvRow(len(rows) + 1, cells))
     return rows
 
 
@@ -110,9 +119,10 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     sides: list[Floats] = []
     for side in points.values():
         side = np.pad(side, ((0, 0), (0, axes - side.shape[1])))
-        sides.append(np.where(np.isfinite(side).all(axis=1, keepdims=True), side, np.inf))
+        side[~are_known(side)] = np.inf
+        sides.append(side)
     numbers = np.hstack(sides)
-    is_used = used_of(marks) & np.isfinite(numbers).all(axis=1)
+    is_used = used_of(marks) & are_known(numbers)
     rows: list[list[Any]] = []
     for k, label in enumerate(labels_of(marks)):
         cells = ["Infinity" if n == np.inf else n for n in numbers[k].tolist()]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from planish.core.errors import MarkError
 from planish.core.tables import CsvTable, Heading, heading_of, parse_table
-from planish.marks.exchange.csv_marks import labels_in, rows_in_use
+from planish.marks.exchange.csv_marks import check_rows, labels_in, rows_in_use
 from planish.marks.exchange.formats import Unit
 from planish.marks.exchange.lists import Content, PointList
 
@@ -64,16 +64,14 @@ def read(content: Content) -> list[PointList]:
     assert layout is not None
     table = parse_table(content.text, content.name, needed=(), error=MarkError)
     table.header[:] = content.header  # as they are, for messages
-    unit_row = _taken_heading_rows(table, layout)
+    headings = _headings(table, layout)
     _refuse_other_places(table, layout)
     rows_in_use(table)
     point_lists = [
-        _point_list(table, layout, title or content.name, columns, unit_row)
+        _point_list(table, layout, title or content.name, columns, headings)
         for title, columns in layout.lists.items()
     ]
-    table.check()
-    if not table.rows:
-        raise MarkError(f"{content.name} has a header and no mark. One row for each is needed.")
+    check_rows(table)
     return point_lists
 
 
@@ -86,16 +84,24 @@ def _layout_of(content: Content) -> Layout | None:
     return None
 
 
-def _taken_heading_rows(table: CsvTable, layout: Layout) -> list[str]:
-    """Take the further rows of headings out of a table, and return the last of them."""
-    names = [heading_of(cell).name for cell in table.header]
-    column = names.index(next(iter(layout.lists.values()))[0])
-    cells: list[str] = []
+def _headings(table: CsvTable, layout: Layout) -> list[Heading]:
+    """Headings of the columns, with the units of the last of the further rows of headings.
+
+    These rows are taken out of the table.
+    """
+    headings = [heading_of(cell) for cell in table.header]
+    first_name, *_ = next(iter(layout.lists.values()))
+    column = [heading.name for heading in headings].index(first_name)
+    unit_row: list[str] = []
     for row in table.rows[: layout.heading_rows]:
         if table.content.number(row.cells[column]) is None:
-            cells = row.cells
+            unit_row = row.cells
             table.rows.remove(row)
-    return cells
+    for k, cell in enumerate(unit_row):
+        unit = heading_of(cell).unit
+        if unit:
+            headings[k] = headings[k]._replace(unit=unit)
+    return headings
 
 
 def _refuse_other_places(table: CsvTable, layout: Layout) -> None:
@@ -121,14 +127,9 @@ def _refuse_other_places(table: CsvTable, layout: Layout) -> None:
 
 
 def _point_list(
-    table: CsvTable, layout: Layout, title: str, names: Sequence[str], unit_row: Sequence[str]
+    table: CsvTable, layout: Layout, title: str, names: Sequence[str], headings: Sequence[Heading]
 ) -> PointList:
     """Take points from the columns of these names, all of which state one unit, or none."""
-    headings = [heading_of(cell) for cell in table.header]
-    for k, cell in enumerate(unit_row):
-        unit = heading_of(cell).unit
-        if unit:
-            headings[k] = Heading(headings[k].name, unit)
     columns = _columns_in_one_unit(headings, names)
     if not columns:
         raise MarkError(
@@ -140,7 +141,7 @@ def _point_list(
     points = table.numbers(column_names)
     unit = layout.unit
     is_stated = layout.stated and unit is not None
-    if heading.unit == "pixel" or heading.unit == "mm":
+    if heading.unit in ("pixel", "mm"):
         unit = heading.unit
     elif heading.um:
         unit = "um"

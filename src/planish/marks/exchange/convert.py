@@ -3,17 +3,16 @@
 The format is recognised by the content of a file and not by its name.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from planish.core.errors import FileError, MarkError, SizeError
 from planish.core.files import write_whole
-from planish.core.typing import Floats
+from planish.core.typing import Entries, Fields, Floats
 from planish.marks.exchange import model
 from planish.marks.exchange.formats import (
     FORMATS,
@@ -95,11 +94,11 @@ def read_any(
         If a pixel size is needed and not given, or units contradict each other.
     """
     volume = volume or moving
-    contents = [read_content(file) for file in (path, second) if file is not None]
+    contents = [read_content(file) for file in filter(None, (path, second))]
     name = " and ".join(content.name for content in contents)
     formats = [_recognised(content) for content in contents]
     readings = [module_of(kind).read(part) for kind, part in zip(formats, contents, strict=True)]
-    read_from: dict[str, Any] = {"format": formats[0], "unit": "um", "stated": True}
+    read_from: Entries = {"format": formats[0], "unit": "um", "stated": True}
     if second is None and isinstance(readings[0], xr.Dataset):
         _check_own(name, unit, swap=swap)
         marks = _with_pixels(readings[0], moving, volume, fixed)
@@ -210,10 +209,7 @@ def write_any(
     place = Path(path)
     name = to or target_of(path)
     parts = marks_bytes(marks, name, moving=moving, fixed=fixed, unit=unit, swap=swap)
-    files = {
-        place.with_name(f"{place.stem}{end}{place.suffix}") if end else place: content
-        for end, content in parts.items()
-    }
+    files = {place.with_stem(place.stem + end): content for end, content in parts.items()}
     for file in files:
         if file.exists():
             raise FileError(
@@ -263,10 +259,11 @@ def marks_bytes(
         marks = _used_in(marks, [*layers])
     file_points: list[Floats] = []
     file_text = f"The file for {mark_format.title}"
+    file_unit = unit or mark_format.unit
     for role, (layer, override) in zip(("moving", "fixed"), layers.items(), strict=False):
         points = model.points_of(marks, layer)
         pixels = _pixels_of(about_layer(marks, layer), override)
-        origin, factor = pixels.frame(unit or mark_format.unit, points.shape[1], file_text, role)
+        origin, factor = pixels.frame(file_unit, points.shape[1], file_text, role)
         file_points.append((points - origin) / factor)
     if swap:
         file_points.reverse()
@@ -285,13 +282,13 @@ def _check_free_unit(mark_format: MarkFormat) -> None:
 
 def _used_in(marks: xr.Dataset, layers: Sequence[str]) -> xr.Dataset:
     """Marks that are used and lie in all layers."""
-    keep = model.used_of(marks) & model.in_layers(marks, layers)
-    if not keep.any():
+    is_used = model.used_in(marks, layers)
+    if not is_used.any():
         raise MarkError(f"No mark is used and lies in {' and '.join(layers)}. Use at least one.")
-    return marks.isel(mark=np.flatnonzero(keep))
+    return marks.isel(mark=is_used)
 
 
-def _pixels_of(about: Mapping[str, Any], override: LayerPixels) -> LayerPixels:
+def _pixels_of(about: Fields, override: LayerPixels) -> LayerPixels:
     """Pixels of a layer, whose size may be given in place of that of the marks."""
     pixel_um = override.pixel_um
     if "pixel_um" in about and not pixel_um:
@@ -328,11 +325,12 @@ def _single_list(marks: xr.Dataset, name: str) -> PointList:
             " one each."
         )
     places = model.places_of(marks, names[0])
+    used = model.used_of(marks).tolist()
     return PointList(
         title=name,
         labels=model.labels_of(marks),
         points=places.um,
-        used=model.used_of(marks).tolist(),
+        used=used,
         unit="um",
         stated=True,
         placed=True,

@@ -62,11 +62,7 @@ def read(content: Content) -> xr.Dataset | list[PointList]:
         table.faults.append("both moving and volume columns are there; keep one kind")
     rows_in_use(table)
     places = {side: MarkPlaces(um=table.numbers(_SIDES[side])) for side in (first, "fixed")}
-    table.check()
-    if not table.rows:
-        raise MarkError(
-            f"{content.name} has a header and no pair of marks. At least 3 rows are needed."
-        )
+    check_rows(table, "pair of marks. At least 3 rows are needed.")
     return make_marks(labels_in(table), places)
 
 
@@ -127,8 +123,6 @@ def pairs_text(dataset: xr.Dataset) -> str:
 
 def _read_holes(content: Content) -> PointList:
     table, points, diameters = table_of_holes(content.text, content.name)
-    if not table.rows:
-        raise MarkError(f"{content.name} has a header and no mark. One row for each is needed.")
     return PointList(
         title=content.name,
         points=points,
@@ -140,16 +134,26 @@ def _read_holes(content: Content) -> PointList:
     )
 
 
-def table_of_holes(text: str, name: str) -> tuple[CsvTable, Floats, Floats]:
-    """Read a table of holes: its places (n, 2), and diameters, NaN where there is none, in um."""
+def table_of_holes(text: str, name: str, *, kind: str = "mark") -> tuple[CsvTable, Floats, Floats]:
+    """Read a table of holes: its places (n, 2), and diameters, NaN where there is none, in um.
+
+    ``kind`` is the word for a row in a message.
+    """
     needed, diameter = ("x_um", "y_um"), "diameter_um"
     table = parse_table(text, name, needed=needed, optional=(diameter,), error=MarkError)
     points = table.numbers(needed)
     diameters = [
         table.number(row, diameter) if table.text(row, diameter) else np.nan for row in table.rows
     ]
-    table.check()
+    check_rows(table, f"{kind}. One row for each is needed.")
     return table, points, np.array(diameters, dtype=np.float64)
+
+
+def check_rows(table: CsvTable, needed: str = "mark. One row for each is needed.") -> None:
+    """Raise the faults of a table, or that it has no row."""
+    table.check()
+    if not table.rows:
+        raise MarkError(f"{table.name} has a header and no {needed}")
 
 
 def rows_in_use(table: CsvTable) -> None:

@@ -33,22 +33,8 @@ def looks_like(content: Content) -> bool:
 
 def read(content: Content) -> list[PointList]:
     """Read the points of one file, as one list."""
-    name, text = content.name, content.text
-    # Word and count may stand in one line or in two.
-    head = _HEAD.match(text)
-    word, count = (head[1], head[2]) if head else ("", "")
-    if head is None or not _is_count(count):
-        raise MarkError(
-            f"{name} states no number of points (found {count!r}). elastix reads {_NEEDED}."
-        )
-    lines = [line.split() for line in text[head.end() :].splitlines() if line.strip()]
-    if len(lines) != int(count):
-        raise MarkError(
-            f"{name} states {int(count)} points and holds {len(lines)} lines of coordinates."
-            " Correct the number in its second line, or add the points that are missing."
-        )
-    if not lines:
-        raise MarkError(f"{name} holds no point. elastix reads {_NEEDED}.")
+    name = content.name
+    word, lines = _word_and_lines(content)
     axes = len(lines[0])
     faults: list[str] = []
     points: list[list[float | None]] = []
@@ -60,10 +46,30 @@ def read(content: Content) -> list[PointList]:
         elif None in coordinates:
             faults.append(f"point {k}: {cells[coordinates.index(None)]!r} is no finite number")
     raise_faults(name, faults, f"elastix reads {_NEEDED}.", error=MarkError)
+    places = np.array(points, dtype=np.float64)
     unit, stated = ("mm", False) if word == "point" else ("pixel", True)
-    return [
-        PointList(title=name, points=np.array(points, dtype=np.float64), unit=unit, stated=stated)
-    ]
+    return [PointList(title=name, points=places, unit=unit, stated=stated)]
+
+
+def _word_and_lines(content: Content) -> tuple[str, list[list[str]]]:
+    """Give the word at the head of a file, and the cells of the lines of points below it."""
+    name, text = content.name, content.text
+    # Word and count may stand in one line or in two.
+    head = _HEAD.match(text)
+    word, count = head.groups() if head else ("", "")
+    if head is None or not _is_count(count):
+        raise MarkError(
+            f"{name} states no number of points (found {count!r}). elastix reads {_NEEDED}."
+        )
+    lines = [*filter(None, map(str.split, text[head.end() :].splitlines()))]
+    if len(lines) != int(count):
+        raise MarkError(
+            f"{name} states {int(count)} points and holds {len(lines)} lines of coordinates."
+            " Correct the number in its second line, or add the points that are missing."
+        )
+    if not lines:
+        raise MarkError(f"{name} holds no point. elastix reads {_NEEDED}.")
+    return word, lines
 
 
 def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:

@@ -5,7 +5,7 @@ It holds everything that is known of them, one mark a line, with a version.
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from typing import Annotated, Generic, Literal, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -13,7 +13,8 @@ from pydantic import Field, PositiveFloat
 
 from planish.core.errors import MarkError
 from planish.core.tables import naming_faults, raise_faults
-from planish.core.typing import Floats
+from planish.core.transform import are_known
+from planish.core.typing import Entries, Floats
 from planish.marks.exchange import model
 from planish.marks.exchange.lists import (
     MOST_MARKS,
@@ -77,7 +78,7 @@ class _File(Part):
     units: Literal["um"]
     axes: _Axes
     layers: Annotated[list[_Layer], Field(min_length=1, max_length=16)]
-    registration: dict[str, Any] | None = None
+    registration: Entries | None = None
     marks: Annotated[list[_Mark], Field(max_length=MOST_MARKS)]
 
 
@@ -88,6 +89,31 @@ def looks_like(content: Content) -> bool:
 
 def read(content: Content) -> xr.Dataset:
     """Read the marks of a JSON file, as `make_marks` makes them."""
+    name = content.name
+    file = _checked_file(content)
+    names = [layer.name for layer in file.layers]
+    raise_faults(name, _cross_field_faults(file, names), _PAGE, error=MarkError)
+    places: dict[str, MarkPlaces] = {}
+    about: dict[str, Entries] = {}
+    for layer in file.layers:
+        places[layer.name] = _places([mark.at.get(layer.name) for mark in file.marks])
+        about[layer.name] = layer.model_dump(exclude_none=True, exclude={"name"})
+    results: dict[str, Floats] = {}
+    for key in RESULTS:
+        errors_um = _column(file.marks, f"{key}_um")
+        if np.isfinite(errors_um).any():
+            results[key] = errors_um
+    labels = [mark.label for mark in file.marks]
+    used = [mark.used for mark in file.marks]
+    marks = model.make_marks(labels, places, used=used, about=about, results=results)
+    check_marks(marks, name)
+    if file.registration is not None:
+        marks.attrs["registration"] = file.registration
+    return marks
+
+
+def _checked_file(content: Content) -> _File:
+    """Check the fields of a file, each by itself."""
     name, entries = content.name, content.json
     version = entries.get("version")
     if type(version) is int and version > VERSION:
@@ -96,53 +122,35 @@ def read(content: Content) -> xr.Dataset:
             f" {VERSION}. Update planish, or write the marks again with the older one."
         )
     mark_entries: object = entries.get("marks")
-    check_count(name, len(mark_entries) if isinstance(mark_entries, list) else 0)
+    if isinstance(mark_entries, list):
+        check_count(name, len(mark_entries))
     with naming_faults(name, _PAGE, error=MarkError):
-        file = _File.model_validate(dict(entries))
-    names = [layer.name for layer in file.layers]
-    raise_faults(name, _cross_field_faults(file, names), _PAGE, error=MarkError)
-    places: dict[str, MarkPlaces] = {}
-    about: dict[str, dict[str, Any]] = {}
-    for layer in file.layers:
-        places[layer.name] = _places([mark.at.get(layer.name) for mark in file.marks])
-        about[layer.name] = layer.model_dump(exclude_none=True, exclude={"name"})
-    results = {key: _column(file.marks, f"{key}_um") for key in RESULTS}
-    marks = model.make_marks(
-        [mark.label for mark in file.marks],
-        places,
-        used=[mark.used for mark in file.marks],
-        about=about,
-        results={key: values for key, values in results.items() if np.isfinite(values).any()},
-    )
-    check_marks(marks, name)
-    if file.registration is not None:
-        marks.attrs["registration"] = file.registration
-    return marks
+        return _File.model_validate(dict(entries))
 
 
 def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     """Write a JSON file, from which `read` gives the same numbers back."""
-    places = {layer: model.places_of(marks, layer) for layer in model.layer_names(marks)}
+    layers = model.layer_names(marks)
+    rows: list[Entries] = []
     used = model.used_of(marks).tolist()
-    results = {key: marks[key].values for key in RESULTS if key in marks}
-    rows: list[dict[str, Any]] = []
-    for k, label in enumerate(model.labels_of(marks)):
-        positions = {
-            layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()
-        }
-        row = {"label": label, "used": used[k], "at": positions}
-        for key, errors in results.items():
-            if np.isfinite(errors[k]):
-                row[f"{key}_um"] = float(errors[k])
-        rows.append(row)
-    head: dict[str, Any] = {
+    for label, is_used in zip(model.labels_of(marks), used, strict=True):
+        rows.append({"label": label, "used": is_used, "at": {}})
+    for layer in layers:
+        places = model.places_of(marks, layer)
+        for k in np.flatnonzero(are_known(places.um)).tolist():
+            rows[k]["at"][layer] = _place(places, k)
+    for key in filter(marks.__contains__, RESULTS):
+        errors_um = marks[key].values
+        for k in np.flatnonzero(np.isfinite(errors_um)):
+            rows[k][f"{key}_um"] = float(errors_um[k])
+    head: Entries = {
         "format": FORMAT,
         "version": VERSION,
         "units": "um",
         "axes": {"x": "right", "y": "down"},
         "layers": [],
     }
-    for layer in places:
+    for layer in layers:
         about = {"name": layer, **model.about_layer(marks, layer)}
         # In the same order whatever it came from.
         keys = dict.fromkeys([*_Layer.model_fields, *about])
@@ -174,12 +182,13 @@ def _places(layer_places: Sequence[_Place | None]) -> MarkPlaces:
     return MarkPlaces(um=um, source=sources, extras=extras)
 
 
-def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
-    row: dict[str, Any] = dict(zip("xyz", places.um[k].tolist(), strict=False))
-    extras = {
-        name: float(column[k]) for name, column in places.extras.items() if np.isfinite(column[k])
-    }
-    if {"cov_xx", "cov_xy", "cov_yy"} <= set(extras):
+def _place(places: MarkPlaces, k: int) -> Entries:
+    row: Entries = dict(zip("xyz", places.um[k].tolist(), strict=False))
+    extras: dict[str, float] = {}
+    for name, column in places.extras.items():
+        if np.isfinite(column[k]):
+            extras[name] = float(column[k])
+    if extras.keys() >= {"cov_xx", "cov_xy", "cov_yy"}:
         xy = extras["cov_xy"]
         row["covariance_um2"] = [[extras["cov_xx"], xy], [xy, extras["cov_yy"]]]
     row |= {key: extras[name] for name, key in _POSITION.items() if name in extras}

@@ -7,6 +7,7 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import eq
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,9 +17,9 @@ from pydantic import BaseModel, ConfigDict
 
 from planish.core.errors import FileError, MarkError, SizeError
 from planish.core.tables import Rows, decode_text, read_bytes, split_rows
-from planish.core.typing import Floats
+from planish.core.typing import Entries, Fields, Floats
 from planish.marks.exchange.formats import Unit, known_formats
-from planish.marks.exchange.model import EXTRAS, MarkPlaces, make_marks
+from planish.marks.exchange.model import MarkPlaces, make_marks
 from planish.marks.imagej_selections import ROI, ZIP
 
 MOST_MARKS = 100_000
@@ -45,7 +46,7 @@ class Content:
     data: bytes
     text: str = ""
     rows: Rows = field(default_factory=lambda: Rows(rows=[], comments=[]))
-    json: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    json: Fields = field(default_factory=Entries)
 
     @property
     def header(self) -> list[str]:
@@ -86,9 +87,7 @@ def json_text(content: object) -> str:
     return json.dumps(content, ensure_ascii=False, allow_nan=False)
 
 
-def json_file(
-    header: Mapping[str, Any], list_name: str, brackets: str, entries: Sequence[str]
-) -> str:
+def json_file(header: Fields, list_name: str, brackets: str, entries: Sequence[str]) -> str:
     """Write a JSON object: a head, and under a name a list or an object.
 
     The head has one key a line, the list or object one entry a line.
@@ -98,7 +97,7 @@ def json_file(
     return f'{{\n{header_text} "{list_name}": {brackets[0]}\n{entries_text}\n {brackets[1]}\n}}\n'
 
 
-def read_object(text: str, name: str) -> Mapping[str, Any]:
+def read_object(text: str, name: str) -> Fields:
     """Read the object of a JSON file of marks or holes."""
     try:
         content: object = json.loads(text, object_pairs_hook=_unique_keys)
@@ -113,10 +112,10 @@ def read_object(text: str, name: str) -> Mapping[str, Any]:
             f"{name} is JSON, but no file of marks: it holds a list. These are read:"
             f" {known_formats()}."
         )
-    return cast("dict[str, Any]", content)
+    return cast("Entries", content)
 
 
-def _unique_keys(key_values: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique_keys(key_values: list[tuple[str, Any]]) -> Entries:
     entries = dict(key_values)
     if len(entries) < len(key_values):
         key, count = Counter(key for key, _ in key_values).most_common(1)[0]
@@ -148,7 +147,7 @@ class PointList:
     placed: bool = False
     extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
     source: str | Sequence[str] = "imported"
-    about: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    about: Fields = field(default_factory=Entries)
 
     @property
     def names(self) -> list[str]:
@@ -180,7 +179,8 @@ class LayerPixels:
         """Check sizes and origin."""
         if self.pixel_um is not None:
             sizes = np.atleast_1d(np.asarray(self.pixel_um, dtype=np.float64))
-            if not 1 <= len(sizes) <= 3 or not np.all(np.isfinite(sizes) & (sizes > 0)):
+            is_length = np.isfinite(sizes) & (sizes > 0)
+            if not 1 <= len(sizes) <= 3 or not is_length.all():
                 raise SizeError(
                     f"The pixel size of a layer is {self.pixel_um!r} um; one positive number, two"
                     " (y, x), or three for a volume (z, y, x) are needed in `moving_pixel_um` and"
@@ -193,15 +193,17 @@ class LayerPixels:
                 f"The origin of a layer is {self.origin_um!r} um; two numbers (x, y) are needed."
             )
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> Entries:
         """Give the facts as they are kept with the marks."""
-        about: dict[str, Any] = {}
+        about: Entries = {}
         if self.pixel_um is not None:
             about["pixel_um"] = {"x": self.pixel_um[-1], "y": self.pixel_um[-2:][0]}
         if self.origin_um is not None:
-            about["origin_um"] = {"x": float(self.origin_um[0]), "y": float(self.origin_um[1])}
+            x, y = map(float, self.origin_um)
+            about["origin_um"] = {"x": x, "y": y}
         if self.shape is not None:
-            about["size_px"] = {"x": int(self.shape[1]), "y": int(self.shape[0])}
+            rows, cols = map(int, self.shape)
+            about["size_px"] = {"x": cols, "y": rows}
         return about
 
     def frame(self, unit: Unit, axes: int, name: str, side: str) -> tuple[Floats, Floats]:
@@ -251,7 +253,7 @@ def join_lists(
         facts_of = {"moving": moving, "fixed": fixed}
     first = lists[0]
     places: dict[str, MarkPlaces] = {}
-    about: dict[str, dict[str, Any]] = {}
+    about: dict[str, Entries] = {}
     counted: list[str] = []
     used = np.ones(len(first.points), bool)
     for point_list, (side, facts) in zip(lists, facts_of.items(), strict=True):
@@ -295,7 +297,7 @@ def _moving_first(lists: Sequence[PointList], name: str, *, swap: bool) -> Seque
             " number: add or remove points."
         )
     if a != b and sorted(a) == sorted(b):
-        k = next(k for k in range(len(a)) if a[k] != b[k])
+        k = [*map(eq, a, b)].index(False)
         raise MarkError(
             f"{name}: both lists have the same labels in another order: {a[k]} and {b[k]} are"
             f" both number {k + 1}. Points belong together in their order: sort one list, or"
@@ -325,18 +327,19 @@ def _check_unit(lists: Sequence[PointList], name: str, unit: Unit | None) -> Non
 
 def _coordinates(point_list: PointList, side: str, name: str) -> Floats:
     """Coordinates of points, with z where it says something; MarkError for a fixed side."""
-    z = point_list.points[:, 2:]
+    points = point_list.points
+    z = points[:, 2:]
     z = z[np.isfinite(z)]
     # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a
     # picture.
     if not z.any() or (side == "fixed" and np.ptp(z) == 0):
-        return point_list.points[:, :2]
+        return points[:, :2]
     if side == "fixed":
         raise MarkError(
             f"{name}: the points of the fixed side ({point_list.title}) differ in z. That side has"
             " to be a flat image; where the volume was the fixed or target one, give `swap`."
         )
-    return point_list.points
+    return points
 
 
 def _places(
@@ -350,14 +353,13 @@ def _places(
     """Convert points, and what else is known of them, to um."""
     unit = unit or point_list.unit
     assert unit is not None
-    origin, factor = facts.frame(unit, coordinates.shape[1], name, side)
-    first_centre = np.zeros(coordinates.shape[1])
+    axes = coordinates.shape[1]
+    origin, factor = facts.frame(unit, axes, name, side)
+    first_centre = np.zeros(axes)
     if unit == "pixel" or facts.pixel_um:
-        pixel_um = facts.frame("pixel", coordinates.shape[1], name, side)[1]
+        _, pixel_um = facts.frame("pixel", axes, name, side)
         first_centre[:2] = point_list.first_centre * pixel_um[:2]
-    powers = {"um": 1, "um2": 2, "1": 0}
-    extras = {k: v * factor[0] ** powers[EXTRAS[k][0]] for k, v in point_list.extras.items()}
+    start = origin if point_list.counts_from_pixel(unit) else 0.0
     with np.errstate(over="ignore", invalid="ignore"):  # check_marks refuses what is too far away
-        start = origin if point_list.counts_from_pixel(unit) else 0.0
         um = start + coordinates * factor - first_centre
-        return MarkPlaces(um=um, source=point_list.source, extras=extras)
+    return MarkPlaces(um=um, source=point_list.source, extras=point_list.extras)

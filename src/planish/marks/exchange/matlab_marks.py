@@ -12,6 +12,7 @@ import xarray as xr
 
 from planish.core import matlab
 from planish.core.errors import FileError, MarkError
+from planish.core.transform import are_known
 from planish.core.typing import Floats
 from planish.marks.exchange.lists import SELECTIONS, Content, PointList
 
@@ -34,23 +35,8 @@ def looks_like(content: Content) -> bool:
 
 def read(content: Content) -> list[PointList]:
     """Read the moving and fixed points of a file."""
-    name, data = content.name, content.data
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            file = io.BytesIO(data)
-            # None for what is no small real matrix, or not asked for.
-            matrices: dict[str, Floats | None] = {}
-            for v in matlab.variables(file):
-                matrices[v.name] = None
-                # Larger matrices are images.
-                is_small = v.real and len(v.shape) == 2 and v.count <= 1_000_000
-                if is_small and v.name in _WANTED:
-                    matrices[v.name] = matlab.values(file, v).astype(np.float64)
-    except Exception as error:
-        raise FileError(
-            f"{name} cannot be read as a MATLAB file: {error or type(error).__name__}. {_SAVE}"
-        ) from error
+    name = content.name
+    matrices = _matrices(content)
     pair = next((p for p in NAMES if matrices.keys() >= {*p}), None)
     if pair is None:
         names = ", ".join(sorted(matrices)[:8])[:120] or "nothing"
@@ -67,6 +53,27 @@ def read(content: Content) -> list[PointList]:
         PointList(title="moving", points=moving - 1.0, unit="pixel", stated=True),
         PointList(title="fixed", points=fixed - 1.0, unit="pixel", stated=True),
     ]
+
+
+def _matrices(content: Content) -> dict[str, Floats | None]:
+    """Variables of a file by name; None for what is no small real matrix, or not asked for."""
+    matrices: dict[str, Floats | None] = {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            file = io.BytesIO(content.data)
+            for v in matlab.variables(file):
+                matrices[v.name] = None
+                # Larger matrices are images.
+                is_small = v.real and len(v.shape) == 2 and v.count <= 1_000_000
+                if is_small and v.name in _WANTED:
+                    matrices[v.name] = matlab.values(file, v).astype(np.float64)
+    except Exception as error:
+        fault = error or type(error).__name__
+        raise FileError(
+            f"{content.name} cannot be read as a MATLAB file: {fault}. {_SAVE}"
+        ) from error
+    return matrices
 
 
 def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
@@ -94,7 +101,8 @@ def _checked(matrix: Floats | None, variable: str, name: str) -> Floats:
         raise MarkError(
             f"{name}: {variable} is {size}; n x 2 real numbers are needed, x and y. {_SAVE}"
         )
-    if not np.isfinite(matrix).all():
-        rows = ", ".join(str(k + 1) for k in np.flatnonzero(~np.isfinite(matrix).all(axis=1))[:8])
+    wrong_rows = np.flatnonzero(~are_known(matrix)) + 1
+    if wrong_rows.size:
+        rows = ", ".join(map(str, wrong_rows[:8]))
         raise MarkError(f"{name}: {variable} has no finite position in the rows {rows}. {_SAVE}")
     return np.ascontiguousarray(matrix)

@@ -10,14 +10,14 @@ import re
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
 from planish.core.tables import raise_faults
-from planish.core.typing import Bools, Floats, Ints
+from planish.core.transform import are_known
+from planish.core.typing import Bools, Entries, Fields, Floats, Ints
 from planish.marks.exchange.formats import Unit
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
@@ -66,7 +66,7 @@ def make_marks(
     layers: Mapping[str, MarkPlaces],
     *,
     used: Sequence[bool] | None = None,
-    about: Mapping[str, Mapping[str, Any]] | None = None,
+    about: Mapping[str, Fields] | None = None,
     results: Mapping[str, Floats] | None = None,
 ) -> xr.Dataset:
     """Put marks together.
@@ -96,9 +96,10 @@ def make_marks(
     MarkError
         If a layer's name cannot be used.
     """
+    names = np.array(list(labels), dtype=np.str_)
     is_used = np.ones(len(labels), bool) if used is None else np.array(used, dtype=bool)
-    variables: dict[str, Any] = {
-        "label": ("mark", np.array(list(labels), dtype=np.str_), {"long_name": "Name of the mark"}),
+    variables: Entries = {
+        "label": ("mark", names, {"long_name": "Name of the mark"}),
         "used": ("mark", is_used, {"long_name": "Takes part in the fit"}),
     }
     for layer, places in layers.items():
@@ -106,19 +107,18 @@ def make_marks(
     for name, errors in (results or {}).items():
         variables[name] = _column(errors, "um", RESULTS[name])
     about = about or {}
-    return xr.Dataset(
-        variables, attrs={"layers": {layer: dict(about.get(layer, {})) for layer in layers}}
-    )
+    layer_facts = {layer: dict(about.get(layer, {})) for layer in layers}
+    return xr.Dataset(variables, attrs={"layers": layer_facts})
 
 
-def _layer_columns(layer: str, places: MarkPlaces) -> dict[str, Any]:
+def _layer_columns(layer: str, places: MarkPlaces) -> Entries:
     """Variables of one layer of marks."""
     if not NAME.fullmatch(layer) or layer == RESIDUAL:
         raise MarkError(
             f"{layer!r} is no name of a layer: use small letters, digits and underscores, such as"
             " map."
         )
-    columns: dict[str, Any] = {}
+    columns: Entries = {}
     where = _TITLES.get(layer, f"in {layer}")
     for axis, values in zip("xyz", places.um.T, strict=False):
         columns[f"{layer}_{axis}"] = _column(values, "um", f"Mark {where}, {axis}")
@@ -143,11 +143,11 @@ def layer_names(marks: xr.Dataset) -> list[str]:
     """
     ends = [str(name)[:-2] for name in marks.variables if str(name).endswith("_x")]
     names = [name for name in ends if f"{name}_y" in marks and name != RESIDUAL]
-    listed: Mapping[str, Any] = marks.attrs.get("layers", {})
+    listed: Fields = marks.attrs.get("layers", {})
     return [name for name in dict.fromkeys([*listed, *names]) if name in names]
 
 
-def about_layer(marks: xr.Dataset, layer: str) -> dict[str, Any]:
+def about_layer(marks: xr.Dataset, layer: str) -> Entries:
     """Give what is known of a layer; empty where nothing is.
 
     Parameters
@@ -180,13 +180,18 @@ def places_of(marks: xr.Dataset, layer: str) -> MarkPlaces:
 
 def in_layers(marks: xr.Dataset, layers: Sequence[str]) -> Bools:
     """Return which marks have a position in all layers."""
-    return np.all([np.isfinite(points_of(marks, layer)).all(axis=1) for layer in layers], axis=0)
+    return np.all([are_known(points_of(marks, layer)) for layer in layers], axis=0)
+
+
+def used_in(marks: xr.Dataset, layers: Sequence[str]) -> Bools:
+    """Return which marks are in use and have a position in all layers."""
+    return used_of(marks) & in_layers(marks, layers)
 
 
 def paired(marks: xr.Dataset) -> Bools:
     """Return which marks are in use and lie in both layers."""
     moving = "volume" if "volume_x" in marks else "moving"
-    return used_of(marks) & in_layers(marks, [moving, "fixed"])
+    return used_in(marks, [moving, "fixed"])
 
 
 def labels_of(marks: xr.Dataset) -> list[str]:
@@ -215,9 +220,7 @@ def used_of(marks: xr.Dataset) -> Bools:
     return np.ones(marks.sizes.get("mark", 0), bool)
 
 
-def marks_of_holes(
-    holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | None = None
-) -> xr.Dataset:
+def marks_of_holes(holes: xr.Dataset, *, layer: str, about: Fields | None = None) -> xr.Dataset:
     """Make marks with one layer of holes.
 
     The holes are as :func:`planish.marks.find_holes` and `read_holes` give them.
@@ -245,7 +248,7 @@ def join_holes(
     rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
     names = [*labels]
     layers = dict[str, MarkPlaces]()
-    about = dict[str, dict[str, Any]]()
+    about = dict[str, Entries]()
     sides = {"moving": moving, "fixed": fixed}
     for k, (side, holes) in enumerate(sides.items()):
         single_rows = np.setdiff1d(np.arange(holes.sizes["mark"]), rows[:, k])
@@ -279,7 +282,7 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
     fields = [name for name in ("x", "y", "z", *EXTRAS) if f"{layer}_{name}" in marks]
     names: dict[Hashable, str] = {f"{layer}_{name}": name for name in fields}
     holes = marks[[*names, "label"]].rename(names)
-    return holes.isel(mark=np.flatnonzero(in_layers(marks, [layer])))
+    return holes.isel(mark=in_layers(marks, [layer]))
 
 
 def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: float) -> xr.Dataset:
@@ -291,11 +294,9 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
     """
     tiles = tiles_of(marks)
     assumed_um = np.nan if tiles.any() else usual_um
-    holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer]) & ~tiles_of(holes)))
-    name, hole_count = f"{layer}_diameter", holes.sizes["mark"]
-    mark_um, hole_um = (
-        m[name].values if name in m else np.full(m.sizes["mark"], np.nan) for m in (marks, holes)
-    )
+    holes = holes.isel(mark=in_layers(holes, [layer]) & ~tiles_of(holes))
+    mark_um = _diameters(marks, layer)
+    hole_um = _diameters(holes, layer)
     points = points_of(marks, layer)
     distances = np.linalg.norm(points[:, None] - points_of(holes, layer), axis=2)
     distances[~(distances < 0.5 * hole_um)] = np.inf
@@ -303,11 +304,12 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
     none_at = np.full((len(distances), 1), np.finfo(np.float64).max)
     hole_rows = np.argmin(np.hstack([distances, none_at]), axis=1)
     diameters = np.where(np.isfinite(mark_um), mark_um, np.append(hole_um, assumed_um)[hole_rows])
-    diameters = np.where(np.isfinite(points[:, 0]) & ~tiles, diameters, np.nan)
+    diameters[tiles | ~are_known(points)] = np.nan
     columns = ["label", *(column for column in holes if str(column).startswith(f"{layer}_"))]
-    unmarked = holes[columns].isel(mark=np.setdiff1d(np.arange(hole_count), hole_rows))
-    with_diameters = marks.assign({name: ("mark", diameters, {"units": "um"})})
-    unmarked = unmarked.assign(used=("mark", np.ones(unmarked.sizes["mark"])))
+    unmarked_rows = np.setdiff1d(np.arange(len(hole_um)), hole_rows)
+    unmarked = holes[columns].isel(mark=unmarked_rows)
+    unmarked = unmarked.assign(used=("mark", np.ones(len(unmarked_rows))))
+    with_diameters = marks.assign({f"{layer}_diameter": ("mark", diameters, {"units": "um"})})
     joined = xr.concat(
         [with_diameters, unmarked],
         dim="mark",
@@ -320,6 +322,11 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
         if str(column).endswith("_source"):
             joined[column] = joined[column].fillna("imported").astype(str)
     return joined
+
+
+def _diameters(marks: xr.Dataset, layer: str) -> Floats:
+    unknown = np.full(marks.sizes["mark"], np.nan)
+    return places_of(marks, layer).extras.get("diameter", unknown)
 
 
 def used_pairs(
@@ -355,7 +362,7 @@ def used_pairs(
         If a layer is missing or too few marks are left.
     """
     first, second = pair_of_layers(marks, moving=moving, fixed=fixed, name=name)
-    pairs = marks.isel(mark=np.flatnonzero(used_of(marks) & in_layers(marks, (first, second))))
+    pairs = marks.isel(mark=used_in(marks, (first, second)))
     count = pairs.sizes["mark"]
     if count < least:
         raise MarkError(
@@ -364,7 +371,7 @@ def used_pairs(
             " those that are switched off."
         )
     side = "volume" if f"{first}_z" in marks else "moving"
-    variables: dict[str, Any] = {"label": ("mark", np.array(labels_of(pairs), dtype=np.str_))}
+    variables: Entries = {"label": ("mark", np.array(labels_of(pairs), dtype=np.str_))}
     for layer, role in ((first, side), (second, "fixed")):
         for axis in "xyz":
             if f"{layer}_{axis}" in pairs:
@@ -395,7 +402,7 @@ def pair_of_layers(
     stated = [*filter(None, (moving, fixed))]
     for layer in stated:
         _check_layer(marks, layer)
-    usual = [layer for layer in ("moving", "volume") if layer in names]
+    usual = sorted({"moving", "volume"}.intersection(names))
     if usual and "fixed" in names and not stated:
         return usual[0], "fixed"
     _check_clear_pair(names, stated, name)
@@ -442,13 +449,14 @@ def check_marks(marks: xr.Dataset, name: str) -> None:
         points = points_of(marks, layer)
         missing = np.isnan(points)
         # Farther positions are errors of unit or of writing; within, no arithmetic overflows.
-        wrong = (np.abs(points) > 1e9).any(axis=1) | (missing.any(axis=1) & ~missing.all(axis=1))
+        is_far = (np.abs(points) > 1e9).any(axis=1)
+        is_incomplete = missing.any(axis=1) & ~missing.all(axis=1)
         faults += [
             f"{labels[k]} has no position within a kilometre in {layer}"
-            for k in np.flatnonzero(wrong)
+            for k in np.flatnonzero(is_far | is_incomplete)
         ]
         first: dict[tuple[float, ...], int] = {}
-        for k in np.flatnonzero(used & np.isfinite(points).all(axis=1)).tolist():
+        for k in np.flatnonzero(used & are_known(points)).tolist():
             other = first.setdefault(tuple(points[k].tolist()), k)
             if other != k:
                 faults.append(f"{labels[other]} and {labels[k]} have the same position in {layer}")
@@ -471,15 +479,14 @@ def check_plausible(marks: xr.Dataset, name: str, unit: Unit | None) -> None:
             raise MarkError(f"{name}: the marks in {layer} span {misfit_text}")
 
 
-def _misfit(points: Floats, about: dict[str, Any], stated: bool, assumed: str) -> str:
+def _misfit(points: Floats, about: Entries, stated: bool, assumed: str) -> str:
     """Describe why marks cannot be um in their layer; empty where they can.
 
     In a unit that was ``assumed``, they may be pixels where their numbers lie in the layer as such
     and reach over more than a quarter of it along one side, as marks are set far apart. Taken as um
     they would all lie in its first corner, a quarter of it or less for pixels of 2 um or more.
     """
-    keys = ("pixel_um", "size_px", "origin_um")
-    pixel, count, origin = (np.array([about[k]["x"], about[k]["y"]], np.float64) for k in keys)
+    pixel, count, origin = (_xy(about[key]) for key in ("pixel_um", "size_px", "origin_um"))
     size = pixel * count
     span = np.ptp(points, axis=0)
     placed = points - origin
@@ -492,16 +499,16 @@ def _misfit(points: Floats, about: dict[str, Any], stated: bool, assumed: str) -
             f" {assumed}, give `unit={assumed}` there."
         )
     is_inside = _inside(placed, size)
-    pixels_fit = _inside(points, count).all()
+    pixels_fit = bool(_inside(points, count).all())
     if pixels_fit and _look_clicked(points, placed, pixel):
         return (
             f"{spans}, and all positions are whole or half numbers: they look like pixels. "
             f"{_remedy('pixel', stated)} If they are um, write them with decimals."
         )
     if is_inside.all():
-        if _inside(points * 1000, size).all() and span.max() < 0.01 * size.max():
-            return f"{spans}: they look like mm. {_remedy('mm', stated)}"
-        return ""
+        is_dot = span.max() < 0.01 * size.max()
+        looks_mm = is_dot and _inside(points * 1000, size).all()
+        return f"{spans}: they look like mm. {_remedy('mm', stated)}" if looks_mm else ""
     reason = (
         f"{np.count_nonzero(~is_inside)} of {len(points)} lie outside it. Check the unit, the"
         " pixel size, and that they belong to this image"
@@ -516,6 +523,10 @@ def _misfit(points: Floats, about: dict[str, Any], stated: bool, assumed: str) -
     return f"{spans} from ({origin[0]:g}, {origin[1]:g}) um: {reason}"
 
 
+def _xy(sides: Mapping[str, float]) -> Floats:
+    return np.array([sides["x"], sides["y"]], dtype=np.float64)
+
+
 def _fill(points: Floats, count: Floats) -> bool:
     """Return whether points lie in so many pixels and reach over a quarter of them."""
     span_share = (np.ptp(points, axis=0) / count).max()
@@ -526,7 +537,8 @@ def _look_clicked(points: Floats, placed: Floats, pixel: Floats) -> bool:
     """Return whether positions are whole or half numbers, as places clicked on pixels are."""
     are_halves = np.all(points * 2 == np.round(points * 2))
     # Places clicked on pixels and then turned into um are multiples of the pixel.
-    are_pixels = np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6)
+    places_px = placed / pixel
+    are_pixels = np.all(np.abs(places_px - np.round(places_px)) < 1e-6)
     # Pixels of nearly 1 um cannot be distinguished from um.
     return bool(are_halves and not are_pixels and pixel.max() > 1.5)
 

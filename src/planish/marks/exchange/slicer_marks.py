@@ -15,7 +15,7 @@ import xarray as xr
 
 from planish.core.errors import MarkError
 from planish.core.tables import finite, raise_faults
-from planish.core.typing import Floats
+from planish.core.typing import Entries, Fields, Floats
 from planish.marks.exchange.lists import Content, PointList
 from planish.marks.exchange.model import labels_of, used_of
 
@@ -36,45 +36,48 @@ def looks_like(content: Content) -> bool:
 def read(content: Content) -> list[PointList]:
     """Read the point lists of a file; lines, curves, planes and empty lists are passed over."""
     name = content.name
-    markups: Any = content.json["markups"]
-    entries: list[Any] = []
-    if isinstance(markups, list):
-        entries = [m for m in markups if isinstance(m, Mapping)]
-    points = [m for m in entries if m.get("type") == "Fiducial" and m.get("controlPoints")]
+    markups = _markups(content.json["markups"])
+    points = [m for m in markups if m.get("type") == "Fiducial" and m.get("controlPoints")]
     if len(points) > 16:
         raise MarkError(
             f"{name} holds {len(points)} lists of points; two are needed. Save those two alone."
         )
     if points:
         return [_point_list(markup, k, name) for k, markup in enumerate(points)]
-    kinds = ", ".join(sorted({str(m.get("type")) for m in entries})) or "nothing"
+    kinds = ", ".join(sorted({str(m.get("type")) for m in markups})) or "nothing"
     raise MarkError(
         f"{name} holds no list of points, but {kinds}. Save a point list in Slicer as .mrk.json."
     )
+
+
+def _markups(entries: Any) -> list[Any]:
+    """Those entries of a file that may be markups."""
+    if not isinstance(entries, list):
+        return []
+    return [entry for entry in entries if isinstance(entry, Mapping)]
 
 
 def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     """Write one list for each layer, in mm."""
     labels = labels_of(marks)
     used = used_of(marks).tolist()
-    markups: list[dict[str, Any]] = []
+    markups: list[Entries] = []
     for role, places in points.items():
-        controls: list[dict[str, Any]] = []
+        controls: list[Entries] = []
         for k, place in enumerate(places.tolist()):
             is_set = bool(np.isfinite(place).all())
-            controls.append(
-                {
-                    "id": str(k + 1),
-                    "label": labels[k],
-                    "description": "",
-                    "associatedNodeID": "",
-                    "position": [*place, 0.0][:3] if is_set else [0.0, 0.0, 0.0],
-                    "selected": used[k],
-                    "locked": False,
-                    "visibility": True,
-                    "positionStatus": "defined" if is_set else "undefined",
-                }
-            )
+            control = {
+                "id": str(k + 1),
+                "label": labels[k],
+                "description": "",
+                "associatedNodeID": "",
+                "position": [*place, 0.0][:3] if is_set else [0.0, 0.0, 0.0],
+                "selected": used[k],
+                "locked": False,
+                "visibility": True,
+                "positionStatus": "defined" if is_set else "undefined",
+            }
+            controls.append(control)
         markups.append(
             {
                 "type": "Fiducial",
@@ -89,12 +92,11 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
             }
         )
     content = {"@schema": SCHEMA, "markups": markups}
-    return {
-        "": (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
-    }
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    return {"": f"{text}\n".encode()}
 
 
-def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
+def _point_list(markup: Fields, k: int, name: str) -> PointList:
     """Points of a list, in its unit and as LPS; a place that is not defined is NaN."""
     title = str(markup.get("name") or f"list {k + 1}")
     coordinate_system: object = markup.get("coordinateSystem", "LPS")
@@ -134,7 +136,7 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
     )
 
 
-def _position(control: Mapping[str, Any], point_text: str, faults: list[str]) -> list[float | None]:
+def _position(control: Fields, point_text: str, faults: list[str]) -> list[float | None]:
     """Place of a point, which may be set nowhere; what is wrong with it goes into ``faults``."""
     status: Any = control.get("positionStatus", "defined")
     if status != "defined":

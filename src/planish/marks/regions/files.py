@@ -20,6 +20,7 @@ from roifile import ROI_OPTIONS, ROI_SUBTYPE, ROI_TYPE, ImagejRoi
 
 from planish.core.errors import FileError
 from planish.core.tables import decode_text, raise_faults, read_bytes
+from planish.core.typing import Entries
 from planish.marks.imagej_selections import LARGEST_FILE, ROI, ZIP, selection_of, selections_in
 from planish.marks.regions.model import (
     MOST_POINTS,
@@ -195,7 +196,7 @@ def _is_of_qupath(feature: object) -> bool:
     return is_old or "objectType" in _object(_object(feature).get("properties"))
 
 
-def _features(data: bytes, name: str) -> tuple[dict[str, Any], list[Any]]:
+def _features(data: bytes, name: str) -> tuple[Entries, list[Any]]:
     """Read a FeatureCollection or a Feature, and its features.
 
     A bare Polygon or MultiPolygon becomes one, as does a list of features.
@@ -269,8 +270,8 @@ def _list(content: object, title: str) -> list[Any]:
     return cast("list[Any]", content)
 
 
-def _object(content: object) -> dict[str, Any]:
-    return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
+def _object(content: object) -> Entries:
+    return cast("Entries", content) if isinstance(content, dict) else {}
 
 
 def _closed(ring: Ring) -> list[list[float]]:

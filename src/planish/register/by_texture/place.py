@@ -12,7 +12,7 @@ from scipy import ndimage, optimize
 
 from planish.core.robust import rms_length
 from planish.core.transform import NearSimilarity, Similarity, nearest_similarity
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats, Pair, Texts
 from planish.register.by_texture.rotations import Names, compared
 from planish.texture.detrend import PhaseSurrogate
 from planish.texture.lag_field import lag_field
@@ -37,7 +37,7 @@ def tuned_place(
     start: Similarity,
     *,
     reach_um: float,
-    other_maps: tuple[str, ...],
+    other_maps: Texts,
 ) -> Similarity:
     """Climb from a place to where a map, with those ``other_maps``, explains most of the image.
 
@@ -93,7 +93,7 @@ def shifted_place(
     place: Similarity,
     *,
     reach_um: float,
-    other_maps: tuple[str, ...],
+    other_maps: Texts,
 ) -> Similarity:
     """Shift a place to where a map, with those ``other_maps``, explains most of the image.
 
@@ -143,8 +143,8 @@ def tile_places(
     names: Names,
     place: Placing,
     *,
-    other_maps: tuple[str, ...],
-    light: tuple[str, ...],
+    other_maps: Texts,
+    light: Texts,
     strain: float = 0.0,
 ) -> TilePlaces:
     """Find where tiles of a map lie in the image, near the place of the whole.

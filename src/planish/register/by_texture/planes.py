@@ -14,7 +14,7 @@ from planish.core.facts import Side
 from planish.core.grid import Grid, centres_of, hole_mask
 from planish.core.older_names import height_map
 from planish.core.transform import Similarity, grid_points
-from planish.core.typing import Array, Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Texts
 from planish.register.by_texture.rotations import BAND_UM
 from planish.texture.length_unit import length_unit_um
 from planish.texture.textures import Textures, textures
@@ -76,7 +76,7 @@ class TexturedPlane:
         return "image" not in self.maps
 
     @property
-    def light(self) -> tuple[str, ...]:
+    def light(self) -> Texts:
         """Names of the slopes of its face."""
         return tuple(f"{name}_{way}" for name in self.face for way in "xy")
 

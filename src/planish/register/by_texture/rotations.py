@@ -24,7 +24,7 @@ from scipy import fft, ndimage, special
 from planish.core.errors import CannotRegister
 from planish.core.threads import map_threads
 from planish.core.transform import Similarity, nearest_similarity
-from planish.core.typing import Floats, Pair, Singles
+from planish.core.typing import Floats, Pair, Shape, Singles
 from planish.texture.textures import Textures, tile_sums
 
 BAND_UM = (18.0, 150.0)
@@ -305,9 +305,9 @@ class _Window(NamedTuple):
     """Part of an image, and where the map's middle may lie in it."""
 
     first: tuple[int, int]  # row and column of the first middle
-    size: tuple[int, ...]
+    size: Shape
     spectra: dict[str, NDArray[np.complex64]]  # of its maps, and of what is known of it
-    shape: tuple[int, ...]
+    shape: Shape
 
 
 class _Scanner:
@@ -481,7 +481,7 @@ class _Scanner:
         rows, cols = np.ceil(2.0 * radius_px + 1.0).astype(int).tolist()
         return [self._spectra((row, col), (rows, cols))]
 
-    def _spectra(self, first: tuple[int, int], count: tuple[int, ...]) -> _Window:
+    def _spectra(self, first: tuple[int, int], count: Shape) -> _Window:
         margin = self._margin
         sides = zip(first, count, self._fixed.known.shape, strict=True)
         pixels = [np.arange(max(b - margin, 0), min(b + n + margin, size)) for b, n, size in sides]
@@ -517,7 +517,7 @@ class _Scanner:
     def _turned_mask(self, sampled: Callable[..., Slab]) -> Slab:
         return (sampled(self._mask, order=1) >= 0.5).astype(np.float32)
 
-    def _spectrum(self, part: Slab, shape: tuple[int, ...]) -> NDArray[np.complex64]:
+    def _spectrum(self, part: Slab, shape: Shape) -> NDArray[np.complex64]:
         """Conjugate spectrum.
 
         The rows that the part does not fill need no transformation along them.
