@@ -6,19 +6,31 @@ const AGAIN_MS = 400;
 
 /** What the server refused, or that it did not answer (`status` 0). */
 export class ApiError extends Error {
+  /**
+   * Keep what the server said.
+   * @param {number} status HTTP status; 0 where the server did not answer
+   * @param {string} message in words
+   * @param {any} [body] the answer, where it could be read
+   */
   constructor(status, message, body = null) {
     super(message);
     this.status = status;
     this.body = body;
   }
 
-  /** Whether this window shows another run than the one that is served now. */
+  /**
+   * Whether this window shows another run than the one that is served now.
+   * @returns {boolean}
+   */
   get ofOtherRun() {
     return this.status === 409 && Boolean(this.body?.served);
   }
 }
 
-/** Take the token out of the address, where it came in the fragment, and keep it for this tab. */
+/**
+ * Take the token out of the address, where it came in the fragment, and keep it for this tab.
+ * @returns {string|null} null where this tab never had one
+ */
 export function takeToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
   if (given !== null) {
@@ -29,13 +41,22 @@ export function takeToken() {
 }
 
 export class Api {
+  /**
+   * Ask with a token.
+   * @param {string} token that of this tab
+   */
   constructor(token) {
     this.token = token;
     /** Run that this window shows: a change of another one is refused. */
     this.run = "";
   }
 
-  /** `path`: below `/api/` */
+  /**
+   * Ask the server; an answer that is no success is thrown as ApiError.
+   * @param {string} path below `/api/`
+   * @param {RequestInit} [init] as of the browser's `fetch`
+   * @returns {Promise<Response>}
+   */
   async fetch(path, init = {}) {
     const headers = { Authorization: `Bearer ${this.token}`, ...init.headers };
     let response;
@@ -50,10 +71,22 @@ export class Api {
     throw new ApiError(response.status, body?.error ?? body?.message ?? `The server answers ${response.status}.`, body);
   }
 
+  /**
+   * Ask for JSON.
+   * @param {string} path below `/api/`
+   * @param {RequestInit} [init] as of the browser's `fetch`
+   * @returns {Promise<any>}
+   */
   async get(path, init) {
     return (await this.fetch(path, init)).json();
   }
 
+  /**
+   * Send JSON, and get JSON back.
+   * @param {string} path below `/api/`
+   * @param {object} [body] what is sent
+   * @returns {Promise<any>}
+   */
   post(path, body = {}) {
     const headers = { "Content-Type": "application/json", "Planish-Run": encodeURIComponent(this.run) };
     return this.get(path, { method: "POST", headers, body: JSON.stringify(body) });
@@ -61,7 +94,12 @@ export class Api {
 
   /**
    * Follow the server's news for as long as the page is open, through lost connections.
-   * `listener`: `onLost` is told the status with which the server refuses this page, 0 where it does not answer
+   * @param {object} listener what is called
+   * @param {(line: any) => void} listener.onNews gets each line of news
+   * @param {(status: number) => void} listener.onLost gets the status with which the server refuses this page, 0 where
+   *   it does not answer
+   * @param {() => Promise<void>} listener.onFound called when the server answers again
+   * @returns {Promise<never>}
    */
   async follow({ onNews, onLost, onFound }) {
     for (let first = true; ; first = false) {
@@ -76,7 +114,13 @@ export class Api {
     }
   }
 
-  /** Read a streamed answer line by line until it ends or falls silent. */
+  /**
+   * Read a streamed answer line by line until it ends or falls silent.
+   * @param {string} path below `/api/`
+   * @param {(line: any) => void} onLine gets each line, read as JSON
+   * @param {() => Promise<void>} onOpen called before the first line
+   * @returns {Promise<void>}
+   */
   async readLines(path, onLine, onOpen) {
     const stop = new AbortController();
     let alarm = setTimeout(() => stop.abort(), SILENT_MS);

@@ -2,8 +2,15 @@
 
 import { button, make } from "./dom.js";
 
+/** @import {App} from "./main.js" */
+
 const POLL_MS = 250;
 
+/**
+ * Make the button `Apply` and what belongs to it.
+ * @param {HTMLElement} place element that gets them
+ * @param {App} app session of this window
+ */
 export function mountApply(place, app) {
   const bar = make("progress", { max: 1, "aria-label": "Progress of Apply", hidden: true });
   const words = make("span", { class: "soft", id: "apply-words" });

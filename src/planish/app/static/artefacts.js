@@ -2,7 +2,17 @@
 
 import { button, labelled, make } from "./dom.js";
 
-/** Read "x, y; x, y; …" as corners; null where it is none of three corners or more. */
+/**
+ * @import {Point} from "./geometry.js"
+ * @import {App} from "./main.js"
+ * @import {Region} from "./store.js"
+ */
+
+/**
+ * Read "x, y; x, y; …" as corners; null where it is none of three corners or more.
+ * @param {string} text as a person wrote it
+ * @returns {Point[]|null} (x, y) in um
+ */
 export function cornersOf(text) {
   const corners = text
     .trim()
@@ -15,7 +25,13 @@ export function cornersOf(text) {
 const FIELDS = { Name: "Its name", Author: "Your name", Reason: "Reason" };
 
 export class Artefacts {
-  /** `maps`: `draw` lets a person draw a polygon, which comes back by `drawn` */
+  /**
+   * Make the panel of the artefacts.
+   * @param {App} app session of this window
+   * @param {object} maps where they are drawn
+   * @param {() => void} maps.draw lets a person draw a polygon, which comes back by `drawn`
+   * @param {(polygons: Point[][]) => void} maps.show draws those that there are
+   */
   constructor(app, maps) {
     this.app = app;
     this.maps = maps;
@@ -39,7 +55,10 @@ export class Artefacts {
     app.onState((state) => this.show(state.regions ?? []));
   }
 
-  /** A polygon that was drawn. */
+  /**
+   * A polygon that was drawn.
+   * @param {Point[]} corners (x, y) in um
+   */
   drawn(corners) {
     this.polygon.value = corners.map((point) => point.map((um) => um.toFixed(1)).join(", ")).join("; ");
     this.polygon.removeAttribute("aria-invalid");
@@ -47,6 +66,10 @@ export class Artefacts {
     this.name.focus();
   }
 
+  /**
+   * Save the polygon of the field as an artefact.
+   * @returns {Promise<void>}
+   */
   async declare() {
     const polygon = cornersOf(this.polygon.value);
     this.polygon.setAttribute("aria-invalid", String(!polygon));
@@ -59,6 +82,10 @@ export class Artefacts {
     else this.drawn(polygon);
   }
 
+  /**
+   * List the artefacts and draw them.
+   * @param {Region[]} regions those of the session
+   */
   show(regions) {
     const shown = JSON.stringify(regions);
     if (shown === this.shown) return; // a button that is being pressed stays

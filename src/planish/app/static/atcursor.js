@@ -5,10 +5,30 @@ import { titled } from "./mapside.js";
 import { Slice } from "./slicedata.js";
 import { SliceView } from "./sliceview.js";
 
+/**
+ * @import {Point} from "./geometry.js"
+ * @import {App} from "./main.js"
+ * @import {MapSide} from "./mapside.js"
+ * @import {Shapes} from "./shapes.js"
+ * @import {SlicePlace, VolumePlace} from "./slicedata.js"
+ * @typedef {{id: string, name: string, title: string, units: string, value: any}} Value of a layer: a number, of a mask a truth value, null where there is none
+ * @typedef {{x: number, y: number, values: Value[], volume: VolumePlace|null}} Found what lies at a point, in um
+ */
+
+/**
+ * Tell whether a picture says which pixels are valid.
+ * @param {{name: string}} one a picture
+ * @returns {boolean}
+ */
 export const isMask = (one) => one.name.split("/").at(-1) === "valid";
 
 export class AtCursor {
-  /** `sides`: the layers that are shown come first */
+  /**
+   * Make the lines, the table and the slice.
+   * @param {App} app session of this window
+   * @param {MapSide[]} sides both maps; the layers that they show come first
+   * @param {(found: Found) => void} onPlace called with what lies at the cursor
+   */
   constructor(app, sides, onPlace) {
     this.app = app;
     this.sides = sides;
@@ -32,6 +52,10 @@ export class AtCursor {
     this.taken = null;
   }
 
+  /**
+   * Ask which layers have slices.
+   * @returns {Promise<void>}
+   */
   async openSheets() {
     const { sheets } = await this.app.api.get("sheets").catch(() => ({ sheets: [] }));
     this.sheets = sheets.filter((one) => !one.error);
@@ -39,7 +63,11 @@ export class AtCursor {
     if (this.found) this.show(this.found);
   }
 
-  /** With a tool of `shapes` a click means a corner. */
+  /**
+   * Follow the pointer over a map; with a tool of `shapes`, a click means a corner.
+   * @param {MapSide} side the map
+   * @param {Shapes} shapes what is drawn over it
+   */
   bind(side, shapes) {
     const { view } = side;
     const click = (point) => (shapes.tool ? shapes.corner(point, view) : void this.take(point, side));
@@ -53,11 +81,22 @@ export class AtCursor {
     });
   }
 
+  /**
+   * Ask what lies at a point.
+   * @param {Point} point (x, y) in um
+   * @param {MapSide} side map in which it lies
+   * @returns {Promise<Found|null>} null where the server gives no answer
+   */
   ask([x, y], side) {
     return this.app.api.get(`cursor?id=${side.picture.id}&x=${x}&y=${y}`).catch(() => null);
   }
 
-  /** Say what lies at a point; one question is asked at a time. */
+  /**
+   * Say what lies at a point; one question is asked at a time.
+   * @param {Point} point (x, y) in um
+   * @param {MapSide} side map in which it lies
+   * @returns {Promise<void>}
+   */
   async point(point, side) {
     this.wanted = point;
     if (this.asking) return;
@@ -71,6 +110,10 @@ export class AtCursor {
     this.asking = false;
   }
 
+  /**
+   * Show what lies at the cursor.
+   * @param {Found} found answer of the server
+   */
   show(found) {
     this.found = found;
     const { x, y, volume } = found;
@@ -88,7 +131,11 @@ export class AtCursor {
     void this.cut(volume);
   }
 
-  /** Show the slice through a place of the volume; one is asked for at a time. */
+  /**
+   * Show the slice through a place of the volume; one is asked for at a time.
+   * @param {VolumePlace|null} volume null where the point lies in no volume
+   * @returns {Promise<void>}
+   */
   async cut(volume) {
     const sheet = this.sheets.find((one) => one.layer === volume?.layer) ?? this.sheets[0]; // one linked to an image has its layer
     if (!volume || !sheet || !this.section.offsetParent) return;
@@ -117,7 +164,12 @@ export class AtCursor {
     this.cutting = false;
   }
 
-  /** Take a place whose slice is shown. */
+  /**
+   * Take a place whose slice is shown.
+   * @param {Point} point (x, y) in um
+   * @param {MapSide} side map in which it lies
+   * @returns {Promise<void>}
+   */
   async take(point, side) {
     this.wanted = null;
     const found = await this.ask(point, side);
@@ -128,7 +180,11 @@ export class AtCursor {
     this.slicePlace.textContent = this.taken ? inVolume(this.taken).replace("volume ", "") : "";
   }
 
-  /** A click in the slice: the cursor of the maps goes there. */
+  /**
+   * A click in the slice: the cursor of the maps goes there.
+   * @param {SlicePlace} at place in the slice
+   * @returns {Promise<void>}
+   */
   async fromSlice(at) {
     const { facts } = this.view.slice;
     const side = this.sides[0];
@@ -137,6 +193,10 @@ export class AtCursor {
     if (found) await this.take([found.x, found.y], side);
   }
 
+  /**
+   * Go to the slice in the tab Surfaces.
+   * @returns {Promise<void>}
+   */
   async showSlice() {
     if (!this.taken) return;
     await this.app.openTab("surfaces");
@@ -144,10 +204,19 @@ export class AtCursor {
   }
 }
 
+/**
+ * A place of the volume in words.
+ * @param {VolumePlace|null} volume null where there is none
+ * @returns {string}
+ */
 const inVolume = (volume) =>
   volume ? `volume x ${volume.x.toFixed(2)}, y ${volume.y.toFixed(2)}, z ${volume.z.toFixed(2)} µm` : "not in the volume";
 
-/** A value with its unit. */
+/**
+ * A value with its unit.
+ * @param {Value} one value of a layer
+ * @returns {string}
+ */
 function written(one) {
   if (one.value === null) return "no value";
   if (isMask(one)) return one.value ? "yes" : "no";

@@ -8,6 +8,13 @@ const [WIDE, TALL, LEFT, TOP] = [380, 190, 60, 22];
 const INKS = ["var(--mark, #24597f)", "var(--bad, #a5301d)"];
 const INK = "var(--ink, #22292f)";
 
+/**
+ * Make an element of an SVG.
+ * @param {string} tag its name
+ * @param {Record<string, string|number>} attributes written as they are
+ * @param {...(Node|string)} children what it holds
+ * @returns {Element}
+ */
 function draw(tag, attributes, ...children) {
   const element = document.createElementNS(SVG, tag);
   for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
@@ -15,9 +22,27 @@ function draw(tag, attributes, ...children) {
   return element;
 }
 
+/**
+ * Words in an SVG.
+ * @param {number} x place to the right
+ * @param {number} y place of the base line, down
+ * @param {string} words what is written
+ * @param {"start"|"middle"|"end"} anchor part of the words that lies at x
+ * @param {string} [fill] colour
+ * @returns {Element}
+ */
 const text = (x, y, words, anchor, fill = INK) => draw("text", { x, y, "text-anchor": anchor, fill }, words);
 
-/** Values along a line, one curve a layer, each on its own scale; `titles` of both as they are read. */
+/**
+ * Draw the values along a line, one curve a layer, each on its own scale.
+ * @param {object} found answer of the server
+ * @param {number[]} found.at_um distances along the line
+ * @param {number} found.pixel_um pitch of the maps
+ * @param {{name: string, values: (number|null)[]}[]} found.lines values of both layers
+ * @param {string[]} titles names of both layers as they are read
+ * @param {() => void} close called by the button that closes it
+ * @returns {HTMLElement}
+ */
 export function profile(found, titles, close) {
   const length = found.at_um.at(-1);
   const [wide, tall] = [WIDE + 2 * LEFT, TOP + TALL + 36];

@@ -1,5 +1,10 @@
 /** Colours of values: the scales of the report, and tables that give the colour of every 16-bit code. */
 
+/**
+ * @typedef {number[]} Colour red, green, blue, each to 255
+ * @typedef {(share: number) => number[]|Uint8Array} Shade the colour of a share from 0 to 1
+ */
+
 /** Anchors at even distances, from the lowest value to the highest; those of planish.report. */
 export const PALETTES = {
   viridis:
@@ -20,14 +25,20 @@ export const CHOSEN = [255, 72, 0];
 
 const CODES = 65536;
 
-/** A colour as it lies in the memory of a canvas. */
+/**
+ * A colour as it lies in the memory of a canvas.
+ * @param {Colour} rgb red, green, blue, each to 255
+ * @param {number} [alpha] to 255
+ * @returns {number} 32 bits
+ */
 export const packed = ([red, green, blue], alpha = 255) =>
   ((alpha << 24) | (Math.round(blue) << 16) | (Math.round(green) << 8) | Math.round(red)) >>> 0;
 
 /**
  * The colour at a place of a scale.
- * `share`: 0 to 1
- * Red, green, blue
+ * @param {string} palette a key of `PALETTES`
+ * @param {number} share 0 to 1
+ * @returns {Colour} red, green, blue
  */
 export function colourAt(palette, share) {
   const anchors = (PALETTES[(palette)] ?? PALETTES.viridis).split(" ");
@@ -37,7 +48,13 @@ export function colourAt(palette, share) {
   return low.map((value, i) => value + (high[i] - value) * (at - k));
 }
 
-/** The scale that suits a picture. */
+/**
+ * The scale that suits a picture.
+ * @param {object} picture a picture of the session
+ * @param {string} picture.name layer and variable
+ * @param {string} picture.units ASCII
+ * @returns {string} a key of `PALETTES`
+ */
 export function paletteOf({ name, units }) {
   const variable = name.split("/").at(-1) ?? name;
   if (variable === "image" || variable === "valid" || variable.startsWith("presence")) return "grey";
@@ -46,7 +63,17 @@ export function paletteOf({ name, units }) {
   return units === "deg" || variable === "warp" || /^(u|v|volume_.|projected_.)$/.test(variable) ? "cividis" : "viridis";
 }
 
-/** The colour of each code of a picture; code 0 is missing and transparent. */
+/**
+ * The colour of each code of a picture; code 0 is missing and transparent.
+ * @param {object} picture how its codes are values
+ * @param {number} picture.scale step of one code
+ * @param {number} picture.offset value of code 1
+ * @param {object} look how it is coloured
+ * @param {string} look.palette a key of `PALETTES`
+ * @param {number} look.low value of the lowest colour
+ * @param {number} look.high value of the highest colour
+ * @returns {Uint32Array} as canvas memory has them, by code
+ */
 export function coloursOfCodes({ scale, offset }, { palette, low, high }) {
   const shades = Uint32Array.from({ length: 256 }, (_, k) => packed(colourAt(palette, k / 255)));
   const table = new Uint32Array(CODES);
@@ -60,8 +87,14 @@ export function coloursOfCodes({ scale, offset }, { palette, low, high }) {
 }
 
 /**
- * The codes of a picture whose values lie between two; the first and the last code stand for all values beyond.
- * None where the first is above the second
+ * The codes of a picture whose values lie between two; the first and the last code stand for all values beyond. None
+ * where the first is above the second
+ * @param {object} picture how its codes are values
+ * @param {number} picture.scale step of one code
+ * @param {number} picture.offset value of code 1
+ * @param {number} low lowest value that counts
+ * @param {number} high highest value that counts
+ * @returns {[number, number]} first and last code; none counts where the first is above the second
  */
 export function codesBetween({ scale, offset }, low, high) {
   const first = Math.ceil((low - offset) / scale - 1e-6) + 1;

@@ -2,10 +2,26 @@
 
 import { button, make, onNumbers, shown, withUnit } from "./dom.js";
 
+/**
+ * @import {Shade} from "./colour.js"
+ * @typedef {{n: number, low: number, high: number, counts: number[], range: number[], beyond?: number,
+ *   mean?: number, sd?: number, median?: number, pixel_um?: number[]}} Histogram
+ *   `range` holds nearly all values; `beyond` of them lie outside of `low` to `high`
+ * @typedef {{name: string, title: string, units: string, range: number[], shade: Shade, counted: Histogram|null}} Coloured
+ *   values that are shown in colours
+ */
+
 const [WIDE, BARS, TALL] = [256, 20, 30];
 
 export class Contrast {
-  /** `name` is that of the field; `before` stands in front of it. */
+  /**
+   * Make the bar, the handles and the field.
+   * @param {object} parts what it is for
+   * @param {string} parts.name name of the field
+   * @param {() => void} parts.onChange called when the limits are others
+   * @param {(text: string) => void} parts.say tells what is wrong with a number
+   * @param {HTMLElement|null} [parts.before] stands in front of the field
+   */
   constructor({ name, onChange, say, before = null }) {
     this.onChange = onChange;
     this.canvas = make("canvas", { role: "img", width: WIDE, height: TALL });
@@ -23,7 +39,7 @@ export class Contrast {
 
   /**
    * Show the colours of other values.
-   * `counted` is their histogram, with the range that its valid values have.
+   * @param {Coloured} values whose colours, with their histogram where it is known
    */
   show(values) {
     const untouched = this.values?.name !== values.name || String(this.limits) === String(this.usual);
@@ -42,21 +58,31 @@ export class Contrast {
     this.write();
   }
 
+  /**
+   * Take other limits.
+   * @param {number[]} limits low and high
+   */
   set(limits) {
     this.limits = limits;
     this.write();
     this.onChange();
   }
 
+  /** Go back to the limits as at the start. */
   reset() {
     this.set(this.usual);
   }
 
-  /** Value at a share of the track. */
+  /**
+   * Value at a share of the track.
+   * @param {number} share 0 to 1
+   * @returns {number}
+   */
   at(share) {
     return this.span[0] + Math.max(0, Math.min(1, share)) * (this.span[1] - this.span[0]);
   }
 
+  /** Draw the bar, and write the limits into the field. */
   write() {
     const [low, high] = this.limits;
     this.field.value = this.limits.map(shown).join(", ");
@@ -83,7 +109,12 @@ export class Contrast {
     }
   }
 
-  /** One of both ends. */
+  /**
+   * One of both ends.
+   * @param {string} name its name for those who do not see it
+   * @param {number} k 0 for low, 1 for high
+   * @returns {HTMLElement}
+   */
   handle(name, k) {
     const handle = make("div", { class: "limit", role: "slider", tabindex: 0, "aria-label": name });
     const move = (value) => {

@@ -2,12 +2,24 @@
 
 import { button, choice, labelled, make, numbers, typeset, written } from "./dom.js";
 
+/**
+ * @import {App} from "./main.js"
+ * @import {Facts, Slice, SlicePoint, VolumePlace} from "./slicedata.js"
+ * @import {Sheet} from "./surfaces.js"
+ * @typedef {{id: string, layer?: string, reach_um: number|null, points: (VolumePlace & {face: string})[]}} Correction
+ */
+
 const MOST_POINTS = 100; // of one correction, which travel in an address while they are tried
 
 export class Corrections {
   /**
-   * `on`: the sheet that is looked at, the layer of the first one, and what to do when points change or one is looked
-   * for
+   * Make the fields, the buttons and the list.
+   * @param {App} app session of this window
+   * @param {object} on the tab
+   * @param {() => Sheet} on.sheet the sheet that is looked at
+   * @param {string} on.first layer of the first sheet
+   * @param {() => Promise<void>} on.onTry called when points change
+   * @param {(place: VolumePlace) => void} on.onShow called when a point is to be seen
    */
   constructor(app, on) {
     this.app = app;
@@ -33,11 +45,18 @@ export class Corrections {
     ];
   }
 
+  /**
+   * The sheet that is looked at.
+   * @returns {Sheet}
+   */
   get sheet() {
     return this.on.sheet();
   }
 
-  /** Begin anew on a sheet. */
+  /**
+   * Begin anew on a sheet.
+   * @param {Sheet} sheet the one that is looked at from now on
+   */
   startWith(sheet) {
     this.reachField.value = String(sheet.reach_um);
     this.draft = [];
@@ -45,14 +64,21 @@ export class Corrections {
     this.listed();
   }
 
-  /** Have a slice come with what the points make of it. */
+  /**
+   * Have a slice come with what the points make of it.
+   * @param {URLSearchParams} asked query of the slice, which gets the points
+   */
   ask(asked) {
     if (!this.draft.length) return;
     asked.set("points", this.draft.map((p) => `${p.z},${p.y},${p.x},${p.face}`).join(";"));
     asked.set("reach", this.reachField.value);
   }
 
-  /** Points of saved corrections, and of the one that is made, near a slice. `facts`: of the slice */
+  /**
+   * Points of saved corrections, and of the one that is made, near a slice.
+   * @param {Facts} facts those of the slice
+   * @returns {SlicePoint[]}
+   */
   pointsIn(facts) {
     if (facts.direction === "straight") return [];
     const saved = this.saved().flatMap((one) => one.points.map((p) => ({ ...p, draft: false })));
@@ -67,12 +93,16 @@ export class Corrections {
       }));
   }
 
-  /** Saved corrections of this sheet. */
+  /**
+   * Saved corrections of this sheet.
+   * @returns {Correction[]}
+   */
   saved() {
     const all = this.app.state.corrections ?? [];
     return all.filter((one) => (one.layer ?? this.on.first) === this.sheet.layer);
   }
 
+  /** Set a point where the field says. */
   addText() {
     const found = numbers(this.pointField.value, 3);
     this.pointField.setAttribute("aria-invalid", String(!found));
@@ -81,6 +111,10 @@ export class Corrections {
     this.add({ x: found[0], y: found[1], z: found[2] });
   }
 
+  /**
+   * Set a point.
+   * @param {VolumePlace} place in um
+   */
   add(place) {
     if (this.app.readOnly) {
       this.app.say("The run is open read-only.");
@@ -103,7 +137,11 @@ export class Corrections {
     this.tried();
   }
 
-  /** Ask whether a point is meant that lies far off. */
+  /**
+   * Ask whether a point is meant that lies far off.
+   * @param {VolumePlace} place in um
+   * @param {string} words why it is asked
+   */
   question(place, words) {
     const answered = (yes) => () => {
       if (yes) this.add(place);
@@ -114,7 +152,10 @@ export class Corrections {
     yes.focus();
   }
 
-  /** Say where the green line does not go through the points. */
+  /**
+   * Say where the green line does not go through the points.
+   * @param {Slice} slice with the faces as the points make them
+   */
   compare(slice) {
     const { across, down, normal } = slice.facts;
     const size = Math.abs(this.sheet.axes[normal]?.step_um ?? 0);
@@ -128,21 +169,27 @@ export class Corrections {
         : "";
   }
 
+  /** Take the last point away. */
   drop() {
     if (this.draft.pop()) this.tried();
   }
 
+  /** Take all points away. */
   clear() {
     this.draft = [];
     this.tried();
   }
 
-  /** Show what the points would make of the faces. */
+  /**
+   * Show what the points would make of the faces.
+   * @returns {Promise<void>}
+   */
   tried() {
     this.tell();
     return this.on.onTry();
   }
 
+  /** Say how many points there are and where the last one lies. */
   tell() {
     const count = this.draft.length;
     for (const one of [this.dropButton, this.clearButton, this.correctButton]) one.disabled = !count;
@@ -152,6 +199,10 @@ export class Corrections {
     this.note.replaceChildren(last ? `${points}, the last at x, y, z = ${at} µm on the ${last.face} face.` : "", this.off);
   }
 
+  /**
+   * Save the points as a correction.
+   * @returns {Promise<void>}
+   */
   async correct() {
     const points = this.draft.map(({ x, y, z, face }) => ({ z, y, x, face }));
     const reach = Number(this.reachField.value);
@@ -162,7 +213,10 @@ export class Corrections {
     if (done) this.clear();
   }
 
-  /** List what is saved. whether that is something else than before */
+  /**
+   * List what is saved.
+   * @returns {boolean} whether that is something else than before
+   */
   listed() {
     const kept = this.saved();
     const shown = JSON.stringify(kept);
@@ -172,6 +226,11 @@ export class Corrections {
     return true;
   }
 
+  /**
+   * The row of a correction.
+   * @param {Correction} one saved
+   * @returns {HTMLElement}
+   */
   row(one) {
     const faces = [...new Set(one.points.map((p) => p.face))].join(" and ");
     const middle = one.points[Math.floor(one.points.length / 2)];

@@ -2,13 +2,19 @@
 
 import { button, choice, download, labelled, make } from "./dom.js";
 
+/** @import {App} from "./main.js" */
+
 /** Files of these suffixes are no text. */
 const BINARY = /\.(mat|roi|zip)$/i;
 /** Of two files, that of the Image side. */
 const FIXED = /fixed|target|image/i;
 const MOST_BYTES = 1_400_000;
 
-/** Buttons `Import marks` and `Export marks`. */
+/**
+ * Buttons `Import marks` and `Export marks`.
+ * @param {App} app session of this window
+ * @returns {HTMLElement}
+ */
 export function exchange(app) {
   const chosen = make("input", { type: "file", multiple: true, hidden: true, "aria-label": "File of marks", onchange: take });
   const formats = (app.session.export_formats ?? ["json"]).map((one) =>
@@ -53,11 +59,21 @@ export function exchange(app) {
   }
 }
 
+/**
+ * What is sent of a file: its name, and its text or its bytes.
+ * @param {File} file chosen by a person
+ * @returns {Promise<{name: string, text?: string, base64?: string}>}
+ */
 const content = async (file) =>
   BINARY.test(file.name)
     ? { name: file.name, base64: await encoded(file) }
     : { name: file.name, text: await file.text() };
 
+/**
+ * The bytes of a file in base64.
+ * @param {File} file chosen by a person
+ * @returns {Promise<string>}
+ */
 async function encoded(file) {
   const bytes = new Uint8Array(await file.arrayBuffer());
   let text = "";

@@ -7,6 +7,14 @@ import { sizeOf, wholeLevel } from "./level.js";
 import { MapView, flipped } from "./mapview.js";
 import { drawShaded } from "./sheetmesh.js";
 
+/**
+ * @import {App} from "./main.js"
+ * @import {Picture} from "./rawtiles.js"
+ * @import {Relief, SheetInSpace} from "./relief.js"
+ * @import {Grid} from "./sheetmesh.js"
+ * @typedef {{strain: string[], space: string[], colours: string[]}} FlatSheet ids of pictures
+ */
+
 /* global ol */
 
 const COARSER = 4; // levels beyond those of the pictures, for the first frames of a large sheet
@@ -16,6 +24,12 @@ const TURN = Math.PI / 36; // of a key
 const HEIGHTS = ["1", "2", "5", "10", "20"];
 const MESH_COLOUR = "rgba(20, 20, 20, 0.55)";
 
+/**
+ * Fill the tab.
+ * @param {HTMLElement} panel element of the tab
+ * @param {App} app session of this window
+ * @returns {Promise<void>}
+ */
 export async function mount(panel, app) {
   const layer = encodeURIComponent(app.state.layer);
   const sheet = await app.api.get(`flattening?layer=${layer}`);
@@ -33,6 +47,13 @@ export async function mount(panel, app) {
 
 // --- the map ---------------------------------------------------------------------------------------------------
 
+/**
+ * Show the strains as a map, with the mesh over it where it is wanted.
+ * @param {HTMLElement} pane element that gets it
+ * @param {App} app session of this window
+ * @param {FlatSheet} sheet answer of the server
+ * @param {Map<string, Picture>} pictures by their id
+ */
 function strainMap(pane, app, sheet, pictures) {
   const shown = sheet.strain.map((id) => pictures.get(id)).filter(Boolean);
   const bar = make("div", { class: "fields" });
@@ -52,7 +73,13 @@ function strainMap(pane, app, sheet, pictures) {
   app.onTab((name) => name === "flattening" && view.map.updateSize());
 }
 
-/** Lines of the mesh in the plane, thinned to what a screen can show; asked for once. */
+/**
+ * Lines of the mesh in the plane, thinned to what a screen can show; asked for once.
+ * @param {App} app session of this window
+ * @param {any} layer layer of OpenLayers that gets the lines
+ * @param {boolean} wanted whether it is shown
+ * @returns {Promise<void>}
+ */
 async function showMesh(app, layer, wanted) {
   layer.setVisible(wanted);
   if (!wanted || layer.getSource().getFeatures().length) return;
@@ -64,6 +91,14 @@ async function showMesh(app, layer, wanted) {
 
 // --- the sheet in space ----------------------------------------------------------------------------------------
 
+/**
+ * Show the sheet as it lay in the scanner.
+ * @param {HTMLElement} pane element that gets it
+ * @param {App} app session of this window
+ * @param {FlatSheet} sheet answer of the server
+ * @param {Map<string, Picture>} pictures by their id
+ * @returns {Promise<void>}
+ */
 async function inSpace(pane, app, sheet, pictures) {
   const [u, v, warp] = sheet.space.map((id) => pictures.get(id));
   const canvas = make("canvas", { class: "space", tabindex: 0, role: "img", "aria-label": "Sheet in space" });
@@ -127,7 +162,13 @@ async function inSpace(pane, app, sheet, pictures) {
   new ResizeObserver(() => relief.resize()).observe(canvas);
 }
 
-/** Red, green and blue of each value; grey where there is none. */
+/**
+ * Red, green and blue of each value; grey where there is none.
+ * @param {Float32Array} values NaN where there is none
+ * @param {Picture} picture whose values they are
+ * @param {number[]} limits values of the lowest and the highest colour
+ * @returns {Uint8Array} three a value
+ */
 function coloursOf(values, picture, [low, high]) {
   const palette = paletteOf(picture);
   const table = Array.from({ length: 256 }, (_, k) => colourAt(palette, k / 255));
@@ -139,7 +180,12 @@ function coloursOf(values, picture, [low, high]) {
   return out;
 }
 
-/** Load three.js, which is needed here alone, and show the sheet; fails where there is no WebGL. */
+/**
+ * Load three.js, which is needed here alone, and show the sheet; fails where there is no WebGL.
+ * @param {HTMLCanvasElement} canvas where it is drawn
+ * @param {SheetInSpace} space the sheet
+ * @returns {Promise<Relief>}
+ */
 async function started(canvas, space) {
   const [three, { OrbitControls }, { Relief }] = await Promise.all([
     import("./vendor/three.module.js"), import("./vendor/OrbitControls.js"), import("./relief.js"),
@@ -151,13 +197,25 @@ async function started(canvas, space) {
   return relief;
 }
 
+/**
+ * Show the sheet from above, with shadows.
+ * @param {HTMLCanvasElement} canvas where it is drawn
+ * @param {SheetInSpace} space the sheet
+ * @param {number} height by which heights are multiplied
+ * @returns {Promise<void>}
+ */
 async function shaded(canvas, space, height) {
   let level = 0;
   while (level < space.levels - 1 && space.shapeAt(level).reduce((a, b) => a * b) > MOST_SHADED) level++;
   drawShaded(canvas, await space.gridAt(level), height);
 }
 
-/** Levels beyond those that the server has: every second point of the one before. */
+/**
+ * Levels beyond those that the server has: every second point of the one before.
+ * @param {(level: number) => Promise<Grid>} gridAt gives the levels that the server has
+ * @param {number} levels how many these are
+ * @returns {(level: number) => Promise<Grid>}
+ */
 function thinned(gridAt, levels) {
   const at = async (level) => {
     if (level < levels) return gridAt(level);

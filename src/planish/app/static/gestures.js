@@ -1,16 +1,23 @@
 /** Mouse, touch and wheel, the same in every view: a drag moves it, Shift or a tool selects, the wheel zooms with the focus. */
 
+/**
+ * @typedef {number[]} Place screen pixels to the right and down from the upper left corner of the view
+ * @typedef {{move: (at: Place) => void, end: (at: Place) => void, cancel?: () => void}} Held what a drag moves
+ */
+
 /** A press that moves less is a click, in screen pixels. */
 const CLICK_PX = 4;
 
 /**
- * Places are screen pixels from the upper left corner of the view.
- * @typedef {[number, number]} Place
- * @typedef {{move: (at: Place) => void, end: (at: Place) => void, cancel?: () => void}} Held
- * @param {HTMLElement} element
- * @param {{pan: (right: number, down: number) => void, zoom: (factor: number, at: Place) => void,
- *   click?: (at: Place) => void, hover?: (at: Place|null) => void, take?: (at: Place, shift: boolean) => Held|null}} on
- *   `take` gives what a drag moves; where it gives null, the drag moves the view
+ * Tell a view what mouse, touch and wheel do in it.
+ * @param {HTMLElement} element the view
+ * @param {object} on what it does then
+ * @param {(right: number, down: number) => void} on.pan moves the view by screen pixels
+ * @param {(factor: number, at: Place) => void} on.zoom comes closer where the factor is above 1
+ * @param {(at: Place) => void} [on.click] a press that does not move
+ * @param {(at: Place|null) => void} [on.hover] the pointer moves, or leaves the view
+ * @param {(at: Place, shift: boolean) => Held|null} [on.take] gives what a drag moves; where it gives null, the drag
+ *   moves the view
  */
 export function bindGestures(element, on) {
   const fingers = new Map();

@@ -2,17 +2,36 @@
 
 import { angleOf, inverse, isMirrored, mapped, ofSimilarity, scaleOf } from "./geometry.js";
 
+/**
+ * @import {Affine} from "./geometry.js"
+ * @import {MapView} from "./mapview.js"
+ * @import {Mark, Side, State} from "./store.js"
+ */
+
 /** Pairs from which on the views move together. */
 export const LINKED_FROM = 3;
 
-/** From the moving to the fixed plane by the closest similarity to the fit, once enough pairs are in use. */
+/**
+ * From the moving to the fixed plane by the closest similarity to the fit, once enough pairs are in use.
+ * @param {State} state that of the session
+ * @returns {Affine|null}
+ */
 export const similarityOf = (state) =>
   pairsOf(state).length >= LINKED_FROM && state.fit?.transform ? ofSimilarity(state.fit.transform) : null;
 
-/** Marks in use with both ends. */
+/**
+ * Marks in use with both ends.
+ * @param {{marks: Mark[]}} state that of the session
+ * @returns {Mark[]}
+ */
 export const pairsOf = ({ marks }) => marks.filter((mark) => mark.used && mark.moving && mark.fixed);
 
 export class Linked {
+  /**
+   * Let two views move each other.
+   * @param {MapView} moving view of the moving plane
+   * @param {MapView} fixed view of the fixed plane
+   */
   constructor(moving, fixed) {
     this.views = { moving, fixed };
     /** From the moving to the fixed plane */
@@ -28,12 +47,18 @@ export class Linked {
     }
   }
 
-  /** Whether one view moves the other. */
+  /**
+   * Whether one view moves the other.
+   * @returns {boolean}
+   */
   get moves() {
     return this.on && this.map !== null;
   }
 
-  /** Take a new fit; the view that does not lead moves where it differs. */
+  /**
+   * Take a new fit; the view that does not lead moves where it differs.
+   * @param {Affine|null} map from the moving to the fixed plane; null where there is no fit
+   */
   update(map) {
     const first = !this.map && map;
     this.map = map;
@@ -43,6 +68,10 @@ export class Linked {
     this.follow(this.leads);
   }
 
+  /**
+   * Bring the other view to where this one is.
+   * @param {Side} side the view that was moved
+   */
   follow(side) {
     if (this.busy || !this.moves) {
       if (!this.busy) this.leads = side;

@@ -5,6 +5,14 @@ import { mountApply } from "./apply.js";
 import { button, typeset } from "./dom.js";
 import { Store } from "./store.js";
 
+/**
+ * @typedef {Store & {cursor: (text: string) => void, predicted: (text: string) => void,
+ *   slicePosition: (text: string) => void, openTab: (name: string) => Promise<void>,
+ *   onTab: (listener: (name: string) => void) => void,
+ *   showSlice?: (x_um: number, y_um: number, z_um?: number, layer?: string) => Promise<void>,
+ *   news?: (line: any) => void}} App what the tabs share: the session, and the page around them
+ */
+
 /** Modules of the tabs; each exports `mount(panel, app)`, called when its tab is first opened. */
 const TABS = {
   marks: () => import("./marks.js"),
@@ -13,6 +21,11 @@ const TABS = {
   flattening: () => import("./flattening.js"),
 };
 
+/**
+ * An element of the page.
+ * @param {string} id its id
+ * @returns {any}
+ */
 const find = (id) => document.getElementById(id);
 
 const lines = {
@@ -30,6 +43,11 @@ const lines = {
   },
 };
 
+/**
+ * What writes a status line.
+ * @param {string} name that of the line
+ * @returns {(text: string) => void}
+ */
 function setter(name) {
   const line = find(`line-${name}`);
   return (text) => {
@@ -37,7 +55,10 @@ function setter(name) {
   };
 }
 
-/** Open the page on a session. */
+/**
+ * Open the page on a session.
+ * @returns {Promise<void>}
+ */
 async function start() {
   const token = takeToken();
   if (!token) {
@@ -69,6 +90,10 @@ async function start() {
   void followServer(api, app);
 }
 
+/**
+ * Write the name of the run into the page and its title.
+ * @param {any} session facts of the run
+ */
 function nameRun(session) {
   const name = session.title ?? session.name ?? session.run ?? "";
   find("run-name").textContent = name;
@@ -80,6 +105,10 @@ function nameRun(session) {
   }
 }
 
+/**
+ * Let buttons and keys undo and redo.
+ * @param {App} app session of this window
+ */
 function bindHistory(app) {
   find("undo").addEventListener("click", () => app.undo());
   find("redo").addEventListener("click", () => app.redo());
@@ -97,7 +126,11 @@ function bindHistory(app) {
   });
 }
 
-/** Whether a key belongs to the text that is being written. */
+/**
+ * Whether a key belongs to the text that is being written.
+ * @param {EventTarget|null} target element that has the focus
+ * @returns {boolean}
+ */
 const isText = (target) => target instanceof HTMLElement && target.matches("textarea, input:not([type=checkbox], [type=range])");
 
 /** The list of keys is opened by its button or by the key ?, and closed by Esc. */
@@ -114,11 +147,18 @@ const opened = new Map();
 const tabListeners = [];
 let shared = null;
 
-/** Call with the tab's name whenever a tab is shown. */
+/**
+ * Call with the tab's name whenever a tab is shown.
+ * @param {(name: string) => void} listener gets the name
+ */
 function onTab(listener) {
   tabListeners.push(listener);
 }
 
+/**
+ * Let buttons and keys choose a tab, and open the first one.
+ * @param {App} app session of this window
+ */
 function mountTabs(app) {
   shared = app;
   onTab(() => app.say(app.did));
@@ -138,9 +178,18 @@ function mountTabs(app) {
   void openTab("marks");
 }
 
+/**
+ * The name of a tab.
+ * @param {Element} tab its button
+ * @returns {string}
+ */
 const nameOf = (tab) => tab.id.replace("tab-", "");
 
-/** Show a tab, and make it when it is opened for the first time. */
+/**
+ * Show a tab, and make it when it is opened for the first time.
+ * @param {string} name a key of `TABS`
+ * @returns {Promise<void>}
+ */
 function openTab(name) {
   for (const tab of document.querySelectorAll("[role=tab]")) {
     const chosen = nameOf(tab) === name;
@@ -157,6 +206,11 @@ function openTab(name) {
   return opened.get(name);
 }
 
+/**
+ * Fill a tab.
+ * @param {string} name a key of `TABS`
+ * @returns {Promise<void>}
+ */
 async function mountTab(name) {
   const panel = find(`panel-${name}`);
   try {
@@ -174,7 +228,12 @@ async function mountTab(name) {
 const LOST = "No connection to planish. Nothing is saved until it is back; start 'planish view' again if it was ended.";
 const ANEW = "This page lost its connection: planish was started anew. Open the address that it printed.";
 
-/** Follow the changes of other windows, and say when the server is lost and found. */
+/**
+ * Follow the changes of other windows, and say when the server is lost and found.
+ * @param {Api} api the server
+ * @param {App} app session of this window
+ * @returns {Promise<never>}
+ */
 function followServer(api, app) {
   let lost = false;
   return api.follow({

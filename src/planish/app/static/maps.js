@@ -10,12 +10,24 @@ import { rawTileLayer } from "./rawtiles.js";
 import { Scatter } from "./scatter.js";
 import { Shapes } from "./shapes.js";
 
+/**
+ * @import {Found} from "./atcursor.js"
+ * @import {Point} from "./geometry.js"
+ * @import {App} from "./main.js"
+ * @import {Picture} from "./rawtiles.js"
+ */
+
 /* global ol */
 
 const NOTHING = "n 0: nothing is selected.";
 /** Of maps whose r is worked out unasked. */
 const MOST_PIXELS = 8_000_000;
-/** Pictures on the pixels of most of them: the reference where there is one. */
+
+/**
+ * Pictures on the pixels of most of them: the reference where there is one.
+ * @param {Picture[]} pictures those of the session
+ * @returns {Picture[]}
+ */
 function together(pictures) {
   const grids = new Map();
   for (const one of pictures) {
@@ -27,14 +39,30 @@ function together(pictures) {
   return from.reduce((most, group) => (group.length > most.length ? group : most), []);
 }
 
+/**
+ * The picture of a variable.
+ * @param {Picture[]} pictures where it is looked for
+ * @param {string} name that of the variable, without its layer
+ * @returns {Picture|undefined}
+ */
 const named = (pictures, name) =>
   pictures.find((one) => one.name.split("/").at(-1) === name);
 
+/**
+ * Fill the tab.
+ * @param {HTMLElement} panel element of the tab
+ * @param {App} app session of this window
+ */
 export function mount(panel, app) {
   new Maps(panel, app);
 }
 
 class Maps {
+  /**
+   * Make both maps and what belongs to them.
+   * @param {HTMLElement} panel element of the tab
+   * @param {App} app session of this window
+   */
   constructor(panel, app) {
     this.app = app;
     this.pictures = together(app.pictures);
@@ -97,7 +125,10 @@ class Maps {
     void this.cursor.point(this.left.view.centre, this.left);
   }
 
-  /** Controls above the maps. */
+  /**
+   * Controls above the maps.
+   * @returns {HTMLElement}
+   */
   tools() {
     const way = choice(["Side by side", "Blended"], (value) => this.blend(value === "Blended"));
     this.share = make("input", { type: "range", min: 0, max: 1, step: 0.05, value: 0.5, oninput: () => this.over?.setOpacity(Number(this.share.value)) });
@@ -143,6 +174,10 @@ class Maps {
     follow(b, a);
   }
 
+  /**
+   * Lay the right map over the left one, or show both side by side.
+   * @param {boolean} on whether it is laid over it
+   */
   blend(on) {
     this.blended = on;
     this.shareBox.hidden = !on;
@@ -185,6 +220,7 @@ class Maps {
 
   // --- what is selected ------------------------------------------------------------------------------------------
 
+  /** Other values are picked. */
   brushed() {
     this.scatter.brush = [this.left.brush, this.right.brush];
     this.scatter.draw();
@@ -192,6 +228,10 @@ class Maps {
     void this.select();
   }
 
+  /**
+   * Pick the pixels of a region.
+   * @param {number[]|null} region two corners, x, y, x, y in um; null picks all
+   */
   setRegion(region) {
     const sorted = (k) => [region?.[k] ?? 0, region?.[k + 2] ?? 0].sort((a, b) => a - b);
     const [xs, ys] = [sorted(0), sorted(1)];
@@ -202,17 +242,25 @@ class Maps {
     void this.select();
   }
 
+  /** Pick nothing: neither a region nor values. */
   clear() {
     for (const side of this.sides) side.brush = null;
     this.setRegion(null);
     this.brushed();
   }
 
+  /**
+   * Both layers and the region, as the server is asked for them.
+   * @returns {string}
+   */
   get query() {
     return `a=${this.left.picture.id}&b=${this.right.picture.id}${this.region ? `&region=${this.region.join()}` : ""}`;
   }
 
-  /** The points of the layers that are shown, of which those of a region are chosen. */
+  /**
+   * The points of the layers that are shown, of which those of a region are chosen.
+   * @returns {Promise<void>}
+   */
   async count() {
     const [a, b] = [this.left.picture, this.right.picture];
     this.density = await this.latest("density", `density?a=${a.id}&b=${b.id}`);
@@ -222,6 +270,10 @@ class Maps {
     await this.countRegion();
   }
 
+  /**
+   * Show the scatter, with the points of the region chosen.
+   * @returns {Promise<void>}
+   */
   async countRegion() {
     const region = this.region && (await this.latest("points", `density?${this.query}`));
     if (!this.density || (this.region && !region)) return;
@@ -233,7 +285,10 @@ class Maps {
     this.scatter.show({ axes, wide: bins, tall: bins, counts: countsOf(this.density), chosen: region ? countsOf(region) : null });
   }
 
-  /** The cursor stands at a place: it is seen in both maps and in the scatter. */
+  /**
+   * The cursor stands at a place: it is seen in both maps and in the scatter.
+   * @param {Found} found what lies at the cursor
+   */
   placed(found) {
     this.shapes.cursor([found.x, found.y]);
     const value = ({ id }) => found.values.find((one) => one.id === id)?.value ?? NaN;
@@ -241,7 +296,10 @@ class Maps {
     this.scatter.draw();
   }
 
-  /** Say what is selected, of all pixels; of the whole maps where nothing is. */
+  /**
+   * Say what is selected, of all pixels; of the whole maps where nothing is.
+   * @returns {Promise<void>}
+   */
   async select() {
     const [a, b] = [this.left.brush, this.right.brush];
     this.running.selection?.abort();
@@ -259,7 +317,10 @@ class Maps {
     this.selection.textContent = typeset(words.join(" "));
   }
 
-  /** Say how the whole maps are correlated, where that does not take long. */
+  /**
+   * Say how the whole maps are correlated, where that does not take long.
+   * @returns {Promise<void>}
+   */
   async correlate() {
     this.whole.textContent = "";
     const [a, b] = [this.left.picture, this.right.picture];
@@ -270,7 +331,12 @@ class Maps {
 
   running = {};
 
-  /** What the server answers to the newest of some questions; null to those that are not wanted any more. */
+  /**
+   * What the server answers to the newest of some questions; null to those that are not wanted any more.
+   * @param {string} kind the questions among which the newest counts
+   * @param {string} path below `/api/`
+   * @returns {Promise<any>}
+   */
   async latest(kind, path) {
     this.running[kind]?.abort();
     const mine = (this.running[kind] = new AbortController());
@@ -287,6 +353,12 @@ class Maps {
 
   // --- what is drawn ---------------------------------------------------------------------------------------------
 
+  /**
+   * A person has drawn something over a map.
+   * @param {string} type a key of `HOW` in shapes.js
+   * @param {Point[]} points corners or ends, (x, y) in um
+   * @returns {void}
+   */
   drawn(type, points) {
     if (type === "Polygon") return this.artefacts?.drawn(points);
     if (type === "Box") {
@@ -298,6 +370,11 @@ class Maps {
     void this.drawProfile(ends);
   }
 
+  /**
+   * Show the values along a line.
+   * @param {number[]|null} line both ends, x, y, x, y in um; null shows none
+   * @returns {Promise<void>}
+   */
   async drawProfile(line) {
     this.line = line;
     this.shapes.line(line);
@@ -312,7 +389,15 @@ class Maps {
   }
 }
 
-/** n, r and its interval in words. */
+/**
+ * n, r and its interval in words.
+ * @param {object} selection answer of the server
+ * @param {number} selection.n pixels
+ * @param {number|null} selection.r null where there is none
+ * @param {number[]|null} selection.interval of r, 95 %
+ * @param {number|null} selection.n_eff independent pixels
+ * @returns {string}
+ */
 function saidOf({ n, r, interval, n_eff: independent }) {
   const parts = [`n ${n}`, r === null ? "no r" : `r ${r.toFixed(4)}`];
   if (interval) parts.push(`95 % interval ${interval.map((v) => v.toFixed(4)).join(" to ")}`);
@@ -320,5 +405,10 @@ function saidOf({ n, r, interval, n_eff: independent }) {
   return parts.join("; ");
 }
 
-/** Counts of a density, row by row from the lowest b up. */
+/**
+ * Counts of a density, row by row from the lowest b up.
+ * @param {object} density answer of the server
+ * @param {string} density.counts 32 bits each, in base64
+ * @returns {Uint32Array}
+ */
 const countsOf = ({ counts }) => new Uint32Array(Uint8Array.from(atob(counts), (one) => one.charCodeAt(0)).buffer);

@@ -3,11 +3,33 @@
 import { choice, labelled, make, numbers, onNumbers, shown, typeset } from "./dom.js";
 import { MapView } from "./mapview.js";
 
-/** A picture's name as it is read, with its unit. */
+/**
+ * @import {App} from "./main.js"
+ * @import {Picture} from "./rawtiles.js"
+ */
+
+/**
+ * A picture's name as it is read, with its unit.
+ * @param {object} picture a picture of the session
+ * @param {string} picture.title what it shows
+ * @param {string} picture.name layer and variable
+ * @param {string} picture.units ASCII
+ * @returns {string}
+ */
 export const titled = ({ title, name, units }) =>
   `${name.includes("/") ? `${name.split("/")[0]}: ` : ""}${title}${units && units !== "1" ? `, ${typeset(units)}` : ""}`;
 
 export class MapSide {
+  /**
+   * Make the map and its fields.
+   * @param {object} parts what it shows, and what is called
+   * @param {string} parts.side `Left` or `Right`
+   * @param {Picture[]} parts.pictures those that it can show
+   * @param {Picture} parts.chosen the one that it shows first
+   * @param {App} parts.app session of this window
+   * @param {() => void} parts.onLayer called when it shows another one
+   * @param {() => void} parts.onBrush called when other values are picked
+   */
   constructor({ side, pictures, chosen, app, onLayer, onBrush }) {
     this.pictures = pictures;
     this.element = make("div", { class: "view" });
@@ -26,10 +48,15 @@ export class MapSide {
     this.choose();
   }
 
+  /**
+   * The picture that is shown.
+   * @returns {Picture}
+   */
   get picture() {
     return this.pictures.find((one) => one.name === this.layer.value);
   }
 
+  /** Show the picture of the box, with no values picked. */
   choose() {
     this.brushField.value = "";
     this.brushField.setAttribute("aria-label", `Brush ${this.picture.name}`);
@@ -37,11 +64,18 @@ export class MapSide {
     this.view.show(this.picture);
   }
 
-  /** Values that are picked, low and high; null where none are. */
+  /**
+   * Values that are picked, low and high; null where none are.
+   * @returns {number[]|null}
+   */
   get brush() {
     return numbers(this.brushField.value, 2)?.sort((a, b) => a - b) ?? null;
   }
 
+  /**
+   * Pick other values.
+   * @param {number[]|null} range low and high
+   */
   set brush(range) {
     this.brushField.value = range ? range.map(shown).join(", ") : "";
   }

@@ -7,6 +7,14 @@ import { bindGestures } from "./gestures.js";
 import { PROJECTION, rawTileLayer } from "./rawtiles.js";
 import { lengthWords, roundLength, svgOf, viewBar } from "./viewbar.js";
 
+/**
+ * @import {Histogram} from "./contrast.js"
+ * @import {Point} from "./geometry.js"
+ * @import {Place} from "./gestures.js"
+ * @import {App} from "./main.js"
+ * @import {Look, Picture} from "./rawtiles.js"
+ */
+
 /* global ol */
 
 /** Pixels by which a held arrow key moves the view at most. */
@@ -14,13 +22,23 @@ const FASTEST_PX = 32;
 /** Screen pixels of a picture's pixel at the closest, and how much smaller than its view a picture gets. */
 const [CLOSEST, FARTHEST] = [64, 4];
 
-/** From (x, y) in um, y down, to OpenLayers, y up, and back. */
+/**
+ * From (x, y) in um, y down, to OpenLayers, y up, and back.
+ * @param {number[]} point either of both
+ * @returns {number[]} the other one
+ */
 export const flipped = ([x, y]) => [x, -y];
 
 export class MapView {
   /**
-   * `short` stands before the names of its fields of colours; `nudge(dx, dy)` moves what is selected by um
-   * along the plane's axes and tells whether anything is selected
+   * Make a view.
+   * @param {object} parts what it is for
+   * @param {HTMLElement} parts.element element that gets it
+   * @param {string} parts.name name of the view
+   * @param {App} parts.app session of this window
+   * @param {string} [parts.short] stands before the names of its fields of colours
+   * @param {(dx: number, dy: number) => boolean} [parts.nudge] moves what is selected by um along the plane's axes, and
+   *   tells whether anything is selected
    */
   constructor({ element, name, app, short = name, nudge }) {
     this.name = name;
@@ -89,33 +107,52 @@ export class MapView {
 
   // --- where the view is -----------------------------------------------------------------------------------------
 
-  /** Middle of the view, (x, y) in um. */
+  /**
+   * Middle of the view, (x, y) in um.
+   * @returns {Point}
+   */
   get centre() {
     return flipped(this.view.getCenter());
   }
 
-  /** Put a point, (x, y) in um, exactly into the middle. */
+  /**
+   * Put a point exactly into the middle.
+   * @param {Point} point (x, y) in um
+   */
   set centre(point) {
     this.view.cancelAnimations();
     this.view.setCenter(flipped(point));
   }
 
-  /** um per screen pixel. */
+  /**
+   * um per screen pixel.
+   * @returns {number}
+   */
   get pixel() {
     return this.view.getResolution();
   }
 
+  /**
+   * Show the map at another scale, as far as the limits allow.
+   * @param {number} um per screen pixel
+   */
   set pixel(um) {
     const [finest, coarsest] = this.limits;
     this.view.setResolution(Math.max(finest, Math.min(coarsest, um)));
   }
 
-  /** Width and height on the screen. */
+  /**
+   * Width and height on the screen.
+   * @returns {number[]} in screen pixels
+   */
   get size() {
     return this.map.getSize() ?? [400, 300];
   }
 
-  /** The finest and the coarsest um per screen pixel. */
+  /**
+   * The finest and the coarsest um per screen pixel.
+   * @returns {[number, number]}
+   */
   get limits() {
     if (!this.picture) return [0, Infinity];
     const { shape, pixel_um: pixel } = this.picture;
@@ -123,6 +160,10 @@ export class MapView {
     return [Math.min(...pixel) / CLOSEST, whole * FARTHEST];
   }
 
+  /**
+   * Where the view is, as a text to compare.
+   * @returns {string}
+   */
   get state() {
     return [this.view.getCenter(), this.pixel, this.view.getRotation()].join();
   }
@@ -143,7 +184,11 @@ export class MapView {
     this.fit();
   }
 
-  /** `at`: place on the screen that stays; the middle where it is not given */
+  /**
+   * Zoom about a place.
+   * @param {number} factor above 1 comes closer
+   * @param {Place} [at] place on the screen that stays; the middle where it is not given
+   */
   zoomBy(factor, at) {
     const before = at && this.pointAt(at);
     this.pixel /= factor;
@@ -152,25 +197,43 @@ export class MapView {
     this.shift(before[0] - after[0], before[1] - after[1]);
   }
 
-  /** In um along the plane's axes. */
+  /**
+   * Move the view.
+   * @param {number} dx um along the plane's x
+   * @param {number} dy um along the plane's y
+   */
   shift(dx, dy) {
     const [x, y] = this.centre;
     this.centre = [x + dx, y + dy];
   }
 
-  /** extent for OpenLayers */
+  /**
+   * The rectangle of a picture, with OpenLayers' y up.
+   * @param {object} picture where it lies
+   * @param {number[]} picture.shape rows and columns
+   * @param {number[]} picture.pixel_um pitch of rows and of columns
+   * @param {number[]} picture.origin_um x and y of the first pixel's middle
+   * @returns {[number, number, number, number]} left, bottom, right, top
+   */
   extent({ shape: [rows, cols], pixel_um: [dy, dx], origin_um: [x0, y0] }) {
     return [x0 - dx / 2, -(y0 + (rows - 0.5) * dy), x0 + (cols - 0.5) * dx, -(y0 - dy / 2)];
   }
 
-  /** Corners of the picture, (x, y) in um. */
+  /**
+   * Corners of the picture, (x, y) in um.
+   * @returns {Point[]}
+   */
   get corners() {
     if (!this.picture) return [];
     const [left, bottom, right, top] = this.extent(this.picture);
     return [[left, -top], [right, -top], [right, -bottom], [left, -bottom]];
   }
 
-  /** The place in um of a place on the screen. */
+  /**
+   * The place in um of a place on the screen.
+   * @param {Place} at on the screen
+   * @returns {Point}
+   */
   pointAt([right, down]) {
     const { width, height } = this.element.getBoundingClientRect(); // OpenLayers counts whole pixels
     const [wide, tall] = this.size.map((n) => n * this.pixel);
@@ -178,7 +241,11 @@ export class MapView {
     return [this.centre[0] + dx, this.centre[1] + dy];
   }
 
-  /** Whether a point lies within what is seen. `point`: (x, y) in um */
+  /**
+   * Tell whether a point lies within what is seen.
+   * @param {Point} point (x, y) in um
+   * @returns {boolean}
+   */
   sees(point) {
     const at = this.map.getPixelFromCoordinate(flipped(point));
     return at !== null && at.every((px, k) => px >= 0 && px <= this.size[k]);
@@ -188,7 +255,7 @@ export class MapView {
 
   /**
    * Show a picture; the first one is shown whole, later ones where the view is.
-   * `picture`: one of `app.pictures`
+   * @param {Picture} picture one of `app.pictures`
    */
   show(picture) {
     const first = this.picture === null;
@@ -204,7 +271,11 @@ export class MapView {
     this.fit();
   }
 
-  /** Take the limits of the colours from the values that are valid. */
+  /**
+   * Take the limits of the colours from the values that are valid.
+   * @param {Picture} picture the one that is shown
+   * @returns {Promise<void>}
+   */
   async count(picture) {
     const counted = await this.app.histogram(picture).catch(() => null); // the view stays in the colours that it has
     if (!counted || this.picture !== picture) return;
@@ -212,6 +283,10 @@ export class MapView {
     this.recolour();
   }
 
+  /**
+   * Show the colour bar of the picture.
+   * @param {Histogram|null} [counted] how its values are distributed, once that is known
+   */
   showColours(counted = null) {
     const shade = (share) => colourAt(this.palette.value, share);
     const { range } = this.picture;
@@ -219,13 +294,19 @@ export class MapView {
     this.contrast.show({ ...this.picture, shade, counted: counted && aroundZero ? { ...counted, range } : counted });
   }
 
-  /** Colours and their limits. */
+  /**
+   * Colours and their limits.
+   * @returns {Look}
+   */
   get look() {
     const [low, high] = this.contrast.limits;
     return { palette: this.palette.value, low, high };
   }
 
-  /** Draw the picture in other colours, or with other masks and brushes. */
+  /**
+   * Draw the picture in other colours, or with other masks and brushes.
+   * @param {Look} [more] masks and brushes
+   */
   recolour(more = this.more) {
     this.more = more;
     this.contrast.write();
@@ -233,7 +314,10 @@ export class MapView {
     this.onLook();
   }
 
-  /** Say over the map what is to be done in it. */
+  /**
+   * Say over the map what is to be done in it.
+   * @param {string} text empty for nothing
+   */
   hint(text) {
     this.hintLine.textContent = text;
     this.hintLine.hidden = !text;
@@ -250,7 +334,10 @@ export class MapView {
     this.scale.firstChild.textContent = this.bar.words;
   }
 
-  /** What is seen, with its bars. */
+  /**
+   * What is seen, with its bars.
+   * @returns {string} as SVG
+   */
   svg() {
     this.map.renderSync();
     const [wide, tall] = this.size;
@@ -267,6 +354,7 @@ export class MapView {
 
   // --- fields and keys -------------------------------------------------------------------------------------------
 
+  /** Let the fields move the view. */
   bindFields() {
     const place = (text) => numbers(text, 2);
     this.onField(this.centreField, place, (point) => (this.centre = point), `${this.name} centre is "x, y" in um.`);
@@ -274,6 +362,13 @@ export class MapView {
     this.onField(this.pixelField, positive, ([um]) => (this.pixel = um), needed);
   }
 
+  /**
+   * Use what is written into a field, or say what is needed there.
+   * @param {HTMLInputElement} field the field
+   * @param {(text: string) => number[]|null} read gives null for what cannot be used
+   * @param {(values: number[]) => void} use gets what was read
+   * @param {string} needed what the field takes, in words
+   */
   onField(field, read, use, needed) {
     const take = () => {
       const values = read(field.value);
@@ -288,6 +383,7 @@ export class MapView {
     field.addEventListener("blur", () => this.showPlace());
   }
 
+  /** Let keys move the view. */
   bindKeys() {
     const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
     let pace = 1;
@@ -306,13 +402,24 @@ export class MapView {
     });
   }
 
-  /** Move what is selected, or else the view, along the screen; a held key moves the view faster and faster. */
+  /**
+   * Move what is selected, or else the view, along the screen; a held key moves the view faster and faster.
+   * @param {number} right -1, 0 or 1
+   * @param {number} down -1, 0 or 1
+   * @param {number} pixels screen pixels of a step
+   * @param {number} pace how much faster the view moves
+   */
   arrow(right, down, pixels, pace) {
     const [dx, dy] = this.onPlane(right * pixels * this.pixel, down * pixels * this.pixel);
     if (!this.nudge(dx, dy)) this.shift(dx * pace, dy * pace);
   }
 
-  /** Turn a vector on the screen, (right, down), to the plane's axes. */
+  /**
+   * Turn a vector on the screen, (right, down), to the plane's axes.
+   * @param {number} right any length
+   * @param {number} down in the same unit
+   * @returns {[number, number]} in that unit
+   */
   onPlane(right, down) {
     const turn = this.view.getRotation();
     const [cos, sin] = [Math.cos(turn), Math.sin(turn)];
@@ -320,7 +427,12 @@ export class MapView {
   }
 }
 
-/** Draw a canvas of a view where it is seen: moved, turned, cut and pale as the elements around it are. */
+/**
+ * Draw a canvas of a view where it is seen: moved, turned, cut and pale as the elements around it are.
+ * @param {CanvasRenderingContext2D} pen canvas that gets it
+ * @param {HTMLCanvasElement} canvas a layer of the view
+ * @param {HTMLElement} view the view
+ */
 function drawIn(pen, canvas, view) {
   let [place, opacity, right] = [new DOMMatrix(), 1, view.clientWidth];
   for (let one = canvas; one !== view; one = one.parentElement) {

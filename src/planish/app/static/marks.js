@@ -12,16 +12,39 @@ import { MarkTable } from "./table.js";
 import { titled } from "./mapside.js";
 import { texture } from "./texture.js";
 
+/**
+ * @import {Point} from "./geometry.js"
+ * @import {Place} from "./gestures.js"
+ * @import {App} from "./main.js"
+ * @import {Mark, MarkId, Side, State} from "./store.js"
+ */
+
+/** @type {Side[]} */
 const SIDES = ["moving", "fixed"];
+
+/**
+ * The other side.
+ * @param {Side} side one of both
+ * @returns {Side}
+ */
 const other = (side) => (side === "moving" ? "fixed" : "moving");
 
 const TILES =
   "Tiles are pieces of the map's texture, each placed by itself; they are not holes. To compare, show the map that shows in " +
   "the image, and take a tile that is wrong out of use.";
 
-/** What does not change of the registration that is shown. */
+/**
+ * What does not change of the registration that is shown.
+ * @param {App} app session of this window
+ * @returns {any}
+ */
 const factsOf = (app) => app.session.layers.find((one) => one.name === app.layer);
 
+/**
+ * Fill the tab.
+ * @param {HTMLElement} panel element of the tab
+ * @param {App} app session of this window
+ */
 export function mount(panel, app) {
   let marks;
   const open = () => {
@@ -34,7 +57,12 @@ export function mount(panel, app) {
 }
 
 class Marks {
-  /** `anew`: shows the registration that was chosen */
+  /**
+   * Make both views, the tools and the table.
+   * @param {HTMLElement} panel element of the tab
+   * @param {App} app session of this window
+   * @param {() => void} anew shows the registration that was chosen
+   */
   constructor(panel, app, anew) {
     this.app = app;
     this.anew = anew;
@@ -73,17 +101,29 @@ class Marks {
     for (const side of SIDES) this.bind(side);
   }
 
+  /** Give the views back before others are made. */
   close() {
     this.overlay.close();
     for (const side of SIDES) this.views[side].map.setTarget(null);
   }
 
+  /**
+   * Make a view.
+   * @param {Side} side plane that it shows
+   * @param {HTMLElement} element element that gets it
+   * @returns {MapView}
+   */
   view(side, element) {
     const nudge = (dx, dy) => this.nudge(side, dx, dy);
     return new MapView({ element, name: this.names[side], app: this.app, nudge });
   }
 
-  /** The box that says which picture a view shows. */
+  /**
+   * The box that says which picture a view shows.
+   * @param {Side} side the view
+   * @param {HTMLElement} place its element
+   * @returns {HTMLSelectElement}
+   */
   pictureBox(side, place) {
     const box = choice([], (id) => this.showPicture(side, id));
     const shows = labelled("", box, `${this.names[side]} shows`);
@@ -91,6 +131,11 @@ class Marks {
     return box;
   }
 
+  /**
+   * Show a picture in a view.
+   * @param {Side} side the view
+   * @param {string} id that of the picture
+   */
   showPicture(side, id) {
     const picture = this.app.pictures.find((one) => one.id === id);
     this.views[side].show(picture);
@@ -114,7 +159,10 @@ class Marks {
     }
   }
 
-  /** Where several layers are registered: the box that says which one. */
+  /**
+   * Where several layers are registered: the box that says which one.
+   * @returns {HTMLElement[]} none where there is one registration only
+   */
   layerBox() {
     const names = (this.app.session.layers ?? []).map((one) => one.name);
     if (names.length < 2) return [];
@@ -126,6 +174,10 @@ class Marks {
     return [make("div", { class: "group" }, labelled("Layer", box))];
   }
 
+  /**
+   * The box that lets the views move together.
+   * @returns {HTMLElement}
+   */
   followBox() {
     const change = () => {
       this.linked.on = box.checked;
@@ -136,6 +188,10 @@ class Marks {
     return make("label", { class: "check" }, box, make("span", {}, "Move views together"));
   }
 
+  /**
+   * Let clicks, keys and drags in a view set and move marks.
+   * @param {Side} side the view
+   */
   bind(side) {
     const view = this.views[side];
     view.clicks.push((point, at) => this.clicked(side, point, at));
@@ -153,6 +209,10 @@ class Marks {
 
   // --- what is shown ---------------------------------------------------------------------------------------------
 
+  /**
+   * Show another state of the session.
+   * @param {State} state the new one
+   */
   show(state) {
     if (this.chosen !== null && !state.marks.some((mark) => mark.id === this.chosen)) this.chosen = null;
     this.linked.update(similarityOf(state));
@@ -160,6 +220,7 @@ class Marks {
     this.redraw();
   }
 
+  /** Draw marks, table, tools and warnings as they are now. */
   redraw() {
     const { state } = this.app;
     for (const side of SIDES) this.layers[side].showMarks(state.marks, this.chosen);
@@ -173,17 +234,27 @@ class Marks {
     this.prediction.showFor(this.mark ?? open);
   }
 
-  /** The chosen mark. */
+  /**
+   * The chosen mark.
+   * @returns {Mark|null}
+   */
   get mark() {
     return this.app.state.marks.find((one) => one.id === this.chosen) ?? null;
   }
 
-  /** The newest mark that still has one end only. */
+  /**
+   * The newest mark that still has one end only.
+   * @returns {Mark|null}
+   */
   get open() {
     return this.app.state.marks.findLast((one) => !one.moving !== !one.fixed) ?? null;
   }
 
-  /** `go`: whether the views go there */
+  /**
+   * Choose a mark.
+   * @param {MarkId|null} id null chooses none
+   * @param {boolean} [go] whether the views go there
+   */
   choose(id, go = false) {
     this.chosen = id;
     this.redraw();
@@ -196,7 +267,10 @@ class Marks {
     }
   }
 
-  /** Go on to the next mark in the order of the table. */
+  /**
+   * Go on to the next mark in the order of the table.
+   * @param {number} step 1, or -1 for the one before
+   */
   walk(step) {
     const marks = this.table.ordered;
     if (!marks.length) return;
@@ -208,6 +282,12 @@ class Marks {
 
   // --- what is done ----------------------------------------------------------------------------------------------
 
+  /**
+   * A click chooses the mark that it meets, or sets an end.
+   * @param {Side} side the view
+   * @param {Point} point (x, y) in um
+   * @param {Place} pixel on the screen
+   */
   clicked(side, point, pixel) {
     this.views[side].element.focus({ preventScroll: true });
     const meant = this.layers[side].near(pixel)?.get("id");
@@ -216,7 +296,12 @@ class Marks {
     else void this.put(side, point);
   }
 
-  /** Set an end of a mark: of the one that waits for it, or of a new one. */
+  /**
+   * Set an end of a mark: of the one that waits for it, or of a new one.
+   * @param {Side} side the view
+   * @param {Point} point (x, y) in um
+   * @returns {Promise<void>}
+   */
   async put(side, point) {
     let id = null;
     const state = await this.app.change(() => {
@@ -229,14 +314,23 @@ class Marks {
     this.lead(side);
   }
 
-  /** Bring the predicted place of a mark's missing end into sight. `side`: where its one end was set */
+  /**
+   * Bring the predicted place of a mark's missing end into sight.
+   * @param {Side} side where its one end was set
+   */
   lead(side) {
     const there = this.mark?.predicted?.[other(side)];
     const view = this.views[other(side)];
     if (there && !this.mark?.[other(side)] && !view.sees(there)) view.centre = there;
   }
 
-  /** In um; whether a mark is chosen that has an end there. */
+  /**
+   * Move the end of the chosen mark.
+   * @param {Side} side the view
+   * @param {number} dx um along the plane's x
+   * @param {number} dy um along the plane's y
+   * @returns {boolean} whether a mark is chosen that has an end there
+   */
   nudge(side, dx, dy) {
     if (!this.mark?.[side]) return false;
     const { id } = this.mark;
@@ -247,22 +341,40 @@ class Marks {
     return true;
   }
 
+  /**
+   * Delete the chosen mark.
+   * @returns {Promise<void>}
+   */
   async remove() {
     const { mark } = this;
     if (!mark) return;
     await this.app.change({ do: "delete", id: mark.id }, `${mark.label} deleted`);
   }
 
+  /**
+   * Move both ends of the chosen mark to the middle of the hole.
+   * @returns {Promise<void>}
+   */
   async snap() {
     const { mark } = this;
     if (mark) await this.app.write(() => this.app.post("snap", { id: mark.id, layer: this.app.layer }), `${mark.label} snapped to its hole`);
   }
 
+  /**
+   * Say where the pointer is, and what is predicted for the other view.
+   * @param {Side} side the view
+   * @param {Point|null} point (x, y) in um; null where it has left the view
+   */
   pointed(side, point) {
     this.app.cursor(point ? `${this.names[side]} x, y: ${written(point)} um` : "");
     this.prediction.point(side, point);
   }
 
+  /**
+   * A key of a view.
+   * @param {Side} side the view
+   * @param {KeyboardEvent} event the key
+   */
   key(side, event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const acts = {

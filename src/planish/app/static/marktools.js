@@ -3,7 +3,20 @@
 import { button, choice, labelled, make } from "./dom.js";
 import { pairsOf } from "./linked.js";
 
+/**
+ * @import {App} from "./main.js"
+ * @import {Mark, State} from "./store.js"
+ */
+
 export class MarkTools {
+  /**
+   * Make the tools.
+   * @param {App} app session of this window
+   * @param {object} marks the tab
+   * @param {() => void} marks.snap moves the chosen mark to the middle of its hole
+   * @param {() => void} marks.remove deletes the chosen mark
+   * @param {(step: number) => void} marks.walk chooses another mark
+   */
   constructor(app, marks) {
     this.app = app;
     this.model = choice(app.session.models ?? [app.state.model], (model) =>
@@ -28,6 +41,10 @@ export class MarkTools {
     this.mark = null;
   }
 
+  /**
+   * Give the chosen mark the label of the field.
+   * @returns {Promise<void>}
+   */
   async relabel() {
     const label = this.label.value.trim();
     if (this.mark && label && label !== this.mark.label) {
@@ -35,6 +52,11 @@ export class MarkTools {
     }
   }
 
+  /**
+   * Show another state of the session.
+   * @param {State} state the new one
+   * @param {Mark|null} mark the one that is chosen
+   */
   show(state, mark) {
     const fixed = this.app.readOnly;
     if (document.activeElement !== this.label || mark?.id !== this.mark?.id) this.label.value = mark?.label ?? "";
@@ -48,7 +70,11 @@ export class MarkTools {
   }
 }
 
-/** The fit in words. */
+/**
+ * The fit in words.
+ * @param {State} state that of the session
+ * @returns {string}
+ */
 function said(state) {
   const { fit } = state;
   if (!fit) return "";

@@ -6,6 +6,12 @@ import { rawTileLayer } from "./rawtiles.js";
 import { pairsOf, similarityOf } from "./linked.js";
 import { flipped } from "./mapview.js";
 
+/**
+ * @import {MapView} from "./mapview.js"
+ * @import {Picture} from "./rawtiles.js"
+ * @import {Mark, State} from "./store.js"
+ */
+
 /* global ol */
 
 const BLINK_MS = 600;
@@ -19,8 +25,9 @@ export const WAYS = [
 
 export class Overlay {
   /**
-   * `base`: the view of the fixed plane
-   * `upper`: that of the moving one, whose colours it has
+   * Make the upper map, and the control of its share.
+   * @param {MapView} base view of the fixed plane
+   * @param {MapView} upper view of the moving one, whose colours it has
    */
   constructor(base, upper) {
     this.base = base;
@@ -50,18 +57,25 @@ export class Overlay {
     this.timer = 0;
   }
 
-  /** Lay a picture of the moving plane over the other. */
+  /**
+   * Lay a picture of the moving plane over the other.
+   * @param {Picture} picture of the moving plane
+   */
   show(picture) {
     this.layer = rawTileLayer(picture, this.base.app.api, this.upper.look);
     this.map.setLayers([this.layer]);
   }
 
+  /** Stop the timer, and give the map back. */
   close() {
     clearInterval(this.timer);
     this.map.setTarget(null);
   }
 
-  /** Lay the pictures over each other while a mark is dragged: by an affine map, until the model has followed. */
+  /**
+   * Lay the pictures over each other while a mark is dragged: by an affine map, until the model has followed.
+   * @param {Mark[]} marks those of the session, with the dragged one where it is
+   */
   follow(marks) {
     if (this.way === "two" || !this.fit) return;
     const pairs = pairsOf(({ marks }));
@@ -70,7 +84,10 @@ export class Overlay {
     this.base.map.render();
   }
 
-  /** Take the fit of the marks: affine where that is the model, its similarity part otherwise. */
+  /**
+   * Take the fit of the marks: affine where that is the model, its similarity part otherwise.
+   * @param {State} state that of the session
+   */
   update(state) {
     this.model = state.fit?.model === "affine" ? "affine" : "similarity";
     this.fit = similarityOf(state);
@@ -82,6 +99,10 @@ export class Overlay {
     this.setWay(this.way);
   }
 
+  /**
+   * Lay the pictures over each other in another way.
+   * @param {string} way one of `WAYS`
+   */
   setWay(way) {
     const other = way !== this.way;
     this.way = way;
@@ -101,7 +122,10 @@ export class Overlay {
     this.base.map.render();
   }
 
-  /** What is to be said of the overlay. */
+  /**
+   * What is to be said of the overlay.
+   * @returns {string}
+   */
   get words() {
     if (this.way === "two") return "";
     if (!this.fit) return "The pictures can be laid over each other from three pairs on.";
@@ -109,6 +133,7 @@ export class Overlay {
     return `${this.upper.name} laid over the ${this.base.name} by the ${part} of the marks.`;
   }
 
+  /** Show as much of the upper map as its way and share say. */
   paint() {
     const share = Number(this.share.value);
     this.inner.style.opacity = this.way === "blend" ? String(share / 100) : "1";
@@ -119,6 +144,7 @@ export class Overlay {
   /**
    * Move the upper map to where the lower one is. What a view cannot do, stretch and mirror, is left to a CSS matrix:
    * base = turn(r) fit turn(-r') / scale, where turn(r) takes the axes of a plane to those of a screen turned by r.
+   * @returns {HTMLElement} element that OpenLayers puts into the lower map
    */
   placed() {
     const fit = this.fit;

@@ -2,10 +2,25 @@
 
 import { written } from "./dom.js";
 
+/**
+ * @import {Found} from "./atcursor.js"
+ * @import {Point} from "./geometry.js"
+ * @import {App} from "./main.js"
+ * @import {MarkLayer} from "./marklayer.js"
+ * @import {Picture} from "./rawtiles.js"
+ * @import {Mark, Side} from "./store.js"
+ */
+
 /** The pointer rests so long before the server is asked: a click is answered first. */
 const REST_MS = 40;
 
 export class Prediction {
+  /**
+   * Begin with the pointer outside of both views.
+   * @param {App} app session of this window
+   * @param {Record<Side, MarkLayer>} layers those of both views
+   * @param {Record<Side, string>} names those of both views
+   */
   constructor(app, layers, names) {
     this.app = app;
     this.names = names;
@@ -16,12 +31,16 @@ export class Prediction {
     this.mark = null;
   }
 
-  /** Show the predicted end of a mark that has one end only. */
+  /**
+   * Show the predicted end of a mark that has one end only.
+   * @param {Mark|null} mark null shows none
+   */
   showFor(mark) {
     this.mark = mark;
     this.rest();
   }
 
+  /** Show the predicted end of that mark while the pointer is elsewhere. */
   rest() {
     for (const side of ["moving", "fixed"]) {
       const place = this.mark && !this.mark[side] ? this.mark.predicted?.[side] : null;
@@ -30,7 +49,11 @@ export class Prediction {
     }
   }
 
-  /** Follow the pointer; one question is asked at a time. */
+  /**
+   * Follow the pointer; one question is asked at a time.
+   * @param {Side} side the view
+   * @param {Point|null} point (x, y) in um; null where it has left the view
+   */
   point(side, point) {
     this.wanted = point && { side, point };
     this.inside = point !== null;
@@ -40,6 +63,10 @@ export class Prediction {
     } else if (!this.busy) void this.ask();
   }
 
+  /**
+   * Ask the server until the pointer rests.
+   * @returns {Promise<void>}
+   */
   async ask() {
     this.busy = true;
     while (this.wanted) {
@@ -65,7 +92,12 @@ export class Prediction {
   }
 }
 
-/** The value of the shown picture, and where the point lies in the volume. */
+/**
+ * The value of the shown picture, and where the point lies in the volume.
+ * @param {Found|null} here what lies at the pointer
+ * @param {Picture} picture the one that is shown
+ * @returns {string[]}
+ */
 function valuesAt(here, picture) {
   if (!here) return [];
   const own = here.values.find((one) => one.id === picture.id);

@@ -1,8 +1,9 @@
 /**
  * Pictures as raw 16-bit tiles, coloured here on a 2D canvas: colours, masks and brushes ask the server nothing.
  *
- * @typedef {{id: string, name: string, units: string, shape: number[], pixel_um: number[], origin_um: number[],
- *   levels: number, tile: number, scale: number, offset: number, range: number[]}} Picture
+ * @typedef {{id: string, name: string, title: string, layer: string, plane: string, units: string, shape: number[],
+ *   pixel_um: number[], origin_um: number[], levels: number, tile: number, scale: number, offset: number,
+ *   range: number[]}} Picture
  * @typedef {{picture: Picture, low: number, high: number}} Brush pixels whose value lies from `low` to `high`
  * @typedef {{palette?: string, low?: number, high?: number, valid?: Picture[], onlyValid?: boolean,
  *   brushes?: Brush[]}} Look
@@ -10,6 +11,8 @@
  */
 
 import { CHOSEN, codesBetween, coloursOfCodes, packed, paletteOf } from "./colour.js";
+
+/** @import {Api} from "./api.js" */
 
 /* global ol */
 
@@ -25,11 +28,23 @@ export const PROJECTION = new ol.proj.Projection({ code: "um", units: "m", meter
 
 /** Raw tiles of a session, each fetched once. */
 class RawTiles {
+  /**
+   * Begin with no tile.
+   * @param {Api} api the server
+   */
   constructor(api) {
     this.api = api;
     this.held = new Map();
   }
 
+  /**
+   * A tile of a picture.
+   * @param {{id: string}} picture the picture
+   * @param {number} level 0 is full resolution
+   * @param {number} row row of tiles
+   * @param {number} col column of tiles
+   * @returns {Promise<Uint16Array>}
+   */
   get({ id }, level, row, col) {
     const path = `tiles/${id}/${level}/${row}/${col}`;
     let tile = this.held.get(path);
@@ -43,6 +58,11 @@ class RawTiles {
     return tile;
   }
 
+  /**
+   * Take a tile from the server.
+   * @param {string} path below `/api/`
+   * @returns {Promise<Uint16Array>}
+   */
   async fetch(path) {
     const response = await this.api.fetch(path);
     return new Uint16Array(await response.arrayBuffer());
@@ -51,14 +71,22 @@ class RawTiles {
 
 const sessions = new WeakMap();
 
-/** The raw tiles of a session, which all views share. */
+/**
+ * The raw tiles of a session, which all views share.
+ * @param {Api} api the server
+ * @returns {RawTiles}
+ */
 function tilesOf(api) {
   const found = sessions.get(api) ?? new RawTiles(api);
   sessions.set(api, found);
   return found;
 }
 
-/** Tiles in um: those of a level cover twice the width of those below it. */
+/**
+ * Tiles in um: those of a level cover twice the width of those below it.
+ * @param {Picture} picture whose tiles they are
+ * @returns {any} grid of OpenLayers
+ */
 function gridOf({ shape: [rows, cols], pixel_um: [dy, dx], origin_um: [x0, y0], levels, tile }) {
   const [left, top] = [x0 - dx / 2, -(y0 - dy / 2)];
   return new ol.tilegrid.TileGrid({
@@ -71,6 +99,12 @@ function gridOf({ shape: [rows, cols], pixel_um: [dy, dx], origin_um: [x0, y0], 
 
 /** A picture in colours. */
 export class RawTileSource extends ol.source.ImageTile {
+  /**
+   * Draw a picture tile by tile.
+   * @param {Picture} picture the picture
+   * @param {Api} api the server
+   * @param {Look} [look] how it is drawn
+   */
   constructor(picture, api, look = {}) {
     super({
       loader: (z, x, y) => this.draw(picture.levels - 1 - z, y, x),
@@ -86,7 +120,10 @@ export class RawTileSource extends ol.source.ImageTile {
     this.look(look);
   }
 
-  /** Draw it in another way. */
+  /**
+   * Draw it in another way.
+   * @param {Look} look how it is drawn
+   */
   look(look) {
     const { palette = paletteOf(this.picture), low = this.picture.range[0], high = this.picture.range[1] } = look;
     this.colours = coloursOfCodes(this.picture, { palette, low, high });
@@ -100,6 +137,13 @@ export class RawTileSource extends ol.source.ImageTile {
     this.setKey(`${this.picture.id} ${this.looks}`);
   }
 
+  /**
+   * Draw a tile.
+   * @param {number} level 0 is full resolution
+   * @param {number} row row of tiles
+   * @param {number} col column of tiles
+   * @returns {Promise<HTMLCanvasElement>}
+   */
   async draw(level, row, col) {
     const { colours, brushes, valid, onlyValid } = this;
     const pictures = [this.picture, ...valid, ...brushes.map((brush) => brush.picture)];
@@ -121,7 +165,12 @@ export class RawTileSource extends ol.source.ImageTile {
   }
 }
 
-/** Paint the pixels that lie in all brushes. */
+/**
+ * Paint the pixels that lie in all brushes.
+ * @param {Uint32Array} pixels colours, of which those of the chosen pixels are changed
+ * @param {{codes: number[]}[]} brushes first and last code of each
+ * @param {Uint16Array[]} values codes of the pixels for each brush
+ */
 function choose(pixels, brushes, values) {
   const chosen = packed(CHOSEN);
   for (let i = 0; i < pixels.length; i++) {
@@ -135,6 +184,12 @@ function choose(pixels, brushes, values) {
   }
 }
 
-/** A layer that shows a picture; `layer.getSource().look(...)` draws it in another way. */
+/**
+ * A layer that shows a picture; `layer.getSource().look(...)` draws it in another way.
+ * @param {Picture} picture the picture
+ * @param {Api} api the server
+ * @param {Look} [look] how it is drawn
+ * @returns {any} layer of OpenLayers
+ */
 export const rawTileLayer = (picture, api, look = {}) =>
   new ol.layer.Tile({ source: new RawTileSource(picture, api, look) });

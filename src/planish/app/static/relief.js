@@ -5,6 +5,13 @@
 
 import { extentOf, stripOf } from "./sheetmesh.js";
 
+/**
+ * @import {Grid} from "./sheetmesh.js"
+ * @typedef {{levels: number, step: number, shapeAt: (level: number) => number[],
+ *   gridAt: (level: number) => Promise<Grid>}} SheetInSpace
+ *   `step`: um between points of level 0; `shapeAt`: rows and columns
+ */
+
 const FRAME_MS = 70; // a turning frame is meant to take no longer; 100 is the limit
 const STILL_MS = 150; // after the last move
 const MOST = 1_000_000; // triangles in full detail
@@ -14,13 +21,16 @@ const SIZES = 12; // of frames whose times are kept
 
 export class Relief {
   /**
-   * `three`: the module three.js
-   * `Orbit`: OrbitControls
-   * `sheet`: `levels`; `step`, um between points of level 0; `shapeAt(level)`; and `gridAt(level)`, which promises rows,
-   * cols, x, y, z (um, y upwards) and colours (0..255, three a point), NaN where there is no sheet
+   * Make the scene.
+   * @param {HTMLCanvasElement} canvas where it is drawn
+   * @param {any} three the module three.js
+   * @param {any} Orbit OrbitControls of three.js
+   * @param {SheetInSpace} sheet the sheet
    */
   constructor(canvas, three, Orbit, sheet) {
-    Object.assign(this, { canvas, three, ...sheet });
+    this.canvas = canvas;
+    this.three = three;
+    this.sheet = sheet;
     this.renderer = new three.WebGLRenderer({ canvas, antialias: false, alpha: true, preserveDrawingBuffer: true });
     this.renderer.autoClear = false;
     this.renderer.outputColorSpace = three.LinearSRGBColorSpace; // colours as the bar has them, shaded
@@ -42,9 +52,12 @@ export class Relief {
     this.still = 0;
   }
 
-  /** Show the sheet from above, as it lies, tilted a little. */
+  /**
+   * Show the sheet from above, as it lies, tilted a little.
+   * @returns {Promise<void>}
+   */
   async start() {
-    const coarse = this.levels - 1;
+    const coarse = this.sheet.levels - 1;
     const made = await this.level(coarse);
     const { centre, size } = made;
     this.size = size;
@@ -55,6 +68,7 @@ export class Relief {
     this.resize();
   }
 
+  /** Fit the picture to the canvas. */
   resize() {
     const { clientWidth, clientHeight } = this.canvas;
     this.renderer.setSize(clientWidth, clientHeight, false);
@@ -64,7 +78,10 @@ export class Relief {
     this.moved();
   }
 
-  /** Heights times this; 1 is true to scale. */
+  /**
+   * Show heights larger than they are.
+   * @param {number} factor 1 is true to scale
+   */
   exaggerate(factor) {
     this.height = factor;
     for (const { meshes } of this.meshes.values()) for (const mesh of meshes) mesh.scale.z = factor;
@@ -77,10 +94,14 @@ export class Relief {
       for (const mesh of meshes) { this.scene.remove(mesh); mesh.geometry.dispose(); }
     }
     this.meshes.clear();
-    this.level(this.levels - 1).then(() => this.moved());
+    this.level(this.sheet.levels - 1).then(() => this.moved());
   }
 
-  /** Turn the view, in radians: to the right, and upwards. */
+  /**
+   * Turn the view.
+   * @param {number} right in radians
+   * @param {number} up in radians
+   */
   turn(right, up) {
     const { Spherical, Vector3 } = this.three;
     const from = new Vector3().subVectors(this.camera.position, this.controls.target);
@@ -93,6 +114,10 @@ export class Relief {
     this.moved();
   }
 
+  /**
+   * Change the distance to the sheet.
+   * @param {number} factor below 1 comes closer
+   */
   zoom(factor) {
     const { target } = this.controls;
     this.camera.position.sub(target).multiplyScalar(factor).add(target);
@@ -100,6 +125,7 @@ export class Relief {
     this.moved();
   }
 
+  /** Draw at once what a frame has time for, and all of it once nothing moves. */
   moved() {
     this.version = (this.version ?? 0) + 1;
     clearTimeout(this.still);
@@ -110,7 +136,7 @@ export class Relief {
     }
   }
 
-  /** The finest level that is here and that a frame has time for. */
+  /** Draw the finest level that is here and that a frame has time for. */
   quick() {
     const allowed = this.allowed();
     const there = [...this.meshes.entries()].filter(([, made]) => made);
@@ -129,6 +155,7 @@ export class Relief {
   /**
    * How many triangles the next frame has time for: by a line through the times of all sizes of frame that were drawn,
    * which holds what a frame takes in any case; where one size is known, in proportion to it.
+   * @returns {number}
    */
   allowed() {
     if (!this.last) return FIRST;
@@ -144,6 +171,10 @@ export class Relief {
     return Math.min(MOST, fits, near);
   }
 
+  /**
+   * Draw some meshes, and keep how long it took.
+   * @param {any[]} meshes of three.js
+   */
   draw(meshes) {
     const begin = performance.now();
     for (const made of this.meshes.values()) for (const mesh of made.meshes) mesh.visible = false;
@@ -163,7 +194,11 @@ export class Relief {
     Object.assign(this.canvas.dataset, { triangles, milliseconds: milliseconds.toFixed(1) });
   }
 
-  /** All that the screen can show, strip by strip; a move ends it. */
+  /**
+   * All that the screen can show, strip by strip; a move ends it.
+   * @param {number} version move that it belongs to
+   * @returns {Promise<void>}
+   */
   async full(version) {
     const made = await this.level(this.finest());
     if (version !== this.version) return;
@@ -183,39 +218,60 @@ export class Relief {
     requestAnimationFrame(next);
   }
 
-  /** Make the levels between, which a turning sheet is drawn from, while nothing moves. */
+  /**
+   * Make the levels between, which a turning sheet is drawn from, while nothing moves.
+   * @param {number} version move that it belongs to
+   * @returns {Promise<void>}
+   */
   async prepare(version) {
-    for (let level = this.levels - 1; level > this.finest() && version === this.version; level--) {
+    for (let level = this.sheet.levels - 1; level > this.finest() && version === this.version; level--) {
       await this.level(level);
       await new Promise((done) => setTimeout(done, 20));
     }
   }
 
-  /** The level of which no triangle is smaller than a pixel of the screen, and that has no more than MOST of them. */
+  /**
+   * The level of which no triangle is smaller than a pixel of the screen, and that has no more than MOST of them.
+   * @returns {number}
+   */
   finest() {
     const away = this.camera.position.distanceTo(this.controls.target);
     const umPerPixel = (2 * away * Math.tan((this.camera.fov * Math.PI) / 360)) / Math.max(1, this.canvas.clientHeight);
-    for (let level = 0; level < this.levels - 1; level++) {
+    for (let level = 0; level < this.sheet.levels - 1; level++) {
       const { triangles, step } = this.sizeAt(level);
       if (triangles <= MOST && step >= umPerPixel) return level;
     }
-    return this.levels - 1;
+    return this.sheet.levels - 1;
   }
 
+  /**
+   * The meshes of a level, made when they are first needed.
+   * @param {number} level 0 is full resolution
+   * @returns {Promise<any>}
+   */
   async level(level) {
     if (!this.meshes.has(level)) {
-      const grid = await this.gridAt(level);
+      const grid = await this.sheet.gridAt(level);
       this.meshes.set(level, this.made(grid));
     }
     return this.meshes.get(level);
   }
 
-  /** How many triangles a level has at most, and how far its points lie apart in um. */
+  /**
+   * How many triangles a level has at most, and how far its points lie apart in um.
+   * @param {number} level 0 is full resolution
+   * @returns {{triangles: number, step: number}}
+   */
   sizeAt(level) {
-    const [rows, cols] = this.shapeAt(level);
-    return { triangles: 2 * (rows - 1) * (cols - 1), step: this.step * 2 ** level };
+    const [rows, cols] = this.sheet.shapeAt(level);
+    return { triangles: 2 * (rows - 1) * (cols - 1), step: this.sheet.step * 2 ** level };
   }
 
+  /**
+   * Make the meshes of a grid, a strip each.
+   * @param {Grid} grid points of a level
+   * @returns {{meshes: any[], triangles: number, centre: number[], size: number}}
+   */
   made(grid) {
     const meshes = [];
     const across = Math.max(1, Math.floor(STRIP / (2 * (grid.cols - 1))));

@@ -4,12 +4,26 @@ import { make } from "./dom.js";
 import { bindGestures } from "./gestures.js";
 import { svgOf, viewBar } from "./viewbar.js";
 
+/**
+ * @import {Shade} from "./colour.js"
+ * @import {Place} from "./gestures.js"
+ * @typedef {{label: string, low: number, high: number}} Axis
+ * @typedef {{axes: Axis[], wide: number, tall: number, counts: Uint32Array, chosen: Uint32Array|null}} Points
+ *   `counts`: pixels in each bin, row by row from the lowest b up; `chosen`: those of them that are selected
+ */
+
 const [RIGHT, TOP, BOTTOM] = [14, 8, 40];
 const FONT = "12px system-ui, sans-serif";
 /** How much closer than all points the view comes, and how much farther off. */
 const [CLOSEST, FARTHEST] = [1 / 200, 2];
 
-/** Round numbers within limits. */
+/**
+ * Round numbers within limits.
+ * @param {number} low lower limit
+ * @param {number} high upper limit
+ * @param {number} most how many there may be
+ * @returns {number[]}
+ */
 export function ticks(low, high, most) {
   const power = 10 ** Math.floor(Math.log10((high - low) / most));
   const step = power * ([1, 2, 5, 10].find((one) => (high - low) / (one * power) <= most) ?? 10);
@@ -18,12 +32,15 @@ export function ticks(low, high, most) {
   return found;
 }
 
-/**
- * @typedef {{label: string, low: number, high: number}} Axis
- * @typedef {{axes: [Axis, Axis], wide: number, tall: number, counts: Uint32Array, chosen: Uint32Array|null}} Points
- *   `counts`: pixels in each bin, row by row from the lowest b up; `chosen`: those of them that are selected
- */
 export class Scatter {
+  /**
+   * Make the plot and its tools.
+   * @param {object} parts what it is for
+   * @param {HTMLElement} parts.element element that gets it
+   * @param {Shade} parts.shade colour of a share from 0 to 1
+   * @param {(a: number[]|null, b: number[]|null) => void} parts.onBrush called with the values that are picked
+   * @param {() => void} parts.onClear called where nothing is to be picked
+   */
   constructor({ element, shade, onBrush, onClear }) {
     this.element = element;
     this.shade = shade;
@@ -71,7 +88,11 @@ export class Scatter {
     });
   }
 
-  /** Show other points; the view stays where the axes are the same. */
+  /**
+   * Show other points; the view stays where the axes are the same.
+   * @param {Points|null} points null shows none
+   * @param {string} [withheld] said in their place
+   */
   show(points, withheld = "") {
     const labels = (one) => one?.axes.map((axis) => axis.label).join();
     const same = labels(points) === labels(this.points);
@@ -82,7 +103,10 @@ export class Scatter {
     else this.fit();
   }
 
-  /** The more points, the stronger the colour, by the logarithm; grey where there is a selection beside them. */
+  /**
+   * The more points, the stronger the colour, by the logarithm; grey where there is a selection beside them.
+   * @param {Points} points those that are shown
+   */
   paint({ wide, tall, counts, chosen }) {
     const most = Math.log1p(counts.reduce((a, b) => Math.max(a, b), 1));
     const image = new ImageData(wide, tall);
@@ -99,12 +123,17 @@ export class Scatter {
 
   // --- where the view is -----------------------------------------------------------------------------------------
 
+  /** Show all points. */
   fit() {
     if (this.points) this.seen = this.points.axes.map(({ low, high }) => [low, high]);
     this.draw();
   }
 
-  /** In screen pixels. */
+  /**
+   * Move the view.
+   * @param {number} right in screen pixels
+   * @param {number} up in screen pixels
+   */
   pan(right, up) {
     const [, , wide, tall] = this.area();
     this.seen = this.seen.map(([low, high], k) => {
@@ -114,7 +143,11 @@ export class Scatter {
     this.draw();
   }
 
-  /** `at`: place on the screen that stays; the middle where it is not given */
+  /**
+   * Zoom about a place.
+   * @param {number} factor above 1 comes closer
+   * @param {Place} [at] place on the screen that stays; the middle where it is not given
+   */
   zoom(factor, at) {
     if (!this.points) return;
     const { axes } = this.points;
@@ -126,7 +159,10 @@ export class Scatter {
     this.draw();
   }
 
-  /** The plot on the screen: left, top, width and height. */
+  /**
+   * The plot on the screen: left, top, width and height.
+   * @returns {[number, number, number, number]}
+   */
   area() {
     const { clientWidth: wide, clientHeight: tall } = this.element;
     const pen = this.canvas.getContext("2d");
@@ -136,19 +172,32 @@ export class Scatter {
     return [left, TOP, Math.max(wide - left - RIGHT, 10), Math.max(tall - TOP - BOTTOM, 10)];
   }
 
+  /**
+   * Round numbers of an axis.
+   * @param {number} k 0 for a, 1 for b
+   * @returns {number[]}
+   */
   ticks(k) {
     const [low, high] = this.seen[k];
     return ticks(low, high, Math.max(2, k ? this.element.clientHeight / 35 : this.element.clientWidth / 70));
   }
 
-  /** The values at a place of the view. */
+  /**
+   * The values at a place of the view.
+   * @param {Place} at on the screen
+   * @returns {[number, number]}
+   */
   valuesAt([x, y]) {
     const [left, top, wide, tall] = this.area();
     const [[a0, a1], [b0, b1]] = this.seen;
     return [a0 + ((x - left) / wide) * (a1 - a0), b1 - ((y - top) / tall) * (b1 - b0)];
   }
 
-  /** The place of values in the view. */
+  /**
+   * The place of values in the view.
+   * @param {number[]} values of a and of b
+   * @returns {Place}
+   */
   placeOf([a, b]) {
     const [left, top, wide, tall] = this.area();
     const [[a0, a1], [b0, b1]] = this.seen;
@@ -157,6 +206,7 @@ export class Scatter {
 
   // --- drawing ---------------------------------------------------------------------------------------------------
 
+  /** Draw the plot. */
   draw() {
     const { clientWidth: wide, clientHeight: tall } = this.element;
     if (!wide) return;
@@ -199,6 +249,10 @@ export class Scatter {
     pen.fillText(axes[1].label, 0, 0, tall - 10);
   }
 
+  /**
+   * Draw the rectangle that is picked.
+   * @param {CanvasRenderingContext2D} pen of the plot
+   */
   drawBrush(pen) {
     const [a, b] = this.drag ?? this.brush;
     if (!a && !b) return;
@@ -207,6 +261,10 @@ export class Scatter {
     stroked(pen, () => pen.rect(x0, y0, x1 - x0, y1 - y0), "#c22");
   }
 
+  /**
+   * The plot as it is seen.
+   * @returns {string} as SVG
+   */
   svg() {
     this.draw();
     const { clientWidth: wide, clientHeight: tall } = this.element;
@@ -220,6 +278,10 @@ export class Scatter {
 
   // --- keys ------------------------------------------------------------------------------------------------------
 
+  /**
+   * A key of the plot.
+   * @param {KeyboardEvent} event the key
+   */
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || !this.points || event.target !== this.element) return;
     const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -236,7 +298,12 @@ export class Scatter {
     event.preventDefault();
   }
 
-  /** Move the rectangle, or with Shift its upper right corner; where there is none, the view. */
+  /**
+   * Move the rectangle, or with Shift its upper right corner; where there is none, the view.
+   * @param {number[]} step to the right and up
+   * @param {boolean} grow whether the corner alone is moved
+   * @returns {void}
+   */
   arrow(step, grow) {
     const [a, b] = this.brush;
     if (!a && !b) return this.pan(-20 * step[0], -20 * step[1]);
@@ -249,7 +316,12 @@ export class Scatter {
   }
 }
 
-/** A line that is seen on any ground. */
+/**
+ * A line that is seen on any ground.
+ * @param {CanvasRenderingContext2D} pen where it is drawn
+ * @param {() => void} path adds the line to the path
+ * @param {string} [colour] of the line on its white ground
+ */
 function stroked(pen, path, colour = "#111") {
   for (const [ink, width] of [["#fff", 4], [colour, 1.8]]) {
     pen.strokeStyle = ink;

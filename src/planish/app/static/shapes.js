@@ -2,8 +2,21 @@
 
 import { flipped } from "./mapview.js";
 
+/**
+ * @import {Point} from "./geometry.js"
+ * @import {Held, Place} from "./gestures.js"
+ * @import {MapView} from "./mapview.js"
+ */
+
 /* global ol */
 
+/**
+ * A line on a white ground, and what it encloses.
+ * @param {string} stroke colour of the line
+ * @param {string} fill colour of the inside
+ * @param {number[]} [dash] lengths of dashes and gaps
+ * @returns {any[]} styles of OpenLayers
+ */
 const styled = (stroke, fill, dash = []) => [
   new ol.style.Style({ stroke: new ol.style.Stroke({ color: "#fff", width: 4 }) }),
   new ol.style.Style({
@@ -11,6 +24,13 @@ const styled = (stroke, fill, dash = []) => [
     fill: new ol.style.Fill({ color: fill }),
   }),
 ];
+
+/**
+ * A cross.
+ * @param {string} color of its lines
+ * @param {number} width in screen pixels
+ * @returns {any} style of OpenLayers
+ */
 const cursor = (color, width) =>
   new ol.style.Style({
     image: new ol.style.RegularShape({ points: 4, radius: 13, radius2: 0, stroke: new ol.style.Stroke({ color, width }) }),
@@ -31,7 +51,14 @@ const HOW = {
 const NEAR_PX = 8;
 
 export class Shapes {
-  /** `on.drawn` gets two corners of a box, all of a polygon, or the ends of a line, in um */
+  /**
+   * Draw over both maps.
+   * @param {MapView[]} views the maps
+   * @param {object} on what is called
+   * @param {(text: string) => void} on.say says how a shape is drawn
+   * @param {(type: string, points: Point[]) => void} on.drawn gets two corners of a box, all of a polygon, or the ends
+   *   of a line, in um
+   */
   constructor(views, on) {
     this.views = views;
     this.on = on;
@@ -47,7 +74,12 @@ export class Shapes {
     }
   }
 
-  /** A box or a line while it is dragged. */
+  /**
+   * A box or a line while it is dragged.
+   * @param {MapView} view map in which it is dragged
+   * @param {Place} at where the drag began
+   * @returns {Held}
+   */
   held(view, at) {
     this.tool ??= "Box";
     const from = this.points[0] ?? view.pointAt(at);
@@ -59,33 +91,54 @@ export class Shapes {
     };
   }
 
-  /** Draw x0, y0, x1, y1 in um. */
+  /**
+   * Draw a region.
+   * @param {number[]|null} region x0, y0, x1, y1 in um
+   */
   region(region) {
     const extent = region && [region[0], -region[3], region[2], -region[1]];
     this.show("region", extent ? [ol.geom.Polygon.fromExtent(extent)] : []);
   }
 
-  /** Draw x0, y0, x1, y1 in um. */
+  /**
+   * Draw a line.
+   * @param {number[]|null} line x0, y0, x1, y1 in um
+   */
   line(line) {
     this.show("line", line ? [new ol.geom.LineString([flipped(line.slice(0, 2)), flipped(line.slice(2))])] : []);
   }
 
+  /**
+   * Draw the artefacts.
+   * @param {Point[][]} polygons corners of each, (x, y) in um
+   */
   artefacts(polygons) {
     this.show("artefact", polygons.map((one) => new ol.geom.Polygon([one.map((point) => flipped(point))])));
   }
 
+  /**
+   * Draw the cursor.
+   * @param {Point|null} point (x, y) in um
+   */
   cursor(point) {
     this.show("cursor", point ? [new ol.geom.Point(flipped(point))] : []);
   }
 
-  /** Draw these geometries, and no others of their kind. */
+  /**
+   * Draw these geometries, and no others of their kind.
+   * @param {string} kind a key of `STYLES`
+   * @param {any[]} geometries of OpenLayers
+   */
   show(kind, geometries) {
     const old = this.source.getFeatures().filter((one) => one.get("kind") === kind);
     for (const feature of old) this.source.removeFeature(feature);
     for (const geometry of geometries) this.source.addFeature(new ol.Feature({ geometry, kind }));
   }
 
-  /** Let a person draw in any of the maps. */
+  /**
+   * Let a person draw in any of the maps.
+   * @param {string} type a key of `HOW`
+   */
   start(type) {
     this.end();
     this.tool = type;
@@ -93,7 +146,11 @@ export class Shapes {
     this.views[0].element.focus();
   }
 
-  /** A corner that was clicked, or set by Enter. */
+  /**
+   * A corner that was clicked, or set by Enter.
+   * @param {Point} point (x, y) in um
+   * @param {MapView} view map in which it lies
+   */
   corner(point, view) {
     const last = this.points.at(-1);
     const near = (corner) => corner && Math.hypot(point[0] - corner[0], point[1] - corner[1]) < NEAR_PX * view.pixel;
@@ -104,6 +161,10 @@ export class Shapes {
     else this.sketch(this.points);
   }
 
+  /**
+   * Draw a shape that is not finished.
+   * @param {Point[]} points so far, (x, y) in um
+   */
   sketch(points) {
     const [first, last] = [points[0], points[points.length - 1]];
     const corners = this.tool === "Box" ? [first, [last[0], first[1]], last, [first[0], last[1]]] : points;
@@ -111,6 +172,10 @@ export class Shapes {
     this.show("drawn", [this.tool === "LineString" || places.length < 3 ? new ol.geom.LineString(places) : new ol.geom.Polygon([places])]);
   }
 
+  /**
+   * Hand over a shape.
+   * @param {Point[]} points all, (x, y) in um
+   */
   finish(points) {
     const type = this.tool;
     this.end();
@@ -118,6 +183,7 @@ export class Shapes {
     this.on.drawn(type, points);
   }
 
+  /** Draw no more. */
   end() {
     this.tool = null;
     this.points = [];

@@ -1,8 +1,17 @@
 /** Triangles of a sheet that is known at the points of a grid, and a picture of it with shadows where there is no WebGL. */
 
 /**
+ * @typedef {{rows: number, cols: number, x: Float32Array, y: Float32Array, z: Float32Array, colours: Uint8Array}} Grid
+ *   points of a sheet, row by row, in um, y upwards, NaN where there is no sheet; three colours a point, each to 255
+ */
+
+/**
  * Triangles between two rows of a grid, without those of points where there is no sheet.
- * A geometry of three.js; null where there is none
+ * @param {any} three the module three.js
+ * @param {Grid} grid points of the sheet
+ * @param {number} top first row
+ * @param {number} bottom last row
+ * @returns {any} geometry of three.js; null where there is none
  */
 export function stripOf(three, { rows, cols, x, y, z, colours }, top, bottom) {
   const points = (bottom - top + 1) * cols;
@@ -34,7 +43,13 @@ export function stripOf(three, { rows, cols, x, y, z, colours }, top, bottom) {
   return geometry;
 }
 
-/** Normals from the neighbours of every point, of the whole grid: strips meet without a seam. */
+/**
+ * Normals from the neighbours of every point, of the whole grid: strips meet without a seam.
+ * @param {{rows: number, cols: number, x: Float32Array, y: Float32Array, z: Float32Array}} grid points of the sheet
+ * @param {number} top first row
+ * @param {number} bottom last row
+ * @returns {Float32Array} three a point
+ */
 function normalsOf({ rows, cols, x, y, z }, top, bottom) {
   const out = new Float32Array(3 * (bottom - top + 1) * cols);
   for (let r = top, k = 0; r <= bottom; r++) {
@@ -53,7 +68,11 @@ function normalsOf({ rows, cols, x, y, z }, top, bottom) {
   return out;
 }
 
-/** Middle and largest side of what is there, in um. */
+/**
+ * Middle and largest side of what is there, in um.
+ * @param {{x: Float32Array, y: Float32Array, z: Float32Array}} grid points of the sheet
+ * @returns {{centre: number[], size: number}}
+ */
 export function extentOf({ x, y, z }) {
   const range = [x, y, z].map((values) => {
     let [low, high] = [Infinity, -Infinity];
@@ -63,7 +82,12 @@ export function extentOf({ x, y, z }) {
   return { centre: range.map(([low, high]) => (low + high) / 2), size: Math.max(...range.map(([a, b]) => b - a)) };
 }
 
-/** The sheet from above with the shadows that light from the upper left casts, on a canvas that needs no WebGL. */
+/**
+ * Draw the sheet from above with the shadows that light from the upper left casts, on a canvas that needs no WebGL.
+ * @param {HTMLCanvasElement} canvas where it is drawn
+ * @param {Grid} grid points of the sheet
+ * @param {number} height by which heights are multiplied
+ */
 export function drawShaded(canvas, { rows, cols, x, y, z, colours }, height) {
   canvas.width = cols;
   canvas.height = rows;

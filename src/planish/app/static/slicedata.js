@@ -1,13 +1,21 @@
 /** Slices of the volume as the server sends them: facts, pixels of 16 bits, lines and contours. */
 
 /**
- * @typedef {{name: string, first_um: number, step_um: number, count: number}} Axis
- * @typedef {{layer: string, direction: string, normal: string, index: number, at_um: number, across: Axis, down: Axis,
- *   scale: number, offset: number, missing: number, lines: string[], columns: Axis|null,
+ * @import {Histogram} from "./contrast.js"
+ * @typedef {{name: string, first_um: number, step_um: number, count: number}} SliceAxis
+ * @typedef {{layer: string, direction: string, normal: string, index: number, at_um: number, across: SliceAxis,
+ *   down: SliceAxis, scale: number, offset: number, missing: number, lines: string[], columns: SliceAxis|null,
  *   segments: Record<string, number>}} Facts
+ * @typedef {{across: number, down: number}} SlicePlace in um along the axes of a slice
+ * @typedef {SlicePlace & {face: string, draft: boolean, here: boolean}} SlicePoint of a correction; `here` in this slice
+ * @typedef {Record<string, any>} VolumePlace `x`, `y` and `z` in um, and the `layer` where it is known
  */
 
 export class Slice {
+  /**
+   * Read what the server sent.
+   * @param {ArrayBuffer} data its answer
+   */
   constructor(data) {
     const length = new DataView(data).getUint32(0, true);
     this.facts = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
@@ -27,7 +35,12 @@ export class Slice {
     }
   }
 
-  /** Grey value of a pixel, NaN where it is missing. */
+  /**
+   * Grey value of a pixel, NaN where it is missing.
+   * @param {number} row from the first one
+   * @param {number} col from the first one
+   * @returns {number}
+   */
   value(row, col) {
     const { across, down, scale, offset, missing } = this.facts;
     if (row < 0 || col < 0 || row >= down.count || col >= across.count) return NaN;
@@ -35,7 +48,11 @@ export class Slice {
     return code === missing ? NaN : offset + scale * code;
   }
 
-  /** Column of the surfaces at a place across, -1 where there is none. */
+  /**
+   * Column of the surfaces at a place across, -1 where there is none.
+   * @param {number} um place along the slice
+   * @returns {number}
+   */
   column(um) {
     const { columns } = this.facts;
     if (!columns) return -1;
@@ -43,13 +60,21 @@ export class Slice {
     return at >= 0 && at < columns.count ? at : -1;
   }
 
-  /** Value of a line at a place across, NaN where there is none. */
+  /**
+   * Value of a line at a place across, NaN where there is none.
+   * @param {string} name that of the line
+   * @param {number} um place along the slice
+   * @returns {number}
+   */
   at(name, um) {
     const column = this.column(um);
     return column < 0 ? NaN : (this.lines.get(name)?.[column] ?? NaN);
   }
 
-  /** How the greys of some thousand pixels are distributed; `range` holds nearly all of them. */
+  /**
+   * How the greys of some thousand pixels are distributed; `range` holds nearly all of them.
+   * @returns {Histogram}
+   */
   histogram() {
     const { missing, offset, scale } = this.facts;
     const every = Math.max(1, Math.floor(this.pixels.length / 20000));
@@ -65,7 +90,13 @@ export class Slice {
     return { n: seen.length, low: grey(low), high: grey(high), counts, range };
   }
 
-  /** Place in the volume of a place in the slice, in um. */
+  /**
+   * Place in the volume of a place in the slice.
+   * @param {number} across um along the slice
+   * @param {number} down um through the sheet
+   * @param {{rows: string, cols: string, through: string}} frame axes of the sheet
+   * @returns {VolumePlace} in um
+   */
   place(across, down, frame) {
     const { facts } = this;
     const found = { [facts.normal]: facts.at_um, [facts.across.name]: across };
@@ -81,8 +112,18 @@ export class Slice {
   }
 }
 
-/** Distance in um of a place from the first pixel of an axis. */
+/**
+ * Distance in um of a place from the first pixel of an axis.
+ * @param {SliceAxis} axis axis of a slice
+ * @param {number} um the place
+ * @returns {number}
+ */
 export const along = (axis, um) => (um - axis.first_um) * Math.sign(axis.step_um);
 
-/** The place so far from the first pixel. */
+/**
+ * The place so far from the first pixel.
+ * @param {SliceAxis} axis axis of a slice
+ * @param {number} distance in um
+ * @returns {number}
+ */
 export const placeAt = (axis, distance) => axis.first_um + distance * Math.sign(axis.step_um);

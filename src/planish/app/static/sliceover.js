@@ -1,5 +1,7 @@
 /** What is drawn over the pixels of a slice: faces, normals, errors, points, the cursor. */
 
+/** @import {SliceView} from "./sliceview.js" */
+
 /** Colours as in the report: they need no red and green to be told apart. */
 export const LINES = [
   ["top", "Top face", "#ffb000"],
@@ -11,7 +13,11 @@ export const LINES = [
 export const PREVIEW = "#7dff6a";
 const FOUND = "#b9b9b9";
 
-/** Draw all that a view shows. */
+/**
+ * Draw all that a view shows.
+ * @param {SliceView} view the view
+ * @param {CanvasRenderingContext2D} pen of its canvas
+ */
 export function drawOver(view, pen) {
   if (view.shown.has("normals")) drawNormals(view, pen);
   if (view.shown.has("error")) drawErrors(view, pen);
@@ -28,7 +34,15 @@ export function drawOver(view, pen) {
   if (view.marked) drawCross(pen, view.onScreen(view.marked.across, view.marked.down));
 }
 
-/** `onlyChanged`: only where it differs from the face that was found */
+/**
+ * Draw a face; pale where it was not measured.
+ * @param {SliceView} view the view
+ * @param {CanvasRenderingContext2D} pen of its canvas
+ * @param {string} name that of the line
+ * @param {string} colour of the line
+ * @param {number[]} dash lengths of dashes and gaps
+ * @param {boolean} [onlyChanged] only where it differs from the face that was found
+ */
 function drawLine(view, pen, name, colour, dash, onlyChanged = false) {
   const { slice } = view;
   const line = slice?.lines.get(name);
@@ -60,6 +74,13 @@ function drawLine(view, pen, name, colour, dash, onlyChanged = false) {
   pen.setLineDash([]);
 }
 
+/**
+ * Draw where a face cuts a slice along the sheet.
+ * @param {SliceView} view the view
+ * @param {CanvasRenderingContext2D} pen of its canvas
+ * @param {string} name that of the face
+ * @param {string} colour of the line
+ */
 function drawContour(view, pen, name, colour) {
   const segments = view.slice?.contours.get(name);
   if (!segments) return;
@@ -73,17 +94,31 @@ function drawContour(view, pen, name, colour) {
   pen.stroke();
 }
 
+/**
+ * Draw the faces as they were before corrections.
+ * @param {SliceView} view the view
+ * @param {CanvasRenderingContext2D} pen of its canvas
+ */
 function drawFound(view, pen) {
   for (const face of ["top", "bottom"]) drawLine(view, pen, `found_${face}`, FOUND, [2, 3]);
 }
 
-/** Every so many columns that two lie at least so many screen pixels apart. */
+/**
+ * Every so many columns that two lie at least so many screen pixels apart.
+ * @param {SliceView} view the view
+ * @param {number} apart in screen pixels
+ * @returns {number}
+ */
 function everyColumn(view, apart) {
   const columns = view.slice?.facts.columns;
   return columns ? Math.max(1, Math.ceil(apart / (Math.abs(columns.step_um) * view.zoom))) : 1;
 }
 
-/** Normals of the centre surface, from face to face. */
+/**
+ * Normals of the centre surface, from face to face.
+ * @param {SliceView} view the view
+ * @param {CanvasRenderingContext2D} pen of its canvas
+ */
 function drawNormals(view, pen) {
   const { slice } = view;
   const columns = slice?.facts.columns;
@@ -110,7 +145,11 @@ function drawNormals(view, pen) {
   pen.stroke();
 }
 
-/** One standard error of the thickness at each face. */
+/**
+ * One standard error of the thickness at each face.
+ * @param {SliceView} view the view
+ * @param {CanvasRenderingContext2D} pen of its canvas
+ */
 function drawErrors(view, pen) {
   const { slice } = view;
   const columns = slice?.facts.columns;
@@ -131,6 +170,11 @@ function drawErrors(view, pen) {
   pen.stroke();
 }
 
+/**
+ * Draw the points of corrections.
+ * @param {SliceView} view the view
+ * @param {CanvasRenderingContext2D} pen of its canvas
+ */
 function drawPoints(view, pen) {
   for (const point of view.points) {
     const [x, y] = view.onScreen(point.across, point.down);
@@ -147,11 +191,21 @@ function drawPoints(view, pen) {
   pen.globalAlpha = 1;
 }
 
+/**
+ * Draw the cursor of the keys.
+ * @param {SliceView} view the view
+ * @param {CanvasRenderingContext2D} pen of its canvas
+ */
 function drawCursor(view, pen) {
   if (!view.cursor || document.activeElement !== view.canvas || !view.canvas.matches(":focus-visible")) return;
   drawCross(pen, [view.cursor.x, view.cursor.y]);
 }
 
+/**
+ * Draw a cross with an open middle.
+ * @param {CanvasRenderingContext2D} pen where it is drawn
+ * @param {number[]} at on the screen
+ */
 function drawCross(pen, [x, y]) {
   for (const [colour, width] of [["#000", 3], ["#fff", 1]]) {
     pen.strokeStyle = colour;

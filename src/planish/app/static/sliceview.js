@@ -6,9 +6,22 @@ import { along, placeAt } from "./slicedata.js";
 import { drawOver } from "./sliceover.js";
 import { drawScaleBar, lengthWords, roundLength, svgOf, viewBar } from "./viewbar.js";
 
+/**
+ * @import {Held, Place} from "./gestures.js"
+ * @import {Slice, SlicePlace} from "./slicedata.js"
+ */
+
 const CLOSEST = 64; // screen pixels of a voxel
 
 export class SliceView {
+  /**
+   * Make the view.
+   * @param {object} on what is called
+   * @param {(at: SlicePlace|null) => void} on.onCursor the cursor moves, or leaves the slice
+   * @param {(at: SlicePlace) => void} on.onPoint a place is clicked
+   * @param {(by: number) => void} on.onStep a slice before or behind is wanted
+   * @param {() => void} on.onBack the last point is to go
+   */
   constructor(on) {
     this.on = on;
     this.canvas = make("canvas", { role: "img", "aria-label": "Slice", tabindex: "0", class: "slice" });
@@ -34,7 +47,10 @@ export class SliceView {
     this.bind();
   }
 
-  /** Show a slice; the view stays where it is unless another plane is shown. */
+  /**
+   * Show a slice; the view stays where it is unless another plane is shown.
+   * @param {Slice} slice the slice
+   */
   show(slice) {
     const key = (s) =>
       s && [s.facts.layer, s.facts.direction, s.facts.across.count, s.facts.down.count].join();
@@ -46,6 +62,7 @@ export class SliceView {
     if (this.cursor) this.say();
   }
 
+  /** Give each pixel its grey. */
   paintGrey() {
     if (!this.slice) return;
     const { across, down, missing } = this.slice.facts;
@@ -62,12 +79,16 @@ export class SliceView {
     this.grey.getContext("2d").putImageData(image, 0, 0);
   }
 
-  /** Size of the slice in um. */
+  /**
+   * Size of the slice in um.
+   * @returns {[number, number]}
+   */
   size() {
     const { across, down } = this.slice.facts;
     return [across.count * Math.abs(across.step_um), down.count * Math.abs(down.step_um)];
   }
 
+  /** Show the whole slice. */
   whole() {
     if (!this.slice || !this.canvas.clientWidth) return;
     const [wide, high] = this.size();
@@ -76,7 +97,11 @@ export class SliceView {
     this.isWhole = true;
   }
 
-  /** Bring a distance from the first pixel to the middle. */
+  /**
+   * Bring a distance from the first pixel to the middle.
+   * @param {number} a um across
+   * @param {number} b um down
+   */
   centre(a, b) {
     const { across, down } = this.slice.facts;
     this.left = a - Math.abs(across.step_um) / 2 - this.canvas.clientWidth / this.zoom / 2;
@@ -85,7 +110,12 @@ export class SliceView {
     this.draw();
   }
 
-  /** Bring a place into the middle. */
+  /**
+   * Bring a place into the middle.
+   * @param {number} across um along the slice
+   * @param {number} down um through it
+   * @param {number} [zoom] screen pixels a um; as it is where it is not given
+   */
   lookAt(across, down, zoom) {
     if (!this.slice) return;
     if (zoom) this.zoom = zoom;
@@ -94,7 +124,12 @@ export class SliceView {
     this.centre(a + Math.abs(facts.across.step_um) / 2, b + Math.abs(facts.down.step_um) / 2);
   }
 
-  /** Show a place at a scale, and mark it. */
+  /**
+   * Show a place at a scale, and mark it.
+   * @param {number} across um along the slice
+   * @param {number} down um through it
+   * @param {number} zoom screen pixels a um
+   */
   goTo(across, down, zoom) {
     if (!this.slice) return;
     this.marked = { across, down };
@@ -104,7 +139,12 @@ export class SliceView {
     this.draw();
   }
 
-  /** `y`: place on the screen that stays */
+  /**
+   * Zoom about a place.
+   * @param {number} factor above 1 comes closer
+   * @param {number} x place on the screen that stays, to the right
+   * @param {number} y place on the screen that stays, down
+   */
   zoomBy(factor, x, y) {
     if (!this.slice) return;
     const [wide] = this.size();
@@ -117,12 +157,23 @@ export class SliceView {
     this.draw();
   }
 
-  /** Place in the slice of a place on the screen, in um along its axes. */
+  /**
+   * Place in the slice of a place on the screen, in um along its axes.
+   * @param {number} x to the right
+   * @param {number} y down
+   * @returns {SlicePlace}
+   */
   placeOf(x, y) {
     const { across, down } = this.slice.facts;
     return { across: placeAt(across, this.left + x / this.zoom), down: placeAt(down, this.upper + y / this.zoom) };
   }
 
+  /**
+   * Place on the screen of a place in the slice.
+   * @param {number} across um along the slice
+   * @param {number} down um through it
+   * @returns {[number, number]}
+   */
   onScreen(across, down) {
     const { facts } = this.slice;
     return [
@@ -131,10 +182,12 @@ export class SliceView {
     ];
   }
 
+  /** Tell where the cursor is. */
   say() {
     this.on.onCursor(this.cursor && this.slice ? this.placeOf(this.cursor.x, this.cursor.y) : null);
   }
 
+  /** Fit the picture to the frame. */
   resized() {
     const ratio = window.devicePixelRatio || 1;
     const { clientWidth, clientHeight } = this.frame;
@@ -146,6 +199,7 @@ export class SliceView {
 
   // --- drawing -------------------------------------------------------------------------------------------------
 
+  /** Draw the slice and what lies over it. */
   draw() {
     const pen = this.canvas.getContext("2d");
     const ratio = this.canvas.width / (this.canvas.clientWidth || 1);
@@ -163,6 +217,10 @@ export class SliceView {
     drawScaleBar(pen, 10, this.canvas.clientHeight - 8, 145, 1 / this.zoom, "#fff", "#000");
   }
 
+  /**
+   * The slice as it is seen.
+   * @returns {string} as SVG
+   */
   svg() {
     this.draw();
     const um = roundLength(145 / this.zoom);
@@ -173,6 +231,7 @@ export class SliceView {
 
   // --- mouse and keys ------------------------------------------------------------------------------------------
 
+  /** Let mouse, touch and keys move the view. */
   bind() {
     const { canvas } = this;
     bindGestures(this.frame, {
@@ -201,7 +260,11 @@ export class SliceView {
     canvas.addEventListener("blur", () => this.draw());
   }
 
-  /** A drag with Shift: to the right for a wider range of grey, up for a darker picture. */
+  /**
+   * A drag with Shift: to the right for a wider range of grey, up for a darker picture.
+   * @param {Place} from where the drag began
+   * @returns {Held}
+   */
   window(from) {
     const [low, high] = this.range;
     const move = (to) => {
@@ -212,6 +275,10 @@ export class SliceView {
     return { move, end: move };
   }
 
+  /**
+   * A key of the view.
+   * @param {KeyboardEvent} event the key
+   */
   key(event) {
     if (!this.slice || event.ctrlKey || event.metaKey || event.altKey) return;
     const { clientWidth, clientHeight } = this.canvas;
@@ -233,7 +300,11 @@ export class SliceView {
     this.draw();
   }
 
-  /** Move the cursor; at an edge the slice moves under it. */
+  /**
+   * Move the cursor; at an edge the slice moves under it.
+   * @param {number} x screen pixels to the right
+   * @param {number} y screen pixels down
+   */
   moveCursor(x, y) {
     const cursor = this.cursor;
     const next = { x: cursor.x + x, y: cursor.y + y };

@@ -7,11 +7,24 @@ import { Slice } from "./slicedata.js";
 import { LINES } from "./sliceover.js";
 import { SliceView } from "./sliceview.js";
 
+/**
+ * @import {App} from "./main.js"
+ * @import {SliceAxis, SlicePlace, VolumePlace} from "./slicedata.js"
+ * @typedef {{layer: string, rows: string, cols: string, through: string, top: string, thickness_um: number,
+ *   reach_um: number, correctable: boolean, error?: string, axes: Record<string, SliceAxis>}} Sheet
+ */
+
 /** A point that lies so many thicknesses of the sheet off the face is asked about. */
 const FAR = 0.5;
 
 let tab = null;
 
+/**
+ * Fill the tab.
+ * @param {HTMLElement} panel element of the tab
+ * @param {App} app session of this window
+ * @returns {Promise<void>}
+ */
 export async function mount(panel, app) {
   tab = new Tab(panel, app);
   await tab.start();
@@ -19,7 +32,11 @@ export async function mount(panel, app) {
 
 /**
  * Show the slice through a place of the volume; without z, through a place of the sheet's map.
- * `layer`: sheet that it is in
+ * @param {number} x_um of the volume, or of the map
+ * @param {number} y_um of the volume, or of the map
+ * @param {number} [z_um] of the volume
+ * @param {string} [layer] sheet that it is in
+ * @returns {Promise<void>}
  */
 export async function showSlice(x_um, y_um, z_um, layer) {
   if (!tab?.sheet) return;
@@ -31,6 +48,11 @@ export async function showSlice(x_um, y_um, z_um, layer) {
 }
 
 class Tab {
+  /**
+   * Begin with no sheet.
+   * @param {HTMLElement} panel element of the tab
+   * @param {App} app session of this window
+   */
   constructor(panel, app) {
     this.panel = panel;
     this.app = app;
@@ -43,6 +65,10 @@ class Tab {
     app.showSlice = showSlice;
   }
 
+  /**
+   * Ask which layers have slices, and show the first one.
+   * @returns {Promise<void>}
+   */
   async start() {
     const { sheets, status } = await this.app.api.get("sheets");
     this.reasons = status;
@@ -62,6 +88,7 @@ class Tab {
 
   // --- elements ------------------------------------------------------------------------------------------------
 
+  /** Make the elements of the tab. */
   build() {
     this.view = new SliceView({
       onCursor: (place) => this.sayPlace(place),
@@ -96,6 +123,10 @@ class Tab {
     );
   }
 
+  /**
+   * Boxes that say which lines are drawn.
+   * @returns {HTMLElement[]}
+   */
   lineBoxes() {
     const kinds = [
       ["faces", "Faces", [LINES[0][2], LINES[4][2]]], ["interfaces", "Interfaces", [LINES[1][2], LINES[3][2]]],
@@ -120,6 +151,10 @@ class Tab {
 
   // --- which slice ---------------------------------------------------------------------------------------------
 
+  /**
+   * Look at a sheet.
+   * @param {string} layer its layer
+   */
   choose(layer) {
     this.sheet = this.sheets.find((one) => one.layer === layer);
     const { rows, cols, through, top } = this.sheet;
@@ -134,6 +169,12 @@ class Tab {
     this.turn(rows);
   }
 
+  /**
+   * Show slices of another direction.
+   * @param {string} direction axis that they are cut across, or `straight`
+   * @param {number} [index] which of them; the middle one where it is not given
+   * @returns {Promise<void>}
+   */
   turn(direction, index) {
     this.direction = direction;
     this.directionBox.value = direction;
@@ -143,6 +184,11 @@ class Tab {
     return this.go(index ?? Math.floor(count / 2));
   }
 
+  /**
+   * Show a slice of this direction.
+   * @param {number} index from the first one
+   * @returns {Promise<void>}
+   */
   go(index) {
     const { count, first_um: first, step_um: step } = this.sheet.axes[this.direction];
     this.index = Math.max(0, Math.min(count - 1, index));
@@ -153,10 +199,15 @@ class Tab {
     return this.load();
   }
 
+  /**
+   * Go on by some slices.
+   * @param {number} by below 0 for those before
+   */
   step(by) {
     void this.go(this.index + by);
   }
 
+  /** Show the slice at the place of the field. */
   goToText() {
     const found = numbers(this.placeField.value, 1);
     this.placeField.setAttribute("aria-invalid", String(!found));
@@ -165,6 +216,7 @@ class Tab {
     void this.go(Math.round((found[0] - first) / step));
   }
 
+  /** Take the limits of grey of the contrast. */
   setRange() {
     const facts = this.view?.slice?.facts;
     if (!this.view || !facts) return;
@@ -174,7 +226,10 @@ class Tab {
     this.view.draw();
   }
 
-  /** Take the slice from the server; an older answer never replaces a newer one. */
+  /**
+   * Take the slice from the server; an older answer never replaces a newer one.
+   * @returns {Promise<void>}
+   */
   async load() {
     const number = ++this.asked;
     this.busy?.abort();
@@ -201,7 +256,11 @@ class Tab {
     }
   }
 
-  /** Show the slice through a place. */
+  /**
+   * Show the slice through a place.
+   * @param {VolumePlace} place in um
+   * @returns {Promise<void>}
+   */
   async showPlace(place) {
     await this.app.openTab?.("surfaces");
     if (place.layer && place.layer !== this.sheet.layer && this.sheets.some((one) => one.layer === place.layer)) {
@@ -216,6 +275,10 @@ class Tab {
 
   // --- what is seen --------------------------------------------------------------------------------------------
 
+  /**
+   * Say what lies at the cursor.
+   * @param {SlicePlace|null} at null where it is not in the slice
+   */
   sayPlace(at) {
     const slice = this.view?.slice;
     if (!slice) return;
@@ -234,6 +297,12 @@ class Tab {
     this.app.slicePosition?.(said.join("; "));
   }
 
+  /**
+   * What the column at a place says of the faces.
+   * @param {Slice} slice the slice
+   * @param {number} across um along it
+   * @returns {string[]}
+   */
   columnWords(slice, across) {
     const said = [];
     for (const [name, words] of [["top", "top"], ["bottom", "bottom"]]) {
@@ -249,6 +318,11 @@ class Tab {
     return said;
   }
 
+  /**
+   * Set a point of a correction, or ask where it lies far off.
+   * @param {SlicePlace} at in the slice
+   * @returns {void}
+   */
   addPoint(at) {
     const slice = this.view?.slice;
     if (!slice) return;

@@ -2,8 +2,25 @@
 
 import { make, shown, typeset } from "./dom.js";
 
+/**
+ * @import {Mark, MarkId, Side, State} from "./store.js"
+ * @typedef {{name: string, value: (mark: Mark) => any, error?: boolean, text?: boolean}} Column
+ * @typedef {{choose: (id: MarkId) => void, use: (mark: Mark, used: boolean) => void}} RowActions
+ */
+
+/**
+ * Gives one coordinate of a mark.
+ * @param {Side} side plane of the end
+ * @param {number} axis 0 for x, 1 for y
+ * @returns {(mark: Mark) => number}
+ */
 const place = (side, axis) => (mark) => mark[side][axis];
 
+/**
+ * The columns of the table.
+ * @param {Record<Side, string>} names those of both views
+ * @returns {Column[]}
+ */
 const columnsOf = ({ moving, fixed }) => [
   { name: "Mark", value: (mark) => mark.label, text: true },
   { name: "Used", value: (mark) => Number(mark.used), text: true },
@@ -19,7 +36,13 @@ const columnsOf = ({ moving, fixed }) => [
 const FAILS = 5;
 
 export class MarkTable {
-  /** `limit_um`: from where on the check of the marks asks for a look */
+  /**
+   * Make the table.
+   * @param {RowActions} actions what its buttons and boxes do
+   * @param {object} facts of the registration
+   * @param {Record<Side, string>} facts.names those of both views
+   * @param {number|null} facts.limit_um from where on the check of the marks asks for a look
+   */
   constructor(actions, { names, limit_um }) {
     this.actions = actions;
     this.limit = limit_um ?? Infinity;
@@ -43,6 +66,11 @@ export class MarkTable {
     this.element = make("div", scroll, table, this.empty);
   }
 
+  /**
+   * Show another state of the session.
+   * @param {State} state the new one
+   * @param {MarkId|null} chosen the mark that is chosen
+   */
   show(state, chosen) {
     this.marks = state.marks.filter((mark) => mark.moving && mark.fixed);
     this.chosen = chosen;
@@ -53,7 +81,10 @@ export class MarkTable {
     this.draw();
   }
 
-  /** Sort by a column: errors fall first, all else rises first; a third time gives the order of making. */
+  /**
+   * Sort by a column: errors fall first, all else rises first; a third time gives the order of making.
+   * @param {number} i the column
+   */
   sortBy(i) {
     const first = this.columns[i].error ?? false;
     if (this.sorted.column !== i) this.sorted = { column: i, falling: first };
@@ -67,7 +98,10 @@ export class MarkTable {
     this.element.scrollTop = 0;
   }
 
-  /** The marks in the order of the rows. */
+  /**
+   * The marks in the order of the rows.
+   * @returns {Mark[]}
+   */
   get ordered() {
     const { column, falling } = this.sorted;
     if (column < 0) return this.marks;
@@ -80,7 +114,10 @@ export class MarkTable {
     });
   }
 
-  /** Rows stay in the page while their marks do: a row made anew between the press and the release of a button loses the click. */
+  /**
+   * Draw the rows. They stay in the page while their marks do: a row made anew between the press and the release of a
+   * button loses the click.
+   */
   draw() {
     const largest = this.columns.map((column) => (column.error ? Math.max(Number.isFinite(this.limit) ? this.limit : 1e-9, ...this.marks.map((m) => column.value(m) ?? 0)) : 0));
     const rows = this.ordered.map((mark) => {
@@ -105,6 +142,12 @@ export class MarkTable {
 
 /** A row of the table. */
 class Row {
+  /**
+   * Make a row.
+   * @param {Mark} mark its mark
+   * @param {Column[]} columns those of the table
+   * @param {RowActions} actions what its button and box do
+   */
   constructor(mark, columns, actions) {
     this.mark = mark;
     this.columns = columns;
@@ -119,7 +162,13 @@ class Row {
     });
   }
 
-  /** `errors`: limit of the check and largest value of a column of errors */
+  /**
+   * Show a mark as it is now.
+   * @param {Mark} mark the mark
+   * @param {string[]} notes what is to be said of it
+   * @param {boolean} chosen whether it is chosen
+   * @param {(i: number) => number[]} errors limit of the check and largest value of a column of errors
+   */
   show(mark, notes, chosen, errors) {
     this.mark = mark;
     this.element.className = mark.used ? "" : "unused";
@@ -135,6 +184,12 @@ class Row {
     this.note.className = notes.length ? "warned" : "";
   }
 
+  /**
+   * Write a value.
+   * @param {HTMLElement} cell where
+   * @param {Column} column what
+   * @param {number[]} range limit of the check and largest value of the column
+   */
   cell(cell, column, [limit, largest]) {
     const value = column.value(this.mark) ?? null;
     written(cell, value === null ? "–" : value.toFixed(2));
@@ -146,7 +201,11 @@ class Row {
   }
 }
 
-/** Write a text where it is another. */
+/**
+ * Write a text where it is another.
+ * @param {HTMLElement} element where
+ * @param {string} text what
+ */
 function written(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }

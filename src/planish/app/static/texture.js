@@ -2,7 +2,20 @@
 
 import { button, make, typeset } from "./dom.js";
 
-/** The button `Find by texture`, and one for each of the best places where none stands out; null for a linked run. */
+/**
+ * @import {Point} from "./geometry.js"
+ * @import {App} from "./main.js"
+ * @import {Mark} from "./store.js"
+ */
+
+/**
+ * The button `Find by texture`, and one for each of the best places where none stands out; null for a linked run.
+ * @param {App} app session of this window
+ * @param {object} marks the tab of the marks
+ * @param {() => Mark|null} marks.newest the newest mark that has one end only
+ * @param {(point: Point) => void} marks.goTo shows a place of the image
+ * @returns {HTMLElement|null}
+ */
 export function texture(app, marks) {
   if (app.session.linked) return null;
   const places = make("div", { class: "group", role: "group", "aria-label": "Best places" });

@@ -2,11 +2,22 @@
 
 import { button, download, make } from "./dom.js";
 
+/** @import {Shade} from "./colour.js" */
+
 /** Put together here: a page that may ask no server for anything holds no address. */
 export const SVG = ["http:", "", "www.w3.org", "2000", "svg"].join("/");
 /** Rows of a saved picture for its names and its colour bar, in pixels. */
 const FOOT = 44;
 
+/**
+ * The buttons of a view.
+ * @param {string} name that of the view
+ * @param {object} view what they do; without `zoom` and `fit`, only files are offered
+ * @param {(factor: number) => void} [view.zoom] comes closer where the factor is above 1
+ * @param {() => void} [view.fit] shows all
+ * @param {() => string} view.svg gives the picture
+ * @returns {HTMLElement}
+ */
 export function viewBar(name, view) {
   const file = name.toLowerCase().replaceAll(/[^a-z0-9]+/g, "-");
   const act = (sign, words, does) =>
@@ -22,7 +33,12 @@ export function viewBar(name, view) {
   );
 }
 
-/** Draw an SVG at twice its size. */
+/**
+ * Save an SVG as PNG, at twice its size.
+ * @param {string} svg the picture
+ * @param {string} name that of the file
+ * @returns {Promise<void>}
+ */
 async function savePng(svg, name) {
   const address = URL.createObjectURL(new Blob([svg], { type: "image/svg+xml" }));
   const image = new Image();
@@ -34,9 +50,24 @@ async function savePng(svg, name) {
   canvas.toBlob((blob) => blob && download(blob, name), "image/png");
 }
 
+/**
+ * A text that an SVG takes as it is.
+ * @param {string} text any
+ * @returns {string}
+ */
 const escaped = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll('"', "&quot;");
 
-/** A picture with what it shows below it, its colour bar and its scale bar, as SVG. */
+/**
+ * A picture with what it shows below it, its colour bar and its scale bar, as SVG.
+ * @param {HTMLCanvasElement} canvas the picture
+ * @param {object} parts what belongs to it
+ * @param {number} parts.wide width on the screen
+ * @param {number} parts.tall height on the screen
+ * @param {string} parts.title what it shows
+ * @param {{px: number, words: string}} [parts.bar] scale bar
+ * @param {{shade: Shade, limits: number[], words: string[]}} [parts.colours] colour bar
+ * @returns {string}
+ */
 export function svgOf(canvas, { wide, tall, title, bar, colours }) {
   const text = (x, y, words, anchor = "start", fill = "#111") =>
     `<text x="${x}" y="${y}" text-anchor="${anchor}" fill="${fill}">${escaped(words)}</text>`;
@@ -63,15 +94,33 @@ export function svgOf(canvas, { wide, tall, title, bar, colours }) {
   return `${parts.join("\n")}\n</svg>\n`;
 }
 
-/** A round length below the longest that a scale bar may have. `longest`: in um */
+/**
+ * A round length below the longest that a scale bar may have.
+ * @param {number} longest in um
+ * @returns {number} in um
+ */
 export function roundLength(longest) {
   const power = 10 ** Math.floor(Math.log10(longest));
   return power * ([5, 2].find((step) => step * power <= longest) ?? 1);
 }
 
+/**
+ * A length as it is read.
+ * @param {number} um the length
+ * @returns {string}
+ */
 export const lengthWords = (um) => (um >= 1000 ? `${um / 1000} mm` : `${Number(um.toPrecision(2))} µm`);
 
-/** A scale bar on a canvas, from its lower left end; at most `most` pixels long, each of `pixel` um. */
+/**
+ * Draw a scale bar on a canvas, from its lower left end.
+ * @param {CanvasRenderingContext2D} pen of the canvas
+ * @param {number} x left end, in screen pixels
+ * @param {number} y lower end, in screen pixels
+ * @param {number} most screen pixels that it has at most
+ * @param {number} pixel um per screen pixel
+ * @param {string} ink colour of the bar
+ * @param {string} halo colour around it
+ */
 export function drawScaleBar(pen, x, y, most, pixel, ink, halo) {
   const um = roundLength(most * pixel);
   pen.font = "12px sans-serif";

@@ -3,6 +3,10 @@ const view = { x: 0, y: 0, um: 0 }; // middle of the window, and um per CSS pixe
 const width_um = grid.cols * grid.dx, height_um = grid.rows * grid.dy;
 
 class MapView {
+  /**
+   * Make the view of a side.
+   * @param {PageSide} side the side
+   */
   constructor(side) {
     this.side = side;
     this.name = `${side === "left" ? "Left" : "Right"} map`;
@@ -31,7 +35,7 @@ class MapView {
     this.frame.addEventListener("keydown", (event) => { if (event.target === this.frame) this.key(event); });
   }
 
-  // The map that is shown: colours begin with its limits, and with how its values are distributed.
+  /** Take the map that is shown: colours begin with its limits, and with how its values are distributed. */
   choose() {
     const map = shown(this.side), { low, step, codes, palette } = map, valid = data.groups[map.group].valid?.codes;
     const [from, to] = map.span, counts = new Array(128).fill(0);
@@ -45,7 +49,7 @@ class MapView {
     this.contrast.show({ title, name: title, units: map.units, range: map.range, shade, counted: { n, low: from, high: to, counts, range: map.range } });
   }
 
-  // Colours of all pixels; those that do not count are pale.
+  /** Give each pixel its colour; those that do not count are pale. */
   paint() {
     const map = shown(this.side), [low, high] = this.contrast.limits, shades = map.palette;
     const none = parseInt(data.missing.slice(1), 16), grey = [none >> 16, (none >> 8) & 255, none & 255];
@@ -61,6 +65,7 @@ class MapView {
     this.picture.getContext("2d").putImageData(this.pixels, 0, 0);
   }
 
+  /** Draw the map, the region and the cursor. */
   draw() {
     const wide = this.frame.clientWidth, high = clamp((wide * height_um) / width_um, 120, 0.72 * window.innerHeight);
     const [pen, w, h] = prepared(this.canvas, Math.round(high));
@@ -87,13 +92,20 @@ class MapView {
     drawScaleBar(pen, 12, h - 12, Math.min(w / 3, 160), view.um, "#111", "#fff");
   }
 
+  /**
+   * The map as it is seen.
+   * @returns {string} as SVG
+   */
   svg() {
     const map = shown(this.side), [wide, tall] = this.size, { limits, values } = this.contrast;
     const words = limits.map((v, k) => fixed(v, map.digits) + (k && map.units ? ` ${map.units}` : ""));
     return svgOf(this.canvas, { wide, tall, title: named(map), colours: { shade: values.shade, limits, words } });
   }
 
-  // Where the slice cuts the sheet, from A to B.
+  /**
+   * Draw where the slice cuts the sheet, from A to B.
+   * @param {CanvasRenderingContext2D} pen of the canvas
+   */
   drawTrace(pen) {
     if (!trace.length) return;
     for (const [colour, size] of [["#fff", 3], ["#c22", 1.6]]) {
@@ -111,16 +123,35 @@ class MapView {
     }
   }
 
+  /**
+   * Place on the screen of a place of the map.
+   * @param {number} x in um
+   * @param {number} y in um
+   * @returns {[number, number]}
+   */
   screen(x, y) { return [(x - view.x) / view.um + this.size[0] / 2, (y - view.y) / view.um + this.size[1] / 2]; }
 
+  /**
+   * Place of the map of a place on the screen.
+   * @param {Place} at on the screen
+   * @returns {[number, number]} in um
+   */
   um([right, down]) { return [view.x + (right - this.size[0] / 2) * view.um, view.y + (down - this.size[1] / 2) * view.um]; }
 
+  /**
+   * Bring the cursor to a place on the screen.
+   * @param {Place} place on the screen
+   */
   go(place) {
     const [x, y] = this.um(place);
     moveTo(Math.round((y - grid.y0) / grid.dy), Math.round((x - grid.x0) / grid.dx));
   }
 
-  // A region while it is dragged.
+  /**
+   * A region while it is dragged.
+   * @param {number[]} from where the drag began, in um
+   * @returns {Held}
+   */
   region([x0, y0]) {
     const move = (to) => {
       const [x, y] = this.um(to);
@@ -131,6 +162,10 @@ class MapView {
     return { move, cancel, end: (to) => { move(to); setRegion(this.drag); cancel(); } };
   }
 
+  /**
+   * A key of the view.
+   * @param {KeyboardEvent} event the key
+   */
   key(event) {
     const many = event.shiftKey ? 10 : 1;
     const step = { ArrowLeft: [0, -many], ArrowRight: [0, many], ArrowUp: [-many, 0], ArrowDown: [many, 0] }[event.key];
@@ -144,7 +179,7 @@ class MapView {
     event.preventDefault();
   }
 
-  // By keys: the first Enter sets a corner, the second one the other.
+  /** By keys: the first Enter sets a corner, the second one the other. */
   corner() {
     const here = [xOf(state.col), yOf(state.row)], first = this.first;
     this.first = first ? null : here;
@@ -153,7 +188,11 @@ class MapView {
   }
 }
 
-// Around a place, by default the cursor; 0 shows the whole map.
+/**
+ * Zoom both maps about a place.
+ * @param {number} factor above 1 comes closer; 0 shows the whole map
+ * @param {number[]} [around] (x, y) in um; the cursor where it is not given
+ */
 function zoom(factor, around = [xOf(state.col), yOf(state.row)]) {
   if (!factor) view.um = 0;
   else {
@@ -165,7 +204,10 @@ function zoom(factor, around = [xOf(state.col), yOf(state.row)]) {
   redraw("window");
 }
 
-// Keep the cursor in the window when keys move it.
+/**
+ * Keep the cursor in the window when keys move it.
+ * @param {number[]} size width and height of the window, in CSS pixels
+ */
 function follow(size) {
   const [x, y] = [xOf(state.col), yOf(state.row)], reach = [0.45 * size[0] * view.um, 0.45 * size[1] * view.um];
   if (view.um >= views[0].whole) return;

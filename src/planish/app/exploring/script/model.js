@@ -1,29 +1,111 @@
 // What all views share: the maps, the cursor, the selection, and what is told of them.
+
+/**
+ * @typedef {import("../../static/gestures.js").Held} Held
+ * @typedef {import("../../static/gestures.js").Place} Place
+ * @typedef {import("../../static/scatter.js").Points} Points
+ * @typedef {"left"|"right"} PageSide
+ * @typedef {{name: string, title: string, layer: string, group: number, units: string, digits: number, low: number,
+ *   step: number, top: number, span: number[], range: number[], codes: Uint8Array|Uint16Array, palette: Uint8Array,
+ *   colours: string, trust: string, why: string[], axis: {first: number, each: number, bins: number},
+ *   row: HTMLElement}} PageMap
+ *   codes from 2 to below `top` are values from `low` in steps of `step`
+ * @typedef {{left: number, top: number, across: number, down: number}} SliceWindow
+ *   um at the upper left corner, and um per CSS pixel
+ */
 const data = JSON.parse(text("data"));
 const grid = data.grid, pixels = grid.rows * grid.cols;
 const state = { left: 0, right: Math.min(1, data.maps.length - 1), row: grid.rows >> 1, col: grid.cols >> 1,
   held: false, region: null, brush: { left: null, right: null }, chosen: null, version: 0 };
+/** @type {PageSide[]} */
 const sides = ["left", "right"];
-const at = (id) => document.getElementById(id);
-const shown = (side) => data.maps[state[side]];
-const clamp = (v, low, high) => Math.min(Math.max(v, low), high);
-const fixed = (v, digits) => (Math.abs(v) < 0.5 * 10 ** -digits ? 0 : v).toFixed(digits).replace("-", "−");
-const place = (v) => fixed(v, 1);
-const named = (map) => map.title + (data.several ? `, ${map.layer}` : "");
-const xOf = (col) => grid.x0 + col * grid.dx, yOf = (row) => grid.y0 + row * grid.dy;
 
+/**
+ * An element of the page.
+ * @param {string} id its id
+ * @returns {any}
+ */
+const at = (id) => document.getElementById(id);
+
+/**
+ * The map of a side.
+ * @param {PageSide} side the side
+ * @returns {PageMap}
+ */
+const shown = (side) => data.maps[state[side]];
+
+/**
+ * A value within limits.
+ * @param {number} v the value
+ * @param {number} low lower limit
+ * @param {number} high upper limit
+ * @returns {number}
+ */
+const clamp = (v, low, high) => Math.min(Math.max(v, low), high);
+
+/**
+ * A number as it is read.
+ * @param {number} v the number
+ * @param {number} digits behind the point
+ * @returns {string}
+ */
+const fixed = (v, digits) => (Math.abs(v) < 0.5 * 10 ** -digits ? 0 : v).toFixed(digits).replace("-", "−");
+
+/**
+ * A length in um as it is read.
+ * @param {number} v the length
+ * @returns {string}
+ */
+const place = (v) => fixed(v, 1);
+
+/**
+ * The name of a map, with its layer where there are several.
+ * @param {PageMap} map the map
+ * @returns {string}
+ */
+const named = (map) => map.title + (data.several ? `, ${map.layer}` : "");
+
+/**
+ * Place of a column of pixels.
+ * @param {number} col from the first one
+ * @returns {number} in um
+ */
+const xOf = (col) => grid.x0 + col * grid.dx;
+
+/**
+ * Place of a row of pixels.
+ * @param {number} row from the first one
+ * @returns {number} in um
+ */
+const yOf = (row) => grid.y0 + row * grid.dy;
+
+/**
+ * A value as it is read.
+ * @param {PageMap} map whose value
+ * @param {number} code its code
+ * @returns {string}
+ */
 function written(map, code) {
   if (!code) return "–";
   const sign = code === 1 ? "< " : code === map.top ? "> " : "";
   return sign + fixed(valueOf(map, code), map.digits);
 }
 
+/**
+ * What the checks doubt of the relation of two maps.
+ * @param {number} i number of one map
+ * @param {number} j number of the other
+ * @returns {{trust: string, words: string}|null} null where they doubt nothing
+ */
 function doubtOf(i, j) {
   const pair = data.pairs.find((p) => p[0] === Math.min(i, j) && p[1] === Math.max(i, j));
   return pair ? { trust: pair[2], words: `${pair[2]} (${pair[3].join(", ")})` } : null;
 }
 
-// Which pixels count: valid in both maps, inside of the region and of both brushes. Returns n, all, and r.
+/**
+ * Which pixels count: valid in both maps, inside of the region and of both brushes. Sets `state.chosen` and
+ * `state.found`.
+ */
 function choose() {
   const [a, b] = sides.map(shown), p = a.codes, q = b.codes;
   const [u, v] = [a, b].map((m) => data.groups[m.group].valid?.codes);
@@ -59,6 +141,7 @@ function choose() {
   state.found = { n, all, r, marked: Boolean(marked) };
 }
 
+/** Say how many pixels are selected, and their r. */
 function tellSelection() {
   const { n, all, r, marked } = state.found, doubt = doubtOf(state.left, state.right);
   const withheld = doubt?.trust === "withheld";
@@ -67,7 +150,14 @@ function tellSelection() {
   at("selection").textContent = `${part}; ${about}.${data.halved ? " Of the thinned-out maps of this page." : ""}`;
 }
 
-// The pixel of a map whose place in the volume lies closest to one along and one across a slice.
+/**
+ * The pixel of a map whose place in the volume lies closest to a place of a slice.
+ * @param {any} group maps of a sheet
+ * @param {any} stack its slices
+ * @param {number} across um, where the slice is cut
+ * @param {number} along um along the slice
+ * @returns {number} -1 where there is none
+ */
 function pixelOf(group, stack, across, along) {
   const p = group.places[stack.rows], q = group.places[stack.cols];
   let best = Infinity, found = -1;
@@ -90,7 +180,11 @@ function pixelOf(group, stack, across, along) {
   return found;
 }
 
-// Where the cursor lies in the volume of a group, by axis; null beside the sheet.
+/**
+ * Where the cursor lies in the volume of a group.
+ * @param {any} group maps of a sheet
+ * @returns {Record<string, number>|null} um by axis; null beside the sheet
+ */
 function volumeAt(group) {
   const i = state.row * grid.cols + state.col, out = {};
   for (const [axis, map] of Object.entries(group.places)) {
@@ -101,12 +195,19 @@ function volumeAt(group) {
 }
 
 const colours = {};
+
+/** Take the colours of the page from its style. */
 function readColours() {
   const style = getComputedStyle(document.documentElement);
   for (const name of ["paper", "ink", "soft", "line", "mark", "pale"]) colours[name] = style.getPropertyValue(`--${name}`).trim();
 }
 
-// A canvas as sharp as the screen; returns its context and its size in CSS pixels.
+/**
+ * Make a canvas as sharp as the screen.
+ * @param {HTMLCanvasElement} canvas the canvas
+ * @param {number} high its height in CSS pixels
+ * @returns {[CanvasRenderingContext2D, number, number]} its context, and its size in CSS pixels
+ */
 function prepared(canvas, high) {
   const wide = Math.max(canvas.parentElement.clientWidth, 50), ratio = Math.min(window.devicePixelRatio || 1, 2);
   const size = [Math.round(wide * ratio), Math.round(high * ratio)];

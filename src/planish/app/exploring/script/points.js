@@ -1,7 +1,12 @@
 // How many pixels have which values of the left and of the right map.
 const MOST_BINS = 128;
 
-// Bins of equally many codes, so that none is fuller than its neighbours by the packing alone.
+/**
+ * Bins of equally many codes, so that none is fuller than its neighbours by the packing alone.
+ * @param {PageMap} map the map
+ * @returns {{axis: {first: number, each: number, bins: number}, span: number[]}} bins in codes, and the values that
+ *   they span
+ */
 function axisOf(map) {
   const code = (v) => clamp(Math.round((v - map.low) / map.step) + 2, 2, map.top - 1);
   const first = code(map.span[0]), many = Math.max(code(map.span[1]) - first + 1, 2), each = Math.ceil(many / MOST_BINS);
@@ -9,7 +14,12 @@ function axisOf(map) {
   return { axis: { first, each, bins }, span: [low, low + map.step * each * bins] };
 }
 
-// All that count, and those that are chosen.
+/**
+ * All points that count, and those that are chosen.
+ * @param {PageMap} a map to the right
+ * @param {PageMap} b map upwards
+ * @returns {Points}
+ */
 function pointsOf(a, b) {
   const valid = [a, b].map((m) => data.groups[m.group].valid?.codes);
   const bins = [a, b].map((m) => table(m, Uint8Array, (value, code) => {

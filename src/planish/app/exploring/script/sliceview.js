@@ -3,6 +3,7 @@ const trace = []; // pixels of the map that the slice cuts
 const NEAR = 320; // um
 
 class SliceView {
+  /** Make the view. */
   constructor() {
     this.frame = at("slice");
     this.pictures = new Map();
@@ -13,7 +14,7 @@ class SliceView {
     this.frame.before(viewBar("Slice", { svg }));
   }
 
-  // The sheet of the left map, or else of the right one, or else the first.
+  /** Take the sheet of the left map, or else of the right one, or else the first. */
   choose() {
     const wanted = sides.map((side) => data.groups[shown(side).group].sheet).find(Boolean) || data.stacks[0].sheet;
     this.stack = data.stacks.find((one) => one.sheet === wanted);
@@ -21,7 +22,7 @@ class SliceView {
     at("slices").hidden = !this.stack;
   }
 
-  // The slice nearest to the cursor, or none where that lies beside the sheet.
+  /** Take the slice nearest to the cursor, or none where that lies beside the sheet. */
   seek() {
     const before = `${this.k} ${this.stack?.sheet}`;
     this.here = volumeAt(this.group);
@@ -37,6 +38,7 @@ class SliceView {
     if (before !== `${this.k} ${this.stack?.sheet}`) this.cut();
   }
 
+  /** Find the pixels of the map that the slice cuts. */
   cut() {
     trace.length = 0;
     if (this.k < 0) return;
@@ -56,6 +58,11 @@ class SliceView {
     }
   }
 
+  /**
+   * The picture of a slice, asked for once.
+   * @param {number} k from the first one
+   * @returns {any} an image, with `ready` once it can be drawn
+   */
   picture(k) {
     const stack = this.stack, key = `${stack.sheet} ${k}`;
     if (!this.pictures.has(key)) {
@@ -68,6 +75,7 @@ class SliceView {
     return this.pictures.get(key);
   }
 
+  /** Draw the slice twice: the whole of it, and magnified around the cursor. */
   draw() {
     const stack = this.stack;
     if (!stack) return;
@@ -88,6 +96,16 @@ class SliceView {
     for (const k of [this.k - 1, this.k + 1]) if (this.k >= 0 && k >= 0 && k < stack.at.length) this.picture(k);
   }
 
+  /**
+   * Draw one of both pictures.
+   * @param {HTMLCanvasElement} canvas where it is drawn
+   * @param {number} tall its height in CSS pixels
+   * @param {SliceWindow} window what it shows
+   * @param {number} along place of the cursor, um along the slice
+   * @param {number} height place of the cursor, um upwards
+   * @param {number[]|null} near what the other picture shows, um along the slice
+   * @returns {SliceWindow} what it shows
+   */
   drawOne(canvas, tall, window, along, height, near) {
     const [pen, w, h] = prepared(canvas, tall), stack = this.stack;
     if (this.k < 0) { pen.fillStyle = "#cfd4d8"; pen.font = "13px sans-serif"; pen.fillText("The cursor lies beside the sheet.", 12, 22); return window; }
@@ -124,6 +142,7 @@ class SliceView {
     return window;
   }
 
+  /** Say where the cursor lies in the volume, and which slice is shown. */
   tell() {
     const stack = this.stack, said = at("slice-position");
     if (this.k < 0) { said.textContent = "The cursor lies beside the sheet."; return; }
@@ -133,18 +152,30 @@ class SliceView {
       `${Math.abs(off) >= 0.05 ? `, ${place(Math.abs(off))} µm beside the cursor` : ""}${this.far ? ". No slice is nearer" : ""}.${this.higher > 1.01 ? ` Heights of the upper picture are drawn ${fixed(this.higher, 1)} times too large.` : ""}`;
   }
 
-  // To a place along the slice; the cursor of the maps follows.
+  /**
+   * Bring the cursor to a place of the slice.
+   * @param {number} across um, where the slice is cut
+   * @param {number} along um along the slice
+   */
   go(across, along) {
     const i = pixelOf(this.group, this.stack, across, along);
     if (i >= 0) { state.held = true; moveTo(Math.floor(i / grid.cols), i % grid.cols); }
   }
 
+  /**
+   * A press brings the cursor there.
+   * @param {PointerEvent} event the press
+   */
   pressed(event) {
     if (this.k < 0 || event.button) return;
     const near = event.target.id === "slice-near" ? 1 : 0, box = event.target.getBoundingClientRect(), window = this.windows[near];
     this.go(this.stack.at[this.k], window.left + (event.clientX - box.left) * window.across);
   }
 
+  /**
+   * A key of the view.
+   * @param {KeyboardEvent} event the key
+   */
   key(event) {
     if (this.k < 0) return;
     const stack = this.stack, many = event.shiftKey ? 10 : 1, pitch = Math.max(grid.dx, grid.dy), along = this.here[stack.cols];

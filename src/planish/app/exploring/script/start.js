@@ -1,12 +1,17 @@
 // The page comes to life: data unpacked, fields joined to the views, everything drawn once a frame.
 let views = [], scatter = null, slice = null, due = new Set(), waiting = false;
 
+/**
+ * Have something drawn with the next frame.
+ * @param {string} what what has changed: "choice" (layers, brushes or regions), "colours", "window", "cursor" or
+ *   "slice"
+ */
 function redraw(what) {
   due.add(what);
   if (!waiting) { waiting = true; requestAnimationFrame(drawDue); }
 }
 
-// "choice": layers, brushes or regions; "colours"; "window"; "cursor"; "slice".
+/** Draw what has changed since the last frame. */
 function drawDue() {
   const what = due;
   due = new Set();
@@ -20,12 +25,18 @@ function drawDue() {
   if (what.has("cursor") || what.has("choice")) tellCursor();
 }
 
+/** Show the scatter of both maps. */
 function showPoints() {
   scatter.brush = sides.map((side) => state.brush[side]);
   const withheld = doubtOf(state.left, state.right)?.trust === "withheld";
   scatter.show(withheld ? null : pointsOf(...sides.map(shown)), withheld ? "Withheld by the checks; not drawn." : "");
 }
 
+/**
+ * Bring the cursor to a pixel.
+ * @param {number} row clipped to the map
+ * @param {number} col clipped to the map
+ */
 function moveTo(row, col) {
   const found = [clamp(row, 0, grid.rows - 1), clamp(col, 0, grid.cols - 1)];
   if (found[0] === state.row && found[1] === state.col) return;
@@ -33,6 +44,7 @@ function moveTo(row, col) {
   redraw("cursor");
 }
 
+/** Say what lies at the cursor. */
 function tellCursor() {
   const i = state.row * grid.cols + state.col, [x, y] = grid.names;
   const parts = [`${x} ${place(xOf(state.col))}, ${y} ${place(yOf(state.row))} µm`];
@@ -57,6 +69,10 @@ function tellCursor() {
   at("cursor").textContent = `${parts.join("; ")}${state.held ? " (held)" : ""}`;
 }
 
+/**
+ * Pick the pixels of a region.
+ * @param {number[]|null} box x0, y0, x1, y1 in um; null picks all
+ */
 function setRegion(box) {
   state.region = box;
   at("region").value = box ? box.map((v) => v.toFixed(1)).join(", ") : "";
@@ -64,6 +80,11 @@ function setRegion(box) {
   redraw("choice");
 }
 
+/**
+ * Pick the pixels of some values.
+ * @param {number[]|null} left low and high of the left map; null picks all
+ * @param {number[]|null} right low and high of the right map; null picks all
+ */
 function setBrush(left, right) {
   state.brush = { left, right };
   sides.forEach((side) => {
@@ -74,18 +95,26 @@ function setBrush(left, right) {
   redraw("choice");
 }
 
+/** Pick nothing: neither a region nor values. */
 function clearSelection() {
   for (const one of views) one.first = null;
   setRegion(null);
   setBrush(null, null);
 }
 
+/**
+ * Let a field of numbers do something.
+ * @param {string} id its id
+ * @param {number} many how many numbers it takes
+ * @param {(found: number[]|null) => void} use gets them; null where it is empty
+ */
 function field(id, many, use) {
   const say = (words) => { at("message").textContent = words; };
   const refuse = () => say(`${at(id).placeholder}: ${many} numbers are needed.`);
   onNumbers(at(id), { count: many, refuse, use: (found) => { say(""); use(found); } });
 }
 
+/** Make the views, and let fields and keys work on them. */
 function join() {
   views = sides.map((side) => new MapView(side));
   const ramp = (share) => { const k = 3 * Math.round(254 * share); return data.ramp.subarray(k, k + 3); };
@@ -129,7 +158,7 @@ function join() {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { readColours(); redraw("choice"); });
 }
 
-// Other layers were chosen: brushes were of the old ones.
+/** Other layers were chosen: brushes were of the old ones. */
 function chosen() {
   sides.forEach((side, k) => {
     views[k].choose();
@@ -140,7 +169,7 @@ function chosen() {
   redraw("cursor");
 }
 
-// The cursor begins at the pixel that counts next to the middle.
+/** Bring the cursor to the pixel that counts next to the middle. */
 function begin() {
   let best = Infinity;
   const middle = [grid.rows >> 1, grid.cols >> 1];
@@ -151,6 +180,10 @@ function begin() {
   }
 }
 
+/**
+ * Unpack the maps, and show them.
+ * @returns {Promise<void>}
+ */
 async function start() {
   const began = performance.now();
   for (const [name, shades] of Object.entries(data.palettes)) data.palettes[name] = bytesOf(shades);
