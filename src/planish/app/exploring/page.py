@@ -52,6 +52,8 @@ def render(
     scripts = "".join(_text(f"exploring/script/{name}") for name in _SCRIPTS)
     # In a scope of their own.
     script = "(() => {\n" + '"use strict";\n' + views + scripts + "})();\n"
+    # What functions take and give is for readers of the sources.
+    script = re.sub(r"^ */\*\*.*?\*/\n", "", script, flags=re.MULTILINE | re.DOTALL)
     hashes = [
         base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
         for text in (style, script)
