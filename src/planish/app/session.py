@@ -45,6 +45,7 @@ from planish.marks.regions import read_regions
 from planish.results import Results
 from planish.run import Registration, find_holes
 from planish.run.cached_maps import noted_study
+from planish.run.overlay import measured_holes
 from planish.run.regions import REGIONS
 from planish.run.run import MAPS, marks_file, open_results, study_of
 from planish.run.study import EDITS, Study, with_paths
@@ -421,16 +422,6 @@ def pairs_of(
         for k, (text, used, moving_end, fixed_end) in enumerate(zip(*columns, strict=True), 1)
         if moving_end is not None and fixed_end is not None
     )
-
-
-def measured_holes(marks: xr.Dataset, plane: Plane) -> xr.Dataset:
-    """Keep the marks that have a diameter in a plane.
-
-    A tile of texture has none, and is no hole.
-    """
-    name = f"{plane}_diameter"
-    has_diameters = marks if name in marks else marks.assign({name: np.nan * marks[f"{plane}_x"]})
-    return has_diameters.dropna("mark", subset=[name])
 
 
 def dataset_of(marks: Sequence[Mark], **options: Any) -> xr.Dataset:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -27,12 +26,11 @@ from planish.core.transform import Similarity
 from planish.core.typing import Bools, Window
 from planish.io.map_store import map_tiles
 from planish.marks.regions import read_regions
-from planish.resample import SheetOnto, resample_image
 from planish.results import LayerFacts, LinkedArea
 from planish.run.compute import Progress
 from planish.run.facts import layer_facts, linked_area
 from planish.run.layers import LinkedLayer
-from planish.run.overlay import LINKED, Overlay
+from planish.run.overlay import LINKED, Overlay, moved_by, split_linked
 from planish.run.regions import regions_on
 from planish.run.study import Study
 from planish.texture.length_unit import length_unit_um
@@ -94,13 +92,11 @@ def compare_layers(study: Study, overlay: Overlay, progress: Progress) -> Compar
 
 def _texture_of_pair(a: LinkedLayer, b: LinkedLayer) -> TextureFound:
     images = [linked.layer for linked in (a, b) if linked.kind == "image"]
+    is_given = all(image.side_given is not None for image in images)
+    unit_um = length_unit_um(a.layer.grid, b.layer.grid)
+    names = (a.name, b.name)
     return texture_of(
-        a.maps,
-        b.maps,
-        (a.name, b.name),
-        side=_side_of(a, b),
-        is_given=all(image.side_given is not None for image in images),
-        unit_um=length_unit_um(a.layer.grid, b.layer.grid),
+        a.maps, b.maps, names, side=_side_of(a, b), is_given=is_given, unit_um=unit_um
     )
 
 
@@ -148,7 +144,7 @@ def _with_held_out(
         heights,
         valid,
         overlay.grid.pixel_um,
-        length_unit_um(linked.layer.grid, overlay.reference.layer.grid),
+        length_unit_um(linked.layer.grid, overlay.grid),
     )
     judged = registration.model_copy(update={"held_out": held_out})
     return layer.model_copy(update={"registration": judged})
@@ -180,29 +176,31 @@ def _evidence(
     sheets = [linked for linked in overlay.layers if linked.kind == "sheet"]
     columns = {linked.name: _columns_of(linked) for linked in sheets}
     md_deg = _machine_direction(overlay, facts)
-    evidence = [
-        correlation_diagnostics(
-            overlay.maps,
-            (layer.name, layer.headline),
-            (reference.name, reference.headline),
-            params=study.correlate,
-            columns=columns,
-            md_deg=md_deg,
-            light=overlay.light,
-        )
-        for layer in moving
-        if layer.headline in overlay.maps[layer.name]
-    ]
-    return tuple(answers for answers in evidence if answers is not None)
+    evidence: list[EvidenceFacts | None] = []
+    for layer in moving:
+        if layer.headline in overlay.maps[layer.name]:
+            diagnostics = correlation_diagnostics(
+                overlay.maps,
+                (layer.name, layer.headline),
+                (reference.name, reference.headline),
+                params=study.correlate,
+                columns=columns,
+                md_deg=md_deg,
+                light=overlay.light,
+            )
+            evidence.append(diagnostics)
+    return tuple(filter(None, evidence))
 
 
 def _columns_of(linked: LinkedLayer) -> SheetColumns:
     groups = linked.layer.groups
+    similarity = Similarity() if linked.link is None else linked.link.chain.similarity
+    has_gaps = "sections" in groups and bool(groups["sections"].attrs["missing"])
     return SheetColumns(
         measured=groups["surfaces"],
         flat=groups["flat"],
-        similarity=Similarity() if linked.link is None else linked.link.chain.similarity,
-        interpolated="sections" in groups and bool(groups["sections"].attrs["missing"]),
+        similarity=similarity,
+        interpolated=has_gaps,
     )
 
 
@@ -211,13 +209,13 @@ def _machine_direction(overlay: Overlay, facts: tuple[LayerFacts, ...]) -> float
     reference = overlay.reference.layer
     if reference.md_deg is not None:
         return reference.md_deg
-    for layer in facts:
-        registration = layer.registration
-        if registration is not None and registration.to == reference.name:
-            angle_deg = registration.orientation.md_deg_fixed_from_moving
-            if angle_deg is not None:
-                return angle_deg
-    return None
+    registrations = [layer.registration for layer in facts if layer.registration is not None]
+    carried_deg = [
+        registration.orientation.md_deg_fixed_from_moving
+        for registration in registrations
+        if registration.to == reference.name
+    ]
+    return next((angle_deg for angle_deg in carried_deg if angle_deg is not None), None)
 
 
 def _mottle(overlay: Overlay, facts: tuple[LayerFacts, ...]) -> tuple[Mottle, ...]:
@@ -258,23 +256,20 @@ def _refine(
     model, grid = study.registration.refine, overlay.grid
     assert moving.link is not None
     assert model is not None
-    name, fixed_name = leading_pair(
-        facts[0].headline, facts[1].headline, moving.maps, reference.maps
-    )
+    maps, fixed_maps = moving.maps, reference.maps
+    headline, fixed_headline = (layer.headline for layer in facts)
+    name, fixed_name = leading_pair(headline, fixed_headline, maps, fixed_maps)
+    is_valid = maps["valid"].values & fixed_maps["valid"].values
     transform, refinement = refine_link(
-        moving.maps[name],
-        reference.maps[fixed_name],
-        moving.maps["valid"].values & reference.maps["valid"].values,
+        maps[name],
+        fixed_maps[fixed_name],
+        is_valid,
         grid,
         moving.link.registration.fit,
         model,
-        length_unit_um(moving.layer.grid, reference.layer.grid),
+        length_unit_um(moving.layer.grid, grid),
     )
-    shown = moving.layer.shown
-    if isinstance(shown, xr.DataArray):
-        on_part = partial(resample_image, shown, transform=transform, must_meet=False)
-    else:
-        on_part = SheetOnto(shown["surfaces"], shown["flat"], transform=transform).on
+    on_part = moved_by(moving.layer.shown, transform)
     for tile in map_tiles(grid.shape):
         overlay.store.add("refined", grid, tile, on_part(grid.part(tile.rows, tile.cols)))
     return overlay.store.group("refined"), refinement
@@ -316,7 +311,8 @@ def correlate_maps(
     )
     params = params_of(CorrelateParams, params, "pl.correlate_maps")
     if params.regions is not None:
-        regions = regions_on(read_regions(params.regions), grid := Grid.of(linked), params.regions)
+        grid = Grid.of(linked)
+        regions = regions_on(read_regions(params.regions), grid, params.regions)
         if "reach_um" in linked["image"].attrs:
             raise InputError(
                 "A screen was taken off the image before the regions were known, and what they hold"
@@ -327,5 +323,4 @@ def correlate_maps(
             for rows, (valid,) in read_bands(linked["valid"])
         ]
         linked = linked.assign(valid=(("y", "x"), np.concatenate(valid_bands)))
-    layers = {names[0]: linked.drop_vars("image"), names[1]: linked[["image", "valid"]]}
-    return tuple(correlate_layers(*names, layers, params.point_um))
+    return tuple(correlate_layers(*names, split_linked(linked, *names), params.point_um))

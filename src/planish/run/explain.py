@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -28,6 +26,7 @@ from planish.run.named_maps import (
     maps_of_dataset,
     named,
     trust_of_maps,
+    with_answer,
 )
 from planish.run.regions import regions_on
 from planish.run.run import Run
@@ -54,11 +53,11 @@ def explain_run(run: Run, params: ExplainParams) -> Explained:
     check_model(params)
     maps = maps_of(run)
     of_model = [named(maps, name) for name in (params.response, *params.of)]
-    layers = sorted({m.layer for m in of_model})
-    stated = [_errors_of_sheet(run, layer, params.cell_um) for layer in layers]
-    with_errors = [errors for errors in stated if errors]
+    has_sheet = any(run.results.layer(m.layer).sheet is not None for m in of_model)
+    errors: dict[str, float] = {}
     # Maps of one name, of two sheets, share no surface.
-    errors = with_errors[0] if len(with_errors) == 1 else {}
+    if has_sheet and "surfaces" in run.groups:
+        errors = _errors_in(run.groups["surfaces"], params.cell_um)
     explained = explain_maps(
         _model_maps(params, maps, errors), cell_um=params.cell_um, corrected=params.corrected
     )
@@ -88,30 +87,22 @@ def with_declared_model(run: Run) -> Run:
     try:
         explained = explain_run(run, params)
     except PlanishError as fault:
-        results = run.results.model_copy(update={"explain_reason": fault.text})
-        return replace(run, results=results)
+        return with_answer(run, explain_reason=fault.text)
     response = named(maps_of(run), params.response)
-    residual = residual_map(explained, response.values)
-    results = run.results.model_copy(update={"explained": explained})
-    groups = {**run.groups, EXPLAINED: xr.Dataset({"residual": residual})}
-    return replace(run, results=results, groups=groups)
+    maps = xr.Dataset({"residual": residual_map(explained, response.values)})
+    return with_answer(run, {EXPLAINED: maps}, explained=explained)
 
 
 def residual_map(explained: Explained, like: xr.DataArray) -> xr.DataArray:
     """Residuals of a model on the pixels of a map: each pixel has that of its cell."""
     grid = Grid.of(like)
-    values = explained.cells["residual"].reindex(
+    residuals = explained.cells["residual"].reindex(
         cell_y=grid.y_um, cell_x=grid.x_um, method="nearest", tolerance=explained.cell_um / 2
     )
-    return xr.DataArray(
-        values.values.astype(np.float32),
-        dims=like.dims,
-        coords={dim: like[dim] for dim in like.dims},
-        attrs={
-            "units": explained.units,
-            "long_name": f"What the model leaves of {explained.response.replace('_', ' ')}",
-        },
-    )
+    response = explained.response.replace("_", " ")
+    attrs = {"units": explained.units, "long_name": f"What the model leaves of {response}"}
+    coords = {dim: like[dim] for dim in like.dims}
+    return xr.DataArray(residuals.values.astype(np.float32), coords, attrs=attrs)
 
 
 def _model_maps(
@@ -155,16 +146,6 @@ def _factors(params: ExplainParams, like: xr.DataArray, grid: Grid) -> dict[str,
     return masks
 
 
-def _errors_of_sheet(run: Run, layer: str, cell_um: float) -> dict[str, float]:
-    """Standard errors of the means of a sheet's maps over cells, as its surfaces state them."""
-    group = next(
-        (name for name in (f"layers/{layer}/surfaces", "surfaces") if name in run.groups), None
-    )
-    if group is None or run.results.layer(layer).sheet is None:
-        return {}
-    return _errors_in(run.groups[group], cell_um)
-
-
 def _errors_in(data: xr.Dataset, cell_um: float) -> dict[str, float]:
     """Standard errors over cells of all maps and surfaces of a Dataset that it states."""
     pixel_um = Grid.of(data).pixel_um
@@ -181,13 +162,12 @@ def _error_of_cells(standard_errors: xr.DataArray, cell_um: float, pixel_um: Pai
 
     Where a map does not state the area that one value speaks for, pixels count as independent.
     """
-    attrs: dict[str, Any] = standard_errors.attrs
-    values = np.asarray(thinned(standard_errors)[1][0], dtype=np.float64)
-    finite = values[np.isfinite(values)]
+    _, (errors,) = thinned(standard_errors)
+    finite = errors[np.isfinite(errors)].astype(np.float64)
     if not finite.size:
         return math.nan
-    if "patch_um2" in attrs:
-        means = se_of_mean(finite, attrs, cell_um)
+    if "patch_um2" in standard_errors.attrs:
+        means = se_of_mean(finite, standard_errors.attrs, cell_um)
         return float(np.sqrt(np.mean(means**2)))
-    pixels = cell_um**2 / (pixel_um[0] * pixel_um[1])
+    pixels = cell_um**2 / math.prod(pixel_um)
     return float(np.sqrt(np.mean(finite**2) / max(pixels, 1.0)))

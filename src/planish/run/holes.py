@@ -23,14 +23,11 @@ class HoleSearch:
 
         A sheet is seen from its top.
         """
-        face_data, side = (
-            (layer.groups["maps"], to.side) if layer.image is None else (layer.image, layer.side)
-        )
-        face: tuple[str, Side] = (layer.name, side)
+        side = to.side if layer.image is None else layer.side
+        face = (layer.name, side)
         if face not in self._holes:
-            self._holes[face] = find_holes(
-                face_data, params=self.params, side=side, layer=layer.name
-            )
+            shown = layer.groups["maps"] if layer.image is None else layer.image
+            self._holes[face] = find_holes(shown, params=self.params, side=side, layer=layer.name)
         return self._holes[face]
 
     def searched(self, layer: MappedLayer) -> list[xr.Dataset]:
@@ -85,8 +82,9 @@ def find_holes(
         holes = find_sheet_holes(shown, params=params, side=side or "top")
         return holes.assign_attrs(layer=layer or "sheet", seen_from="top")
     dy_um, dx_um = check_image(shown, "pl.find_holes({})")
-    pixel = (dy_um, dx_um)
+    grey, pixel_um = shown.values, (dy_um, dx_um)
+    if params.printed:
+        grey = without_dots(grey, pixel_um, params.hole_um[0])
+    holes = find_image_holes(grey, pixel_um=pixel_um, diameter_um=params.hole_um)
     side = side or shown.attrs.get("side") or "top"
-    grey = without_dots(shown.values, pixel, params.hole_um[0]) if params.printed else shown.values
-    holes = find_image_holes(grey, pixel_um=pixel, diameter_um=params.hole_um)
     return holes.assign_attrs(layer=layer or "image", seen_from=side)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,7 @@ from planish.run.named_maps import (
     maps_of_dataset,
     named,
     trust_of_maps,
+    with_answer,
 )
 from planish.run.run import Run, open_run
 from planish.texture.octave_spectra import OctaveField, OctaveFields
@@ -135,24 +136,25 @@ def scales_of_dataset(data: xr.Dataset, params: ScalesParams, halves: Halves) ->
     def read(names: Sequence[str]) -> Reading:
         sources = [named(maps, name) for name in names]
         scaled: list[ScaledMap] = []
-        pixel_um = Grid.of(sources[0].values).pixel_um
-        differences: dict[bool, dict[int, Array]] = {True: {}, False: {}}
+        of_rows: dict[int, Array] = {}
+        of_pairs: dict[int, Array] = {}
         for number, (name, source) in enumerate(zip(names, sources, strict=True)):
             values = _counted(source)
             facts = _facts(source, name)
             scaled.append(ScaledMap(facts=facts, values=values, has_zero=True, is_mass=True))
             pair = halves.get(name)
             if pair == ROWS:
-                differences[True][number] = row_difference(values.astype(np.float64))
+                of_rows[number] = row_difference(values.astype(np.float64))
             elif pair is not None:
                 first, second = (_counted(named(maps, half)) for half in pair)
-                differences[False][number] = 0.5 * (first - second)
-        found = [
-            HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=of_rows)
-            for of_rows, of_maps in differences.items()
+                of_pairs[number] = 0.5 * (first - second)
+        pixel_um = Grid.of(sources[0].values).pixel_um
+        differences = [
+            HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=of_maps is of_rows)
+            for of_maps in (of_rows, of_pairs)
             if of_maps
         ]
-        return Reading(scaled, pixel_um, found)
+        return Reading(scaled, pixel_um, differences)
 
     return _scales(params, maps, all_names, read)
 
@@ -168,16 +170,13 @@ def with_declared_scales(run: Run) -> Run:
     try:
         octaves = scales_of_run(run, params)
     except PlanishError as fault:
-        results = run.results.model_copy(update={"scales_reason": fault.text})
-        return replace(run, results=results)
+        return with_answer(run, scales_reason=fault.text)
     maps = maps_of(run)
     bands: dict[str, xr.DataArray] = {}
     for name in leading(octaves):
         if octaves.bands[name]:
             bands |= _band_maps(named(maps, name), name)
-    groups = {OCTAVES: xr.Dataset(bands)} if bands else {}
-    results = run.results.model_copy(update={"scales": octaves})
-    return replace(run, results=results, groups={**run.groups, **groups})
+    return with_answer(run, {OCTAVES: xr.Dataset(bands)} if bands else None, scales=octaves)
 
 
 def _band_maps(source: NamedMap, name: str) -> dict[str, xr.DataArray]:
@@ -278,13 +277,8 @@ def _scales(
     if against is None:
         return octaves
     other = _facts(named(maps, against), against)
-    return octaves.model_copy(
-        update={
-            "against_title": other.title,
-            "against_units": other.units,
-            "against_form_um": other.form_um,
-        }
-    )
+    of_other = {f"against_{name}": getattr(other, name) for name in ("title", "units", "form_um")}
+    return octaves.model_copy(update=of_other)
 
 
 def _formation(reading: Reading, sheet: RandomSheet, cell_um: float) -> dict[str, Any]:
@@ -310,13 +304,8 @@ def _random_sheet(params: ScalesParams) -> RandomSheet | None:
     stated = [getattr(params, name) for name in FIBRES]
     if None in stated:
         return None
-    length_mm, width_um, coarseness_mg_m, grammage_g_m2 = stated
-    return RandomSheet(
-        length_mm=length_mm,
-        width_um=width_um,
-        coarseness_mg_m=coarseness_mg_m,
-        grammage_g_m2=grammage_g_m2,
-    )
+    names = ("length_mm", "width_um", "coarseness_mg_m", "grammage_g_m2")
+    return RandomSheet(**dict(zip(names, stated, strict=True)))
 
 
 def _facts(source: NamedMap, name: str) -> MapScales:
@@ -351,12 +340,10 @@ def _counted(source: NamedMap) -> Array:
 
 def _columns_of(run: Run, source: NamedMap) -> SheetColumns | None:
     """The columns of the sheet that a map is of; None of an image, and where they are elsewhere."""
-    for prefix in ("", f"layers/{source.layer}/"):
-        surfaces, flat = (run.groups.get(f"{prefix}{name}") for name in ("surfaces", "flat"))
-        is_there = surfaces is not None and str(source.values.name) in surfaces
-        if is_there and surfaces is not None and flat is not None:
-            return SheetColumns(measured=surfaces, flat=flat, similarity=Similarity())
-    return None
+    surfaces = run.groups.get("surfaces")
+    if surfaces is None or source.values.name not in surfaces:
+        return None
+    return SheetColumns(measured=surfaces, flat=run.groups["flat"], similarity=Similarity())
 
 
 def _read_columns(columns: SheetColumns, facts: Sequence[MapScales]) -> Reading:

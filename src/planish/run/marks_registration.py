@@ -39,25 +39,18 @@ def register_by_marks(
         return register_holes(holes.of(layer, fixed), holes.of(fixed, layer), params, hole_um)
     marks = volume_to_map(read_given(path, layer, fixed), layer.name, layer.groups)
     sentence = _shift_sentence(marks, Path(path).name)
-    fit = fit_marks(
-        marks, params=params, mirrored=None if params.mirror else layer.side != fixed.side
-    )
+    mirrored = None if params.mirror else layer.side != fixed.side
+    fit = fit_marks(marks, params=params, mirrored=mirrored)
+    usual_um = float(np.mean(holes.params.hole_um))
     for side, own_layer, other_layer in (("moving", layer, fixed), ("fixed", fixed, layer)):
         is_placed = np.isfinite(marks[f"{side}_x"].values)
-        if (
-            f"{side}_diameter" not in marks
-            or not np.isfinite(marks[f"{side}_diameter"].values[is_placed]).all()
-        ):
-            hole_marks = marks_of_holes(
-                holes.of(own_layer, other_layer)[["x", "y", "diameter"]], layer=side
-            )
-            labels = np.array(
-                [f"{side} {k + 1}" for k in range(hole_marks.sizes["mark"])], dtype=np.str_
-            )
-            hole_marks = hole_marks.assign(label=("mark", labels))
-            marks = with_holes(
-                marks, hole_marks, side, usual_um=float(np.mean(holes.params.hole_um))
-            )
+        diameters = marks.get(f"{side}_diameter")
+        if diameters is None or not np.isfinite(diameters.values[is_placed]).all():
+            circles = holes.of(own_layer, other_layer)[["x", "y", "diameter"]]
+            labels = [f"{side} {k + 1}" for k in range(circles.sizes["mark"])]
+            hole_marks = marks_of_holes(circles, layer=side)
+            hole_marks = hole_marks.assign(label=("mark", np.array(labels, dtype=np.str_)))
+            marks = with_holes(marks, hole_marks, side, usual_um=usual_um)
     source = str(marks.attrs.get("read_from", {}).get("format", "file"))
     search = dict[str, Any]()
     is_tile = tiles_of(marks)[paired(marks)]
@@ -108,7 +101,8 @@ def read_given(path: str, moving: MappedLayer | str, fixed: MappedLayer | str) -
     name = Path(path).name
     marks = read_any(path, moving=_pixels_of(moving), fixed=_pixels_of(fixed), volume=LayerPixels())
     pair_of_layers(marks, name=name)  # one layer alone is refused
-    if (n_pairs := int(paired(marks).sum())) < 3:
+    n_pairs = int(paired(marks).sum())
+    if n_pairs < 3:
         raise MarkError(
             f"{name} holds {n_pairs} pairs of marks in use; a registration needs 3 to"
             " say how good it is. Add more, far apart."
@@ -178,21 +172,16 @@ def volume_to_map(marks: xr.Dataset, name: str, groups: Mapping[str, xr.Dataset]
             " both images (moving_x_um, moving_y_um), or the volume."
         )
     frame = Frame.of(groups["surfaces"])
-    points = points_of(marks, "volume")[:, ["xyz".index(axis) for axis in (frame.cols, frame.rows)]]
+    axes = ["xyz".index(axis) for axis in (frame.cols, frame.rows)]
+    points = points_of(marks, "volume")[:, axes]
     uv = values_at(groups["flat"], ("u", "v"), points)
     is_off_sheet = np.isfinite(points).all(axis=1) & ~np.isfinite(uv).all(axis=1)
     if is_off_sheet.any():
+        labels = ", ".join(map(str, marks["label"].values[is_off_sheet]))
         raise MarkError(
-            f"The marks {', '.join(map(str, marks['label'].values[is_off_sheet]))} do not lie on"
-            " the sheet. Check the axes and the unit (um) of the table."
+            f"The marks {labels} do not lie on the sheet. Check the axes and the unit (um) of the"
+            " table."
         )
-    names = {
-        n: str(n).replace("volume_", "moving_")
-        for n in marks
-        if str(n).startswith("volume_") and n != "volume_z"
-    }
-    return (
-        marks.drop_vars("volume_z")
-        .rename(names)
-        .assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))
-    )
+    marks = marks.drop_vars("volume_z")
+    marks = marks.rename({name: str(name).replace("volume_", "moving_") for name in marks})
+    return marks.assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))

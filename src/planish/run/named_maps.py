@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import xarray as xr
 
@@ -83,6 +83,23 @@ def trust_of_maps(run: Run, maps: Iterable[NamedMap], *figures: str) -> Trust:
 def is_declared(declared: ExplainParams | ScalesParams, params: Params) -> bool | None:
     """Whether a study declared this very question; None where it declares none."""
     return declared == params if declared.is_declared else None
+
+
+def with_answer(run: Run, groups: Mapping[str, xr.Dataset] | None = None, **answer: object) -> Run:
+    """The same run with what its study asks in its results, and with the maps of that.
+
+    Parameters
+    ----------
+    run : Run
+    groups : mapping of name to Dataset, optional
+        Maps of the answer.
+    **answer
+        Fields of the results.
+    """
+    results = run.results.model_copy(update=answer)
+    if not groups:
+        return replace(run, results=results)
+    return replace(run, results=results, groups={**run.groups, **groups})
 
 
 def choices(maps: Mapping[str, NamedMap]) -> list[str]:

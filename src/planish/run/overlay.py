@@ -5,6 +5,8 @@ What is near a hole is masked.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -16,7 +18,7 @@ from planish.analyze.quadratic_field import QuadraticField
 from planish.core.area import common_means
 from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import CannotRegister, InputError, MarkError
-from planish.core.grid import Grid, check_same_grid
+from planish.core.grid import Grid, centres_of, check_same_grid
 from planish.core.threads import read_ahead
 from planish.core.tiles import Tile
 from planish.core.typing import Bools, Floats
@@ -58,50 +60,67 @@ class ValidMask:
     @property
     def sentence(self) -> str:
         """What a valid pixel is."""
-        return (
-            "Measured, and away from holes and their"
-            f" rims{', outside of declared regions' if self.regions else ''}"
-        )
+        outside_text = ", outside of declared regions" if self.regions else ""
+        return f"Measured, and away from holes and their rims{outside_text}"
+
+
+def moved_by(shown: Shown, transform: Any) -> Callable[[Grid], xr.Dataset]:
+    """Give the function from pixels of the reference to a layer's maps there.
+
+    Parameters
+    ----------
+    shown : DataArray or mapping of Dataset
+        An image, or the groups of a sheet.
+    transform : callable
+        From the layer to the reference, with its ``similarity``.
+    """
+    if isinstance(shown, xr.DataArray):
+        return partial(resample_image, shown, transform=transform, must_meet=False)
+    return SheetOnto(shown["surfaces"], shown["flat"], transform=transform).on
 
 
 def _on_tiles(
     layer_data: Shown, chain: Chain | None, grid: Grid, reference: Shown
-) -> Callable[[Tile, Grid], xr.Dataset]:
+) -> Callable[[Tile], xr.Dataset]:
     """Give the function from a tile of a reference to a layer's maps there.
 
     The maps have errors where a chain moved the layer to the ``reference``.
     """
-    is_image = isinstance(layer_data, xr.DataArray)
     if chain is None:
-        if is_image:
-            image = (("y", "x"), layer_data.values, image_attrs(layer_data))
-            maps = xr.Dataset({"image": image}, coords=Grid.of(layer_data).coords)
-        else:
-            maps = layer_data["maps"].rename({"v": "y", "u": "x"})
-            names = map(str, maps.data_vars)
-            dropped_prefixes = ("projected_", "presence", "valid")
-            maps = maps.drop_vars([name for name in names if name.startswith(dropped_prefixes)])
-        return lambda tile, _: maps.isel(y=tile.rows, x=tile.cols)
+        maps = _unmoved(layer_data)
+        return lambda tile: maps.isel(y=tile.rows, x=tile.cols)
+    images = [shown for shown in (layer_data, reference) if isinstance(shown, xr.DataArray)]
     errors = PositionErrors(
-        None if is_image else layer_data,
+        None if isinstance(layer_data, xr.DataArray) else layer_data,
         chain,
         grid,
         None if isinstance(reference, xr.DataArray) else reference,
-        is_scan=any(getattr(of, "attrs", {}).get("is_scan") for of in (layer_data, reference)),
+        is_scan=any(image.attrs.get("is_scan") for image in images),
     )
-    sheet = (
-        None if is_image else SheetOnto(layer_data["surfaces"], layer_data["flat"], transform=chain)
-    )
+    on_part = moved_by(layer_data, chain)
 
-    def moved(_: Tile, tile_grid: Grid) -> xr.Dataset:
-        if isinstance(layer_data, xr.DataArray):
-            maps = resample_image(layer_data, tile_grid, chain, must_meet=False)
-            return maps.assign(errors.on(tile_grid, maps["image"].values))
-        assert sheet is not None
-        maps = sheet.on(tile_grid)
-        return maps.assign(errors.on(tile_grid, maps["u"].values))
+    def moved(tile: Tile) -> xr.Dataset:
+        part = grid.part(tile.rows, tile.cols)
+        maps = on_part(part)
+        return maps.assign(errors.on(part, _where_shown(maps).values))
 
     return moved
+
+
+def _unmoved(shown: Shown) -> xr.Dataset:
+    """The maps of a reference on its own pixels."""
+    if isinstance(shown, xr.DataArray):
+        image = (("y", "x"), shown.values, image_attrs(shown))
+        return xr.Dataset({"image": image}, coords=Grid.of(shown).coords)
+    maps = shown["maps"].rename({"v": "y", "u": "x"})
+    names = map(str, maps.data_vars)
+    dropped_prefixes = ("projected_", "presence", "valid")
+    return maps.drop_vars([name for name in names if name.startswith(dropped_prefixes)])
+
+
+def _where_shown(maps: xr.Dataset) -> xr.DataArray:
+    """A map that is finite where a layer is shown."""
+    return maps["image" if "image" in maps else "u"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,8 +164,8 @@ def overlay_layers(
     if reference.params.kind == "volume" and regions is not None:
         regions = regions_on(regions, reference.grid, study.correlate.regions)
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
-    mask = ValidMask(_circles_of_links(layers, links), regions)
     chains = {name: link.chain for name, link in links.items()}
+    mask = ValidMask(_circles_of_links(layers, links, chains), regions)
     sources = {layer.name: (layer.shown, chains.get(layer.name)) for layer in layers}
     if study.correlate.light is not None and isinstance(reference.shown, xr.DataArray):
         image = reference.shown
@@ -192,26 +211,19 @@ def take_light_off(study: Study, overlay: Overlay) -> Overlay:
     return replace(overlay, light=light)
 
 
-def _circles_of_links(layers: Sequence[MappedLayer], links: Mapping[str, Link]) -> Floats:
+def _circles_of_links(
+    layers: Sequence[MappedLayer], links: Mapping[str, Link], chains: Mapping[str, Chain]
+) -> Floats:
     """Holes of all layers with their rims, on the reference: (n, 3: x, y, radius in um)."""
-    rims_um = [
-        float(layer.groups["surfaces"].attrs["rim_um"]) for layer in layers if layer.kind == "sheet"
-    ]
-    rim_um = max(rims_um, default=_IMAGE_RIM_UM)
+    sheets = [layer.groups["surfaces"] for layer in layers if layer.kind == "sheet"]
+    rim_um = max((float(sheet.attrs["rim_um"]) for sheet in sheets), default=_IMAGE_RIM_UM)
     rim_um += max(reach_um(layer.params.image) for layer in layers)
     circles: list[Floats] = []
     for link in links.values():
+        marks = link.registration.marks
         for plane, layer in zip(("moving", "fixed"), link.path, strict=False):
-            own_link = links.get(layer.name)
-            circles.append(
-                hole_circles(
-                    link.registration.marks,
-                    plane,
-                    rim_um,
-                    chain=None if own_link is None else own_link.chain,
-                    image=layer.image,
-                )
-            )
+            chain = chains.get(layer.name)
+            circles.append(hole_circles(marks, plane, rim_um, chain=chain, image=layer.image))
     return np.concatenate(circles)
 
 
@@ -237,21 +249,18 @@ def resample_layers(
     valid_attrs = {"long_name": mask.sentence}
 
     def bring(tile: Tile) -> dict[str, xr.Dataset]:
-        tile_grid = grid.part(tile.rows, tile.cols)
-        is_allowed = mask(tile_grid)
+        is_allowed = mask(grid.part(tile.rows, tile.cols))
         maps = dict[str, xr.Dataset]()
         for name, read_tile in tile_readers.items():
-            data = read_tile(tile, tile_grid)
-            is_measured = np.isfinite(data["thickness" if "thickness" in data else "image"].values)
-            maps[name] = data.assign(valid=(("y", "x"), is_measured & is_allowed, valid_attrs))
+            data = read_tile(tile)
+            measured = data["thickness" if "thickness" in data else "image"].values
+            is_valid = np.isfinite(measured) & is_allowed
+            maps[name] = data.assign(valid=(("y", "x"), is_valid, valid_attrs))
         return maps
 
     tiles = map_tiles(grid.shape)
     for tile, maps in zip(tiles, read_ahead(bring, tiles), strict=True):
-        for name in [*absent]:
-            maps_here = maps[name]
-            if np.isfinite(maps_here["image" if "image" in maps_here else "u"].values).any():
-                absent.remove(name)
+        absent = [name for name in absent if not np.isfinite(_where_shown(maps[name])).any()]
         if joint_group is None:
             for name, data in maps.items():
                 sink.add(f"layers/{name}", grid, tile, data)
@@ -266,10 +275,20 @@ def resample_layers(
         )
     if joint_group is None:
         return {name: sink.group(f"layers/{name}") for name in layer_sources}
-    linked = sink.group(joint_group)
-    return dict(
-        zip(layer_sources, (linked.drop_vars("image"), linked[["image", "valid"]]), strict=True)
-    )
+    sheet_name, image_name = layer_sources
+    return split_linked(sink.group(joint_group), sheet_name, image_name)
+
+
+def split_linked(linked: xr.Dataset, sheet: str, image: str) -> dict[str, xr.Dataset]:
+    """Linked maps as those of the sheet and of the image, by what these are called."""
+    return {sheet: linked.drop_vars("image"), image: linked[["image", "valid"]]}
+
+
+def measured_holes(marks: xr.Dataset, side: str) -> xr.Dataset:
+    """The marks that have a diameter in a layer; a tile of texture has none, and is no hole."""
+    name = f"{side}_diameter"
+    has_diameters = marks if name in marks else marks.assign({name: np.nan * marks[f"{side}_x"]})
+    return has_diameters.dropna("mark", subset=[name])
 
 
 def hole_circles(
@@ -285,16 +304,10 @@ def hole_circles(
     ``chain`` leads from another layer to the reference; of the layer's own ``image``, holes at the
     border are included.
     """
-    holes = holes_of(marks, side)
-    if "diameter" not in holes:  # tiles of texture are no holes
-        holes = holes.assign(diameter=("mark", np.full(holes.sizes["mark"], np.nan)))
-    holes = holes.isel(mark=np.flatnonzero(np.isfinite(holes["diameter"].values)))
+    holes = holes_of(measured_holes(marks, side), side)
     hole_sets = [holes] if image is None else [holes, cut_holes(image, holes)]
     circles = np.concatenate(
-        [
-            np.stack([h["x"].values, h["y"].values, 0.5 * h["diameter"].values], axis=1)
-            for h in hole_sets
-        ]
+        [np.column_stack([centres_of(h), 0.5 * h["diameter"].values]) for h in hole_sets]
     )
     if chain is not None:
         circles = np.column_stack([chain(circles[:, :2]), circles[:, 2] * chain.similarity.scale])
@@ -381,26 +394,22 @@ def resample_maps(
     pixel_um = max(grid.pixel_um)
     low_um = np.array(grid.origin_um) - pixel_um
     high_um = np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel_um
-    n_outside = int(np.count_nonzero(((fixed_um < low_um) | (fixed_um > high_um)).any(axis=1)))
-    if n_outside:
+    is_outside = ((fixed_um < low_um) | (fixed_um > high_um)).any(axis=1)
+    if is_outside.any():
         raise MarkError(
-            f"{n_outside} of {len(fixed_um)} marks of the registration lie beside the image. It"
-            " belongs to another image, or the pixel size is another one: give the image that was"
-            " registered."
+            f"{is_outside.sum()} of {is_outside.size} marks of the registration lie beside the"
+            " image. It belongs to another image, or the pixel size is another one: give the image"
+            " that was registered."
         )
     chain = Chain(fits=(registration.fit,))
     rim_um = float(measured.attrs["rim_um"]) + float(onto.attrs.get("reach_um", 0.0))
-    marks = registration.marks
-    sink = StoredMaps()
-    circles = (
-        hole_circles(marks, "moving", rim_um, chain=chain),
-        hole_circles(marks, "fixed", rim_um, image=onto),
-    )
+    sheet_circles = hole_circles(registration.marks, "moving", rim_um, chain=chain)
+    image_circles = hole_circles(registration.marks, "fixed", rim_um, image=onto)
+    mask = ValidMask(np.concatenate([sheet_circles, image_circles]))
     layer_sources: dict[str, tuple[Shown, Chain | None]] = {
         "sheet": ({"surfaces": measured, "flat": flat}, chain),
         "image": (onto, None),
     }
-    resample_layers(
-        layer_sources, ValidMask(np.concatenate(circles)), grid, sink, joint_group=LINKED
-    )
+    sink = StoredMaps()
+    resample_layers(layer_sources, mask, grid, sink, joint_group=LINKED)
     return sink.group(LINKED)

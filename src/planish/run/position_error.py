@@ -112,19 +112,15 @@ class PositionErrors:
             for k, v in self._shares.items()
         }
         total_um = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
-        maps = {"expected_error": (total_um, "Expected error of the place, rms")}
+        titled = {"expected_error": (total_um, "Expected error of the place, rms")}
         for k, share in shares.items():
             if not self._whole:
-                maps[f"error_{k}"] = (share, f"Expected error by {_SHARES[k][0]}")
-        return {
-            name: xr.DataArray(
-                values.astype(np.float32),
-                part.coords,
-                ("y", "x"),
-                attrs={"long_name": title, "units": "um"},
-            )
-            for name, (values, title) in maps.items()
-        }
+                titled[f"error_{k}"] = (share, f"Expected error by {_SHARES[k][0]}")
+        maps: dict[str, xr.DataArray] = {}
+        for name, (um, title) in titled.items():
+            attrs = {"long_name": title, "units": "um"}
+            maps[name] = xr.DataArray(um.astype(np.float32), part.coords, ("y", "x"), attrs=attrs)
+        return maps
 
 
 def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares | None:
@@ -145,17 +141,16 @@ def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares |
         share_name, remedy = _SHARES[largest_share]
         percent = 100 * (rms[largest_share] / total_um) ** 2
         sentence += f"{percent:.0f} % of its square is {share_name}; {remedy} would lower it. "
-    sentence += (
-        "What light from one side moves all tiles by is in it."
-        if has_shared
-        else (
+    if has_shared:
+        sentence += "What light from one side moves all tiles by is in it."
+    else:
+        sentence += (
             "A shift that all marks share is not in it: no mark can show that, only the maps"
             " themselves."
         )
-    )
+    shares_um = {f"{name}_um": value for name, value in rms.items()}
     return ErrorShares.model_validate(
-        {f"{name}_um": value for name, value in rms.items()}
-        | {"rms_um": total_um, "largest": largest_share, "sentence": sentence}
+        shares_um | {"rms_um": total_um, "largest": largest_share, "sentence": sentence}
     )
 
 
@@ -171,9 +166,8 @@ def _sections_um2(groups: Mapping[str, xr.Dataset], *, marks: int) -> float:
     n_between_marks = sections.sizes["section"] / np.sqrt(max(marks, 1))
     jitter_factor = 1.0 if "jitter_estimator" in sections.attrs else _OLDER_JITTER
     square_um2 = 0.0
-    for axis, name, jitter_um in zip(
-        "yx", ("row", "col"), sections.attrs["jitter_left_um"], strict=True
-    ):
+    jitter_left_um = sections.attrs["jitter_left_um"]
+    for axis, name, jitter_um in zip("yx", ("row", "col"), jitter_left_um, strict=True):
         if axis == through:
             continue
         left_um2 = (jitter_factor * float(jitter_um)) ** 2
@@ -193,19 +187,17 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, uv: Floats) -> dict[st
     surfaces, attrs = sheet["surfaces"], sheet["flat"].attrs
     if "centre_shorter" not in surfaces or "neutral" not in attrs:
         return {}  # of a run that does not say what was flattened
-    neutral_kind = str(attrs["neutral"])
-    centre_plane = np.zeros(surfaces["centre"].shape)
-    base_middle = (
-        surfaces["base_middle"].values.astype(np.float64) if "base_middle" in surfaces else None
-    )
-    neutral = base_middle if neutral_kind == "base" and base_middle is not None else centre_plane
-    other_neutral, error_factor = (
-        centre_plane if neutral_kind == "base" else base_middle,
-        NEUTRAL[neutral_kind],
-    )
-    if other_neutral is None:
+    neutral = other_neutral = np.zeros(surfaces["centre"].shape)
+    error_factor = NEUTRAL[attrs["neutral"]]
+    if "base_middle" in surfaces:
+        base_middle = surfaces["base_middle"].values.astype(np.float64)
+        if attrs["neutral"] == "base":
+            neutral = base_middle
+        else:
+            other_neutral = base_middle
+    elif attrs["neutral"] == "faces":
         # Where no coating is seen, the neutral surface lies off by so much of the thickness.
-        other_neutral = centre_plane + 0.01 * float(surfaces.attrs["thickness_um"])
+        other_neutral = neutral + 0.01 * float(surfaces.attrs["thickness_um"])
         error_factor = 1.0
     shorter = neutral + surfaces["centre_shorter"].values
     moves = flat_moves(
@@ -231,9 +223,8 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, uv: Floats) -> dict[st
     linked_places = chain(uv)
     errors_um: dict[str, Floats] = {}
     for name, scale in (("neutral", error_factor), ("smoothing", 1.0)):
-        shifted_places = fit.refitted(fit.moving + moves_of(name, fit.moving))(
-            uv + moves_of(name, uv)
-        )
+        refitted = fit.refitted(fit.moving + moves_of(name, fit.moving))
+        shifted_places = refitted(uv + moves_of(name, uv))
         for link in chain.fits[1:]:
             shifted_places = link(shifted_places)
         errors_um[name] = scale * filled(np.linalg.norm(shifted_places - linked_places, axis=-1))

@@ -15,7 +15,7 @@ from planish.core.grid import pitch
 from planish.core.threads import thread_pool
 from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
-from planish.io import find_place
+from planish.io import VolumeParams, find_place
 from planish.io.sizes import VOXEL, with_advice
 from planish.measure import measure_properties, sheet_numbers, surfaces_of
 from planish.resample import resample_maps
@@ -66,15 +66,17 @@ def map_layer(
     progress("resample", f"{map_um:.3g} um pixels")
     maps = resample_maps(columns, flattened.flat, map_um=map_um)
     groups = {"surfaces": columns, "flat": flattened.flat, "strain": flattened.strain, "maps": maps}
+    joined = None
     if sections is not None:
         groups["sections"] = sections
+        joined = section_facts(sections)
     params = changed(layer, flatten={"mesh_um": flattened.quality.mesh_um, "map_um": map_um})
     facts = SheetFacts(
         surfaces=surface_facts(columns),
         properties=property_facts(columns),
         numbers=numbers,
         flatten=flattened.quality,
-        sections=None if sections is None else section_facts(sections),
+        sections=joined,
     )
     md_deg = v.md_deg if layer.md_deg is None else layer.md_deg
     if volume is None:
@@ -85,12 +87,13 @@ def map_layer(
         return _remapped(old_sheet, sheet)
     step = column_step(volume, v.frame, v.column_um, compute)
     groups["slices"] = some_slices(volume, v.frame, step)
+    params = changed(params, volume={"voxel_um": tuple(map(float, volume.attrs["voxel_um"]))})
     # Where single columns of voxels were measured without being asked for, nothing has to be
     # repeated.
-    column_params = {"column_um": column_um} if step > 1 and v.column_um is None else {}
-    size_params = {"voxel_um": tuple(map(float, volume.attrs["voxel_um"]))} | column_params
+    if step > 1 and v.column_um is None:
+        params = changed(params, volume={"column_um": column_um})
     return MappedLayer(
-        params=changed(params, volume=size_params),
+        params=params,
         source=input_file(volume, v.path),
         groups=groups,
         facts=facts,
@@ -115,7 +118,7 @@ def _measure(
     assert v is not None
 
     if old is None:
-        volume, sections = _read(layer, compute, progress)
+        volume, sections = _read(v, compute, progress)
         surfaces = search_sheet(
             volume, layer, compute=compute, progress=progress, tile_dir=tile_dir
         )
@@ -127,7 +130,7 @@ def _measure(
         is_same_surface = made_corrections(columns) == corrections
         if is_same_surface and old.params.properties == layer.properties:
             return None, sections, surfaces, columns
-        volume, _ = _read(layer, compute, progress)
+        volume, _ = _read(v, compute, progress)
         if not is_same_surface:
             progress("surface", "corrections")
             edits = Corrections.model_validate_json(corrections) if corrections else Corrections()
@@ -143,11 +146,9 @@ def _measure(
 
 
 def _read(
-    layer: GivenLayer, compute: Compute, progress: Progress
+    v: VolumeParams, compute: Compute, progress: Progress
 ) -> tuple[xr.DataArray, xr.Dataset | None]:
     """Read a volume, with what was done to its sections; and say where its axis looks wrong."""
-    v = layer.volume
-    assert v is not None
     progress("read", find_place(v.path).path.name)
     volume, sections = read_sheet_volume(v, compute, progress)
     if "size_doubt" in volume.attrs:
@@ -167,9 +168,12 @@ def _judged(
     """Checks of a scan and numbers of its sheet; neither where the volume was not read."""
     if volume is None:
         return (), None
-    is_labelled = layer.surface.labels is not None
     checks = check_scan(
-        volume, columns, sections=sections is not None, labels=is_labelled, threads=local.threads
+        volume,
+        columns,
+        sections=sections is not None,
+        labels=layer.surface.labels is not None,
+        threads=local.threads,
     )
     return checks, sheet_numbers(columns, volume=volume, params=layer.properties, engine=local)
 
@@ -183,16 +187,16 @@ def _remapped(old_sheet: MappedLayer, sheet: MappedLayer) -> MappedLayer:
     facts = sheet.facts.model_copy(
         update={"properties": properties, "numbers": old_sheet.facts.numbers}
     )
-    checks = run_checks(MeasuredSheet(facts, sheet.groups["surfaces"]))
+    unchanged = {*old_sheet.unchanged} & {"surfaces", "slices", "sections"}
+    checks = [*run_checks(MeasuredSheet(facts, sheet.groups["surfaces"]))]
     check_names = {check.name for check in checks}
+    checks += [check for check in old_sheet.checks if check.name not in check_names]
     return replace(
         sheet,
         facts=facts,
         groups=sheet.groups | {"slices": old_sheet.groups["slices"]},
-        unchanged={
-            k: v for k, v in old_sheet.unchanged.items() if k in ("surfaces", "slices", "sections")
-        },
-        checks=(*checks, *(check for check in old_sheet.checks if check.name not in check_names)),
+        unchanged={name: old_sheet.unchanged[name] for name in unchanged},
+        checks=tuple(checks),
     )
 
 

@@ -162,22 +162,32 @@ def _input(
     is_plain = "'" not in relative and relative.isprintable()
     lines += ["", "", *_comment(_description(facts, section)), "", f"[{section}]"]
     lines.append(f"path = '{relative}'" if is_plain else f"path = {_value(relative)}")
-    size_key = "voxel_um" if section == "volume" else "pixel_um"
     for key, field, shown in _options(SECTIONS[section]):
-        lines += _option(key, field, shown, section)
-        reason = _NOT_IN_FILES[section].get(key)
-        if key == size_key and facts["size_um"]:
-            stated_size = _value(tuple(float(f"{um:.9g}") for um in facts["size_um"]))
-            lines[-1] = f"#{key} = {stated_size}  # um; as stated"
-        elif key == size_key:
-            reason = in_study_words(str(facts["size_problem"])).partition(". ")[0]
+        *texts, last_line = _option(key, field, shown, section)
+        stated_line, reason = _stated(key, facts)
+        lines += [*texts, stated_line or last_line]
+        if key in _SIZES and reason:
             lines[-1] += "; fill in"
-        elif key == "through" and facts.get("through"):
-            lines[-1] = f'through = "{facts["through"]}"  # along which the grey changes most'
-        elif key == "through":
-            reason = "the axis through the sheet, which the grey does not tell"
+        reason = reason or _NOT_IN_FILES[section].get(key)
         if reason is not None:
-            missing.append(Missing(len(lines), f"{section}.{key}", reason, key == size_key))
+            missing.append(Missing(len(lines), f"{section}.{key}", reason, key in _SIZES))
+
+
+_SIZES = ("voxel_um", "pixel_um")
+
+
+def _stated(key: str, facts: dict[str, Any]) -> tuple[str | None, str | None]:
+    """Line of an option that a file states, or why it has to be filled in; None for others."""
+    if key in _SIZES:
+        if not facts["size_um"]:
+            return None, in_study_words(str(facts["size_problem"])).partition(". ")[0]
+        stated_size = _value(tuple(float(f"{um:.9g}") for um in facts["size_um"]))
+        return f"#{key} = {stated_size}  # um; as stated", None
+    if key == "through":
+        if not facts.get("through"):
+            return None, "the axis through the sheet, which the grey does not tell"
+        return f'through = "{facts["through"]}"  # along which the grey changes most', None
+    return None, None
 
 
 def _description(facts: dict[str, Any], section: str) -> list[str]:

@@ -12,6 +12,7 @@ import xarray as xr
 from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import CannotRegister
 from planish.core.facts import Side
+from planish.core.grid import centres_of
 from planish.core.options import params_of
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Ints
@@ -28,10 +29,7 @@ from planish.run.registration import Registration, with_residuals
 from planish.run.study import Study
 
 _LEAST_TILES = 4
-_ABOUT_THICKNESS = (
-    " The thickness leads, so the image may be one of transmitted light, or of a side without"
-    " coating."
-)
+_NO_PAIRS = np.empty((0, 2), dtype=np.intp)
 
 
 def register_texture(
@@ -102,26 +100,20 @@ def register_texture(
         is_bottom = place.mirrored if mirrored is None else mirrored
         layers = PlanePair.of(moving, fixed, "bottom" if is_bottom else "top", holes)
         start = in_unit(place.inverse if layers.swapped else place, layers.unit_um)
-        tiles = tiles_near(layers, start, off_um=TUNED_UM, strain=fit_params.scale_tolerance)
-        search = None
+        search, names, scaled = None, None, 1.0
     else:
         layers, textured = find_places(moving, fixed, fit_params, mirrored, holes)
-        search = textured.search
-        tiles = tiles_near(
-            layers,
-            textured.place,
-            scaled=textured.scaled,
-            names=search.best.names,
-            off_um=TUNED_UM,
-            strain=fit_params.scale_tolerance,
-        )
+        search, start, scaled = textured.search, textured.place, textured.scaled
+        names = search.best.names
+    strain = fit_params.scale_tolerance
+    tiles = tiles_near(layers, start, scaled=scaled, names=names, off_um=TUNED_UM, strain=strain)
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
             f"{len(tiles.moving_um)} parts of the sheet show by themselves where they lie about its"
             f" place, and {_LEAST_TILES} are needed to say how well that is known. Image or scan a"
             " larger field, or give pairs of points (`marks`)."
         )
-    registration = _fitted(layers, tiles, holes, np.empty((0, 2), dtype=np.intp), fit_params)
+    registration = _fitted(layers, tiles, fit_params, holes)
     if search is None:
         sentence = f"The place was given; {len(tiles.moving_um)} tiles of the texture show it."
         return replace(registration, sentence=sentence)
@@ -161,11 +153,9 @@ def register_by_texture(
         return _with_tiles(
             by_holes, moving, image, params, pair, "bottom" if is_mirrored else "top"
         )
-    knows_side = layer.kind == fixed.kind or any(
-        of.side_given for of in (layer, fixed) if of.kind == "image"
-    )
+    knows_side = layer.kind == fixed.kind or layer.side_given or fixed.side_given
+    hand = is_mirrored if knows_side else None
     try:
-        hand = is_mirrored if knows_side else None
         return register_texture(moving, image, params=params, mirrored=hand, holes=pair)
     except CannotRegister as error:
         if params.by != "auto":
@@ -181,9 +171,9 @@ def register_by_texture(
 def _fitted(
     layers: PlanePair,
     tiles: TilePlaces,
-    holes: tuple[xr.Dataset, xr.Dataset] | None,
-    pairs: Ints,
     params: RegistrationParams,
+    holes: tuple[xr.Dataset, xr.Dataset] | None = None,
+    pairs: Ints = _NO_PAIRS,
 ) -> Registration:
     """Fit the transformation to tiles and to holes of the moving and the fixed layer.
 
@@ -193,17 +183,18 @@ def _fitted(
     a_holes, b_holes = holes or (None, None)
     if layers.swapped:
         a_holes, b_holes = b_holes, a_holes
-    sides = [
-        _marks(tiles.moving_um, np.zeros_like(tiles.covariance_um2), a_holes, layers.a),
-        _marks(tiles.fixed_um, tiles.covariance_um2, b_holes, layers.b),
-    ]
+    no_covariance = np.zeros_like(tiles.covariance_um2)
+    moving = _marks(tiles.moving_um, no_covariance, a_holes, layers.a)
+    fixed = _marks(tiles.fixed_um, tiles.covariance_um2, b_holes, layers.b)
     if layers.swapped:
-        sides.reverse()
-    rows = np.concatenate([np.stack([np.arange(count)] * 2, axis=1), pairs + count])
-    used = [side.isel(mark=rows[:, k]) for k, side in enumerate(sides)]
-    fit = fit_pairs(used[0], used[1], params=params, mirrored=tiles.place.mirrored)
-    labels = [f"tile {k + 1}" for k in range(count)] + [f"{k + 1}" for k in range(len(pairs))]
-    marks = join_holes(sides[0], sides[1], rows, labels)
+        moving, fixed = fixed, moving
+    tile_rows = np.repeat(np.arange(count)[:, None], 2, axis=1)
+    rows = np.concatenate([tile_rows, pairs + count])
+    used = (moving.isel(mark=rows[:, 0]), fixed.isel(mark=rows[:, 1]))
+    fit = fit_pairs(*used, params=params, mirrored=tiles.place.mirrored)
+    labels = [f"tile {k + 1}" for k in range(count)]
+    labels += [f"{k + 1}" for k in range(len(pairs))]
+    marks = join_holes(moving, fixed, rows, labels)
     for k, side in enumerate(("moving", "fixed")):
         sources = np.full(marks.sizes["mark"], "detected", dtype=object)
         sources[: len(rows)][rows[:, k] < count] = "tile"
@@ -238,20 +229,20 @@ def _with_tiles(
     rows: list[Ints] = []
     for layer_holes, side_name in zip(holes, ("moving", "fixed"), strict=True):
         xy = points_of(by_holes.marks, side_name)[is_paired]
-        holes_xy = np.stack([layer_holes["x"].values, layer_holes["y"].values], axis=1)
-        distances = np.hypot(*(holes_xy[None] - xy[:, None]).transpose(2, 0, 1))
-        rows.append(np.argmin(distances, axis=1))
+        distances_um = np.linalg.norm(centres_of(layer_holes) - xy[:, None], axis=2)
+        rows.append(np.argmin(distances_um, axis=1))
     pairs = np.stack(rows, axis=1)[by_holes.fit.weights > 0]
-    alone = _fitted(layers, tiles, None, np.empty((0, 2), dtype=np.intp), params).fit
+    fits = (_fitted(layers, tiles, params).fit, by_holes.fit)
     middle = TexturedPlane.of(moving, side).middle_um
-    apart_um = float(np.linalg.norm(alone(middle) - by_holes.fit(middle)))
-    expected_um = math.hypot(*(float(f.expected_error_um(middle)) for f in (alone, by_holes.fit)))
+    by_tiles_um, by_holes_um = (fit(middle) for fit in fits)
+    apart_um = float(np.linalg.norm(by_tiles_um - by_holes_um))
+    expected_um = math.hypot(*(float(fit.expected_error_um(middle)) for fit in fits))
     count = len(tiles.moving_um)
     # An error that tiles share does not get smaller with their number.
     tiles = tiles._replace(covariance_um2=tiles.covariance_um2 + count * tiles.shared_um2)
     sentence = f"{by_holes.sentence or ''} {count} tiles of the texture are fitted with the holes."
     return replace(
-        _fitted(layers, tiles, holes, pairs, params),
+        _fitted(layers, tiles, params, holes, pairs),
         source="both",
         apart_um=(apart_um, expected_um),
         sentence=sentence.strip(),
@@ -264,10 +255,13 @@ def _with_tiles(
 def _marks(
     um: Floats, covariance_um2: Floats, holes: xr.Dataset | None, layer: TexturedPlane
 ) -> xr.Dataset:
-    columns = {"x": um[:, 0], "y": um[:, 1], "diameter": np.full(len(um), np.nan)}
-    columns |= {
-        f"cov_{axes}": covariance_um2[:, j, k]
-        for axes, j, k in (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))
+    columns = {
+        "x": um[:, 0],
+        "y": um[:, 1],
+        "diameter": np.full(len(um), np.nan),
+        "cov_xx": covariance_um2[:, 0, 0],
+        "cov_xy": covariance_um2[:, 0, 1],
+        "cov_yy": covariance_um2[:, 1, 1],
     }
     tiles = xr.Dataset({name: ("mark", values) for name, values in columns.items()})
     if holes is not None:
@@ -277,19 +271,24 @@ def _marks(
 
 def _decided(search: PlaceSearch, tiles: TilePlaces) -> str:
     best = search.best
-    probability = (
-        f"below {1e-6:g}" if search.false_probability < 1e-6 else f"{search.false_probability:.1g}"
-    )
-    next_best = (
-        f", the next best place {search.candidates[1].z:.1f}" if len(search.candidates) > 1 else ""
-    )
-    thickness_leads = "image" in best.names and "thickness" in _title(best.names)
+    title = _title(best.names)
+    probability = f"{search.false_probability:.1g}"
+    if search.false_probability < 1e-6:
+        probability = "below 1e-06"
+    next_best = ""
+    if len(search.candidates) > 1:
+        next_best = f", the next best place {search.candidates[1].z:.1f}"
+    about_thickness = ""
+    if "image" in best.names and "thickness" in title:
+        about_thickness = (
+            " The thickness leads, so the image may be one of transmitted light, or of a side"
+            " without coating."
+        )
     return (
-        f"Found by texture: {_title(best.names)} go together at one place (r = {tiles.r:.2f};"
+        f"Found by texture: {title} go together at one place (r = {tiles.r:.2f};"
         f" {best.z:.0f} standard deviations of chance{next_best};"
         f" probability of a false link {probability})."
-        f" {len(tiles.moving_um)} tiles give the place."
-        f"{_ABOUT_THICKNESS if thickness_leads else ''}"
+        f" {len(tiles.moving_um)} tiles give the place.{about_thickness}"
     )
 
 

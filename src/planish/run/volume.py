@@ -89,12 +89,11 @@ def _in_parts(
     volume: xr.DataArray, path: Path, compute: Compute, copies: int = 1, options: str = ""
 ) -> None:
     if volume.encoding.get("whole_slices"):
-        size = volume.size * volume.dtype.itemsize
-        needed = enough_gb(bytes_to_hold(copies * size) + PROGRAM_BYTES)
+        needed = enough_gb(bytes_to_hold(copies * volume.nbytes) + PROGRAM_BYTES)
         raise ResourceError(
-            f"{path.name} has {size / 1e9:.1f} GB, and its slices can only be decoded whole. To"
-            f" hold it, give `memory={needed}GB` ({compute.memory / 1e9:.1f} GB are allowed), or"
-            f" bring it into a store first: planish import {path.name}{options} --out"
+            f"{path.name} has {volume.nbytes / 1e9:.1f} GB, and its slices can only be decoded"
+            f" whole. To hold it, give `memory={needed}GB` ({compute.memory / 1e9:.1f} GB are"
+            f" allowed), or bring it into a store first: planish import {path.name}{options} --out"
             f" {path.stem}.zarr"
         )
 
@@ -152,21 +151,18 @@ def _join_sections(
         units_attr = {} if units is None else {"units": units}
         variables[name] = ("section", values, units_attr | {"long_name": title})
     fixed = zip(("row", "col", "rotation"), poses.fixed, strict=True)
-    sections = xr.Dataset(
-        variables,
-        attrs={
-            "kind": stack.kind,
-            "first_position_um": first_um,
-            "cutoff_um": poses.cutoff_um,
-            "missing": int(volume.attrs["sections_missing"]),
-            "jitter_left_um": [float(v) for v in poses.jitter_left_um],
-            "jitter_estimator": "median section",
-            "pairs_used": poses.pairs_used,
-            "pairs_refused": poses.pairs_refused,
-            "fixed": [name for name, is_fixed in fixed if is_fixed],
-        },
-    )
-    return volume, sections
+    attrs = {
+        "kind": stack.kind,
+        "first_position_um": first_um,
+        "cutoff_um": poses.cutoff_um,
+        "missing": int(volume.attrs["sections_missing"]),
+        "jitter_left_um": [*map(float, poses.jitter_left_um)],
+        "jitter_estimator": "median section",
+        "pairs_used": poses.pairs_used,
+        "pairs_refused": poses.pairs_refused,
+        "fixed": [name for name, is_fixed in fixed if is_fixed],
+    }
+    return volume, xr.Dataset(variables, attrs=attrs)
 
 
 def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
@@ -176,16 +172,14 @@ def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
     """
     rows = volume.sizes[frame.rows] // step * step
     row_indices = np.unique(np.linspace(0, rows - 1, 5).astype(int)[1:-1])
-    slices_2d = [
-        frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0]
-        for k in row_indices
-    ]
-    values = np.stack([np.ascontiguousarray(slice_2d.T) for slice_2d in slices_2d])
+    slices_2d: list[Array] = []
+    for k in row_indices:
+        row = frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load())
+        slices_2d.append(np.ascontiguousarray(row.values[0].T))
     axes = {"slice": frame.rows, "height": frame.through, "x": frame.cols}
-    coords = {name: volume.coords[axis].values for name, axis in axes.items()}
-    coords["slice"] = coords["slice"][row_indices]
-    grey = (tuple(axes), values, {"long_name": "Grey value", "units": "1"})
+    places_um = {name: volume.coords[axis].values for name, axis in axes.items()}
+    places_um["slice"] = places_um["slice"][row_indices]
+    grey = (tuple(axes), np.stack(slices_2d), {"long_name": "Grey value", "units": "1"})
     data = {"grey": grey, "row": ("slice", row_indices // step)}
-    return xr.Dataset(
-        data, {k: ((k,), v, {"units": "um"}) for k, v in coords.items()}, frame.attrs()
-    )
+    coords = {name: ((name,), um, {"units": "um"}) for name, um in places_um.items()}
+    return xr.Dataset(data, coords, frame.attrs())
