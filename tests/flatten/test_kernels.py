@@ -154,7 +154,7 @@ def test_coarse_springs_and_interpolation_are_exact():
     coarse = levels.bordered(9, 12, np.float64)
     coarse[:, 1:10, 1:13] = np.stack([i**3 - j * i, 0.5 * j**3 + i])
     fine, near = levels.bordered(17, 23, np.float64), levels.bordered(17, 23, np.float32)
-    interpolate(coarse, fine, near, 23, 12, False, 1, 18)
+    interpolate(coarse, fine, near, 23, 12, 1, 18)
     y, x = np.mgrid[0:17, 0:23] / 2.0
     truth = np.stack([y**3 - x * y, 0.5 * x**3 + y])
     np.testing.assert_allclose(fine[:, 3:16, 3:22], truth[:, 2:15, 2:21], atol=1e-10)

@@ -113,12 +113,19 @@ def filled(field: Floats) -> Floats:
     return values
 
 
+def corners_of(nodes: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Values of a field (rows, cols, ...) at the four corners of every cell, around the cell."""
+    upper, lower = nodes[:-1], nodes[1:]
+    return upper[:, :-1], upper[:, 1:], lower[:, 1:], lower[:, :-1]
+
+
 def first_and_last(mask: Bools) -> tuple[Ints, Ints]:
     """First and last index along the last axis at which a mask is set somewhere.
 
     The whole length where it is not.
     """
-    return np.argmax(mask, axis=-1), mask.shape[-1] - 1 - np.argmax(mask[..., ::-1], axis=-1)
+    after_last = np.argmax(mask[..., ::-1], axis=-1)
+    return np.argmax(mask, axis=-1), mask.shape[-1] - 1 - after_last
 
 
 def at_index(field: NDArray[Any], index: NDArray[np.integer]) -> NDArray[Any]:

@@ -70,47 +70,39 @@ def _pull(k, dx, dy, du, dv):
 @njit(**_INNER)
 def _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n):
     """Set t to k d.(du) / |d|^2 for the springs within row i and between the rows i and i + 1."""
-    xa, ya, xb, yb = x[i], y[i], x[i + 1], y[i + 1]
+    xa, ya = x[i], y[i]
+    xb, yb = x[i + 1], y[i + 1]
     k0, k1, k2, k3 = _of_springs(stiff, i)
     for j in range(n):
-        u, v = ua[j], va[j]
-        a, b = xa[j], ya[j]
-        t0[j] = _pull(k0[j], xa[j + 1] - a, ya[j + 1] - b, ua[j + 1] - u, va[j + 1] - v)
-        t1[j] = _pull(k1[j], xb[j] - a, yb[j] - b, ub[j] - u, vb[j] - v)
+        a, b, u, v = xa[j], ya[j], ua[j], va[j]
+        c, d, w, z = xb[j], yb[j], ub[j], vb[j]
+        e, f, p, q = xa[j + 1], ya[j + 1], ua[j + 1], va[j + 1]
+        t0[j] = _pull(k0[j], e - a, f - b, p - u, q - v)
+        t1[j] = _pull(k1[j], c - a, d - b, w - u, z - v)
         t2[j] = _pull(k2[j], xb[j + 1] - a, yb[j + 1] - b, ub[j + 1] - u, vb[j + 1] - v)
-        u, v = ua[j + 1], va[j + 1]
-        t3[j] = _pull(k3[j], xb[j] - xa[j + 1], yb[j] - ya[j + 1], ub[j] - u, vb[j] - v)
+        t3[j] = _pull(k3[j], c - e, d - f, w - p, z - q)
 
 
 @njit(**_INNER)
-def _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n):
-    """Sum of t times the difference of places to the eight neighbours, for row i.
+def _collect(x, i, t0, t1, t2, t3, p1, p2, p3, out, n):
+    """Sum of t times the difference of one coordinate to the eight neighbours, for row i.
 
     P are the t of the pair above.
     """
-    xa, xb, xc, ya, yb, yc = x[i - 1], x[i], x[i + 1], y[i - 1], y[i], y[i + 1]
+    above = x[i - 1]
+    here = x[i]
+    below = x[i + 1]
     for j in range(1, n + 1):
-        a, b = xb[j], yb[j]
-        gx[j] = (
-            t0[j] * (xb[j + 1] - a)
-            + t0[j - 1] * (xb[j - 1] - a)
-            + t1[j] * (xc[j] - a)
-            + p1[j] * (xa[j] - a)
-            + t2[j] * (xc[j + 1] - a)
-            + p2[j - 1] * (xa[j - 1] - a)
-            + t3[j - 1] * (xc[j - 1] - a)
-            + p3[j] * (xa[j + 1] - a)
-        )
-        gy[j] = (
-            t0[j] * (yb[j + 1] - b)
-            + t0[j - 1] * (yb[j - 1] - b)
-            + t1[j] * (yc[j] - b)
-            + p1[j] * (ya[j] - b)
-            + t2[j] * (yc[j + 1] - b)
-            + p2[j - 1] * (ya[j - 1] - b)
-            + t3[j - 1] * (yc[j - 1] - b)
-            + p3[j] * (ya[j + 1] - b)
-        )
+        a = here[j]
+        total = t0[j] * (here[j + 1] - a)
+        total += t0[j - 1] * (here[j - 1] - a)
+        total += t1[j] * (below[j] - a)
+        total += p1[j] * (above[j] - a)
+        total += t2[j] * (below[j + 1] - a)
+        total += p2[j - 1] * (above[j - 1] - a)
+        total += t3[j - 1] * (below[j - 1] - a)
+        total += p3[j] * (above[j + 1] - a)
+        out[j] = total
 
 
 @njit(**_INNER_SUMS)
@@ -158,7 +150,8 @@ def forces(xy, rest, stiff, force, sums, n, r0, r1):
     px = np.zeros(width, np.float32)
     py = np.zeros(width, np.float32)
     for i in range(r0 - 1, r1):
-        xa, ya, xb, yb = x[i], y[i], x[i + 1], y[i + 1]
+        xa, ya = x[i], y[i]
+        xb, yb = x[i + 1], y[i + 1]
         l0, l1, l2, l3 = _of_springs(rest, i)
         k0, k1, k2, k3 = _of_springs(stiff, i)
         energy = 0.0
@@ -194,9 +187,11 @@ def prepare(near, stiff, ease, n, r0, r1):
     """Set ``ease`` for the places ``near``; a node that no spring holds gets 0."""
     x, y = near[0], near[1]
     b = np.zeros((8, near.shape[2]), dtype=np.float32)
-    t0, t1, t2, t3, p1, p2, p3, out = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
+    t0, t1, t2, t3 = b[0], b[1], b[2], b[3]
+    p1, p2, p3, out = b[4], b[5], b[6], b[7]
     for i in range(r0 - 1, r1):
-        xb, yb, xc, yc = x[i], y[i], x[i + 1], y[i + 1]
+        xb, yb = x[i], y[i]
+        xc, yc = x[i + 1], y[i + 1]
         k0, k1, k2, k3 = _of_springs(stiff, i)
         for j in range(n + 1):  # stiffness over squared length
             u, v = xb[j], yb[j]
@@ -207,15 +202,16 @@ def prepare(near, stiff, ease, n, r0, r1):
         if i >= r0:
             xa, ya = x[i - 1], y[i - 1]
             for j in range(1, n + 1):
+                left, right = j - 1, j + 1
                 u, v = xb[j], yb[j]
-                a, c, d = _add(t0[j], xb[j + 1] - u, yb[j + 1] - v, _NONE, _NONE, _NONE)
-                a, c, d = _add(t0[j - 1], xb[j - 1] - u, yb[j - 1] - v, a, c, d)
+                a, c, d = _add(t0[j], xb[right] - u, yb[right] - v, _NONE, _NONE, _NONE)
+                a, c, d = _add(t0[left], xb[left] - u, yb[left] - v, a, c, d)
                 a, c, d = _add(t1[j], xc[j] - u, yc[j] - v, a, c, d)
                 a, c, d = _add(p1[j], xa[j] - u, ya[j] - v, a, c, d)
-                a, c, d = _add(t2[j], xc[j + 1] - u, yc[j + 1] - v, a, c, d)
-                a, c, d = _add(p2[j - 1], xa[j - 1] - u, ya[j - 1] - v, a, c, d)
-                a, c, d = _add(t3[j - 1], xc[j - 1] - u, yc[j - 1] - v, a, c, d)
-                a, c, d = _add(p3[j], xa[j + 1] - u, ya[j + 1] - v, a, c, d)
+                a, c, d = _add(t2[j], xc[right] - u, yc[right] - v, a, c, d)
+                a, c, d = _add(p2[left], xa[left] - u, ya[left] - v, a, c, d)
+                a, c, d = _add(t3[left], xc[left] - u, yc[left] - v, a, c, d)
+                a, c, d = _add(p3[j], xa[right] - u, ya[right] - v, a, c, d)
                 half = _HALF * (a - d)
                 largest = _HALF * (a + d) + math.sqrt(half * half + c * c)
                 soft = _ONE / (largest + _TINY)
@@ -264,21 +260,12 @@ def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n,
     """
     x, y = near[0], near[1]
     b = np.zeros((10, near.shape[2]), dtype=np.float32)
-    t0, t1, t2, t3, p1, p2, p3, gx, gy, buffer = (
-        b[0],
-        b[1],
-        b[2],
-        b[3],
-        b[4],
-        b[5],
-        b[6],
-        b[7],
-        b[8],
-        b[9],
-    )
+    t0, t1, t2, t3 = b[0], b[1], b[2], b[3]
+    p1, p2, p3 = b[4], b[5], b[6]
+    gx, gy, buffer = b[7], b[8], b[9]
     # The rows beyond the border belong to other threads (or to the padding): made ready in copies
     # of our own.
-    above_u, above_v, below_u, below_v = edge[0, 0], edge[1, 0], edge[0, 1], edge[1, 1]
+    above_u, above_v = edge[0, 0], edge[1, 0]
     ua, va = above_u, above_v
     last = near.shape[1] - 1
     for i in range(r0 - 2, r1):
@@ -287,13 +274,14 @@ def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n,
         elif i + 1 < r1:
             ub, vb = move[0, i + 1], move[1, i + 1]
         else:
-            ub, vb = below_u, below_v
+            ub, vb = edge[0, 1], edge[1, 1]
         if 0 < i + 1 < last:
             _fresh(kind, coarse, ub, vb, force, ease, first, buffer, i + 1, n)
         if i + 1 >= r0:
             _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n + 1)
             if i >= r0:
-                _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
+                _collect(x, i, t0, t1, t2, t3, p1, p2, p3, gx, n)
+                _collect(y, i, t0, t1, t2, t3, p1, p2, p3, gy, n)
                 f, g, d = force[0, i], force[1, i], ease[i]
                 for j in range(1, n + 1):
                     w = weight * d[j]
@@ -313,18 +301,22 @@ def restrict(near, stiff, force, move, coarse_force, n, coarse_n, r0, r1):
     """
     x, y = near[0], near[1]
     width = near.shape[2]
-    b = np.zeros((12, width), dtype=np.float32)
-    t0, t1, t2, t3, p1, p2, p3, gx, gy = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8]
+    b = np.zeros((9, width), dtype=np.float32)
+    t0, t1, t2, t3 = b[0], b[1], b[2], b[3]
+    p1, p2, p3 = b[4], b[5], b[6]
+    gx, gy = b[7], b[8]
     sum_x = np.zeros(width + 2, np.float32)
     sum_y = np.zeros(width + 2, np.float32)
     rows = near.shape[1] - 2
     # Fine rows of the coarse row r0 - 1 + 1: from the odd one above it to the odd one below.
     start = max(1, 2 * (r0 - 1))
     for i in range(start - 1, min(rows, 2 * (r1 - 1)) + 1):
-        ua, va, ub, vb = move[0, i], move[1, i], move[0, i + 1], move[1, i + 1]
+        ua, va = move[0, i], move[1, i]
+        ub, vb = move[0, i + 1], move[1, i + 1]
         _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n + 1)
         if i >= start:
-            _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
+            _collect(x, i, t0, t1, t2, t3, p1, p2, p3, gx, n)
+            _collect(y, i, t0, t1, t2, t3, p1, p2, p3, gy, n)
             f, g = force[0, i], force[1, i]
             share = _ONE if i % 2 == 1 else _HALF
             for j in range(1, n + 1):
@@ -374,6 +366,15 @@ def advance(xy, near, move, force, sums, n, r0, r1):
         sums[i, 0], sums[i, 1] = work, square
 
 
+@njit(**_INNER)
+def least_area(side, px, py, qx, qy, sx, sy):
+    """Smaller of the doubled areas of a cell's triangles, with the sign of ``side``.
+
+    From the first corner, p, q and s lead to the others around the cell.
+    """
+    return min(side * (px * qy - py * qx), side * (qx * sy - qy * sx))
+
+
 @njit(**_SUMS)
 def survey(xy, rest, stiff, side, sums, n, r0, r1):
     """Set ``sums`` (rows + 2, 2) by rows: spring energy, and cells that are not upright.
@@ -384,21 +385,22 @@ def survey(xy, rest, stiff, side, sums, n, r0, r1):
     """
     x, y = xy[0], xy[1]
     for i in range(r0, r1):
-        xa, ya, xb, yb = x[i], y[i], x[i + 1], y[i + 1]
+        xa, ya = x[i], y[i]
+        xb, yb = x[i + 1], y[i + 1]
         l0, l1, right, left = _of_springs(rest, i)
         k0, k1, k2, k3 = _of_springs(stiff, i)
         energy = 0.0
         down = 0.0
         for j in range(n + 1):
-            px, py = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
-            qx, qy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
-            sx, sy = xb[j] - xa[j], yb[j] - ya[j]
+            a, b = xa[j], ya[j]
+            px, py = xa[j + 1] - a, ya[j + 1] - b
+            qx, qy = xb[j + 1] - a, yb[j + 1] - b
+            sx, sy = xb[j] - a, yb[j] - b
             energy += _strain(px, py, l0[j], k0[j])[1]
             energy += _strain(sx, sy, l1[j], k1[j])[1]
             energy += _strain(qx, qy, right[j], k2[j])[1]
             energy += _strain(xb[j] - xa[j + 1], yb[j] - ya[j + 1], left[j], k3[j])[1]
-            least = min(side * (px * qy - py * qx), side * (qx * sy - qy * sx))
-            turned = 0.0 if least > 0.0 else 1.0
+            turned = 0.0 if least_area(side, px, py, qx, qy, sx, sy) > 0.0 else 1.0
             down += turned if min(right[j], left[j]) > 0.0 else 0.0
         sums[i, 0] = energy
         sums[i, 1] = down
@@ -422,12 +424,13 @@ def descend(
         restrict(*fine, force[k + 1], cols[k], cols[k + 1], _FIRST, end)
     f, u = force[last], move[last]
     for a in range(row.size):
-        x = y = 0.0
-        for b in range(row.size):
-            p, q = f[0, row[b], col[b]], f[1, row[b], col[b]]
-            x += inverse[2 * a, 2 * b] * p + inverse[2 * a, 2 * b + 1] * q
-            y += inverse[2 * a + 1, 2 * b] * p + inverse[2 * a + 1, 2 * b + 1] * q
-        u[0, row[a], col[a]], u[1, row[a], col[a]] = x, y
+        for axis in range(2):
+            answers = inverse[2 * a + axis]
+            total = 0.0
+            for b in range(row.size):
+                p, q = f[0, row[b], col[b]], f[1, row[b], col[b]]
+                total += answers[2 * b] * p + answers[2 * b + 1] * q
+            u[axis, row[a], col[a]] = total
     for k in range(last - 1, -1, -1):
         end = near[k].shape[1] - 1
         fixed = near[k], stiff[k], ease[k], force[k]

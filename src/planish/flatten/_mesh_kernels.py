@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from planish.core.jit import njit
-from planish.flatten._kernels import FAR, GONE
+from planish.flatten._kernels import FAR, GONE, least_area
 
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 _INNER = {**_SETTINGS, "forceinline": True}
@@ -38,15 +38,23 @@ def _load(points, scale, i, row, n):
 
 
 @njit(**_INNER)
+def _dot(ax, ay, az, bx, by, bz):
+    return ax * bx + ay * by + az * bz
+
+
+@njit(**_INNER)
 def _chords(a, b, aj, bj, out, n):
     """Distance of the places a[:, j + aj] and b[:, j + bj] for j = 1 ... n.
 
     0 where one is missing.
     """
-    ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
+    ax, ay, az = a[0], a[1], a[2]
+    bx, by, bz = b[0], b[1], b[2]
     for j in range(1, n + 1):
-        dx, dy, dz = bx[j + bj] - ax[j + aj], by[j + bj] - ay[j + aj], bz[j + bj] - az[j + aj]
-        long = math.sqrt(dx * dx + dy * dy + dz * dz)
+        dx = bx[j + bj] - ax[j + aj]
+        dy = by[j + bj] - ay[j + aj]
+        dz = bz[j + bj] - az[j + aj]
+        long = math.sqrt(_dot(dx, dy, dz, dx, dy, dz))
         # Two nodes on one spot are tied by a spring of no length; 0 itself means that there is no
         # spring.
         long = 1e-200 if long <= 1e-200 else long
@@ -59,13 +67,16 @@ def _bend(a, b, c, out, n):
 
     NaN beside gaps.
     """
-    ax, ay, az, bx, by, bz, cx, cy, cz = a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
+    ax, ay, az = a[0], a[1], a[2]
+    bx, by, bz = b[0], b[1], b[2]
+    cx, cy, cz = c[0], c[1], c[2]
     o0, o1, o2, o3 = out[0], out[1], out[2], out[3]
     for j in range(1, n + 1):
+        i, k = j - 1, j + 1
         x, y, z = bx[j], by[j], bz[j]
         # Neighbours as seen from the node: left, right, up, down, and the diagonal ones.
-        lx, ly, lz = bx[j - 1] - x, by[j - 1] - y, bz[j - 1] - z
-        rx, ry, rz = bx[j + 1] - x, by[j + 1] - y, bz[j + 1] - z
+        lx, ly, lz = bx[i] - x, by[i] - y, bz[i] - z
+        rx, ry, rz = bx[k] - x, by[k] - y, bz[k] - z
         ux, uy, uz = ax[j] - x, ay[j] - y, az[j] - z
         dx, dy, dz = cx[j] - x, cy[j] - y, cz[j] - z
         # Tangents, one-sided where a neighbour is missing.
@@ -75,22 +86,16 @@ def _bend(a, b, c, out, n):
         qx = _minus(dx, ux, dx, ux)
         qy = _minus(dy, uy, dx, ux)
         qz = _minus(dz, uz, dx, ux)
-        nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
-        unit = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-300)
+        nx = py * qz - pz * qy
+        ny = pz * qx - px * qz
+        nz = px * qy - py * qx
+        unit = 1.0 / math.sqrt(_dot(nx, ny, nz, nx, ny, nz) + 1e-300)
         nx, ny, nz = nx * unit, ny * unit, nz * unit
         o0[j] = nx * (rx + lx) + ny * (ry + ly) + nz * (rz + lz)
-        o1[j] = nx * (dx + ux) + ny * (dy + uy) + nz * (dz + uz)
+        o1[j] = _dot(nx, ny, nz, dx + ux, dy + uy, dz + uz)
         x, y, z = 2 * x, 2 * y, 2 * z
-        o2[j] = (
-            nx * (cx[j + 1] + ax[j - 1] - x)
-            + ny * (cy[j + 1] + ay[j - 1] - y)
-            + nz * (cz[j + 1] + az[j - 1] - z)
-        )
-        o3[j] = (
-            nx * (cx[j - 1] + ax[j + 1] - x)
-            + ny * (cy[j - 1] + ay[j + 1] - y)
-            + nz * (cz[j - 1] + az[j + 1] - z)
-        )
+        o2[j] = _dot(nx, ny, nz, cx[k] + ax[i] - x, cy[k] + ay[i] - y, cz[k] + az[i] - z)
+        o3[j] = _dot(nx, ny, nz, cx[i] + ax[k] - x, cy[i] + ay[k] - y, cz[i] + az[k] - z)
 
 
 @njit(**_INNER)
@@ -177,11 +182,12 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
     p = q = mended[0]
     for i in range(r0 - 5, r1):
         _load(points, scale, i + 2, rows[(i + 2) % 8], n)
+        before, after = bends[(i - 1) % 4], bends[(i + 1) % 4]
         if arc and i >= r0 - 3:
-            _bend(rows[i % 8], rows[(i + 1) % 8], rows[(i + 2) % 8], bends[(i + 1) % 4], n)
+            _bend(rows[i % 8], rows[(i + 1) % 8], rows[(i + 2) % 8], after, n)
         if arc and i >= r0 - 1:
             p = q
-            q = _mend(bends[(i - 1) % 4], bends[i % 4], bends[(i + 1) % 4], mended[i % 2], n)
+            q = _mend(before, bends[i % 4], after, mended[i % 2], n)
         if i < r0:
             continue
         here, there = rows[(i - 1) % 8], rows[i % 8]
@@ -189,11 +195,11 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
         # One call for all: each would be compiled into this function once more.
         for family in range(4):
             at, to = 1 if family == 3 else 0, 1 if family == 0 or family == 2 else 0
-            _chords(here, here if family == 0 else there, at, to, rest[family, i], n)
+            lengths = rest[family, i]
+            _chords(here, here if family == 0 else there, at, to, lengths, n)
             if arc:
-                left += _arcs(
-                    p[family], p[0] if family == 0 else q[family], at, to, rest[family, i], n
-                )
+                far_bends = p if family == 0 else q
+                left += _arcs(p[family], far_bends[family], at, to, lengths, n)
         springs = 0
         for family in range(4):
             for j in range(1, n + 1):
@@ -270,7 +276,7 @@ def _between(a, b, c, d):
 
 
 @njit(**_INNER)
-def _line(coarse, i, line, coarse_n, gaps):
+def _line(coarse, i, line, coarse_n):
     """Set ``line`` to the coarse places along the fine row i."""
     last = coarse.shape[0] - 2
     up = (i - 1) // 2 + 1
@@ -283,34 +289,25 @@ def _line(coarse, i, line, coarse_n, gaps):
     b = coarse[up]
     c = coarse[up + 1]
     d = coarse[min(up + 2, last + 1)]
-    if gaps or up < 2 or up + 2 > last:
-        for j in range(1, coarse_n + 1):
-            line[j] = _between(a[j], b[j], c[j], d[j])
-    else:
-        for j in range(1, coarse_n + 1):
-            line[j] = 0.5625 * (b[j] + c[j]) - 0.0625 * (a[j] + d[j])
+    for j in range(1, coarse_n + 1):
+        line[j] = _between(a[j], b[j], c[j], d[j])
 
 
 @njit(**_SETTINGS)
-def interpolate(coarse, xy, near, n, coarse_n, gaps, r0, r1):
+def interpolate(coarse, xy, near, n, coarse_n, r0, r1):
     """Fine places from every second node, cubic along rows and columns.
 
-    With ``gaps``, FAR ones are the caller's.
+    Where the fine mesh has gaps, FAR ones are the caller's.
     """
     for c in range(2):
         line = np.full(coarse_n + 3, FAR)
         for i in range(r0, r1):
-            _line(coarse[c], i, line, coarse_n, gaps)
+            _line(coarse[c], i, line, coarse_n)
             place, short = xy[c, i], near[c, i]
             for j in range((n + 1) // 2):
                 place[2 * j + 1] = line[j + 1]
             for j in range(n // 2):
-                if gaps or j == 0 or j + 3 > coarse_n:
-                    place[2 * j + 2] = _between(line[j], line[j + 1], line[j + 2], line[j + 3])
-                else:
-                    place[2 * j + 2] = 0.5625 * (line[j + 1] + line[j + 2]) - 0.0625 * (
-                        line[j] + line[j + 3]
-                    )
+                place[2 * j + 2] = _between(line[j], line[j + 1], line[j + 2], line[j + 3])
             for j in range(1, n + 1):
                 short[j] = place[j]
 
@@ -357,7 +354,9 @@ def lay_down(xy, cos, sin, shift_u, shift_v, scale, n, r0, r1):
 @njit(**_INNER)
 def _moved(xy, move, share, by, i, j):
     step = by * share[i, j]
-    return xy[0, i, j] + step * move[0, i, j], xy[1, i, j] + step * move[1, i, j]
+    u = xy[0, i, j] + step * move[0, i, j]
+    v = xy[1, i, j] + step * move[1, i, j]
+    return u, v
 
 
 @njit(**_INNER)
@@ -367,8 +366,7 @@ def _least_area(side, xy, move, share, by, i, j):
     bx, by_ = _moved(xy, move, share, by, i, j + 1)
     cx, cy = _moved(xy, move, share, by, i + 1, j + 1)
     dx, dy = _moved(xy, move, share, by, i + 1, j)
-    px, py, qx, qy, sx, sy = bx - ax, by_ - ay, cx - ax, cy - ay, dx - ax, dy - ay
-    return min(side * (px * qy - py * qx), side * (qx * sy - qy * sx))
+    return least_area(side, bx - ax, by_ - ay, cx - ax, cy - ay, dx - ax, dy - ay)
 
 
 @njit(**_SETTINGS)

@@ -24,12 +24,12 @@ _TINY = 1e-200  # a spring of no length has no direction: it pulls nowhere inste
 # By numpy's rules a division is not watched for zero; the watch would keep the loop from being
 # vectorised.
 @njit(cache=True, nogil=True, error_model="numpy")
-def _pull(ax, ay, bx, by, rest, stiff, n, tx, ty, energy):
-    """Set (tx, ty) to the force of n springs on their ends a, and add k (l - L)^2 to energy (Eqs.
+def _pull(ax, ay, bx, by, rest, stiff, tx, ty, energy):
+    """Set (tx, ty) to the force of springs on their ends a, and add k (l - L)^2 to energy (Eqs.
 
     1 and 2).
     """
-    for j in range(n):
+    for j in range(rest.size - 1):
         dx = bx[j] - ax[j]
         dy = by[j] - ay[j]
         length = sqrt(max(dx * dx + dy * dy, _TINY))
@@ -48,7 +48,6 @@ def set_force(x, rest, stiff, f):
     Return the energy, sum of k (l - L)^2 (Eq. 1), and the largest force.
     """
     rows, cols = x.shape[1], x.shape[2]
-    n = cols - 1
     pulls = np.zeros((2, 4, 2, cols))
     energy = np.zeros(cols)
     largest = np.zeros(cols)
@@ -59,33 +58,22 @@ def set_force(x, rest, stiff, f):
             at = 1 if family == 3 else 0
             to = 1 if family == 0 or family == 2 else 0
             row = i if family == 0 else i + 1
-            _pull(
-                x[0, i, at:],
-                x[1, i, at:],
-                x[0, row, to:],
-                x[1, row, to:],
-                rest[family, i],
-                stiff[family, i],
-                n,
-                here[family, 0],
-                here[family, 1],
-                energy,
-            )
+            ax, ay = x[0, i, at:], x[1, i, at:]
+            bx, by = x[0, row, to:], x[1, row, to:]
+            tx, ty = here[family, 0], here[family, 1]
+            _pull(ax, ay, bx, by, rest[family, i], stiff[family, i], tx, ty, energy)
         for axis in range(2):
             out = f[axis, i]
-            right, down, falling, rising = (
-                here[0, axis],
-                here[1, axis],
-                here[2, axis],
-                here[3, axis],
-            )
+            right, down = here[0, axis], here[1, axis]
+            falling, rising = here[2, axis], here[3, axis]
             down_, falling_, rising_ = above[1, axis], above[2, axis], above[3, axis]
-            for j in range(1, n):
+            for j in range(1, cols - 1):
                 out[j] = (right[j] - right[j - 1]) + (down[j] - down_[j])
                 out[j] += (falling[j] - falling_[j - 1]) + (rising[j - 1] - rising_[j])
         fx, fy = f[0, i], f[1, i]
         for j in range(cols):
-            largest[j] = max(largest[j], fx[j] * fx[j] + fy[j] * fy[j])
+            square = fx[j] * fx[j] + fy[j] * fy[j]
+            largest[j] = max(largest[j], square)
     return energy.sum(), sqrt(largest.max())
 
 
@@ -111,28 +99,21 @@ def mix(v, keep, f, push, side, out):
                 fastest[j] = max(fastest[j], square)
                 total[j] += sqrt(square)
         if i > 1:  # the row above now has both of its neighbours
-            _steepen(
-                out[0, i - 2],
-                out[0, i - 1],
-                out[0, i],
-                out[1, i - 2],
-                out[1, i - 1],
-                out[1, i],
-                side[0, i - 1],
-                side[1, i - 1],
-                side[2, i - 1],
-                side[3, i - 1],
-                steep,
-            )
+            _steepen(out, side, i - 1, steep)
     return sqrt(steep.max()), sqrt(fastest.max()), total.sum()
 
 
 @njit(cache=True, nogil=True)
-def _steepen(ax, x, bx, ay, y, by, right, left, below, above, steep):
-    """Raise steep to the squared norm of the gradient in row (x, y) between rows a and b."""
+def _steepen(v, side, i, steep):
+    """Raise steep to the squared norm of the gradient of v in row i."""
+    ax, x, bx = v[0, i - 1], v[0, i], v[0, i + 1]
+    ay, y, by = v[1, i - 1], v[1, i], v[1, i + 1]
+    right, left = side[0, i], side[1, i]
+    below, above = side[2, i], side[3, i]
     for j in range(1, x.size - 1):
         xx = right[j] * (x[j + 1] - x[j]) + left[j] * (x[j] - x[j - 1])
         yx = right[j] * (y[j + 1] - y[j]) + left[j] * (y[j] - y[j - 1])
         xy = below[j] * (bx[j] - x[j]) + above[j] * (x[j] - ax[j])
         yy = below[j] * (by[j] - y[j]) + above[j] * (y[j] - ay[j])
-        steep[j] = max(steep[j], (xx * xx + yx * yx) + (xy * xy + yy * yy))
+        square = (xx * xx + yx * yx) + (xy * xy + yy * yy)
+        steep[j] = max(steep[j], square)

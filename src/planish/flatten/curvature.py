@@ -8,17 +8,11 @@ from pydantic import Field
 from scipy import ndimage
 
 from planish.core.facts import ResultModel, Value
+from planish.core.grid import corners_of
 from planish.core.typing import Floats
 from planish.flatten.distortion import node_blocks
 
-# Views of the nodes: corners a, b, c and a, c, d of all cells, counted around the cell from the
-# upper left.
-_LOW = slice(-1)
-_HIGH = slice(1, None)
-_HALVES = (
-    ((_LOW, _LOW), (_LOW, _HIGH), (_HIGH, _HIGH)),
-    ((_LOW, _LOW), (_HIGH, _HIGH), (_HIGH, _LOW)),
-)
+_HALVES = ((0, 1, 2), (0, 2, 3))  # corners of the triangles of a cell
 _LIMIT = 0.005  # in-plane strain beyond which paper cockles or yields
 
 
@@ -89,8 +83,8 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
         pitch = [_median_pitch(points, axis) for axis in (0, 1)]
         # Weights rise smoothly from 0 beside the nodes without a full turn to 1 a third of the
         # half-side from them.
-        distance_um = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
-        ramp = np.minimum(distance_um / (patch_um * (1 / 3)), 1.0)
+        padded_um = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)
+        ramp = np.minimum(padded_um[1:-1, 1:-1] / (patch_um * (1 / 3)), 1.0)
         weight = ramp * ramp * (3 - 2 * ramp)
         sigma_px = [patch_um / np.sqrt(3) / p for p in pitch]
 
@@ -147,19 +141,20 @@ def _deficit_and_area(points: Floats) -> tuple[Floats, Floats]:
     # about it.
     angles, area = (np.zeros(points.shape[:2]) for _ in range(2))
     for nodes in node_blocks(points):
-        block_points, block_angles, block_area = points[nodes], angles[nodes], area[nodes]
-        for p, q, r in _HALVES:
-            pq, pr = block_points[q] - block_points[p], block_points[r] - block_points[p]
+        corners, corner_angles, corner_areas = (
+            corners_of(field[nodes]) for field in (points, angles, area)
+        )
+        for half in _HALVES:
+            p, q, r = half
+            pq, pr = corners[q] - corners[p], corners[r] - corners[p]
             normal = np.cross(pq, pr)
             twice_area = np.sqrt(_dot(normal, normal))
             pq_dot_pr = _dot(pq, pr)
             at_p = np.arctan2(twice_area, pq_dot_pr)
             at_q = np.arctan2(twice_area, _dot(pq, pq) - pq_dot_pr)
-            block_angles[p] += at_p
-            block_angles[q] += at_q
-            block_angles[r] += np.pi - at_p - at_q
-            for k in (p, q, r):
-                block_area[k] += twice_area / 6
+            for k, angle in zip(half, (at_p, at_q, np.pi - at_p - at_q), strict=True):
+                corner_angles[k][:] += angle
+                corner_areas[k][:] += twice_area / 6
     angle_deficit = 2 * np.pi - angles
     # Nodes of the outline have no full turn.
     angle_deficit[[0, -1]] = angle_deficit[:, [0, -1]] = np.nan

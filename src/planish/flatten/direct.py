@@ -20,7 +20,12 @@ from planish.flatten.levels import Level
 _TIE = 1e-10
 # First and second ends of the four families of springs: steps in row and column from where the
 # spring is stored.
-_ENDS = np.array([[(0, 0), (0, 0), (0, 0), (0, 1)], [(0, 1), (1, 0), (1, 1), (1, 0)]])
+_ENDS = np.array(
+    [
+        [(0, 0), (0, 0), (0, 0), (0, 1)],
+        [(0, 1), (1, 0), (1, 1), (1, 0)],
+    ]
+)
 
 
 class Network(NamedTuple):
@@ -40,15 +45,10 @@ class Network(NamedTuple):
         number[:-1, :-1][mask] = np.arange(np.count_nonzero(mask))
         rest = level.inside(level.rest)
         stiff = level.inside(np.broadcast_to(level.stiff, level.rest.shape))
-        family, rows, cols = np.nonzero(rest > 0)
+        springs = rest > 0
+        family, rows, cols = np.nonzero(springs)
         first, second = (number[rows + step[family, 0], cols + step[family, 1]] for step in _ENDS)
-        return cls(
-            mask,
-            first,
-            second,
-            rest[family, rows, cols],
-            stiff[family, rows, cols].astype(np.float64),
-        )
+        return cls(mask, first, second, rest[springs], stiff[springs].astype(np.float64))
 
     def energy(self, uv: Floats) -> float:
         """Sum over the springs of k (l - L)^2 for the places ``uv`` (nodes, 2)."""
@@ -57,19 +57,13 @@ class Network(NamedTuple):
 
     def forces(self, uv: Floats) -> Floats:
         """Minus half the energy's gradient, (nodes, 2)."""
-        vectors = uv[self.second] - uv[self.first]
-        # Two nodes on one spot have no direction; such a spring pulls nowhere instead of to
-        # infinity.
-        lengths = np.maximum(np.linalg.norm(vectors, axis=1), 1e-150)
+        vectors, lengths = self._vectors(uv)
         pull = vectors * (self.stiff * (1 - self.rest / lengths))[:, None]
-        return np.stack(
-            [
-                np.bincount(self.first, p, len(uv)) - np.bincount(self.second, p, len(uv))
-                for p in pull.T
-            ],
-            axis=1,
-            dtype=np.float64,
-        )
+        force = np.empty(uv.shape)
+        for axis, p in enumerate(pull.T):
+            at_first = np.bincount(self.first, p, len(uv))
+            force[:, axis] = at_first - np.bincount(self.second, p, len(uv))
+        return force
 
     def matrix(self, uv: Floats, *, exact: bool) -> sparse.csc_array:
         """Half the second derivative of the energy, (2 nodes, 2 nodes), node by node (u, v).
@@ -78,11 +72,11 @@ class Network(NamedTuple):
         under tension; that of compressed ones would make the matrix indefinite.
         """
         d, transverse_share = self._directions(uv, exact)
-        block = self.stiff * (
-            d.T[:, None] * d.T * (1 - transverse_share) + np.eye(2)[..., None] * transverse_share
-        )
+        along = d.T[:, None] * d.T * (1 - transverse_share)
+        block = self.stiff * (along + np.eye(2)[..., None] * transverse_share)
         # For both axes of either end, the four pairs of ends: (2, 2, 4, springs).
-        values = block[:, :, None] * np.array([1.0, 1.0, -1.0, -1.0])[:, None]
+        pair_signs = np.array([1.0, 1.0, -1.0, -1.0])
+        values = block[:, :, None] * pair_signs[:, None]
         ends = np.stack([self.first, self.second, self.first, self.second])
         other_ends = np.stack([self.first, self.second, self.second, self.first])
         row = 2 * ends + np.arange(2)[:, None, None, None]
@@ -95,24 +89,34 @@ class Network(NamedTuple):
     def full_matrix(self, uv: Floats, *, exact: bool) -> Floats:
         """As ``matrix``, of a small network and without ties."""
         d, transverse_share = self._directions(uv, exact)
-        incidence = np.zeros((len(self.rest), len(uv)))
-        spring_indices = np.arange(len(self.rest))
-        incidence[spring_indices, self.first], incidence[spring_indices, self.second] = -1.0, 1.0
-        along = (d[:, None, :] * incidence[:, :, None]).reshape(len(self.rest), -1)
-        stiffness = along.T @ ((self.stiff * (1 - transverse_share))[:, None] * along)
+        n_springs = len(self.rest)
+        incidence = np.zeros((n_springs, len(uv)))
+        spring_indices = np.arange(n_springs)
+        incidence[spring_indices, self.first] = -1.0
+        incidence[spring_indices, self.second] = 1.0
+        along = (d[:, None, :] * incidence[:, :, None]).reshape(n_springs, -1)
+        stiff_along = self.stiff * (1 - transverse_share)
+        stiffness = along.T @ (stiff_along[:, None] * along)
         if exact:
-            across = incidence.T @ ((self.stiff * transverse_share)[:, None] * incidence)
+            stiff_across = self.stiff * transverse_share
+            across = incidence.T @ (stiff_across[:, None] * incidence)
             stiffness[::2, ::2] += across
             stiffness[1::2, 1::2] += across
         return stiffness
 
+    def _vectors(self, uv: Floats) -> tuple[Floats, Floats]:
+        """Vectors (n, 2) from the first to the second ends of the springs, and their lengths."""
+        vectors = uv[self.second] - uv[self.first]
+        # Two nodes on one spot have no direction; such a spring pulls nowhere instead of to
+        # infinity.
+        return vectors, np.maximum(np.linalg.norm(vectors, axis=1), 1e-150)
+
     def _directions(self, uv: Floats, exact: bool) -> tuple[Floats, Floats]:
         """Unit vectors of the springs, and the share of their stiffness that acts across them."""
-        vectors = uv[self.second] - uv[self.first]
-        lengths = np.maximum(np.linalg.norm(vectors, axis=1), 1e-150)
-        transverse_share = (
-            np.maximum(1 - self.rest / lengths, 0.0) if exact else np.zeros_like(lengths)
-        )
+        vectors, lengths = self._vectors(uv)
+        transverse_share = np.zeros_like(lengths)
+        if exact:
+            transverse_share = np.maximum(1 - self.rest / lengths, 0.0)
         return vectors / lengths[:, None], transverse_share
 
 
@@ -134,12 +138,13 @@ class StiffnessSolver:
             matrix = network.full_matrix(uv, exact=exact) + self._rigid @ self._rigid.T
             self._matrix = matrix + _TIE * np.eye(len(matrix))
         else:
-            self._solve = splu(
+            factors = splu(
                 network.matrix(uv, exact=exact),
                 permc_spec="MMD_AT_PLUS_A",
                 options={"SymmetricMode": True},
                 diag_pivot_thresh=0.0,
-            ).solve
+            )
+            self._solve = factors.solve
 
     @cached_property
     def inverse(self) -> Floats | None:

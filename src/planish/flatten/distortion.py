@@ -11,6 +11,7 @@ import xarray as xr
 from pydantic import Field
 
 from planish.core.facts import ResultModel, Value
+from planish.core.grid import corners_of
 from planish.core.robust import percentiles
 from planish.core.transform import are_known
 from planish.core.typing import Bools, Floats, Ints
@@ -40,11 +41,14 @@ class MeshPoints(NamedTuple):
 
     def on(self, nodes: Floats) -> Floats:
         """Interpolate ``nodes`` (rows, cols, k) at the places: (n, k)."""
-        corner = _CORNERS[self.half]
-        corner_values = nodes[
-            self.row[:, None] + corner[..., 0], self.col[:, None] + corner[..., 1]
-        ]
+        corner_values = nodes[_corners(self.row, self.col, self.half)]
         return np.einsum("nc,nck->nk", self.weights, corner_values)
+
+
+def _corners(row: Ints, col: Ints, half: Ints) -> tuple[Ints, Ints]:
+    """Rows and columns (n, 3) of the corners of triangles."""
+    down, across = np.moveaxis(_CORNERS[half], -1, 0)
+    return row[:, None] + down, col[:, None] + across
 
 
 class GeodesicError(ResultModel):
@@ -94,8 +98,7 @@ def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator) -> G
 
 def whole_cells(points: Floats, uv: Floats) -> Bools:
     """Cells (rows - 1, cols - 1) whose four corners are known both in space and in the plane."""
-    is_node = are_known(points) & are_known(uv)
-    return is_node[:-1, :-1] & is_node[:-1, 1:] & is_node[1:, 1:] & is_node[1:, :-1]
+    return np.logical_and.reduce(corners_of(are_known(points) & are_known(uv)))
 
 
 def triangle_areas(grid: Floats) -> tuple[Floats, Floats]:
@@ -103,8 +106,8 @@ def triangle_areas(grid: Floats) -> tuple[Floats, Floats]:
 
     NaN where a corner is missing.
     """
-    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
-    (bx, by), (cx, cy), (dx, dy) = (np.moveaxis(corner - a, -1, 0) for corner in (b, c, d))
+    a, *others = corners_of(grid)
+    (bx, by), (cx, cy), (dx, dy) = (np.moveaxis(corner - a, -1, 0) for corner in others)
     return bx * cy - by * cx, cx * dy - cy * dx
 
 
@@ -119,8 +122,10 @@ def folded_cells(points: Floats, uv: Floats, *, side: float = 1.0, floor: float 
     """
     least_area = 0.0
     if floor:
-        across, rising = points[1:, 1:] - points[:-1, :-1], points[1:, :-1] - points[:-1, 1:]
-        least_area = floor * 0.5 * np.linalg.norm(across, axis=-1) * np.linalg.norm(rising, axis=-1)
+        a, b, c, d = corners_of(points)
+        across_um = np.linalg.norm(c - a, axis=-1)
+        rising_um = np.linalg.norm(d - b, axis=-1)
+        least_area = floor * 0.5 * across_um * rising_um
     with np.errstate(invalid="ignore"):
         first, second = triangle_areas(uv)
         return np.minimum(side * first, side * second) <= least_area
@@ -134,7 +139,8 @@ def random_places(whole: Bools, count: int, rng: np.random.Generator) -> MeshPoi
     cells = np.argwhere(whole)
     row, col = cells[rng.integers(len(cells), size=count)].T
     half = rng.integers(2, size=count)
-    return MeshPoints(row=row, col=col, half=half, weights=rng.dirichlet(np.ones(3), size=count))
+    weights = rng.dirichlet(np.ones(3), size=count)
+    return MeshPoints(row=row, col=col, half=half, weights=weights)
 
 
 def trace_lines(
@@ -175,9 +181,8 @@ def trace_lines(
         line = triangles[:, 0]
         start_turned = (origin[line], vector[line], is_turned[line])
         exits, triangles, has_exit = _leave_triangles(points, uv, triangles, *start_turned)
-        positions = np.column_stack(
-            [exits, positions[:, 3] + np.linalg.norm(exits - positions[:, :3], axis=1)]
-        )
+        way_um = np.linalg.norm(exits - positions[:, :3], axis=1)
+        positions = np.column_stack([exits, positions[:, 3] + way_um])
         is_on_sheet = has_exit & is_cell[triangles[:, 1] + 1, triangles[:, 2] + 1]
         triangles, positions = triangles[is_on_sheet], positions[is_on_sheet]
     return flat_um, space_um
@@ -192,7 +197,7 @@ def _leave_triangles(
     """
     # Those that are turned began in a triangle that is turned over.
     line, row, col, half = triangles.T
-    corner = row[:, None] + _CORNERS[half, :, 0], col[:, None] + _CORNERS[half, :, 1]
+    corner = _corners(row, col, half)
     x, y = np.moveaxis(uv[corner] - origin[:, None], -1, 0)
     side = vector[:, :1] * y - vector[:, 1:] * x
     is_right = (side > 0) == is_turned[:, None]
@@ -201,14 +206,13 @@ def _leave_triangles(
     begin_corner, end_corner = ((np.arange(line.size), (edge + k) % 3) for k in (0, 1))
     # Not so where a line starts so close to an edge that rounding put it outside.
     has_exit = is_exit_edge.any(axis=1)
-    exit_share = side[begin_corner] / np.where(has_exit, side[begin_corner] - side[end_corner], 1.0)
-    a, b = points[corner][begin_corner], points[corner][end_corner]
+    way = np.where(has_exit, side[begin_corner] - side[end_corner], 1.0)
+    exit_share = side[begin_corner] / way
+    corner_points = points[corner]
+    a, b = corner_points[begin_corner], corner_points[end_corner]
     down, across, half = _BEHIND[half, edge].T
-    return (
-        a + exit_share[:, None] * (b - a),
-        np.stack([line, row + down, col + across, half], axis=1),
-        has_exit,
-    )
+    behind = np.stack([line, row + down, col + across, half], axis=1)
+    return a + exit_share[:, None] * (b - a), behind, has_exit
 
 
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
@@ -284,11 +288,10 @@ def measure_distortion(
     scale, scale_ratio, direction, displacements = _against_projection(points, uv)
     median, p95, largest = percentiles(displacements, 50, 95, 100)
     in_space, in_plane = boundary_lengths(points, uv)
+    spreads = {name: _spread(strain[name].values) for name in ("axial_u", "axial_v", "shear")}
     return Distortion(
         area=_spread(strain["area_ratio"].values - 1),
-        axial_u=_spread(strain["axial_u"].values),
-        axial_v=_spread(strain["axial_v"].values),
-        shear=_spread(strain["shear"].values),
+        **spreads,
         cells=int(np.count_nonzero(np.isfinite(area))),
         inverted_cells=int(np.count_nonzero(area <= 0)),
         boundary_space_um=in_space,
@@ -316,12 +319,11 @@ def edge_strain(points: Floats, uv: Floats) -> tuple[Floats, Floats]:
     (rows, cols - 1), (rows - 1, cols)
         Flat length over length in space, minus one; NaN where an end is missing.
     """
-    return tuple(  # type: ignore[return-value]
-        np.linalg.norm(np.diff(uv, axis=axis), axis=-1)
-        / np.linalg.norm(np.diff(points, axis=axis), axis=-1)
-        - 1
-        for axis in (1, 0)
-    )
+    strains: list[Floats] = []
+    for axis in (1, 0):
+        flat, space = (np.linalg.norm(np.diff(nodes, axis=axis), axis=-1) for nodes in (uv, points))
+        strains.append(flat / space - 1)
+    return strains[0], strains[1]
 
 
 def cell_strain(points: Floats, uv: Floats) -> xr.Dataset:
@@ -372,16 +374,13 @@ def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
     is_cell = np.pad(whole_cells(points, uv), 1)
     row_edges = is_cell[1:, 1:-1] != is_cell[:-1, 1:-1]  # (rows, cols - 1): edges along rows
     col_edges = is_cell[1:-1, 1:] != is_cell[1:-1, :-1]  # (rows - 1, cols)
-    in_space, in_plane = (
-        _edge_length(nodes, row_edges, 1) + _edge_length(nodes, col_edges, 0)
-        for nodes in (points, uv)
-    )
-    return in_space, in_plane
 
+    def length(nodes: Floats) -> float:
+        along_rows = np.diff(nodes, axis=1)[row_edges]
+        along_cols = np.diff(nodes, axis=0)[col_edges]
+        return float(sum(np.linalg.norm(edges, axis=1).sum() for edges in (along_rows, along_cols)))
 
-def _edge_length(nodes: Floats, edges: Bools, axis: int) -> float:
-    """Length of all edges along an axis that are marked."""
-    return float(np.linalg.norm(np.diff(nodes, axis=axis)[edges], axis=1).sum())
+    return length(points), length(uv)
 
 
 def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
@@ -404,16 +403,17 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
         high = conformal + anticonformal
         low = np.abs(conformal - anticonformal)
         area = au * dv - av * du
+        angle = np.arctan2(side * height, g12)
+        flat_angle = np.arctan2(np.abs(area), au * du + av * dv)
+        smaller_area = 0.5 * np.minimum(*triangle_areas(uv))
         return {
             "stretch_max": high,
             "stretch_min": low,
             "area_ratio": high * low,
             "axial_u": np.hypot(au, av) / side - 1,
             "axial_v": np.hypot(du, dv) / np.sqrt(g22) - 1,
-            "shear": np.arctan2(side * height, g12) - np.arctan2(np.abs(area), au * du + av * dv),
-            "signed_area": np.where(
-                np.isfinite(g11), 0.5 * np.minimum(*triangle_areas(uv)), np.nan
-            ),
+            "shear": angle - flat_angle,
+            "signed_area": np.where(np.isfinite(g11), smaller_area, np.nan),
             "anisotropy": high / low,
         }
 
@@ -425,16 +425,9 @@ def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
 
 
 def _spread(values: Floats) -> Spread:
-    field_names = ("median", "p5", "p95", "p95_abs", "max_abs")
-    return Spread(
-        **dict(
-            zip(
-                field_names,
-                percentiles(values, 50, 5, 95) + percentiles(np.abs(values), 95, 100),
-                strict=True,
-            )
-        )
-    )
+    median, p5, p95 = percentiles(values, 50, 5, 95)
+    p95_abs, max_abs = percentiles(np.abs(values), 95, 100)
+    return Spread(median=median, p5=p5, p95=p95, p95_abs=p95_abs, max_abs=max_abs)
 
 
 def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float, Floats]:
@@ -452,19 +445,15 @@ def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float
     a = a - a.mean(axis=0)
     b = b - b.mean(axis=0)
     scatter, cross = a.T @ a, b.T @ a
-    scale = float(
-        np.hypot(cross[0, 0] + cross[1, 1], cross[1, 0] - cross[0, 1]) / np.trace(scatter)
-    )
-    rotation = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
+    along, across = cross[0, 0] + cross[1, 1], cross[1, 0] - cross[0, 1]
+    scale = float(np.hypot(along, across) / np.trace(scatter))
+    cross_sum = np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    rotation = np.arctan2(cross_sum, np.sum(a * b))
     cos = np.cos(rotation)
     sin = np.sin(rotation)
     residuals = np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)
     if np.linalg.cond(scatter) > 1e12:  # a sheet on edge: its projection is a line
         return scale, np.nan, np.nan, residuals
     _, size, axes = np.linalg.svd(cross @ np.linalg.inv(scatter))
-    return (
-        scale,
-        float(size[0] / size[1]),
-        float(np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180),
-        residuals,
-    )
+    direction = np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180
+    return scale, float(size[0] / size[1]), float(direction), residuals

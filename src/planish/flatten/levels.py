@@ -14,6 +14,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from planish.core.errors import CannotFlatten
+from planish.core.grid import corners_of
 from planish.core.typing import Array, Bools, Floats, Ints, Singles
 from planish.flatten._kernels import FAR
 from planish.flatten._mesh_kernels import coarsen, rest_lengths
@@ -82,11 +83,12 @@ class Level:
 
         ``xy`` and ``near`` have no values yet except in the padding.
         """
-        self.xy, self.near = (
-            bordered(self.rows, self.cols, dtype) for dtype in (np.float64, np.float32)
-        )
-        self.move, self.force = (padded(2, self.rows, self.cols, np.float32) for _ in range(2))
-        self.ease = padded(1, self.rows, self.cols, np.float32)[0]
+        shape = self.rows, self.cols
+        self.xy = bordered(*shape, np.float64)
+        self.near = bordered(*shape, np.float32)
+        self.move = padded(2, *shape, np.float32)
+        self.force = padded(2, *shape, np.float32)
+        self.ease = padded(1, *shape, np.float32)[0]
         self.sums = np.zeros((self.rows + 2, 2))
         self.alone = np.zeros((2, 2, self.move.shape[2]), np.float32)
 
@@ -142,10 +144,10 @@ def mean_pitch(points: Floats) -> float:
     for n_lines in (10, max(points.shape)):
         rows, cols = (max(1, n // n_lines) for n in points.shape[:2])
         with np.errstate(invalid="ignore", over="ignore"):
-            vectors = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
-            lengths = np.concatenate(
-                [np.sqrt(np.sum(vector * vector, axis=-1)).ravel() for vector in vectors]
-            )
+            along_rows = np.diff(points[::rows], axis=1).reshape(-1, 3)
+            along_cols = np.diff(points[:, ::cols], axis=0).reshape(-1, 3)
+            vectors = np.concatenate([along_rows, along_cols])
+            lengths = np.sqrt(np.sum(vectors * vectors, axis=-1))
         lengths = lengths[np.isfinite(lengths)]
         if lengths.size > 1000:
             break
@@ -177,11 +179,8 @@ def make_springs(
             "No two neighbours of the mesh are known. Fill the gaps or use a coarser mesh."
         )
     ones = np.ones((4, 1, lengths.shape[2]), np.float32)
-    return (
-        Level(rows, cols, parts, lengths, ones),
-        int(springs),
-        n_straight / springs if rest == "arc" else np.nan,
-    )
+    straight_share = n_straight / springs if rest == "arc" else np.nan
+    return Level(rows, cols, parts, lengths, ones), int(springs), straight_share
 
 
 def stiffen(level: Level, weights: Floats) -> None:
@@ -201,25 +200,21 @@ def loose_nodes(is_node: Bools) -> tuple[Bools, Ints]:
     turn freely. The largest stiff part is the sheet. Gives the known nodes outside of it, and the
     number of cells of every stiff part.
     """
-    corners = sum(
-        is_node[i : i + is_node.shape[0] - 1, j : j + is_node.shape[1] - 1].astype(np.int8)
-        for i in (0, 1)
-        for j in (0, 1)
-    )
+    is_stiff = np.sum(corners_of(is_node), axis=0) >= 3
     # Cells at odd places and the edges between them; a path may pass an edge whose two nodes are
     # known.
-    passable = np.zeros((2 * is_node.shape[0] - 1, 2 * is_node.shape[1] - 1), dtype=bool)
-    passable[1::2, 1::2] = corners >= 3
+    passable = np.zeros([2 * n - 1 for n in is_node.shape], dtype=bool)
+    passable[1::2, 1::2] = is_stiff
     passable[1::2, ::2] = is_node[:-1] & is_node[1:]
     passable[::2, 1::2] = is_node[:, :-1] & is_node[:, 1:]
     labels = ndimage.label(passable)[0][1::2, 1::2]
-    sizes = np.bincount(labels[corners >= 3])
+    sizes = np.bincount(labels[is_stiff])
     if sizes.size == 0:
         return is_node.copy(), np.zeros(0, dtype=np.intp)
-    sheet_cells = (labels == np.argmax(sizes)) & (corners >= 3)
+    sheet_cells = (labels == np.argmax(sizes)) & is_stiff
     is_held = np.zeros_like(is_node)
-    for i, j in itertools.product((0, 1), repeat=2):
-        is_held[i : i + sheet_cells.shape[0], j : j + sheet_cells.shape[1]] |= sheet_cells
+    for corner in corners_of(is_held):
+        corner |= sheet_cells
     return is_node & ~is_held, sizes[sizes > 0]
 
 
@@ -271,7 +266,8 @@ def _differences(node_number: Ints, coefficients: tuple[float, ...]) -> sparse.c
     runs: list[Ints] = []
     for numbers in (node_number, node_number.T):
         length = len(numbers) + 1 - order
-        runs.append(np.stack([numbers[k : length + k].ravel() for k in range(order)]))
+        shifted = [numbers[k : length + k].ravel() for k in range(order)]
+        runs.append(np.stack(shifted))
     nodes = np.concatenate(runs, axis=1)
     nodes = nodes[:, (nodes >= 0).all(axis=0)]
     n_sums = nodes.shape[1]

@@ -126,7 +126,7 @@ class Multigrid:
             coarse.drop_springs()
             fine.open()
             arrays = (coarse.xy, fine.xy, fine.near)
-            self.team.run(interpolate, fine.parts, *arrays, fine.cols, coarse.cols, self.gaps)
+            self.team.run(interpolate, fine.parts, *arrays, fine.cols, coarse.cols)
             if self.gaps:
                 is_gone = ~fine.nodes
                 fine.inside(fine.xy)[:, is_gone] = fine.inside(fine.near)[:, is_gone] = FAR

@@ -139,16 +139,17 @@ def relax_grid(
         uv = _lay_on_projection(level, points, pitch, team)
     uv[is_brace] = np.nan
     folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
-    if outcome is Outcome.HELD_OPEN:
+    if n_folded or outcome is Outcome.HELD_OPEN:
         # Cells that the step rule held open are as good as folded.
-        folded = folded_cells(points, uv, side=side, floor=1.5 * OPEN)
-    elif n_folded:
-        folded = folded_cells(points, uv, side=side)
+        floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
+        folded = folded_cells(points, uv, side=side, floor=floor)
+    if outcome is Outcome.RESTED and folded.any():
+        outcome = Outcome.FOLDED
     return Relaxed(
         uv=uv,
         energy=energy * pitch * pitch,
         springs=springs,
-        outcome=Outcome.FOLDED if outcome is Outcome.RESTED and folded.any() else outcome,
+        outcome=outcome,
         steps=steps,
         history=history,
         folded=folded,
@@ -241,9 +242,8 @@ def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | Non
         )
     if not is_loose.any():
         return points, weights, is_loose
-    is_brace = ~is_node & ndimage.binary_dilation(
-        is_loose, structure=np.ones((3, 3), dtype=bool), iterations=2
-    )
+    is_near = ndimage.binary_dilation(is_loose, np.ones((3, 3), dtype=bool), iterations=2)
+    is_brace = ~is_node & is_near
     return (*impute_nodes(points, weights, is_node, is_brace), is_brace)
 
 
@@ -288,8 +288,8 @@ def _handedness(points: Floats) -> float:
     flat = points[::rows, ::cols, :2]
     across = np.diff(flat, axis=1)[:-1]
     down = np.diff(flat, axis=0)[:, :-1]
-    area = np.nansum(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])
-    return -1.0 if area < 0 else 1.0
+    areas = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]
+    return -1.0 if np.nansum(areas) < 0 else 1.0
 
 
 def _multigrid(level: Level, side: float, team: Team, tolerance: float, *, gaps: bool) -> Run:
@@ -300,35 +300,31 @@ def _multigrid(level: Level, side: float, team: Team, tolerance: float, *, gaps:
         solver = Multigrid(level, team, gaps=gaps, side=side, guarded=guarded)
         outcome = solver.run(tolerance)
         history += solver.history
-        if (
-            outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS)
-            and count_folds(level, team, side)[1] == 0
-        ):
+        is_done = outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS)
+        if is_done and count_folds(level, team, side)[1] == 0:
             break
-    return sum(step.nodes == level.rows * level.cols for step in history), outcome, tuple(history)
+    finest_steps = sum(step.nodes == level.rows * level.cols for step in history)
+    return finest_steps, outcome, tuple(history)
 
 
 def _relaxation(
     level: Level, points: Floats, start: Floats, method: Method | RelaxationParams
 ) -> Run:
     """Relax by the damped motion of Hirn et al. (2009), from the places ``start`` in pitches."""
-    start = np.where(np.isfinite(points).all(axis=-1, keepdims=True), start, np.nan)
+    start = np.where(are_known(points)[..., None], start, np.nan)
     params = method if isinstance(method, RelaxationParams) else RelaxationParams()
     rest = level.inside(np.where(level.rest > 0, level.rest, np.nan))
     stiffness = level.inside(np.broadcast_to(level.stiff, level.rest.shape)).astype(np.float64)
     relaxation = relax_dynamically(start, rest, stiffness=stiffness, params=params)
     level.open()
-    level.inside(level.xy)[:] = np.where(
-        np.isfinite(relaxation.uv), relaxation.uv, 10 * GONE
-    ).transpose(2, 0, 1)
-    n_nodes = int(np.isfinite(relaxation.uv[..., 0]).sum())
+    uv = np.moveaxis(relaxation.uv, -1, 0)
+    is_node = np.isfinite(uv)
+    level.inside(level.xy)[:] = np.where(is_node, uv, 10 * GONE)
+    n_nodes = int(np.count_nonzero(is_node[0]))
     motion = relaxation.history
     moves = zip(motion.energy, motion.mean_speed * motion.dt, strict=True)
-    return (
-        relaxation.steps,
-        relaxation.outcome,
-        tuple(Step(n_nodes, energy, np.nan, move) for energy, move in moves),
-    )
+    history = tuple(Step(n_nodes, energy, np.nan, move) for energy, move in moves)
+    return relaxation.steps, relaxation.outcome, history
 
 
 def _lay_on_projection(level: Level, points: Floats, pitch: float, team: Team) -> Floats:
@@ -336,7 +332,8 @@ def _lay_on_projection(level: Level, points: Floats, pitch: float, team: Team) -
     team.run(moments, level.parts, points, 1 / pitch, level.xy, row_sums)
     n_nodes, u, v, p, q, sum_dot, sum_cross = row_sums.sum(axis=0)
     n_nodes = max(n_nodes, 1.0)
-    angle = np.arctan2(sum_cross - (u * q - v * p) / n_nodes, sum_dot - (u * p + v * q) / n_nodes)
+    cross = sum_cross - (u * q - v * p) / n_nodes
+    angle = np.arctan2(cross, sum_dot - (u * p + v * q) / n_nodes)
     cos = float(np.cos(angle))
     sin = float(np.sin(angle))
     shift = (p - cos * u + sin * v) / n_nodes, (q - sin * u - cos * v) / n_nodes

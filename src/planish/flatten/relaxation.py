@@ -143,20 +143,17 @@ def relax_dynamically(
             " from one mesh."
         )
     is_node = are_known(start)
-    tied = (
-        of_springs(is_node, np.logical_and, np.zeros(rest.shape, bool))
-        & np.isfinite(rest)
-        & np.isfinite(stiff)
-    )
+    tied = of_springs(is_node, np.logical_and, np.zeros(rest.shape, bool))
+    tied &= np.isfinite(rest) & np.isfinite(stiff)
     unit = float(np.max(stiff, where=tied, initial=0.0)) or 1.0
-    x = _framed(np.where(is_node[..., None], start, 0.0).transpose(2, 0, 1))
+    x = _framed(np.where(is_node, start.transpose(2, 0, 1), 0.0))
     springs = _framed(np.where(tied, rest, 0.0)), _framed(np.where(tied, stiff / unit, 0.0))
+    mask = _framed(is_node.astype(np.float64))
     # a mesh that leaves the finite numbers is an outcome.
     with np.errstate(invalid="ignore", over="ignore"):
-        outcome, energy, log = _motion(
-            x, springs, _framed(is_node.astype(np.float64)), params or RelaxationParams()
-        )
-        uv = np.where(is_node[..., None], x[:, 1:-1, 1:-1].transpose(1, 2, 0), np.nan)
+        outcome, energy, log = _motion(x, springs, mask, params or RelaxationParams())
+        inside = x[:, 1:-1, 1:-1].transpose(1, 2, 0)
+        uv = np.where(is_node[..., None], inside, np.nan)
         side = np.sign(np.nansum(triangle_areas(start)))
         inverted = int(np.count_nonzero(folded_cells(start, uv, side=side)))
     if inverted and outcome is Outcome.RESTED:
@@ -175,12 +172,10 @@ def relax_dynamically(
 
 def _difference_weights(mask: Floats) -> Floats:
     """Weights of the differences to the neighbours right, left, below and above (4, rows, cols)."""
-    weights: list[Floats] = []
-    for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0)):
-        side = np.roll(mask, shift, axis)
-        opposite = np.roll(mask, -shift, axis)
-        weights.append(mask * side * (1.0 - 0.5 * opposite))
-    return np.stack(weights)
+    left, right = np.roll(mask, 1, axis=1), np.roll(mask, -1, axis=1)
+    above, below = np.roll(mask, 1, axis=0), np.roll(mask, -1, axis=0)
+    pairs = ((right, left), (left, right), (below, above), (above, below))
+    return np.stack([mask * side * (1.0 - 0.5 * opposite) for side, opposite in pairs])
 
 
 def _time_step(p: RelaxationParams, dt: float, gradient: float) -> float:
@@ -229,7 +224,8 @@ def _motion(
         """
         if p.integrator == "euler":
             return mix(v, 1.0 - c * dt, f, dt, weights, next_v)
-        return mix(v, 1.0 / (1.0 + c * dt), f, dt / (1.0 + c * dt), weights, next_v)
+        slowing = 1.0 + c * dt
+        return mix(v, 1.0 / slowing, f, dt / slowing, weights, next_v)
 
     while outcome is Outcome.OUT_OF_STEPS and len(step_log) < p.most_steps:
         c = _damping(p, c, gradient)
@@ -251,8 +247,9 @@ def _motion(
         mean_speed = speed_sum / nodes
         step_log.append((dt, c, gradient, mean_speed, energy))
         time += dt
-        has_moved = has_moved or mean_speed > p.mean_speed
-        calm_time = 0.0 if mean_speed > p.mean_speed else calm_time + dt
+        is_fast = mean_speed > p.mean_speed
+        has_moved |= is_fast
+        calm_time = 0.0 if is_fast else calm_time + dt
         has_come_to_rest = {
             # A mesh that has not been fast within a period of its slowest mode will never be.
             "first": (has_moved or time >= period) and calm_time > 0.0,
@@ -274,11 +271,9 @@ def _runge_kutta(
     ``f``, the force, is overwritten.
     """
     stage_x, stage_v, new_x, new_v = x, v, x, v
-    for stage, (weight, stage_dt) in enumerate(
-        ((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))
-    ):
-        if stage > 0:
-            set_force(stage_x, *springs, f)
+    stages = ((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))
+    for weight, stage_dt in stages:
+        set_force(stage_x, *springs, f)
         acceleration = f - c * stage_v
         new_x, new_v = new_x + weight * stage_v, new_v + weight * acceleration
         stage_x, stage_v = x + stage_dt * stage_v, v + stage_dt * acceleration

@@ -13,8 +13,9 @@ from planish.core.arrays import check_dataset
 from planish.core.errors import CannotFlatten
 from planish.core.facts import ResultModel, Value
 from planish.core.frame import Frame
-from planish.core.grid import bilinear, filled, pitch
+from planish.core.grid import bilinear, corners_of, filled, pitch
 from planish.core.options import params_of
+from planish.core.robust import percentiles
 from planish.core.typing import Bools, Floats, Ints
 from planish.flatten.curvature import CurvatureVerdict, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
@@ -118,25 +119,19 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     mesh = sheet_mesh(surfaces, params.mesh_um)
     points = mesh.points if neutral == "faces" else mesh.raised(surfaces["base_middle"].values)
     relaxed = relax_grid(points, method=params.method, rest=params.rest, weights=mesh.weights)
-    flat = _flat_columns(surfaces, mesh, relaxed, frame).assign_attrs(
-        neutral=neutral, rest=params.rest
-    )
-    strain = cell_strain(points, relaxed.uv).assign_coords(
-        y=("row", 0.5 * (mesh.y_um[1:] + mesh.y_um[:-1]), {"units": "um"}),
-        x=("col", 0.5 * (mesh.x_um[1:] + mesh.x_um[:-1]), {"units": "um"}),
-    )
+    columns = _flat_columns(surfaces, mesh, relaxed, frame)
+    flat = columns.assign_attrs(neutral=neutral, rest=params.rest)
+    strain = cell_strain(points, relaxed.uv)
+    for axis, dim, nodes_um in (("y", "row", mesh.y_um), ("x", "col", mesh.x_um)):
+        strain.coords[axis] = dim, 0.5 * (nodes_um[1:] + nodes_um[:-1]), {"units": "um"}
     # The same lines in the same sheet every time.
     distortion = measure_distortion(points, relaxed.uv, strain, rng=np.random.default_rng(0))
     curvature = curvature_check(points)
-    strain["gaussian_curvature"] = (
-        ("row", "col"),
-        _at_cells(curvature.curvature),
-        {"units": "1/um2"},
-    )
-    strain["needed_strain"] = (("row", "col"), _at_cells(curvature.strain))
-    edge_strains = np.concatenate(
-        [np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)]
-    )
+    cells = ("row", "col")
+    strain["gaussian_curvature"] = cells, _at_cells(curvature.curvature), {"units": "1/um2"}
+    strain["needed_strain"] = cells, _at_cells(curvature.strain)
+    strains = np.concatenate([edges.ravel() for edges in edge_strain(points, relaxed.uv)])
+    edge_p95, edge_max = percentiles(np.abs(strains), 95, 100)
     moves = np.hypot(*(flat[axis].values - flat[f"projected_{axis}"].values for axis in "uv"))
     quality = FlatteningQuality(
         outcome=relaxed.outcome.name,
@@ -145,8 +140,8 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
         energy_um2=relaxed.energy,
         mesh_um=mesh.pitch_um,
         folded_cells=int(np.count_nonzero(relaxed.folded)),
-        edge_strain_p95=float(np.percentile(edge_strains, 95)),
-        edge_strain_max=float(edge_strains.max()),
+        edge_strain_p95=edge_p95,
+        edge_strain_max=edge_max,
         method=params.method,
         neutral=neutral,
         springs=relaxed.springs,
@@ -181,18 +176,14 @@ class SheetMesh(NamedTuple):
 
         ``offset`` is vertical, in um.
         """
-        node_offset = np.where(
-            np.isfinite(self.points[..., 2]), offset[np.ix_(self.rows, self.cols)], np.nan
-        )
-        order = 2 if min(node_offset.shape) > 2 else 1
-        down, across = np.gradient(
-            filled(self.points[..., 2]), self.y_um, self.x_um, edge_order=order
-        )
-        normals = np.stack([-across, -down, np.ones(node_offset.shape)], axis=-1)
-        return (
-            self.points
-            + normals * (np.nan_to_num(node_offset) / (1 + down**2 + across**2))[..., None]
-        )
+        height = self.points[..., 2]
+        node_offset = offset[np.ix_(self.rows, self.cols)]
+        node_offset = np.where(np.isfinite(height), np.nan_to_num(node_offset), 0.0)
+        order = 2 if min(height.shape) > 2 else 1
+        down, across = np.gradient(filled(height), self.y_um, self.x_um, edge_order=order)
+        normals = np.stack([-across, -down, np.ones(height.shape)], axis=-1)
+        way = node_offset / (1 + down**2 + across**2)
+        return self.points + normals * way[..., None]
 
 
 def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
@@ -237,7 +228,8 @@ def node_weights(surfaces: xr.Dataset, rows: Ints, cols: Ints) -> Floats | None:
 
 
 def _at_cells(nodes: Floats) -> Floats:
-    return 0.25 * (nodes[:-1, :-1] + nodes[:-1, 1:] + nodes[1:, :-1] + nodes[1:, 1:])
+    a, b, c, d = corners_of(nodes)
+    return 0.25 * (a + b + d + c)
 
 
 def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Floats, dict[str, str]]]:
@@ -245,18 +237,14 @@ def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Floats, dict[str, str]]]
 
     Nodes of the mesh, energy, and the mean move of a node in the step.
     """
-    step_table = np.array(
-        [(step.nodes, step.energy, step.move) for step in relaxed.history], dtype=np.float64
-    )
-    nodes, energy, mean_move = step_table.reshape(-1, 3).T
+    steps = [(step.nodes, step.energy, step.move) for step in relaxed.history]
+    nodes, energy, mean_move = np.array(steps, dtype=np.float64).reshape(-1, 3).T
+    energy_attrs = {"units": "um2", "long_name": "Spring energy"}
+    move_attrs = {"units": "um", "long_name": "Mean move"}
     return {
         "step_nodes": ("step", nodes, {"long_name": "Nodes of the mesh"}),
-        "step_energy": (
-            "step",
-            energy * relaxed.pitch**2,
-            {"units": "um2", "long_name": "Spring energy"},
-        ),
-        "step_move": ("step", mean_move * relaxed.pitch, {"units": "um", "long_name": "Mean move"}),
+        "step_energy": ("step", energy * relaxed.pitch**2, energy_attrs),
+        "step_move": ("step", mean_move * relaxed.pitch, move_attrs),
     }
 
 
@@ -265,7 +253,8 @@ def _largest_piece(mask: Bools) -> Bools:
     labels, count = ndimage.label(mask, structure=np.ones((3, 3)))
     if count == 0:
         raise CannotFlatten("The centre surface is empty; there is nothing to flatten.")
-    return labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:])) if count > 1 else mask
+    sizes = np.bincount(labels.ravel())
+    return labels == 1 + np.argmax(sizes[1:])
 
 
 def _mesh_indices(n_columns: int, step: int) -> Ints:
@@ -286,9 +275,8 @@ def _flat_columns(
     # Bilinear between the nodes of the mesh, filled by the nearest node outside.
     r = np.interp(np.arange(x.shape[0]), rows, np.arange(rows.size))[:, None]
     c = np.interp(np.arange(x.shape[1]), cols, np.arange(cols.size))[None, :]
-    u_moves, v_moves = (
-        bilinear(filled(relaxed.uv[..., i] - mesh.points[..., i]), r, c) for i in range(2)
-    )
+    node_moves = np.moveaxis(relaxed.uv - mesh.points[..., :2], -1, 0)
+    u_moves, v_moves = (bilinear(filled(moves), r, c) for moves in node_moves)
     is_valid = mesh.is_sheet.copy()
     for i, j in zip(*np.nonzero(relaxed.folded), strict=True):
         is_valid[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = False
@@ -299,15 +287,10 @@ def _flat_columns(
         "projected_u": (mirror_offset + flip * x, "Projected coordinate u"),
         "projected_v": (y, "Projected coordinate v"),
     }
-    return xr.Dataset(
-        {
-            name: (
-                ("y", "x"),
-                np.where(is_valid, values, np.nan),
-                {"units": "um", "long_name": title},
-            )
-            for name, (values, title) in values_and_titles.items()
-        },
-        coords=surfaces.coords,
-        attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored)},
+    flat = xr.Dataset(
+        coords=surfaces.coords, attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored)}
     )
+    for name, (values, title) in values_and_titles.items():
+        attrs = {"units": "um", "long_name": title}
+        flat[name] = ("y", "x"), np.where(is_valid, values, np.nan), attrs
+    return flat

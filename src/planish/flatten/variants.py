@@ -11,7 +11,7 @@ from scipy.interpolate import LinearNDInterpolator
 from planish.core.errors import CannotFlatten
 from planish.core.frame import Frame
 from planish.core.grid import filled, pitch
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Ints
 from planish.flatten.relax import Rest, relax_grid
 from planish.flatten.sheet import node_weights, sheet_mesh
 
@@ -46,25 +46,23 @@ def flat_moves(
         On the nodes of the mesh, ``NAME_u`` and ``NAME_v`` of each; beside the sheet those of the
         nearest node. A shift and a turn of the whole sheet have no meaning.
     """
-    centre, y, x = (surfaces[k].values for k in ("centre", "y", "x"))
-    area = float(np.count_nonzero(np.isfinite(centre))) * abs((y[1] - y[0]) * (x[1] - x[0]))
-    mesh = sheet_mesh(surfaces, max(float(np.sqrt(area / _MOST_NODES)), 4 * abs(y[1] - y[0])))
-    base = np.broadcast_to(np.asarray(neutral, dtype=np.float64), centre.shape)
-    neutral_uv, *other_uvs = (
-        relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv
-        for offset in (base, *others.values())
-    )
-    axis_signs = (-1.0 if Frame.of(surfaces).mirrored else 1.0, 1.0)
-    moves = {
-        f"{name}_{axis}": (
-            ("y", "x"),
-            filled(axis_signs[k] * (uv - neutral_uv)[..., k]),
-            {"units": "um"},
-        )
-        for name, uv in zip(others, other_uvs, strict=True)
-        for k, axis in enumerate("uv")
-    }
-    return xr.Dataset(moves, {"y": mesh.y_um, "x": mesh.x_um})
+    centre = surfaces["centre"].values
+    row_um, col_um = pitch(surfaces)
+    area_um2 = float(np.count_nonzero(np.isfinite(centre))) * abs(row_um * col_um)
+    mesh_um = max(float(np.sqrt(area_um2 / _MOST_NODES)), 4 * abs(row_um))
+    mesh = sheet_mesh(surfaces, mesh_um)
+
+    def places(offset: NDArray[np.floating]) -> Floats:
+        return relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv
+
+    neutral_uv = places(np.broadcast_to(np.asarray(neutral, dtype=np.float64), centre.shape))
+    u_sign = -1.0 if Frame.of(surfaces).mirrored else 1.0
+    moves = xr.Dataset(coords={"y": mesh.y_um, "x": mesh.x_um})
+    for name, offset in others.items():
+        move_uv = places(offset) - neutral_uv
+        moves[f"{name}_u"] = ("y", "x"), filled(u_sign * move_uv[..., 0]), {"units": "um"}
+        moves[f"{name}_v"] = ("y", "x"), filled(move_uv[..., 1]), {"units": "um"}
+    return moves
 
 
 def places_when_scaled(
@@ -102,11 +100,7 @@ def places_when_scaled(
     # The moves are differences of two flattenings, smooth over the 400 um of the centre surface.
     wanted_um = mesh_um or max(min(50.0, np.sqrt(area / 5_000)), np.sqrt(area / 100_000))
     rows, cols = (
-        np.unique(
-            np.linspace(0, n - 1, max(3, round((n - 1) * step_um / wanted_um) + 1))
-            .round()
-            .astype(np.intp)
-        )
+        _even_indices(n, step_um / wanted_um)
         for n, step_um in zip(is_sheet.shape, pitch_um, strict=True)
     )
     mesh_nodes = np.ix_(rows, cols)
@@ -117,9 +111,8 @@ def places_when_scaled(
     uv_by_scale: dict[float, Floats] = {}
     for scale in (0.4, 0.55, 0.75, 1.0, 1.25, 1.5, 1.8, 2.15, 2.5):
         with suppress(CannotFlatten):
-            uv = relax_grid(np.stack([across, down, scale * height], axis=-1), weights=weights).uv[
-                is_node
-            ]
+            points_um = np.stack([across, down, scale * height], axis=-1)
+            uv = relax_grid(points_um, weights=weights).uv[is_node]
             if np.isfinite(uv).all():
                 uv_by_scale[scale] = uv
     if 1.0 not in uv_by_scale:
@@ -127,7 +120,13 @@ def places_when_scaled(
     moves = np.stack([uv - uv_by_scale[1.0] for uv in uv_by_scale.values()], axis=1)
     moves[..., 0] *= -1.0 if Frame.of(surfaces).mirrored else 1.0
     flat_points = np.stack([flat[k].values[mesh_nodes][is_node] for k in "uv"], axis=1)
-    shifts = LinearNDInterpolator(flat_points, moves.reshape(len(flat_points), -1))(points).reshape(
-        len(points), -1, 2
-    )
+    # (nodes, scales * 2), and of the points likewise.
+    interpolate = LinearNDInterpolator(flat_points, moves.reshape(len(flat_points), -1))
+    shifts = interpolate(points).reshape(len(points), -1, 2)
     return np.array(list(uv_by_scale)), points + np.moveaxis(shifts, 1, 0)
+
+
+def _even_indices(n: int, share: float) -> Ints:
+    """Some of n indices, three or more, both ends among them, ``1 / share`` apart."""
+    count = max(3, round((n - 1) * share) + 1)
+    return np.unique(np.linspace(0, n - 1, count).round().astype(np.intp))
