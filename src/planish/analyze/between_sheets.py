@@ -12,11 +12,11 @@ from pydantic import Field
 from scipy import optimize, special
 
 from planish.analyze.differences import holm
-from planish.analyze.distributions import student_tail, t_95
+from planish.analyze.distributions import around, is_distinguishable, p_of, student_tail, t_95
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
-from planish.core.typing import Floats, Pair, Texts
+from planish.core.typing import Floats, Texts
 
 _POWER = 0.8  # how often a study sees the smallest difference that it is said to see
 
@@ -64,8 +64,7 @@ class SheetDifference(SetDifference):
     @property
     def distinguishable(self) -> bool | None:
         """Whether the interval excludes 0; None where there is none."""
-        low, high = self.interval
-        return None if math.isnan(low) else not low <= 0 <= high
+        return is_distinguishable(self.interval)
 
     def smallest_seen(self) -> float:
         """How large a difference has to be for such a study to see it in 80 %, at a level of 5 %.
@@ -99,28 +98,26 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     (0.5, [0.37, 0.63])
     """
     old_sheets, new_sheets = _paired_fields(before, after)
-    means = {
-        sheet: (values.mean(), new_sheets[sheet].mean())
-        for sheet, values in old_sheets.items()
-        if sheet in new_sheets
-    }
+    paired = [sheet for sheet in old_sheets if sheet in new_sheets]
     sheets = dict.fromkeys([*before.sheets, *after.sheets])
-    unpaired = tuple(sheet for sheet in sheets if sheet not in means)
-    k = len(means)
+    unpaired = tuple(sheet for sheet in sheets if sheet not in paired)
+    k = len(paired)
     if k == 0:
         return SheetDifference(
             kind="paired", sheets=(0, 0), unpaired=unpaired, reason="no sheet has a partner"
         )
-    means_before, means_after = np.array([*means.values()], dtype=np.float64).T
+    means_before, means_after = (
+        np.array([values[sheet].mean() for sheet in paired]) for values in (old_sheets, new_sheets)
+    )
     changes = means_after - means_before
     sd = spread_of(changes)
-    if sd <= 1e-12 * float(np.abs([means_before, means_after]).max()):
+    if sd <= 1e-12 * np.abs([means_before, means_after]).max():
         sd = 0.0
     difference = SheetDifference(
         kind="paired",
         sheets=(k, k),
-        means=(float(means_before.mean()), float(means_after.mean())),
-        difference=float(changes.mean()),
+        means=(means_before.mean(), means_after.mean()),
+        difference=changes.mean(),
         sd=sd,
         standard_error=sd / math.sqrt(k),
         unpaired=unpaired,
@@ -137,17 +134,11 @@ def _paired_fields(before: Fields, after: Fields) -> tuple[dict[str, Floats], di
         return before.by_sheet, after.by_sheet
     new_keys = zip(after.sheets, after.names, strict=True)
     new_values = dict(zip(new_keys, after.values, strict=True))
-    sheets: list[str] = []
-    values: list[Pair] = []
-    for sheet, name, old in zip(before.sheets, before.names, before.values, strict=True):
-        new = new_values.get((sheet, name), math.nan)
-        if not math.isnan(old - new):
-            sheets.append(sheet)
-            values.append((old, new))
-    return (
-        Fields([old for old, _ in values], sheets).by_sheet,
-        Fields([new for _, new in values], sheets).by_sheet,
-    )
+    old_keys = zip(before.sheets, before.names, strict=True)
+    new = np.array([new_values.get(key, math.nan) for key in old_keys])
+    old = np.where(np.isnan(new), math.nan, before.values)
+    new[np.isnan(old)] = math.nan
+    return Fields(old, before.sheets).by_sheet, Fields(new, before.sheets).by_sheet
 
 
 def two_groups(first: Fields, second: Fields) -> SheetDifference:
@@ -174,14 +165,14 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
     >>> difference.difference, round(difference.p, 3)
     (-2.5, 0.032)
     """
-    a, b = first.means, second.means
-    k = (a.size, b.size)
+    groups = (first.means, second.means)
+    k = (groups[0].size, groups[1].size)
     if min(k) == 0:
         return SheetDifference(
             kind="two groups", sheets=k, reason="one of the two has no field with a value"
         )
-    means = (float(a.mean()), float(b.mean()))
-    mean_variances = [spread_of(m) ** 2 / m.size for m in (a, b)]
+    means = (groups[0].mean(), groups[1].mean())
+    mean_variances = [spread_of(group) ** 2 / group.size for group in groups]
     error = math.sqrt(sum(mean_variances))
     difference = SheetDifference(
         kind="two groups",
@@ -193,23 +184,16 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
     )
     if difference.reason:
         return difference
-    return _with_interval(difference, _welch_free(mean_variances, k))
+    # Degrees of freedom of a sum of variances of means, each over so many values (Welch 1947).
+    parts = [v * v / (n - 1) for v, n in zip(mean_variances, k, strict=True)]
+    return _with_interval(difference, sum(mean_variances) ** 2 / sum(parts))
 
 
-def _welch_free(variances: Sequence[float], sizes: Sequence[int]) -> float:
-    """Degrees of freedom of a sum of variances of means, each over so many values (Welch 1947)."""
-    return sum(variances) ** 2 / sum(v * v / (n - 1) for v, n in zip(variances, sizes, strict=True))
-
-
-def _with_interval(difference: SheetDifference, free: float) -> SheetDifference:
-    width = t_95(free) * difference.standard_error
-    return difference.model_copy(
-        update={
-            "free": free,
-            "interval": (difference.difference - width, difference.difference + width),
-            "p": 2 * student_tail(abs(difference.difference) / difference.standard_error, free),
-        }
-    )
+def _with_interval(change: SheetDifference, free: float) -> SheetDifference:
+    """The same with interval and p, for so many degrees of freedom."""
+    interval = around(change.difference, t_95(free) * change.standard_error)
+    p = p_of(change.difference / change.standard_error, free)
+    return change.model_copy(update={"free": free, "interval": interval, "p": p})
 
 
 def p_of_tables(differences: Sequence[SheetDifference]) -> tuple[SheetDifference, ...]:
@@ -225,9 +209,8 @@ def p_of_tables(differences: Sequence[SheetDifference]) -> tuple[SheetDifference
     [0.063, 0.063]
     """
     adjusted_p = holm([d.p for d in differences])
-    return tuple(
-        d.model_copy(update={"p_of_table": p}) for d, p in zip(differences, adjusted_p, strict=True)
-    )
+    pairs = zip(differences, adjusted_p, strict=True)
+    return tuple(difference.model_copy(update={"p_of_table": p}) for difference, p in pairs)
 
 
 def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
@@ -266,11 +249,9 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
     if shift.reason:
         return Equivalence(margin=margin, verdict="unknown")
     width = float(special.stdtrit(shift.free, 0.95)) * shift.standard_error
-    low, high = shift.difference - width, shift.difference + width
-    p = max(
-        student_tail((margin + s * shift.difference) / shift.standard_error, shift.free)
-        for s in (-1, 1)
-    )
+    low, high = around(shift.difference, width)
+    room = margin - abs(shift.difference)
+    p = student_tail(room / shift.standard_error, shift.free)
     verdict = "undecided"
     if -margin < low and high < margin:
         verdict = "equivalent"
@@ -291,4 +272,5 @@ def _shift_seen(free: float) -> float:
 
 def _power_of_shift(shift: float, free: float) -> float:
     """How often a difference of so many standard errors is seen, two-sided at 5 %."""
-    return sum(float(1.0 - special.nctdtr(free, s, t_95(free))) for s in (shift, -shift))
+    unseen = special.nctdtr(free, [shift, -shift], t_95(free))
+    return float(np.sum(1.0 - unseen))

@@ -8,7 +8,23 @@ import math
 import numpy as np
 from scipy import optimize, special
 
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
+
+
+def around(middle: float, half_width: float) -> Pair:
+    """Both ends of an interval."""
+    return middle - half_width, middle + half_width
+
+
+def sign_of(interval: Pair) -> int:
+    """1 or -1 where an interval excludes 0, else 0."""
+    low, high = interval
+    return int(low > 0) - int(high < 0)
+
+
+def is_distinguishable(interval: Pair) -> bool | None:
+    """Whether an interval excludes 0; None where there is none."""
+    return None if math.isnan(interval[0]) else sign_of(interval) != 0
 
 
 def normal_tail(value: float) -> float:
@@ -24,6 +40,11 @@ def t_95(df: float) -> float:
 def student_tail(value: float, df: float) -> float:
     """The share of Student's distribution with ``df`` degrees of freedom above a value."""
     return float(special.stdtr(df, -value))
+
+
+def p_of(errors: float, df: float) -> float:
+    """Probability of so many standard errors or more, to either side, by Student's distribution."""
+    return 2 * student_tail(abs(errors), df)
 
 
 def largest_tail(maxima: Floats, value: float) -> float:

@@ -20,7 +20,7 @@ from pydantic.json_schema import SkipJsonSchema
 from planish.analyze.cells import CellColumn, columns_of, means_over_cells
 from planish.analyze.correlation import LEAST_CLAIMED
 from planish.analyze.differences import holm
-from planish.analyze.distributions import ranks
+from planish.analyze.distributions import ranks, sign_of
 from planish.analyze.generalised_least_squares import ExponentialCovariance, weighed_regression
 from planish.analyze.multiple_regression import Regression, out_of_sample_r2, regress
 from planish.analyze.quadratic_field import points_of
@@ -31,7 +31,7 @@ from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import Interval, ResultModel, Trust, Value, optional
 from planish.core.grid import Grid
 from planish.core.text import and_join
-from planish.core.typing import Floats
+from planish.core.typing import Array, Floats, Ints
 from planish.measure.registry import NEGATIVE_CONTROLS, SUMS, shared_parts
 from planish.texture.covariance import Lags
 
@@ -60,8 +60,7 @@ class CoefficientFacts(ResultModel):
     @property
     def direction(self) -> int:
         """1 or -1 where the interval excludes 0, else 0."""
-        low, high = self.interval
-        return int(low > 0) - int(high < 0)
+        return sign_of(self.interval)
 
 
 class Coefficient(CoefficientFacts):
@@ -184,27 +183,18 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
         If there are fewer than 10 independent cells for each coefficient, a map is constant, or the
         stated errors are as large as the maps' own variation.
     """
-    pixel_um = max(maps.grid.pixel_um)
-    lengths_um = np.multiply(maps.grid.shape, maps.grid.pixel_um)
-    field_um = float(lengths_um.min())
-    least_um = pixel_um * (1 - 1e-9)
-    if not least_um <= cell_um <= field_um:
-        raise SizeError(
-            f"A cell of {cell_um:g} um is smaller than a pixel of {pixel_um:g} um, or larger than"
-            f" the field, {field_um:g} um. Give cells between these."
-        )
-    response_name = str(maps.response.name)
-    columns = [CellColumn(name=response_name, values=maps.response)]
+    sizes_um = _cell_sizes(maps.grid, cell_um)
+    response = CellColumn(name=str(maps.response.name), values=maps.response)
+    columns = [response]
     for name, values in maps.predictors.items():
         columns += columns_of(name, values)
-    sizes_um = [size_um for size_um in cell_um * _SIZES if least_um <= size_um <= field_um]
     cells_by_size = means_over_cells(
         columns, maps.masks, pixel_um=maps.grid.pixel_um, sizes_um=sizes_um
     )
-    models = dict(zip(sizes_um, cells_by_size, strict=True))
-    cells = _Cells.of(columns, models.pop(cell_um), cell_um)
-    refuse_sums(cells)
-    errors = covariance_of_errors([*cells.names, response_name], maps.errors)
+    means_by_size = dict(zip(sizes_um, cells_by_size, strict=True))
+    cells = _Cells.of(columns, means_by_size.pop(cell_um), cell_um)
+    _refuse_sums(cells)
+    errors = covariance_of_errors([*cells.names, response.name], maps.errors)
     if corrected and not errors.any():
         raise InputError(
             "No map of this model has a stated error, so nothing can be corrected. Take maps with"
@@ -213,10 +203,11 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
     model = _bearable(cells, errors if corrected else None)
     curve = _variogram_of_residuals(cells, model)
     coefficients = _coefficients(cells, model, errors, curve, corrected=corrected)
-    rows = [_size_row(_Cells.of(columns, means, size_um)) for size_um, means in models.items()]
-    rows.append(_row_of(cells, model))
-    response = columns[0]
-    explained = Explained(
+    rows = [_row_of(cells, model)]
+    for size_um, means in means_by_size.items():
+        rows.append(_size_row(_Cells.of(columns, means, size_um)))
+    rows.sort(key=lambda row: row.cell_um)
+    return Explained(
         response=response.name,
         title=response.title,
         units=response.units,
@@ -224,18 +215,32 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
         cell_um=cell_um,
         corrected=corrected,
         n=cells.lags.n,
-        n_eff=float(model.n_eff.min()),
+        n_eff=model.n_eff.min(),
         r2=model.r2,
         intercept=model.intercept,
-        shared=model.r2 - float(model.unique.sum()),
+        shared=model.r2 - model.unique.sum(),
         coefficients=coefficients,
-        sizes=tuple(sorted(rows, key=lambda row: row.cell_um)),
+        sizes=tuple(rows),
         shared_errors=sharings_of(cells.names, errors[:-1, :-1]),
         shared_parts=_parts_in_common([*maps.predictors], maps.sheet),
         controls=tuple(name for name in maps.predictors if bare_name(name) in NEGATIVE_CONTROLS),
-        cells=_dataset(cells, model, maps),
+        cells=_dataset(cells, model, maps.grid),
+        **_of_residuals(cells, curve),
+        **_lead_of(model),
     )
-    return explained.model_copy(update=_of_residuals(cells, curve) | _lead_of(model))
+
+
+def _cell_sizes(grid: Grid, cell_um: float) -> list[float]:
+    """Edges of the cells of the curve, from a pixel to the field; SizeError for one beyond."""
+    pixel_um = max(grid.pixel_um)
+    field_um = float(np.multiply(grid.shape, grid.pixel_um).min())
+    least_um = pixel_um * (1 - 1e-9)
+    if not least_um <= cell_um <= field_um:
+        raise SizeError(
+            f"A cell of {cell_um:g} um is smaller than a pixel of {pixel_um:g} um, or larger than"
+            f" the field, {field_um:g} um. Give cells between these."
+        )
+    return [size_um for size_um in cell_um * _SIZES if least_um <= size_um <= field_um]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -249,10 +254,8 @@ class _Cells:
 
     @classmethod
     def of(cls, columns: Sequence[CellColumn], maps: Sequence[Floats], cell_um: float) -> _Cells:
-        is_valid = np.isfinite(maps[0])
-        return cls(
-            columns=columns, maps=maps, cell_um=cell_um, lags=Lags(is_valid, (cell_um, cell_um))
-        )
+        lags = Lags(np.isfinite(maps[0]), (cell_um, cell_um))
+        return cls(columns=columns, maps=maps, cell_um=cell_um, lags=lags)
 
     @property
     def names(self) -> list[str]:
@@ -284,16 +287,14 @@ class _Cells:
         is_valid = self.lags.is_valid
         ranked_maps: list[Floats] = []
         for column, values in zip(self.columns, self.maps, strict=True):
-            if column.is_factor:
-                ranked_maps.append(values)
-                continue
-            placed = np.full(values.shape, np.nan)
-            placed[is_valid] = ranks(values[is_valid])
-            ranked_maps.append(placed)
+            ranked = values.copy()
+            if not column.is_factor:
+                ranked[is_valid] = ranks(values[is_valid])
+            ranked_maps.append(ranked)
         return replace(self, maps=ranked_maps)
 
 
-def refuse_sums(cells: _Cells) -> None:
+def _refuse_sums(cells: _Cells) -> None:
     """Raise InputError where a map of a model is a sum of predictors; the message names it."""
     if cells.fault:
         return
@@ -303,23 +304,28 @@ def refuse_sums(cells: _Cells) -> None:
     sums = {row[0] for row in SUMS}
     # A sum goes before its parts, and the response is the last.
     for index in sorted(range(len(names)), key=lambda k: (k == 0, names[k] not in sums)):
-        other_columns = [k for k in range(1, len(names)) if k != index]
-        weights = np.linalg.lstsq(values[:, other_columns], values[:, index], rcond=None)[0]
-        residual = values[:, index] - values[:, other_columns] @ weights
-        if float(residual @ residual) * _IS_SUM > residual.size:
+        parts = [names[k] for k in _parts_of(values, index)]
+        if not parts:
             continue
-        parts = and_join(
-            names[k] for k, w in zip(other_columns, weights, strict=True) if abs(w) > 1e-3
+        advice = (
+            f"beside them its coefficient means nothing. Leave {names[index]}, or one of its parts,"
+            " out."
         )
         if index == 0:
-            raise InputError(
-                f"{names[0]} is a sum of {parts}: there is nothing to explain. Leave one of the"
-                " parts out, or take another response."
+            advice = (
+                "there is nothing to explain. Leave one of the parts out, or take another response."
             )
-        raise InputError(
-            f"{names[index]} is a sum of {parts}: beside them its coefficient means nothing. Leave"
-            f" {names[index]}, or one of its parts, out."
-        )
+        raise InputError(f"{names[index]} is a sum of {and_join(parts)}: {advice}")
+
+
+def _parts_of(values: Floats, index: int) -> Ints:
+    """Numbers of the predictors that a column of standardised cells is a sum of; none mostly."""
+    others = np.arange(1, values.shape[1])
+    others = others[others != index]
+    weights = np.linalg.lstsq(values[:, others], values[:, index], rcond=None)[0]
+    residual = values[:, index] - values[:, others] @ weights
+    is_sum = residual @ residual * _IS_SUM <= residual.size
+    return others[is_sum & (np.abs(weights) > 1e-3)]
 
 
 def _bearable(cells: _Cells, errors: Floats | None) -> Regression:
@@ -345,31 +351,26 @@ def _coefficients(
     cells: _Cells, model: Regression, errors: Floats, curve: Variogram | None, *, corrected: bool
 ) -> dict[str, Coefficient]:
     """State each coefficient, and beside it those of ranks, of weights and of the errors."""
-    p_values = [model.p(index) for index in range(len(cells.names))]
-    p_of_set = holm(p_values)
-    ranked = cells.ranked().fit()
-    weighed = _weighed(cells, model, None if corrected else curve)
-    by_errors = _added_by_errors(cells, model, errors, corrected=corrected)
-    return {
-        name: Coefficient(
-            title=column.title,
-            units=column.units,
-            standardised=float(model.standardised[index]),
-            interval=model.interval(index, standardised=True),
-            plain=float(model.plain[index]),
-            plain_interval=model.interval(index, standardised=False),
-            standard_error=float(model.standard_errors[index] * model.scale[index]),
-            n_eff=float(model.n_eff[index]),
-            p=p_values[index],
-            p_of_set=p_of_set[index],
-            vif=float(model.vif[index]),
-            unique=float(model.unique[index]),
-            rank=float(ranked.standardised[index]),
-            weighed=float(weighed[index]),
-            by_errors=float(by_errors[index]),
-        )
-        for index, (name, column) in enumerate(zip(cells.names, cells.columns[1:], strict=True))
+    figures: dict[str, Sequence[Any] | Array] = {
+        "standardised": model.standardised,
+        "interval": model.standardised_intervals,
+        "plain": model.plain,
+        "plain_interval": model.intervals,
+        "standard_error": model.standard_errors * model.scale,
+        "n_eff": model.n_eff,
+        "p": model.p,
+        "p_of_set": holm(model.p),
+        "vif": model.vif,
+        "unique": model.unique,
+        "rank": cells.ranked().fit().standardised,
+        "weighed": _weighed(cells, model, None if corrected else curve),
+        "by_errors": _added_by_errors(cells, model, errors, corrected=corrected),
     }
+    coefficients: dict[str, Coefficient] = {}
+    for index, column in enumerate(cells.columns[1:]):
+        of_column = {name: values[index] for name, values in figures.items()}
+        coefficients[column.name] = Coefficient(title=column.title, units=column.units, **of_column)
+    return coefficients
 
 
 def _added_by_errors(
@@ -444,16 +445,13 @@ def _size_row(cells: _Cells) -> CellSizeRow:
 
 
 def _row_of(cells: _Cells, model: Regression) -> CellSizeRow:
-    intervals = {
-        name: model.interval(index, standardised=True) for index, name in enumerate(cells.names)
-    }
     return CellSizeRow(
         cell_um=cells.cell_um,
         n=cells.lags.n,
-        n_eff=float(model.n_eff.min()),
+        n_eff=model.n_eff.min(),
         r2=model.r2,
-        standardised=dict(zip(cells.names, model.standardised.tolist(), strict=True)),
-        intervals=intervals,
+        standardised=dict(zip(cells.names, model.standardised, strict=True)),
+        intervals=dict(zip(cells.names, model.standardised_intervals.tolist(), strict=True)),
     )
 
 
@@ -473,16 +471,16 @@ def _parts_in_common(names: Sequence[str], sheet: xr.Dataset) -> tuple[SharedPar
     return tuple(shared)
 
 
-def _dataset(cells: _Cells, model: Regression, maps: ModelMaps) -> xr.Dataset:
+def _dataset(cells: _Cells, model: Regression, grid: Grid) -> xr.Dataset:
     """The cells of a model, as they go into a table and into figures."""
     response, *predictors = cells.columns
     freed = [replace(column, name=f"{column.name} freed") for column in predictors]
     columns = [*cells.columns, replace(response, name="residual"), *freed]
     values = [*cells.maps, model.residuals, *model.freed]
-    is_valid, dims = cells.lags.is_valid, ("cell_y", "cell_x")
-    arrays = {
-        column.name: (dims, np.where(is_valid, m, np.nan), {"units": column.units})
-        for column, m in zip(columns, values, strict=True)
-    }
-    places = points_of(maps.grid, is_valid.shape, cells.cell_um)
-    return xr.Dataset(arrays, coords=dict(zip(dims, (places.y_um, places.x_um), strict=True)))
+    is_valid = cells.lags.is_valid
+    places = points_of(grid, is_valid.shape, cells.cell_um)
+    dataset = xr.Dataset(coords={"cell_y": places.y_um, "cell_x": places.x_um})
+    for column, m in zip(columns, values, strict=True):
+        known = np.where(is_valid, m, np.nan)
+        dataset[column.name] = (("cell_y", "cell_x"), known, {"units": column.units})
+    return dataset

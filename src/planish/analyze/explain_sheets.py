@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from pydantic import Field
 
 from planish.analyze.differences import holm
-from planish.analyze.distributions import student_tail
+from planish.analyze.distributions import p_of
 from planish.analyze.explain import Coefficient, CoefficientFacts, Explained, ModelFacts, strongest
-from planish.analyze.pooled import random_effects
+from planish.analyze.pooled import effects_of_sheets
 from planish.analyze.sheets import Fields, RandomEffects, SheetMean, over_sheets
 from planish.core.facts import optional
+from planish.core.typing import Floats
 
 
 class PooledCoefficient(CoefficientFacts):
@@ -38,41 +40,48 @@ def explained_over_sheets(
     models: Mapping[str, Explained], sheets: Mapping[str, str], left_out: Mapping[str, str]
 ) -> ExplainedSeries:
     """Pool models of specimens over sheets, each of which counts once."""
-    first = next(iter(models.values()))
     of_models = list(models.values())
+    first = of_models[0]
     sheet_of_model = [sheets[name] or name for name in models]
-    shared = set.intersection(*(set(model.coefficients) for model in of_models))
-    coefficients = {
-        name: _pooled_coefficient([model.coefficients[name] for model in of_models], sheet_of_model)
-        for name in first.coefficients
-        if name in shared
-    }
-    p_of_set = holm([c.p for c in coefficients.values()])
+    coefficients = _pooled_coefficients(of_models, sheet_of_model)
     lead = _lead_over_sheets(coefficients, of_models, sheet_of_model)
     declared = {model.declared for model in of_models}
     model_fields = ("response", "title", "units", "of", "cell_um", "corrected")
-    r2 = Fields([model.r2 for model in of_models], sheet_of_model)
-    r2_out = Fields([model.r2_out for model in of_models], sheet_of_model)
-    with_p_of_set: dict[str, PooledCoefficient] = {}
-    for (name, coefficient), p in zip(coefficients.items(), p_of_set, strict=True):
-        with_p_of_set[name] = coefficient.model_copy(update={"p_of_set": p})
-    n = sum(model.n for model in of_models)
-    n_eff = sum(model.n_eff for model in of_models)
     return ExplainedSeries(
         **{name: getattr(first, name) for name in model_fields},
-        declared=declared.pop() if len(declared) == 1 else False,
+        declared=first.declared if len(declared) == 1 else False,
         sheets=len(set(sheet_of_model)),
         fields=len(models),
-        n=n,
-        n_eff=n_eff,
-        r2=over_sheets(r2).mean,
-        r2_out=over_sheets(r2_out).mean,
-        coefficients=with_p_of_set,
+        n=sum(model.n for model in of_models),
+        n_eff=sum(model.n_eff for model in of_models),
+        r2=over_sheets(_fields("r2", of_models, sheet_of_model)).mean,
+        r2_out=over_sheets(_fields("r2_out", of_models, sheet_of_model)).mean,
+        coefficients=coefficients,
         lead=lead.mean,
         lead_interval=lead.interval,
         specimens=dict(models),
         left_out=dict(left_out),
     )
+
+
+def _fields(figure: str, parts: Sequence[Explained | Coefficient], sheets: Sequence[str]) -> Fields:
+    """A figure of models, or of coefficients, each of a field."""
+    return Fields([getattr(part, figure) for part in parts], sheets)
+
+
+def _pooled_coefficients(
+    models: Sequence[Explained], sheets: Sequence[str]
+) -> dict[str, PooledCoefficient]:
+    """Those that all models have, with p of all together."""
+    pooled: dict[str, PooledCoefficient] = {}
+    for name in models[0].coefficients:
+        if all(name in model.coefficients for model in models):
+            of_models = [model.coefficients[name] for model in models]
+            pooled[name] = _pooled_coefficient(of_models, sheets)
+    p_of_set = holm([coefficient.p for coefficient in pooled.values()])
+    for (name, coefficient), p in zip(pooled.items(), p_of_set, strict=True):
+        pooled[name] = coefficient.model_copy(update={"p_of_set": p})
+    return pooled
 
 
 def _lead_over_sheets(
@@ -84,28 +93,23 @@ def _lead_over_sheets(
     if len(coefficients) < 2:
         return SheetMean(sheets=0, fields=0)
     first, second = strongest(coefficients)[:2]
-    signs = [math.copysign(1.0, coefficients[name].standardised) for name in (first, second)]
-    leads: list[float] = []
-    for model in models:
-        of_model = model.coefficients
-        leads.append(
-            signs[0] * of_model[first].standardised - signs[1] * of_model[second].standardised
-        )
-    return over_sheets(Fields(leads, sheets))
+    sizes: list[Floats] = []
+    for name in (first, second):
+        sign = math.copysign(1.0, coefficients[name].standardised)
+        sizes.append(sign * np.array([m.coefficients[name].standardised for m in models]))
+    return over_sheets(Fields((sizes[0] - sizes[1]).tolist(), sheets))
 
 
 def _pooled_coefficient(
     of_models: Sequence[Coefficient], sheets: Sequence[str]
 ) -> PooledCoefficient:
-    fields = Fields([c.standardised for c in of_models], sheets)
+    fields = _fields("standardised", of_models, sheets)
     mean = over_sheets(fields)
-    plain = over_sheets(Fields([c.plain for c in of_models], sheets))
-    variances = Fields([c.standard_error**2 for c in of_models], sheets).by_sheet
-    of_sheets = [float(v.sum()) / v.size**2 for v in variances.values()]
+    plain = over_sheets(_fields("plain", of_models, sheets))
+    variances = Fields([c.standard_error**2 for c in of_models], sheets)
     p = math.nan
     if not mean.reason:
-        ratio = abs(mean.mean) / mean.standard_error
-        p = 2 * student_tail(ratio, mean.sheets - 1)
+        p = p_of(mean.mean / mean.standard_error, mean.sheets - 1)
     return PooledCoefficient(
         title=of_models[0].title,
         units=of_models[0].units,
@@ -114,6 +118,6 @@ def _pooled_coefficient(
         plain=plain.mean,
         plain_interval=plain.interval,
         p=p,
-        between_sheets=random_effects(fields.means, of_sheets) if mean.sheets > 1 else None,
+        between_sheets=effects_of_sheets(fields, variances),
         reason=mean.reason,
     )

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
-from planish.analyze.distributions import student_tail, t_95
+from planish.analyze.distributions import around, t_95
 from planish.core.errors import CannotMeasure
 from planish.core.typing import Bools, Floats, Pair
 from planish.texture.covariance import Lags, PairCovariances
@@ -33,8 +34,9 @@ class Regression:
 
     @property
     def free(self) -> Floats:
-        """Degrees of freedom of each coefficient."""
-        return self.n_eff - self.plain.size - 1
+        """Degrees of freedom of each coefficient; NaN where an interval has too few."""
+        free = self.n_eff - self.plain.size - 1
+        return np.where(free > 1, free, math.nan)
 
     @property
     def standardised(self) -> Floats:
@@ -42,34 +44,36 @@ class Regression:
         return self.plain * self.scale
 
     @property
+    def intervals(self) -> Floats:
+        """95 % intervals of the plain coefficients, (k, 2)."""
+        half_widths = special.stdtrit(self.free, 0.975) * self.standard_errors
+        return np.stack([self.plain - half_widths, self.plain + half_widths], axis=1)
+
+    @property
+    def standardised_intervals(self) -> Floats:
+        """Those of the standardised coefficients, (k, 2)."""
+        return self.intervals * self.scale[:, None]
+
+    @property
+    def p(self) -> Floats:
+        """Probability of such a coefficient where the true one is 0, (k,)."""
+        return 2 * special.stdtr(self.free, -np.abs(self.plain / self.standard_errors))
+
+    @property
     def freed(self) -> Floats:
         """Each predictor less what the others explain of it, (k, rows, cols)."""
         return self.weights * self.own_variance[:, None, None]
 
-    def interval(self, index: int, *, standardised: bool) -> Pair:
-        """95 % interval of a coefficient; NaN without degrees of freedom."""
-        scale = float(self.scale[index]) if standardised else 1.0
-        return _interval(
-            float(self.plain[index]) * scale,
-            float(self.standard_errors[index]) * scale,
-            float(self.free[index]),
-        )
-
     def difference_of_sizes(self, first: int, second: int) -> tuple[float, Pair]:
         """Size of a standardised coefficient less that of another one, and its 95 % interval."""
-        signs = np.sign(self.plain)
-        factors = [signs[first] * self.scale[first], -signs[second] * self.scale[second]]
-        weight = factors[0] * self.weights[first] + factors[1] * self.weights[second]
+        factors = np.sign(self.plain) * self.scale
+        weight = factors[first] * self.weights[first] - factors[second] * self.weights[second]
         error, n_eff = _error_of_mean(weight, self)
-        difference = abs(self.standardised[first]) - abs(self.standardised[second])
-        return float(difference), _interval(float(difference), error, n_eff - self.plain.size - 1)
-
-    def p(self, index: int) -> float:
-        """Probability of such a coefficient where the true one is 0; NaN without freedom."""
-        free = float(self.free[index])
-        if not free > 1:
-            return math.nan
-        return 2 * student_tail(abs(self.plain[index] / self.standard_errors[index]), free)
+        sizes = np.abs(self.standardised)
+        difference = float(sizes[first] - sizes[second])
+        free = n_eff - self.plain.size - 1
+        half_width = t_95(free) * error if free > 1 else math.nan
+        return difference, around(difference, half_width)
 
 
 def regress(
@@ -125,7 +129,8 @@ def regress(
     x = (values - means) / spread
     y_mean = float(response[is_valid].mean())
     y = response[is_valid] - y_mean
-    covariance, with_response = x.T @ x / n, x.T @ y / n
+    covariance = x.T @ x / n
+    with_response = x.T @ y / n
     variance = float(y @ y) / n
     if errors is not None:
         covariance = covariance - errors[:-1, :-1] / np.outer(spread, spread)
@@ -139,17 +144,18 @@ def regress(
         )
     inverse = np.linalg.inv(covariance)
     scaled = inverse @ with_response
-    k = scaled.size
     own_share = 1.0 / np.diag(inverse)
+    variances = np.diag(covariance)
     plain = scaled / spread
+    unknown = np.full(plain.size, math.nan)
     weights = (x @ inverse).T / spread[:, None]
     fit = Regression(
         plain=plain,
         intercept=y_mean - float(means @ plain),
-        standard_errors=np.full(k, math.nan),
-        n_eff=np.full(k, math.nan),
-        scale=spread * np.sqrt(np.diag(covariance) / variance),
-        vif=np.diag(covariance) / own_share,
+        standard_errors=unknown,
+        n_eff=unknown,
+        scale=spread * np.sqrt(variances / variance),
+        vif=variances / own_share,
         unique=scaled**2 * own_share / variance,
         r2=float(scaled @ with_response) / variance,
         weights=np.stack([_on_mask(row, is_valid) for row in weights]),
@@ -163,20 +169,13 @@ def regress(
 
 def _error_of_mean(weight: Floats, fit: Regression) -> Pair:
     """Standard error of the mean of a weight times the residuals, and its independent cells."""
-    is_valid, k = fit.lags.is_valid, fit.plain.size
+    is_valid = fit.lags.is_valid
     n_eff = _independent_cells(weight, fit.residuals, fit.lags)
-    free = n_eff - k - 1
+    free = n_eff - fit.plain.size - 1
     if not free > 0:
         return math.nan, n_eff
-    squares = float(np.mean(weight[is_valid] ** 2)) * float(np.mean(fit.residuals[is_valid] ** 2))
-    return math.sqrt(squares / free), n_eff
-
-
-def _interval(middle: float, error: float, free: float) -> Pair:
-    if not free > 1:
-        return math.nan, math.nan
-    width = t_95(free) * error
-    return middle - width, middle + width
+    mean_squares = [np.mean(values[is_valid] ** 2) for values in (weight, fit.residuals)]
+    return math.sqrt(math.prod(mean_squares) / free), n_eff
 
 
 def _independent_cells(weight: Floats, residuals: Floats, lags: Lags) -> float:
@@ -212,12 +211,14 @@ def out_of_sample_r2(
         numbers = np.arange(count) * blocks // count
         block_numbers = block_numbers * blocks + np.expand_dims(numbers, 1 - axis)
     block_of_cell = block_numbers[is_valid]
-    x = np.stack([np.ones(lags.n), *(m[is_valid] for m in predictors)], axis=1)
+    columns = [m[is_valid] for m in predictors]
+    x = np.stack([np.ones(lags.n), *columns], axis=1)
     y = response[is_valid]
     unexplained = variation = 0.0
     for block in np.unique(block_of_cell):
         is_inside = block_of_cell == block
-        coefficients = np.linalg.lstsq(x[~is_inside], y[~is_inside], rcond=None)[0]
-        unexplained += float(np.sum((y[is_inside] - x[is_inside] @ coefficients) ** 2))
-        variation += float(np.sum((y[is_inside] - y[~is_inside].mean()) ** 2))
-    return 1 - unexplained / variation
+        fitted_y = y[~is_inside]
+        coefficients = np.linalg.lstsq(x[~is_inside], fitted_y, rcond=None)[0]
+        unexplained += np.sum((y[is_inside] - x[is_inside] @ coefficients) ** 2)
+        variation += np.sum((y[is_inside] - fitted_y.mean()) ** 2)
+    return float(1 - unexplained / variation)

@@ -8,11 +8,11 @@ import numpy as np
 from scipy import special
 
 from planish.analyze.between_sheets import SheetDifference, paired_over_sheets, two_groups
-from planish.analyze.distributions import t_95
+from planish.analyze.distributions import around, t_95
 from planish.analyze.sheets import Fields, RandomEffects, SheetMean, over_sheets
 from planish.core.arrays import values_of
 from planish.core.errors import InputError
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats, Pair, pair_of
 
 
 def random_effects(
@@ -51,8 +51,8 @@ def random_effects(
     """
     y = values_of(effects, "effects").astype(np.float64)
     v = values_of(variances, "variances").astype(np.float64)
-    are_pairs = y.ndim == 1 and y.shape == v.shape and y.size >= 2
-    if not (are_pairs and np.isfinite(y).all() and (v > 0).all()):
+    are_pairs = y.ndim == 1 and y.shape == v.shape
+    if not (are_pairs and y.size >= 2 and np.isfinite(y).all() and (v > 0).all()):
         raise InputError(
             f"There are {y.size} effects and {v.size} variances. Give two effects or more, each a"
             " number with a variance above 0."
@@ -63,22 +63,34 @@ def random_effects(
     q = _excess(0.0, y, v)[0]
     between = _between(y, v)
     weight = 1 / (v + between)
-    mean = float(np.sum(weight * y) / weight.sum())
+    total = float(weight.sum())
+    mean = float(np.sum(weight * y)) / total
     width = math.nan
     if k > 2:
         squares = float(np.sum(weight * (y - mean) ** 2))
-        width = t_95(k - 1) * math.sqrt(squares / float(weight.sum()) / (k - 1))
+        width = t_95(k - 1) * math.sqrt(squares / total / (k - 1))
     return RandomEffects(
         effects=k,
         mean=mean,
-        standard_error=1 / math.sqrt(float(weight.sum())),
+        standard_error=1 / math.sqrt(total),
         between=between,
         sd_between=math.sqrt(between),
         q=q,
         p=float(special.chdtrc(k - 1, q)),
-        interval=(mean - width, mean + width),
+        interval=around(mean, width),
         i2=max(1 - (k - 1) / q, 0.0) if q > 0 else 0.0,
     )
+
+
+def effects_of_sheets(effects: Fields, variances: Fields) -> RandomEffects | None:
+    """How much the means of sheets differ; None of one sheet.
+
+    ``variances`` are those of the effects of the fields.
+    """
+    if len(effects.by_sheet) < 2:
+        return None
+    of_sheets = [v.sum() / v.size**2 for v in variances.by_sheet.values()]
+    return random_effects(effects.means, of_sheets)
 
 
 def _excess(between: float, y: Floats, v: Floats) -> Pair:
@@ -137,16 +149,17 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
     """
     z, variance = _fisher_z(r, n_eff)
     mean = over_sheets(z)
-    fields = [(k, v) for k, v in zip(z.values, variance.values, strict=True) if not math.isnan(k)]
-    of_sheets = [float(v.sum()) / v.size**2 for v in variance.by_sheet.values()]
+    each_alone = [str(k) for k in range(len(z.values))]
     return SheetMean(
         sheets=mean.sheets,
         fields=mean.fields,
         mean=math.tanh(mean.mean),
         reason=mean.reason,
-        interval=(math.tanh(mean.interval[0]), math.tanh(mean.interval[1])),
-        between_sheets=random_effects(z.means, of_sheets) if mean.sheets > 1 else None,
-        between_fields=random_effects(*zip(*fields, strict=True)) if len(fields) > 1 else None,
+        interval=pair_of(np.tanh(mean.interval)),
+        between_sheets=effects_of_sheets(z, variance),
+        between_fields=effects_of_sheets(
+            replace(z, sheets=each_alone), replace(variance, sheets=each_alone)
+        ),
     )
 
 
@@ -190,11 +203,13 @@ def difference_of_pooled_r(
     means = compare(*z).means
     linearised: list[Fields] = []  # values of r, or r², that are linear in z and right at its mean
     for fields, mean_z in zip(z, means, strict=True):
-        r = math.tanh(mean_z)
-        r_at_mean, slope = (r * r, 2 * r * (1 - r * r)) if squared else (r, 1 - r * r)
-        linearised.append(
-            replace(fields, values=[r_at_mean + slope * (k - mean_z) for k in fields.values])
-        )
+        figure = math.tanh(mean_z)
+        slope = 1 - figure**2
+        if squared:
+            slope *= 2 * figure
+            figure **= 2
+        values = [figure + slope * (k - mean_z) for k in fields.values]
+        linearised.append(replace(fields, values=values))
     return compare(*linearised)
 
 

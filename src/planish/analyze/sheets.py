@@ -12,10 +12,10 @@ import numpy as np
 from pydantic import Field
 from scipy import special
 
-from planish.analyze.distributions import t_95
+from planish.analyze.distributions import around, t_95
 from planish.core.errors import InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, UnsavedInterval, Value, optional
-from planish.core.typing import Floats, Texts
+from planish.core.typing import Floats, Texts, pair_of
 
 LEAST_SHEETS = 3
 """Sheets below which there is no interval."""
@@ -42,7 +42,7 @@ class Fields:
         If the sequences are not of one length, a value is infinite, or a sheet has a name twice.
     """
 
-    values: Sequence[float]
+    values: Sequence[float] | Floats
     sheets: Sequence[str]
     names: Sequence[str] = ()
 
@@ -78,7 +78,7 @@ class Fields:
     @property
     def means(self) -> Floats:
         """The mean of each sheet."""
-        return np.array([float(v.mean()) for v in self.by_sheet.values()])
+        return np.array([v.mean() for v in self.by_sheet.values()])
 
 
 class RandomEffects(ResultModel):
@@ -172,7 +172,7 @@ def over_sheets(fields: Fields) -> SheetMean:
         mean=mean,
         sd=spread,
         standard_error=error,
-        interval=(mean - width, mean + width),
+        interval=around(mean, width),
         reason=reason,
     )
 
@@ -240,8 +240,7 @@ def variances_of(fields: Fields) -> SheetVariances:
     if n == k:
         return SheetVariances(reason="no sheet has two fields")
     means = fields.means
-    squares_within = sum(float(np.sum((v - v.mean()) ** 2)) for v in sheets)
-    within = squares_within / (n - k)
+    within = sum(v.var() * v.size for v in sheets) / (n - k)
     spread = spread_of(means) ** 2
     if not within > (_SAME * float(np.abs(means).max())) ** 2:
         return SheetVariances(
@@ -252,19 +251,18 @@ def variances_of(fields: Fields) -> SheetVariances:
         )
     fields_per_sheet = k / float(np.sum(1 / counts))  # harmonic mean
     between = max(spread - within / fields_per_sheet, 0.0)
-    grand_mean = sum(float(v.sum()) for v in sheets) / n
-    ratio = float(np.sum(counts * (means - grand_mean) ** 2)) / (k - 1) / within
-    interval = (math.nan, math.nan)
+    grand_mean = counts @ means / n
+    ratio = np.sum(counts * (means - grand_mean) ** 2) / (k - 1) / within
+    interval = np.full(2, math.nan)
     if not too_few(k):
         f = special.fdtri(k - 1, n - k, [(1 + 0.95) / 2, (1 - 0.95) / 2])
-        excess = fields_per_sheet * spread / within / f - 1
-        low, high = (np.maximum(excess, 0.0) / fields_per_sheet).tolist()
-        interval = (low / (1 + low), high / (1 + high))
+        excess = np.maximum(fields_per_sheet * spread / within / f - 1, 0.0)
+        interval = excess / (fields_per_sheet + excess)
     return SheetVariances(
         sd_between=math.sqrt(between),
         sd_within=math.sqrt(within),
         share=between / (between + within),
-        share_interval=interval,
-        p=float(special.fdtrc(k - 1, n - k, ratio)),
+        share_interval=pair_of(interval),
+        p=special.fdtrc(k - 1, n - k, ratio),
         reason=too_few(k),
     )
