@@ -12,18 +12,12 @@ import numpy as np
 from pydantic import Field
 
 from planish.analyze.compared_maps import ComparedMaps
-from planish.analyze.correlation import (
-    LEAST_CLAIMED,
-    correlate,
-    filled,
-    pearson,
-    valid_pixels,
-)
-from planish.analyze.distributions import t_95
-from planish.core.area import area_mean
+from planish.analyze.correlation import LEAST_CLAIMED, correlate, filled, valid_pixels
+from planish.analyze.distributions import around, t_95
+from planish.core.area import area_mean, common_means, square_px
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.grid import shorter_side_um
-from planish.core.typing import Array, Bools, Entries, Pair, Pixel
+from planish.core.typing import Array, Bools, Entries, Pair, Pixel, pair_of
 from planish.texture.covariance import BANDWIDTH, Lags, PairCovariances
 
 
@@ -87,12 +81,11 @@ def conley_interval(
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     correlation = correlate(a, b, pixel_um=pixel, point_um=point_um)
     if point_um is not None:
-        factor = point_um / pixel[0], point_um / pixel[1]
-        a, b = (area_mean(np.where(is_valid, m, np.nan), factor) for m in (a, b))
+        a, b = common_means((a, b), square_px(point_um, pixel))
         pixel = (point_um, point_um)
         is_valid = np.isfinite(a)
     x, y = filled(is_valid, (a, b), 0.0)
-    r = pearson(x[is_valid], y[is_valid])
+    r = correlation.r
     error = critical = ratio = math.nan
     if correlation.n_eff >= LEAST_CLAIMED and 1 - r * r >= 1e-14:
         spatial_error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(r)
@@ -103,7 +96,7 @@ def conley_interval(
     return ConleyInterval(
         point_um=correlation.point_um,
         r=r,
-        interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
+        interval=pair_of(np.tanh(around(z, critical * error))),
         standard_error=error,
         critical=critical,
         ratio=ratio,
@@ -120,12 +113,11 @@ def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
     the same two (Satterthwaite 1946).
     """
     k = max(1, math.ceil(math.sqrt(np.count_nonzero(is_valid) / 400)))  # of 400 cells or fewer
-    shape = [n // k * k for n in is_valid.shape]
-    whole = is_valid[: shape[0], : shape[1]].reshape(shape[0] // k, k, shape[1] // k, k)
-    places_um = np.argwhere(whole.mean(axis=(1, 3)) >= 0.5) * (k * pixel_um[0], k * pixel_um[1])
+    is_cell = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), (k, k)))
+    places_um = np.argwhere(is_cell) * np.multiply(k, pixel_um)
     bandwidth_um = BANDWIDTH * shorter_side_um(is_valid.shape, pixel_um)
-    distance = np.hypot(*(places_um[:, None, axis] - places_um[:, axis] for axis in (0, 1)))
-    weight = np.maximum(1.0 - distance / bandwidth_um, 0.0)
+    distance_um = np.linalg.norm(places_um[:, None] - places_um, axis=-1)
+    weight = np.maximum(1.0 - distance_um / bandwidth_um, 0.0)
     rows = weight.mean(axis=1)
     centred_weight = weight - rows - rows[:, None] + rows.mean()
     expected = float(np.trace(centred_weight))

@@ -13,14 +13,14 @@ import xarray as xr
 from pydantic import Field
 from scipy import special
 
-from planish.analyze.distributions import ranks, student_tail, t_95
-from planish.core.area import AreaMeans
+from planish.analyze.distributions import around, p_of, ranks, sign_of, t_95
+from planish.core.area import AreaMeans, square_px
 from planish.core.arrays import check_missing, check_numbers, described, map_pixel_um, values_of
 from planish.core.axial import refuse_axial
 from planish.core.bands import Rows, read_bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
-from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, Texts
+from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, Texts, pair_of
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.detrend import shared_trend
 
@@ -71,8 +71,7 @@ class Correlation(ResultModel):
     @property
     def direction(self) -> int:
         """1 or -1 where the interval of r excludes 0, else 0."""
-        low, high = self.interval
-        return int(low > 0) - int(high < 0)
+        return sign_of(self.interval)
 
 
 class PointsCorrelation(ResultModel):
@@ -87,9 +86,8 @@ class PointsCorrelation(ResultModel):
     @classmethod
     def of(cls, row: Correlation, **extra_fields: Any) -> Self:
         """Take what stands beside another r of a correlation, and what the class has more."""
-        return cls(
-            **({name: getattr(row, name) for name in PointsCorrelation.model_fields} | extra_fields)
-        )
+        fields = {name: getattr(row, name) for name in PointsCorrelation.model_fields}
+        return cls(**fields | extra_fields)
 
 
 class PairSums:
@@ -119,26 +117,27 @@ class PairSums:
         mean = parts.mean(axis=1)
         parts -= mean[:, None]
         off = mean - self._mean
-        self._square += parts @ parts.T + np.outer(off, off) * (self.n * n / (self.n + n))
-        self._mean += off * (n / (self.n + n))
+        share = n / (self.n + n)
+        self._square += parts @ parts.T + np.outer(off, off) * (self.n * share)
+        self._mean += off * share
         self.n += n
 
     @property
     def means(self) -> Pair:
         """Of x and of y."""
-        return float(self._mean[0]), float(self._mean[1])
+        return pair_of(self._mean[:2])
 
     @property
     def variances(self) -> Pair:
         """Of x and of y."""
-        n = max(self.n, 1)
-        return float(self._square[0, 0]) / n, float(self._square[1, 1]) / n
+        return pair_of(np.diag(self._square)[:2] / max(self.n, 1))
 
     @property
     def constant(self) -> list[bool]:
         """Whether x, and whether y, is constant up to rounding: then it has no correlation."""
         magnitudes = np.maximum(np.abs(self._mean[:2]), 1e-300)
-        return (np.diag(self._square)[:2] <= self.n * (1e-12 * magnitudes) ** 2).tolist()
+        rounding = self.n * (1e-12 * magnitudes) ** 2
+        return (np.diag(self._square)[:2] <= rounding).tolist()
 
     @property
     def r(self) -> float:
@@ -153,17 +152,18 @@ class PairSums:
         """Slope and intercept of least squares of y on x, and the slope of x on y."""
         if math.isnan(self.r):
             return math.nan, math.nan, math.nan
-        slope = float(self._square[0, 1] / self._square[0, 0])
-        intercept = float(self._mean[1] - slope * self._mean[0])
-        return slope, intercept, float(self._square[0, 1] / self._square[1, 1])
+        product = self._square[0, 1]
+        slope = product / self._square[0, 0]
+        intercept = self._mean[1] - slope * self._mean[0]
+        return slope, intercept, product / self._square[1, 1]
 
     @property
     def difference(self) -> Pair:
         """Mean and standard deviation of y - x; NaN where there are too few places."""
         if self.n == 0:
             return math.nan, math.nan
-        sd = math.sqrt(self._square[2, 2] / (self.n - 1)) if self.n > 1 else math.nan
-        return float(self._mean[2]), sd
+        variance = self._square[2, 2] / (self.n - 1) if self.n > 1 else math.nan
+        return float(self._mean[2]), math.sqrt(variance)
 
 
 def sums_of(x: Array, y: Array) -> PairSums:
@@ -263,11 +263,11 @@ def correlate(
             f"A point of {point_um:g} um is smaller than a pixel of {max(pixel):g} um. Give a"
             " larger one."
         )
+    shape = (a.shape[0], a.shape[1])
     cells = 0 if point_um is not None else most_cells
-    pair = PairAtSizes(
-        (a.shape[0], a.shape[1]), pixel_um=pixel, point_um=point_um, most_cells=cells
-    )
-    pair.add_maps(a, b, *([] if mask is None else [mask]))
+    pair = PairAtSizes(shape, pixel_um=pixel, point_um=point_um, most_cells=cells)
+    masks = [] if mask is None else [mask]
+    pair.add_maps(a, b, *masks)
     return pair.at_pixel() if point_um is None else pair.at_points()
 
 
@@ -383,7 +383,7 @@ class PairAtSizes:
     ) -> None:
         self._pixel_um = pixel_um
         self._point_um = point_um or math.nan
-        point_px = (self._point_um / pixel_um[0], self._point_um / pixel_um[1])
+        point_px = square_px(self._point_um, pixel_um)
         self._points = AreaMeans(shape, point_px) if min(point_px) >= 1 - 1e-9 else None
         self._factor = 0
         self._cells = None
@@ -412,13 +412,15 @@ class PairAtSizes:
         k = self._factor
         every_kth = np.s_[-begin % k :: k, ::k]
         is_ranked = is_valid[every_kth]
-        self._ranked.append(np.stack([m[every_kth][is_ranked].astype(np.float64) for m in (x, y)]))
+        ranked = [m[every_kth][is_ranked] for m in (x, y)]
+        self._ranked.append(np.array(ranked, dtype=np.float64))
 
     def at_pixel(self) -> Correlation:
         """The correlation per pixel."""
         cells, pitch = self.cells()
         ranked = np.concatenate(self._ranked, axis=1) if self._ranked else np.empty((2, 0))
-        return _stated(self._sums, cells, ranked, pitch, math.sqrt(math.prod(self._pixel_um)))
+        pixel_um = math.sqrt(math.prod(self._pixel_um))
+        return _stated(self._sums, cells, ranked, pitch, pixel_um)
 
     def at_points(self) -> Correlation:
         """The correlation of the larger points.
@@ -427,7 +429,7 @@ class PairAtSizes:
         """
         points = self.points()
         size_um = self._point_um
-        ranked = np.stack(points)[:, np.isfinite(points[0]) & np.isfinite(points[1])]
+        ranked = np.stack(points)[:, np.isfinite(points).all(axis=0)]
         return _stated(sums_of(*points), points, ranked, (size_um, size_um), size_um)
 
     def sizes(self) -> Iterator[tuple[Correlation, PairSums]]:
@@ -438,8 +440,7 @@ class PairAtSizes:
     def cells(self) -> tuple[list[Floats], Pair]:
         """Give the means of both maps over the cells that stand for pixels, and a cell's size."""
         assert self._cells is not None
-        row_um, col_um = self._pixel_um
-        return self._cells.means(), (self._factor * row_um, self._factor * col_um)
+        return self._cells.means(), pair_of(np.multiply(self._factor, self._pixel_um))
 
     def points(self) -> list[Floats]:
         """The means of both maps; none where a point would be smaller than a pixel."""
@@ -493,7 +494,7 @@ def _certainty(
     if np.count_nonzero(is_valid) < LEAST:
         warnings.append("The maps are too small to tell how many points are independent.")
         return {}
-    x, y = (np.where(is_valid, m, 0.0) for m in cells)
+    x, y = filled(is_valid, cells, 0.0)
     pair = PairCovariances(x, y, _lags_of(is_valid.tobytes(), is_valid.shape, pitch_um))
     n_eff = pair.n_eff(sums.n, sums.variances)
     if not n_eff >= LEAST_CLAIMED:
@@ -519,10 +520,7 @@ def _certainty(
         width = max(width, t_95(1 / variance_of_z - 2) * math.sqrt(variance_of_z))
     if trend := shared_trend(x, y, is_valid):
         warnings.append(trend)
-    z = math.atanh(r)
-    return {
-        "n_eff": n_eff,
-        "p": 2 * student_tail(abs(r) * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2),
-        "interval": (math.tanh(z - width), math.tanh(z + width)),
-        "n_eff_interval": (quantile / width) ** 2 + 3,
-    }
+    interval = pair_of(np.tanh(around(math.atanh(r), width)))
+    p = p_of(r * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2)
+    n_eff_interval = (quantile / width) ** 2 + 3
+    return {"n_eff": n_eff, "p": p, "interval": interval, "n_eff_interval": n_eff_interval}

@@ -23,22 +23,13 @@ from planish.analyze.correlation import PairAtSizes, check_varying
 from planish.analyze.correlograms import CorrelogramProfiles, answer_correlogram
 from planish.analyze.curve import Curvature, answer_curve
 from planish.analyze.curve_of_sizes import SizeRow, answer_sizes
-from planish.analyze.kubelka_munk import (
-    KubelkaMunk,
-    answer_density,
-    answer_kubelka_munk,
-)
+from planish.analyze.kubelka_munk import KubelkaMunk, answer_density, answer_kubelka_munk
 from planish.analyze.light_field import LightField, answer_light_field
 from planish.analyze.light_spread import LightSpread, answer_light_spread
 from planish.analyze.octaves import Band, answer_octaves
 from planish.analyze.params import CorrelateParams
 from planish.analyze.quadratic_field import QuadraticField
-from planish.analyze.robustness import (
-    Partial,
-    answer_origins,
-    answer_partial,
-    answer_short_waves,
-)
+from planish.analyze.robustness import Partial, answer_origins, answer_partial, answer_short_waves
 from planish.analyze.sheet_columns import SheetColumns
 from planish.analyze.split_half import Reliability
 from planish.analyze.thin_regions import RegionDifference, answer_thin
@@ -137,16 +128,8 @@ QUESTIONS = (
     Question(("correlogram",), answer_correlogram),
     Question(("agreement",), answer_agreement),
     Question(("density_g_cm3",), answer_density),
-    Question(
-        ("kubelka_munk",),
-        answer_kubelka_munk,
-        option="kubelka_munk",
-    ),
-    Question(
-        ("light_spread",),
-        answer_light_spread,
-        option="light_spread_um",
-    ),
+    Question(("kubelka_munk",), answer_kubelka_munk, option="kubelka_munk"),
+    Question(("light_spread",), answer_light_spread, option="light_spread_um"),
 )
 
 
@@ -183,6 +166,7 @@ def correlation_diagnostics(
         If a sheet lacks a map that is to stand beside.
     """
     a_maps, b_maps = maps[a[0]], maps[b[0]]
+    a_map, b_map = a_maps[a[1]], b_maps[b[1]]
     grid = Grid.of(a_maps)
     is_same_quantity = a[1] == b[1] and "image" not in (a[1], b[1])
     accumulator = PairAtSizes(
@@ -191,7 +175,7 @@ def correlation_diagnostics(
         point_um=params.point_um if is_same_quantity else None,
         most_cells=CELLS,
     )
-    accumulator.add_maps(a_maps[a[1]], b_maps[b[1]], a_maps["valid"], b_maps["valid"])
+    accumulator.add_maps(a_map, b_map, a_maps["valid"], b_maps["valid"])
     (x, y), cell_um = accumulator.cells()
     is_valid = np.isfinite(x) & np.isfinite(y)
     try:
@@ -201,10 +185,7 @@ def correlation_diagnostics(
     pair = ComparedMaps(
         a=a,
         b=b,
-        units=(
-            str(a_maps[a[1]].attrs.get("units", "1")),
-            str(b_maps[b[1]].attrs.get("units", "1")),
-        ),
+        units=(str(a_map.attrs.get("units", "1")), str(b_map.attrs.get("units", "1"))),
         x=x,
         y=y,
         lags=Lags(is_valid, cell_um),

@@ -14,7 +14,7 @@ from planish.analyze.correlation import LEAST_CLAIMED, check_varying, filled, on
 from planish.analyze.distributions import normal_tail
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Interval, ResultModel, Value
-from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel
+from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, pair_of
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.ncc import MaskedNcc
 
@@ -142,16 +142,16 @@ def correlogram_of(
     maps: tuple[Array, Array], valid: tuple[Bools, Bools], lags: Lags, *, reach_um: float
 ) -> Correlogram:
     """The same for maps, given the pixels that count in each, and the lags of those in both."""
-    (a, b), pixel = maps, lags.pixel_um
+    a, b = maps
+    pixel = lags.pixel_um
     check_varying(lags.is_valid)
     check_varying(valid[0], a=a)
     check_varying(valid[1], b=b)
-    reach = tuple(
+    zero_row, zero_col = (
         max(min(int(reach_um / p + 1e-9), n // 2), 1) for n, p in zip(a.shape, pixel, strict=True)
     )
-    ncc = MaskedNcc(
-        a.astype(np.float64), a_valid=valid[0], b_valid=valid[1], reach=(reach[0], reach[1])
-    )
+    reach = (zero_row, zero_col)
+    ncc = MaskedNcc(a.astype(np.float64), a_valid=valid[0], b_valid=valid[1], reach=reach)
     r = ncc(b.astype(np.float64))
     if not np.isfinite(r).any():
         raise CannotMeasure(
@@ -166,7 +166,10 @@ def correlogram_of(
     if inner:
         widths, angle = _widths(r / peak_r, summit, pixel)
     n_eff, band, of_any = _limits([a, b], lags, ncc.pairs, np.isfinite(r))
-    maps_by_lag, (zero_row, zero_col) = (r, band, of_any), reach
+    beyond_chance = None
+    if np.isfinite(of_any).any():
+        beyond_chance = bool(np.any(np.abs(r) > of_any))
+    by_lag = np.stack([r, band, of_any])
     return Correlogram(
         r=r,
         lag_y_um=lags_y_um,
@@ -175,30 +178,31 @@ def correlogram_of(
         band_99_of_any=of_any,
         cell_um=pixel,
         reach_um=min(float(lags_y_um[-1]), float(lags_x_um[-1])),
-        r_at_zero=float(r[zero_row, zero_col]),
+        r_at_zero=r[reach],
         peak_r=peak_r,
         inner=inner,
-        lag_um=((summit[0] - zero_row) * pixel[0], (summit[1] - zero_col) * pixel[1]),
+        lag_um=pair_of((summit - reach) * pixel),
         widths_um=widths,
         angle_deg=angle,
         n_eff=n_eff,
-        limit_of_any=float(of_any[zero_row, zero_col]),
-        beyond_chance=bool(np.any(np.abs(r) > of_any)) if np.isfinite(of_any).any() else None,
-        along_x=_profile(lags_x_um, *(m[zero_row, :] for m in maps_by_lag)),
-        along_y=_profile(lags_y_um, *(m[:, zero_col] for m in maps_by_lag)),
+        limit_of_any=of_any[reach],
+        beyond_chance=beyond_chance,
+        along_x=_profile(lags_x_um, *by_lag[:, zero_row]),
+        along_y=_profile(lags_y_um, *by_lag[:, :, zero_col]),
     )
 
 
-def _summit(r: Floats) -> tuple[Pair, float, bool]:
-    """Place of the largest ``|r|`` in rows and columns, r there, and whether it is a summit."""
-    row, col = np.unravel_index(int(np.nanargmax(np.abs(r))), r.shape)
+def _summit(r: Floats) -> tuple[Floats, float, bool]:
+    """Row and column of the largest ``|r|``, r there, and whether it is a summit."""
+    row, col = divmod(int(np.nanargmax(np.abs(r))), r.shape[1])
+    place = np.array([row, col], dtype=np.float64)
     highest = float(r[row, col])
-    pixel_peak = (float(row), float(col)), highest, False
+    pixel_peak = place, highest, False
     neighbours = r[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
     if neighbours.shape != (3, 3) or not np.isfinite(neighbours).all():
         return pixel_peak
-    y, x = (m.ravel() for m in np.mgrid[-1:2, -1:2])
-    terms = np.stack([np.ones(9), y, x, y * y / 2, x * y, x * x / 2], axis=1).astype(np.float64)
+    y, x = np.mgrid[-1.0:2.0, -1.0:2.0].reshape(2, 9)
+    terms = np.stack([np.ones(9), y, x, y * y / 2, x * y, x * x / 2], axis=1)
     c = np.linalg.lstsq(terms, neighbours.ravel(), rcond=None)[0]
     sign = math.copysign(1.0, highest)
     curvature = c[[[3, 4], [4, 5]]] * sign
@@ -208,10 +212,10 @@ def _summit(r: Floats) -> tuple[Pair, float, bool]:
     if np.abs(shift).max() > 1:
         return pixel_peak
     r_of_summit = float(np.clip(c[0] + c[1:3] @ shift / 2, -1.0, 1.0))
-    return (float(row + shift[0]), float(col + shift[1])), r_of_summit, True
+    return place + shift, r_of_summit, True
 
 
-def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
+def _widths(height: Floats, summit: Floats, pixel: Pair) -> tuple[Pair, float]:
     """Find the full widths at half height, and the direction of the longer one.
 
     The widths are along the main axes of what lies above half height.
@@ -223,12 +227,14 @@ def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
     angles = rays * (2 * math.pi / _RAYS)
     directions = np.stack([np.sin(angles), np.cos(angles)])  # along y and x, in um
     steps = np.arange(int(math.hypot(*height.shape) / 0.25)) * 0.25 * min(pixel)
-    places = [summit[k] + directions[k][:, None] * steps / pixel[k] for k in (0, 1)]
+    steps_px = directions[:, :, None] * steps / np.reshape(pixel, (2, 1, 1))
+    places = summit[:, None, None] + steps_px
     ray_heights = ndimage.map_coordinates(height, places, order=1, mode="constant", cval=math.nan)
     ray_heights[:, 0] = 1.0
     below = ~(ray_heights > 0.5)
     first = np.argmax(below, axis=1)
-    inner, outer = ray_heights[rays, first - 1], ray_heights[rays, first]
+    inner = ray_heights[rays, first - 1]
+    outer = ray_heights[rays, first]
     if not np.isfinite(outer).all() or not below.any(axis=1).all():
         return (math.nan, math.nan), math.nan
     part = (inner - 0.5) / (inner - outer)
@@ -237,10 +243,7 @@ def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
     moments = (directions * half_height_um**4) @ directions.T / 4 / area
     values, vectors = np.linalg.eigh(moments)
     angle = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1]))
-    if angle > 90:
-        angle -= 180
-    elif angle <= -90:
-        angle += 180
+    angle = 90 - (90 - angle) % 180  # from -90, without it, to 90
     return (4 * math.sqrt(values[1]), 4 * math.sqrt(values[0])), angle
 
 
@@ -256,28 +259,32 @@ def _limits(
         return n_eff, unknown, unknown
     # Fewer pairs hold as many fewer independent ones.
     n_eff_of_lag = np.maximum(n_eff * np.minimum(pairs / lags.n, 1.0), 3.0)
-    over = [np.asarray(fft.rfft2(m)) for m in (pair.xx, pair.yy)]
-    together = np.asarray(fft.irfft2(over[0] * over[1], pair.xx.shape))
-    smooth = [2 * max(1 - float(v / together[0, 0]), 0.0) for v in (together[1, 0], together[0, 1])]
-    sides = [n - 1 for n in pairs.shape]
+    # Covariance of r over lags; how fast it falls from lag to lag says how rough r is.
+    spectrum = np.asarray(fft.rfft2(pair.xx)) * np.asarray(fft.rfft2(pair.yy))
+    together = np.asarray(fft.irfft2(spectrum, pair.xx.shape))
+    neighbours = np.array([together[1, 0], together[0, 1]]) / together[0, 0]
+    slopes = np.sqrt(2 * np.maximum(1 - neighbours, 0.0))
+    edge, face = (np.array(pairs.shape) - 1) * slopes
     count = int(np.count_nonzero(looked_at))
 
     def chance(u: float) -> float:
         """Of exceeding u standard deviations anywhere, on either side."""
-        edge, face = (sides[k] * math.sqrt(smooth[k]) for k in (0, 1))
+        tail = normal_tail(u)
         bump = math.exp(-u * u / 2)
-        mean = normal_tail(u) + (edge + face) * bump / (2 * math.pi)
+        mean = tail + (edge + face) * bump / (2 * math.pi)
         mean += edge * face * u * bump / (2 * math.pi) ** 1.5
-        return 2 * min(mean, count * normal_tail(u))
+        return 2 * min(mean, count * tail)
 
     u = float(optimize.brentq(lambda v: math.log(chance(v) / _CHANCE), 2.0, 12.0))
     # Over the inverse of the points, limits are all but straight: a quantile for each lag would
     # take longest of all.
-    nodes = np.linspace(1 / float(n_eff_of_lag.max()), 1 / float(n_eff_of_lag.min()), 65)
+    inverse = 1 / n_eff_of_lag
+    nodes = np.linspace(inverse.min(), inverse.max(), 65)
+    free = 1 / nodes - 2
     limits: list[Floats] = []
     for tail in (_CHANCE / 2, normal_tail(u)):
-        t = np.asarray(-special.stdtrit(1 / nodes - 2, tail))
-        limit = np.interp(1 / n_eff_of_lag, nodes, t / np.sqrt(t * t + 1 / nodes - 2))
+        t = np.asarray(-special.stdtrit(free, tail))
+        limit = np.interp(inverse, nodes, t / np.sqrt(t * t + free))
         limits.append(np.where(looked_at, limit, math.nan))
     return n_eff, limits[0], limits[1]
 

@@ -7,12 +7,14 @@ import numpy as np
 from scipy import special
 
 from planish.analyze.compared_maps import ComparedMaps
-from planish.analyze.correlation import Correlation, PointsCorrelation, correlate, valid_pixels
-from planish.core.area import AreaMeans
+from planish.analyze.correlation import Correlation, PointsCorrelation, correlate, on_one_grid
+from planish.analyze.distributions import widened
+from planish.core.area import common_means, square_px
 from planish.core.errors import SizeError
 from planish.core.facts import Interval, optional
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Entries, Floats, Pixel
+from planish.texture.textures import standard
 
 
 class SizeRow(PointsCorrelation):
@@ -62,7 +64,7 @@ def size_curve(
     >>> [(row.point_um, round(row.r, 2)) for row in rows]
     [(10.0, 0.44), (40.0, 0.9)]
     """
-    is_valid, pixel = valid_pixels(a, b, pixel_um)
+    pixel = on_one_grid(a, b, pixel_um)
     if sizes_um is None:  # up by factors of the square root of 2
         largest_um = shorter_side_um(a.shape, pixel) / 8
         n_sizes = math.floor(2 * math.log2(max(largest_um / max(pixel), 1.0)) + 1e-9) + 1
@@ -72,23 +74,17 @@ def size_curve(
             f"A point of {min(sizes_um, default=0):g} um is smaller than a pixel of"
             f" {max(pixel):g} um."
         )
-    rows = list[Correlation]()
-    tile_sums = list[Floats]()
+    rows: list[Correlation] = []
+    tile_sums: list[Floats] = []
     for size in map(float, sorted(sizes_um)):
-        means = AreaMeans((a.shape[0], a.shape[1]), (size / pixel[0], size / pixel[1]))
-        means.add(0, is_valid, a, b)
-        x, y = means.means()
+        x, y = common_means((a, b), square_px(size, pixel))
         rows.append(correlate(x, y, pixel_um=size))
         if _is_claimed(rows[-1]):
             tile_sums.append(_by_tiles(x, y, rows[-1].r))
     widening = _wider(tile_sums)
-    curve = list[SizeRow]()
+    curve: list[SizeRow] = []
     for row in rows:
-        band = math.nan, math.nan
-        if _is_claimed(row):
-            z = math.atanh(row.r)
-            low, high = (math.atanh(v) for v in row.interval)
-            band = math.tanh(z + widening * (low - z)), math.tanh(z + widening * (high - z))
+        band = widened(row.r, row.interval, widening) if _is_claimed(row) else None
         curve.append(SizeRow.of(row, band=band))
     return tuple(curve)
 
@@ -101,14 +97,13 @@ def _is_claimed(row: Correlation) -> bool:
 def _by_tiles(x: Floats, y: Floats, r: float) -> Floats:
     """Sum what the points of each tile of the field, six along its shorter side, add to r."""
     is_valid = np.isfinite(x) & np.isfinite(y)
-    x, y = ((m - m[is_valid].mean()) / max(float(m[is_valid].std()), 1e-300) for m in (x, y))
+    x, y = (standard(m, is_valid) for m in (x, y))
     contributions = np.where(is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
     tile_px = min(is_valid.shape) / 6
     for axis, n in enumerate(is_valid.shape):
         n_tiles = max(round(n / tile_px), 1)
-        contributions = np.add.reduceat(
-            contributions, [round(k * n / n_tiles) for k in range(n_tiles)], axis=axis
-        )
+        starts = [round(k * n / n_tiles) for k in range(n_tiles)]
+        contributions = np.add.reduceat(contributions, starts, axis=axis)
     return contributions.ravel()
 
 
@@ -116,13 +111,13 @@ def _wider(tile_sums: list[Floats]) -> float:
     """By what factor intervals of each size are widened to hold all sizes together."""
     if len(tile_sums) < 2:
         return 1.0
-    n_tiles = min(p.size for p in tile_sums)
-    power, vectors = np.linalg.eigh(
-        np.nan_to_num(np.corrcoef(np.stack([p[:n_tiles] for p in tile_sums])))
-    )
+    n_tiles = min(sums.size for sums in tile_sums)
+    correlations = np.corrcoef(np.stack([sums[:n_tiles] for sums in tile_sums]))
+    power, vectors = np.linalg.eigh(np.nan_to_num(correlations))
     drawn = np.random.default_rng(20090502).normal(size=(20_000, len(tile_sums)))
     drawn = drawn @ (vectors * np.sqrt(np.maximum(power, 0.0))).T
-    return float(np.quantile(np.abs(drawn).max(axis=1), 0.95) / special.ndtri(0.975))
+    largest = np.abs(drawn).max(axis=1)
+    return float(np.quantile(largest, 0.95) / special.ndtri(0.975))
 
 
 def answer_sizes(pair: ComparedMaps) -> Entries:

@@ -155,7 +155,7 @@ def _difference(r: Pair, width: float) -> Difference:
     return Difference(r=r, difference=r[1] - r[0], interval=(low, high))
 
 
-def holm(p: Sequence[float] | Floats) -> list[float]:
+def holm(p: Sequence[float]) -> list[float]:
     """Put the p of a table right for how many there are (Holm 1979, Scand.
 
     J. Statist. 6, 65); NaN stays and counts.

@@ -6,9 +6,12 @@ The import of ``scipy.stats`` takes as long as all r of a small run.
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import optimize, special
 
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats, Pair, pair_of
+
+_MOST_R = 1.0 - 1e-15  # of which Fisher's z is a number
 
 
 def around(middle: float, half_width: float) -> Pair:
@@ -25,6 +28,17 @@ def sign_of(interval: Pair) -> int:
 def is_distinguishable(interval: Pair) -> bool | None:
     """Whether an interval excludes 0; None where there is none."""
     return None if math.isnan(interval[0]) else sign_of(interval) != 0
+
+
+def fisher_z(r: ArrayLike) -> Floats:
+    """Fisher's z of correlations; of 1 and -1 that of the nearest ones with a z."""
+    return np.arctanh(np.clip(r, -_MOST_R, _MOST_R))
+
+
+def widened(r: float, interval: Pair, ratios: float | Floats) -> Pair:
+    """The interval of r with ends so many times as far from r in Fisher's z."""
+    z = fisher_z(r)
+    return pair_of(np.tanh(z + ratios * (fisher_z(interval) - z)))
 
 
 def normal_tail(value: float) -> float:

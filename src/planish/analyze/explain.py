@@ -359,7 +359,7 @@ def _coefficients(
         "standard_error": model.standard_errors * model.scale,
         "n_eff": model.n_eff,
         "p": model.p,
-        "p_of_set": holm(model.p),
+        "p_of_set": holm(model.p.tolist()),
         "vif": model.vif,
         "unique": model.unique,
         "rank": cells.ranked().fit().standardised,

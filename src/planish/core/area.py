@@ -59,6 +59,11 @@ class AreaMeans:
         return values if self._is_identity else (self._col_overlap @ (row_overlap @ values).T).T
 
 
+def square_px(edge_um: float, pixel_um: Pair) -> Pair:
+    """Height and width of a square in pixels."""
+    return edge_um / pixel_um[0], edge_um / pixel_um[1]
+
+
 def area_mean(values: Rows, factor: Pair, *, least_share: float = 0.5) -> Floats:
     """Mean of ``values`` (rows, cols), NaN where missing, over cells as of :class:`AreaMeans`.
 
