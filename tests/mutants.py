@@ -437,8 +437,8 @@ MUTANTS = [
     ),
     Mutant(
         "analyze/correlation.py",
-        "slope = float(self._square[0, 1] / self._square[0, 0])",
-        "slope = float(self._square[0, 1] / self._square[1, 1])",
+        "slope = product / self._square[0, 0]",
+        "slope = product / self._square[1, 1]",
         "analyze/test_correlate.py",
     ),
     Mutant(

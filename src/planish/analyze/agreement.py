@@ -22,13 +22,13 @@ from planish.analyze.correlation import (
     valid_pixels,
 )
 from planish.analyze.curve import independent_points
-from planish.analyze.distributions import t_95
+from planish.analyze.distributions import around, t_95
 from planish.analyze.rings import RingCorrelation, ring_correlation
-from planish.core.area import area_mean
+from planish.core.area import area_mean, square_px
 from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
-from planish.core.typing import Array, Entries, Floats, Pair, Pixel, Texts
+from planish.core.typing import Array, Entries, Floats, Pair, Pixel, Texts, pair_of
 from planish.texture.covariance import Lags, PairCovariances, scatter_of
 
 LIMIT = 1.96
@@ -115,51 +115,40 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
     slope, _, slope_x_on_y = sums.lines
     bias = float(differences[is_valid].mean())
     sd = sums.difference[1]
-    estimates: Entries = {
-        "n": sums.n,
-        "bias": bias,
-        "slope": slope,
-        "slope_x_on_y": slope_x_on_y,
-    }
-    largest = np.abs([x[is_valid], y[is_valid]]).max()
-    if np.ptp(differences[is_valid]) <= 1e-12 * largest:
-        zero_width = (bias, bias)
-        n_eff = float(sums.n)
-        return Agreement(
-            **estimates,
-            sd=0.0,
-            limits=zero_width,
-            bias_interval=zero_width,
-            sd_interval=(0.0, 0.0),
-            n_eff=n_eff,
-            n_eff_sd=n_eff,
-            limit_intervals=(zero_width, zero_width),
-        )
-    lags = Lags(is_valid, pixel)
-    variance, n_eff = scatter_of(differences, lags)
-    # Of maps with these covariances; the number for the mean is smaller, as long waves weigh more
-    # in it.
-    n_eff_sd = PairCovariances(differences, differences, lags).n_eff(sums.n)
-    if min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
+    variance = 0.0
+    n_eff = n_eff_sd = float(sums.n)
+    is_constant = np.ptp(differences[is_valid]) <= 1e-12 * np.abs([x, y]).max()
+    if is_constant:
+        sd = 0.0
+    else:
+        lags = Lags(is_valid, pixel)
+        variance, n_eff = scatter_of(differences, lags)
+        # Of maps with these covariances; the number for the mean is smaller, as long waves weigh
+        # more in it.
+        n_eff_sd = PairCovariances(differences, differences, lags).n_eff(sums.n)
+    intervals: Entries = {}
+    if is_constant or min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
         quantile = t_95(min(n_eff / _POINTS_A_FREE, _MOST_FREE))
-        bias_half_width = quantile * math.sqrt(variance / n_eff)
         sigma = math.sqrt(variance)
         # sd of Gaussian values scatters by sd / sqrt(2 df).
-        log_sd_half_width = quantile / math.sqrt(2 * (n_eff_sd - 1))
-        width = quantile * math.sqrt(variance / n_eff + variance * LIMIT**2 / (2 * (n_eff_sd - 1)))
-        limits = (bias - LIMIT * sigma, bias + LIMIT * sigma)
-        sd_limits = (sigma * math.exp(-log_sd_half_width), sigma * math.exp(log_sd_half_width))
-        estimates |= {
-            "bias_interval": (bias - bias_half_width, bias + bias_half_width),
-            "sd_interval": sd_limits,
-            "limit_intervals": tuple((limit - width, limit + width) for limit in limits),
+        share_of_sd = 1 / math.sqrt(2 * (n_eff_sd - 1))
+        half_width = quantile * sigma * math.hypot(1 / math.sqrt(n_eff), LIMIT * share_of_sd)
+        limits = around(bias, LIMIT * sigma)
+        intervals = {
+            "bias_interval": around(bias, quantile * math.sqrt(variance / n_eff)),
+            "sd_interval": sigma * np.exp(around(0.0, quantile * share_of_sd)),
+            "limit_intervals": tuple(around(limit, half_width) for limit in limits),
         }
     return Agreement(
-        **estimates,
+        n=sums.n,
+        bias=bias,
+        slope=slope,
+        slope_x_on_y=slope_x_on_y,
         sd=sd,
-        limits=(bias - LIMIT * sd, bias + LIMIT * sd),
+        limits=around(bias, LIMIT * sd),
         n_eff=n_eff,
         n_eff_sd=n_eff_sd,
+        **intervals,
     )
 
 
@@ -244,11 +233,11 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
         raise CannotMeasure("x and y do not vary together: any slope fits. Look at the maps.")
     axis_angle = math.atan2(2 * xy, xx - yy) / 2
     slope = math.tan(axis_angle) * scale
-    low, high = _directions(axis_angle, xx * yy - xy * xy, eigenvalue_gap, min(n_eff, n))
+    directions = _directions(axis_angle, xx * yy - xy * xy, eigenvalue_gap, min(n_eff, n))
     return Deming(
         slope=slope,
         intercept=float(b.mean()) * scale - slope * float(a.mean()),
-        interval=(math.tan(low) * scale, math.tan(high) * scale),
+        interval=pair_of(np.tan(directions) * scale),
         error_ratio=error_ratio,
     )
 
@@ -263,7 +252,15 @@ def _directions(axis_angle: float, determinant: float, eigenvalue_gap: float, n_
     # Beyond upright, the interval would go through infinity.
     if not abs(axis_angle) + half_width < math.pi / 2:
         return math.nan, math.nan
-    return axis_angle - half_width, axis_angle + half_width
+    return around(axis_angle, half_width)
+
+
+def _line_between(points: tuple[Array, Array], pixel_um: Pixel, error_ratio: float) -> Deming:
+    """Deming's line through points, with as many of them as are independent."""
+    n_eff = independent_points(*points, pixel_um=pixel_um).n_eff
+    if math.isnan(n_eff):
+        raise CannotMeasure("The number of independent points of the line is not known.")
+    return deming(*points, error_ratio=error_ratio, n_eff=n_eff)
 
 
 class AgreementFacts(Agreement, RingCorrelation):
@@ -284,9 +281,9 @@ def answer_agreement(pair: ComparedMaps) -> Entries:
 
     Rings of waves over the cells, bias and limits over the larger points.
     """
-    if pair.repeated_points is None:
+    points = pair.repeated_points
+    if points is None:
         return {}
-    a, b = pair.repeated_points
     point_um = pair.point_um
     error_ratio = pair.params.error_ratio
     units = pair.units[0]
@@ -295,24 +292,18 @@ def answer_agreement(pair: ComparedMaps) -> Entries:
     except PlanishError as error:
         rings = RingCorrelation(sentence=error.text)
     try:
-        agreement = bland_altman(a, b, pixel_um=point_um)
+        agreement = bland_altman(*points, pixel_um=point_um)
     except PlanishError:
         return {"agreement": AgreementFacts.holding(rings, units=units)}
     line_fields: Entries = {"error_ratio": error_ratio}
     if error_ratio is not None:
         with suppress(PlanishError):
-            n_eff = independent_points(a, b, pixel_um=point_um).n_eff
-            fit = deming(a, b, error_ratio=error_ratio, n_eff=n_eff)
-            line_fields |= {
-                "error_slope": fit.slope,
-                "error_intercept": fit.intercept,
-                "error_interval": fit.interval,
-            }
-    return {
-        "agreement": AgreementFacts.holding(
-            rings, agreement, point_um=point_um, units=units, **line_fields
-        )
-    }
+            line = _line_between(points, point_um, error_ratio)
+            line_fields["error_slope"] = line.slope
+            line_fields["error_intercept"] = line.intercept
+            line_fields["error_interval"] = line.interval
+    facts = AgreementFacts.holding(rings, agreement, point_um=point_um, units=units, **line_fields)
+    return {"agreement": facts}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -384,7 +375,7 @@ def compare_instruments(
     correlation = correlate(x, y, pixel_um=pixel, point_um=point_um)
     points, size = (x, y), pixel
     if point_um is not None:
-        factor = (point_um / pixel[0], point_um / pixel[1])
+        factor = square_px(point_um, pixel)
         points = (area_mean(x, factor), area_mean(y, factor))
         size = (point_um, point_um)
     agreement = bland_altman(*points, pixel_um=size)
@@ -397,10 +388,7 @@ def compare_instruments(
         notes.append(error.text)
     if error_ratio is not None:
         try:
-            n_eff = independent_points(*points, pixel_um=size).n_eff
-            if math.isnan(n_eff):
-                raise CannotMeasure("The number of independent points of the line is not known.")
-            line = deming(*points, error_ratio=error_ratio, n_eff=n_eff)
+            line = _line_between(points, size, error_ratio)
         except CannotMeasure as error:
             notes.append(error.text)
     return Instruments(

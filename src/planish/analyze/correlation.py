@@ -442,14 +442,16 @@ class PairAtSizes:
         assert self._cells is not None
         return self._cells.means(), pair_of(np.multiply(self._factor, self._pixel_um))
 
-    def points(self) -> list[Floats]:
+    def points(self) -> tuple[Floats, Floats]:
         """The means of both maps; none where a point would be smaller than a pixel."""
-        means = self._points.means() if self._points is not None else []
-        return means or [np.full((0, 0), np.nan)] * 2
+        if self._points is None:
+            return np.empty((0, 0)), np.empty((0, 0))
+        x, y = self._points.means()
+        return x, y
 
 
 def _stated(
-    sums: PairSums, cells: list[Floats], ranked: Floats, pitch_um: Pair, support_um: float
+    sums: PairSums, cells: Sequence[Floats], ranked: Floats, pitch_um: Pair, support_um: float
 ) -> Correlation:
     """Say how sure the correlation is that stands in the sums.
 
@@ -487,7 +489,7 @@ def _lags_of(mask_bytes: bytes, shape: tuple[int, int], pitch_um: Pair) -> Lags:
 
 
 def _certainty(
-    r: float, sums: PairSums, cells: list[Floats], pitch_um: Pair, warnings: list[str]
+    r: float, sums: PairSums, cells: Sequence[Floats], pitch_um: Pair, warnings: list[str]
 ) -> dict[str, float | Pair]:
     """Independent points, p and interval, as far as they may be claimed; adds to ``warnings``."""
     is_valid = np.isfinite(cells[0]) & np.isfinite(cells[1])

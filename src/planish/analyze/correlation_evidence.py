@@ -29,7 +29,12 @@ from planish.analyze.light_spread import LightSpread, answer_light_spread
 from planish.analyze.octaves import Band, answer_octaves
 from planish.analyze.params import CorrelateParams
 from planish.analyze.quadratic_field import QuadraticField
-from planish.analyze.robustness import Partial, answer_origins, answer_partial, answer_short_waves
+from planish.analyze.robustness import (
+    Partial,
+    answer_origins,
+    answer_partial,
+    answer_short_waves,
+)
 from planish.analyze.sheet_columns import SheetColumns
 from planish.analyze.split_half import Reliability
 from planish.analyze.thin_regions import RegionDifference, answer_thin

@@ -15,12 +15,13 @@ from pydantic import Field
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import LEAST_CLAIMED, check_varying, correlate, valid_pixels
-from planish.analyze.distributions import t_95
+from planish.analyze.distributions import around, sign_of, t_95
 from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Entries, Floats, Pixel
 from planish.texture.covariance import Lags, scatter_of
+from planish.texture.textures import unexplained
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,12 +64,12 @@ def independent_points(x: Array, y: Array, *, pixel_um: Pixel) -> IndependentPoi
     is_valid, pixel = valid_pixels(x, y, pixel_um)
     check_varying(is_valid, x=x)
     dx, dy = (np.where(is_valid, m - m[is_valid].mean(), 0.0) for m in (x, y))
-    residuals = dy - dx * (float(np.sum(dx * dy)) / float(np.sum(dx * dx)))
-    slope, square = (
+    residuals = unexplained(dy, dx)
+    n_eff, n_eff_square = (
         correlate(m, residuals, mask=is_valid, pixel_um=pixel).n_eff for m in (dx, dx * dx)
     )
-    level = scatter_of(residuals, Lags(is_valid, pixel))[1]
-    return IndependentPoints(n_eff=slope, n_eff_square=square, n_eff_level=level)
+    n_eff_level = scatter_of(residuals, Lags(is_valid, pixel))[1]
+    return IndependentPoints(n_eff=n_eff, n_eff_square=n_eff_square, n_eff_level=n_eff_level)
 
 
 class Curvature(ResultModel):
@@ -137,18 +138,15 @@ def straight_or_curved(
     n_bend = n_slope if n_eff_square is None else known_points(x, y, n_eff_square)[2]
     scale = float(xs.std())
     u = (xs - float(xs.mean())) / scale
-    line, line_mse = _least_squares(np.stack([np.ones(xs.size), u], axis=1), ys, n_slope)
-    parabola, parabola_mse = _least_squares(
-        np.stack([np.ones(xs.size), u, u * u], axis=1), ys, n_bend
-    )
-    variance = float(ys.var())
-    r2_line, r2_parabola = (
-        1 - mse / variance if variance > 0 else math.nan for mse in (line_mse, parabola_mse)
-    )
-    (slope, slope_width), (curvature, bend_width) = line[:, 1] / scale, parabola[:, 2] / scale**2
-    if curvature - bend_width <= 0 <= curvature + bend_width:
+    line, r2_line = _least_squares(np.vander(u, 2), ys, n_slope)
+    parabola, r2_parabola = _least_squares(np.vander(u, 3), ys, n_bend)
+    slope, slope_width = line[:, 0] / scale
+    curvature, bend_width = parabola[:, 0] / scale**2
+    slope_interval = around(slope, slope_width)
+    interval = around(curvature, bend_width)
+    if not sign_of(interval):
         verdict = "not distinguishable from a straight line"
-    elif slope - slope_width <= 0 <= slope + slope_width:
+    elif not sign_of(slope_interval):
         verdict = "curved, without a slope"
     else:  # a curve saturates where its slope, up or down, loses steepness as x grows
         verdict = "curved, saturating" if curvature * slope < 0 else "curved, growing"
@@ -157,9 +155,9 @@ def straight_or_curved(
         n_eff=n_slope,
         n_eff_square=n_bend,
         slope=slope,
-        slope_interval=(slope - slope_width, slope + slope_width),
+        slope_interval=slope_interval,
         curvature=curvature,
-        interval=(curvature - bend_width, curvature + bend_width),
+        interval=interval,
         r2_line=r2_line,
         r2_parabola=r2_parabola,
         words=verdict,
@@ -168,11 +166,11 @@ def straight_or_curved(
 
 def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floats, float]:
     """Values that are known in both, and how many are independent."""
-    arrays: dict[str, Array] = {"x": values_of(x, "x"), "y": values_of(y, "y")}
+    arrays = (values_of(x, "x"), values_of(y, "y"))
     if np.shape(x) != np.shape(y):
         raise InputError(f"x has {np.shape(x)} points, y has {np.shape(y)}. Give one y for each x.")
-    is_valid = np.logical_and(*map(np.isfinite, arrays.values()))
-    xs, ys = (v[is_valid].astype(np.float64) for v in arrays.values())
+    is_valid = np.isfinite(arrays).all(axis=0)
+    xs, ys = (v[is_valid].astype(np.float64) for v in arrays)
     n = float(n_eff)
     _check_independent(n, xs.size)
     n_distinct = 1 if xs.std() <= 1e-12 * np.abs(xs).max() else len(np.unique(xs))
@@ -201,15 +199,15 @@ def _check_independent(n_eff: float, n: int) -> None:
 
 
 def _least_squares(terms: Floats, values: Floats, n_eff: float) -> tuple[Floats, float]:
-    """Coefficients and half widths of their 95 % intervals, and the mean square that is left.
-
-    Coefficients and half widths are (2, terms).
-    """
+    """Coefficients and half widths of their 95 % intervals, (2, terms), and r2."""
     coefficients = np.linalg.lstsq(terms, values, rcond=None)[0]
     mean_square = float(np.mean((values - terms @ coefficients) ** 2))
+    variance = float(values.var())
+    r2 = 1 - mean_square / variance if variance > 0 else math.nan
     free = n_eff - terms.shape[1]
     spread = np.diag(np.linalg.inv(terms.T @ terms / len(values))) * mean_square / free
-    return np.stack([coefficients, np.sqrt(spread) * t_95(free)]).astype(np.float64), mean_square
+    half_widths = np.sqrt(spread) * t_95(free)
+    return np.array([coefficients, half_widths], dtype=np.float64), r2
 
 
 def answer_curve(pair: ComparedMaps) -> Entries:

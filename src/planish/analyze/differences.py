@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
-from planish.analyze.distributions import t_95
+from planish.analyze.distributions import around, is_distinguishable, t_95
 from planish.core.errors import InputError
-from planish.core.typing import Array, Floats, Pair, Pixel
+from planish.core.typing import Array, Floats, Pair, Pixel, pair_of
 from planish.texture.covariance import Lags, variance_of_products
+from planish.texture.textures import standard
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,8 +26,7 @@ class Difference:
     @property
     def distinguishable(self) -> bool | None:
         """Whether the interval excludes 0; None where there is none."""
-        low, high = self.interval
-        return None if math.isnan(low) else not low <= 0 <= high
+        return is_distinguishable(self.interval)
 
 
 def paired_difference(
@@ -70,14 +70,12 @@ def paired_difference(
     for m in maps[2:]:
         on_one_grid(maps[0], m, pixel_um)
     is_valid = np.logical_and.reduce([np.isfinite(m) for m in maps])
-    r = (
-        pearson(first[0][is_valid], first[1][is_valid]),
-        pearson(second[0][is_valid], second[1][is_valid]),
-    )
+    known = [m[is_valid] for m in maps]
+    r = (pearson(known[0], known[1]), pearson(known[2], known[3]))
     without_interval = Difference(r=r, difference=r[1] - r[0])
     if not all(1 - v * v >= 1e-14 for v in r):
         return without_interval
-    maps = [np.where(is_valid, (m - m[is_valid].mean()) / m[is_valid].std(), 0.0) for m in maps]
+    maps = [standard(m, is_valid) for m in maps]
     scores = [
         (x * y - v / 2 * (x * x + y * y)) / (1 - v * v)
         for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)
@@ -85,7 +83,7 @@ def paired_difference(
     lags = Lags(is_valid, pixel)
     products = lags.own_products(scores[1] - scores[0])
     if not products[0, 0] > 0:  # the same pair twice
-        return replace(without_interval, interval=(r[1] - r[0], r[1] - r[0]))
+        return replace(without_interval, interval=around(r[1] - r[0], 0.0))
     covariance = lags.covariance(products, lags.until_zero(products))
     variance = max(lags.variance_of_mean(covariance), _gaussian_variance(maps, r, lags))
     n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
@@ -98,8 +96,9 @@ def _gaussian_variance(maps: Sequence[Floats], r: Pair, lags: Lags) -> float:
     """Variance of the difference of z that Gaussian maps of these covariances would have."""
     terms: list[tuple[int, int, float]] = []
     for sign, pair_r, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
-        scale = sign / (1 - pair_r * pair_r)
-        terms += [(a, b, scale), (a, a, -scale * pair_r / 2), (b, b, -scale * pair_r / 2)]
+        weight = sign / (1 - pair_r * pair_r)
+        weight_of_squares = -weight * pair_r / 2
+        terms += [(a, b, weight), (a, a, weight_of_squares), (b, b, weight_of_squares)]
     return variance_of_products(maps, terms, lags)
 
 
@@ -135,24 +134,19 @@ def difference_of(first: Correlation, second: Correlation) -> Difference:
             f" {second.point_um:g} um. Give both the same point_um."
         )
     r = first.r, second.r
-    ends = [*first.interval, *second.interval]
-    if any(math.isnan(v) or abs(v) >= 1 for v in (*r, *ends)):
+    intervals = [first.interval, second.interval]
+    if not np.all(np.abs([r, *intervals]) < 1):
         return Difference(r=r, difference=r[1] - r[0])
-    widths = [
-        (math.atanh(high) - math.atanh(low)) / 2 for low, high in (first.interval, second.interval)
-    ]
-    return _difference(r, math.hypot(*widths))
+    half_widths = np.ptp(np.arctanh(intervals), axis=1) / 2
+    return _difference(r, math.hypot(*half_widths))
 
 
 def _difference(r: Pair, width: float) -> Difference:
-    z = [math.atanh(v) for v in r]
-    z_mean = sum(z) / 2
-    z_change = z[1] - z[0]
-    low, high = (
-        math.tanh(z_mean + d / 2) - math.tanh(z_mean - d / 2)
-        for d in (z_change - width, z_change + width)
-    )
-    return Difference(r=r, difference=r[1] - r[0], interval=(low, high))
+    first_z, second_z = np.arctanh(r)
+    z_mean = (first_z + second_z) / 2
+    half_changes = np.divide(around(second_z - first_z, width), 2)
+    interval = np.tanh(z_mean + half_changes) - np.tanh(z_mean - half_changes)
+    return Difference(r=r, difference=r[1] - r[0], interval=pair_of(interval))
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -5,8 +5,6 @@ together: a field that is fitted alone also takes off the long waves that both h
 """
 
 import math
-from collections.abc import Sequence
-from itertools import product
 
 import numpy as np
 from pydantic import Field
@@ -22,17 +20,16 @@ from planish.analyze.correlation import (
     pearson,
     valid_pixels,
 )
-from planish.analyze.distributions import student_tail
+from planish.analyze.distributions import fisher_z, p_of, widened
 from planish.analyze.quadratic_field import QuadraticField, points_of, terms_of_points
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, Unsaved, Value, optional
 from planish.core.grid import Grid
-from planish.core.typing import Bools, Entries, Floats, Pair
+from planish.core.typing import Bools, Entries, Floats, Pair, pair_of
 from planish.texture.covariance import Lags
 
 _TERMS = 5  # of the field, beside its mean
 _LEAST_SIDE = 3  # points that a quadratic term needs along an axis
-_MOST_R = 1.0 - 1e-15  # of which Fisher's z is a number
 
 
 class LightField(PointsCorrelation):
@@ -111,7 +108,9 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     """
     is_valid, _ = valid_pixels(a, b, point_um)
     a, b = filled(is_valid, (a, b), np.nan)
-    x, y = (m[is_valid] - m[is_valid].mean() for m in (a, b))
+    map_mean, grey_mean = (float(m[is_valid].mean()) for m in (a, b))
+    x = a[is_valid] - map_mean
+    y = b[is_valid] - grey_mean
     side = min(np.count_nonzero(is_valid.any(axis=axis)) for axis in (0, 1))
     if x.size < 3 * _TERMS or side < _LEAST_SIDE:
         raise CannotMeasure(
@@ -127,12 +126,10 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     slope = float(x_rest @ y_rest) / float(x_rest @ x_rest)
     field = terms @ (terms.T @ (y - slope * x))
     field -= field.mean()
-    partial_row = correlate(
-        _on_points(x_rest, is_valid), _on_points(y_rest, is_valid), pixel_um=point_um
-    )
+    rests = [_on_points(rest, is_valid) for rest in (x_rest, y_rest)]
+    partial_row = correlate(*rests, pixel_um=point_um)
     plain_row = correlate(a, b, pixel_um=point_um)
     inflation = math.sqrt(float(x @ x) / float(x_rest @ x_rest))
-    mean_grey = abs(float(b[is_valid].mean()))
     share_even, p_even = _even_light(x, y, y_rest - slope * x_rest, terms, is_valid)
     fitted = LightField(
         point_um=point_um,
@@ -143,10 +140,10 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
         inflation=inflation,
         r_plain=plain_row.r,
         interval_plain=plain_row.interval,
-        share=float(field @ field) / float(y @ y),
+        share=float(field @ field / (y @ y)),
         share_even=share_even,
         p_even=p_even,
-        span=float(np.ptp(field)) / mean_grey if mean_grey > 0 else math.nan,
+        span=float(np.ptp(field)) / abs(grey_mean) if grey_mean else math.nan,
     )
     return fitted, _on_points(field, is_valid)
 
@@ -159,10 +156,9 @@ def _interval(partial_row: Correlation, inflation: float) -> Pair:
     if not points > _TERMS:
         return math.nan, math.nan
     widening = math.sqrt(points / (points - _TERMS))
-    z = _z(partial_row.r)
-    limits = [z + widening * (_z(limit) - z) for limit in partial_row.interval]
-    low, high = (math.tanh(math.asinh(inflation * math.sinh(limit))) for limit in limits)
-    return low, high
+    z = fisher_z(partial_row.r)
+    limits = z + widening * (fisher_z(partial_row.interval) - z)
+    return pair_of(np.tanh(np.arcsinh(inflation * np.sinh(limits))))
 
 
 def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> QuadraticField:
@@ -173,9 +169,8 @@ def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> QuadraticFie
     _, field = light_field(a, b, point_um=point_um)
     is_valid = np.isfinite(field)
     weights = np.linalg.lstsq(terms_of_points(is_valid), field[is_valid], rcond=None)[0]
-    return QuadraticField(
-        weights=np.asarray(weights, dtype=np.float64), points=points_of(grid, a.shape, point_um)
-    )
+    points = points_of(grid, a.shape, point_um)
+    return QuadraticField(weights=np.asarray(weights, dtype=np.float64), points=points)
 
 
 def _on_points(values: Floats, is_valid: Bools, missing: float = math.nan) -> Floats:
@@ -195,27 +190,29 @@ def _even_light(x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Boo
     spectrum = lags.transform(_on_points(rest, is_valid, 0.0))
     products = lags.products(spectrum, spectrum)
     used = lags.until_zero(products)
+    products = np.where(used, products, 0.0)
     pairs = np.maximum(np.where(used, lags.pairs, 0.0), 1e-9)
     spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in terms.T]
     overlaps = np.stack([np.where(used, lags.products(m, m), 0.0) for m in spectra])
     # What a term took off the covariances depends on its own variance, which follows from them.
     taken_off = np.tensordot(overlaps / pairs, overlaps, ((1, 2), (1, 2)))
-    of_rest = np.tensordot(overlaps, np.where(used, products, 0.0) / pairs, 2)
+    of_rest = np.tensordot(overlaps, products / pairs, 2)
     variances = np.linalg.solve(np.eye(len(taken_off)) - taken_off, of_rest)
-    covariance = (np.where(used, products, 0.0) + np.tensordot(variances, overlaps, 1)) / pairs
+    covariance = (products + np.tensordot(variances, overlaps, 1)) / pairs
     # The terms of a field are those that neither the mean nor the map explain.
     field_terms = terms - terms.mean(axis=0)
     field_terms -= np.outer(x, x @ field_terms) / float(x @ x)
     basis = np.linalg.svd(field_terms, full_matrices=False)[0][:, :_TERMS]
     spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in basis.T]
-    pairs_of_terms = product(spectra, spectra)
-    expected = np.array([np.sum(lags.products(m, k) * covariance) for m, k in pairs_of_terms])
-    mean = float(np.sum(expected[:: _TERMS + 1]))
+    expected = np.empty((_TERMS, _TERMS))
+    for row, column in np.ndindex(expected.shape):
+        expected[row, column] = np.sum(lags.products(spectra[row], spectra[column]) * covariance)
+    mean = float(np.trace(expected))
     size = float(np.sum((basis.T @ y) ** 2))
     if not (mean > 0 and variances.min() > 0):
         return math.nan, math.nan
-    freedom = mean**2 / float(np.sum(expected * expected))
-    tail = float(special.gammaincc(freedom / 2, freedom / 2 * size / mean))
+    half_freedom = mean**2 / float(np.sum(expected * expected)) / 2
+    tail = float(special.gammaincc(half_freedom, half_freedom * size / mean))
     return mean / float(y @ y), tail
 
 
@@ -230,44 +227,23 @@ def without_light(
         field, _ = light_field(a, b, point_um=points.point_um)
     except CannotMeasure:
         return pixel, points
-    limits = zip(field.interval, points.interval, strict=True)
-    ratios = [
-        (_z(limit) - _z(field.r)) / (_z(plain_limit) - _z(points.r))
-        for limit, plain_limit in limits
-    ]
+    widths, plain_widths = (fisher_z(row.interval) - fisher_z(row.r) for row in (field, points))
+    ratios = widths / plain_widths
     share = field.n_eff / points.n_eff
-    return (
-        _widened(pixel, ratios, share, field.inflation),
-        _widened(points, ratios, share, field.inflation),
-    )
+    pixel, points = (_less_sure(row, ratios, share, field.inflation) for row in (pixel, points))
+    return pixel, points
 
 
-def _widened(
-    row: Correlation, ratios: Sequence[float], share: float, inflation: float
-) -> Correlation:
+def _less_sure(row: Correlation, ratios: Floats, share: float, inflation: float) -> Correlation:
     """A row with its limits ``ratios`` times as far in z, and that share of its points."""
-    z = _z(row.r)
     n_eff = share * row.n_eff
     p = math.nan
-    low, high = (
-        math.tanh(z + ratio * (_z(limit) - z))
-        for ratio, limit in zip(ratios, row.interval, strict=True)
-    )
     if n_eff >= LEAST_CLAIMED:
-        p = 2 * student_tail(abs(math.sinh(z)) / inflation * math.sqrt(n_eff - 2), n_eff - 2)
-    n_eff_interval = (row.n_eff_interval - 3) / (sum(ratios) / 2) ** 2 + 3
-    return row.model_copy(
-        update={
-            "n_eff": n_eff,
-            "interval": (low, high),
-            "p": p,
-            "n_eff_interval": n_eff_interval,
-        }
-    )
-
-
-def _z(r: float) -> float:
-    return math.atanh(np.clip(r, -_MOST_R, _MOST_R))
+        p = p_of(float(np.sinh(fisher_z(row.r))) / inflation * math.sqrt(n_eff - 2), n_eff - 2)
+    n_eff_interval = (row.n_eff_interval - 3) / float(ratios.mean()) ** 2 + 3
+    interval = widened(row.r, row.interval, ratios)
+    update = {"n_eff": n_eff, "interval": interval, "p": p, "n_eff_interval": n_eff_interval}
+    return row.model_copy(update=update)
 
 
 def answer_light_field(pair: ComparedMaps) -> Entries:
