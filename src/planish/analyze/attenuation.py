@@ -7,7 +7,7 @@ from scipy import fft
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import check_varying, valid_pixels
-from planish.analyze.split_half import Reliability, reliability_of
+from planish.analyze.split_half import reliability_of
 from planish.core.arrays import values_of
 from planish.core.bands import thinned
 from planish.core.errors import InputError
@@ -70,24 +70,18 @@ def attenuation_limit(
         )
     check_varying(is_valid, a=a)
     covariance = covariance_of(a, Lags(is_valid, pixel))
-    spectrum = np.asarray(fft.rfft2(covariance)).real
-    frequency = [fft.fftfreq(n, p) for n, p in zip(covariance.shape, pixel, strict=True)]
-    across = frequency[1][: spectrum.shape[1]]
+    spectrum = np.asarray(fft.fft2(covariance)).real
+    along_y, along_x = (fft.fftfreq(n, p) for n, p in zip(covariance.shape, pixel, strict=True))
     if point_um is not None:
-        point = np.outer(np.sinc(frequency[0] * point_um), np.sinc(across * point_um))
-        spectrum = spectrum * point**2
-    square = (2 * math.pi) ** 2 * (frequency[0][:, None] ** 2 + across**2)
-    # Waves of half a spectrum count twice, but those that are their own mirror images.
-    counts = np.full(spectrum.shape[1], 2.0)
-    counts[[0, -1] if covariance.shape[1] % 2 == 0 else 0] = 1.0
-    variance = float(np.sum(spectrum * counts)) / covariance.size
+        point = np.outer(np.sinc(along_y * point_um), np.sinc(along_x * point_um))
+        spectrum *= point**2
+    square = (2 * math.pi) ** 2 * (along_y[:, None] ** 2 + along_x**2)
     quantiles = errors.ravel()
     if errors.size > 1:
         quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     # Along an axis the standard deviation is the error over the square root of 2.
-    blurs = [spectrum * np.exp(-(e * e / 2) * square / 2) * counts for e in quantiles]
-    shares = [float(np.sum(blurred)) / covariance.size / variance for blurred in blurs]
-    return float(np.clip(np.mean(shares), 0.0, 1.0))
+    blurred = [np.sum(spectrum * np.exp(-(e * e / 2) * square / 2)) for e in quantiles]
+    return float(np.clip(np.mean(blurred) / np.sum(spectrum), 0.0, 1.0))
 
 
 def answer_attenuation(pair: ComparedMaps) -> Entries:
@@ -98,23 +92,17 @@ def answer_attenuation(pair: ComparedMaps) -> Entries:
     answers: Entries = {}
     errors_um = _errors_of_places(pair)
     if errors_um.size:
+        error_um = np.quantile(errors_um, np.linspace(0, 1, 65))
+        point_um = pair.point_um if pair.has_points else None
         answers["attenuation_limit"] = attenuation_limit(
-            pair.x,
-            error_um=np.quantile(errors_um, np.linspace(0, 1, 65)),
-            pixel_um=pair.cell_um,
-            point_um=pair.point_um if pair.has_points else None,
+            pair.x, error_um=error_um, pixel_um=pair.cell_um, point_um=point_um
         )
-    halves: tuple[Reliability, ...] = ()
-    if pair.has_points:
-        halves = tuple(
-            reliability_of(pair, layer, name)
-            for layer, name in (pair.a, pair.b)
-            if layer in pair.columns
-        )
-    if not halves:
+    measured = [key for key in (pair.a, pair.b) if key[0] in pair.columns]
+    if not (measured and pair.has_points):
         return answers
-    answers["reliability"] = halves
-    noise_r = math.sqrt(math.prod(half.value for half in halves))
+    reliabilities = tuple(reliability_of(pair, layer, name) for layer, name in measured)
+    answers["reliability"] = reliabilities
+    noise_r = math.sqrt(math.prod(reliability.value for reliability in reliabilities))
     if not math.isnan(noise_r):
         answers["attenuation_limit_noise"] = noise_r
         if "attenuation_limit" in answers:
@@ -127,6 +115,6 @@ def _errors_of_places(pair: ComparedMaps) -> Floats:
     error_maps = [m["expected_error"] for m in pair.layers if "expected_error" in m]
     if not error_maps:
         return np.empty(0)
-    squares = [np.asarray(thinned(m)[1][0], dtype=np.float64) ** 2 for m in error_maps]
-    errors_um = np.sqrt(np.sum(squares, axis=0))
+    errors = [np.asarray(thinned(m)[1][0], dtype=np.float64) for m in error_maps]
+    errors_um = np.linalg.norm(errors, axis=0)
     return errors_um[np.isfinite(errors_um)]

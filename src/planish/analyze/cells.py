@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.area import AreaMeans, valid_in_all
+from planish.core.area import AreaMeans, square_px, valid_in_all
 from planish.core.axial import refuse_axial
 from planish.core.bands import Rows, read_bands
 from planish.core.errors import InputError
@@ -86,9 +86,7 @@ def means_over_cells(
     """
     maps = [column.values for column in columns]
     shape = (maps[0].shape[0], maps[0].shape[1])
-    means_by_size = [
-        AreaMeans(shape, (size_um / pixel_um[0], size_um / pixel_um[1])) for size_um in sizes_um
-    ]
+    means_by_size = [AreaMeans(shape, square_px(size_um, pixel_um)) for size_um in sizes_um]
     for rows, bands in read_bands(*maps, *masks):
         map_bands = bands[: len(maps)]
         is_valid = valid_in_all(map_bands, bands[len(maps) :])

@@ -444,9 +444,8 @@ class PairAtSizes:
 
     def points(self) -> tuple[Floats, Floats]:
         """The means of both maps; none where a point would be smaller than a pixel."""
-        if self._points is None:
-            return np.empty((0, 0)), np.empty((0, 0))
-        x, y = self._points.means()
+        means = self._points.means() if self._points is not None else []
+        x, y = means or [np.empty((0, 0))] * 2
         return x, y
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from pydantic import Field
 from scipy import fft, special
 
-from planish.core.area import area_mean
+from planish.core.area import area_mean, square_px
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, ResultModel, Value, optional
-from planish.core.typing import Array, Floats, Pair
+from planish.core.typing import Array, Floats, Pair, pair_of
 
 _DIRECTIONS = 2048  # of a fibre: its peak over directions is as narrow as a wave over its length
 _PARTS = 8  # of a cell, for the covariance of the means over cells
@@ -65,14 +65,13 @@ class RandomSheet(ResultModel):
         along_y = fft.fftfreq(size[0], step_um)
         along_x = fft.rfftfreq(size[1], step_um)
         radius = np.hypot(along_y[:, None], along_x)
-        table = np.concatenate(
-            [[0.0], np.geomspace(0.02 * radius[0, 1], radius.max() * 1.001, 800)]
-        )
+        above_0 = np.geomspace(0.02 * radius[0, 1], radius.max() * 1.001, 800)
+        table = np.concatenate([[0.0], above_0])
         density = np.interp(radius, table, self.density(table))
-        cell_power = np.square(np.outer(np.sinc(along_y * cell_um), np.sinc(along_x * cell_um)))
-        covariance = fft.irfft2(density * cell_power, size) / step_um**2
-        lags = [np.arange(-(count // 2), count - count // 2) * _PARTS for count in shape]
-        return np.fft.ifftshift(covariance[np.ix_(*lags)])
+        of_cell = np.outer(np.sinc(along_y * cell_um), np.sinc(along_x * cell_um))
+        covariance = fft.irfft2(density * np.square(of_cell), size) / step_um**2
+        lags = [fft.ifftshift(np.arange(-(n // 2), n - n // 2)) * _PARTS for n in shape]
+        return covariance[np.ix_(*lags)]
 
 
 class Formation(ResultModel):
@@ -126,11 +125,8 @@ def formation_number(
     Deng and Dodson (1994), Paper: An Engineered Stochastic Structure, TAPPI Press. Dodson (1971),
     J. R. Stat. Soc. B 33, 88, doi:10.1111/j.2517-6161.1971.tb00859.x.
     """
-    factor = (cell_um / pixel_um[0], cell_um / pixel_um[1])
-    is_cell = (
-        min(factor) >= 1
-        and min(count / f for count, f in zip(values.shape, factor, strict=True)) >= 1
-    )
+    factor = square_px(cell_um, pixel_um)
+    is_cell = min(factor) >= 1 and np.greater_equal(values.shape, factor).all()
     cells = area_mean(values, factor) if is_cell else np.empty((0, 0))
     is_known = np.isfinite(cells)
     n = int(np.count_nonzero(is_known))
@@ -147,30 +143,34 @@ def formation_number(
         noise = area_mean(half_difference, factor)
         variance -= float(np.nanvar(noise[is_known], ddof=1))
     expected, degrees = _variance_of_cells(is_known, sheet, cell_um)
-    ratio = max(variance, 0.0) / (mean**2 * expected)
-    ends = ratio * degrees / (2 * special.gammaincinv(degrees / 2, [0.975, 0.025]))
+    cov = math.sqrt(max(variance, 0.0)) / mean
+    random_cov = math.sqrt(expected)
+    number = cov / random_cov
+    quantiles = 2 * special.gammaincinv(degrees / 2, [0.975, 0.025]) / degrees
     return Formation(
-        number=math.sqrt(ratio),
-        interval=(math.sqrt(ends[0]), math.sqrt(ends[1])),
+        number=number,
+        interval=pair_of(number / np.sqrt(quantiles)),
         cell_um=cell_um,
         n=n,
-        cov=math.sqrt(max(variance, 0.0)) / mean,
-        random_cov=math.sqrt(expected),
+        cov=cov,
+        random_cov=random_cov,
         sheet=sheet,
     )
 
 
 def _variance_of_cells(is_known: Any, sheet: RandomSheet, cell_um: float) -> Pair:
     """Expected variance of the known cells about their mean, and its degrees of freedom."""
-    shape = (2 * is_known.shape[0], 2 * is_known.shape[1])
+    rows, cols = is_known.shape
+    shape = (2 * rows, 2 * cols)
     covariance = sheet.cell_covariances(shape, cell_um)
     mask = fft.rfft2(is_known.astype(np.float64), shape)
     pairs = fft.irfft2(np.abs(mask) ** 2, shape)
-    sums = fft.irfft2(fft.rfft2(covariance) * mask, shape)[: is_known.shape[0], : is_known.shape[1]]
+    covariance_sums = fft.irfft2(fft.rfft2(covariance) * mask, shape)[:rows, :cols]
     n = int(np.count_nonzero(is_known))
-    rows = sums[is_known]
-    total = float(rows.sum())
+    of_cells = covariance_sums[is_known]
+    total = float(of_cells.sum())
     centred = n * float(covariance[0, 0]) - total / n
-    trace = float(np.sum(pairs * covariance**2)) - 2.0 / n * float(np.sum(rows**2))
+    trace = float(np.sum(pairs * covariance**2))
+    trace -= 2.0 / n * float(np.sum(of_cells**2))
     trace += total**2 / n**2
     return centred / (n - 1), centred**2 / trace

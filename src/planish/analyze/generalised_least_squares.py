@@ -13,6 +13,7 @@ from scipy.sparse import linalg
 
 from planish.core.errors import CannotMeasure
 from planish.core.typing import Bools, Floats, Pair
+from planish.texture.spectra import padded_shape, wrapped_lags_um
 
 _ACCURACY = 1e-12
 _MOST_STEPS = 2000
@@ -62,7 +63,8 @@ def weighed_regression(
     values = np.stack([m[is_valid] for m in predictors], axis=1)
     spread = values.std(axis=0)
     n, k = values.shape
-    x = np.concatenate([np.ones((n, 1)), (values - values.mean(axis=0)) / spread], axis=1)
+    standardised = (values - values.mean(axis=0)) / spread
+    x = np.concatenate([np.ones((n, 1)), standardised], axis=1)
     y = response[is_valid]
     weighed = np.stack([solve(column) for column in x.T], axis=1)
     inverse = np.linalg.inv(x.T @ weighed)
@@ -78,11 +80,8 @@ class _Inverse:
 
     def __init__(self, is_valid: Bools, pixel_um: Pair, covariance: ExponentialCovariance) -> None:
         self._is_valid = is_valid
-        size = [fft.next_fast_len(2 * count, real=True) for count in is_valid.shape]
-        y_um, x_um = (
-            fft.fftfreq(count, 1.0 / count) * step
-            for count, step in zip(size, pixel_um, strict=True)
-        )
+        size = padded_shape(is_valid.shape, is_valid.shape)
+        y_um, x_um = wrapped_lags_um(size, pixel_um)
         power = np.asarray(fft.rfft2(covariance(np.hypot(y_um[:, None], x_um)))).real
         self._product = self._convolution(power, size)
         least = _LEAST_POWER * float(power.max())

@@ -10,12 +10,12 @@ from scipy import fft
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import PointsCorrelation, correlate, valid_pixels
 from planish.analyze.differences import paired_difference
-from planish.core.area import area_mean
+from planish.core.area import area_mean, square_px
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Entries, Floats, Pixel
-from planish.texture.spectra import padded_shape, padded_spectrum
+from planish.texture.spectra import frequencies_of, padded_shape, padded_spectrum
 
 
 class _Spread(ResultModel):
@@ -87,8 +87,8 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
         min(math.ceil(10.0 * width_um / p), n) for n, p in zip(values.shape, pixel, strict=True)
     )
     shape = padded_shape(values.shape, reach)
-    square = fft.fftfreq(shape[0], pixel[0])[:, None] ** 2 + fft.rfftfreq(shape[1], pixel[1]) ** 2
-    transfer = (1.0 + (2 * math.pi * width_um) ** 2 * square) ** -1.5
+    turns = 2 * math.pi * width_um * frequencies_of(shape, pixel)
+    transfer = (1.0 + turns**2) ** -1.5
     mean = float(np.mean(values[is_valid], dtype=np.float64))
     rows, cols = values.shape
     centred = np.where(is_valid, values - mean, 0.0)
@@ -96,7 +96,8 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
         np.asarray(fft.irfft2(padded_spectrum(m, shape) * transfer, shape))[:rows, :cols]
         for m in (centred, is_valid.astype(np.float64))
     )
-    return np.where(is_valid, mean + blurred / np.where(is_valid, weight, 1.0), np.nan)
+    unknown = np.full(values.shape, np.nan)
+    return mean + np.divide(blurred, weight, out=unknown, where=is_valid)
 
 
 def answer_light_spread(pair: ComparedMaps) -> Entries:
@@ -112,7 +113,7 @@ def answer_light_spread(pair: ComparedMaps) -> Entries:
         return {"light_spread": build_result(reason=pair.why_no_points)}
     try:
         blurred = spread_light(pair.x, pixel_um=cell_um, width_um=width_um)
-        blurred_points = area_mean(blurred, (point_um / cell_um[0], point_um / cell_um[1]))
+        blurred_points = area_mean(blurred, square_px(point_um, cell_um))
         coating, image = pair.points
         correlation = correlate(blurred_points, image, pixel_um=point_um)
         difference = paired_difference((coating, image), (blurred_points, image), pixel_um=point_um)
@@ -121,12 +122,10 @@ def answer_light_spread(pair: ComparedMaps) -> Entries:
     if math.isnan(correlation.r):
         reason = " ".join(correlation.warnings)
         return {"light_spread": build_result(n=correlation.n, reason=reason)}
-    return {
-        "light_spread": LightSpread.of(
-            correlation,
-            width_um=width_um,
-            point_um=point_um,
-            difference=difference.difference,
-            difference_interval=difference.interval,
-        )
-    }
+    stated = LightSpread.of(
+        correlation,
+        **build_result.keywords,
+        difference=difference.difference,
+        difference_interval=difference.interval,
+    )
+    return {"light_spread": stated}

@@ -17,6 +17,7 @@ from planish.core.facts import ResultModel, Unsaved, Value, optional
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Complexes, Entries, Floats, Ints, Pair, Pixel, Shape
 from planish.texture.detrend import without_trend
+from planish.texture.spectra import frequencies_of
 
 
 class Band(ResultModel):
@@ -94,47 +95,41 @@ def coherence(a: Array, b: Array, *, pixel_um: Pixel, bands: int = 5) -> Coheren
         )
     waves = Waves(is_valid, pixel, a, b)
     half = half_plane(is_valid.shape) & waves.stand_out
-    whitened = [
-        m / np.sqrt(np.maximum(p, 1e-300))[waves.ring]
-        for m, p in zip(waves.spectra, waves.powers, strict=True)
-    ]
+    raw = np.stack(waves.spectra)
+    whitened = raw / np.sqrt(np.maximum(waves.powers, 1e-300))[:, waves.ring]
     octaves: list[Band] = []
     for k in range(count):
-        longest_um, shortest_um = limit_um / 2**k, limit_um / 2 ** (k + 1)
+        longest_um = limit_um / 2**k
+        shortest_um = longest_um / 2
         in_octave = half & (waves.frequency > 1 / longest_um) & (waves.frequency <= 1 / shortest_um)
-        raw_waves = [m[in_octave] for m in waves.spectra]
-        white_waves = [m[in_octave] for m in whitened]
         modes = np.count_nonzero(in_octave) / waves.joined
-        band_fields = _band(raw_waves, white_waves, modes, count)
-        octaves.append(Band(shortest_um=shortest_um, longest_um=longest_um, **band_fields))
+        common = _in_common(raw[:, in_octave], whitened[:, in_octave], modes, count)
+        octaves.append(Band(shortest_um=shortest_um, longest_um=longest_um, **common))
     return Coherence(bands=tuple(octaves), resolution_per_um=waves.resolution)
 
 
-def _band(
-    raw: list[Complexes], whitened: list[Complexes], modes: float, count: int
-) -> dict[str, float]:
-    """What the waves of both maps have in common in one of so many bands.
+def _in_common(raw: Complexes, whitened: Complexes, modes: float, count: int) -> dict[str, float]:
+    """What waves of both maps (2, waves) have in common in one of so many bands.
 
     The waves are taken as they are and whitened.
     """
-    cross = complex(np.vdot(whitened[0], whitened[1]))
-    gain = complex(np.vdot(raw[0], raw[1]))
-    spread = math.sqrt(math.prod(float(np.vdot(m, m).real) for m in whitened))
+    cross = np.vdot(whitened[0], whitened[1])
+    gain = np.vdot(raw[0], raw[1])
     power_a = float(np.vdot(raw[0], raw[0]).real)
-    p = unbiased = math.nan
-    if modes >= 4 and spread > 0:
-        share = abs(cross) ** 2 / spread**2
+    squared_spread = math.prod(np.vdot(m, m).real for m in whitened)
+    common = {"modes": modes} | dict.fromkeys(("coherence", "p", "phase_deg", "gain"), math.nan)
+    if power_a > 0:
+        common["gain"] = math.copysign(abs(gain), gain.real) / power_a
+    if squared_spread > 0:
+        common["phase_deg"] = -float(np.angle(cross, deg=True))
+    if modes >= 4 and squared_spread > 0:
+        share = float(abs(cross) ** 2 / squared_spread)
+        common["coherence"] = (share - 1 / modes) / (1 - 1 / modes)
         # Of m complex waves without relation the squared coherence exceeds x with the probability
         # (1 - x)^(m - 1).
-        p, unbiased = (1 - share) ** (modes - 1), (share - 1 / modes) / (1 - 1 / modes)
-    return {
-        "coherence": unbiased,
-        "p": p,
-        "p_of_bands": 1 - (1 - p) ** count,
-        "modes": modes,
-        "phase_deg": -math.degrees(math.atan2(cross.imag, cross.real)) if spread > 0 else math.nan,
-        "gain": math.copysign(abs(gain), gain.real) / power_a if power_a > 0 else math.nan,
-    }
+        common["p"] = max(1 - share, 0.0) ** (modes - 1)
+    common["p_of_bands"] = 1 - (1 - common["p"]) ** count
+    return common
 
 
 class Waves:
@@ -146,21 +141,21 @@ class Waves:
     def __init__(self, is_valid: Bools, pixel_um: Pair, *maps: Array) -> None:
         window = window_of(is_valid)
         self.spectra = [spectrum_of(m, is_valid, window) for m in maps]
-        frequency_y = fft.fftfreq(is_valid.shape[0], pixel_um[0])[:, None]
-        # Waves a um.
-        self.frequency = np.hypot(frequency_y, fft.rfftfreq(is_valid.shape[1], pixel_um[1]))
+        self.frequency = frequencies_of(is_valid.shape, pixel_um)
         # Width of the window in frequency: one over the field it leaves.
-        self.joined = is_valid.size * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
+        self.joined = is_valid.size * float(np.sum(window**4) / np.sum(window**2) ** 2)
         self.resolution = math.sqrt(self.joined) / shorter_side_um(is_valid.shape, pixel_um)
         self.ring: Ints = np.rint(self.frequency / self.resolution).astype(np.intp)
         ring_numbers = self.ring.ravel()
         powers = [np.bincount(ring_numbers, weights=np.abs(m.ravel()) ** 2) for m in self.spectra]
-        self.powers = np.stack(powers) / np.maximum(np.bincount(ring_numbers), 1)  # (maps, rings)
+        waves_of_ring = np.maximum(np.bincount(ring_numbers), 1)
+        self.powers = np.stack(powers) / waves_of_ring  # (maps, rings)
 
     @property
     def stand_out(self) -> Bools:
         """Rings that are, in all maps, no mere leakage of stronger ones through the window."""
-        return (self.powers > 1e-5 * self.powers.max(axis=1, keepdims=True)).all(axis=0)[self.ring]
+        leakage = 1e-5 * self.powers.max(axis=1, keepdims=True)
+        return (self.powers > leakage).all(axis=0)[self.ring]
 
 
 def window_of(is_valid: Bools) -> Floats:
@@ -168,7 +163,8 @@ def window_of(is_valid: Bools) -> Floats:
     width = max(0.2 * min(is_valid.shape) / 2, 1.0)  # a fifth of the field (Tukey)
     padded = np.pad(is_valid, 1)
     distance = np.asarray(ndimage.distance_transform_edt(padded))[1:-1, 1:-1]
-    return np.where(is_valid, np.sin(math.pi / 2 * np.minimum(distance / width, 1.0)) ** 2, 0.0)
+    depth = np.minimum(distance / width, 1.0)  # 0 where a pixel is missing
+    return np.sin(math.pi / 2 * depth) ** 2
 
 
 def spectrum_of(values: Array, is_valid: Bools, window: Floats) -> Complexes:

@@ -20,11 +20,12 @@ from planish.analyze.correlation import (
     PointsCorrelation,
     check_varying,
     correlate,
+    filled,
     pearson,
     valid_pixels,
 )
 from planish.analyze.curve_of_sizes import SizeRow
-from planish.core.area import common_means
+from planish.core.area import common_means, square_px
 from planish.core.arrays import values_of
 from planish.core.axial import refuse_axial
 from planish.core.errors import InputError, PlanishError, SizeError
@@ -32,7 +33,7 @@ from planish.core.facts import ResultModel, Value, optional
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Entries, Floats, Pixel, Texts
 from planish.measure.registry import shared_parts
-from planish.texture.textures import low_pass
+from planish.texture.textures import low_pass_known, standard
 
 
 class _Given(ResultModel):
@@ -99,20 +100,20 @@ def origins(a: Array, b: Array, *, pixel_um: Pixel, point_um: float) -> Origins:
     """
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     x = np.where(is_valid, a, np.nan)
-    quarters_px = np.rint(np.arange(4) * point_um / np.array(pixel)[:, None] / 4).astype(int)
-    steps = [np.unique(starts).tolist() for starts in quarters_px]
-    r_of_origins = [
-        correlate(x[down:, across:], b[down:, across:], pixel_um=pixel, point_um=point_um).r
-        for down, across in product(*steps)
-    ]
-    known_r = [r for r in r_of_origins if not math.isnan(r)]
+    quarters_um = np.arange(4) * point_um / 4
+    starts = (np.unique(np.rint(quarters_um / step)).astype(int) for step in pixel)
+    known_r: list[float] = []
+    for down, across in product(*starts):
+        shifted = (x[down:, across:], b[down:, across:])
+        r = correlate(*shifted, pixel_um=pixel, point_um=point_um).r
+        if not math.isnan(r):
+            known_r.append(r)
     if not known_r:
         raise SizeError(
             f"No grid of points of {point_um:g} um fits into the map. Give smaller points."
         )
-    return Origins(
-        r=float(np.mean(known_r)), least=min(known_r), largest=max(known_r), count=len(known_r)
-    )
+    mean_r = float(np.mean(known_r))
+    return Origins(r=mean_r, least=min(known_r), largest=max(known_r), count=len(known_r))
 
 
 def of_short_waves(
@@ -156,12 +157,10 @@ def of_short_waves(
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     check_varying(is_valid)
     longest = 0.2 * shorter_side_um(is_valid.shape, pixel)
-    weight = np.maximum(low_pass(is_valid.astype(np.float64), longest, pixel), 1e-9)
     short: list[Floats] = []
-    for values in (a, b):
-        centred = np.where(is_valid, values - np.mean(values[is_valid]), 0.0)
-        slow = low_pass(centred, longest, pixel) / weight
-        short.append(np.where(is_valid, centred - slow, np.nan))
+    for values in filled(is_valid, (a, b), np.nan):
+        centred = values - np.mean(values[is_valid])
+        short.append(centred - low_pass_known(centred, is_valid, longest, pixel))
     return correlate(*short, pixel_um=pixel, point_um=point_um), longest
 
 
@@ -195,12 +194,12 @@ def partial(a: Array, b: Array, covariates: Sequence[Array], *, pixel_um: Pixel)
     for m in covariates:
         is_valid &= valid_pixels(a, m, pixel)[0]
     check_varying(is_valid)
-    covariate_columns = np.stack([m[is_valid] - m[is_valid].mean() for m in covariates], axis=1)
+    given = [m[is_valid] - m[is_valid].mean() for m in covariates]
     residual_maps: list[Floats] = []
     for m in (a, b):
         y = m[is_valid] - m[is_valid].mean()
-        residual = y - covariate_columns @ np.linalg.lstsq(covariate_columns, y, rcond=None)[0]
-        if float(residual @ residual) <= 1e-10 * float(y @ y):
+        residual = _left_of(y, given)
+        if residual @ residual <= 1e-10 * (y @ y):
             raise InputError(
                 "The other maps explain all of one map: parts stand beside their sum. Leave one of"
                 " them out."
@@ -208,6 +207,12 @@ def partial(a: Array, b: Array, covariates: Sequence[Array], *, pixel_um: Pixel)
         residual_maps.append(np.full(m.shape, np.nan))
         residual_maps[-1][is_valid] = residual
     return correlate(*residual_maps, pixel_um=pixel)
+
+
+def _left_of(y: Floats, columns: Sequence[Floats]) -> Floats:
+    """What other columns of points do not explain of one, by least squares."""
+    x = np.stack(columns, axis=1)
+    return y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
 
 
 def commonality(b: Array, parts: Mapping[str, Array]) -> dict[str, float]:
@@ -248,27 +253,23 @@ def commonality(b: Array, parts: Mapping[str, Array]) -> dict[str, float]:
     is_valid = np.logical_and.reduce([np.isfinite(m) for m in (b, *parts.values())])
     check_varying(is_valid, b=b)
     y = b[is_valid] - b[is_valid].mean()
-    columns = {
-        k: (m[is_valid] - m[is_valid].mean()) / max(float(m[is_valid].std()), 1e-300)
-        for k, m in parts.items()
-    }
+    columns = {name: standard(m, is_valid)[is_valid] for name, m in parts.items()}
     if np.linalg.cond(np.stack(list(columns.values()), axis=1)) > 1e6:
         raise InputError(
             "One of the maps is the sum of others. Leave the sum, or one of its parts, out."
         )
     explained: dict[frozenset[str], float] = {frozenset(): 0.0}
     for chosen in _subsets(names):
-        regressors = np.stack([columns[k] for k in chosen], axis=1)
-        residual = y - regressors @ np.linalg.lstsq(regressors, y, rcond=None)[0]
-        explained[frozenset(chosen)] = 1.0 - float(residual @ residual) / float(y @ y)
+        residual = _left_of(y, [columns[name] for name in chosen])
+        explained[frozenset(chosen)] = float(1.0 - residual @ residual / (y @ y))
     shares: dict[str, float] = {}
     for chosen in _subsets(names):
-        other_names = frozenset(names) - frozenset(chosen)
+        other_names = frozenset(names).difference(chosen)
         # What is gained by these maps over the others, counted in and out.
-        shares[" and ".join(chosen)] = -sum(
-            (-1) ** len(subset) * explained[other_names | frozenset(subset)]
-            for subset in ((), *_subsets(chosen))
-        )
+        share = -explained[other_names]
+        for subset in _subsets(chosen):
+            share -= (-1) ** len(subset) * explained[other_names.union(subset)]
+        shares[" and ".join(chosen)] = share
     return shares
 
 
@@ -319,9 +320,8 @@ def answer_partial(pair: ComparedMaps) -> Entries:
     if "thickness" not in sheet_maps:
         return {}
     _check_beside(sheet_maps, covariates)
-    parts = {
-        name: shared for name in covariates if (shared := shared_parts(pair.a[1], name, sheet_maps))
-    }
+    all_parts = {name: shared_parts(pair.a[1], name, sheet_maps) for name in covariates}
+    parts = {name: shared for name, shared in all_parts.items() if shared}
     partial_of = functools.partial(
         Partial,
         given=covariates,
@@ -329,7 +329,7 @@ def answer_partial(pair: ComparedMaps) -> Entries:
         over_control=tuple(parts),
         over_control_parts=tuple(parts.values()),
     )
-    factor = (point_um / pair.grid.pixel_um[0], point_um / pair.grid.pixel_um[1])
+    factor = square_px(point_um, pair.grid.pixel_um)
     if min(factor) < 1 - 1e-9:
         reason = f"Points of {point_um:g} um are smaller than a pixel."
         return {"partial": partial_of(reason=reason)}
@@ -340,10 +340,8 @@ def answer_partial(pair: ComparedMaps) -> Entries:
     )
     is_valid = np.isfinite(image_points)  # all maps count where all are known
     n = int(np.count_nonzero(is_valid))
-    flat_maps = names
-    if n >= LEAST:
-        by_name = zip(names, sheet_points, strict=True)
-        flat_maps = [name for name, m in by_name if not np.ptp(m[is_valid]) > 0]
+    points = dict(zip(names, sheet_points, strict=True))
+    flat_maps = [name for name, m in points.items() if n < LEAST or not np.ptp(m[is_valid]) > 0]
     if flat_maps:
         reason = (
             f"Over {n} points that are valid in all maps, {', '.join(flat_maps)} does not vary."
@@ -352,7 +350,7 @@ def answer_partial(pair: ComparedMaps) -> Entries:
     r_alone = pearson(sheet_points[0][is_valid], image_points[is_valid])
     try:
         correlation = partial(sheet_points[0], image_points, sheet_points[1:], pixel_um=point_um)
-        shares = commonality(image_points, dict(zip(names, sheet_points, strict=True)))
+        shares = commonality(image_points, points)
     except PlanishError as error:  # nothing is left: the rest of the run stands
         return {"partial": partial_of(reason=error.text, r_alone=r_alone)}
     stated = Partial.of(correlation, **partial_of.keywords, r_alone=r_alone)

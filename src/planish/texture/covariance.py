@@ -14,7 +14,7 @@ from scipy import fft
 
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Complexes, Floats, Pair
-from planish.texture.spectra import padded_shape, padded_spectrum
+from planish.texture.spectra import padded_shape, padded_spectrum, wrapped_lags_um
 
 BANDWIDTH = 0.15
 """Share of the shorter side: how far points are taken to add to r together in the second
@@ -33,9 +33,7 @@ class Lags:
         self.n = int(np.count_nonzero(is_valid))
         reach = [int(0.5 * k) for k in is_valid.shape]  # longer lags have too few pairs of points
         self._size = padded_shape(is_valid.shape, reach)
-        self.lag_um = [
-            fft.fftfreq(k, 1.0 / k) * p for k, p in zip(self._size, pixel_um, strict=True)
-        ]
+        self.lag_um = wrapped_lags_um(self._size, pixel_um)
         down_um, across_um = self.lag_um
         self.inside = np.logical_and.outer(
             np.abs(down_um) <= reach[0] * pixel_um[0], np.abs(across_um) <= reach[1] * pixel_um[1]

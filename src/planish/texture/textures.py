@@ -17,6 +17,7 @@ from planish.texture.spectra import padded_shape, padded_spectrum
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
 MOST_PIXELS = 300_000
+_AXES = (("x", 1), ("y", 0))
 _SPLIT_UM = math.sqrt(BAND_UM[0] * BAND_UM[1])
 
 
@@ -58,15 +59,9 @@ class Textures:
 
         They are what light from one side shows of the map.
         """
-        is_valid = self.known.copy()
-        for axis in (0, 1):
-            for step in (-1, 1):
-                is_valid &= np.roll(self.known, step, axis)
-        is_valid[[0, -1], :] = is_valid[:, [0, -1]] = False
-        slopes = {
-            f"{name}_x": np.gradient(self.maps[name], axis=1),
-            f"{name}_y": np.gradient(self.maps[name], axis=0),
-        }
+        # Where a pixel and its four neighbours are known.
+        is_valid = ndimage.binary_erosion(self.known)
+        slopes = {f"{name}_{k}": np.gradient(self.maps[name], axis=axis) for k, axis in _AXES}
         maps = {k: standard(m, is_valid) for k, m in (self.maps | slopes).items()}
         return replace(self, maps=maps, known=is_valid)
 
@@ -82,10 +77,8 @@ class Textures:
 
         Without one that is empty.
         """
-        weight = low_pass(self.known.astype(np.float64), _SPLIT_UM, self.pixel_um)
-        low = low_pass(self.maps[name], _SPLIT_UM, self.pixel_um) / np.maximum(weight, 1e-9)
-        low = np.where(self.known, low, 0.0)
-        halves = (standard(low, self.known), standard(self.maps[name] - low, self.known))
+        low = low_pass_known(self.maps[name], self.known, _SPLIT_UM, self.pixel_um)
+        halves = [standard(m, self.known) for m in (low, self.maps[name] - low)]
         return [half for half in halves if half.any()]
 
 
@@ -249,6 +242,12 @@ def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:
     """Gaussian filter that halves a wave of a length; 0 beyond the borders."""
     sigma = sigma_px(half_um, pixel_um)
     return ndimage.gaussian_filter(values, sigma, mode="constant", truncate=3.0)
+
+
+def low_pass_known(values: Floats, is_known: Bools, half_um: float, pixel_um: Pair) -> Floats:
+    """The same over the known pixels alone."""
+    weight = low_pass(is_known.astype(np.float64), half_um, pixel_um)
+    return low_pass(np.where(is_known, values, 0.0), half_um, pixel_um) / np.maximum(weight, 1e-9)
 
 
 def sigma_px(half_um: float, pixel_um: Pair) -> list[float]:
