@@ -4,8 +4,8 @@
  * Run by tests/app/test_script_docs.py as `node --expose-internals script_functions.js FILE...`; the parser is the
  * acorn that node itself uses for its prompt.
  *
- * A function here is one with a name of its own: a declaration, a method, an accessor, and an arrow function that a
- * constant of the file or a field of a class holds. Functions inside others are part of those.
+ * A function here is one with a name of its own: a declaration, also one within another function, a method, an
+ * accessor, and an arrow function that a constant of the file or a field of a class holds.
  */
 
 "use strict";
@@ -33,21 +33,28 @@ function parameter(node) {
 }
 
 /**
+ * All nodes within a node of the syntax tree.
+ * @param {object} node where to look
+ * @param {(child: object) => boolean} [enters] tells whether what a node holds is looked at, too
+ * @returns {Generator<object>} in the order of the text
+ */
+function* within(node, enters = () => true) {
+  for (const child of Object.values(node).flat()) {
+    if (!child || typeof child.type !== "string") continue;
+    yield child;
+    if (enters(child)) yield* within(child, enters);
+  }
+}
+
+/**
  * Tell whether a function gives something back: a value, or a promise of one.
  * @param {object} node function in the syntax tree
  * @returns {boolean} false where every `return` stands alone
  */
 function returns(node) {
   if (node.body.type !== "BlockStatement") return true;
-  const waiting = [node.body];
-  while (waiting.length) {
-    const next = waiting.pop();
-    if (next.type === "ReturnStatement" && next.argument) return true;
-    for (const child of Object.values(next).flat()) {
-      if (child && typeof child.type === "string" && !FUNCTIONS.includes(child.type)) waiting.push(child);
-    }
-  }
-  return false;
+  const own = within(node.body, (child) => !FUNCTIONS.includes(child.type));
+  return [...own].some((child) => child.type === "ReturnStatement" && child.argument);
 }
 
 /**
@@ -75,9 +82,13 @@ function functionsOf(path) {
       list(`${node.id.name}.${kind}${member.key.name}`, held, member);
     }
   };
+  const exported = new Map();
+  for (const node of within(tree)) {
+    if (node.type === "ExportNamedDeclaration") exported.set(node.declaration, node);
+    if (node.type === "FunctionDeclaration") list(node.id.name, node, exported.get(node) ?? node);
+  }
   for (const whole of tree.body) {
     const node = whole.declaration ?? whole;
-    if (node.type === "FunctionDeclaration") list(node.id.name, node, whole);
     if (node.type === "ClassDeclaration") ofClass(node);
     if (node.type !== "VariableDeclaration") continue;
     for (const { id, init } of node.declarations) {

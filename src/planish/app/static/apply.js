@@ -27,6 +27,10 @@ export function mountApply(place, app) {
   // What is changed after Apply is not in the run that it made: the page says so.
   app.onState(() => open.hidden || void app.api.get("apply").then(paint, () => {}));
 
+  /**
+   * Start the work and follow it.
+   * @returns {Promise<void>}
+   */
   async function start() {
     app.alarm(null);
     try {
@@ -37,12 +41,19 @@ export function mountApply(place, app) {
     }
   }
 
+  /**
+   * Say what was refused.
+   * @param {any} error mostly an ApiError
+   */
   function failed(error) {
     app.alarm(error.message, error.ofOtherRun);
   }
 
   let watching = false;
-  /** Ask for the progress until the work has ended. */
+  /**
+   * Ask for the progress until the work has ended.
+   * @returns {Promise<void>}
+   */
   async function watch() {
     if (watching) return;
     watching = true;
@@ -61,7 +72,10 @@ export function mountApply(place, app) {
     }
   }
 
-  /** Show how far it is, and say how it ended. */
+  /**
+   * Show how far it is, and say how it ended.
+   * @param {any} now answer of the server
+   */
   function show(now) {
     paint(now);
     if (now.state === "working") void watch();
@@ -70,6 +84,10 @@ export function mountApply(place, app) {
     else if (now.state === "done") app.say(now.message || `${now.run} is ready.`);
   }
 
+  /**
+   * Show how far it is.
+   * @param {any} now answer of the server
+   */
   function paint(now) {
     const working = now.state === "working";
     const hadFocus = document.activeElement === cancel || document.activeElement === apply;

@@ -31,6 +31,10 @@ export function exchange(app) {
     button("Export marks", give),
   );
 
+  /**
+   * Send the files that a person chose.
+   * @returns {Promise<void>}
+   */
   async function take() {
     const files = [...(chosen.files ?? [])].sort((a, b) => Number(FIXED.test(a.name)) - Number(FIXED.test(b.name)));
     chosen.value = "";
@@ -46,6 +50,10 @@ export function exchange(app) {
     await app.write(() => app.post("marks/import", body), `${words} in place of all others`);
   }
 
+  /**
+   * Have the browser save the marks in the format of the box.
+   * @returns {Promise<void>}
+   */
   async function give() {
     try {
       const response = await app.api.fetch(app.ofLayer(`marks/export?format=${encodeURIComponent(format.value)}`));

@@ -5,7 +5,7 @@ import { button, make, typeset } from "./dom.js";
 /**
  * @import {Point} from "./geometry.js"
  * @import {App} from "./main.js"
- * @import {Mark} from "./store.js"
+ * @import {Mark, State} from "./store.js"
  */
 
 /**
@@ -24,6 +24,10 @@ export function texture(app, marks) {
   const find = button("Find by texture", search, { disabled: app.readOnly, title });
   return make("div", { class: "group" }, find, places);
 
+  /**
+   * Search the image for the map, around the place of a mark that was set in the image alone.
+   * @returns {Promise<void>}
+   */
   async function search() {
     const mark = marks.newest();
     const near = mark && !mark.moving ? mark.fixed : null;
@@ -34,6 +38,12 @@ export function texture(app, marks) {
     find.disabled = app.readOnly;
   }
 
+  /**
+   * Ask the server for marks by texture; where no place stands out, offer the best ones.
+   * @param {object} body where to look
+   * @param {string} words what was done
+   * @returns {Promise<State|null>} null where nothing was found
+   */
   async function take(body, words) {
     return app.write(async () => {
       try {
@@ -45,7 +55,11 @@ export function texture(app, marks) {
     }, words);
   }
 
-  /** The button of a place that chance may reach as well. */
+  /**
+   * The button of a place that chance may reach as well.
+   * @param {any} one place, as the server describes it
+   * @returns {HTMLButtonElement}
+   */
   function offered(one) {
     return button(typeset(one.text.replace(/: [\d.]+$/, "")), () => {
       marks.goTo(one.middle_um);
