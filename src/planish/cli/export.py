@@ -73,7 +73,7 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
 @options(Compute, "Resources", only=("memory_bytes", "threads"))
 @json_option
 def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
-    """Write a RUN as one HTML file to look around in, for readers without planish.
+    """Write a RUN as one interactive HTML file, for readers without planish.
 
     It shows two maps, their scatter and the slice at the cursor, in any browser since 2023, without
     server or network. To print and keep, take the report.
