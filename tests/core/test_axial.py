@@ -128,8 +128,7 @@ def test_figures_tables_and_pictures_show_the_axis(tmp_path):
     circular_sd = np.rad2deg(np.sqrt(-2 * np.log(np.cos(np.deg2rad(20)))))
     assert (facts.sd, facts.period_deg) == (pytest.approx(circular_sd / 2, rel=1e-4), 180)
     assert facts.p95 - facts.p5 == pytest.approx(20, abs=1e-3)
-    y, x = ACROSS["y"].values, ACROSS["x"].values
-    assert apart(draw.reduced(ACROSS, y, x, width=24 / (4 * 1.35)).values, 90).max() < 1e-4
+    assert apart(draw.reduced(ACROSS, width=24 / (4 * 1.35)).values, 90).max() < 1e-4
     scale = colours_of(ACROSS, ACROSS.values)
     assert scale == Scale(-90.0, 90.0, CYCLIC)
     shades = colours_in_steps(CYCLIC).astype(int)

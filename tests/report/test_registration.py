@@ -66,14 +66,12 @@ def a_lag(**values):
     ],
 )
 def test_a_check_is_green_amber_or_grey_but_never_red(values, state, meaning):
-    check = summary.lag_verdict(
-        a_lag(**values), moving_text="coating thickness", reference_text="the image"
-    )
+    check = summary.lag_verdict(a_lag(**values), ("coating thickness", "the image"))
     assert check.state == state
     assert meaning in check.meaning
     assert check.sentence.endswith(".")
     assert " um" not in check.sentence
-    assert summary.lag_verdict(None, moving_text="a", reference_text="b") is None
+    assert summary.lag_verdict(None, ("a", "b")) is None
 
 
 def test_words_units_and_levels_are_the_same_everywhere():
@@ -105,7 +103,8 @@ def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct():
     # Pixels of 8 um are means of 2 x 2 pixels of 4 um: the middle of the first is 2 um from that of
     # the small one.
     ground = registration.blank_ground(np.array([[0.0, 0.0], [1000.0, 600.0]]), layer="image")
-    ground = replace(ground, y=4.0 * np.arange(200.0), x=10 + 4.0 * np.arange(300.0))
+    axes = [("y", 4.0 * np.arange(200.0)), ("x", 10 + 4.0 * np.arange(300.0))]
+    ground = replace(ground, data=xr.DataArray(np.nan, axes))
     at, lag, silent = registration.lag_places(a_lag(), ground)
     np.testing.assert_allclose(at, [[112.0, 202.0]])
     np.testing.assert_allclose(lag, [[1.0, 2.0]])
@@ -113,7 +112,7 @@ def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct():
     ground = registration.blank_ground(np.array([[0.0, 0.0], [400.0, 400.0]]), layer="image")
     silent = a_lag().model_copy(update={"tiles": a_lag().tiles[1:]})
     for none in (None, silent, a_lag(tiles=[], tile_um=None)):
-        assert registration.draw_lags(none, ground, moving_text="a", reference_text="b") is None
+        assert registration.draw_lags(none, ground, map_texts=("a", "b")) is None
 
 
 def test_expected_error_states_its_range_and_needs_values():

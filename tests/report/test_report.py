@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+import xarray as xr
 from PIL import Image
 
 from planish.core.numbers import count, fixed, in_words, length, number, percent, plain, to_spread
@@ -358,7 +359,8 @@ def test_outlines_say_which_limit_they_show(thin_um, expected):
 
 def test_large_maps_are_averaged_by_area_and_coloured_by_their_values():
     stripes = np.tile([0.0, 1.0], (40, 2000))
-    shown = draw.reduced(stripes, np.arange(40.0), np.arange(4000.0), width=1000.0)
+    axes = [("y", np.arange(40.0)), ("x", np.arange(4000.0))]
+    shown = draw.reduced(xr.DataArray(stripes, axes), width=1000.0)
     assert (shown.values.shape[1], shown.values.mean()) == (1350, pytest.approx(0.5, abs=1e-3))
     assert shown.values.std() < 0.2  # picking every third pixel would leave 0.5
     assert shown.width == pytest.approx(4000.0, rel=1e-3)
@@ -410,13 +412,9 @@ def test_drawings_place_what_they_show():
     canvas = Canvas(200, 100)
     axes = canvas.axes(10, 20, 100, 50, (0.0, 10.0, 5.0, 0.0))
     axes.line((0.0, 10.0, np.nan, 2.0, 2.0), (0.0, 5.0, 0.0, 2.0, 3.0), colour="red")
-    axes.outline(
-        np.array([[False, True], [False, False]]),
-        np.array([1.25, 3.75]),
-        np.array([2.5, 7.5]),
-        colour="blue",
-        width=1,
-    )
+    inside = np.array([[False, True], [False, False]])
+    region = xr.DataArray(inside, [("y", [1.25, 3.75]), ("x", [2.5, 7.5])])
+    axes.outline(region, colour="blue", width=1)
     svg = canvas.picture(title="a & b", caption="").svg
     assert 'd="M0 0l100 50M20 20l0 10"' in svg
     # The upper right pixel of four: 50 to 100 across and 0 to 25 down.

@@ -9,7 +9,7 @@ from itertools import chain
 
 import numpy as np
 
-from planish.analyze import CorrelogramProfiles, LagProfile
+from planish.analyze import CorrelogramProfiles
 from planish.analyze.agreement import AgreementFacts
 from planish.analyze.kubelka_munk import KubelkaMunk
 from planish.core.facts import is_known
@@ -39,20 +39,34 @@ from planish.report.relation import (
     points_table,
 )
 from planish.report.sentences.variograms import squared_unit
-from planish.report.text import HOLES, REGISTERED
+from planish.report.text import BASIS, Basis
 from planish.results import CorrelationRow, EvidenceFacts, Mottle
 
 _TOP, _HIGH = 40.0, 235.0
 _SCALE_HIGH = 250.0
 _ROOM = 1.08
+_OCTAVE_FIELDS = {
+    "shortest wave / µm": "shortest_um",
+    "longest wave / µm": "longest_um",
+    "squared coherence": "coherence",
+    "p of all octaves": "p_of_bands",
+    "phase / °": "phase_deg",
+    "gain": "gain",
+    "independent waves": "modes",
+}
+_RING_FIELDS = {
+    "wavelength / µm": "wavelength_um",
+    "correlation": "correlation",
+    "half bit": "threshold",
+    "independent waves": "modes",
+}
 
 
 def draw_scale(
     evidence: EvidenceFacts,
     *,
     names: tuple[str, str],
-    excluded_text: str = HOLES,
-    registered: str = REGISTERED,
+    basis: Basis,
 ) -> Picture:
     """Draw r against the size of points, and coherence by octaves.
 
@@ -62,20 +76,18 @@ def draw_scale(
     _draw_size_curve(canvas, evidence)
     _draw_octaves(canvas, evidence)
     n = evidence.sizes[0].n if evidence.sizes else 0
-    return canvas.picture(
-        title=f"Scales at which {names[0]} and {names[1]} are correlated",
-        caption=(
-            "Left, correlation over points of growing size; lines, the 95 % interval of each size"
-            " by itself; shaded, the 95 % band of the whole curve. Right, squared coherence by"
-            " octaves of wavelength, corrected for chance, with a filled dot where it exceeds"
-            " chance among all octaves (p below 0.05, Šidák); gain, change of the second map per"
-            " change of the first in the octave. Larger points average noise away, so r may rise"
-            " although nothing more is explained; coherence is that of each octave alone. n ="
-            f" {count(n)} at the smallest size. Mask: measured, without {excluded_text}."
-            f" {capital(registered)}."
-        ),
-        data=_scale_tables(evidence),
+    caption = (
+        "Left, correlation over points of growing size; lines, the 95 % interval of each size"
+        " by itself; shaded, the 95 % band of the whole curve. Right, squared coherence by"
+        " octaves of wavelength, corrected for chance, with a filled dot where it exceeds"
+        " chance among all octaves (p below 0.05, Šidák); gain, change of the second map per"
+        " change of the first in the octave. Larger points average noise away, so r may rise"
+        " although nothing more is explained; coherence is that of each octave alone. n ="
+        f" {count(n)} at the smallest size. Mask: measured, without {basis.excluded}."
+        f" {capital(basis.registered)}."
     )
+    title = f"Scales at which {names[0]} and {names[1]} are correlated"
+    return canvas.picture(title, caption, _scale_tables(evidence))
 
 
 def _scale_tables(evidence: EvidenceFacts) -> Mapping[str, Table]:
@@ -87,23 +99,11 @@ def _scale_tables(evidence: EvidenceFacts) -> Mapping[str, Table]:
             size_columns[f"{bound} {column_title}"] = or_blank(
                 getattr(row, field_name)[k] for row in evidence.sizes
             )
-    octave_columns = columns(
-        evidence.bands,
-        {
-            "shortest wave / µm": "shortest_um",
-            "longest wave / µm": "longest_um",
-            "squared coherence": "coherence",
-            "p of all octaves": "p_of_bands",
-            "phase / °": "phase_deg",
-            "gain": "gain",
-            "independent waves": "modes",
-        },
-    )
     tables: dict[str, Table] = {}
     if evidence.sizes:
         tables["sizes"] = size_columns
     if evidence.bands:
-        tables["octaves"] = octave_columns
+        tables["octaves"] = columns(evidence.bands, _OCTAVE_FIELDS)
     return tables
 
 
@@ -161,7 +161,7 @@ def draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> Non
 
 
 def draw_variograms(
-    evidence: EvidenceFacts, *, titles: Sequence[str], excluded_text: str = HOLES
+    evidence: EvidenceFacts, *, titles: Sequence[str], basis: Basis = BASIS
 ) -> Picture:
     """Draw the variogram of each of the two maps, with its sill and range.
 
@@ -187,18 +187,16 @@ def draw_variograms(
         if is_same_map:
             name = f"{curve.layer}-{name}"
         data[name] = {"distance / µm": list(curve.distances_um), y_label: list(curve.values)}
-    return canvas.picture(
-        title=f"How {' and '.join(map(in_words, titles))} vary with distance",
-        caption=(
-            "Half of the mean square difference of two places of a map, by their distance"
-            " (variogram). It begins at what neighbours do not share (nugget: noise, and texture"
-            " finer than a cell) and rises to the variance of the map (sill, dashed). Dotted: the"
-            " range, at which the covariance has fallen to 1/e; over shorter distances neighbours"
-            f" resemble each other. Means over {_cell_text(evidence.variograms[0].cell_um)} µm, in"
-            f" both maps where both are valid: without {excluded_text}."
-        ),
-        data=data,
+    caption = (
+        "Half of the mean square difference of two places of a map, by their distance"
+        " (variogram). It begins at what neighbours do not share (nugget: noise, and texture"
+        " finer than a cell) and rises to the variance of the map (sill, dashed). Dotted: the"
+        " range, at which the covariance has fallen to 1/e; over shorter distances neighbours"
+        f" resemble each other. Means over {_cell_text(evidence.variograms[0].cell_um)} µm, in"
+        f" both maps where both are valid: without {basis.excluded}."
     )
+    title = f"How {' and '.join(map(in_words, titles))} vary with distance"
+    return canvas.picture(title, caption, data)
 
 
 def _cell_text(sides_um: Iterable[float]) -> str:
@@ -207,10 +205,11 @@ def _cell_text(sides_um: Iterable[float]) -> str:
 
 
 def draw_correlogram(
-    profiles: CorrelogramProfiles, *, names: tuple[str, str], excluded_text: str = HOLES
+    profiles: CorrelogramProfiles, *, names: tuple[str, str], basis: Basis = BASIS
 ) -> Picture:
     """Draw r of both maps, one moved along x and along y, with what unrelated maps reach."""
     canvas = Canvas(FULL, 345)
+    tables: dict[str, Table] = {}
     for left_px, axis, profile in ((LEFT, "x", profiles.along_x), (RIGHT, "y", profiles.along_y)):
         lags_um = profile.lags_um
         levels = filter(is_known, (*profile.r, *profile.limit_of_any, *profile.limit))
@@ -222,37 +221,27 @@ def draw_correlogram(
         for limits in np.outer((1, -1), profile.limit_of_any):
             axes.line(lags_um, limits, colour=POINT, width=1.2, dash="6 4")
         axes.line(lags_um, profile.r, colour=ACCENT, width=2.2)
-        canvas.ticks(axes, f"lag along {axis} / µm", "r")
-    return canvas.picture(
-        title=f"{capital(names[0])} shifted against {names[1]}",
-        caption=(
-            "Correlation of both maps with the second shifted along x (left) and along y (right)."
-            " Shaded: the |r| that 1 % of unrelated maps of these textures exceed at a given lag;"
-            " dashed: that 1 % of them exceed at any lag. Each lag has the pairs and means of its"
-            " own overlap; a profile is one line through all lags, whose largest r may lie beside"
-            f" it. Means over {_cell_text(profiles.cell_um)} µm, where both are valid: without"
-            f" {excluded_text}."
-        ),
-        data={
-            "along-x": _lag_table("x", profiles.along_x),
-            "along-y": _lag_table("y", profiles.along_y),
-        },
+        lag_title = f"lag along {axis} / µm"
+        canvas.ticks(axes, lag_title, "r")
+        tables[f"along-{axis}"] = {
+            lag_title: or_blank(lags_um),
+            "r": or_blank(profile.r),
+            "|r| that 1 % exceed at this lag": or_blank(profile.limit),
+            "|r| that 1 % exceed at any lag": or_blank(profile.limit_of_any),
+        }
+    caption = (
+        "Correlation of both maps with the second shifted along x (left) and along y (right)."
+        " Shaded: the |r| that 1 % of unrelated maps of these textures exceed at a given lag;"
+        " dashed: that 1 % of them exceed at any lag. Each lag has the pairs and means of its"
+        " own overlap; a profile is one line through all lags, whose largest r may lie beside"
+        f" it. Means over {_cell_text(profiles.cell_um)} µm, where both are valid: without"
+        f" {basis.excluded}."
     )
-
-
-def _lag_table(axis: str, profile: LagProfile) -> Table:
-    headings = (
-        f"lag along {axis} / µm",
-        "r",
-        "|r| that 1 % exceed at this lag",
-        "|r| that 1 % exceed at any lag",
-    )
-    column_values = profile.lags_um, profile.r, profile.limit, profile.limit_of_any
-    return dict(zip(headings, map(or_blank, column_values), strict=True))
+    return canvas.picture(f"{capital(names[0])} shifted against {names[1]}", caption, tables)
 
 
 def draw_rings(
-    agreement: AgreementFacts, *, name: str, layers: tuple[str, str], excluded_text: str = HOLES
+    agreement: AgreementFacts, *, name: str, layers: tuple[str, str], basis: Basis = BASIS
 ) -> Picture:
     """Draw how far two measurements of one map agree, against wavelength."""
     canvas = Canvas(FULL, 345)
@@ -269,27 +258,15 @@ def draw_rings(
     axes.line(log_wavelengths, correlations, colour=ACCENT, width=2.0)
     axes.dots(log_wavelengths, correlations, colour=ACCENT, size=4)
     draw_log_axes(canvas, axes, "wavelength / µm", "correlation of both measurements")
-    return canvas.picture(
-        title=f"Down to which wavelength {layers[0]} and {layers[1]} show the same {name}",
-        caption=(
-            "Correlation of both measurements in rings of wavelength (Fourier ring correlation)."
-            " Dashed: where the mean of both holds half a bit of information a wave (van Heel and"
-            " Schatz 2005); dotted: where the curve first falls below it. Errors that both share"
-            " count as what they show, and an error of the registration counts as disagreement."
-            f" Mask: measured in both, without {excluded_text}."
-        ),
-        data={
-            "rings": columns(
-                agreement.rings,
-                {
-                    "wavelength / µm": "wavelength_um",
-                    "correlation": "correlation",
-                    "half bit": "threshold",
-                    "independent waves": "modes",
-                },
-            )
-        },
+    caption = (
+        "Correlation of both measurements in rings of wavelength (Fourier ring correlation)."
+        " Dashed: where the mean of both holds half a bit of information a wave (van Heel and"
+        " Schatz 2005); dotted: where the curve first falls below it. Errors that both share"
+        " count as what they show, and an error of the registration counts as disagreement."
+        f" Mask: measured in both, without {basis.excluded}."
     )
+    title = f"Down to which wavelength {layers[0]} and {layers[1]} show the same {name}"
+    return canvas.picture(title, caption, {"rings": columns(agreement.rings, _RING_FIELDS)})
 
 
 def draw_kubelka_munk(
@@ -299,8 +276,7 @@ def draw_kubelka_munk(
     row: CorrelationRow,
     *,
     titles: tuple[str, str],
-    excluded_text: str = HOLES,
-    registered: str = REGISTERED,
+    basis: Basis,
 ) -> Picture:
     """Draw the larger points with the straight line and the curve.
 
@@ -322,32 +298,28 @@ def draw_kubelka_munk(
     reflectance = curve(x)
     draw_fit(axes, x, reflectance, dash="7 4")
     canvas.ticks(axes, *axis_labels)
-    return canvas.picture(
-        title=(
-            f"{capital(in_words(titles[1]))} over {in_words(titles[0])}: straight line, Kubelka and"
-            " Munk's curve"
-        ),
-        caption=(
-            f"n = {count(curve.n)} points of {plain(curve.point_um)}, {count(round(curve.n_eff))}"
-            " of them independent. Solid: least squares; dashed: reflectance of a scattering layer"
-            f" over a backing (Kubelka 1948) with K/S = {curve.ratio:g}; shaded: the curves at both"
-            " ends of the 95 % interval of S, each with the backing that fits it best. The curve"
-            " stands beside the line and is not chosen over it: over the range of one field the"
-            f" two differ little. Mask: measured, without {excluded_text}. {capital(registered)}."
-        ),
-        data={
-            "curve": {axis_labels[0]: x.tolist(), "Kubelka and Munk": reflectance.tolist()},
-            "points": points_table(points, axis_labels),
-        },
+    title = (
+        f"{capital(in_words(titles[1]))} over {in_words(titles[0])}: straight line, Kubelka and"
+        " Munk's curve"
     )
+    caption = (
+        f"n = {count(curve.n)} points of {plain(curve.point_um)}, {count(round(curve.n_eff))}"
+        " of them independent. Solid: least squares; dashed: reflectance of a scattering layer"
+        f" over a backing (Kubelka 1948) with K/S = {curve.ratio:g}; shaded: the curves at both"
+        " ends of the 95 % interval of S, each with the backing that fits it best. The curve"
+        " stands beside the line and is not chosen over it: over the range of one field the"
+        f" two differ little. Mask: measured, without {basis.excluded}."
+        f" {capital(basis.registered)}."
+    )
+    curve_table = {axis_labels[0]: x.tolist(), "Kubelka and Munk": reflectance.tolist()}
+    tables = {"curve": curve_table, "points": points_table(points, axis_labels)}
+    return canvas.picture(title, caption, tables)
 
 
 def mottle_cells(mottle: Mottle) -> list[tuple[str, str]]:
     """Octaves of wavelength and the coefficient of variation in each, as cells of a table."""
-    return [
-        (
-            f"{band.shortest_um:g} to {band.longest_um:g}",
-            f"{number(100 * band.coefficient_of_variation, 3)}",
-        )
-        for band in mottle.bands
-    ] or [(NONE, NONE)]
+    cells: list[tuple[str, str]] = []
+    for band in mottle.bands:
+        waves_text = f"{band.shortest_um:g} to {band.longest_um:g}"
+        cells.append((waves_text, number(100 * band.coefficient_of_variation)))
+    return cells or [(NONE, NONE)]

@@ -12,6 +12,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 from numpy.typing import ArrayLike
 
 from planish.core.area import area_mean
@@ -326,12 +327,13 @@ class Axes:
         labels_px = [np.hypot(*(pixels - label).T) for label in label_pixels]
         return int(np.argmax(np.min([border_px, *labels_px], axis=0)))
 
-    def outline(self, inside: Bools, y: Array, x: Array, *, colour: str, width: float) -> None:
-        """Draw the border of a region along the edges of its pixels."""
-        padded = np.pad(inside, 1)
-        rows, cols = _edges(padded), _edges(padded.T)[:, ::-1]
-        corners = (np.concatenate([rows, cols]) - 0.5) * (pitch(x), pitch(y)) + (x[0], y[0])
-        lines = self.place(corners).reshape(-1, 4)
+    def outline(self, inside: xr.DataArray, *, colour: str, width: float) -> None:
+        """Draw the border of a region (y, x) along the edges of its pixels."""
+        y, x = axes_of(inside)
+        padded = np.pad(inside.values, 1)
+        corners = np.concatenate([_edges(padded), _edges(padded.T)[:, ::-1]]) - 0.5
+        corners_um = corners * (pitch(x), pitch(y)) + (x[0], y[0])
+        lines = self.place(corners_um).reshape(-1, 4)
         path_data = "".join(f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in lines)
         if path_data:
             self._stroke(path_data, colour, width, cap="square")
@@ -527,9 +529,7 @@ class Canvas(Axes):
             self.text(x + 26, place, title)
             place += LINE_PX
 
-    def picture(
-        self, *, title: str, caption: str, data: Mapping[str, Table] | None = None
-    ) -> Picture:
+    def picture(self, title: str, caption: str, data: Mapping[str, Table] | None = None) -> Picture:
         """Return the finished figure.
 
         ``data`` are tables of the numbers that it shows, by what they are.
@@ -563,33 +563,38 @@ def row_axes(
     return canvas, axes
 
 
-def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> ShownMap:
+def reduced(data: xr.DataArray, *, width: float) -> ShownMap:
     """Reduce a map with coordinates in um to axes so many pixels wide, by area means.
 
     Rows may run upwards (height).
     """
-    data = np.asarray(values, dtype=np.float64)
-    steps = (pitch(rows), pitch(cols))
+    values = data.values.astype(np.float64)
+    rows, cols = axes_of(data)
+    steps = np.array([pitch(rows), pitch(cols)])
     # Pixels of an image in one CSS pixel.
-    pixel_um = max(data.shape[1] * steps[1] / (width * 1.35), 1e-12)
-    factor = (max(1.0, pixel_um / abs(steps[0])), max(1.0, pixel_um / steps[1]))
-    if max(factor) > 1:
-        data = area_mean(summable(values, data), factor)
-    down, across = np.multiply(data.shape, factor) * steps
-    x = float(cols[0]) - steps[1] / 2
-    y = float(rows[0]) - steps[0] / 2
-    return ShownMap(data, (x, x + float(across), y + float(down), y))
+    pixel_um = max(values.shape[1] * steps[1] / (width * 1.35), 1e-12)
+    factor = np.maximum(1.0, pixel_um / np.abs(steps))
+    if factor.max() > 1:
+        values = area_mean(summable(data, values), tuple(factor))
+    y, x = (rows[0], cols[0]) - steps / 2
+    down, across = values.shape * factor * steps
+    return ShownMap(values, (float(x), float(x + across), float(y + down), float(y)))
+
+
+def axes_of(data: xr.DataArray) -> list[Array]:
+    """Return the coordinates of the rows and columns of a map."""
+    return [data[dim].values for dim in data.dims]
 
 
 def draw_map(
-    values: Array, y: Array, x: Array, *, scale: Scale, label: str, width: float = HALF
+    data: xr.DataArray, *, scale: Scale, label: str, width: float = HALF
 ) -> tuple[Canvas, Axes]:
-    """Draw a map (y, x) on half a page, or as wide as given.
+    """Draw a map on half a page, or as wide as given.
 
     With its scale bar and, where labelled, its colour bar.
     """
     map_px = width - MARGIN - BESIDE
-    shown = reduced(values, y, x, width=map_px)
+    shown = reduced(data, width=map_px)
     box = shown.fit(map_px, 480.0 if width <= HALF else 640.0)
     canvas = Canvas(width, panel_height(box, label) + _TOP + BELOW + 26)
     return canvas, canvas.panel(0.0, 0.0, shown, box, scale=scale, label=label)
@@ -640,7 +645,7 @@ def pixel_of(*axes: Array) -> str:
     return " × ".join(plain(round(pitch(axis), 4)) for axis in axes)
 
 
-def n_of(values: Array) -> str:
+def n_of(values: ArrayLike) -> str:
     """Write how many values of a map are known."""
     return count(int(np.isfinite(values).sum()))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from planish.core.numbers import (
     plain,
     unit,
 )
+from planish.core.typing import Entries
 from planish.report.answer import answer_page
 from planish.report.colours import limits
 from planish.report.diagnostics import draw_log_axes
@@ -116,10 +118,11 @@ def tiles_of(model: AnyModel) -> list[KeyFigure]:
     """What is explained, and what it rests on."""
     out_text = f"out of sample {percent(model.r2_out, 2)}" if is_known(model.r2_out) else ""
     n_text = f"n_eff, of n = {count(model.n)} cells"
+    cell_text = "all maps are averaged over them first"
     tiles = [
         KeyFigure(percent(model.r2, 2), "", "of the variance explained (R²)", out_text),
         KeyFigure(independent_cells(model), "", "independent cells", n_text),
-        KeyFigure(plain(model.cell_um), "", "cells, edge", "all maps are averaged over them first"),
+        KeyFigure(plain(model.cell_um), "", "cells, edge", cell_text),
     ]
     if isinstance(model, ExplainedSeries):
         tiles.append(KeyFigure(count(model.sheets), "", "sheets", f"{count(model.fields)} fields"))
@@ -165,27 +168,34 @@ def _unit_of_plain(model: AnyModel, coefficient: CoefficientFacts) -> list[str]:
 
 def tables_of(model: AnyModel) -> dict[str, Table]:
     """What a model says as tables, by the name of a file."""
-    coefficients: Mapping[str, ResultModel] = model.coefficients
-    rows = [{"map": name} | flat_row(c) for name, c in coefficients.items()]
-    tables = {"coefficients": table_of(rows)}
+    tables = {"coefficients": _coefficient_table(model)}
     if isinstance(model, ExplainedSeries):
-        specimen_rows = [
-            {"specimen": name, "r2": m.r2, "n": m.n, "n_eff": m.n_eff}
-            | {key: c.standardised for key, c in m.coefficients.items()}
-            for name, m in model.specimens.items()
-        ]
+        specimen_rows: list[Entries] = []
+        for name, m in model.specimens.items():
+            row = {"specimen": name, "r2": m.r2, "n": m.n, "n_eff": m.n_eff}
+            coefficients = {key: c.standardised for key, c in m.coefficients.items()}
+            specimen_rows.append(row | coefficients)
         return tables | {"specimens": table_of(specimen_rows)}
-    size_rows = [
-        flat_row(row)
-        | {"map": name, "standardised": value}
-        | dict(zip(("low", "high"), row.intervals[name], strict=True))
-        for row in model.sizes
-        for name, value in row.standardised.items()
-    ]
-    tables["sizes"] = table_of(size_rows)
+    tables["sizes"] = table_of(_size_rows(model))
     if model.cells is not None:
         tables["cells"] = _table_of_cells(model.cells)
     return tables
+
+
+def _coefficient_table(model: AnyModel) -> Table:
+    coefficients: Mapping[str, ResultModel] = model.coefficients
+    return table_of([{"map": name} | flat_row(c) for name, c in coefficients.items()])
+
+
+def _size_rows(model: Explained) -> list[Entries]:
+    """A row of each map and size of cells."""
+    rows: list[Entries] = []
+    for size in model.sizes:
+        for name, value in size.standardised.items():
+            low, high = size.intervals[name]
+            interval = {"map": name, "standardised": value, "low": low, "high": high}
+            rows.append(flat_row(size) | interval)
+    return rows
 
 
 def _table_of_cells(cells: xr.Dataset) -> Table:
@@ -201,51 +211,47 @@ def draw_coefficients(model: AnyModel) -> Picture:
     names = strongest(model.coefficients)
     coefficients: list[Any] = [model.coefficients[name] for name in names]
     ends = [end for c in coefficients for end in c.interval if is_known(end)]
-    canvas, axes = row_axes(
-        [c.title[:_MOST_LETTERS] for c in coefficients],
-        [0.0, *ends, *(c.standardised for c in coefficients)],
-        "Standardised coefficient",
-        widest_px=_WIDEST_NAME,
-    )
+    row_names = [c.title[:_MOST_LETTERS] for c in coefficients]
+    values = [c.standardised for c in coefficients]
+    plotted = [0.0, *ends, *values]
+    canvas, axes = row_axes(row_names, plotted, "Standardised coefficient", widest_px=_WIDEST_NAME)
     axes.upright(0.0, dash="4 3")
     colours = colours_of(names).values()
     for row, (coefficient, colour) in enumerate(zip(coefficients, colours, strict=True)):
-        value = coefficient.standardised
+        value = values[row]
         y = row + 0.5
         if is_known(coefficient.interval):
             axes.line(coefficient.interval, y, colour=colour, width=2.5)
         axes.dots(value, y, colour=colour, size=9, is_open=not coefficient.direction)
         # The number stands on the side of the dot that the line at 0 is not on.
         anchor = "start" if value >= 0 else "end"
-        axes.text(value, y, fixed(value, 2), anchor=anchor, shift=(0, -6), size=SMALL)
-    return canvas.picture(
-        title=f"What explains {model.title[:1].lower()}{model.title[1:]}",
-        caption=(
-            "Dots: standardised coefficients, the others held. Lines: their 95 % intervals, from"
-            f" {independent_cells(model)} independent cells of n = {count(model.n)} (cells of"
-            f" {plain(model.cell_um)}, valid in all maps). Open dots: not distinguishable from 0."
-            " Each map has its colour in all figures."
-        ),
-        data={"coefficients": tables_of(model)["coefficients"]},
+        value_text = fixed(value, 2)
+        axes.text(value, y, value_text, anchor=anchor, shift=(0, -6), size=SMALL)
+    caption = (
+        "Dots: standardised coefficients, the others held. Lines: their 95 % intervals, from"
+        f" {independent_cells(model)} independent cells of n = {count(model.n)} (cells of"
+        f" {plain(model.cell_um)}, valid in all maps). Open dots: not distinguishable from 0."
+        " Each map has its colour in all figures."
     )
+    title = f"What explains {model.title[:1].lower()}{model.title[1:]}"
+    return canvas.picture(title, caption, {"coefficients": _coefficient_table(model)})
 
 
 def draw_sizes(model: Explained) -> Picture:
     """Draw standardised coefficients over cells of growing size, the declared one marked."""
     rows = [row for row in model.sizes if row.standardised]
-    all_ends = [end for row in rows for ends in row.intervals.values() for end in ends]
-    ends = [0.0, *(end for end in all_ends if is_known(end))]
-    low, high = min(ends) - 0.05, max(ends) + 0.05
+    intervals = chain.from_iterable(row.intervals.values() for row in rows)
+    ends = [0.0, *filter(is_known, chain.from_iterable(intervals))]
     logs = [math.log10(row.cell_um) for row in rows]
     names = strongest(model.coefficients)
     colours = colours_of(names)
     canvas = Canvas(HALF, 290 + LINE_PX * len(names))
-    axes = canvas.axes(*_BOX, (min(logs) - 0.1, max(logs) + 0.1, low, high))
-    declared = math.log10(model.cell_um)
-    axes.upright(declared, colour=FAINT, width=24)
+    extent = (min(logs) - 0.1, max(logs) + 0.1, min(ends) - 0.05, max(ends) + 0.05)
+    axes = canvas.axes(*_BOX, extent)
+    axes.upright(math.log10(model.cell_um), colour=FAINT, width=24)
     axes.across(0.0, dash="4 3")
     for index, (name, colour) in enumerate(colours.items()):
-        places = [log + 0.02 * (index - (len(names) - 1) / 2) for log in logs]
+        places = np.array(logs) + 0.02 * (index - (len(names) - 1) / 2)
         for place, row in zip(places, rows, strict=True):
             axes.line(place, row.intervals[name], colour=colour, width=1.4)
         values = [row.standardised[name] for row in rows]
@@ -255,14 +261,12 @@ def draw_sizes(model: Explained) -> Picture:
     titles = [model.coefficients[name].title for name in names]
     canvas.name_curves(titles, colours.values(), (_BOX[0], 298))
     word = "declared" if model.declared else "stated"
-    return canvas.picture(
-        title="The same model over other cells",
-        caption=(
-            f"Coefficients with 95 % intervals; the bar marks the {word} size. A size that is"
-            " chosen after a look at this curve is a choice to be stated."
-        ),
-        data={"sizes": tables_of(model)["sizes"]},
+    caption = (
+        f"Coefficients with 95 % intervals; the bar marks the {word} size. A size that is"
+        " chosen after a look at this curve is a choice to be stated."
     )
+    tables = {"sizes": table_of(_size_rows(model))}
+    return canvas.picture("The same model over other cells", caption, tables)
 
 
 def draw_partial(model: Explained, name: str) -> Picture:
@@ -277,35 +281,28 @@ def draw_partial(model: Explained, name: str) -> Picture:
     axes = draw_dots(canvas, (x, y), _BOX, bar_px=55.0, colour=colour)
     ends = np.array([x.min(), x.max()])
     draw_fit(axes, ends, coefficient.plain * ends, colour=INK)
-    canvas.ticks(
-        axes,
-        axis_label(f"{coefficient.title}, freed of the others", unit(coefficient.units)),
-        axis_label(f"{model.title}, freed", unit(model.units)),
+    x_label = axis_label(f"{coefficient.title}, freed of the others", unit(coefficient.units))
+    canvas.ticks(axes, x_label, axis_label(f"{model.title}, freed", unit(model.units)))
+    caption = (
+        "Both maps less what the other maps explain of them; the slope of the line is the plain"
+        f" coefficient. n = {count(x.size)} cells."
     )
-    return canvas.picture(
-        title=f"Partial regression: {coefficient.title[:1].lower()}{coefficient.title[1:]}",
-        caption=(
-            "Both maps less what the other maps explain of them; the slope of the line is the plain"
-            f" coefficient. n = {count(x.size)} cells."
-        ),
-        data={"points": {"freed": x.tolist(), "response_freed": y.tolist()}},
-    )
+    title = f"Partial regression: {coefficient.title[:1].lower()}{coefficient.title[1:]}"
+    points = {"freed": x.tolist(), "response_freed": y.tolist()}
+    return canvas.picture(title, caption, {"points": points})
 
 
 def draw_residuals(model: Explained) -> Picture:
     """Draw the map of what a model leaves."""
     residual = model.cells["residual"]
-    y, x = residual["cell_y"].values, residual["cell_x"].values
-    scale = limits(residual.values, symmetric=True)
+    scale = limits(residual, symmetric=True)
     label = axis_label("Residual", unit(model.units))
-    canvas, _ = draw_map(residual.values, y, x, scale=scale, label=label)
-    return canvas.picture(
-        title="What the model leaves",
-        caption=(
-            f"Residuals of n = {count(model.n)} cells of {plain(model.cell_um)}. Stains, creases"
-            " and a slow trend show here: mask what does not belong."
-        ),
+    canvas, _ = draw_map(residual, scale=scale, label=label)
+    caption = (
+        f"Residuals of n = {count(model.n)} cells of {plain(model.cell_um)}. Stains, creases"
+        " and a slow trend show here: mask what does not belong."
     )
+    return canvas.picture("What the model leaves", caption)
 
 
 def draw_correlogram(model: Explained, curve: Variogram) -> Picture:
@@ -313,7 +310,8 @@ def draw_correlogram(model: Explained, curve: Variogram) -> Picture:
     distances = [0.0, *curve.distances_um]
     values = [1.0, *(1 - value / curve.sill for value in curve.values)]
     canvas = Canvas(HALF, 310)
-    axes = canvas.axes(*_BOX, (0.0, distances[-1] * 1.02, min(*values, -0.1) - 0.05, 1.05))
+    extent = (0.0, distances[-1] * 1.02, min(*values, -0.1) - 0.05, 1.05)
+    axes = canvas.axes(*_BOX, extent)
     axes.across(0.0)
     axes.line(distances, values, colour=INK, width=1.4)
     axes.dots(distances, values, colour=INK, size=3)
@@ -321,11 +319,9 @@ def draw_correlogram(model: Explained, curve: Variogram) -> Picture:
     range_text = ""
     if is_known(curve.range_um):
         range_text = f" It falls to 1/e at {length(curve.range_um)}."
-    return canvas.picture(
-        title="Correlogram of the residuals",
-        caption=(
-            f"Why n is no sample size.{range_text} Blocks of R² out of sample:"
-            f" {length(model.block_um)} and wider."
-        ),
-        data={"correlogram": {"distance_um": distances, "r": values}},
+    caption = (
+        f"Why n is no sample size.{range_text} Blocks of R² out of sample:"
+        f" {length(model.block_um)} and wider."
     )
+    tables = {"correlogram": {"distance_um": distances, "r": values}}
+    return canvas.picture("Correlogram of the residuals", caption, tables)

@@ -21,7 +21,7 @@ from planish.report.maps import RunMaps
 from planish.report.relation import MapPair, draw_points, largest
 from planish.report.sentences.attenuation import LEFT_OUT
 from planish.report.summary import PairKey, key_of, lead_pair, titles_of
-from planish.report.text import BY_TEXTURE, label_of, registered_by, title_of
+from planish.report.text import BY_TEXTURE, Basis, label_of, registered_by, title_of
 from planish.results import CorrelationRow, Results
 
 if TYPE_CHECKING:
@@ -39,36 +39,31 @@ def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Pict
         return []
     row = shown_pair.coarse
     maps = (shown_pair.a, shown_pair.b)
-    is_valid = valid_in_all([m.values for m in maps], [mask.values for mask in shown_pair.valid])
-    shown_maps = [
-        m.copy(data=np.where(is_valid, m.values.astype(np.float64), np.nan)) for m in maps
-    ]
+    masks = [mask.values for mask in shown_pair.valid]
+    is_valid = valid_in_all([m.values for m in maps], masks)
+    shown_maps = [m.astype(np.float64).where(is_valid) for m in maps]
     all_values = np.concatenate([m.values.ravel() for m in shown_maps])
-    excluded_text = run_maps.excluded_text
+    basis = run_maps.basis
     pictures: list[Picture] = []
     for m, layer in zip(shown_maps, (row.a, row.b), strict=True):
         values = all_values if row.same_quantity else m.values
-        pictures.append(_draw_map(m, values, layer=layer, excluded_text=excluded_text))
+        pictures.append(_draw_map(m, values, layer, basis))
     pair = pairs.get(key_of(row))
     if pair is not None and row.trust != "withheld":
         with_layers = row.same_quantity or row.a_map == row.b_map
         names = titles_of(row, run_maps.titles, with_layers=with_layers)
         height = pictures[0].height
-        registered = run_maps.registered
-        pictures.append(draw_points(pair, names=names, height=height, registered=registered))
+        pictures.append(draw_points(pair, names=names, height=height, registered=basis.registered))
     return pictures
 
 
-def _draw_map(
-    data: xr.DataArray, colour_values: Array, *, layer: str, excluded_text: str
-) -> Picture:
+def _draw_map(data: xr.DataArray, colour_values: Array, layer: str, basis: Basis) -> Picture:
     """Draw a map on a third of the page, with its colours below.
 
     The colours span those of ``colour_values``.
     """
-    x = data["x"].values
     map_px = THIRD - MARGIN - 12
-    shown = reduced(data.values, data["y"].values, x, width=map_px)
+    shown = reduced(data, width=map_px)
     map_size = shown.fit(map_px, 330.0)
     scale = colours_of(data, colour_values)
     bar_px = max(map_size[0], 150.0)
@@ -78,13 +73,12 @@ def _draw_map(
     canvas.draw_axis_names(MARGIN + map_size[0], bottom_px)
     canvas.colour_bar(MARGIN, bottom_px + 22, bar_px, 10, scale)
     canvas.text(MARGIN + bar_px / 2, bottom_px + 62, label_of(data), anchor="middle")
-    return canvas.picture(
-        title=title_of(data) if with_article(layer) != layer else f"{title_of(data)}, {layer}",
-        caption=(
-            f"n = {n_of(data.values)} pixels of {pixel_of(x)}; mask: valid in both maps, without"
-            f" {excluded_text}. Colours span the 1st to the 99th percentile."
-        ),
+    title = title_of(data) if with_article(layer) != layer else f"{title_of(data)}, {layer}"
+    caption = (
+        f"n = {n_of(data)} pixels of {pixel_of(data['x'].values)}; mask: valid in both maps,"
+        f" without {basis.excluded}. Colours span the 1st to the 99th percentile."
     )
+    return canvas.picture(title, caption)
 
 
 def recommendations(results: Results) -> list[tuple[str, Check | None]]:
@@ -92,9 +86,10 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
 
     Each comes with the check whose advice it is.
     """
+    checks = [*results.checks_in("fail"), *results.checks_in("look")]
     advice: list[tuple[str, Check | None]] = [
         (f"{capital(check.name)}: {capital(typeset(check.advice))}", check)
-        for check in (*results.checks_in("fail"), *results.checks_in("look"))
+        for check in checks
         if check.advice
     ]
     texts = [_field_advice(lead_pair(results)), _marks_advice(results)]
@@ -123,8 +118,8 @@ def operator_notes(results: Results) -> list[str]:
         if check.remedy
     ]
     for layer in results.moving:
-        if layer.registration is not None and layer.registration.orientation.remedy:
-            view = layer.registration.orientation
+        view = None if layer.registration is None else layer.registration.orientation
+        if view is not None and view.remedy:
             texts.append(f"{view.sentence} {view.remedy}")
     notes = [typeset(in_terminal_words(text)) for text in texts]
     if results.evidence and not results.evidence[0].declared:

@@ -35,7 +35,7 @@ from planish.report.draw import (
     reduced,
 )
 from planish.report.registration import ARROW, EDGE, ground_of
-from planish.report.text import HOLES, label_of, left_out, stated_of, title_of, unit_of
+from planish.report.text import BASIS, Basis, label_of, left_out, stated_of, title_of, unit_of
 from planish.results import LayerFacts, PropertyFacts, Results
 
 _BESIDE = 162.0  # pixels to the right of a map for the distribution, the colour bar and its numbers
@@ -64,9 +64,9 @@ class RunMaps:
         return sheet_data
 
     @property
-    def registered(self) -> str:
-        """What the maps were registered by."""
-        return stated_of(self.results)
+    def basis(self) -> Basis:
+        """What the mask leaves out, and what the maps were registered by."""
+        return Basis(left_out(self.results.regions), stated_of(self.results))
 
     @cached_property
     def linked(self) -> dict[str, xr.Dataset]:
@@ -92,10 +92,9 @@ class RunMaps:
         for layer in self.results.layers:
             data = read_group(f"layers/{layer.name}")
             if data is None and linked_maps is not None:
-                is_image = layer.kind == "image"
-                data = (
-                    linked_maps[["image", "valid"]] if is_image else linked_maps.drop_vars("image")
-                )
+                data = linked_maps.drop_vars("image")
+                if layer.kind == "image":
+                    data = linked_maps[["image", "valid"]]
             if data is not None:
                 maps_by_layer[layer.name] = data
         return maps_by_layer
@@ -112,11 +111,6 @@ class RunMaps:
                 break
             smaller = self.data.get(f"overviews/{name}/{k}")
         return maps
-
-    @property
-    def excluded_text(self) -> str:
-        """What the mask of valid pixels leaves out, in words."""
-        return left_out(self.results.regions)
 
     @cached_property
     def titles(self) -> dict[tuple[str, str], str]:
@@ -145,47 +139,42 @@ def draw_maps(
     ``lead_only``: the first alone, for the first page. Mean and standard deviation are those of
     ``facts``, over the columns of the volume, as everywhere on the page.
     """
-    names = [name for name in facts if name in maps and bool(np.isfinite(maps[name].values).any())]
+    names = [name for name in facts if name in maps and np.isfinite(maps[name].values).any()]
     names.sort(key=lambda name: name != headline)
     widths = [2 * THIRD] if lead_only else [FULL, *[HALF] * len(names)]
-    return [
-        _draw_property(
-            maps, name, facts[name], width=width, rim_um=rim_um, partner=partner_of(name, names)
-        )
-        for name, width in zip(names, widths, strict=False)
-    ]
+    pictures: list[Picture] = []
+    for name, width in zip(names, widths, strict=False):
+        partner = partner_of(name, names)
+        picture = _draw_property(maps, name, facts[name], partner, width=width, rim_um=rim_um)
+        pictures.append(picture)
+    return pictures
 
 
 def _draw_property(
     maps: xr.Dataset,
     name: str,
     facts: PropertyFacts,
+    partner: str | None,
     *,
     width: float,
     rim_um: float,
-    partner: str | None,
 ) -> Picture:
     """Draw a map of a sheet with its colours, which it shares with a partner, and a histogram."""
     data = maps[name]
     map_px = width - MARGIN - _BESIDE
     values = data.values.astype(np.float64)
-    shown = reduced(data, data["v"].values, data["u"].values, width=map_px)
+    shown = reduced(data, width=map_px)
     size = shown.fit(map_px, 480.0 if width < FULL else 640.0)
     names = sorted({name, partner or name})
     scale = colours_of(data, np.concatenate([maps[k].values.ravel() for k in names]))
     bar_height = panel_height(size, "colours")
     canvas = Canvas(width, bar_height + BELOW + 38)
     axes = canvas.map_axes(MARGIN, 8, size, shown, scale)
-    bar_left = MARGIN + size[0] + 12
-    canvas.colour_bar(bar_left, 8, 13, bar_height, scale)
-    canvas.text(
-        MARGIN + size[0] + _BESIDE - 10,
-        8 + bar_height / 2,
-        label_of(data),
-        anchor="middle",
-        upwards=True,
-    )
-    histogram = _draw_histogram(canvas, (bar_left + 58, 8, 62, bar_height), values, scale, facts)
+    right = MARGIN + size[0]
+    middle = 8 + bar_height / 2
+    canvas.colour_bar(right + 12, 8, 13, bar_height, scale)
+    canvas.text(right + _BESIDE - 10, middle, label_of(data), anchor="middle", upwards=True)
+    histogram = _draw_histogram(canvas, (right + 70, 8, 62, bar_height), values, scale, facts)
     canvas.draw_scale_row(axes, 2, "u, v")
     mean_text = ""
     if facts.mean is not None and facts.sd is not None:
@@ -198,16 +187,13 @@ def _draw_property(
     partner_text = ""
     if partner is not None:
         partner_text = f" of this map and {in_words(title_of(maps[partner]))} together"
-    return canvas.picture(
-        title=title_of(data),
-        caption=(
-            f"{mean_text}Drawn: n = {n_of(values)} map pixels of"
-            f" {pixel_of(data['v'].values)}; mask: columns with both faces found, without"
-            f" holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the"
-            f" 99th percentile{partner_text}."
-        ),
-        data={"histogram": histogram},
+    caption = (
+        f"{mean_text}Drawn: n = {n_of(data)} map pixels of"
+        f" {pixel_of(data['v'].values)}; mask: columns with both faces found, without"
+        f" holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the"
+        f" 99th percentile{partner_text}."
     )
+    return canvas.picture(title_of(data), caption, {"histogram": histogram})
 
 
 def draw_side_by_side(
@@ -215,14 +201,11 @@ def draw_side_by_side(
     layers: tuple[str, str],
     *,
     same_scale: bool,
-    excluded_text: str = HOLES,
+    basis: Basis,
 ) -> Picture:
-    """Draw two maps (y, x) side by side, NaN where not valid.
-
-    ``excluded_text`` says in words what masks leave out.
-    """
-    y, x, map_px = maps[0]["y"].values, maps[0]["x"].values, HALF - MARGIN - BESIDE
-    shown_maps = [reduced(data.values, y, x, width=map_px) for data in maps]
+    """Draw two maps (y, x) side by side, NaN where not valid."""
+    map_px = HALF - MARGIN - BESIDE
+    shown_maps = [reduced(data, width=map_px) for data in maps]
     map_size = shown_maps[0].fit(map_px, 480.0)
     canvas = Canvas(FULL, panel_height(map_size, "colours") + BELOW + 64)
     for k, (data, shown, layer) in enumerate(zip(maps, shown_maps, layers, strict=True)):
@@ -234,55 +217,57 @@ def draw_side_by_side(
     titles = [in_words(title_of(m)) for m in maps]
     units = [unit_of(m) or "none" for m in maps]
     scale_text = "Both have the same" if same_scale else "Each has its own"
-    return canvas.picture(
-        title=f"{layers[0]} on the pixels of {layers[1]}",
-        caption=(
-            f"Left, {titles[0]} of {layers[0]}; right, {titles[1]} of {layers[1]}, at the same"
-            " places."
-            f" {scale_text} colour scale, from the 1st to the 99th percentile. n ="
-            f" {' and '.join(n_of(m.values) for m in maps)} pixels of {pixel_of(x)};"
-            f" units: {' and '.join(units)}; mask: measured, without {excluded_text}."
-        ),
+    caption = (
+        f"Left, {titles[0]} of {layers[0]}; right, {titles[1]} of {layers[1]}, at the same"
+        " places."
+        f" {scale_text} colour scale, from the 1st to the 99th percentile. n ="
+        f" {' and '.join(map(n_of, maps))} pixels of {pixel_of(maps[0]['x'].values)};"
+        f" units: {' and '.join(units)}; mask: measured, without {basis.excluded}."
     )
+    return canvas.picture(f"{layers[0]} on the pixels of {layers[1]}", caption)
 
 
 def _draw_histogram(
     canvas: Canvas, box: Box, values: Array, scale: Scale, facts: PropertyFacts
 ) -> Table:
-    low, high = scale.low, scale.high
-    counts, edges = np.histogram(values, bins=80, range=(low, high))
+    """Draw a distribution upwards along a colour bar, with mean and standard deviation."""
+    limits = (scale.low, scale.high)
+    counts, edges = np.histogram(values, bins=80, range=limits)
     max_count = max(int(counts.max()), 1)
-    axes = canvas.axes(*box, (0, 1.25 * max_count, low, high))
-    outline = np.stack([np.repeat([0, *counts, 0], 2)[1:-1], np.repeat(edges, 2)], axis=1)
+    axes = canvas.axes(*box, (0, 1.25 * max_count, *limits))
+    heights = np.repeat([0, *counts, 0], 2)[1:-1]
+    outline = np.column_stack([heights, np.repeat(edges, 2)])
     axes.area(outline, colour="#b9c0c7")
     axes.upright(0, width=1.6)
     if facts.mean is not None and facts.sd is not None:
         x = 1.14 * max_count
-        ends = np.clip((facts.mean - facts.sd, facts.mean + facts.sd), low, high)
-        axes.line(x, ends, colour=ACCENT, width=1.6)
-        axes.dots(x, np.clip(facts.mean, low, high), colour=ACCENT, size=5)
-    return {"from": edges[:-1].tolist(), "to": edges[1:].tolist(), "map pixels": counts.tolist()}
+        low, mean, high = np.clip(facts.mean + facts.sd * np.array([-1, 0, 1]), *limits)
+        axes.line(x, (low, high), colour=ACCENT, width=1.6)
+        axes.dots(x, mean, colour=ACCENT, size=5)
+    bin_edges = edges.tolist()
+    return {"from": bin_edges[:-1], "to": bin_edges[1:], "map pixels": counts.tolist()}
 
 
 def draw_outlines(
-    linked: xr.Dataset, *, name: str, thin_um: float, excluded_text: str = HOLES
+    linked: xr.Dataset, *, name: str, thin_um: float, basis: Basis = BASIS
 ) -> list[Picture]:
     """Draw property and image, and the image with thin regions outlined (Hirn et al.
 
     2009, Fig. 6).
     """
-    y = linked["y"].values
-    x = linked["x"].values
+    data = linked[name]
+    image = linked["image"]
     valid = linked["valid"].values.astype(bool)
-    ground = ground_of(linked["image"], layer="image", valid=valid)
-    values = np.where(valid, linked[name].values.astype(np.float64), np.nan)
-    title = title_of(linked[name])
-    unit = unit_of(linked[name])
-    n_text = f"n = {n_of(values)} pixels of {pixel_of(x)}; mask: measured, without {excluded_text}."
-    map_canvas, _ = draw_map(values, y, x, scale=limits(values), label=label_of(linked[name]))
-    image_canvas, _ = draw_map(ground.values, y, x, scale=ground.scale, label="")
+    ground = ground_of(image, layer="image", valid=valid)
+    values = np.where(valid, data.values.astype(np.float64), np.nan)
+    valid_map = data.copy(data=values)
+    title = title_of(data)
+    pixel_text = pixel_of(data["x"].values)
+    n_text = f"n = {n_of(values)} pixels of {pixel_text}; mask: measured, without {basis.excluded}."
+    map_canvas, _ = draw_map(valid_map, scale=limits(values), label=label_of(data))
+    image_canvas, _ = draw_map(image, scale=ground.scale, label="")
     canvas, axes = ground.draw(FULL)
-    thin_share = float(np.count_nonzero(values < thin_um)) / max(int(np.isfinite(values).sum()), 1)
+    thin_share = np.count_nonzero(values < thin_um) / max(np.isfinite(values).sum(), 1)
     below = f"{in_words(title)} below"
     limit_um = thin_um
     note_text = f"Outlined: {below} {plain(thin_um)}, {percent(thin_share)} of the valid pixels."
@@ -297,41 +282,35 @@ def draw_outlines(
             f" thinnest {_THINNEST:g} %, {below} {length(limit_um)}."
         )
         if thin_share > 0:
-            axes.outline(values < thin_um, y, x, colour=EDGE, width=1.6)
+            axes.outline(valid_map < thin_um, colour=EDGE, width=1.6)
             note_text = f"{note_text} In blue, what is below {plain(thin_um)}."
     labels, _ = ndimage.label(values < limit_um, structure=np.ones((3, 3)))
     is_outlined = (labels > 0) & (np.bincount(labels.ravel())[labels] >= _SMALLEST)
-    axes.outline(is_outlined, y, x, colour=ARROW, width=1.7)
-    darkness = _darkness_sentence(ground.values, is_outlined, valid)
+    axes.outline(data.copy(data=is_outlined), colour=ARROW, width=1.7)
+    darkness = _darkness_sentence(image.values.astype(np.float64), is_outlined, valid)
     note_text = f"{note_text} Regions under {_SMALLEST} pixels are not drawn. {darkness}"
+    image_text = (
+        f"{title_of(image)} between limits set by the valid pixels; n = {n_of(image)} pixels of"
+        f" {pixel_text}, no mask."
+    )
+    map_title = f"(a) {title}, on the image's pixels"
     return [
-        map_canvas.picture(
-            title=f"(a) {title}, on the image's pixels", caption=f"Unit {unit}. {n_text}"
-        ),
-        image_canvas.picture(
-            title="(b) The image, same region",
-            caption=(
-                f"{title_of(linked['image'])} between limits set by the valid pixels; n = "
-                f"{n_of(ground.values)} pixels of {pixel_of(x)}, no mask."
-            ),
-        ),
-        canvas.picture(title="(c) Thin regions on the image", caption=f"{note_text}{n_text}"),
+        map_canvas.picture(map_title, f"Unit {unit_of(data)}. {n_text}"),
+        image_canvas.picture("(b) The image, same region", image_text),
+        canvas.picture("(c) Thin regions on the image", f"{note_text}{n_text}"),
     ]
 
 
 def draw_light(light: xr.Dataset, layer: str) -> Picture:
     """Draw what an image was divided by, of pixels that count."""
     factor = light["factor"].where(light["status"] == 0)
-    y, x = light["y"].values, light["x"].values
-    canvas, _ = draw_map(factor.values, y, x, scale=limits(factor.values), label="")
-    return canvas.picture(
-        title=f"Light on {layer}",
-        caption=(
-            "White image less the dark one, over its median: what the image was divided by."
-            f" n = {n_of(factor.values)} pixels of {pixel_of(x)}; mask: neither saturated"
-            " nor too dark."
-        ),
+    canvas, _ = draw_map(factor, scale=limits(factor), label="")
+    caption = (
+        "White image less the dark one, over its median: what the image was divided by."
+        f" n = {n_of(factor)} pixels of {pixel_of(light['x'].values)}; mask: neither saturated"
+        " nor too dark."
     )
+    return canvas.picture(f"Light on {layer}", caption)
 
 
 def _darkness_sentence(image: Array, is_outlined: Bools, valid: Bools) -> str:

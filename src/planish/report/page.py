@@ -225,6 +225,7 @@ def _registration_section(
         _map_in_words(reference_map, reference_layer),
     )
     is_outlined = reference_layer.kind == "image" and layer.kind == "sheet"
+    basis = run_maps.basis
     if is_outlined:
         valid = layer_maps["valid"]
         if "valid" in reference_maps:
@@ -232,29 +233,25 @@ def _registration_section(
         thin_um = float(results.parameters.get("correlate", {}).get("thin_um", 5.0))
         with_image = layer_maps.assign(image=reference_map, valid=valid)
         linked_pictures = maps.draw_outlines(
-            with_image, name=layer.headline, thin_um=thin_um, excluded_text=run_maps.excluded_text
+            with_image, name=layer.headline, thin_um=thin_um, basis=basis
         )
     else:
         pair_rows = summary.headline_pair(results, layer)
+        same_scale = bool(pair_rows) and pair_rows[0].same_quantity
+        layers = (layer.name, reference_layer.name)
         map_pair = (
             _valid_values(layer_maps, layer.headline),
             _valid_values(reference_maps, reference_layer.headline),
         )
-        linked_pictures = [
-            maps.draw_side_by_side(
-                map_pair,
-                (layer.name, reference_layer.name),
-                same_scale=bool(pair_rows) and pair_rows[0].same_quantity,
-                excluded_text=run_maps.excluded_text,
-            )
-        ]
+        side_by_side = maps.draw_side_by_side(map_pair, layers, same_scale=same_scale, basis=basis)
+        linked_pictures = [side_by_side]
     return {
         "layer": layer,
         "registration": r,
         "marks": marks,
         "linked": linked_pictures,
         "outlined": is_outlined,
-        "check": summary.lag_verdict(r.lag, moving_text=map_texts[0], reference_text=map_texts[1]),
+        "check": summary.lag_verdict(r.lag, map_texts),
         "pictures": _registration_pictures(run_maps, layer, r, marks, map_texts),
     }
 
@@ -273,37 +270,32 @@ def _registration_pictures(
     results = run_maps.results
     reference = results.reference.name
     width = FULL if len(results.layers) == 2 else HALF
-    hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))) / 2)
+    least_um, most_um = results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))
+    hole_um = (least_um + most_um) / 2
     ground = _ground_of(run_maps, layer)
-    lags = registration.draw_lags(
-        r.lag, ground, moving_text=map_texts[0], reference_text=map_texts[1]
-    )
+    lags = registration.draw_lags(r.lag, ground, map_texts=map_texts)
     pictures: list[Picture | None] = []
+    is_on_reference = r.to == reference
     if marks is not None:
-        blank = registration.blank_ground(points_of(marks, "fixed"), layer=r.to)
-        pictures.append(
-            registration.draw_registration(
-                r,
-                ground if r.to == reference else blank,
-                marks,
-                hole_um=hole_um,
-                moving_layer=layer.name,
-                width=width,
-            )
+        marks_ground = ground
+        if not is_on_reference:
+            marks_ground = registration.blank_ground(points_of(marks, "fixed"), layer=r.to)
+        residuals = registration.draw_registration(
+            r, marks_ground, marks, hole_um=hole_um, moving_layer=layer.name, width=width
         )
+        pictures.append(residuals)
     layer_maps = run_maps.drawn[layer.name]
     if "expected_error" in layer_maps:
-        pictures.append(
-            registration.draw_expected_error(
-                layer_maps["expected_error"],
-                marks if r.to == reference else None,
-                hole_um=hole_um,
-                # Alone it takes the whole width, beside another figure half of it.
-                width=width if lags is None else HALF,
-                reference=reference,
-                layer=layer.name,
-            )
+        errors = registration.draw_expected_error(
+            layer_maps["expected_error"],
+            marks if is_on_reference else None,
+            hole_um=hole_um,
+            # Alone it takes the whole width, beside another figure half of it.
+            width=width if lags is None else HALF,
+            reference=reference,
+            layer=layer.name,
         )
+        pictures.append(errors)
     return [*filter(None, (*pictures, lags))]
 
 
@@ -316,12 +308,10 @@ def _ground_of(run_maps: maps.RunMaps, layer: LayerFacts) -> registration.Ground
         valid = layer_maps["valid"].values.astype(bool)
     edge_names = ("u", "image", "thickness", *layer_maps.data_vars)
     edge_name = next(name for name in edge_names if name in layer_maps)
+    edge = layer_maps[edge_name].notnull()
+    data = run_maps.drawn[reference.name][reference.headline]
     return registration.ground_of(
-        run_maps.drawn[reference.name][reference.headline],
-        layer=reference.name,
-        valid=valid,
-        edge=np.isfinite(layer_maps[edge_name].values),
-        edge_layer=layer.name,
+        data, layer=reference.name, valid=valid, edge=edge, edge_of=layer.name
     )
 
 
@@ -335,8 +325,9 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
     headlines = {(layer.name, layer.headline) for layer in results.layers}
     for pair_rows in summary.by_pair(results):
         row = pair_rows[0]
-        pair = MapPair.of(run_maps.linked, pair_rows, summary.density_of(results, pair_rows[0]))
-        if pair and (row.same_quantity or headlines >= {(row.a, row.a_map), (row.b, row.b_map)}):
+        pair = MapPair.of(run_maps.linked, pair_rows, summary.density_of(results, row))
+        are_headlines = headlines >= {(row.a, row.a_map), (row.b, row.b_map)}
+        if pair and (row.same_quantity or are_headlines):
             pairs[summary.key_of(row)] = pair
     return pairs
 
@@ -344,9 +335,7 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
 def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
     with_layers = len(run_maps.results.layers) > 2 or pair.coarse.a_map == pair.coarse.b_map
     titles = summary.titles_of(pair.coarse, run_maps.titles, with_layers=with_layers)
-    return draw_pair(
-        pair, names=titles, excluded_text=run_maps.excluded_text, registered=run_maps.registered
-    )
+    return draw_pair(pair, names=titles, basis=run_maps.basis)
 
 
 def _evidence_section(
@@ -379,30 +368,28 @@ def _evidence_pictures(
     map_titles: Sequence[str],
 ) -> Iterator[tuple[Section, Picture]]:
     """Draw what is known of two maps beside their r; each figure comes with its section."""
-    mask = {"excluded_text": run_maps.excluded_text}
-    stated = mask | {"registered": run_maps.registered}
+    basis = run_maps.basis
     titles = summary.titles_of(e, run_maps.titles)
     if e.sizes or e.bands:
-        yield "scale", diagnostics.draw_scale(e, names=names, **stated)
+        yield "scale", diagnostics.draw_scale(e, names=names, basis=basis)
     if e.variograms:
-        yield "distance", diagnostics.draw_variograms(e, titles=map_titles, **mask)
+        yield "distance", diagnostics.draw_variograms(e, titles=map_titles, basis=basis)
     if e.correlogram is not None:
-        yield "distance", diagnostics.draw_correlogram(e.correlogram, names=names, **mask)
+        yield "distance", diagnostics.draw_correlogram(e.correlogram, names=names, basis=basis)
     if e.agreement is not None and e.agreement.rings:
         name = in_words(titles[0])
-        rings = diagnostics.draw_rings(e.agreement, name=name, layers=(e.a, e.b), **mask)
+        rings = diagnostics.draw_rings(e.agreement, name=name, layers=(e.a, e.b), basis=basis)
         yield "repeated", rings
     curve = e.kubelka_munk
     if curve is not None and is_known(curve.scattering) and pair is not None:
         points = (pair.points, pair.coarse)
-        yield "light", diagnostics.draw_kubelka_munk(e, curve, *points, titles=titles, **stated)
+        light = diagnostics.draw_kubelka_munk(e, curve, *points, titles=titles, basis=basis)
+        yield "light", light
 
 
 def _valid_values(maps: xr.Dataset, name: str) -> xr.DataArray:
-    values = maps[name].values.astype(np.float64)
-    if "valid" in maps:
-        values = np.where(maps["valid"].values.astype(bool), values, np.nan)
-    return maps[name].copy(data=values)
+    data = maps[name].astype(np.float64)
+    return data.where(maps["valid"].values.astype(bool)) if "valid" in maps else data
 
 
 def _map_in_words(map_data: xr.DataArray, layer: LayerFacts) -> str:
@@ -419,7 +406,5 @@ def standalone(picture: Picture) -> str:
     description = f"<title>{escape(picture.title)}</title><desc>{escape(picture.caption)}</desc>"
     background = '<rect width="100%" height="100%" fill="#ffffff"/>'
     opening_tag = svg_tag.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
-    return (
-        '<?xml version="1.0"'
-        f' encoding="UTF-8"?>\n{opening_tag}>{description}{background}{content}\n'
-    )
+    head = '<?xml version="1.0" encoding="UTF-8"?>'
+    return f"{head}\n{opening_tag}>{description}{background}{content}\n"

@@ -14,7 +14,7 @@ from planish.core.numbers import fixed, length, percent, plain
 from planish.flatten import FlatteningQuality
 from planish.report.relation import largest
 from planish.report.sentences.attenuation import LEFT_OUT
-from planish.report.statement import r2_limits
+from planish.report.statement import point_of, r2_limits
 from planish.report.summary import evidence_of, lead_pair
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
@@ -36,7 +36,7 @@ def reading(results: Results) -> list[str]:
         limits_text = f" (95 %: {100 * limits[0]:.0f} to {100 * limits[1]:.0f} %)"
     strength = (
         f"A straight line explains r² = {100 * row.r2:.0f} % of the variance{limits_text} over"
-        f" points of {plain(round(row.point_um, 4))}; the rest has other causes."
+        f" points of {point_of(row)}; the rest has other causes."
     )
     evidence = evidence_of(results, row)
     moving = next(layer for layer in results.moving if layer.name in (row.a, row.b))

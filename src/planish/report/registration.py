@@ -3,7 +3,6 @@
 Residuals, expected error, and where the maps themselves lie against each other.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +24,7 @@ from planish.report.draw import (
     Canvas,
     Magnified,
     Picture,
+    axes_of,
     draw_map,
     levels_between,
     magnified,
@@ -46,16 +46,14 @@ _BLANK = 64  # pixels across a ground that shows nothing
 class Ground:
     """A picture to draw on.
 
-    Values in grey, the border of another layer, what it is, and the words for a caption.
+    A map in grey, what it is, the words for a caption, and where another layer lies.
     """
 
-    values: Array
-    y: Array
-    x: Array
+    data: xr.DataArray
     scale: Scale
     name: str
     caption: str
-    edge: Bools | None = None
+    edge: xr.DataArray | None = None
     edge_of: str = ""
 
     def draw(self, width: float) -> tuple[Canvas, Axes]:
@@ -63,10 +61,11 @@ class Ground:
 
         Below it is room for another scale bar.
         """
-        shown = reduced(self.values, self.y, self.x, width=width - MARGIN)
+        shown = reduced(self.data, width=width - MARGIN)
         box = shown.fit(width - MARGIN - 12, 700.0 if width == FULL else 480.0)
         canvas = Canvas(width, box[1] + BELOW + 36)
-        axes = canvas.map_axes((width - box[0] + MARGIN - 12) / 2, 4, box, shown, self.scale)
+        left = (width - box[0] + MARGIN - 12) / 2
+        axes = canvas.map_axes(left, 4, box, shown, self.scale)
         canvas.draw_scale_row(axes, 2, max_share=0.2)
         return canvas, axes
 
@@ -76,18 +75,18 @@ def ground_of(
     *,
     layer: str,
     valid: Bools | None = None,
-    edge: Bools | None = None,
-    edge_layer: str = "",
+    edge: xr.DataArray | None = None,
+    edge_of: str = "",
 ) -> Ground:
     """Return a map or image (y, x) as ground, greys of its ``valid`` pixels.
 
-    ``edge`` is where ``edge_layer`` lies.
+    ``edge`` is where the layer ``edge_of`` lies.
     """
     values = data.values.astype(np.float64)
-    y = data["y"].values
-    x = data["x"].values
-    window_values = values[valid] if valid is not None and valid.any() else values
-    pixels_text = f"{n_of(values)} pixels of {pixel_of(x)}"
+    if valid is not None and valid.any():
+        values = values[valid]
+    scale = limits(values, GREYS, percent=0.2)
+    pixels_text = f"{n_of(data)} pixels of {pixel_of(data['x'].values)}"
     name = "the image"
     caption = f"{title_of(data)} of {pixels_text}, no mask."
     if data.name != "image":
@@ -96,9 +95,7 @@ def ground_of(
             f"In grey, {in_words(title_of(data))} of {layer}: {pixels_text}; mask: where it is"
             " known."
         )
-    return Ground(
-        values, y, x, limits(window_values, GREYS, percent=0.2), name, caption, edge, edge_layer
-    )
+    return Ground(data, scale, name, caption, edge, edge_of)
 
 
 def blank_ground(points: Array, *, layer: str) -> Ground:
@@ -113,16 +110,10 @@ def blank_ground(points: Array, *, layer: str) -> Ground:
     high = points.max(axis=0)
     margin = 0.2 * max(float((high - low).max()), 1.0)
     x, y = np.linspace(low - margin, high + margin, _BLANK).T
+    data = xr.DataArray(np.nan, [("y", y), ("x", x)])
     grid = f"the coordinates of {layer}, which is not resampled to this grid"
     caption = f"Places are in {grid}; no map is shown, no mask."
-    return Ground(
-        np.full((_BLANK, _BLANK), np.nan),
-        y,
-        x,
-        Scale(0.0, 1.0, GREYS),
-        f"the layer {layer}",
-        caption,
-    )
+    return Ground(data, Scale(0.0, 1.0, GREYS), f"the layer {layer}", caption)
 
 
 def _draw_arrows(
@@ -143,15 +134,11 @@ def _draw_arrows(
     magnification = magnified(vectors, width_share * axes.shown.width)
     axes.arrows(starts, magnification.times * vectors, colour=ARROW, width=width)
     if magnification.longest > 1e-9:
-        canvas.scale_bar(
-            axes.x + 0.4 * axes.width,
-            axes.height + BELOW + 6,
-            width=axes.width,
-            um=axes.shown.width / magnification.times,
-            max_share=max_share,
-            colour=ARROW,
-            label=label,
-        )
+        x = axes.x + 0.4 * axes.width
+        y = axes.height + BELOW + 6
+        um = axes.shown.width / magnification.times
+        style: Entries = {"max_share": max_share, "colour": ARROW, "label": label}
+        canvas.scale_bar(x, y, width=axes.width, um=um, **style)
     return magnification
 
 
@@ -160,9 +147,7 @@ def with_tiles_named(pairs: xr.Dataset, marks: xr.Dataset) -> xr.Dataset:
 
     ``is_tile`` says which are tiles of texture, without a diameter.
     """
-    is_tile = np.any(
-        [marks[f"{plane}_source"].values == "tile" for plane in ("moving", "fixed")], axis=0
-    )
+    is_tile = (marks["moving_source"].values == "tile") | (marks["fixed_source"].values == "tile")
     return pairs.assign_coords(is_tile=("mark", is_tile[paired(marks)]))
 
 
@@ -171,7 +156,9 @@ def judged(r: RegistrationFacts | None) -> RegistrationFacts | None:
 
     There the lag says nothing of the place.
     """
-    return r if r is None or r.source != "texture" else r.model_copy(update={"lag": None})
+    if r is None or r.source != "texture":
+        return r
+    return r.model_copy(update={"lag": None})
 
 
 def draw_registration(
@@ -190,7 +177,7 @@ def draw_registration(
     canvas, axes = ground.draw(width)
     note_text = ""
     if ground.edge is not None:
-        axes.outline(ground.edge, ground.y, ground.x, colour=EDGE, width=1.6)
+        axes.outline(ground.edge, colour=EDGE, width=1.6)
         note_text = f"Blue: edge of {with_article(ground.edge_of)}. "
     fixed_xy = points_of(marks, "fixed")
     _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == FULL else 11)
@@ -212,21 +199,19 @@ def draw_registration(
         note_text += (
             f"MD: machine direction, {direction[0] % 180:.0f}° from x clockwise ({direction[1]}). "
         )
-    mark_table: dict[str, list[object]] = {"mark": list(range(1, marks.sizes["mark"] + 1))}
+    mark_table: Entries = {"mark": [*range(1, marks.sizes["mark"] + 1)]}
     if "label" in marks:
-        mark_table["label"] = [str(label) for label in marks["label"].values]
+        mark_table["label"] = [*map(str, marks["label"].values)]
     for name, column in marks.data_vars.items():
         if column.dims == ("mark",) and name != "label":
             mark_table[f"{name} / µm"] = column.values.astype(np.float64).tolist()
-    return canvas.picture(
-        title=f"Marks in {with_article(r.to)} and their residuals",
-        caption=(
-            f"{capital(ground.name)} with n = {_marks_in_words(marks, hole_um)}. Red arrows point"
-            f" from each mark to its transformed partner in {with_article(moving_layer)},"
-            f" {magnification.words}. {note_text}{ground.caption}"
-        ),
-        data={"marks": mark_table},
+    caption = (
+        f"{capital(ground.name)} with n = {_marks_in_words(marks, hole_um)}. Red arrows point"
+        f" from each mark to its transformed partner in {with_article(moving_layer)},"
+        f" {magnification.words}. {note_text}{ground.caption}"
     )
+    title = f"Marks in {with_article(r.to)} and their residuals"
+    return canvas.picture(title, caption, {"marks": mark_table})
 
 
 def _tiles_of(marks: xr.Dataset) -> Bools:
@@ -250,6 +235,7 @@ def _draw_marks(axes: Axes, marks: xr.Dataset, *, hole_um: float, font_size: flo
     circle_x = hole_um / 2 * np.cos(angles)
     circle_y = hole_um / 2 * np.sin(angles)
     style: Entries = {"size": font_size, "colour": _MARK}
+    cross_shift = (0, 0.32 * font_size)
     marked = zip(points_of(marks, "fixed"), _tiles_of(marks), strict=True)
     for k, ((x, y), is_tile) in enumerate(marked, 1):
         away_um = 0.0
@@ -260,7 +246,7 @@ def _draw_marks(axes: Axes, marks: xr.Dataset, *, hole_um: float, font_size: flo
             away_um = 0.42 * hole_um
             shift = (-2, -2)
             halo = ""
-        axes.text(x, y, "+", shift=(0, 0.32 * font_size), anchor="middle", halo=halo, **style)
+        axes.text(x, y, "+", shift=cross_shift, anchor="middle", halo=halo, **style)
         label = (x - away_um, y - away_um, str(k))
         axes.text(*label, shift=shift, anchor="end", halo=INK, bold=True, **style)
 
@@ -278,7 +264,6 @@ def draw_expected_error(
 
     None if unknown.
     """
-    y, x = error["y"].values, error["x"].values
     finite_errors = error.values[np.isfinite(error.values)].astype(np.float64)
     if finite_errors.size == 0:
         return None
@@ -290,16 +275,14 @@ def draw_expected_error(
     if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
         scale = Scale(0.0, 2 * mean or 1.0, GEOMETRY)
         levels = np.empty(0)
-    canvas, axes = draw_map(
-        error.values, y, x, scale=scale, label="expected error / µm", width=width
-    )
-    axes.contours(
-        levels,
-        labels=True,
-        avoided=np.empty((0, 2)) if marks is None else points_of(marks, "fixed"),
-    )
+    canvas, axes = draw_map(error, scale=scale, label="expected error / µm", width=width)
     shared_text = "an error that all marks share is not included"
-    if marks is not None:
+    marks_text = ""
+    if marks is None:
+        axes.contours(levels, labels=True)
+    else:
+        axes.contours(levels, labels=True, avoided=points_of(marks, "fixed"))
+        marks_text = "Orange: the marks, numbered as in the figure of their residuals. "
         _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == FULL else 11)
         if _tiles_of(marks).all():
             shared_text = (
@@ -307,25 +290,18 @@ def draw_expected_error(
                 " included"
             )
     contour_text = f"Contour lines every {length(step, 1)}. " if levels.size else ""
-    marks_text = (
-        "Orange: the marks, numbered as in the figure of their residuals. "
-        if marks is not None
-        else ""
+    caption = (
+        f"Expected error of the position in {with_article(reference)} (rms, from the scatter of"
+        f" the marks): {length(least, 2)} to {length(most, 2)}, median"
+        f" {length(float(np.median(finite_errors)), 2)}. {contour_text}{marks_text}It grows"
+        f" away from the marks; {shared_text}. n = {n_of(finite_errors)} pixels of"
+        f" {pixel_of(error['x'].values)}; unit µm; mask: where {with_article(layer)} is shown."
     )
-    return canvas.picture(
-        title="Expected error",
-        caption=(
-            f"Expected error of the position in {with_article(reference)} (rms, from the scatter of"
-            f" the marks): {length(least, 2)} to {length(most, 2)}, median"
-            f" {length(float(np.median(finite_errors)), 2)}. {contour_text}{marks_text}It grows"
-            f" away from the marks; {shared_text}. n = {n_of(finite_errors)} pixels of"
-            f" {pixel_of(x)}; unit µm; mask: where {with_article(layer)} is shown."
-        ),
-    )
+    return canvas.picture("Expected error", caption)
 
 
 def draw_lags(
-    lag: LagNumbers | None, ground: Ground, *, moving_text: str, reference_text: str
+    lag: LagNumbers | None, ground: Ground, *, map_texts: tuple[str, str]
 ) -> Picture | None:
     """Draw the lags of the tiles of two maps, named in words, that have a distinct one.
 
@@ -353,17 +329,16 @@ def draw_lags(
         " The check as a whole is inconclusive: read the arrows with caution." if lag.reason else ""
     )
     size_text = f" of {plain(lag.tile_um)}" if is_known(lag.tile_um) else ""
-    return canvas.picture(
-        title="Image-based check, tile by tile",
-        caption=(
-            f"Arrows point from where the registration puts a piece of {moving_text} to where"
-            f" {reference_text} shows it, {magnification.words}. Parallel arrows are a shift;"
-            " arrows that turn or diverge are a rotation or a stretch; disordered arrows are"
-            f" chance. n = {count(len(distinct_xy))} of {count(len(distinct_xy) + len(silent_xy))}"
-            f" overlapping tiles{size_text} with a distinct lag, grey dots the others.{doubt_text}"
-            f" {ground.caption}"
-        ),
+    moving_text, reference_text = map_texts
+    caption = (
+        f"Arrows point from where the registration puts a piece of {moving_text} to where"
+        f" {reference_text} shows it, {magnification.words}. Parallel arrows are a shift;"
+        " arrows that turn or diverge are a rotation or a stretch; disordered arrows are"
+        f" chance. n = {count(len(distinct_xy))} of {count(len(distinct_xy) + len(silent_xy))}"
+        f" overlapping tiles{size_text} with a distinct lag, grey dots the others.{doubt_text}"
+        f" {ground.caption}"
     )
+    return canvas.picture("Image-based check, tile by tile", caption)
 
 
 def machine_direction(r: RegistrationFacts, moving_layer: str) -> tuple[float, str] | None:
@@ -387,37 +362,29 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
     Tiles count from the middle of the first pixel that was compared, which may be the mean of
     several.
     """
-    y0, x0 = (
-        float(c[0]) + (p - pitch(c)) / 2
-        for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True)
-    )
-    tile_rows = np.array(
-        [(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles], dtype=np.float64
-    ).reshape(-1, 4)
+    edges_um = [values[0] - pitch(values) / 2 for values in axes_of(ground.data)]
+    y0, x0 = edges_um + np.divide(lag.pixel_um, 2)
+    rows = [(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles]
+    tile_rows = np.array(rows, dtype=np.float64).reshape(-1, 4)
     is_distinct = np.array([t.distinct and is_known(t.lag_um) for t in lag.tiles], dtype=bool)
     return tile_rows[is_distinct, :2], tile_rows[is_distinct, 2:], tile_rows[~is_distinct, :2]
 
 
 def _draw_direction(canvas: Canvas, axes: Axes, angle_deg: float, marks_xy: Array) -> None:
-    corners = np.array([(0, 0), (axes.width, 0), (0, axes.height), (axes.width, axes.height)])
+    """Draw an axis in the corner that is farthest from marks."""
+    corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)])
     mark_pixels = axes.place(marks_xy[np.isfinite(marks_xy).all(axis=1)])
-    offsets = (corners[:, None] - mark_pixels[None]).transpose(2, 0, 1)
-    x, y = (
-        corners[int(np.argmax(np.hypot(*offsets).min(axis=1)))] if mark_pixels.size else corners[0]
-    )
-    left_px = axes.x + (8 if x == 0 else axes.width - _AXIS - 8)
-    top_px = axes.y + (8 if y == 0 else axes.height - _AXIS - 8)
+    offsets = corners[:, None] * (axes.width, axes.height) - mark_pixels
+    distances = np.hypot(offsets[..., 0], offsets[..., 1])
+    is_right, is_low = corners[np.argmax(distances.min(axis=1, initial=np.inf))]
+    left_px = axes.x + 8 + is_right * (axes.width - _AXIS - 16)
+    top_px = axes.y + 8 + is_low * (axes.height - _AXIS - 16)
     canvas.box(left_px, top_px, _AXIS, _AXIS, fill="rgba(255,255,255,0.86)")
     corner_axes = canvas.axes(left_px, top_px, _AXIS, _AXIS, (-1, 1, 1, -1))
-    direction = np.array([math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))])
+    angle = np.radians(angle_deg)
+    direction = np.array([np.cos(angle), np.sin(angle)])
     normal = np.array([-direction[1], direction[0]])
-    corner_axes.arrows(
-        [-0.22 * normal] * 2,
-        [0.92 * direction, -0.92 * direction],
-        colour=INK,
-        width=2.0,
-        halo="",
-    )
-    corner_axes.text(
-        0.36 * normal[0], 0.36 * normal[1], "MD", shift=(0, 4), anchor="middle", bold=True
-    )
+    ends = 0.92 * np.array([direction, -direction])
+    corner_axes.arrows([-0.22 * normal] * 2, ends, colour=INK, width=2.0, halo="")
+    x, y = 0.36 * normal
+    corner_axes.text(x, y, "MD", shift=(0, 4), anchor="middle", bold=True)

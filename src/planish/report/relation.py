@@ -20,7 +20,6 @@ from planish.core.numbers import (
     count,
     in_words,
     number,
-    plain,
     to_spread,
     unit,
 )
@@ -33,14 +32,16 @@ from planish.report.draw import (
     SOFT,
     THIRD,
     Axes,
+    Box,
     Canvas,
     Picture,
     ShownMap,
     Table,
+    axes_of,
     pitch,
 )
-from planish.report.statement import r_sentence
-from planish.report.text import HOLES, REGISTERED, unit_of
+from planish.report.statement import point_of, r_sentence
+from planish.report.text import BASIS, Basis, unit_of
 from planish.results import ComparisonRow, CorrelationRow
 
 Row = TypeVar("Row", CorrelationRow, ComparisonRow)
@@ -73,10 +74,12 @@ class MapPair:
     ) -> MapPair | None:
         """Take both maps of correlations; None where one is not at hand."""
         row = rows[0]
-        if row.a_map not in linked.get(row.a, ()) or row.b_map not in linked.get(row.b, ()):
+        a = linked.get(row.a, {})
+        b = linked.get(row.b, {})
+        if row.a_map not in a or row.b_map not in b:
             return None
-        masks = [linked[layer]["valid"] for layer in (row.a, row.b) if "valid" in linked[layer]]
-        return cls(linked[row.a][row.a_map], linked[row.b][row.b_map], rows, masks, density)
+        masks = [maps["valid"] for maps in (a, b) if "valid" in maps]
+        return cls(a[row.a_map], b[row.b_map], rows, masks, density)
 
     @property
     def coarse(self) -> CorrelationRow:
@@ -99,11 +102,11 @@ def block_means(
     ``valid`` are masks of pixels that count. Points less than half known do not count; none are
     smaller than pixels.
     """
-    factors = [point_um / pitch(a[axis].values) for axis in ("y", "x")]
-    if min(factors) < 1 - 1e-9:
+    down, across = (point_um / pitch(values) for values in axes_of(a))
+    if min(down, across) < 1 - 1e-9:
         return np.empty(0), np.empty(0)
-    down, across = (max(factor, 1.0) for factor in factors)
-    first, second = common_means((a, b), (down, across), masks=valid)
+    factor = (max(down, 1.0), max(across, 1.0))
+    first, second = common_means((a, b), factor, masks=valid)
     is_valid = np.isfinite(first) & np.isfinite(second)
     return first[is_valid], second[is_valid]
 
@@ -112,29 +115,25 @@ def draw_pair(
     pair: MapPair,
     *,
     names: tuple[str, str],
-    excluded_text: str = HOLES,
-    registered: str = REGISTERED,
+    basis: Basis = BASIS,
 ) -> Picture:
     """Draw map b over map a as the density of the pixels.
 
     Beside it are larger points or the difference of the two.
 
-    ``excluded_text`` says what the masks leave out. The difference of two maps of the same quantity
-    is drawn over their mean, with its mean and the limits that hold 95 % of normal differences
-    (Bland and Altman 1986).
+    The difference of two maps of the same quantity is drawn over their mean, with its mean and the
+    limits that hold 95 % of normal differences (Bland and Altman 1986).
     """
     stride, (p, q, *masks) = thinned(pair.a, pair.b, *pair.valid)
     is_valid = valid_in_all((p, q), masks)
-    density = pair.density
     units = (unit_of(pair.a), unit_of(pair.b))
-    ends = (pair.rows[0], pair.coarse)
-    points, (fine, coarse), units, labels = as_drawn(pair.points, ends, names, units, density)
-    pixel_values = (
-        (p if density is None else p * density)[is_valid].astype(np.float64),
-        q[is_valid].astype(np.float64),
-    )
+    rows = (pair.rows[0], pair.coarse)
+    points, (fine, coarse), units, labels = as_drawn(pair.points, rows, names, units, pair.density)
+    if pair.density is not None:
+        p = p * pair.density
+    pixels = (p[is_valid].astype(np.float64), q[is_valid].astype(np.float64))
     canvas = Canvas(FULL, 475)
-    axes = _draw_density(canvas, (LEFT, _TOP, WIDE, _HIGH), pixel_values, counted_text="pixels")
+    axes = _draw_density(canvas, (LEFT, _TOP, WIDE, _HIGH), pixels, counted_text="pixels")
     panels = [(axes, fine)]
     right_text = "right, area means over the valid pixels of each larger point. "
     if coarse.same_quantity:
@@ -143,7 +142,7 @@ def draw_pair(
         _draw_differences(canvas, *points, coarse, units[0])
         right_text = (
             "right, the difference (map on the vertical axis minus map on the horizontal one) of"
-            f" points of {plain(round(coarse.point_um, 4))} over the mean of the two, with its mean"
+            f" points of {point_of(coarse)} over the mean of the two, with its mean"
             " and the limits of 95 % of normal differences. Dashed, left: both equal. "
         )
     else:
@@ -152,35 +151,30 @@ def draw_pair(
     for axes, row in panels:
         _draw_lines(axes, row)
         canvas.ticks(axes, *labels)
-        _draw_heading(
-            canvas,
-            axes.x,
-            f"Points of {plain(round(row.point_um, 4))}",
-            _correlation_text(row, units),
-        )
+        numbers_text = _correlation_text(row, units)
+        _draw_heading(canvas, axes.x, f"Points of {point_of(row)}", numbers_text)
     stride_text = f", one in {stride} of each row and column" if stride > 1 else ""
-    return canvas.picture(
-        title=f"{capital(in_words(names[1]))} over {in_words(names[0])}",
-        caption=(
-            f"Left, number of pixels{stride_text} (logarithmic colours); {right_text}A point counts"
-            " when half of its area is valid in both maps. Lines are least squares: solid, y on x;"
-            " dashed, x on y; a perfect relation without errors would lie between them. The left"
-            " axes span the 0.05th to the 99.95th percentile of the pixels, the right ones the"
-            f" points. Mask: measured, without {excluded_text}. n counts points, which resemble"
-            f" their neighbours; the interval rests on independent ones. {capital(registered)}."
-        ),
-        data={"points": points_table(points, labels)},
+    caption = (
+        f"Left, number of pixels{stride_text} (logarithmic colours); {right_text}A point counts"
+        " when half of its area is valid in both maps. Lines are least squares: solid, y on x;"
+        " dashed, x on y; a perfect relation without errors would lie between them. The left"
+        " axes span the 0.05th to the 99.95th percentile of the pixels, the right ones the"
+        f" points. Mask: measured, without {basis.excluded}. n counts points, which resemble"
+        f" their neighbours; the interval rests on independent ones. {capital(basis.registered)}."
     )
+    title = f"{capital(in_words(names[1]))} over {in_words(names[0])}"
+    return canvas.picture(title, caption, {"points": points_table(points, labels)})
 
 
 def draw_points(
-    pair: MapPair, *, names: tuple[str, str], height: float, registered: str = REGISTERED
+    pair: MapPair, *, names: tuple[str, str], height: float, registered: str
 ) -> Picture:
     """Draw the larger points of two maps on a third of the page, with both least-squares lines."""
-    units = unit_of(pair.a), unit_of(pair.b)
-    points, (row,), _, labels = as_drawn(pair.points, (pair.coarse,), names, units, pair.density)
+    units = (unit_of(pair.a), unit_of(pair.b))
+    rows = (pair.coarse,)
+    points, (row,), _, labels = as_drawn(pair.points, rows, names, units, pair.density)
     canvas = Canvas(THIRD, max(height, 300.0))
-    size_text = plain(round(row.point_um, 4))
+    size_text = point_of(row)
     axes = draw_dots(canvas, points, (76.0, 42.0, THIRD - 82, canvas.height - 92), bar_px=55)
     _draw_lines(axes, row)
     canvas.ticks(axes, *labels)
@@ -188,15 +182,13 @@ def draw_points(
     canvas.text(axes.x, 34, f"n = {count(row.n)} points of {size_text}", size=SMALL, colour=SOFT)
     n_eff_text = f", {count(round(row.n_eff))} of them independent" if is_known(row.n_eff) else ""
     doubt_text = " Doubtful: see the checks." if row.trust == "doubtful" else ""
-    return canvas.picture(
-        title=f"Points of {size_text}",
-        caption=(
-            f"n = {count(row.n)} squares of {size_text}{n_eff_text}; mask: at least half valid in"
-            " both maps. Lines of least squares: solid, y on x; dashed, x on y."
-            f" {capital(registered)}.{doubt_text}"
-        ),
-        data={"points": points_table(points, labels)},
+    caption = (
+        f"n = {count(row.n)} squares of {size_text}{n_eff_text}; mask: at least half valid in"
+        " both maps. Lines of least squares: solid, y on x; dashed, x on y."
+        f" {capital(registered)}.{doubt_text}"
     )
+    tables = {"points": points_table(points, labels)}
+    return canvas.picture(f"Points of {size_text}", caption, tables)
 
 
 def as_drawn(
@@ -205,7 +197,7 @@ def as_drawn(
     titles: tuple[str, str],
     units: tuple[str, str],
     density: float | None,
-) -> tuple[Points, list[CorrelationRow], tuple[str, str], list[str]]:
+) -> tuple[Points, Sequence[CorrelationRow], tuple[str, str], list[str]]:
     """Return points, correlations and units as the axes of a figure have them.
 
     Also returns the labels of its axes.
@@ -214,29 +206,28 @@ def as_drawn(
     um x g/cm3 = g/m2.
     """
     if density is not None:
-        points = points[0] * density, points[1]
-        titles = (
-            f"{titles[0].replace('Coating thickness', 'Coating')}, at {density:.3g} g/cm³",
-            titles[1],
-        )
+        weight_title = titles[0].replace("Coating thickness", "Coating")
+        points = (points[0] * density, points[1])
+        titles = (f"{weight_title}, at {density:.3g} g/cm³", titles[1])
         units = ("g/m²", units[1])
-        weight_rows = list[CorrelationRow]()
-        for row in rows:
-            weight_slopes = {
-                "slope": row.slope / density,
-                "slope_x_on_y": row.slope_x_on_y * density,
-            }
-            weight_rows.append(
-                row.model_copy(update=weight_slopes | {"mean_a": row.mean_a * density})
-            )
-        rows = weight_rows
-    return points, [*rows], units, [*map(axis_label, titles, units)]
+        rows = [_with_weight(row, density) for row in rows]
+    return points, rows, units, [*map(axis_label, titles, units)]
+
+
+def _with_weight(row: CorrelationRow, density: float) -> CorrelationRow:
+    """Return the correlation of a thickness as that of its weight."""
+    slope = row.slope / density
+    slope_x_on_y = row.slope_x_on_y * density
+    mean_a = row.mean_a * density
+    return row.model_copy(update={"slope": slope, "slope_x_on_y": slope_x_on_y, "mean_a": mean_a})
 
 
 def points_table(points: Points, labels: Sequence[str]) -> Table:
     """Return the larger points as columns; two maps of one title are told apart."""
-    headings = labels if labels[0] != labels[1] else (f"{labels[0]} (x)", f"{labels[1]} (y)")
-    return dict(zip(headings, (values.tolist() for values in points), strict=True))
+    x_label, y_label = labels
+    if x_label == y_label:
+        x_label, y_label = f"{x_label} (x)", f"{y_label} (y)"
+    return {x_label: points[0].tolist(), y_label: points[1].tolist()}
 
 
 def _draw_lines(axes: Axes, row: CorrelationRow) -> None:
@@ -298,8 +289,7 @@ def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, u
         f"mean {mean}{unit_text}\u2003s. d. {spread}{unit_text}\u2003limits {lower} to"
         f" {upper}{unit_text}"
     )
-    heading = f"Difference, points of {plain(round(row.point_um, 4))}"
-    _draw_heading(canvas, RIGHT, heading, numbers_text)
+    _draw_heading(canvas, RIGHT, f"Difference, points of {point_of(row)}", numbers_text)
 
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
@@ -307,28 +297,21 @@ def written_difference(row: CorrelationRow) -> tuple[str, ...]:
 
     All are given to two digits of the standard deviation.
     """
-    return tuple(
-        to_spread(v, row.difference_sd)
-        for v in (row.difference_mean, row.difference_sd, *row.limits)
-    )
+    numbers = (row.difference_mean, row.difference_sd, *row.limits)
+    return tuple(to_spread(v, row.difference_sd) for v in numbers)
 
 
 def draw_dots(
-    canvas: Canvas,
-    points: Points,
-    box: tuple[float, float, float, float],
-    *,
-    bar_px: float = 0.0,
-    colour: str = POINT,
+    canvas: Canvas, points: Points, box: Box, *, bar_px: float = 0.0, colour: str = POINT
 ) -> Axes:
     """Draw larger points one by one.
 
     Where they are many and there is room for a colour ``bar_px``, their density.
     """
     if bar_px and points[0].size > 5000:
-        return _draw_density(
-            canvas, (*box[:2], box[2] - bar_px, box[3]), points, counted_text="points"
-        )
+        x, y, width, height = box
+        box = (x, y, width - bar_px, height)
+        return _draw_density(canvas, box, points, counted_text="points")
     x_limits, y_limits = (_axis_limits(values, 0.0) for values in points)
     axes = canvas.axes(*box, (*x_limits, *y_limits))
     dot_px, opacity = (3, 0.5) if points[0].size > 2000 else (4.6, 0.7)
@@ -336,19 +319,19 @@ def draw_dots(
     return axes
 
 
-def _draw_density(
-    canvas: Canvas, box: tuple[float, float, float, float], points: Points, *, counted_text: str
-) -> Axes:
-    ranges = (_axis_limits(points[0]), _axis_limits(points[1]))
+def _draw_density(canvas: Canvas, box: Box, points: Points, *, counted_text: str) -> Axes:
+    """Draw how many points fall into each cell of a plot, on logarithmic colours."""
+    x_limits, y_limits = map(_axis_limits, points)
     left_px, top_px, width, height = box
     bins = int(np.clip(np.sqrt(points[0].size) / 1.5, _LEAST_BINS, _BINS))
-    counts = np.histogram2d(*points, bins=bins, range=ranges)[0].T[::-1]
-    scale = Scale(0.0, float(np.log10(max(counts.max(initial=1.0), 10.0))), PROPERTY)
+    counts = np.histogram2d(*points, bins=bins, range=(x_limits, y_limits))[0].T[::-1]
+    scale = Scale(0.0, float(np.log10(counts.max(initial=10.0))), PROPERTY)
     logs = np.where(counts > 0, np.log10(np.maximum(counts, 1.0)), np.nan)
-    axes = canvas.axes(*box, (*ranges[0], *ranges[1]))
+    axes = canvas.axes(*box, (*x_limits, *y_limits))
     axes.image(ShownMap(logs, axes.extent), scale, missing="#ffffff")
-    canvas.colour_bar(left_px + width + 8, top_px, 10, height, scale, log=True)
-    canvas.text(left_px + width + 8, top_px - 8, counted_text, size=SMALL, colour=SOFT)
+    bar_px = left_px + width + 8
+    canvas.colour_bar(bar_px, top_px, 10, height, scale, log=True)
+    canvas.text(bar_px, top_px - 8, counted_text, size=SMALL, colour=SOFT)
     return axes
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from planish.analyze.scales import ScaleBand, Scales
+from planish.analyze.scales import Scales
 from planish.core.facts import is_known
 from planish.core.numbers import (
     axis_label,
@@ -32,6 +32,7 @@ from planish.report.draw import (
     colours_of,
     flat_row,
     table_of,
+    with_margin,
 )
 from planish.report.sentences.scales import (
     leading,
@@ -184,44 +185,39 @@ def draw_spread(octaves: Scales, names: Sequence[str], *, is_cov: bool) -> Pictu
         factors = {name: 100 / octaves.maps[name].mean for name in names}
         label = "coefficient of variation / %"
     canvas = Canvas(HALF, _TOP + _HIGH + 58 + LINE_PX * len(names))
-    axes = _draw_octaves(canvas, (_TOP, _HIGH), octaves, factors, "sd", "interval")
+    axes = _draw_octaves(canvas, (_TOP, _HIGH), octaves, factors, "sd")
     draw_log_axes(canvas, axes, "wavelength / µm", label)
     _name_maps(canvas, octaves, names, _TOP + _HIGH + 58)
-    return canvas.picture(
-        title="How much the maps vary by octave of wavelength",
-        caption=(
-            "Horizontal lines: octaves. Dots: standard deviation in the octave"
-            f"{' over the mean of the map' if is_cov else ''}, without the noise that is known."
-            f" {_intervals_of(octaves, names)}"
-        ),
-        data=tables_of(octaves),
+    caption = (
+        "Horizontal lines: octaves. Dots: standard deviation in the octave"
+        f"{' over the mean of the map' if is_cov else ''}, without the noise that is known."
+        f" {_intervals_of(octaves, names)}"
     )
+    title = "How much the maps vary by octave of wavelength"
+    return canvas.picture(title, caption, tables_of(octaves))
 
 
 def draw_relation(octaves: Scales) -> Picture:
     """Draw gain and squared coherence of maps for the other one, by octave."""
     names = [name for name, bands in octaves.bands.items() if bands]
-    height, below = _HIGH - 40, _TOP + _HIGH + 16
+    height = _HIGH - 40
+    below = _TOP + _HIGH + 16
     canvas = Canvas(HALF, 2 * (height + _TOP) + 100 + LINE_PX * len(names))
-    upper, lower = (
-        _draw_octaves(
-            canvas, (top, height), octaves, dict.fromkeys(names, 1.0), key, f"{key}_interval"
-        )
-        for key, top in (("gain", _TOP), ("coherence", below))
-    )
+    factors = dict.fromkeys(names, 1.0)
+    upper = _draw_octaves(canvas, (_TOP, height), octaves, factors, "gain")
+    lower = _draw_octaves(canvas, (below, height), octaves, factors, "coherence")
     draw_log_axes(canvas, upper, "", "gain")
     draw_log_axes(canvas, lower, "wavelength / µm", "squared coherence")
     _name_maps(canvas, octaves, names, below + _HIGH + 18)
-    return canvas.picture(
-        title=f"What the maps show of {in_words(octaves.against_title)}, by octave of wavelength",
-        caption=(
-            "Above, change of the map for a change of"
-            f" {axis_label(in_words(octaves.against_title), unit(octaves.against_units))}; below,"
-            " squared coherence, corrected for chance; both without the noise that is known."
-            f" {_intervals_of(octaves, names)}"
-        ),
-        data=tables_of(octaves),
+    other = in_words(octaves.against_title)
+    other_label = axis_label(other, unit(octaves.against_units))
+    caption = (
+        f"Above, change of the map for a change of {other_label};"
+        " below, squared coherence, corrected for chance; both without the noise that is known."
+        f" {_intervals_of(octaves, names)}"
     )
+    title = f"What the maps show of {other}, by octave of wavelength"
+    return canvas.picture(title, caption, tables_of(octaves))
 
 
 def _name_maps(canvas: Canvas, octaves: Scales, names: Sequence[str], y: float) -> None:
@@ -236,36 +232,34 @@ def _draw_octaves(
     octaves: Scales,
     factors: Mapping[str, float],
     key: str,
-    interval_key: str,
 ) -> Axes:
     """Draw one field of octaves with their intervals, those of the maps side by side.
 
     ``place``: top and height of the axes, which are returned; they hold 0. ``factors``: of the
     values of each map.
     """
-    shown: list[tuple[int, ScaleBand, float, list[float]]] = []
+    interval_key = "interval" if key == "sd" else f"{key}_interval"
+    shown: list[tuple[str, float, Pair, float, list[float]]] = []
     ends = [0.0, 1.0] if key == "coherence" else [0.0]
-    edges: list[float] = []
     for index, (name, factor) in enumerate(factors.items(), 1):
+        share = index / (len(factors) + 1)
         for band in octaves.bands[name]:
+            waves_log = (math.log10(band.low_um), math.log10(band.high_um))
             value = factor * getattr(band, key)
             interval = [factor * end for end in getattr(band, interval_key)]
-            shown.append((index, band, value, interval))
-            ends += [end for end in (value, *interval) if is_known(end)]
-            edges += [math.log10(band.low_um), math.log10(band.high_um)]
-    low, high = min(ends), max(ends)
-    margin = 0.06 * (high - low) or 0.1
-    extent = (min(edges) - 0.03, max(edges) + 0.03, low - margin * (low < 0), high + margin)
+            shown.append((name, share, waves_log, value, interval))
+            ends += filter(is_known, (value, *interval))
+    low, high = with_margin(ends)
+    edges = [edge for _, _, waves_log, _, _ in shown for edge in waves_log]
+    extent = (min(edges) - 0.03, max(edges) + 0.03, low if min(ends) < 0 else 0.0, high)
     axes = canvas.axes(_LEFT, place[0], _WIDE, place[1], extent)
     axes.across(0.0)
     colours = colours_of(octaves.bands)
-    names = list(factors)
-    for index, band, value, interval in shown:
+    for name, share, (left, right), value, interval in shown:
         if not is_known(value):
             continue
-        colour = colours[names[index - 1]]
-        left, right = math.log10(band.low_um), math.log10(band.high_um)
-        middle = left + (right - left) * index / (len(factors) + 1)
+        colour = colours[name]
+        middle = left + (right - left) * share
         axes.line((left, right), value, colour=colour, width=1.2)
         if is_known(interval[0]):
             axes.line(middle, interval, colour=colour, width=1.6)

@@ -34,6 +34,9 @@ from planish.report.draw import (
     Canvas,
     Picture,
     ShownMap,
+    Table,
+    axes_of,
+    pitch,
     reduced,
     row_axes,
 )
@@ -153,7 +156,7 @@ def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in runs)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class SmallMap:
     """A map of one specimen, small; None where there is none, or it cannot be read."""
 
@@ -179,15 +182,13 @@ def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> Sma
     SmallMap
     """
     if data is None:
-        return SmallMap(specimen=specimen)
-    y, x = (data[d].values.astype(np.float64) for d in data.dims)
-    height_um = data.shape[0] * abs(float(y[1] - y[0]))
-    ratio = min(1.0, data.shape[1] * abs(float(x[1] - x[0])) / height_um)
-    shown = reduced(data.values, y, x, width=pixels * ratio / 1.35)
+        return SmallMap(specimen)
+    height_um, width_um = (np.size(axis) * abs(pitch(axis)) for axis in axes_of(data))
+    ratio = min(1.0, width_um / height_um)
+    shown = reduced(data, width=pixels * ratio / 1.35)
     values = np.round(shown.values.astype(np.float32), 6).astype(np.float64)  # a page needs no more
     shown = ShownMap(values, shown.extent)
-    title = text.title_of(data)
-    return SmallMap(specimen=specimen, shown=shown, title=title, unit=text.unit_of(data))
+    return SmallMap(specimen, shown, text.title_of(data), text.unit_of(data))
 
 
 def _tile_maps(maps: Sequence[SmallMap]) -> Entries:
@@ -222,7 +223,7 @@ def _tile_maps(maps: Sequence[SmallMap]) -> Entries:
     bar_um = round_step(0.5 * _WIDE * um_per_px)
     canvas.line((350, 350 + bar_um / um_per_px), 12, colour=INK, width=3)
     canvas.text(350, 32, plain(bar_um), size=SMALL)
-    bar = canvas.picture(title="Colours and scale of all maps", caption="")
+    bar = canvas.picture("Colours and scale of all maps", "")
     return {"bar": bar, "images": images, "missing": missing}
 
 
@@ -251,15 +252,13 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
         label = words.label(group.group)
         rows += [(label, *sheet_and_value) for sheet_and_value in group_values]
         means.append(f"{label} {words.value(group.mean, q)} ({words.sheets_text(group.sheets)})")
-    columns = map(list, zip(*rows, strict=True))
-    return canvas.picture(
-        title=title,
-        caption=(
-            "Pale: single specimens; blue: sheets; red: mean over sheets with its 95 % interval,"
-            f" where there are 3 sheets. Means: {'; '.join(means)}."
-        ),
-        data={"sheets": dict(zip(("group", "sheet", "value"), columns, strict=True))},
+    caption = (
+        "Pale: single specimens; blue: sheets; red: mean over sheets with its 95 % interval,"
+        f" where there are 3 sheets. Means: {'; '.join(means)}."
     )
+    columns = map(list, zip(*rows, strict=True))
+    table: Table = dict(zip(("group", "sheet", "value"), columns, strict=True))
+    return canvas.picture(title, caption, {"sheets": table})
 
 
 def _draw_group(

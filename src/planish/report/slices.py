@@ -25,7 +25,7 @@ _FLATTEST = 9.0  # width over height of the longest stretch that is still drawn 
 Window = tuple[float, float, float, float]  # left, right, lowest and highest um
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Slice:
     """One slice: its grey values with the top side up, and the heights of the surfaces in it."""
 
@@ -57,18 +57,19 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     """Draw every slice (slice, height, x) in true proportions, and a magnified stretch of each."""
     cuts = [take_slice(slices, surfaces, k) for k in range(slices.sizes["slice"])]
     thickness = float(np.nanmedian(surfaces["top"].values - surfaces["bottom"].values))
-    greys = [cut.grey.ravel()[:: max(1, cut.grey.size // 200_000)] for cut in cuts]
+    stride = max(1, cuts[0].grey.size // 200_000)
+    greys = [cut.grey.ravel()[::stride] for cut in cuts]
     scale = limits(np.concatenate(greys), GREYS, percent=0.3)
     margin = 0.8 * abs(thickness)
     spans = [_overview_window(cut, margin) for cut in cuts]
     windows = _detail_windows(cuts, spans, 0.35 * margin)
     cut_axis = str(surfaces.attrs["row_axis"])
     zoom = _px_per_um(spans, FULL - 2)
-    canvas = Canvas(FULL, sum((s[3] - s[2]) * zoom for s in spans) + 32 * len(cuts) + 30)
+    height_um = sum(high - low for _, _, low, high in spans)
+    canvas = Canvas(FULL, height_um * zoom + 32 * len(cuts) + 30)
     top_px = 0.0
-    for letter, cut, span, (left, right, low, high) in zip(
-        ascii_uppercase, cuts, spans, windows, strict=False
-    ):
+    for letter, cut, span, window in zip(ascii_uppercase, cuts, spans, windows, strict=False):
+        left, right, low, high = window
         canvas.text(1, top_px + 18, f"Slice {letter}", bold=True)
         canvas.text(62, top_px + 18, f"{cut_axis} = {plain(cut.place_um)}", colour=SOFT)
         axes = _draw_window(canvas, cut, span, (1, top_px + 26), zoom, scale, 1.1)
@@ -86,16 +87,14 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
             stretch_text = (
                 f" Only a stretch of {length(stretch_um)} is drawn, so that the sheet shows."
             )
-    overview = canvas.picture(
-        title="Slices with the surfaces found",
-        caption=(
-            f"{len(cuts)} slices across {cut_axis}; {surfaces.attrs['through']} runs through the"
-            f" sheet, the top side is up. Heights and widths have the same scale.{stretch_text} n ="
-            f" {count(cuts[0].x.size)} columns of {pixel_of(cuts[0].x)} in each slice; lines in µm;"
-            " mask: faces are pale where the column is left out (rims), and missing where none was"
-            " found."
-        ),
+    caption = (
+        f"{len(cuts)} slices across {cut_axis}; {surfaces.attrs['through']} runs through the"
+        f" sheet, the top side is up. Heights and widths have the same scale.{stretch_text} n ="
+        f" {count(cuts[0].x.size)} columns of {pixel_of(cuts[0].x)} in each slice; lines in µm;"
+        " mask: faces are pale where the column is left out (rims), and missing where none was"
+        " found."
     )
+    overview = canvas.picture("Slices with the surfaces found", caption)
     return [overview, _draw_details(cuts, windows, scale)]
 
 
@@ -114,8 +113,9 @@ def _draw_window(
     axes = canvas.axes(*corner_px, width_px, (high - low) * zoom, window)
     cols = (cut.x >= left - 1e-6) & (cut.x <= right + 1e-6)
     rows = (cut.heights >= low - 1e-6) & (cut.heights <= high + 1e-6)
-    grey = cut.grey[np.ix_(rows, cols)]
-    axes.image(reduced(grey, cut.heights[rows], cut.x[cols], width=width_px), scale)
+    coordinates = [("height", cut.heights[rows]), ("x", cut.x[cols])]
+    grey = xr.DataArray(cut.grey[np.ix_(rows, cols)], coordinates)
+    axes.image(reduced(grey, width=width_px), scale)
     stride = max(1, cut.x.size // 1400)
     x = cut.x[::stride]
     for name, _, colour, dash in LINES:
@@ -132,10 +132,12 @@ def _draw_window(
 def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
     """Draw a window of each slice, side by side, and say which line is which."""
     gap = 22.0
-    widest_um = max(w[1] - w[0] for w in windows)
-    width = (FULL - gap * (len(cuts) - 1)) / len(cuts) if len(cuts) > 1 else 0.6 * FULL
+    widest_um, highest_um = _largest(windows)
+    width = 0.6 * FULL
+    if len(cuts) > 1:
+        width = (FULL + gap) / len(cuts) - gap
     zoom = _px_per_um(windows, width - 2)
-    height_px = max((w[3] - w[2]) * zoom for w in windows)
+    height_px = highest_um * zoom
     canvas = Canvas(FULL, height_px + 92)
     for k, (cut, window) in enumerate(zip(cuts, windows, strict=True)):
         left_px = k * (width + gap) + 1
@@ -151,18 +153,23 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
             canvas.text(left_px + 36, height_px + 78, title, colour="white")
             left_px += 205.0
     voxel = pixel_of(cuts[0].x, cuts[0].heights[::-1])
-    return canvas.picture(
-        title="The layers, close up",
-        caption=(
-            f"The red windows, each {length(widest_um)} wide; voxels of {voxel} as they are, lines"
-            f" in µm at sub-voxel heights. n = {count(round(widest_um / pitch(cuts[0].x)))} columns"
-            " in each window; mask as above."
-        ),
+    caption = (
+        f"The red windows, each {length(widest_um)} wide; voxels of {voxel} as they are, lines"
+        f" in µm at sub-voxel heights. n = {count(round(widest_um / pitch(cuts[0].x)))} columns"
+        " in each window; mask as above."
     )
+    return canvas.picture("The layers, close up", caption)
 
 
 def _px_per_um(windows: list[Window], width: float) -> float:
-    return min(width / max(w[1] - w[0] for w in windows), 450 / max(w[3] - w[2] for w in windows))
+    widest_um, highest_um = _largest(windows)
+    return min(width / widest_um, 450 / highest_um)
+
+
+def _largest(windows: list[Window]) -> Pair:
+    """Largest width and height of some windows."""
+    left, right, low, high = np.transpose(windows)
+    return float(max(right - left)), float(max(high - low))
 
 
 def _detail_windows(cuts: list[Slice], spans: list[Window], margin: float) -> list[Window]:
@@ -175,13 +182,15 @@ def _detail_windows(cuts: list[Slice], spans: list[Window], margin: float) -> li
     for cut, span in zip(cuts, spans, strict=True):
         centre_um = _clear_place(cut, span)
         tight_windows.append(cut.window(centre_um - half_um, centre_um + half_um, margin))
-    height_um = max(high - low for _, _, low, high in tight_windows)
+    _, height_um = _largest(tight_windows)
     windows: list[Window] = []
     for cut, (left, right, low, high) in zip(cuts, tight_windows, strict=True):
         floor, ceiling = cut.range
-        bottom = min(max((low + high - height_um) / 2, floor), max(ceiling - height_um, floor))
-        x_limits = max(left, float(cut.x[0])), min(right, float(cut.x[-1]))
-        windows.append((*x_limits, bottom, min(bottom + height_um, ceiling)))
+        highest = max(ceiling - height_um, floor)
+        bottom = min(max((low + high - height_um) / 2, floor), highest)
+        left = max(left, float(cut.x[0]))
+        right = min(right, float(cut.x[-1]))
+        windows.append((left, right, bottom, min(bottom + height_um, ceiling)))
     return windows
 
 
@@ -207,20 +216,17 @@ def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
     x = slices["x"].values.astype(np.float64)
     # A column may be several voxels wide: each voxel shows the surfaces of its column.
     centres = surfaces["x"].values.astype(np.float64)
-    cols = np.clip(np.rint((x - centres[0]) / pitch(centres)), 0, centres.size - 1).astype(int)
+    steps = np.rint((x - centres[0]) / pitch(centres))
+    cols = np.clip(steps, 0, centres.size - 1).astype(int)
     lines: dict[str, Array] = {}
     for name, *_ in LINES:
         lines[name] = np.full(x.shape, np.nan)
         if name in surfaces:
             lines[name] = sign * surfaces[name].values[row, cols].astype(np.float64)
-    return Slice(
-        grey=slices["grey"].values[k].astype(np.float64)[order],
-        heights=heights[order],
-        x=x,
-        lines=lines,
-        used=np.isfinite(surfaces["thickness"].values[row, cols]),
-        place_um=float(slices["slice"].values[k]),
-    )
+    grey = slices["grey"].values[k].astype(np.float64)
+    is_used = np.isfinite(surfaces["thickness"].values[row, cols])
+    place_um = float(slices["slice"].values[k])
+    return Slice(grey[order], heights[order], x, lines, is_used, place_um)
 
 
 def _overview_window(cut: Slice, margin: float) -> Window:

@@ -2,10 +2,15 @@
 
 from planish.analyze.light_field import LightField
 from planish.core.facts import is_known
-from planish.core.numbers import NONE, count, decimals_of_r, fixed, interval_text, number
+from planish.core.numbers import NONE, count, decimals_of_r, fixed, interval_text, number, plain
 from planish.results import ComparisonRow, CorrelationRow
 
 Row = CorrelationRow | ComparisonRow
+
+
+def point_of(row: Row) -> str:
+    """Write the point size of a correlation."""
+    return plain(round(row.point_um, 4))
 
 
 def r2_limits(row: Row) -> tuple[float, float] | None:

@@ -21,7 +21,6 @@ from planish.core.numbers import (
     length,
     number,
     percent,
-    plain,
     typeset,
     unit,
 )
@@ -29,7 +28,14 @@ from planish.core.text import and_join
 from planish.report.relation import largest, written_difference
 from planish.report.sentences.light_field import off_text
 from planish.report.sentences.partial import say_over_control
-from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_sentence, r_text
+from planish.report.statement import (
+    point_of,
+    r2_interval_text,
+    r2_text,
+    r_interval_text,
+    r_sentence,
+    r_text,
+)
 from planish.report.text import LIGHT_OFF, as_compared, stated_of
 from planish.results import (
     CorrelationRow,
@@ -289,11 +295,6 @@ def _held_out_figure(held_out: RefinementR) -> KeyFigure:
     return KeyFigure(number(held_out.r, 2), "", label, f"{note}; without waves above 1 mm")
 
 
-def point_of(row: CorrelationRow) -> str:
-    """Write the point size of a correlation."""
-    return plain(round(row.point_um, 4))
-
-
 def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
     """State how two layers are related, in their words, with r and over which points."""
     if not pair_rows or (pair_rows[0].trust == "ok" and not is_known(pair_rows[0].r)):
@@ -453,9 +454,7 @@ def _r_figure(results: Results, row: CorrelationRow | None, label: str) -> KeyFi
     return KeyFigure(r_text(row), "", label, f"{note_text}; {stated_of(results)}")
 
 
-def lag_verdict(
-    lag: LagNumbers | None, *, moving_text: str, reference_text: str
-) -> LagVerdict | None:
+def lag_verdict(lag: LagNumbers | None, map_texts: tuple[str, str]) -> LagVerdict | None:
     """Return what the lag of two maps, named in words, means; None where none was looked for."""
     if lag is None:
         return None
@@ -482,6 +481,6 @@ def lag_verdict(
         )
     else:
         end_text = "They coincide within the error expected from the marks."
-    textures = f"The fine textures of {moving_text} and {reference_text}"
+    textures = f"The fine textures of {map_texts[0]} and {map_texts[1]}"
     meaning = f"{textures} were aligned without using the marks. {end_text}"
     return LagVerdict(state, capital(typeset(lag.sentence)).removesuffix(".") + ".", meaning)

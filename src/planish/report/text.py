@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from planish.core import numbers
 from planish.core.facts import is_known
@@ -26,6 +26,16 @@ BY_TEXTURE = "registration: the texture of both maps"
 BY_BOTH = "registration: marks and the texture of both maps"
 LIGHT_OFF = "a quadratic field of light taken off the image, as declared"
 HOLES = "holes and rims"  # what the mask of valid pixels leaves out where no regions were declared
+
+
+class Basis(NamedTuple):
+    """What figures rest on, in words: what the mask leaves out, and what registered the maps."""
+
+    excluded: str = HOLES
+    registered: str = REGISTERED
+
+
+BASIS = Basis()
 
 
 def registered_by(results: Results) -> str:

@@ -3,6 +3,7 @@
 from functools import partial
 
 import numpy as np
+import xarray as xr
 
 from planish.core.grid import pitch
 from planish.core.numbers import length, plain
@@ -62,5 +63,6 @@ def _picture(
     caption: str,
     label: str = "µm",
 ) -> Picture:
-    canvas, _ = draw_map(values, rows, cols, scale=scale, label=label)
-    return canvas.picture(title=title, caption=caption)
+    data = xr.DataArray(values, [("y", rows), ("x", cols)])
+    canvas, _ = draw_map(data, scale=scale, label=label)
+    return canvas.picture(title, caption)
