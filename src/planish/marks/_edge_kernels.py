@@ -23,9 +23,15 @@ def sample(image, x, y):
     j = min(int(x), columns - 2)
     i = min(int(y), rows - 2)
     u, v = x - j, y - i
-    return (image[i, j] * (1 - u) + image[i, j + 1] * u) * (1 - v) + (
-        image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
-    ) * v
+    upper = image[i, j] * (1 - u) + image[i, j + 1] * u
+    lower = image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
+    return upper * (1 - v) + lower * v
+
+
+@njit(cache=True, nogil=True)
+def along(image, start, step, t):
+    """Bilinear value at ``t`` steps from a start, both of columns and rows."""
+    return sample(image, start[0] + step[0] * t, start[1] + step[1] * t)
 
 
 @njit(cache=True, nogil=True)
@@ -33,6 +39,15 @@ def ray(k, rays, step, px, py):
     """Give the columns and rows of the image that a step along ray ``k`` of so many takes."""
     angle = 2 * np.pi * k / rays
     return np.cos(angle) * step / px, np.sin(angle) * step / py
+
+
+@njit(cache=True, nogil=True)
+def rise(sums, t, reach):
+    """Give the sum of the samples after ``t``, as far as it reaches, less that of those before.
+
+    Sample ``t`` sits on the edge and counts for neither side. ``sums`` are running sums from 0 on.
+    """
+    return sums[t + reach + 1] - sums[t + 1] - sums[t] + sums[t - reach]
 
 
 @njit(cache=True, nogil=True)
@@ -46,22 +61,21 @@ def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):  
     valid = 0
     sums = np.empty(count + 1)
     radii = np.full(rays, np.nan)
+    centre = cx / px, cy / py
     for k in range(rays):
-        sx, sy = ray(k, rays, dt, px, py)
+        step = ray(k, rays, dt, px, py)
         sums[0] = 0.0
         last = count
         for t in range(count):
-            value = sample(image, cx / px + sx * t, cy / py + sy * t)
+            value = along(image, centre, step, t)
             if value != value:
                 last = t
                 break
             sums[t + 1] = sums[t] + sign * value
         peak = -np.inf
         for t in range(first, last - reach):
-            # Sample t sits on the edge and counts for neither side.
-            rise = (sums[t + reach + 1] - sums[t + 1] - sums[t] + sums[t - reach]) / reach
-            rises[k, t] = rise
-            peak = max(peak, rise)
+            rises[k, t] = rise(sums, t, reach) / reach
+            peak = max(peak, rises[k, t])
         if peak > -np.inf and last >= min(count, int(0.6 * count)):
             peaks[valid] = peak
             valid += 1
@@ -72,8 +86,7 @@ def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):  
         return radii, 0.0
     for k in range(rays):
         for t in range(first, count - reach):
-            rise = rises[k, t]
-            if rise >= strong:
+            if rises[k, t] >= strong:
                 top = t
                 for s in range(t + 1, min(count - reach, t + 2 * reach + 1)):
                     if rises[k, s] > rises[k, top]:
@@ -86,14 +99,22 @@ def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):  
 
 
 @njit(cache=True, nogil=True)
-def _level(image, x, y, sx, sy, start, stop, dt):
+def _level(image, centre, step, start, stop, dt):
     """Mean along a ray between two radii; NaN if a sample is missing."""
     count = max(1, int(round((stop - start) / dt)) + 1)
     total = 0.0
     for s in range(count):
         t = start + (stop - start) * s / max(1, count - 1)
-        total += sample(image, x + sx * t, y + sy * t)
+        total += along(image, centre, step, t)
     return total / count
+
+
+@njit(cache=True, nogil=True)
+def _plateaus(image, centre, step, edge, gap, width, dt):
+    """Mean levels inside and outside an edge, ``gap`` away from it and over a ``width``."""
+    inner_start, inner_stop = max(0.0, edge - gap - width), max(0.0, edge - gap)
+    inner = _level(image, centre, step, inner_start, inner_stop, dt)
+    return inner, _level(image, centre, step, edge + gap, edge + gap + width, dt)
 
 
 @njit(cache=True, nogil=True)
@@ -113,9 +134,9 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search):  # noqa: C901,
     # Over which a plateau is averaged; well under the width of the char.
     width = max(7.0, 0.8 * pixel)
     reach = max(1, int(round(max(5.0, pixel) / dt)))
+    centre = cx / px, cy / py
     for k in range(rays):
-        x0, y0 = cx / px, cy / py
-        sx, sy = ray(k, rays, 1.0, px, py)
+        step = ray(k, rays, 1.0, px, py)
         start = max(0.0, model[k] - search - reach * dt)
         # A model that bends to the other side of its centre has no edge there.
         count = max(0, int((model[k] + search + reach * dt - start) / dt) + 2)
@@ -124,13 +145,13 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search):  # noqa: C901,
         rises = np.zeros(count)
         for t in range(count):
             r = start + t * dt
-            values[t] = sign * sample(image, x0 + sx * r, y0 + sy * r)
+            values[t] = sign * along(image, centre, step, r)
             sums[t + 1] = sums[t] + values[t]
         if not np.isfinite(sums[count]):
             continue
         best, top = -np.inf, -1
         for t in range(reach, count - reach):
-            rises[t] = sums[t + reach + 1] - sums[t + 1] - sums[t] + sums[t - reach]
+            rises[t] = rise(sums, t, reach)
             best = max(best, rises[t])
         if best <= 0.0:
             continue
@@ -144,10 +165,8 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search):  # noqa: C901,
                     top += 1
                 break
         edge = start + top * dt
-        inner = sign * _level(
-            image, x0, y0, sx, sy, max(0.0, edge - gap - width), max(0.0, edge - gap), dt
-        )
-        outer = sign * _level(image, x0, y0, sx, sy, edge + gap, edge + gap + width, dt)
+        inner, outer = _plateaus(image, centre, step, edge, gap, width, dt)
+        inner, outer = sign * inner, sign * outer
         if not (outer > inner):
             continue
         half = 0.5 * (inner + outer)
@@ -164,13 +183,9 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search):  # noqa: C901,
             radii[k] = nearest
             steps[k] = outer - inner
             nears[k] = outer
-            wide = 18.0 + 0.5 * pixel
-            far_steps[k] = sign * (
-                _level(image, x0, y0, sx, sy, edge + wide, edge + wide + width, dt)
-                - _level(
-                    image, x0, y0, sx, sy, max(0.0, edge - wide - width), max(0.0, edge - wide), dt
-                )
-            )
+            far_gap = 18.0 + 0.5 * pixel
+            inner, outer = _plateaus(image, centre, step, edge, far_gap, width, dt)
+            far_steps[k] = sign * (outer - inner)
     return radii, steps, far_steps, nears
 
 
@@ -204,16 +219,17 @@ def levels(image, px, py, cx, cy, sign, radius):
     core = np.empty(rays * rings)
     wall = np.empty(rays)
     outside = np.empty(rays * rings)
+    centre = cx / px, cy / py
     for k in range(rays):
-        sx, sy = ray(k + 0.5, rays, 1.0, px, py)
+        step = ray(k + 0.5, rays, 1.0, px, py)
         for s in range(rings):
             # Equal areas: radii go with the square root.
             r = 0.65 * radius * np.sqrt((s + 0.5) / rings)
-            core[k * rings + s] = sign * sample(image, cx / px + sx * r, cy / py + sy * r)
+            core[k * rings + s] = sign * along(image, centre, step, r)
             r = radius + 45.0 + pixel + (0.7 * radius) * (s + 0.5) / rings
-            outside[k * rings + s] = sign * sample(image, cx / px + sx * r, cy / py + sy * r)
+            outside[k * rings + s] = sign * along(image, centre, step, r)
         r = min(0.75 * radius, radius - 1.2 * pixel)
-        wall[k] = sign * sample(image, cx / px + sx * r, cy / py + sy * r)
+        wall[k] = sign * along(image, centre, step, r)
     inside = np.nanmedian(core)
     spread = 1.4826 * np.nanmedian(np.abs(core - inside))
     around = outside[np.isfinite(outside)]
@@ -228,8 +244,8 @@ def levels(image, px, py, cx, cy, sign, radius):
             if value == value:
                 total += value
                 count += 1
-    centre = total / count if count else np.nan
-    return inside, spread, np.nanmedian(wall) - centre, level, texture
+    middle = total / count if count else np.nan
+    return inside, spread, np.nanmedian(wall) - middle, level, texture
 
 
 @njit(cache=True, nogil=True)

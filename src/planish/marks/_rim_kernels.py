@@ -7,7 +7,7 @@ Images as in `_edge_kernels`.
 import numpy as np
 
 from planish.core.jit import njit
-from planish.marks._edge_kernels import ray, sample
+from planish.marks._edge_kernels import along, ray, rise
 
 # A step of this share of the whole one makes a rim as good as any; the innermost of those is taken,
 # where going out by a radius costs as much as this share of the rays without an edge. A rim lies in
@@ -25,13 +25,14 @@ def polar_rises(image, px, py, cx, cy, sign, dt, count, reach, rays):
     """
     rises = np.full((rays, count), np.nan)
     sums = np.empty(count + 1)
+    centre = cx / px, cy / py
     for k in range(rays):
-        sx, sy = ray(k, rays, dt, px, py)
+        step = ray(k, rays, dt, px, py)
         sums[0] = 0.0
         for t in range(count):
-            sums[t + 1] = sums[t] + sign * sample(image, cx / px + sx * t, cy / py + sy * t)
+            sums[t + 1] = sums[t] + sign * along(image, centre, step, t)
         for t in range(reach, count - reach):
-            rises[k, t] = (sums[t + reach + 1] - sums[t + 1] - sums[t] + sums[t - reach]) / reach
+            rises[k, t] = rise(sums, t, reach) / reach
     return rises
 
 
@@ -123,10 +124,8 @@ def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
     j0, j1 = _window(cx, radius, px, image.shape[1])
     for i in range(i0, i1):
         for j in range(j0, j1):
-            if (
-                abs(sign * image[i, j] - level) <= tolerance
-                and np.hypot(j * px - cx, i * py - cy) <= radius
-            ):
+            is_floor = abs(sign * image[i, j] - level) <= tolerance
+            if is_floor and np.hypot(j * px - cx, i * py - cy) <= radius:
                 total += 1
                 tx += j * px
                 ty += i * py
@@ -143,16 +142,17 @@ def darkest_beyond(image, px, py, cx, cy, sign, model, beyond, width):
     """
     rays = model.size
     means = np.full(rays, np.nan)
+    centre = cx / px, cy / py
     for k in range(rays):
         if model[k] != model[k]:
             continue
-        sx, sy = ray(k, rays, 1.0, px, py)
+        step = ray(k, rays, 1.0, px, py)
         # A model that bends to the other side of its centre has no length there.
         count = max(0, int(2 * beyond * model[k] / min(px, py))) + 2
         total, used = 0.0, 0
         for t in range(count):
             r = model[k] * (1.0 + beyond * t / (count - 1))
-            value = sign * sample(image, cx / px + sx * r, cy / py + sy * r)
+            value = sign * along(image, centre, step, r)
             if value != value:
                 break
             total += value
@@ -185,7 +185,8 @@ def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
             j0, j1 = _window(x, radius, px, image.shape[1])
             for i in range(i0, i1):
                 for j in range(j0, j1):
-                    if sign * image[i, j] < level and np.hypot(j * px - x, i * py - y) <= radius:
+                    is_dark = sign * image[i, j] < level
+                    if is_dark and np.hypot(j * px - x, i * py - y) <= radius:
                         total += 1
                         tx += j * px
                         ty += i * py

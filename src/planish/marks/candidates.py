@@ -4,6 +4,8 @@ A disc of radius R answers most strongly to a Laplacian of Gaussian of width R /
 1998, doi:10.1023/A:1008045108935). The search is generous; measuring the rim decides.
 """
 
+import math
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.grid import Grid, hole_mask
-from planish.core.typing import Bools, Floats, Ints, Pair
+from planish.core.typing import Bools, Floats, Ints, Pair, pair_of
 
 Image = NDArray[np.float32]
 
@@ -44,10 +46,9 @@ class Raster(NamedTuple):
 def reduce_to(raster: Raster, target_um: float) -> Raster:
     """Area-mean an image until its pixels are nearly as large as ``target_um``."""
     image, (row_um, col_um), origin = raster
-    row_factor, col_factor = (
-        max(1, min(int(target_um / size + 1e-6), n // 4))
-        for size, n in zip(raster.pixel_um, image.shape, strict=True)
-    )
+    most = np.array(image.shape) // 4
+    wanted = (target_um / np.array(raster.pixel_um) + 1e-6).astype(int)
+    row_factor, col_factor = np.maximum(1, np.minimum(wanted, most)).tolist()
     if row_factor == col_factor == 1:
         return raster
     shift = np.array([(col_factor - 1) / 2 * col_um, (row_factor - 1) / 2 * row_um])
@@ -68,9 +69,10 @@ def blob_responses(raster: Raster, radii_um: Pair) -> dict[float, Raster]:
     image = raster.image
     is_finite = np.isfinite(image)
     if not is_finite.all():
-        image = np.where(is_finite, image, _local_mean(image, raster.pixel_um, 1.5 * radii_um[1]))
-    count = max(2, int(np.ceil(np.log(radii_um[1] / radii_um[0]) / np.log(1.35))) + 1)
-    radii = np.geomspace(radii_um[0], radii_um[1], count)
+        image = np.where(is_finite, image, _local_mean(raster, 1.5 * radii_um[1]))
+    steps = np.log(radii_um[1] / radii_um[0]) / np.log(1.35)
+    count = max(2, int(np.ceil(steps)) + 1)
+    radii = np.geomspace(*radii_um, count)
     ratio = float(radii[1] / radii[0])
     # Each radius lies between two widths of a ladder, and their difference is the Laplacian to
     # within a constant. Every width is reached from the one before, which costs little.
@@ -79,17 +81,14 @@ def blob_responses(raster: Raster, radii_um: Pair) -> dict[float, Raster]:
     before = Raster(np.ascontiguousarray(image, dtype=np.float32), raster.pixel_um)
     for level, step in enumerate(np.sqrt(np.diff(widths**2, prepend=0.0)).tolist()):
         sigmas = [step / size for size in before.pixel_um]
-        after = before._replace(
-            image=ndimage.gaussian_filter(before.image, sigmas, mode="nearest", truncate=3.0)
-        )
+        smooth = ndimage.gaussian_filter(before.image, sigmas, mode="nearest", truncate=3.0)
         if level:
-            responses[float(radii[level - 1])] = before._replace(image=after.image - before.image)
+            response = before._replace(image=smooth - before.image)
+            responses[float(radii[level - 1])] = response
+        before = before._replace(image=smooth)
         # The wider the blobs, the coarser a raster shows them just as well.
-        before = (
-            reduce_to(after, 2 * float(radii[level]) / ACROSS_COARSE)
-            if 0 < level < count
-            else after
-        )
+        if 0 < level < count:
+            before = reduce_to(before, 2 * float(radii[level]) / ACROSS_COARSE)
     return responses
 
 
@@ -119,20 +118,17 @@ def local_spread(raster: Raster, side_um: float, quantile: float) -> LocalLevels
     image stands, or 0.
     """
     image, pixel_um, _ = raster
-    sides_px = [
-        max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, image.shape, strict=True)
-    ]
-    strides = [max(1, side // SAMPLES) for side in sides_px]
+    whole_sides = np.rint(side_um / np.array(pixel_um)).astype(int)
+    whole_sides = np.clip(whole_sides, 1, image.shape)
+    strides = np.maximum(1, whole_sides // SAMPLES)
     sample = image[:: strides[0], :: strides[1]]
-    sides_px = [max(1, side // step) for side, step in zip(sides_px, strides, strict=True)]
-    counts = [-(-n // side) for n, side in zip(sample.shape, sides_px, strict=True)]
-    padding = [
-        (side, (count + 1) * side - n)
-        for n, side, count in zip(sample.shape, sides_px, counts, strict=True)
-    ]
-    windows = np.lib.stride_tricks.sliding_window_view(
-        np.pad(sample, padding, constant_values=np.nan), (3 * sides_px[0], 3 * sides_px[1])
-    )[:: sides_px[0], :: sides_px[1]]
+    # Sides of the squares, and how many there are, in values that are taken.
+    sides = np.maximum(1, whole_sides // strides)
+    counts = -(-np.array(sample.shape) // sides)
+    padding = np.stack([sides, (counts + 1) * sides - sample.shape], axis=1)
+    padded = np.pad(sample, padding, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 3 * sides)
+    windows = windows[:: sides[0], :: sides[1]]
     windows = windows.reshape(*windows.shape[:2], -1)
     finite_counts = np.count_nonzero(windows == windows, axis=2)
     medians = _quantile(windows, finite_counts, 0.5)
@@ -140,25 +136,23 @@ def local_spread(raster: Raster, side_um: float, quantile: float) -> LocalLevels
     finite_values = sample[sample == sample]
     image_quantile = 0.0
     if finite_values.size and 10 * finite_values.size >= sample.size:
-        image_quantile = float(
-            np.quantile(np.abs(finite_values - np.median(finite_values)), quantile)
-        )
-    # Values of each neighbourhood that lie inside the image.
-    rows_inside, cols_inside = (
-        np.minimum(np.arange(2, count + 2) * side, n)
-        - np.maximum(np.arange(-1, count - 1) * side, 0)
-        for n, side, count in zip(sample.shape, sides_px, counts, strict=True)
-    )
-    has_enough = 10 * finite_counts >= rows_inside[:, None] * cols_inside
+        deviations = np.abs(finite_values - np.median(finite_values))
+        image_quantile = float(np.quantile(deviations, quantile))
+    # Rows and columns of each neighbourhood that lie inside the image.
+    inside: list[Ints] = []
+    for n, side, count in zip(sample.shape, sides, counts, strict=True):
+        starts = np.arange(count) * side
+        inside.append(np.minimum(starts + 2 * side, n) - np.maximum(starts - side, 0))
+    has_enough = 10 * finite_counts >= np.outer(*inside)
     spread = np.where(has_enough, local_quantiles, image_quantile).astype(np.float64)
-    square_um = (sides_px[0] * strides[0] * pixel_um[0], sides_px[1] * strides[1] * pixel_um[1])
-    return LocalLevels(spread / TO_SD[quantile], square_um)
+    return LocalLevels(spread / TO_SD[quantile], pair_of(sides * strides * pixel_um))
 
 
 def _quantile(values: Image, finite_counts: Ints, quantile: float) -> Image:
     """Give the quantile along the last axis of the finite values: NaN sorts last."""
     ranks = np.rint(quantile * np.maximum(finite_counts - 1, 0)).astype(np.intp)
-    return np.take_along_axis(np.sort(values, axis=-1), ranks[..., None], axis=-1)[..., 0]
+    ordered = np.sort(values, axis=-1)
+    return np.take_along_axis(ordered, ranks[..., None], axis=-1)[..., 0]
 
 
 def outside(raster: Raster, circles: Floats) -> Raster:
@@ -173,35 +167,30 @@ def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> Loca
 
     This mean takes out uneven light.
     """
-    side_um, (row_um, col_um) = SQUARE * diameter_um, raster.pixel_um
+    side_um = SQUARE * diameter_um
+    row_um, col_um = raster.pixel_um
     # Only what `local_spread` takes is computed.
     row_step, col_step = (max(1, int(side_um / size / SAMPLES)) for size in raster.pixel_um)
-    deviations = raster.image[::row_step, ::col_step]
-    deviations = deviations - _local_mean(
-        raster.image, raster.pixel_um, diameter_um, (row_step, col_step)
-    )
-    return local_spread(
-        Raster(deviations, (row_step * row_um, col_step * col_um)), side_um, quantile
-    )
+    mean = _local_mean(raster, diameter_um, (row_step, col_step))
+    deviations = raster.image[::row_step, ::col_step] - mean
+    thinned = Raster(deviations, (row_step * row_um, col_step * col_um))
+    return local_spread(thinned, side_um, quantile)
 
 
-def _local_mean(
-    image: Image, pixel_um: Pair, width_um: float, steps: tuple[int, int] = (1, 1)
-) -> Image:
+def _local_mean(raster: Raster, width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
     """Gaussian mean at every ``steps``-th row and column, from a coarse raster.
 
     The median where nothing is near.
     """
+    image, pixel_um, _ = raster
     block_rows, block_cols = (max(1, int(width_um / 4 / size)) for size in pixel_um)
     # The last blocks may reach beyond the image, where there is no data.
     padding = [(0, -image.shape[0] % block_rows), (0, -image.shape[1] % block_cols)]
-    means, weights = _block_means(
-        np.pad(image, padding, constant_values=np.nan), (block_rows, block_cols)
-    )
+    padded = np.pad(image, padding, constant_values=np.nan)
+    means, weights = _block_means(padded, (block_rows, block_cols))
     sigmas = width_um / pixel_um[0] / block_rows, width_um / pixel_um[1] / block_cols
-    weights, sums = (
-        ndimage.gaussian_filter(grid, sigmas, truncate=3.0) for grid in (weights, means * weights)
-    )
+    sums = ndimage.gaussian_filter(means * weights, sigmas, truncate=3.0)
+    weights = ndimage.gaussian_filter(weights, sigmas, truncate=3.0)
     has_weight = weights > 1e-3
     # At most half a million of the values, from all over the image.
     sample = image.ravel()[:: 1 + image.size // 500_000]
@@ -210,13 +199,14 @@ def _local_mean(
     mean = np.where(has_weight, sums / np.where(has_weight, weights, np.float32(1)), typical_grey)
     for n, factor, step in zip(image.shape, (block_rows, block_cols), steps, strict=True):
         # Linear between the middles of the blocks.
-        block_position = np.clip((np.arange(0, n, step) + 0.5) / factor - 0.5, 0.0, len(mean) - 1.0)
-        lower_block = np.minimum(block_position.astype(np.intp), max(0, len(mean) - 2))
-        fraction = (block_position - lower_block).astype(np.float32)[:, None]
-        upper_means = mean[np.minimum(lower_block + 1, len(mean) - 1)]
-        mean = np.asarray(
-            mean[lower_block] + (upper_means - mean[lower_block]) * fraction, dtype=np.float32
-        ).T
+        last = len(mean) - 1
+        places = (np.arange(0, n, step) + 0.5) / factor - 0.5
+        places = np.clip(places, 0.0, last)
+        lower = np.minimum(places.astype(np.intp), max(0, last - 1))
+        fraction = (places - lower).astype(np.float32)[:, None]
+        lower_means = mean[lower]
+        upper_means = mean[np.minimum(lower + 1, last)]
+        mean = np.transpose(lower_means + (upper_means - lower_means) * fraction)
     return mean
 
 
@@ -225,10 +215,10 @@ def _block_means(image: Image, factors: tuple[int, int]) -> tuple[Image, Image]:
 
     A mean over nothing is 0.
     """
-    rows, cols = (n // factor for n, factor in zip(image.shape, factors, strict=True))
-    blocks = image[: rows * factors[0], : cols * factors[1]].reshape(
-        rows, factors[0], cols, factors[1]
-    )
+    row_factor, col_factor = factors
+    rows, cols = image.shape[0] // row_factor, image.shape[1] // col_factor
+    whole = image[: rows * row_factor, : cols * col_factor]
+    blocks = whole.reshape(rows, row_factor, cols, col_factor)
     has_data = np.isfinite(blocks)
     data_share = has_data.mean(axis=(1, 3), dtype=np.float32)
     sums = np.where(has_data, blocks, 0).mean(axis=(1, 3), dtype=np.float64)
@@ -256,7 +246,8 @@ def peaks(
     # Of places that share a cell the strongest stays.
     smallest_radius = min(responses)
     cell_indices = np.floor(candidates[:, :2] / (0.5 * smallest_radius)).astype(np.int64)
-    candidates = candidates[np.sort(np.unique(cell_indices, axis=0, return_index=True)[1])]
+    _, first_rows = np.unique(cell_indices, axis=0, return_index=True)
+    candidates = candidates[np.sort(first_rows)]
     strong_peaks = candidates[_strongest_by_tile(candidates, smallest_radius)]
     return strong_peaks[:, :2], strong_peaks[:, 3], len(candidates) - len(strong_peaks)
 
@@ -267,30 +258,24 @@ def _peaks_of_radius(
     """Find the peaks of one response: ``x, y`` (um), height, share of the least contrast."""
     signed = response.image if sign > 0 else -response.image
     reach = [max(1, round(0.5 * radius / size)) for size in response.pixel_um]
-    lowest_threshold = max(
-        0.0, min(float(faintest_levels.values.min()), WORTH_MEASURING * float(spread.values.min()))
-    )
+    least_spread = WORTH_MEASURING * float(spread.values.min())
+    lowest_threshold = max(0.0, min(float(faintest_levels.values.min()), least_spread))
     # What is above the weakest and nowhere surpassed within reach; the nearest first: they leave
     # few for the others.
     rows, cols = np.nonzero(signed > lowest_threshold)
     padded = np.pad(signed, [(n, n) for n in reach], constant_values=-np.inf)
-    offsets = [
-        (i, j) for i in range(-reach[0], reach[0] + 1) for j in range(-reach[1], reach[1] + 1)
-    ]
-    for i, j in sorted(offsets, key=lambda offset: np.hypot(*offset)):
+    offsets = product(*(range(-n, n + 1) for n in reach))
+    for i, j in sorted(offsets, key=lambda offset: math.hypot(*offset)):
         is_top = signed[rows, cols] >= padded[rows + reach[0] + i, cols + reach[1] + j]
         rows, cols = rows[is_top], cols[is_top]
-    points = (
-        np.stack([cols * response.pixel_um[1], rows * response.pixel_um[0]], axis=1)
-        + response.origin_um
-    )
+    places_um = np.column_stack([cols, rows]) * response.pixel_um[::-1]
+    points = places_um + response.origin_um
     heights = signed[rows, cols].astype(np.float64)
     faintest_heights = faintest_levels.at_points(points)
     thresholds = np.minimum(faintest_heights, WORTH_MEASURING * spread.at_points(points))
-    threshold_shares = np.where(
-        faintest_heights > 0, thresholds / np.maximum(faintest_heights, 1e-30), 1.0
-    )
-    candidates = np.column_stack([points, heights, threshold_shares])
+    shares = thresholds / np.maximum(faintest_heights, 1e-30)
+    shares[faintest_heights <= 0] = 1.0
+    candidates = np.column_stack([points, heights, shares])
     return candidates[heights > np.maximum(thresholds, 0.0)]
 
 
@@ -312,14 +297,11 @@ def dark_spots(raster: Raster, sign: float, level: float, radius: float) -> Floa
     """
     coarse = reduce_to(raster, 2 * radius / ACROSS_COARSE)
     is_dark = (sign * coarse.image < level).astype(np.float32)
-    dark_share = ndimage.gaussian_filter(is_dark, [0.5 * radius / size for size in coarse.pixel_um])
-    reach = [2 * max(1, round(0.5 * radius / size)) + 1 for size in coarse.pixel_um]
+    sigmas = [0.5 * radius / size for size in coarse.pixel_um]
+    dark_share = ndimage.gaussian_filter(is_dark, sigmas)
+    reach = [2 * max(1, round(sigma)) + 1 for sigma in sigmas]
+    is_top = dark_share == ndimage.maximum_filter(dark_share, reach)
     # Within a disc of the radius it is 0.86.
-    is_top = (
-        (dark_share == ndimage.maximum_filter(dark_share, reach))
-        & (dark_share > 0.33)
-        & (dark_share < 0.98)
-    )
-    return np.argwhere(is_top)[:, ::-1] * coarse.pixel_um[::-1] + (
-        coarse.origin_um - raster.origin_um
-    )
+    rows, cols = np.nonzero(is_top & (dark_share > 0.33) & (dark_share < 0.98))
+    places_um = np.column_stack([cols, rows]) * coarse.pixel_um[::-1]
+    return places_um + (coarse.origin_um - raster.origin_um)

@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError, SizeError
 from planish.core.grid import shorter_side_um
+from planish.core.transform import are_known
 from planish.core.typing import Bools, Floats, Pair
 from planish.marks import _rim_kernels, candidates
 from planish.marks import hole_criteria as criteria
@@ -112,7 +113,8 @@ def find_holes(
     array([300.])
     """
     sizes = np.atleast_1d(np.asarray(pixel_um, dtype=np.float64))
-    if sizes.size not in (1, 2) or not np.all(np.isfinite(sizes)) or np.any(sizes <= 0):
+    is_length = np.isfinite(sizes) & (sizes > 0)
+    if sizes.size not in (1, 2) or not is_length.all():
         raise SizeError(
             f"The pixel size is {pixel_um!r} um; one positive number or two, (y, x), are needed."
         )
@@ -140,8 +142,8 @@ def find_holes(
         raster = Raster(grey, (pixel_size[0] * magnification, pixel_size[1] * magnification))
         radii = (low / 2 * magnification, high / 2 * magnification)
         sign, holes, counts = _holes(raster, radii, signs)
-    holes[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE, k.DOUBT_X, k.DOUBT_Y]] /= magnification
-    holes[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= magnification**2
+    holes[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE]] /= magnification
+    holes[:, k.COVARIANCE] /= magnification**2
     return _dataset(holes, sign).assign_attrs(not_taken=counts)
 
 
@@ -168,9 +170,8 @@ def _holes(
     """
     # Rims are measured with 40 pixels across the smallest hole.
     fine_raster = candidates.reduce_to(raster, 2 * radius_range[0] / 40.0)
-    strongest = max(
-        _detect(fine_raster, radius_range, signs), key=lambda d: float(np.sum(d.holes[:, k.STEP]))
-    )
+    detections = _detect(fine_raster, radius_range, signs)
+    strongest = max(detections, key=lambda d: float(np.sum(d.holes[:, k.STEP])))
     holes = strongest.holes
     if len(holes) >= criteria.LEAST_OTHERS:
         floors = _floors(fine_raster, strongest.sign, strongest.positions, holes)
@@ -178,8 +179,9 @@ def _holes(
         holes = criteria.merge_floors(holes, floors)
     counts = _count_rejected(strongest, holes, fine_raster, radius_range)
     criteria.set_covariance(holes, fine_raster.pixel_um)
-    holes[:, k.X : k.Y + 1] += fine_raster.origin_um
-    return strongest.sign, holes[np.lexsort((holes[:, k.X], holes[:, k.Y]))], counts
+    holes[:, k.CENTRE] += fine_raster.origin_um
+    order = np.lexsort((holes[:, k.X], holes[:, k.Y]))
+    return strongest.sign, holes[order], counts
 
 
 def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> list[_Detection]:
@@ -192,15 +194,13 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
     # allowed for them. The texture of the quietest quarter around: holes, dots and dirt have little
     # influence. Too small rather than too large, and nowhere above the median.
     quiet_texture = candidates.local_deviation(coarse, diameter, 0.25)
-    quiet_texture = quiet_texture._replace(
-        values=np.minimum(quiet_texture.values, np.median(quiet_texture.values))
-    )
+    quiet_levels = np.minimum(quiet_texture.values, np.median(quiet_texture.values))
+    quiet_texture = quiet_texture._replace(values=quiet_levels)
     # The response at the centre of a disc at its own radius.
     radius_ratio = list(responses)[1] / min(responses)
-    disc_response = criteria.LEAST_CONTRAST * float(
-        np.exp(-1 / radius_ratio) - np.exp(-radius_ratio)
-    )
-    faintest_levels = quiet_texture._replace(values=0.67 * disc_response * quiet_texture.values)
+    response_share = float(np.exp(-1 / radius_ratio) - np.exp(-radius_ratio))
+    disc_response = criteria.LEAST_CONTRAST * response_share
+    faintest_levels = quiet_texture._replace(values=0.67 * disc_response * quiet_levels)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen
     # is. Nowhere less than a quarter of that of the whole image: there, blots would stand out from
     # nothing.
@@ -217,19 +217,18 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
         )
         # Before a rim is measured its place may be some pixels off, and faint marks are counted:
         # less contrast will do.
-        thresholds = (
-            0.6 * shares * criteria.LEAST_CONTRAST * quiet_texture.at_points(coarse_points),
-            np.where(shares < 1.0, 0.0, 0.6 * criteria.LEAST_CONTRAST),
-        )
+        texture_there = quiet_texture.at_points(coarse_points)
+        least_steps = 0.6 * shares * criteria.LEAST_CONTRAST * texture_there
+        least_contrasts = np.where(shares < 1.0, 0.0, 0.6 * criteria.LEAST_CONTRAST)
         positions = coarse_points + coarse.origin_um
+        thresholds = np.stack([least_steps, least_contrasts])
         marks = _measure(raster, positions, sign, radius_range, thresholds)
         # In mottle as strong as the holes are deep, what is left is that their floors are black,
         # flat and alike.
         is_alike = criteria.share_floor(marks, *limits)
-        if is_alike.any() and criteria.is_rare(
-            marks[is_alike], sign * _sheet(coarse, marks[is_alike]).image
-        ):
-            marks[is_alike, k.ALIKE] = 1.0
+        if is_alike.any():
+            sheet = _sheet(coarse, marks[is_alike])
+            marks[is_alike, k.ALIKE] = criteria.is_rare(marks[is_alike], sign * sheet.image)
         # The sheet's own texture is what is left when everything that looks like a hole is taken
         # out, with its char.
         holes = marks[criteria.is_hole(marks, *limits)]
@@ -245,7 +244,7 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
 
 def _sheet(raster: Raster, holes: Floats) -> Raster:
     """Give the image without holes; beyond a rim 60 um may be burnt."""
-    centres = holes[:, k.X : k.Y + 1] - raster.origin_um
+    centres = holes[:, k.CENTRE] - raster.origin_um
     return candidates.outside(raster, np.column_stack([centres, holes[:, k.RADIUS] + 60.0]))
 
 
@@ -270,7 +269,7 @@ def _count_rejected(
 
 
 def _raise_texture(marks: Floats, texture: candidates.LocalLevels) -> None:
-    around = texture.at_points(marks[:, k.X : k.Y + 1])
+    around = texture.at_points(marks[:, k.CENTRE])
     marks[:, k.TEXTURE] = np.maximum(marks[:, k.TEXTURE], around)
 
 
@@ -279,7 +278,7 @@ def _measure(
     positions: Floats,
     sign: float,
     radius_range: Pair,
-    thresholds: tuple[Floats, Floats],
+    thresholds: Floats,
 ) -> Floats:
     """Measure places, strongest first.
 
@@ -293,8 +292,9 @@ def _measure(
         with np.errstate(invalid="ignore"):  # nearly all of a smooth round rim
             is_clear = criteria.is_round(marks, raster.pixel_um) & ~criteria.is_doubtful(marks)
         rows = batch[_is_outside(positions[batch], marks[is_clear], 0.5)]
-        least_steps = (thresholds[0][rows], thresholds[1][rows])
-        marks[rows] = k.measure_rims(raster, positions[rows], sign, radius_range, least_steps)
+        marks[rows] = k.measure_rims(
+            raster, positions[rows], sign, radius_range, thresholds[:, rows]
+        )
     return marks
 
 
@@ -306,20 +306,19 @@ def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Fl
     level = typical.floor_level + depth_shares[0] * typical.depth
     # Once the level of the floors is known, mottle that hid a place from the search hides it no
     # longer.
-    positions = np.concatenate(
-        [positions, candidates.dark_spots(raster, sign, level, typical.radius)]
-    )
-    positions = positions[_is_outside(positions, holes[~criteria.is_doubtful(holes)], 1.0)]
+    dark_spots = candidates.dark_spots(raster, sign, level, typical.radius)
+    positions = np.concatenate([positions, dark_spots])
+    clear_holes = holes[~criteria.is_doubtful(holes)]
+    positions = positions[_is_outside(positions, clear_holes, 1.0)]
     x, y = np.ascontiguousarray(positions.T)
     floor_centres = _rim_kernels.middles_of_floors(
-        raster.image, raster.pixel_um[1], raster.pixel_um[0], x, y, sign, typical.radius, level
+        raster.image, *raster.pixel_um[::-1], x, y, sign, typical.radius, level
     )
-    floor_centres = floor_centres[np.isfinite(floor_centres[:, 0])]
+    floor_centres = floor_centres[are_known(floor_centres)]
     # Places beside each other lead to one hole.
     neighbours = criteria.neighbour_pairs(floor_centres, 0.1 * typical.radius)
-    floor_centres = floor_centres[
-        criteria.greedy_disjoint(np.arange(len(floor_centres)), neighbours)
-    ]
+    disjoint = criteria.greedy_disjoint(np.arange(len(floor_centres)), neighbours)
+    floor_centres = floor_centres[disjoint]
     levels = (typical.radius, typical.floor_level, typical.depth, depth_shares)
     floors = k.measure_floors(raster, floor_centres, sign, *levels)
     floors = criteria.select_resembling(floors, holes, raster.pixel_um)
@@ -332,7 +331,7 @@ def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Fl
 def _is_outside(positions: Floats, holes: Floats, radius_share: float) -> Bools:
     if not len(holes):
         return np.ones(len(positions), bool)
-    distances, nearest = KDTree(holes[:, [k.X, k.Y]]).query(positions)
+    distances, nearest = KDTree(holes[:, k.CENTRE]).query(positions)
     return distances > radius_share * holes[nearest, k.RADIUS]
 
 
@@ -348,7 +347,8 @@ def _dataset(holes: Floats, sign: float) -> xr.Dataset:
         "contrast": ("1", "Step at the hole over the texture of the sheet around"),
     }
     columns = [
-        *holes[:, [k.X, k.Y, k.COV_XX, k.COV_YY, k.COV_XY]].T,
+        *holes[:, k.CENTRE].T,
+        *holes[:, k.COVARIANCE].T,
         2 * radius,
         (radius + half) / (radius - half),
         holes[:, k.COVERAGE],

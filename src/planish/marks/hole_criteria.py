@@ -43,8 +43,9 @@ DEEPER = 0.05
 
 def is_whole(marks: Floats, shape: Shape, pixel_um: Pair) -> Bools:
     """Return which circles lie inside the image."""
-    bottom, right = ((n - 1) * step for n, step in zip(shape, pixel_um, strict=True))
-    x, y, radius = (marks[:, k.X], marks[:, k.Y], marks[:, k.RADIUS] + marks[:, k.HALF_DIFFERENCE])
+    bottom, right = np.subtract(shape, 1) * pixel_um
+    x, y = marks[:, k.CENTRE].T
+    radius = marks[:, k.RADIUS] + marks[:, k.HALF_DIFFERENCE]
     return (x >= radius) & (y >= radius) & (x <= right - radius) & (y <= bottom - radius)
 
 
@@ -70,22 +71,23 @@ def met_criteria(marks: Floats, pixel_um: Pair, radius_range: Pair) -> dict[str,
         # Char may take two thirds of the step; where it takes more, a sharp rim and a flat floor
         # are enough.
         has_rim = (rim_steps > 0.28 * depths) | ((rim_steps > 0.15 * depths) & is_sharp & is_flat)
+        is_step = is_sharp | ((rim_steps > 0.36 * marks[:, k.FAR_STEP]) & is_flat)
+        is_deep = depths > LEAST_CONTRAST * marks[:, k.TEXTURE]
         return {
             # Fewer than 6 pixels across a hole cannot distinguish a rim from a slope.
             "too_small": radius >= max(radius_range[0], 3.0 * max(pixel_um)),
             "too_large": radius <= radius_range[1],
             "not_round": is_round(marks, pixel_um),
-            "too_faint": (
-                (depths > LEAST_CONTRAST * marks[:, k.TEXTURE]) | (marks[:, k.ALIKE] == 1.0)
-            ),
-            "no_rim": (
-                has_rim
-                & (is_sharp | ((rim_steps > 0.36 * marks[:, k.FAR_STEP]) & is_flat))
-                & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * depths)
-                & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * depths)
-            ),
+            "too_faint": is_deep | (marks[:, k.ALIKE] == 1.0),
+            "no_rim": has_rim & is_step & _has_floor(marks, depths),
             "open": ~is_open(marks),
         }
+
+
+def _has_floor(marks: Floats, depths: Floats | float) -> Bools:
+    """Return which marks are as flat and as even inside as holes of a depth."""
+    is_flat = marks[:, k.FLATNESS] < LARGEST_FLATNESS * depths
+    return is_flat & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * depths)
 
 
 def is_hole(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
@@ -99,25 +101,25 @@ def share_floor(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
     The floor is the darkest that `LEAST_OTHERS` share.
     """
     criteria_met = met_criteria(marks, pixel_um, radius_range)
-    is_like = np.all(
-        [is_met for fault, is_met in criteria_met.items() if fault != "too_faint"], axis=0
-    )
-    disjoint = marks[is_like][best_rims(marks[is_like])]
+    del criteria_met["too_faint"]
+    is_like = np.all(list(criteria_met.values()), axis=0)
+    like_marks = marks[is_like]
+    disjoint = like_marks[best_rims(like_marks)]
     if len(disjoint) < LEAST_OTHERS:
         return np.zeros(len(marks), bool)
     floors = np.sort(disjoint[:, k.INSIDE])
     tolerance = LIKE_FLOORS[0] * float(np.median(depth(disjoint)))
     is_shared = floors[LEAST_OTHERS - 1 :] - floors[: 1 - LEAST_OTHERS] < tolerance
-    level = floors[int(np.argmax(is_shared)) + LEAST_OTHERS // 2] if is_shared.any() else np.nan
+    darkest = int(np.argmax(is_shared))
+    level = floors[darkest + LEAST_OTHERS // 2] if is_shared.any() else np.nan
     return is_like & (np.abs(marks[:, k.INSIDE] - level) < tolerance)
 
 
 def is_rare(holes: Floats, signed_sheet: NDArray[np.floating]) -> bool:
     """Return whether hardly any of the sheet, grey times sign, is as dark as floors of holes."""
     level = np.median(holes[:, k.INSIDE] + LIKE_FLOORS[1] * depth(holes))
-    return bool(
-        np.count_nonzero(signed_sheet < level) < RARE * np.count_nonzero(np.isfinite(signed_sheet))
-    )
+    dark_count = np.count_nonzero(signed_sheet < level)
+    return bool(dark_count < RARE * np.count_nonzero(np.isfinite(signed_sheet)))
 
 
 def is_round(marks: Floats, pixel_um: Pair) -> Bools:
@@ -142,15 +144,16 @@ def deepest_disjoint(marks: Floats) -> Floats:
     Marks overlap where their circles do.
     """
     i, j = _overlapping(marks, marks).T
-    is_shallow = np.zeros(len(marks), bool)
-    is_shallow[i[marks[i, k.INSIDE] - marks[j, k.INSIDE] > DEEPER * depth(marks)[i]]] = True
-    deep_marks = marks[~is_shallow]
+    excess = marks[i, k.INSIDE] - marks[j, k.INSIDE]
+    shallow_rows = i[excess > DEEPER * depth(marks)[i]]
+    deep_marks = np.delete(marks, shallow_rows, axis=0)
     return deep_marks[best_rims(deep_marks)]
 
 
 def best_rims(marks: Floats) -> list[int]:
     """Of marks whose circles overlap, give the rows of those with the best rim."""
-    return greedy_disjoint(np.argsort(-quality(marks), kind="stable"), _overlapping(marks, marks))
+    order = np.argsort(-quality(marks), kind="stable")
+    return greedy_disjoint(order, _overlapping(marks, marks))
 
 
 def overlaps_any(marks: Floats, holes: Floats) -> Bools:
@@ -185,11 +188,12 @@ def _overlapping(marks: Floats, holes: Floats) -> Ints:
     if not len(marks) or not len(holes):
         return np.empty((0, 2), np.intp)
     reaches = 1.001 * (marks[:, k.RADIUS] + float(holes[:, k.RADIUS].max()))
-    neighbours = KDTree(holes[:, [k.X, k.Y]]).query_ball_point(marks[:, [k.X, k.Y]], reaches)
-    i = np.repeat(np.arange(len(marks)), [len(hole_rows) for hole_rows in neighbours])
-    j = np.concatenate([np.asarray(hole_rows, dtype=np.intp) for hole_rows in neighbours])
-    distances = np.hypot(marks[i, k.X] - holes[j, k.X], marks[i, k.Y] - holes[j, k.Y])
-    return np.stack([i, j], axis=1)[distances - marks[i, k.RADIUS] - holes[j, k.RADIUS] < 0]
+    neighbours = KDTree(holes[:, k.CENTRE]).query_ball_point(marks[:, k.CENTRE], reaches)
+    i = np.repeat(np.arange(len(marks)), [*map(len, neighbours)])
+    j = np.concatenate([*neighbours]).astype(np.intp)
+    distances = np.hypot(*(marks[i, k.CENTRE] - holes[j, k.CENTRE]).T)
+    gaps = distances - marks[i, k.RADIUS] - holes[j, k.RADIUS]
+    return np.stack([i, j], axis=1)[gaps < 0]
 
 
 class TypicalHole(NamedTuple):
@@ -212,6 +216,11 @@ class TypicalHole(NamedTuple):
     def depth(self) -> float:
         """Step from the floor to the sheet."""
         return self.sheet_level - self.floor_level
+
+    @property
+    def floor_tolerance(self) -> float:
+        """Share of the depth by which floors of holes may differ."""
+        return float(np.clip(4 * self.floor_scatter, *LIKE_FLOORS))
 
     def floor_at(self, outside: Floats) -> Floats:
         """Predict the level of a floor where the sheet around has a level."""
@@ -248,9 +257,8 @@ def typical_hole(marks: Floats) -> TypicalHole:
     if fitted_scatter < 0.5 * scatter:
         slope, scatter = fitted_slope, fitted_scatter
     floor_level = float(np.median(floor_levels - slope * (sheet_levels - sheet_level)))
-    burnt_share, rim_share = (
-        float(np.nanmedian(deep_marks[:, column] / deep_depths)) for column in (k.BURNT, k.STEP)
-    )
+    burnt_share = float(np.nanmedian(deep_marks[:, k.BURNT] / deep_depths))
+    rim_share = float(np.nanmedian(deep_marks[:, k.STEP] / deep_depths))
     scatter = scatter / (sheet_level - floor_level)
     radius = float(np.median(deep_marks[:, k.RADIUS]))
     return TypicalHole(floor_level, sheet_level, slope, scatter, radius, burnt_share, rim_share)
@@ -265,7 +273,8 @@ def _slope(x: Floats, y: Floats) -> float:
     if third < 3:
         return 0.0
     order = np.argsort(x, kind="stable")
-    run, rise = (float(np.median(v[order[-third:]]) - np.median(v[order[:third]])) for v in (x, y))
+    low, high = order[:third], order[-third:]
+    run, rise = (float(np.median(v[high]) - np.median(v[low])) for v in (x, y))
     return float(np.clip(rise / run, 0.0, 1.0)) if run > 0 else 0.0
 
 
@@ -275,17 +284,16 @@ def drop_unlike(marks: Floats, sign: float) -> Floats:
         return marks
     typical = typical_hole(marks)
     depths = depth(marks)
-    expected_depths = np.maximum(
-        marks[:, k.OUTSIDE] - typical.floor_at(marks[:, k.OUTSIDE]), depths
-    )
+    outside = marks[:, k.OUTSIDE]
+    expected_depths = np.maximum(outside - typical.floor_at(outside), depths)
     depth_share = depths / expected_depths
     # Of a hole that is half closed farther down, the other half is as deep as all. Floors have a
     # long tail (real targets: 27 standard deviations), so only what is far off is out by its floor
     # alone.
-    excess_unevenness = np.maximum(marks[:, k.UNEVENNESS] - np.median(marks[:, k.UNEVENNESS]), 0.0)
-    is_like = depth_share + excess_unevenness / expected_depths >= 1 - np.clip(
-        30 * typical.floor_scatter, 0.06, 0.3
-    )
+    unevenness = marks[:, k.UNEVENNESS]
+    excess_unevenness = np.maximum(unevenness - np.median(unevenness), 0.0)
+    tolerance = np.clip(30 * typical.floor_scatter, 0.06, 0.3)
+    is_like = depth_share + excess_unevenness / expected_depths >= 1 - tolerance
     if sign < 0:
         # In transmitted light floors fade with the lamp, and nothing but a hole shines.
         is_like |= depths >= LEAST_SHARE_OF_MEDIAN * np.median(depths)
@@ -298,11 +306,10 @@ def drop_unlike(marks: Floats, sign: float) -> Floats:
     # is ink or dirt.
     qualities = quality(marks)
     quality_deficit = np.minimum(qualities - np.median(qualities[is_like]), 0)
-    is_odd = (
-        ((1 - depth_share) / np.clip(4 * typical.floor_scatter, *LIKE_FLOORS)) ** 2
-        + (size_difference / np.clip(3 * mad_sd(log_radius[is_like]), 0.12, 0.15)) ** 2
-        + (quality_deficit / np.clip(3 * mad_sd(qualities[is_like]), 0.03, 0.1)) ** 2
-    ) > 1
+    odd_depth = (1 - depth_share) / typical.floor_tolerance
+    odd_size = size_difference / np.clip(3 * mad_sd(log_radius[is_like]), 0.12, 0.15)
+    odd_shape = quality_deficit / np.clip(3 * mad_sd(qualities[is_like]), 0.03, 0.1)
+    is_odd = odd_depth**2 + odd_size**2 + odd_shape**2 > 1
     # So much more of the step at the rim itself means that nothing is burnt.
     is_bare = (marks[:, k.STEP] > (typical.rim_share + 0.15) * depths) | typical.is_unburnt(marks)
     return marks[is_like & ~(is_odd & is_bare)]
@@ -318,16 +325,11 @@ def select_resembling(marks: Floats, holes: Floats, pixel_um: Pair) -> Floats:
     typical = typical_hole(holes)
     with np.errstate(invalid="ignore"):
         floor_difference = np.abs(marks[:, k.INSIDE] - typical.floor_at(marks[:, k.OUTSIDE]))
-        is_similar = (
-            is_round(marks, pixel_um)
-            & ~is_open(marks)
-            & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * typical.depth)
-            & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * typical.depth)
-            & (floor_difference < np.clip(4 * typical.floor_scatter, *LIKE_FLOORS) * typical.depth)
-            & (depth(marks) > LEAST_DEPTH_OF_FLOOR * typical.depth)
-            & (np.abs(np.log(marks[:, k.RADIUS] / typical.radius)) < np.log(1.35))
-            & ~typical.is_unburnt(marks)
-        )
+        has_shape = is_round(marks, pixel_um) & ~is_open(marks) & _has_floor(marks, typical.depth)
+        has_level = floor_difference < typical.floor_tolerance * typical.depth
+        has_depth = depth(marks) > LEAST_DEPTH_OF_FLOOR * typical.depth
+        has_size = np.abs(np.log(marks[:, k.RADIUS] / typical.radius)) < np.log(1.35)
+        is_similar = has_shape & has_level & has_depth & has_size & ~typical.is_unburnt(marks)
     return deepest_disjoint(marks[is_similar])
 
 
@@ -342,7 +344,7 @@ def merge_floors(marks: Floats, floors: Floats) -> Floats:
     floor_qualities = quality(floors) - BETTER
     qualities = quality(marks)
     for i in range(len(floors)):
-        overlapped = overlaps[slice(*np.searchsorted(overlaps[:, 0], (i, i + 1))), 1]
+        overlapped = overlaps[overlaps[:, 0] == i, 1]
         overlapped = overlapped[is_retained[overlapped]]
         is_added[i] = np.all(qualities[overlapped] < floor_qualities[i])
         is_retained[overlapped] &= not is_added[i]
@@ -373,10 +375,10 @@ def set_covariance(marks: Floats, pixel_um: Pair) -> None:
     variance = 0.5 * rim_variance + 0.5 * np.median(rim_variance)
     # Of two edges either may be the rim, and each is found where the other disturbs it: a part goes
     # any way.
-    x, y = np.nan_to_num(marks[:, [k.DOUBT_X, k.DOUBT_Y]]).T
+    x, y = np.nan_to_num(marks[:, k.DOUBT]).T
     cross_share = 0.35  # the part across the line of the two centres
     # The raster adds an error of 0.02 pixels.
-    marks[:, [k.COV_XX, k.COV_YY, k.COV_XY]] *= variance[:, None]
+    marks[:, k.COVARIANCE] *= variance[:, None]
     marks[:, k.COV_XX] += (0.02 * pixel_um[1]) ** 2
     marks[:, k.COV_YY] += (0.02 * pixel_um[0]) ** 2
     marks[:, k.COV_XX] += x**2 + (cross_share * y) ** 2

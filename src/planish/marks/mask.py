@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from planish.core.bands import read_bands, thinned
 from planish.core.grid import Grid, centres_of, hole_mask
+from planish.core.robust import otsu_borders
 from planish.core.typing import Array, Bools, Floats, Ints, Pair
 from planish.marks.candidates import Raster, reduce_to
 
@@ -67,15 +68,14 @@ def _border_regions(
         depth_shares = (band.astype(np.float64) - sheet) / (floor - sheet)
         is_beyond.append(np.isfinite(band) & (depth_shares > 0.5))
     labels = np.asarray(ndimage.label(np.concatenate(is_beyond))[0])
-    border_labels = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    least_pixels = (
-        0.1 * np.pi * float(np.median(radii_um)) ** 2 / (grid.pixel_um[0] * grid.pixel_um[1])
-    )
+    border_labels = np.union1d(labels[[0, -1]], labels[:, [0, -1]])
+    row_um, col_um = grid.pixel_um
+    least_um2 = 0.1 * np.pi * float(np.median(radii_um)) ** 2
     boxes = ndimage.find_objects(labels)
     for label in border_labels[border_labels > 0]:
         down, across = boxes[label - 1]
         rows, cols = np.nonzero(labels[down, across] == label)
-        if rows.size >= least_pixels:
+        if rows.size >= least_um2 / (row_um * col_um):
             yield rows + down.start, cols + across.start
 
 
@@ -119,16 +119,12 @@ def without_dots(
     has_data = np.isfinite(coarse_greys)
     if not has_data.any():
         return greys
-    smooth = ndimage.gaussian_filter(
-        np.where(has_data, coarse_greys, np.median(coarse_greys[has_data])), 1.0
-    )
+    filled = np.where(has_data, coarse_greys, np.median(coarse_greys[has_data]))
+    smooth = ndimage.gaussian_filter(filled, 1.0)
     counts, grey_edges = np.histogram(smooth[has_data], 256)
-    counts_below = np.cumsum(counts)
-    sums_below = np.cumsum(counts * (0.5 * (grey_edges[1:] + grey_edges[:-1])))
-    weight = counts_below[:-1] * (counts_below[-1] - counts_below[:-1])
-    difference = sums_below[-1] * counts_below[:-1] / counts_below[-1] - sums_below[:-1]
-    class_variance = difference**2 / np.maximum(weight, 1)
-    best_edge = 1 + int(np.argmax(np.where(weight > 0, class_variance, -1.0)))
+    counts_below = np.append(0.0, np.cumsum(counts))
+    sums_below = np.append(0.0, np.cumsum(counts * np.arange(256)))
+    (best_edge,) = otsu_borders(counts_below, sums_below, 2)
     is_dark = has_data & (smooth < float(grey_edges[best_edge]))
     if not is_dark.any() or not (has_data & ~is_dark).any():
         return greys

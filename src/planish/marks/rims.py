@@ -29,6 +29,7 @@ OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS, UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAV
 )
 DOUBT_X, DOUBT_Y, BEYOND = 20, 21, 22
 COLUMNS = 23
+CENTRE, COVARIANCE, DOUBT = np.s_[X:RADIUS], np.s_[COV_XX:COVERAGE], np.s_[DOUBT_X:BEYOND]
 
 # Least step of another edge inside the rim, share of the whole step; sd of a centre where either of
 # two closed edges may be the rim, share of what their centres are apart; the same for the floor's
@@ -49,10 +50,11 @@ RAYS = 96
 BEYOND_RIM, BEYOND_FLOOR, GAP_RAYS = 0.25, 0.5, 10
 # Cosine and sine of the angles of the rays, and of twice these.
 _ANGLES = [2 * np.pi * ray / RAYS for ray in range(RAYS)]
-_COS = np.array([math.cos(angle) for angle in _ANGLES])
-_SIN = np.array([math.sin(angle) for angle in _ANGLES])
-_COS_2 = np.array([math.cos(2 * angle) for angle in _ANGLES])
-_SIN_2 = np.array([math.sin(2 * angle) for angle in _ANGLES])
+_DOUBLED = [2 * angle for angle in _ANGLES]
+_COS = np.array([*map(math.cos, _ANGLES)])
+_SIN = np.array([*map(math.sin, _ANGLES)])
+_COS_2 = np.array([*map(math.cos, _DOUBLED)])
+_SIN_2 = np.array([*map(math.sin, _DOUBLED)])
 _Picture = tuple[Image, float, float]  # an image, and its pixel size along x and y
 
 
@@ -83,12 +85,12 @@ def measure_rims(
     positions: Floats,
     sign: float,
     radius_range: Pair,
-    thresholds: tuple[Floats, Floats],
+    thresholds: Floats,
 ) -> Floats:
     """Measure a round hole at each candidate place.
 
-    ``positions`` (n, 2), x and y in um; ``radius_range`` in um; a step below ``thresholds[0]``
-    (n,), or below ``thresholds[1]`` (n,) times the texture around, is not measured. Returns ``(n,
+    ``positions`` (n, 2), x and y in um; ``radius_range`` in um; a step below ``thresholds[0]``, or
+    below ``thresholds[1]`` times the texture around, (2, n), is not measured. Returns ``(n,
     COLUMNS)``: centre, radius, half the difference of the half axes, covariance of the centre for
     waves of the rim of amplitude 1, share of the rim found, step at the rim, levels inside and
     outside times ``sign``, robust standard deviation of the sheet around, rms of the rim about the
@@ -334,10 +336,10 @@ def _closed_rims(
     reach = max(1, round(max(14.0, 1.4 * pixel) / dt))
     inside, spread, _, outside, _ = levels(*picture, *centre, sign, radius)
     total = outside - inside
-    x, y = kernels.floor_middle(
-        *picture, *centre, sign, radius, inside, max(3 * spread, 0.1 * total)
-    )
-    count = int((radius + math.hypot(x - centre[0], y - centre[1]) + 0.3 * radius) / dt) + 2 * reach
+    tolerance = max(3 * spread, 0.1 * total)
+    x, y = kernels.floor_middle(*picture, *centre, sign, radius, inside, tolerance)
+    shift = math.hypot(x - centre[0], y - centre[1])
+    count = int((radius + shift + 0.3 * radius) / dt) + 2 * reach
     band = max(1, round(1.5 * pixel / dt))
     first = max(reach, int(least / dt))
     rises = kernels.polar_rises(*picture, x, y, sign, dt, count, reach, RAYS)
@@ -349,7 +351,8 @@ def _closed_rims(
     path = kernels.closed_path(worth, max(0, middle - half), middle + half)
     weak = max(LEAST_INNER * total, 2.5 * spread)
     # A ring darker than what the hole shows: the rim is where the grey falls.
-    last = int(np.min(path)) - reach
+    innermost = int(np.min(path))
+    last = innermost - reach
     if last > first:
         worth = kernels.edge_worth(-rises, weak)
         middle, half, share = kernels.rim_radius(worth, first, last - band, band, 0.0)
@@ -360,7 +363,7 @@ def _closed_rims(
     steps = np.arange(count)
     worth = kernels.edge_worth(rises, weak) - kernels.OUTWARDS * dt * steps / radius
     worth[steps >= path[:, None] + 2] = -np.inf
-    within = kernels.closed_path(worth, min(first, int(np.min(path))), int(np.max(path)) + 1)
+    within = kernels.closed_path(worth, min(first, innermost), int(np.max(path)) + 1)
     has_other = np.sum(path - within >= reach) > 0.1 * RAYS
     return (x, y), path * dt, within * dt, float(has_other)
 
@@ -386,36 +389,39 @@ def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: 
     The floor lies in the middle of a hole, unless a part of what is around was taken for the hole;
     so it may be where the rim's step is another on one side.
     """
-    centre, radius, total = row[[X, Y]], row[RADIUS], row[OUTSIDE] - row[INSIDE]
+    centre, radius, total = row[CENTRE], row[RADIUS], row[OUTSIDE] - row[INSIDE]
     tolerance = max(3 * row[UNEVENNESS], LEAST_INNER * total)
-    from_floor = np.subtract(
-        kernels.floor_middle(*picture, *centre, sign, radius, row[INSIDE], tolerance), centre
-    )
+    floor = kernels.floor_middle(*picture, *centre, sign, radius, row[INSIDE], tolerance)
+    from_floor = np.subtract(floor, centre)
     from_other = np.subtract(other, centre)
     distance = math.hypot(*from_floor)
     is_known = ~np.isnan(steps)
-    wave = math.hypot(*(_sum(np.where(is_known, steps * part, 0.0)) for part in (_COS, _SIN)))
+    parts = [_sum(np.where(is_known, steps * part, 0.0)) for part in (_COS, _SIN)]
+    wave = math.hypot(*parts)
     is_uneven = 2 * wave > ONE_SIDED * max(np.count_nonzero(is_known), 1) * total
     share, pixels = EXACT if is_uneven else USUAL
     usual = (share * radius) ** 2 + (pixels * max(picture[1:])) ** 2
     beyond = FLOOR * math.sqrt(max(distance**2 - usual, 0.0))
     if EITHER * math.hypot(*from_other) > beyond:
-        row[[DOUBT_X, DOUBT_Y]] = EITHER * from_other
+        row[DOUBT] = EITHER * from_other
     else:
-        row[[DOUBT_X, DOUBT_Y]] = beyond / max(distance, 1e-30) * from_floor
+        row[DOUBT] = beyond / max(distance, 1e-30) * from_floor
 
 
 def _write_outline(row: Floats, outline: _Outline) -> None:
     """Write centre and size, share of the rim that is there, and how rough it is."""
     fit, is_used = outline.fit, outline.weight > 0.0
-    first = fit[0] + fit[1] * _COS + fit[2] * _SIN
-    error = np.where(is_used, outline.radii - (first + fit[3] * _COS_2 + fit[4] * _SIN_2), 0.0)
-    row[[X, Y, RADIUS, HALF_DIFFERENCE]] = outline.x, outline.y, fit[0], math.hypot(fit[3], fit[4])
+    circle = fit[0] + fit[1] * _COS + fit[2] * _SIN
+    model = circle + fit[3] * _COS_2 + fit[4] * _SIN_2
+    error = np.where(is_used, outline.radii - model, 0.0)
+    row[CENTRE] = outline.x, outline.y
+    row[RADIUS] = fit[0]
+    row[HALF_DIFFERENCE] = math.hypot(fit[3], fit[4])
     # Waves 3 and 4, and 5 to 8 of the rim. The first moves the centre; its size can only be
     # estimated from them.
     row[[LOW_WAVES, HIGH_WAVES]] = waves(error, outline.weight)
     # As if the rays were independent; the waves' own variance is put in once all holes are known.
-    row[[COV_XX, COV_YY, COV_XY]] = RAYS / 2 * outline.inverse[[1, 2, 1], [1, 2, 2]]
+    row[COVARIANCE] = RAYS / 2 * outline.inverse[[1, 2, 1], [1, 2, 2]]
     used = np.count_nonzero(is_used)
     row[COVERAGE] = used / RAYS
     row[ROUGHNESS] = math.sqrt(_sum(error**2) / max(1, used))
@@ -423,8 +429,10 @@ def _write_outline(row: Floats, outline: _Outline) -> None:
 
 def _median(values: Floats) -> float:
     finite = np.sort(values[~np.isnan(values)])  # numpy's own takes ten times as long for so few
-    count = finite.size
-    return float(0.5 * (finite[(count - 1) // 2] + finite[count // 2])) if count else np.nan
+    if not finite.size:
+        return np.nan
+    middle = finite.size // 2
+    return float(0.5 * (finite[-1 - middle] + finite[middle]))
 
 
 def _sum(values: Floats) -> float:

@@ -1,7 +1,6 @@
 """Laser holes of a flattened sheet: where its faces show them, and how they run through it."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,6 +12,7 @@ from planish.core.errors import MarkError
 from planish.core.facts import HoleTiltFacts, Side
 from planish.core.grid import Grid, centres_of
 from planish.core.robust import MAD_TO_SD, masked_gaussian
+from planish.core.transform import are_known
 from planish.core.typing import Entries, Floats, Ints, Pair
 from planish.marks.find import find_holes
 from planish.marks.params import HoleParams
@@ -120,7 +120,8 @@ def find_sheet_holes(
     centres = centres_of(holes[side])
     # What is as large as a circle of this share of the holes' diameter is an opening that should be
     # one.
-    least_um = 0.6 * float(np.median(holes[side]["diameter"].values if len(centres) else [low]))
+    diameters = holes[side]["diameter"].values if len(centres) else [low]
+    least_um = 0.6 * float(np.median(diameters))
     openings = _openings(layers[side], pixel_um, centres, least_um)
     holes = {layer: _shifted(dataset, grid.origin_um) for layer, dataset in holes.items()}
     layer_holes = _by_layer(holes, {side: np.arange(len(centres)), **partner_rows})
@@ -182,7 +183,8 @@ def _in_other_layers(
         return partner_rows, np.full(len(centres), UNCLEAR, dtype=np.uint8), 0
     rows = partner_rows[other]
     states = _other_side(layers[other], pixel_um, holes[side], holes[other], rows)
-    return partner_rows, states, holes[other].sizes["mark"] - int(np.count_nonzero(rows >= 0))
+    single_count = holes[other].sizes["mark"] - int(np.count_nonzero(rows >= 0))
+    return partner_rows, states, single_count
 
 
 def _search(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats, xr.Dataset]:
@@ -249,8 +251,8 @@ def _other_side(
         rows = np.flatnonzero(np.abs(dy) <= radius_um)
         cols = np.flatnonzero(np.abs(dx) <= radius_um)
         distances = np.hypot(dy[rows][:, None], dx[cols])
-        shares = material[np.ix_(rows, cols)].astype(np.float64)[distances <= radius_um]
-        shares = shares[np.isfinite(shares)]
+        shares = material[np.ix_(rows, cols)].astype(np.float64)
+        shares = shares[(distances <= radius_um) & np.isfinite(shares)]
         if shares.size and np.median(shares) > MATERIAL:
             states[k] = CLOSED
     return states
@@ -258,7 +260,7 @@ def _other_side(
 
 def _offset_statistics(offsets: Floats, maps: xr.Dataset, side: Side) -> tuple[Entries, Floats]:
     """Summarise offsets from top to bottom as attributes, and give the move from layer to face."""
-    measured = offsets[np.isfinite(offsets).all(axis=1)]
+    measured = offsets[are_known(offsets)]
     offset_um = spread_um = np.full(2, np.nan)
     if len(measured):
         offset_um = np.median(measured, axis=0)
@@ -293,7 +295,8 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
     if holes is None or "through" not in holes.attrs:
         return None
     attrs = holes.attrs
-    offset, error = (np.array(attrs[k], dtype=np.float64) for k in ("offset_um", "offset_error_um"))
+    offset = np.array(attrs["offset_um"], dtype=np.float64)
+    error = np.array(attrs["offset_error_um"], dtype=np.float64)
     text = "No hole was found on both sides of the sheet."
     if np.isfinite(offset).all():
         text = (
@@ -310,9 +313,8 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
 
 
 def _shifted(holes: xr.Dataset, offset: Sequence[float] | Floats) -> xr.Dataset:
-    return holes.assign(
-        {k: holes[k].copy(data=holes[k].values + d) for k, d in zip("xy", offset, strict=True)}
-    )
+    x, y = (holes[k].copy(data=holes[k].values + d) for k, d in zip("xy", offset, strict=True))
+    return holes.assign(x=x, y=y)
 
 
 def _partners(centres: Floats, candidate_centres: Floats, reach: Floats) -> Ints:
@@ -338,13 +340,12 @@ def _openings(share: NDArray[np.generic], pixel_um: Pair, centres: Floats, least
     """
     material = share.astype(np.float64)
     has_data = np.isfinite(material)
-    labelled: Any = ndimage.label((material < MATERIAL) | ~has_data)
-    regions: Ints = labelled[0]
-    sizes = np.bincount(regions.ravel(), minlength=int(labelled[1]) + 1) * pixel_um[0] * pixel_um[1]
+    regions = np.asarray(ndimage.label((material < MATERIAL) | ~has_data)[0])
+    sizes = np.bincount(regions.ravel()) * pixel_um[0] * pixel_um[1]
     for border in (regions[[0, -1]], regions[:, [0, -1]], regions[~has_data]):
         sizes[border] = 0.0
-    places = np.rint(centres[:, ::-1] / pixel_um).clip(0, np.array(share.shape) - 1)
-    rows, cols = places.astype(np.intp).T
+    places = np.rint(centres[:, ::-1] / pixel_um).astype(np.intp)
+    rows, cols = np.clip(places, 0, np.subtract(share.shape, 1)).T
     sizes[regions[rows, cols]] = 0.0
     return int(np.count_nonzero(sizes[1:] > np.pi / 4 * least_um**2))
 

@@ -9,7 +9,7 @@ both are in pixels and 0 at the corner of the first one.
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path, PurePosixPath
@@ -93,25 +93,28 @@ def read_regions(path: str | Path) -> Regions:
     if units != "um" and not in_pixels:
         faults.append("its units are neither um nor pixel")
     regions: list[Region] = []
-    point_count = 0
     for title, read_region in readers:
         try:
-            region = read_region()
+            regions.append(read_region())
         except ValueError as error:
             faults.append(f"{title}: {error}")
-            continue
-        regions.append(region)
-        point_count += sum(map(len, chain(*region.polygons)))
     raise_faults(name, faults, remedy, error=FileError)
+    _check_size(regions, name)
+    return Regions(declared=tuple(regions), in_pixels=in_pixels)
+
+
+def _check_size(regions: Sequence[Region], name: str) -> None:
+    """Refuse a file without regions, or with more than a program should work through."""
     if not regions:
         raise FileError(f"{name} holds no region. Draw one, or leave `regions` out.")
+    rings = chain.from_iterable(chain(*region.polygons) for region in regions)
+    point_count = sum(map(len, rings))
     if len(regions) > MOST_REGIONS or point_count > MOST_POINTS:
         raise FileError(
             f"{name} holds {len(regions)} regions with {point_count} points; {MOST_REGIONS} regions"
             f" with {MOST_POINTS} points are the most. Simplify them, or join them to"
             " MultiPolygons."
         )
-    return Regions(declared=tuple(regions), in_pixels=in_pixels)
 
 
 def _selection(data: bytes, default_name: str) -> Region:
@@ -159,13 +162,14 @@ def _box(roi: ImagejRoi) -> Ring:
     if not (0 < w <= 1e6 and 0 < h <= 1e6):
         raise ValueError(f"it is {w:g} x {h:g} pixels large")
     if roi.roitype == ROI_TYPE.RECT:
-        return np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])
+        return np.add((x, y), [(0, 0), (w, 0), (w, h), (0, h)])
     radius = max(0.5 * max(w, h), 1.0)
     # The polygon of an oval may lie a hundredth of a pixel inside it.
-    angle = np.linspace(
-        0, 2 * np.pi, math.ceil(np.pi / math.acos(1 - 0.01 / radius)), endpoint=False
-    )
-    return np.stack([x + 0.5 * w * (1 + np.cos(angle)), y + 0.5 * h * (1 + np.sin(angle))], axis=1)
+    count = math.ceil(np.pi / math.acos(1 - 0.01 / radius))
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    points_x = x + 0.5 * w * (1 + np.cos(angle))
+    points_y = y + 0.5 * h * (1 + np.sin(angle))
+    return np.stack([points_x, points_y], axis=1)
 
 
 def _composite_rings(roi: ImagejRoi) -> Iterator[Ring]:

@@ -59,7 +59,8 @@ class Region:
             for ring in rings:
                 flip_crossings(ring, y, x, odd)
             # A centre is inside where an odd number of crossings lies right of it.
-            inside |= np.logical_xor.accumulate(odd[:, :0:-1], axis=1)[:, ::-1]
+            from_right = np.logical_xor.accumulate(odd[:, :0:-1], axis=1)
+            inside |= from_right[:, ::-1]
         return (rows, cols), inside
 
 
@@ -138,7 +139,8 @@ def _enclosing(rings: Sequence[Ring]) -> list[list[int]]:
     enclosing: list[list[int]] = []
     for k, ring in enumerate(rings):
         # Borders may touch, so that single places of one may lie on another: most of a few decide.
-        probes = (0.5 * (ring + np.roll(ring, -1, axis=0)))[:: max(1, len(ring) // 5)]
+        edge_middles = 0.5 * (ring + np.roll(ring, -1, axis=0))
+        probes = edge_middles[:: max(1, len(ring) // 5)]
         encloses = ((lows <= lows[k]) & (highs >= highs[k])).all(axis=1)
         encloses[k] = False
         candidates = np.flatnonzero(encloses).tolist()
