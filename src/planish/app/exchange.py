@@ -84,12 +84,10 @@ def exported(session: Session, layer: str, format_name: str, fitted: Fitted) -> 
     row_of = {mark.id: k for k, mark in enumerate(fitted.pairs)}
     rows = np.array([row_of.get(mark.id, len(row_of)) for mark in marks], dtype=np.intp)
     errors_um = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
-    dataset = dataset_of(
-        marks,
-        about={plane: _pixels(session, layer, plane).about() for plane in PLANES},
-        # What the shown fit leaves.
-        results={name: np.append(um, np.nan)[rows] for name, um in errors_um.items()},
-    )
+    # What the shown fit leaves.
+    results = {name: np.append(um, np.nan)[rows] for name, um in errors_um.items()}
+    about = {plane: _pixels(session, layer, plane).about() for plane in PLANES}
+    dataset = dataset_of(marks, about=about, results=results)
     suffix = next(iter(FORMATS[format_name].suffixes), ".csv")
     files = marks_bytes(dataset, format_name)
     if len(files) == 1:

@@ -91,7 +91,8 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> Ints:
     factor, i = factor[is_finite], i[is_finite]
     if not factor.size:
         return np.arange(len(z))
-    residual2 = np.abs(w - w[i][:, None] - factor[:, None] * (z - z[i][:, None])) ** 2
+    predicted = w[i][:, None] + factor[:, None] * (z - z[i][:, None])
+    residual2 = np.abs(w - predicted) ** 2
     sums = np.sum(np.partition(residual2, count - 1, axis=1)[:, :count], axis=1)
     least_sum = np.inf
     best_inliers = np.arange(count)
@@ -110,9 +111,8 @@ def _residuals(z: Complexes, w: Complexes, inliers: Ints) -> Complexes:
     z_mean = z[inliers].mean()
     w_mean = w[inliers].mean()
     z_centred = z[inliers] - z_mean
-    factor = np.sum(z_centred.conj() * (w[inliers] - w_mean)) / max(
-        float(np.sum(np.abs(z_centred) ** 2)), 1e-300
-    )
+    spread = max(float(np.sum(np.abs(z_centred) ** 2)), 1e-300)
+    factor = np.sum(z_centred.conj() * (w[inliers] - w_mean)) / spread
     return w - (w_mean + factor * (z - z_mean))
 
 
@@ -231,7 +231,7 @@ def fitted(
         is_pending=quick and len(pairs) > 1,
         mirrored=mirrored,
     )
-    error_text = ""
+    fit, error_text = None, ""
     fitted_model = model if not quick or model in QUICK else "similarity"
     try:
         if fitted_model == "auto":
@@ -243,10 +243,10 @@ def fitted(
         fitted_model = "similarity"
         if n_used:
             error_text = _why_none(refusal, coincident, pairs)
-        try:  # there is something to look at: which marks are wrong
+        with suppress(PlanishError):  # there is something to look at: which marks are wrong
             fit = _least_squares(*used, fitted_model, mirrored)
-        except PlanishError:
-            return replace(unfitted, error=error_text)
+    if fit is None:
+        return replace(unfitted, error=error_text)
     residual_um = np.linalg.norm(fixed - fit(moving), axis=1)
     leave_one_out_um = residual_um.copy()
     leave_one_out_um[is_used] = fit.leave_one_out_um

@@ -65,10 +65,9 @@ def get_session(request: Request) -> Response:
     """Give what does not change while the server runs."""
     served = served_of(request)
     session = served.session
-    marks_checks = (check for check in session.results.checks if check.name == "marks")
-    limits_um = {
-        name: finite_or_none(check.limit) for check in marks_checks for name in check.layers[:1]
-    }
+    checks = session.results.checks
+    marks_checks = (check for check in checks if check.name == "marks" and check.layers)
+    limits_um = {check.layers[0]: finite_or_none(check.limit) for check in marks_checks}
     layers = [
         _layer_facts(session, name) | {"limit_um": limits_um.get(name)} for name in session.layers
     ]
@@ -173,14 +172,6 @@ def _change(session: Session, body: _ChangeBody) -> None:
     session.change(body.change, version=body.version)
 
 
-def _undo(session: Session, body: _Body) -> None:
-    session.undo(version=body.version)
-
-
-def _redo(session: Session, body: _Body) -> None:
-    session.redo(version=body.version)
-
-
 def _snap(session: Session, body: _SnapBody) -> str:
     layer = body.layer or session.state.first_layer
     mark = session.state.mark(layer, body.id)
@@ -282,8 +273,8 @@ ROUTES = [
     route("/api/state", lambda r: Answer(_state_of(r))),
     route("/api/events", get_events),
     route("/api/change", _changing(_ChangeBody, _change), "POST"),
-    route("/api/undo", _changing(_Body, _undo), "POST"),
-    route("/api/redo", _changing(_Body, _redo), "POST"),
+    route("/api/undo", _changing(_Body, lambda s, body: s.undo(version=body.version)), "POST"),
+    route("/api/redo", _changing(_Body, lambda s, body: s.redo(version=body.version)), "POST"),
     route("/api/snap", _changing(_SnapBody, _snap), "POST"),
     route("/api/predict", get_predict),
     route("/api/marks/texture", _changing(_TextureBody, _find_texture), "POST"),

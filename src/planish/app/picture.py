@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -76,15 +77,9 @@ class Codes:
         """Code each value."""
         if values.dtype == np.bool_:
             return values.astype(np.uint16) + np.uint16(1)
-        is_valid = np.isfinite(values)
-        codes = (
-            np.rint(
-                (np.where(is_valid, values.astype(np.float64), self.offset) - self.offset)
-                / self.scale
-            )
-            + 1
-        )
-        return np.where(is_valid, np.clip(codes, 1, LAST_CODE), 0).astype(np.uint16)
+        steps = np.rint((values.astype(np.float64) - self.offset) / self.scale)
+        codes = np.clip(steps + 1, 1, LAST_CODE)
+        return np.where(np.isfinite(values), codes, 0).astype(np.uint16)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,21 +150,17 @@ class PlanePicture:
         if len(self.levels) == 1:
             return _finite_values([])
         n_windows = _FEW if self._coarse.size else _MANY
-        middles = (
-            np.linspace(0.5, n - 0.5, 2 * n_windows + 1).astype(int)[1::2] for n in self.full.shape
-        )
-        rows, cols = ((middle // CHUNK * CHUNK).tolist() for middle in middles)
-        return _finite_values(
-            [self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in rows for c in cols]
-        )
+        starts: list[list[int]] = []
+        for n in self.full.shape:
+            middles = np.linspace(0.5, n - 0.5, 2 * n_windows + 1).astype(int)[1::2]
+            starts.append((middles // CHUNK * CHUNK).tolist())
+        windows = [self.full[r : r + _WINDOW, c : c + _WINDOW] for r, c in product(*starts)]
+        return _finite_values([window.values for window in windows])
 
     def described(self) -> Entries:
         """Give what a page has to know."""
-        return {
-            **{
-                name: getattr(self, name)
-                for name in ("id", "plane", "layer", "name", "title", "units", "range")
-            },
+        names = ("id", "plane", "layer", "name", "title", "units", "range")
+        return {name: getattr(self, name) for name in names} | {
             "shape": self.grid.shape,
             "pixel_um": self.grid.pixel_um,
             "origin_um": self.grid.origin_um,
@@ -226,12 +217,9 @@ class ComputedLevels:
         self._folder = folder
         self.dtype = np.dtype(values.dtype)
         rows, cols = values.shape
-        self._shapes = [
-            (-(-rows >> k), -(-cols >> k)) for k in range(overview_count((rows, cols)) + 1)
-        ]
-        self._cached_levels = {
-            k for k in range(len(self._shapes)) if k > _LAST_ON_DEMAND or (k == 0 and keep_all)
-        }
+        levels = range(overview_count((rows, cols)) + 1)
+        self._shapes = [(-(-rows >> k), -(-cols >> k)) for k in levels]
+        self._cached_levels = {k for k in levels if k > _LAST_ON_DEMAND or (k == 0 and keep_all)}
         self._lock = threading.Lock()
         self._arrays: dict[int, Array] = {}
 
@@ -250,9 +238,8 @@ class ComputedLevels:
             slice(s.start << k, min(s.stop << k, n))
             for s, n in zip(where, self._shapes[0], strict=True)
         )
-        pixels = np.asarray(
-            (self._level_arrays()[0] if 0 in self._cached_levels else self._values)[window]
-        )
+        full = self._level_arrays()[0] if 0 in self._cached_levels else self._values
+        pixels = np.asarray(full[window])
         for _ in range(k):
             pixels = halved_values(pixels)
         return pixels[:: where[0].step or 1, :: where[1].step or 1]
@@ -299,21 +286,19 @@ class ComputedLevels:
         return temporary
 
     def _write(self, folder: Path) -> None:
-        level_files = {
-            k: np.lib.format.open_memmap(
+        level_files: dict[int, np.memmap[Any, Any]] = {}
+        for k in self._cached_levels:
+            level_files[k] = np.lib.format.open_memmap(
                 folder / f"{k}.npy", mode="w+", dtype=self.dtype, shape=self._shapes[k]
             )
-            for k in self._cached_levels
-        }
         for tile in map_tiles(self._shapes[0]):
             level_pixels = np.asarray(self._values[tile.rows, tile.cols])
             for k in range(len(self._shapes)):
                 level_pixels = halved_values(level_pixels) if k else level_pixels
                 if k in level_files:
-                    r, c = tile.r0 >> k, tile.c0 >> k
-                    level_files[k][r : r + level_pixels.shape[0], c : c + level_pixels.shape[1]] = (
-                        level_pixels
-                    )
+                    rows, cols = level_pixels.shape
+                    from_tile = level_files[k][tile.r0 >> k :, tile.c0 >> k :]
+                    from_tile[:rows, :cols] = level_pixels
         for level_file in level_files.values():
             level_file.flush()
 

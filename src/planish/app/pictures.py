@@ -78,10 +78,11 @@ class Pictures:
 
     def on_same_pixels(self, picture: PlanePicture) -> list[PlanePicture]:
         """All pictures on the pixels of a picture, itself among them."""
-        shape, geometry = picture.grid.shape, [*picture.grid.origin_um, *picture.grid.pixel_um]
-        candidates = [p for p in self if p.plane == picture.plane and p.grid.shape == shape]
+        grid = picture.grid
+        geometry = [*grid.origin_um, *grid.pixel_um]
+        same_size = [p for p in self if p.plane == picture.plane and p.grid.shape == grid.shape]
         return [
-            p for p in candidates if np.allclose([*p.grid.origin_um, *p.grid.pixel_um], geometry)
+            p for p in same_size if np.allclose([*p.grid.origin_um, *p.grid.pixel_um], geometry)
         ]
 
     def on(self, plane: Plane, layer: str) -> list[PlanePicture]:
@@ -168,25 +169,15 @@ def group_pictures(
     store = run / MAPS
     if not (store / group).is_dir():
         return
-    full, *overviews = (
-        stored_group(store, level) for level in (group, *overviews_of(store, group))
-    )
-    shape = tuple(full.sizes.values())
+    groups = [stored_group(store, level) for level in (group, *overviews_of(store, group))]
     # Codes have no mean: no smaller copies.
-    maps = {
-        str(name): data
-        for name, data in full.data_vars.items()
-        if data.ndim == 2 and data.dtype.kind in "fb"
-    }
-    for name in sorted(maps, key=lambda name: _sort_key(maps[name])):
-        data = maps[name]
-        levels: Sequence[xr.DataArray] = Stored(
-            (data, *(overview[name] for overview in overviews if name in overview))
-        )
-        if len(levels) <= overview_count(shape):
-            levels = _on_grids(
-                ComputedLevels(data, cache_folder(store / "zarr.json", group, name)), Grid.of(data)
-            )
+    maps = [m for m in groups[0].values() if m.ndim == 2 and m.dtype.kind in "fb"]
+    for data in sorted(maps, key=_sort_key):
+        name = str(data.name)
+        levels: Sequence[xr.DataArray] = Stored(level[name] for level in groups if name in level)
+        if len(levels) <= overview_count(data.shape):
+            folder = cache_folder(store / "zarr.json", group, name)
+            levels = _on_grids(ComputedLevels(data, folder), Grid.of(data))
         yield PlanePicture(
             plane=plane,
             layer=layer,
@@ -234,17 +225,14 @@ def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -
         override=params.override_size,
         unusual=params.unusual_size,
     )
-    _, title = channel_of(
-        header._replace(values=header.values[:1, :1]), params.channel, file_name=path.name
-    )
+    first_pixel = header._replace(values=header.values[:1, :1])
+    _, title = channel_of(first_pixel, params.channel, file_name=path.name)
     rows, cols = header.values.shape[:2]
     options = params.model_dump_json(include={"channel", "gamma", "white_exposure"})
     hashes = [fingerprint(file) for file in (params.white, params.dark) if file is not None]
-    levels = ComputedLevels(
-        _ImageValues(params, (rows, cols)),
-        cache_folder(path, "image", options, *hashes),
-        keep_all=params.white is not None or not is_mapped(path),
-    )
+    folder = cache_folder(path, "image", options, *hashes)
+    keep_all = params.white is not None or not is_mapped(path)
+    levels = ComputedLevels(_ImageValues(params, (rows, cols)), folder, keep_all=keep_all)
     return PlanePicture(
         plane=plane,
         layer=layer,
@@ -317,20 +305,17 @@ class Tiles:
         rows, cols = picture.levels[level].shape
         if not (0 <= row * TILE < rows and 0 <= col * TILE < cols):
             raise InputError(f"Level {level} of {picture.name} has no tile {row}, {col}.")
-        window = (
-            slice(row * TILE, min((row + 1) * TILE, rows)),
-            slice(col * TILE, min((col + 1) * TILE, cols)),
-        )
+        tile_rows = slice(row * TILE, min((row + 1) * TILE, rows))
+        tile_cols = slice(col * TILE, min((col + 1) * TILE, cols))
+        window_codes = picture.codes.of(self.window(picture, level, tile_rows, tile_cols))
         codes = np.zeros((TILE, TILE), "<u2")
-        window_codes = picture.codes.of(self.window(picture, level, *window))
         codes[: window_codes.shape[0], : window_codes.shape[1]] = window_codes
         return codes.tobytes()
 
     def window(self, picture: PlanePicture, level: int, rows: slice, cols: slice) -> Array:
         """Values of a window of a level."""
-        pixels = np.empty(
-            (rows.stop - rows.start, cols.stop - cols.start), picture.levels[level].dtype
-        )
+        shape = (rows.stop - rows.start, cols.stop - cols.start)
+        pixels = np.empty(shape, picture.levels[level].dtype)
         for i in range(rows.start // CHUNK, -(-rows.stop // CHUNK)):
             for j in range(cols.start // CHUNK, -(-cols.stop // CHUNK)):
                 block = self.block(picture, level, i, j)
@@ -345,9 +330,8 @@ class Tiles:
         block_rows, block_cols = rows // CHUNK, cols // CHUNK
         for i, j in {*zip(block_rows.tolist(), block_cols.tolist(), strict=True)}:
             is_in = (block_rows == i) & (block_cols == j)
-            pixels[is_in] = self.block(picture, level, i, j)[
-                rows[is_in] - i * CHUNK, cols[is_in] - j * CHUNK
-            ]
+            block = self.block(picture, level, i, j)
+            pixels[is_in] = block[rows[is_in] % CHUNK, cols[is_in] % CHUNK]
         return pixels
 
     def block(self, picture: PlanePicture, level: int, i: int, j: int) -> Array:
@@ -374,9 +358,10 @@ class Tiles:
         with self._lock:
             self.read_bytes += block.nbytes
             self._held_bytes += block.nbytes
-            while (
-                self._held_bytes > self._most_bytes and (oldest := next(iter(self._blocks))) != key
-            ):
+            while self._held_bytes > self._most_bytes:
+                oldest = next(iter(self._blocks))
+                if oldest == key:
+                    break
                 if self._blocks[oldest].done():
                     self._held_bytes -= self._blocks.pop(oldest).result().nbytes
                 else:
@@ -385,8 +370,8 @@ class Tiles:
 
 
 def _overlap(window: slice, k: int, length: int) -> Window:
-    start = max(window.start, k * CHUNK)
-    stop = min(window.stop, k * CHUNK + length)
-    return slice(start - window.start, stop - window.start), slice(
-        start - k * CHUNK, stop - k * CHUNK
-    )
+    """Part of a window that the k-th block covers, from the window's start and the block's."""
+    first = k * CHUNK
+    start = max(window.start, first)
+    stop = min(window.stop, first + length)
+    return slice(start - window.start, stop - window.start), slice(start - first, stop - first)

@@ -23,6 +23,7 @@ from planish.core.axial import distribution, is_axial, summable
 from planish.core.bands import read_bands
 from planish.core.errors import InputError
 from planish.core.facts import is_known
+from planish.core.grid import Grid, centres_of, hole_mask
 from planish.core.labelled import computed
 from planish.core.lazy import Where
 from planish.core.typing import Bools, Entries, Floats, Ints, Pair, Window
@@ -78,14 +79,13 @@ def nearest(
     if len(maps) < len(place_um):
         return None
     level, positions_um = _overview(tiles, *maps)
-    distance = sum(
-        (um - wanted) ** 2 for um, wanted in zip(positions_um, place_um.values(), strict=True)
-    )
-    if not np.isfinite(distance).any():
+    wanted_um = np.array([*place_um.values()])[:, None, None]
+    square_distance = np.sum((np.stack(positions_um) - wanted_um) ** 2, axis=0)
+    if not np.isfinite(square_distance).any():
         return None
-    row, col = np.unravel_index(np.nanargmin(distance), np.shape(distance))
-    y_um, x_um = (picture.levels[level][dim].values for dim in picture.full.dims)
-    return float(x_um[col]), float(y_um[row])
+    row, col = np.unravel_index(np.nanargmin(square_distance), square_distance.shape)
+    grid = Grid.of(picture.levels[level])
+    return float(grid.x_um[col]), float(grid.y_um[row])
 
 
 def profile(
@@ -161,10 +161,9 @@ class Rectangle:
 
     def on(self, picture: PlanePicture, level: int = 0) -> Window:
         """Rows and columns of a level of a picture; InputError where it holds none of them."""
-        pixels = picture.levels[level]
-        (y, x), (dy, dx) = (pixels[dim].values for dim in pixels.dims), picture.grid.pixel_um
-        rows = _pixels_between(y, self.y0, self.y1, dy)
-        cols = _pixels_between(x, self.x0, self.x1, dx)
+        grid, (dy, dx) = Grid.of(picture.levels[level]), picture.grid.pixel_um
+        rows = _pixels_between(grid.y_um, self.y0, self.y1, dy)
+        cols = _pixels_between(grid.x_um, self.x0, self.x1, dx)
         if rows.start >= rows.stop or cols.start >= cols.stop:
             raise InputError(
                 "No pixel lies in this region. Give x0, y0, x1, y1 in um, within the map."
@@ -186,25 +185,20 @@ def density(
     from ``b_low`` up.
     """
     level, (x, y) = _overview(tiles, a, b)
-    limits = [_limits(values[np.isfinite(x) & np.isfinite(y)]) for values in (x, y)]
+    is_valid = np.isfinite(x) & np.isfinite(y)
+    (a_low, a_high), (b_low, b_high) = (_limits(values[is_valid]) for values in (x, y))
     if region is not None:
         window = region.on(a, level)
-        x, y = x[window], y[window]
-    is_valid = np.isfinite(x) & np.isfinite(y)
-    bins = np.stack(
-        [
-            np.floor((values[is_valid] - low) * (_BINS / (high - low))).astype(np.int64)
-            for values, (low, high) in zip((x, y), limits, strict=True)
-        ]
-    )
-    is_within = ((bins >= 0) & (bins < _BINS)).all(axis=0)
-    counts = np.bincount((bins[1] * _BINS + bins[0])[is_within], minlength=_BINS**2).astype("<u4")
-    n = int(np.count_nonzero(is_valid))
-    (a_low, a_high), (b_low, b_high) = limits
+        x, y, is_valid = x[window], y[window], is_valid[window]
+    cols = np.floor((x[is_valid] - a_low) * (_BINS / (a_high - a_low))).astype(np.int64)
+    rows = np.floor((y[is_valid] - b_low) * (_BINS / (b_high - b_low))).astype(np.int64)
+    is_within = (np.minimum(rows, cols) >= 0) & (np.maximum(rows, cols) < _BINS)
+    cells = (rows * _BINS + cols)[is_within]
+    counts = np.bincount(cells, minlength=_BINS**2).astype("<u4")
     return {
         "pixel_um": _pixel_um(a, level),
-        "n": n,
-        "beyond": n - int(np.count_nonzero(is_within)),
+        "n": rows.size,
+        "beyond": rows.size - cells.size,
         "bins": _BINS,
         "a_low": a_low,
         "a_high": a_high,
@@ -223,10 +217,8 @@ def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None =
     """
     level, (values,) = _overview(tiles, picture)
     if holes is not None and not tiles.pictures.valid_of(picture):
-        y_um, x_um = (picture.levels[level][dim].values for dim in picture.full.dims)
-        columns = (holes[name].values for name in ("x", "y", "diameter"))
-        for x, y, diameter in zip(*columns, strict=True):
-            values[np.hypot(y_um[:, None] - y, x_um - x) < _RIM * diameter] = np.nan
+        grid = Grid.of(picture.levels[level])
+        values[hole_mask(grid, centres_of(holes), _RIM * holes["diameter"].values)] = np.nan
     finite = values[np.isfinite(values)].astype(np.float64)
     low, high = _limits(finite)
     percentiles = np.percentile(finite, [2, 98]).tolist() if finite.size else [0.0, 1.0]
@@ -336,10 +328,8 @@ def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]
     rows, cols = (slice(0, n) for n in levels[level].shape)
     masks = [tiles.window(p, level, rows, cols) for p in tiles.pictures.valid_of(*pictures)]
     is_valid = np.logical_and.reduce(masks) if masks else True
-    return level, [
-        np.where(is_valid, tiles.window(p, level, rows, cols).astype(np.float64), np.nan)
-        for p in pictures
-    ]
+    windows = [tiles.window(p, level, rows, cols).astype(np.float64) for p in pictures]
+    return level, [np.where(is_valid, window, np.nan) for window in windows]
 
 
 def _limits(values: Floats) -> Pair:

@@ -22,7 +22,7 @@ from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
 from planish.core.labelled import read_box
 from planish.core.memory import LOOK_BYTES
-from planish.core.typing import Array, Floats, Texts, Window
+from planish.core.typing import Array, Floats, Pair, Texts, Window
 from planish.io import find_place, read_volume
 from planish.io.map_store import stored_group
 from planish.io.params import VolumeParams
@@ -110,8 +110,7 @@ class SlicedSheet:
         codes = None
         if volume.dtype not in _EXACT:
             plane = volume[volume.shape[0] // 2].values
-            finite = plane[np.isfinite(plane)].astype(np.float64)
-            low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+            low, high = _ends(plane.astype(np.float64)) or (0.0, 1.0)
             codes = Codes.between(low - (high - low), high + (high - low))
         return cls(name=name, volume=volume, surfaces=stored_group(store, "surfaces"), codes=codes)
 
@@ -275,10 +274,10 @@ class SlicedSheet:
         for name in [*lines]:
             if name.startswith(("preview", "found")):
                 del lines[name]
-        finite = values[np.isfinite(values)]
+        ends = _ends(values)
         codes = self.codes or Codes(-1.0, 1.0)
-        if self.codes is None and finite.size:
-            codes = Codes.between(float(finite.min()), float(finite.max()))
+        if self.codes is None and ends is not None:
+            codes = Codes.between(*ends)
         columns = edge_of(frame.cols, columns_um[window])
         return self._slice(
             "straight",
@@ -359,11 +358,8 @@ class SlicedSheet:
         centre = self.frame.sign * neighbourhood["centre"].values.astype(np.float64)
         all_normals = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
         normals = np.take(all_normals, offset, axis=axis)
-        lines |= {
-            "place": lines["centre"],
-            "normal_rows": normals[:, 0],
-            "normal_cols": normals[:, 1],
-        }
+        lines["place"] = lines["centre"]
+        lines["normal_rows"], lines["normal_cols"] = normals[:, 0], normals[:, 1]
         lines["normal_through"] = self.frame.sign * normals[:, 2]
         names = [str(name) for name in profile.data_vars if str(name).startswith(_READ_PREFIXES)]
         for name in ("thickness_se", "status", *names):
@@ -416,6 +412,12 @@ def sheets_of(folder: Path, study: Study) -> dict[str, tuple[VolumeParams, Path]
     return sheets
 
 
+def _ends(values: Floats) -> Pair | None:
+    """The smallest and the largest known value; None where none is known."""
+    finite = values[np.isfinite(values)]
+    return (float(finite.min()), float(finite.max())) if finite.size else None
+
+
 def contour(height: Floats, x: Floats, y: Floats) -> Floats:
     """Segments along which a field (y, x) crosses 0, linear between its nodes.
 
@@ -424,10 +426,10 @@ def contour(height: Floats, x: Floats, y: Floats) -> Floats:
     if min(height.shape) < 2:
         return np.empty((0, 4))
     masked = np.ma.masked_invalid(height)
-    lines: Any = contour_generator(
-        x, y, masked, line_type=LineType.Separate, corner_mask=False
-    ).lines(0.0)
-    return np.concatenate([np.empty((0, 4)), *(np.hstack([line[:-1], line[1:]]) for line in lines)])
+    generator = contour_generator(x, y, masked, line_type=LineType.Separate, corner_mask=False)
+    lines: Any = generator.lines(0.0)
+    segments = [np.hstack([line[:-1], line[1:]]) for line in lines]
+    return np.concatenate([np.empty((0, 4)), *segments])
 
 
 def _relative(inner: slice, outer: slice) -> slice:
@@ -438,9 +440,9 @@ def _window(coordinates: Floats, near_um: float | None) -> slice:
     """At most ``WIDEST`` places, around one of them."""
     if coordinates.size <= WIDEST:
         return slice(0, coordinates.size)
-    middle = (
-        coordinates.size // 2 if near_um is None else int(np.abs(coordinates - near_um).argmin())
-    )
+    middle = coordinates.size // 2
+    if near_um is not None:
+        middle = int(np.abs(coordinates - near_um).argmin())
     first = int(np.clip(middle - WIDEST // 2, 0, coordinates.size - WIDEST))
     return slice(first, first + WIDEST)
 

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from planish.app.picture import layer_run
-from planish.core.bands import bands
+from planish.core.bands import read_bands
 from planish.core.frame import Frame
 from planish.core.labelled import computed
 from planish.core.lazy import Where
@@ -20,7 +20,7 @@ from planish.core.typing import Array, Ints, Pair
 from planish.io.map_groups import read_group
 from planish.io.map_store import stored_group
 from planish.run.run import MAPS
-from planish.run.study import RUN_TOML, read_study
+from planish.run.study import Study
 
 
 class StrainDisplay(NamedTuple):
@@ -49,13 +49,12 @@ MOST_POINTS = 40_000
 """Points of the lines of a mesh that a page is given."""
 
 
-def sheet_run(run: Path, layer: str) -> Path | None:
+def sheet_run(run: Path, study: Study, layer: str) -> Path | None:
     """Folder of the run that a layer was flattened in: this one, or one within it.
 
     None where it is no sheet.
     """
-    layers = read_study(run / RUN_TOML).layers
-    sheets = [params.name for params in layers if params.kind != "image"]
+    sheets = [params.name for params in study.layers if params.kind != "image"]
     folder = layer_run(run, layer)
     return folder if layer in sheets and (folder / MAPS / "strain").is_dir() else None
 
@@ -125,16 +124,14 @@ def mesh_lines(run: Path) -> tuple[list[list[Pair]], int]:
         indices = np.rint((nodes_um - columns_um[0]) / column_pitch_um)
         nodes.append(np.clip(indices, 0, columns_um.size - 1).astype(np.intp))
     uv = np.empty((nodes[0].size, nodes[1].size, 2))
-    for band in bands(flat.sizes["y"]):
+    for band, uv_band in read_bands(flat["u"], flat["v"]):
         is_in_band = (nodes[0] >= band.start) & (nodes[0] < band.stop)
-        for j, name in enumerate(("u", "v")):
-            uv[is_in_band, :, j] = flat[name][band].values[
-                np.ix_(nodes[0][is_in_band] - band.start, nodes[1])
-            ]
+        in_band = np.ix_(nodes[0][is_in_band] - band.start, nodes[1])
+        uv[is_in_band] = np.stack(uv_band, axis=-1)[in_band]
     lines: list[list[Pair]] = []
     for line in (*uv, *uv.transpose(1, 0, 2)):
         is_sheet = np.isfinite(line).all(axis=1)
-        run_ends = np.flatnonzero(np.diff(np.concatenate([[0], is_sheet.astype(np.int8), [0]])))
+        run_ends = np.flatnonzero(np.diff(is_sheet, prepend=False, append=False))
         for first, last in run_ends.reshape(-1, 2).tolist():
             if last - first > 1:
                 segment = line[first:last].tolist()

@@ -190,13 +190,12 @@ def get_sheets(request: Request) -> Response:
             sheets.append({"layer": name, "error": error.text})
             continue
         frame, attrs = sheet.frame, sheet.surfaces.attrs
-        voxels_um = {axis: sheet.voxels_um(axis) for axis in "zyx"} | {
-            "straight": sheet.surfaces["y"].values
-        }
-        axes = {
-            name: edge_of("height", um).model_dump(exclude={"name"})
-            for name, um in voxels_um.items()
-        }
+        places_um = {axis: sheet.voxels_um(axis) for axis in "zyx"}
+        places_um["straight"] = sheet.surfaces["y"].values
+        axes: Entries = {}
+        for direction, um in places_um.items():
+            axes[direction] = edge_of("height", um).model_dump(exclude={"name"})
+        is_by_profile = "from_labels" not in attrs and attrs.get("method", "profile") == "profile"
         sheets.append(
             {
                 "layer": name,
@@ -207,9 +206,7 @@ def get_sheets(request: Request) -> Response:
                 "axes": axes,
                 "thickness_um": float(attrs["thickness_um"]),
                 "reach_um": REACH_UM,
-                "correctable": (
-                    "from_labels" not in attrs and attrs.get("method", "profile") == "profile"
-                ),
+                "correctable": is_by_profile,
             }
         )
     status_texts = {int(status): status.sentence for status in Status}
@@ -224,15 +221,9 @@ def get_slice(request: Request) -> Response:
         raise InputError("Slices run across z, y or x, or are straight.")
     across_um, down_um = (next(iter(_numbers(request, key, 1)), None) for key in ("across", "down"))
     corrections = _shown_corrections(request, sheet.name)
-    message = slice_message(
-        sheet.cut(
-            direction,
-            request.path_params["index"],
-            near_um=(across_um, down_um),
-            corrections=corrections,
-        )
-    )
-    return Response(message, media_type="application/octet-stream")
+    index = request.path_params["index"]
+    cut = sheet.cut(direction, index, near_um=(across_um, down_um), corrections=corrections)
+    return Response(slice_message(cut), media_type="application/octet-stream")
 
 
 def _open_sheet(request: Request, layer: str) -> SlicedSheet:
@@ -298,7 +289,7 @@ def flattening(request: Request) -> Response:
     """
     session = served_of(request).session
     layer = request.query_params.get("layer", "")
-    if sheet_run(session.folder, layer) is None:
+    if sheet_run(session.folder, session.study, layer) is None:
         return Answer(None)
     ids = {p.variable: p.id for p in session.pictures.on("moving", layer)}
     colours = ids.keys() - {*SPACE, *STRAINS, "valid"}
@@ -316,7 +307,8 @@ def flattening(request: Request) -> Response:
 
 def mesh(request: Request) -> Response:
     """Lines of the mesh, each a list of (u, v) in um, and that they are every n-th."""
-    run = sheet_run(served_of(request).session.folder, request.query_params.get("layer", ""))
+    session = served_of(request).session
+    run = sheet_run(session.folder, session.study, request.query_params.get("layer", ""))
     lines, line_step = ([], 1) if run is None else mesh_lines(run)
     return Answer({"lines": lines, "every": line_step})
 

@@ -77,14 +77,12 @@ def packed(values: Array, *, bits: int = 8) -> Packed:
     spacing = _spacing(finite, last_code - 3)
     step = spacing or (high - low) / (last_code - 3)
     low = float(finite.min()) if spacing else low
-    step_counts = np.rint((np.where(np.isfinite(numbers), numbers, low) - low) / step)
-    clipped = np.clip(step_counts, -1, last_code - 2) + 2
+    clipped = np.clip(np.rint((numbers - low) / step), -1, last_code - 2) + 2
     codes = np.where(np.isfinite(numbers), clipped, 0).astype(np.uint8 if bits == 8 else np.uint16)
-    order, deflated = min(
-        ((k, _deflated(codes, k)) for k in (1, 2)), key=lambda candidate: len(candidate[1])
-    )
+    deflated_by = {order: _deflated(codes, order) for order in (1, 2)}
+    order = min(deflated_by, key=lambda order: len(deflated_by[order]))
     return Packed(
-        text=base64.b64encode(deflated).decode("ascii"),
+        text=base64.b64encode(deflated_by[order]).decode("ascii"),
         shape=(codes.shape[0], codes.shape[1]),
         bits=bits,
         order=order,
@@ -254,11 +252,8 @@ def _packed_maps(run: Run, map_names: list[tuple[str, list[str]]], halvings: int
     groups: list[Group] = []
     grid = headline = None
     for group_index, (group, names) in enumerate(map_names):
-        volume_names = [f"volume_{axis}" for axis in "xyz"]
-        has_places = all(name in run.groups[group] for name in volume_names)
-        extra_names = volume_names if has_places else []
-        if "valid" in run.groups[group]:
-            extra_names = [*extra_names, "valid"]
+        extra_names = [f"volume_{axis}" for axis in "xyz"] + ["valid"]
+        extra_names = [name for name in extra_names if name in run.groups[group]]
         dataset = _halved_maps(run, group, names + extra_names, halvings)
         grid = grid or Grid.of(dataset)
         is_valid = np.True_
@@ -268,10 +263,10 @@ def _packed_maps(run: Run, map_names: list[tuple[str, list[str]]], halvings: int
             valid = packed(np.where(is_valid, 1.0, np.nan))
         coordinates: dict[str, Packed] = {}
         sheet = ""
-        if has_places:
+        if "volume_x" in dataset:
             sheet = _layer_of_map(results, group, "").name
-            for axis, name in zip("xyz", volume_names, strict=True):
-                coordinates[axis] = packed(dataset[name].values, bits=16)
+            for axis in "xyz":
+                coordinates[axis] = packed(dataset[f"volume_{axis}"].values, bits=16)
         groups.append(Group(valid=valid, coordinates=coordinates, sheet=sheet))
         for name in names:
             layer = _layer_of_map(results, group, name)
@@ -283,9 +278,7 @@ def _packed_maps(run: Run, map_names: list[tuple[str, list[str]]], halvings: int
             maps.append(_packed_map(layer_map, valid_values, layer, results, group_index))
     assert grid is not None
     assert headline is not None
-    maps.sort(
-        key=lambda m: m.name != _layer_of_map(results, map_names[m.group_index][0], m.name).headline
-    )
+    maps.sort(key=lambda m: m.name != results.layer(m.layer).headline)
     return MapsOfPage(
         maps=tuple(maps), groups=tuple(groups), grid=grid, halvings=halvings, headline=headline
     )
@@ -304,9 +297,9 @@ def _packed_map(
     if (scale.high - scale.low) / packed_map.step < 100:
         packed_map = packed(data.values, bits=16)
     # Per cent of the values that the scatter spans.
-    low, high = (
-        map(float, np.percentile(valid_values, (0.05, 99.95))) if valid_values.size else (0.0, 1.0)
-    )
+    low, high = 0.0, 1.0
+    if valid_values.size:
+        low, high = map(float, np.percentile(valid_values, (0.05, 99.95)))
     return PageMap(
         layer=layer.name,
         name=name,
@@ -326,9 +319,10 @@ def _halved_maps(run: Run, group: str, names: list[str], halvings: int) -> xr.Da
     assert run.folder is not None
     store = run.folder / MAPS
     overviews = overviews_of(store, group)[:halvings]
-    maps = (
-        read_group(store, overviews[-1], names) if overviews else run.groups[group][names].compute()
-    )
+    if overviews:
+        maps = read_group(store, overviews[-1], names)
+    else:
+        maps = run.groups[group][names].compute()
     for _ in range(halvings - len(overviews)):
         maps = halved(maps)
     return maps

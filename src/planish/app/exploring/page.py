@@ -42,24 +42,18 @@ def render(
     """Return the page as text; the same run gives the same bytes."""
     style = template(_PACKAGE, "explore.css").render() + _text("static/views.css")
     # Views of the app, whose modules become one scope.
-    views = re.sub(
-        r"^import .*\n|^export ",
-        "",
-        "".join(_text(f"static/{name}") for name in _OF_THE_APP),
-        flags=re.M,
-    )
+    modules = "".join(_text(f"static/{name}") for name in _OF_THE_APP)
+    views = re.sub(r"^import .*\n|^export ", "", modules, flags=re.M)
     views = f"const {{ {_NAMES} }} = (() => {{\n{views}return {{ {_NAMES} }};\n}})();\n"
     scripts = "".join(_text(f"exploring/script/{name}") for name in _SCRIPTS)
     # In a scope of their own.
     script = "(() => {\n" + '"use strict";\n' + views + scripts + "})();\n"
     # What functions take and give is for readers of the sources.
     script = re.sub(r"^ */\*\*.*?\*/\n", "", script, flags=re.MULTILINE | re.DOTALL)
-    hashes = [
-        base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-        for text in (style, script)
-    ]
+    digests = [hashlib.sha256(text.encode()).digest() for text in (style, script)]
+    style_hash, script_hash = (base64.b64encode(digest).decode() for digest in digests)
     policy = (
-        f"default-src 'none'; style-src 'sha256-{hashes[0]}'; script-src 'sha256-{hashes[1]}';"
+        f"default-src 'none'; style-src 'sha256-{style_hash}'; script-src 'sha256-{script_hash}';"
         " img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
     page_data, blocks = _data(results, maps, stacks)
@@ -147,14 +141,14 @@ def _doubted_pairs(results: Results, maps: MapsOfPage) -> list[list[Any]]:
     for i, a in enumerate(maps.maps):
         for j, b in enumerate(maps.maps[:i]):
             layers = (a.layer, b.layer)
-            figures = a.name, b.name, CORRELATION, *([] if a.layer == b.layer else [POSITION])
+            figures = [a.name, b.name, CORRELATION]
+            if a.layer != b.layer:
+                figures.append(POSITION)
             trust = trust_of(results.checks, layers, figures)
             if trust != "ok":
                 state = "fail" if trust == "withheld" else "look"
-                names = [
-                    c.name for c in concerned(results.checks, layers, figures) if c.state == state
-                ]
-                pairs.append([j, i, trust, names])
+                checks = concerned(results.checks, layers, figures)
+                pairs.append([j, i, trust, [c.name for c in checks if c.state == state]])
     return pairs
 
 
@@ -235,11 +229,9 @@ def _notes(maps: MapsOfPage, stacks: list[Stack]) -> Texts:
     rows, cols = maps.grid.shape
     grid_text = f"{cols} x {rows} pixels of {pixel_text}"
     n = 2**maps.halvings
-    origin_text = (
-        f": means of {n} x {n} pixels of the run, to keep the page small"
-        if n > 1
-        else ", as in the run"
-    )
+    origin_text = ", as in the run"
+    if n > 1:
+        origin_text = f": means of {n} x {n} pixels of the run, to keep the page small"
     notes = [f"Maps: {grid_text}{origin_text}."]
     for stack in stacks:
         name = f"{stack.spec['sheet']}: " if len(stacks) > 1 else ""

@@ -70,19 +70,15 @@ def stack_of(
     surfaces = mapped.groups["surfaces"]
     greys = run_slices["grey"].values.ravel()
     scale = limits(greys[:: max(1, greys.size // 600_000)], GREYS, percent=0.3)
-    file_name = layer.source.name
     try:
-        slices, slice_surfaces, row_step = _from_volume(
-            mapped, sheet, surfaces, scale, compute, progress
-        )
-        rows_text = f"{f'one in {row_step} rows' if row_step > 1 else 'every row'} of {file_name}"
+        slices, slice_surfaces, row_step = _from_volume(mapped, sheet, scale, compute, progress)
+        rows_text = f"one in {row_step} rows" if row_step > 1 else "every row"
+        rows_text = f"{rows_text} of {layer.source.name}"
     except _VolumeUnavailable as unavailable:
         stored_rows = run_slices["row"].values
         slice_surfaces = surfaces[_read_names(surfaces)].isel(y=stored_rows).load()
-        slices = run_slices.assign(
-            grey=run_slices["grey"].copy(data=_greys(run_slices["grey"].values, scale)),
-            row=("slice", np.arange(stored_rows.size)),
-        )
+        grey = run_slices["grey"].copy(data=_greys(run_slices["grey"].values, scale))
+        slices = run_slices.assign(grey=grey, row=("slice", np.arange(stored_rows.size)))
         rows_text = f"the {stored_rows.size} that the run keeps, as {unavailable}"
     cuts = (take_slice(slices, slice_surfaces, k) for k in range(slices.sizes["slice"]))
     sheet_slices = [cut for cut in cuts if np.isfinite([*cut.lines.values()]).any()]
@@ -101,12 +97,7 @@ class _VolumeUnavailable(Exception):
 
 
 def _from_volume(
-    run: Run,
-    layer: LayerFacts,
-    surfaces: xr.Dataset,
-    scale: Scale,
-    compute: Compute,
-    progress: Progress,
+    run: Run, layer: LayerFacts, scale: Scale, compute: Compute, progress: Progress
 ) -> tuple[xr.Dataset, xr.Dataset, int]:
     """Slices as the run keeps them, with the surfaces in their rows.
 
@@ -124,6 +115,7 @@ def _from_volume(
         raise _VolumeUnavailable(
             f"{layer.source.name} was not there unchanged when this page was made"
         ) from error
+    surfaces = run.groups["surfaces"]
     frame = Frame.of(surfaces)
     depth_um = volume.coords[frame.through].values
     column_voxels = round(_pitch(surfaces["y"].values) / _pitch(volume.coords[frame.rows].values))
@@ -136,20 +128,21 @@ def _from_volume(
     voxel_rows = row_indices * column_voxels + column_voxels // 2
     col_step = math.ceil(volume.sizes[frame.cols] / _MAX_COLS)
     grey = _read_greys(volume, frame, voxel_rows, planes, col_step, scale, progress)
-    x_um = (
-        volume.coords[frame.cols]
-        .values[: grey.shape[2] * col_step]
-        .reshape(-1, col_step)
-        .mean(axis=1)
-    )
-    slice_um = volume.coords[frame.rows].values[voxel_rows]
-    coords = {"slice": slice_um, "height": depth_um[planes], "x": x_um}
-    slices = xr.Dataset({"grey": (("slice", "height", "x"), grey)}, coords=coords)
-    return (
-        slices.assign(row=("slice", np.arange(row_indices.size))),
-        slice_surfaces,
-        step * column_voxels,
-    )
+    coords = {
+        "slice": volume.coords[frame.rows].values[voxel_rows],
+        "height": depth_um[planes],
+        "x": _means(volume.coords[frame.cols].values, col_step),
+    }
+    rows = ("slice", np.arange(row_indices.size))
+    slices = xr.Dataset({"grey": (tuple(coords), grey), "row": rows}, coords)
+    return slices, slice_surfaces, step * column_voxels
+
+
+def _means(values: Array, col_step: int) -> Array:
+    """Means of every ``col_step`` columns, along the last axis; fewer at its end are left out."""
+    n_cols = values.shape[-1] // col_step
+    whole = values[..., : n_cols * col_step]
+    return whole.reshape(*whole.shape[:-1], n_cols, col_step).mean(axis=-1)
 
 
 def _read_names(surfaces: xr.Dataset) -> list[str]:
@@ -161,16 +154,13 @@ def _pitch(coordinates: Array) -> float:
 
 
 def _planes(surfaces: xr.Dataset, depth_um: Array) -> slice:
-    heights_um = np.concatenate(
-        [surfaces[name].values.ravel() for name in surfaces.data_vars if name != "thickness"]
-    )
+    heights_um = surfaces.drop_vars("thickness").to_array().values
     heights_um = heights_um[np.isfinite(heights_um)]
     if not heights_um.size:
         return slice(0, depth_um.size)
     margin_um = _margin_um(np.abs(surfaces["thickness"].values))
-    planes = np.flatnonzero(
-        (depth_um >= heights_um.min() - margin_um) & (depth_um <= heights_um.max() + margin_um)
-    )
+    is_above = depth_um >= heights_um.min() - margin_um
+    planes = np.flatnonzero(is_above & (depth_um <= heights_um.max() + margin_um))
     return slice(int(planes[0]), int(planes[-1]) + 1)
 
 
@@ -192,8 +182,8 @@ def _read_greys(
 
     Every ``col_step`` columns give their mean.
     """
-    n_cols = volume.sizes[frame.cols] // col_step
-    greys = np.zeros((rows.size, planes.stop - planes.start, n_cols), np.uint8)
+    shape = (rows.size, planes.stop - planes.start, volume.sizes[frame.cols] // col_step)
+    greys = np.zeros(shape, np.uint8)
     row_step = int(rows[1] - rows[0]) if rows.size > 1 else 1
     for block in _blocks(volume, frame, rows, planes):
         is_in_block = np.ones(rows.size, bool)
@@ -212,14 +202,9 @@ def _read_greys(
         }
         voxels = read_box(volume, box)
         if col_step > 1:
-            voxels = (
-                voxels[:, :, : n_cols * col_step]
-                .reshape(*voxels.shape[:2], n_cols, col_step)
-                .mean(axis=3)
-            )
-        greys[is_in_block, block_planes.start - planes.start : block_planes.stop - planes.start] = (
-            _greys(voxels, scale)
-        )
+            voxels = _means(voxels, col_step)
+        depth = slice(block_planes.start - planes.start, block_planes.stop - planes.start)
+        greys[is_in_block, depth] = _greys(voxels, scale)
     return greys
 
 
@@ -233,9 +218,9 @@ def _blocks(volume: xr.DataArray, frame: Frame, rows: Ints, planes: slice) -> It
     }
     plane_voxels = math.prod(size for axis, size in sizes.items() if axis != "z")
     block_planes = max(SLICES_VOXELS // max(plane_voxels, 1) // chunk_planes, 1) * chunk_planes
-    first, last = (
-        (int(rows[0]), int(rows[-1]) + 1) if frame.rows == "z" else (planes.start, planes.stop)
-    )
+    first, last = planes.start, planes.stop
+    if frame.rows == "z":
+        first, last = int(rows[0]), int(rows[-1]) + 1
     for start in range(first // chunk_planes * chunk_planes, last, block_planes):
         yield slice(max(start, first), min(start + block_planes, last))
 
