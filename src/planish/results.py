@@ -370,12 +370,9 @@ class Results(ResultModel):
     @property
     def state(self) -> State:
         """The worst state of all checks: fail, look, unknown, or pass."""
-        states = {check.state for check in self.checks}
-        order: tuple[State, ...] = ("fail", "look", "unknown")
-        for state in order:
-            if state in states:
-                return state
-        return "pass"
+        order: tuple[State, ...] = ("fail", "look", "unknown", "pass")
+        states = {check.state for check in self.checks} | {"pass"}
+        return next(state for state in order if state in states)
 
     def checks_in(self, *states: State) -> list[Check]:
         """The checks in these states."""
@@ -399,10 +396,6 @@ class Results(ResultModel):
     def layer(self, name: str) -> LayerFacts:
         """The layer of a name."""
         return next(layer for layer in self.layers if layer.name == name)
-
-    def to_json(self) -> str:
-        """The text of ``results.json``."""
-        return self.model_dump_json(indent=2) + "\n"
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -466,26 +459,20 @@ def _from_format_2(stored_json: Any) -> Any:
         if name not in (*_LEFT_OUT_OF_2, "gates")
     }
     if "gates" in stored_json:
-        converted["checks"] = [
-            {
-                "name": gate["name"],
-                "state": "pass" if gate["passed"] else "fail",
-                "sentence": gate["sentence"],
-                "value": gate["value"],
-                "limit": gate["limit"],
-            }
-            for gate in stored_json["gates"]
-        ]
-        converted["checks"].append(
-            {
-                "name": "version",
-                "state": "unknown",
-                "figures": ("correlation", "position"),
-                "sentence": (
-                    f"Made by planish {stored_json['planish']}, which made fewer checks and stated"
-                    " no intervals."
-                ),
-                "advice": "Repeat it with this version: planish run with the run.toml of this run.",
-            }
+        checks: list[Any] = []
+        for gate in stored_json["gates"]:
+            kept = {name: gate[name] for name in ("name", "sentence", "value", "limit")}
+            checks.append(kept | {"state": "pass" if gate["passed"] else "fail"})
+        sentence = (
+            f"Made by planish {stored_json['planish']}, which made fewer checks and stated no"
+            " intervals."
         )
+        older_version = {
+            "name": "version",
+            "state": "unknown",
+            "figures": ("correlation", "position"),
+            "sentence": sentence,
+            "advice": "Repeat it with this version: planish run with the run.toml of this run.",
+        }
+        converted["checks"] = [*checks, older_version]
     return converted

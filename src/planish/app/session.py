@@ -3,7 +3,6 @@
 Every change is saved before it counts.
 """
 
-import math
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -310,15 +309,15 @@ class Session:
             layer: pairs_of(registration.marks)
             for layer, registration in self.registrations.items()
         }
-        self._states = [
-            State(
-                marks=marks or {self.layers[0]: ()},
-                model=self.study.registration.model,
-                regions=regions,
-                corrections=corrections_of(self.study),
-                first_layer=self.layers[0],
-            )
-        ]
+        first_layer = self.layers[0]
+        original = State(
+            marks=marks or {first_layer: ()},
+            model=self.study.registration.model,
+            regions=regions,
+            corrections=corrections_of(self.study),
+            first_layer=first_layer,
+        )
+        self._states = [original]
         for k, line in enumerate(self.journal.lines, 1):
             try:
                 self._step(line, save=False)
@@ -392,14 +391,13 @@ def _image_params(run: Path, image: ImageParams | None, results: Results) -> Ima
 def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     """Give the ends of a file's marks in a plane, with all that is known of them."""
     places = model.places_of(marks, plane)
+    x_um, y_um = places.um.T
+    columns = {"x": x_um, "y": y_um, **places.extras}
     ends = list[End | None]()
-    for k, (position_um, source) in enumerate(zip(places.um.tolist(), places.source, strict=True)):
-        x_um, y_um = position_um
-        extras = {name: float(column[k]) for name, column in places.extras.items()}
-        extras = {name: number for name, number in extras.items() if math.isfinite(number)}
-        is_placed = np.isfinite(position_um).all()
-        end = {"x": x_um, "y": y_um, "source": source, **extras}
-        ends.append(End.model_validate(end) if is_placed else None)
+    for k, source in enumerate(places.source):
+        known = {name: float(um[k]) for name, um in columns.items() if np.isfinite(um[k])}
+        is_placed = {"x", "y"} <= known.keys()
+        ends.append(End.model_validate(known | {"source": source}) if is_placed else None)
     return ends
 
 
@@ -411,17 +409,14 @@ def pairs_of(
     label: Callable[[Any], str] = str,
 ) -> tuple[Mark, ...]:
     """Give the marks of a file that lie in both planes."""
-    columns = (
-        marks["label"].values,
-        marks["used"].values,
-        ends_of(marks, moving),
-        ends_of(marks, fixed),
-    )
-    return tuple(
-        Mark(id=f"m0-{k}", label=label(text), used=bool(used), moving=moving_end, fixed=fixed_end)
-        for k, (text, used, moving_end, fixed_end) in enumerate(zip(*columns, strict=True), 1)
-        if moving_end is not None and fixed_end is not None
-    )
+    ends = zip(ends_of(marks, moving), ends_of(marks, fixed), strict=True)
+    pairs: list[Mark] = []
+    for k, (moving_end, fixed_end) in enumerate(ends):
+        if moving_end is not None and fixed_end is not None:
+            text, used = label(marks["label"].values[k]), bool(marks["used"].values[k])
+            pair = Mark(id=f"m0-{k + 1}", label=text, used=used, moving=moving_end, fixed=fixed_end)
+            pairs.append(pair)
+    return tuple(pairs)
 
 
 def dataset_of(marks: Sequence[Mark], **options: Any) -> xr.Dataset:

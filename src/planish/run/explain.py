@@ -1,7 +1,5 @@
 """Explain a map of a run, or of a Dataset, by others: which maps these are, and their errors."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -21,7 +21,7 @@ from planish.marks.exchange import (
     read_any,
 )
 from planish.marks.exchange.model import paired, points_of, tiles_of, with_holes
-from planish.register import FittedTransform, RegistrationParams, fit_pairs, need_holes
+from planish.register import FittedTransform, RegistrationParams, fit_pairs
 from planish.run.holes import HoleSearch
 from planish.run.layers import MappedLayer
 from planish.run.registration import Registration, register_holes, with_residuals
@@ -73,31 +73,11 @@ def fit_marks(
     )
 
 
-def check_marks(
-    layer: MappedLayer | str,
-    fixed: MappedLayer | str,
-    holes: HoleSearch,
-    path: str | None,
-    *,
-    needed: bool = True,
-) -> None:
-    """Refuse what cannot be registered, before a volume is mapped.
-
-    That is an image with too few holes, or marks of no use.
-
-    ``layer`` and ``to`` are names where they are volumes that were not read yet; ``path`` is the
-    file of their marks. Holes are not needed where the texture can take their place.
-    """
-    if path is not None:
-        read_given(path, layer, fixed)
-        return
-    for image in (layer, fixed):
-        if needed and not isinstance(image, str) and image.kind == "image":
-            need_holes(holes.of(image, image), holes.params.hole_um)
-
-
 def read_given(path: str, moving: MappedLayer | str, fixed: MappedLayer | str) -> xr.Dataset:
-    """Read marks from a file of any known format: three pairs or more."""
+    """Read marks from a file of any known format: three pairs or more.
+
+    A layer is a name where it is a volume that was not read yet.
+    """
     name = Path(path).name
     marks = read_any(path, moving=_pixels_of(moving), fixed=_pixels_of(fixed), volume=LayerPixels())
     pair_of_layers(marks, name=name)  # one layer alone is refused

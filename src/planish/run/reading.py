@@ -13,11 +13,12 @@ from planish.checks import ImageFile, run_checks
 from planish.io.light import read_corrected
 from planish.io.sizes import PIXEL, with_advice
 from planish.marks.regions import Regions
+from planish.register import need_holes
 from planish.run.compute import Progress
 from planish.run.facts import input_file
 from planish.run.holes import HoleSearch
 from planish.run.layers import MappedLayer
-from planish.run.marks_registration import check_marks
+from planish.run.marks_registration import read_given
 from planish.run.regions import regions_on
 from planish.run.run import open_sheet
 from planish.run.study import GivenLayer, Study, changed
@@ -88,16 +89,17 @@ def _read_image(params: GivenLayer) -> MappedLayer:
 
 
 def _check_marks(study: Study, layers: Mapping[str, MappedLayer], holes: HoleSearch) -> None:
-    """Check the marks of each registration; a volume, which is not mapped yet, is a name."""
+    """Refuse marks of no use, and images with too few holes where the texture cannot help."""
+    # A volume, which is not mapped yet, is a name.
+    known = [layers.get(params.name, params.name) for params in study.layers]
     for k, k_fixed in enumerate(study.next_layers):
-        params, fixed = study.layers[k], study.layers[k_fixed]
-        check_marks(
-            layers.get(params.name, params.name),
-            layers.get(fixed.name, fixed.name),
-            holes,
-            params.marks or study.registration.marks,
-            needed=study.registration.by == "holes",
-        )
+        path = study.layers[k].marks or study.registration.marks
+        if path is not None:
+            read_given(path, known[k], known[k_fixed])
+        elif study.registration.by == "holes":
+            for image in (known[k], known[k_fixed]):
+                if not isinstance(image, str) and image.kind == "image":
+                    need_holes(holes.of(image, image), study.holes.hole_um)
 
 
 def _as_compared(layer: MappedLayer, regions: Regions | None) -> MappedLayer:

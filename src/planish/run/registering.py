@@ -39,8 +39,9 @@ def register_layers(
             hand_texts = filter(None, (layer.hand_text, fixed.hand_text))
             raise WrongHand(" ".join([error.text, *hand_texts])) from error
         registrations.append(registration)
-        if registration.source == "texture" and not study.registration.mirror:
-            layers[k], layers[k_fixed] = _with_sides_found(layer, fixed, registration)
+        is_other_side = registration.fit.mirrored and layer.kind != fixed.kind
+        if registration.source == "texture" and is_other_side and not study.registration.mirror:
+            layers[k], layers[k_fixed] = _seen_from_bottom(layer), _seen_from_bottom(fixed)
     links: dict[str, Link] = {}
     for k, k_fixed in enumerate(study.next_layers):
         path, steps = [layers[k], layers[k_fixed]], registrations[k : k + 1]
@@ -51,16 +52,8 @@ def register_layers(
     return layers, links
 
 
-def _with_sides_found(
-    layer: MappedLayer, fixed: MappedLayer, registration: Registration
-) -> tuple[MappedLayer, MappedLayer]:
-    """Two layers, with the side of an image that its texture shows where none was given."""
-    if layer.kind == fixed.kind or not registration.fit.mirrored:
-        return layer, fixed
-    return _seen_from_bottom(layer), _seen_from_bottom(fixed)
-
-
 def _seen_from_bottom(layer: MappedLayer) -> MappedLayer:
+    """A layer; an image whose side was not given with the side that its texture shows."""
     if layer.kind != "image" or layer.side_given is not None:
         return layer
     return replace(layer, side_found="bottom")

@@ -3,11 +3,9 @@
 And its file, ``marks.json``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import xarray as xr
@@ -73,15 +71,11 @@ class Registration:
         """The marks that the fit uses: positions, residuals and weights, a row each."""
         fit, um = self.fit, {"units": "um"}
         vectors_um = {"moving": fit.moving, "fixed": fit.fixed, "residual": fit.residuals_um}
-        columns = {
-            f"{name}_{axis}": xy[:, k]
-            for name, xy in vectors_um.items()
-            for k, axis in enumerate("xy")
-        }
-        columns |= {
-            "residual": np.hypot(*fit.residuals_um.T),
-            "leave_one_out": fit.leave_one_out_um,
-        }
+        columns: dict[str, Floats] = {}
+        for name, xy in vectors_um.items():
+            columns[f"{name}_x"], columns[f"{name}_y"] = xy.T
+        columns["residual"] = np.hypot(*fit.residuals_um.T)
+        columns["leave_one_out"] = fit.leave_one_out_um
         data = xr.Dataset({k: ("mark", v, um) for k, v in columns.items()})
         labels = self.marks["label"].values[paired(self.marks)]
         return data.assign(
@@ -100,7 +94,7 @@ class Registration:
         write_any(self.marks.assign_attrs(registration=saved), path, to="json")
 
     @classmethod
-    def read(cls, path: str | Path) -> Registration:
+    def read(cls, path: str | Path) -> Self:
         """Read ``marks.json`` with its transformation.
 
         Raises
@@ -205,13 +199,10 @@ def register_holes(
 def with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
     """The marks with what the fit leaves of each."""
     is_paired = paired(marks)
-    for name, pair_values_um in (
-        ("residual", np.hypot(*fit.residuals_um.T)),
-        ("leave_one_out", fit.leave_one_out_um),
-    ):
-        mark_values_um = np.full(is_paired.size, np.nan)
-        mark_values_um[is_paired] = pair_values_um
-        marks = marks.assign(
-            {name: ("mark", mark_values_um, {"units": "um", "long_name": RESULTS[name]})}
-        )
+    left_um = {"residual": np.hypot(*fit.residuals_um.T), "leave_one_out": fit.leave_one_out_um}
+    for name, pairs_um in left_um.items():
+        um = np.full(is_paired.size, np.nan)
+        um[is_paired] = pairs_um
+        attrs = {"units": "um", "long_name": RESULTS[name]}
+        marks = marks.assign({name: ("mark", um, attrs)})
     return marks

@@ -66,10 +66,8 @@ def render(
     headline_image = area_mean(maps.headline, (factor, factor)) if factor > 1 else maps.headline
     page = template(_PACKAGE, "explore.html.j2").render(
         results=results,
-        layers=results.layers,
         summary=summary,
         maps=maps.maps,
-        lead=maps.maps[0],
         titles={(m.layer, m.name): m.title for m in maps.maps},
         still=image_uri(headline_image, maps.maps[0].scale),
         notes=notes,
