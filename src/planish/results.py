@@ -397,6 +397,10 @@ class Results(ResultModel):
         """The layer of a name."""
         return next(layer for layer in self.layers if layer.name == name)
 
+    def to_json(self) -> str:
+        """The text of ``results.json``."""
+        return self.model_dump_json(indent=2) + "\n"
+
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read ``results.json``.

@@ -235,6 +235,10 @@ class SeriesResults(ResultModel):
         """What became of each specimen."""
         return tuple(specimen.member for specimen in self.specimens)
 
+    def to_json(self) -> str:
+        """The text of ``results.json``."""
+        return self.model_dump_json(indent=2) + "\n"
+
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read ``results.json`` of a series.

@@ -105,10 +105,6 @@ class ResultModel(BaseModel):
         validate_default=True,
     )
 
-    def to_json(self) -> str:
-        """The text of its file."""
-        return f"{self.model_dump_json(indent=2)}\n"
-
     @classmethod
     def holding(cls, *models: ResultModel, **fields: Any) -> Self:
         """Make a model of those that it extends and of what they lack.

@@ -16,7 +16,7 @@ def write_answer(
     """Write NAME.html, NAME.json and a CSV file for each table into a new folder."""
     with new_folder(out) as folder:
         write_whole(folder / f"{name}.html", page.encode())
-        write_whole(folder / f"{name}.json", facts.to_json().encode())
+        write_whole(folder / f"{name}.json", f"{facts.model_dump_json(indent=2)}\n".encode())
         for table, columns in tables.items():
             rows = zip(*columns.values(), strict=True)
             write_whole(folder / f"{table}.csv", table_text(list(columns), rows).encode())
