@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from planish.core.typing import Bools, Floats, Shape
+from planish.core.typing import Array, Bools, Floats, Shape
 
 MAD_TO_SD = 1.4826
 """Standard deviation of normal deviates over the median of their absolute deviation from the
@@ -44,14 +44,19 @@ def percentiles(values: NDArray[np.floating[Any]], *percents: float) -> tuple[fl
     )
 
 
-def otsu_borders(cum_count: Floats, cum_grey: Floats, classes: int) -> Shape:
+def running_sums(rows: ArrayLike) -> Floats:
+    """Sums (rows, n + 1) of the first 0, 1, 2 ... values of each row (rows, n)."""
+    return np.pad(np.cumsum(rows, axis=1, dtype=np.float64), ((0, 0), (1, 0)))
+
+
+def otsu_borders(counts: Array, grey_sums: Array, classes: int) -> Shape:
     """Bins at which two or three classes of grey begin (Otsu 1979).
 
     Between these classes the variance is largest.
 
-    ``cum_count`` and ``cum_grey`` (bins + 1,) are running sums of the values in the bins and of
-    their grey, from 0 on.
+    ``counts`` and ``grey_sums`` (bins,) are the values in the bins and the sums of their grey.
     """
+    cum_count, cum_grey = running_sums([counts, grey_sums])
     last_bin = cum_count.size - 1
 
     def gain(a: Any, b: Any) -> Floats:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planish.core.robust import running_sums
 from planish.core.typing import Bools, Floats, Pair
 from planish.correct.params import Cupping, Trend
 from planish.correct.sums import (
@@ -86,12 +87,16 @@ def find_cupping(
     weights = np.maximum(np.bincount(coarse_bin, sheet_counts, COARSE), 1.0)
     offset = np.bincount(coarse_bin, sheet_counts * rings, COARSE) / weights
     share = turning.coarse_um / reach_um
-    all_fits = {m: _fit_material(histograms, m, levels, share, offset) for m in (BASE, BRIGHT)}
-    fits = {m: fit for m, fit in all_fits.items() if fit is not None}
-    trends = tuple(Trend(material=MATERIALS[m], before=f.percent, se=f.se) for m, f in fits.items())
+    fits: list[_Fit] = []
+    trends: tuple[Trend, ...] = ()
+    for material in (BASE, BRIGHT):
+        fit = _fit_material(histograms, material, levels, share, offset)
+        if fit is not None:
+            fits.append(fit)
+            trends += (Trend(material=MATERIALS[material], before=fit.percent, se=fit.se),)
     if not fits:
         return None, (), _TOO_FEW
-    shared, is_agreed = _join_materials([*fits.values()])
+    shared, is_agreed = _join_materials(fits)
     losses = ", ".join(f"{t.material} {t.before:.1f} +- {t.se:.1f} %" for t in trends)
     why = ""
     if not is_agreed:
@@ -137,7 +142,7 @@ def _fit_material(
         return None
     coefficient, depth_coefficients = full_fit
     coefficients, replicates = zip(*jackknife_fits, strict=True)
-    losses: Floats = np.array([_loss_percent(p) for p in coefficients])
+    losses = np.array([*map(_loss_percent, coefficients)])
     loss_se = float(_jackknife_errors(losses))
     variance = loss_se**2 + _variance_of_depths(depth_coefficients, np.array(replicates))
     return _Fit(coefficient, _loss_percent(coefficient), float(np.sqrt(variance)))
@@ -171,18 +176,17 @@ def _fit_coefficients(
     low, high = limits
     row_counts = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
     row_sums = row_counts * (GREYS[:-1] + 0.5 * (GREYS[1] - GREYS[0]))
-    running_counts, running_sums = (
-        np.pad(np.cumsum(r, axis=1), ((0, 0), (1, 0))) for r in (row_counts, row_sums)
-    )
+    total_counts = running_sums(row_counts)
+    total_greys = running_sums(row_sums)
     n_depths = histogram.shape[1]
     t = np.repeat(np.minimum(share, 1.0) ** 2, n_depths)
     offset = np.repeat(offset, n_depths)
     depth = np.tile(np.arange(n_depths), COARSE)
     # Depths at which base and coating meet: there the least shift of a face changes the grey.
     border_grey = np.full(len(row_counts), low if np.isfinite(low) else high)
-    depth_counts = lower_counts = np.bincount(depth, running_counts[:, -1])
+    depth_counts = lower_counts = np.bincount(depth, total_counts[:, -1])
     if np.isfinite(border_grey[0]):
-        lower_counts = np.bincount(depth, _sum_below(running_counts, border_grey))
+        lower_counts = np.bincount(depth, _sum_below(total_counts, border_grey))
     # Share of one material.
     is_mixed = np.minimum(lower_counts, depth_counts - lower_counts) > 0.05 * depth_counts
     coefficient = 0.0
@@ -192,8 +196,8 @@ def _fit_coefficients(
     for _ in range(40):  # of sorting and fitting
         factors = 1.0 + coefficient * t
         borders = (low * factors + offset, high * factors + offset)
-        n = _sum_between(running_counts, *borders)
-        grey = _sum_between(running_sums, *borders) / np.maximum(n, 1.0) - offset
+        n = _sum_between(total_counts, *borders)
+        grey = _sum_between(total_greys, *borders) / np.maximum(n, 1.0) - offset
         # A depth has to be there at many radii, or its level cannot be separated from the trend.
         is_used = (n > 0.02 * n.max()) & ~is_mixed[depth]
         is_used &= (np.bincount(depth, is_used, n_depths) >= _LEAST_RADII)[depth]
@@ -209,9 +213,8 @@ def _fit_coefficients(
         coefficient = min(max(coefficient + step, -0.5), 1.0)
         if abs(step) < 1e-5:
             break
-    return coefficient, np.array(
-        [_depth_coefficient(t, grey, n, is_used & (depth == d)) for d in range(n_depths)]
-    )
+    depths = [_depth_coefficient(t, grey, n, is_used & (depth == d)) for d in range(n_depths)]
+    return coefficient, np.array(depths)
 
 
 def _coefficient_step(
@@ -263,6 +266,7 @@ def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
     if abs(a.percent - b.percent) <= 3.0 * float(np.hypot(a.se, b.se)):
         w = 1.0 / np.maximum([a.se, b.se], 1e-3) ** 2
         coefficient = float(np.average([a.coefficient, b.coefficient], weights=w))
-        return _Fit(coefficient, _loss_percent(coefficient), float(1.0 / np.sqrt(w.sum()))), True
+        se = float(1.0 / np.sqrt(w.sum()))
+        return _Fit(coefficient, _loss_percent(coefficient), se), True
     # What both share is corrected, and no more: the rest is the sheet's own.
     return min(fits, key=lambda fit: abs(fit.percent)), a.percent * b.percent > 0

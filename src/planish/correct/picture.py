@@ -5,7 +5,6 @@ Grey against the radius, and a slice before, after, and the difference.
 
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -19,13 +18,13 @@ from planish.core.area import area_mean
 from planish.core.errors import FileError
 from planish.core.numbers import round_step
 from planish.core.robust import percentiles
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Entries, Floats, Pair
 from planish.correct.sums import MATERIALS, UNIT, Turning
 from planish.correct.volume import Corrected
 
 _WIDTH, _DPI = 10.4, 135
 _BEFORE, _AFTER, _INK = "#c28a5a", "#1f4e79", "#22292f"
-_STYLE: dict[str, Any] = {"font.family": "DejaVu Sans", "font.size": 8.5, "text.parse_math": False}
+_STYLE: Entries = {"font.family": "DejaVu Sans", "font.size": 8.5, "text.parse_math": False}
 
 
 def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> None:
@@ -104,12 +103,13 @@ def _middle_slices(
     At most as fine as the figure.
     """
     slice_index = {turning.axis: turning.shape[0] // 2}
-    planes = [
-        np.asarray(v.isel(slice_index).transpose(*turning.plane).values, np.float64)
-        for v in (before, after)
-    ]
-    step = max(1.0, max(planes[0].shape) / 1200)
-    a, b = (area_mean(v, (step, step)) if step > 1 else v for v in planes)
+    planes: list[Floats] = []
+    for volume in (before, after):
+        plane = volume.isel(slice_index).transpose(*turning.plane)
+        step = max(1.0, max(plane.shape) / 1200)
+        greys = np.asarray(plane.values, np.float64)
+        planes.append(area_mean(greys, (step, step)) if step > 1 else greys)
+    a, b = planes
     return a, b, a - b
 
 
@@ -126,7 +126,8 @@ def _draw_profiles(axes: Axes, corrected: Corrected, air: float, contrast: float
         # NaN for few voxels.
         voxel_counts = stage.count.sum(axis=(0, 1))
         grey_sums = stage.total.sum(axis=(0, 1))
-        material_level = stage.level[:, 1] / np.maximum(stage.level[:, 0], 1)
+        n_voxels, level_sums = stage.level.T
+        material_level = level_sums / np.maximum(n_voxels, 1)
         residual = np.where(voxel_counts >= 30, grey_sums / np.maximum(voxel_counts, 1), np.nan)
         for m, contrast_share in enumerate((material_level[:, None] + residual) / UNIT):
             grey = air + contrast * contrast_share
@@ -134,9 +135,9 @@ def _draw_profiles(axes: Axes, corrected: Corrected, air: float, contrast: float
             valid_bins = np.flatnonzero(np.isfinite(grey))
             if valid_bins.size and stage_name == "before":
                 line_end = (radius[valid_bins[-1]], grey[valid_bins[-1]])
-                text_style: dict[str, Any] = {"va": "center", "color": _INK, "fontsize": 8}
+                look: Entries = {"va": "center", "color": _INK, "fontsize": 8}
                 axes.annotate(
-                    MATERIALS[m], line_end, xytext=(4, 0), textcoords="offset points", **text_style
+                    MATERIALS[m], line_end, xytext=(4, 0), textcoords="offset points", **look
                 )
     for ring in record.rings:
         axes.axvline(ring.radius_um, color="#999999", lw=0.6, ls=":", zorder=0)
@@ -168,13 +169,6 @@ def _draw_slice(
         axes.plot(
             x, y, color=colour, lw=line_width, transform=axes.transAxes, solid_capstyle="butt"
         )
-    axes.text(
-        0.02,
-        0.11,
-        f"{length_um:g} um",
-        transform=axes.transAxes,
-        fontsize=8,
-        va="bottom",
-        color=_INK,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
-    )
+    ground = {"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8}
+    look: Entries = {"fontsize": 8, "va": "bottom", "color": _INK, "bbox": ground}
+    axes.text(0.02, 0.11, f"{length_um:g} um", transform=axes.transAxes, **look)

@@ -81,10 +81,8 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     blocks = np.zeros((0, 2, bins))  # profile and error of each
     materials = blocks
     if intervals:
-        blocks = np.array([_robust_mean(r, w) for r, w in zip(residual, weight, strict=True)])
-        materials = np.array(
-            [_robust_mean(residual[:, :, m], weight[:, :, m]) for m in range(residual.shape[2])]
-        )
+        blocks = _robust_means(residual, weight)
+        materials = _robust_means(np.moveaxis(residual, 2, 0), np.moveaxis(weight, 2, 0))
     for ring_bins in intervals:
         ring = profile[ring_bins]
         if _is_structure(ring, materials[..., ring_bins]):
@@ -94,26 +92,22 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
         factor = _block_factors(ring, blocks[..., ring_bins])
         crest = ring_bins.start + int(np.argmax(np.abs(ring)))
         height = float(profile[crest])
+        n_wide = np.count_nonzero(np.abs(ring) >= 0.5 * abs(height))
+        artefact = RingArtefact(
+            radius_um=(crest + 0.5) * turning.step_um,
+            width_um=n_wide * turning.step_um,
+            height=height * contrast,
+            share=height,
+            share_se=float(error[crest]),
+            least=float(factor.min()),
+            most=float(factor.max()),
+        )
         shapes.append(shape)
         factors.append(factor)
-        rings.append(
-            RingArtefact(
-                radius_um=(crest + 0.5) * turning.step_um,
-                width_um=np.count_nonzero(np.abs(ring) >= 0.5 * abs(height)) * turning.step_um,
-                height=height * contrast,
-                share=height,
-                share_se=float(error[crest]),
-                least=float(factor.min()),
-                most=float(factor.max()),
-            )
-        )
-    return RingFit(
-        rings=tuple(rings),
-        shapes=np.array(shapes).reshape(-1, bins),
-        factors=np.array(factors).reshape(-1, len(residual)),
-        profile=profile,
-        error=error,
-    )
+        rings.append(artefact)
+    all_shapes = np.array(shapes).reshape(-1, bins)
+    all_factors = np.array(factors).reshape(-1, len(residual))
+    return RingFit(tuple(rings), all_shapes, all_factors, profile, error)
 
 
 def _is_structure(ring: Floats, materials: Floats) -> bool:
@@ -167,10 +161,16 @@ def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
         is_valid = np.isfinite(residual[:, :, m])
         if is_valid.any():
             # Per voxel, as its mean really scatters: the texture of fibres makes neighbours alike.
-            squares = residual[:, :, m][is_valid] ** 2 * count[:, :, m][is_valid]
+            voxels = count[:, :, m]
+            squares = residual[:, :, m][is_valid] ** 2 * voxels[is_valid]
             variance = max(float(np.median(squares)) / _CHI2, 1e-6)
-            weight[:, :, m] = np.where(is_valid, count[:, :, m], 0.0) / variance
+            weight[:, :, m] = np.where(is_valid, voxels, 0.0) / variance
     return np.nan_to_num(residual), weight
+
+
+def _robust_means(residuals: Floats, weights: Floats) -> Floats:
+    """Profile and error (n, 2, bin) of each block, or of each material."""
+    return np.array([_robust_mean(r, w) for r, w in zip(residuals, weights, strict=True)])
 
 
 def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
@@ -181,12 +181,7 @@ def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
     residual, weight = (a.reshape(-1, a.shape[-1]) for a in (residual, weight))
     weight_sum = weight.sum(axis=0)
     # Parts of circles that have to agree, counted by their weight.
-    n_parts = np.divide(
-        weight_sum**2,
-        np.sum(weight**2, axis=0),
-        out=np.zeros_like(weight_sum),
-        where=weight_sum > 0,
-    )
+    n_parts = weight_sum**2 / np.where(weight_sum > 0, np.sum(weight**2, axis=0), 1.0)
     has_enough = n_parts >= min(4.0, 0.6 * len(weight))
     mean = _weighted_median(residual, weight)
     robust_weight = weight

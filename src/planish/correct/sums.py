@@ -60,14 +60,19 @@ def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
     """Find the greys in some slices; None where no sheet stands out from the air."""
     lowest = min((float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=np.nan)
     padding = _padding(slices, lowest, radius)
-    levels = _estimate_levels(np.concatenate([smoothed(s)[~missing(s, padding)] for s in slices]))
+    greys: list[NDArray[np.float32]] = []
+    are_lowest: list[Bools] = []
+    for s in slices:
+        is_there = ~missing(s, padding)
+        greys.append(smoothed(s)[is_there])
+        are_lowest.append(s[is_there] == lowest)
+    all_greys = np.concatenate(greys)
+    levels = _estimate_levels(all_greys)
     if levels is None:
         return None
-    n_dark = n_cut = 0
-    for s in slices:
-        is_dark = (smoothed(s) < levels.split) & ~missing(s, padding)
-        n_dark += np.count_nonzero(is_dark)
-        n_cut += np.count_nonzero(is_dark & (s == lowest))
+    is_dark = all_greys < levels.split
+    n_dark = np.count_nonzero(is_dark)
+    n_cut = np.count_nonzero(is_dark & np.concatenate(are_lowest))
     # Where all of the air has the same value it has no noise: nothing was cut off.
     return levels._replace(padding=padding, air_cut=0.05 < n_cut / max(n_dark, 1) < 0.8)
 
@@ -106,9 +111,8 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
     if not highest > lowest:
         return None
     bin_counts, bin_edges = np.histogram(greys, 160, (lowest, highest))
-    moments = np.stack([bin_counts, bin_counts * np.arange(bin_counts.size)]).astype(np.float64)
-    running_count, running_sum = np.pad(np.cumsum(moments, axis=1), ((0, 0), (1, 0)))
-    split, middle = (float(bin_edges[k]) for k in otsu_borders(running_count, running_sum, 3))
+    bin_sums = bin_counts * np.arange(bin_counts.size)
+    split, middle = (float(bin_edges[k]) for k in otsu_borders(bin_counts, bin_sums, 3))
     dark_greys = greys[greys <= split]
     sheet_greys = greys[greys > split]
     # The mean of what lies near the median.
@@ -131,9 +135,7 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
         return None
     # The lower border lies half way: a border between classes is drawn towards the wider one.
     split = 0.5 * (air + base_level)
-    return Levels(
-        air=air, sheet=bright_level, split=split, middle=middle, padding=np.nan, air_cut=False
-    )
+    return Levels(air, bright_level, split, middle, padding=np.nan, air_cut=False)
 
 
 SECTORS = 16  # parts of a turn: a ring shows in all of them, a structure of the sheet does not
@@ -281,7 +283,8 @@ def slices_of(
     for start in range(0, len(numbers), slab_length):
         slab_numbers = numbers[start : start + slab_length]
         span = slice(slab_numbers[0], slab_numbers[-1] + 1, stride)
-        slab = read_box(volume, {turning.axis: span, **dict.fromkeys(turning.plane, slice(None))})
+        box = {turning.axis: span, **dict.fromkeys(turning.plane, slice(None))}
+        slab = read_box(volume, box)
         for number, plane in zip(slab_numbers, slab, strict=True):
             yield number, np.ascontiguousarray(plane)
 
@@ -299,10 +302,11 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
     coarse_bins = turning.coarse_bins(radius)
     quarters = sectors * QUARTERS // SECTORS
     rings_shape = (blocks, SECTORS, len(MATERIALS), turning.bins)
+    histogram_shape = (blocks, QUARTERS, COARSE, DEPTHS.size, GREYS.size - 1)
     sums = Sums(
         count=np.zeros(rings_shape, np.int64),
         total=np.zeros(rings_shape, np.int64),
-        histogram=np.zeros((blocks, QUARTERS, COARSE, DEPTHS.size, GREYS.size - 1), np.int64),
+        histogram=np.zeros(histogram_shape, np.int64),
         level=np.zeros((len(MATERIALS), 2), np.int64),
         blocks=(np.arange(blocks) + 0.5) * length / blocks - 0.5,
         slices=0,
@@ -349,13 +353,12 @@ def _add_to_rings(
     sums.level[:, 1] += layer_sums.reshape(-1, n_depths).sum(axis=1).astype(np.int64)
     has_enough = layer_counts[layer] >= 32  # voxels of a material at one depth, for its mean grey
     layer_mean = np.rint(layer_sums / np.maximum(layer_counts, 1)).astype(np.int64)
-    shape, size = sums.count[block].shape, sums.count[block].size
-    cells = np.ravel_multi_index(
-        (sectors[is_classified], material, radius_bins[is_classified]), shape
-    )[has_enough]
-    sums.count[block] += np.bincount(cells, minlength=size).reshape(shape)
-    cell_sums = np.bincount(cells, (greys - layer_mean[layer])[has_enough], size)
-    sums.total[block] += cell_sums.astype(np.int64).reshape(shape)
+    counts = sums.count[block]
+    places = (sectors[is_classified], material, radius_bins[is_classified])
+    cells = np.ravel_multi_index(places, counts.shape)[has_enough]
+    counts += np.bincount(cells, minlength=counts.size).reshape(counts.shape)
+    cell_sums = np.bincount(cells, (greys - layer_mean[layer])[has_enough], counts.size)
+    sums.total[block] += cell_sums.astype(np.int64).reshape(counts.shape)
 
 
 def _classify(

@@ -3,16 +3,15 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import InputError
 from planish.core.labelled import computed
 from planish.core.lazy import Where
-from planish.core.typing import Floats
+from planish.core.typing import Array, Floats, Ints
 from planish.correct.cupping import factor, find_cupping, middle_factor
 from planish.correct.params import CorrectionRecord, CorrectParams, Cupping, Trend
 from planish.correct.rings import RingFit, find_rings, remaining_rings
@@ -46,11 +45,11 @@ class Change(NamedTuple):
 
     def apply(
         self,
-        values: NDArray[Any],
-        along: NDArray[np.intp],
-        rows: NDArray[np.intp],
-        cols: NDArray[np.intp],
-    ) -> tuple[NDArray[Any], int]:
+        values: Array,
+        along: Ints,
+        rows: Ints,
+        cols: Ints,
+    ) -> tuple[Array, int]:
         """Correct a block (along, rows, cols) with its places in the array.
 
         Return it and how many were clipped.
@@ -74,7 +73,8 @@ class Change(NamedTuple):
         clipped = 0
         for k, plane in enumerate(values):
             grey = plane.astype(np.float64)
-            ring = tables[k, lower_bin] * (1.0 - weight) + tables[k, lower_bin + 1] * weight
+            table = tables[k]
+            ring = table[lower_bin] * (1.0 - weight) + table[lower_bin + 1] * weight
             corrected = air + (grey - ring - air) / cupping_factor
             corrected = np.rint(corrected) if is_integer else corrected
             limited = np.clip(corrected, float(limits.min), float(limits.max))
@@ -84,7 +84,7 @@ class Change(NamedTuple):
         return out, int(clipped)
 
 
-def _read_corrected(volume: xr.Variable, change: Change, where: Where) -> NDArray[Any]:
+def _read_corrected(volume: xr.Variable, change: Change, where: Where) -> Array:
     """Read a part of a volume and correct it; a voxel does not depend on the part."""
     axis_order = change.turning.order
     indices = [np.arange(w.start, w.stop, w.step) for w in where]
@@ -180,8 +180,7 @@ def correct_volume(
     before = sums(slices(), "rings and cupping")
     change, record = _find_change(before, turning, levels, record)
     if not record.changes:
-        trends = _trends_with(record, {t.material: t.before for t in record.trends})
-        record = record.model_copy(update={"trends": trends})
+        record = record.model_copy(update={"trends": _trends_with(record, record.trends)})
         return Corrected(
             volume=_with_record(volume, record), record=record, turning=turning, before=before
         )
@@ -197,14 +196,10 @@ def correct_volume(
     after = sums(changed(), "what is left")
     rings_after = find_rings(after, turning, levels.contrast)
     trends_after = find_cupping(after, turning, levels, rings_after.mean)[1]
-    losses_after = {trend.material: trend.before for trend in trends_after}
-    record = record.model_copy(
-        update={
-            "rings": remaining_rings(change.rings, rings_after) if change.rings else (),
-            "trends": _trends_with(record, losses_after),
-            "clipped": clipped[0] / clipped[1],
-        }
-    )
+    rings = remaining_rings(change.rings, rings_after) if change.rings else ()
+    trends = _trends_with(record, trends_after)
+    share = clipped[0] / clipped[1]
+    record = record.model_copy(update={"rings": rings, "trends": trends, "clipped": share})
     corrected = computed(volume, partial(_read_corrected, volume.variable, change))
     return Corrected(
         volume=_with_record(corrected, record),
@@ -216,8 +211,9 @@ def correct_volume(
     )
 
 
-def _trends_with(record: CorrectionRecord, losses: dict[str, float]) -> tuple[Trend, ...]:
+def _trends_with(record: CorrectionRecord, trends_after: tuple[Trend, ...]) -> tuple[Trend, ...]:
     """The trends of a record with the losses that are there after the correction."""
+    losses = {trend.material: trend.before for trend in trends_after}
     return tuple(
         trend.model_copy(update={"after": losses.get(trend.material)}) for trend in record.trends
     )
@@ -251,20 +247,9 @@ def _find_change(
         sentences.append(cupping_text)
     else:
         cupping = None
-    record = record.model_copy(
-        update={
-            "slices": sums_before.slices,
-            "cupping": cupping,
-            "trends": trends,
-            "sentences": tuple(sentences),
-        }
-    )
-    change = Change(
-        turning=turning,
-        levels=levels,
-        rings=ring_fit if record.rings else None,
-        cupping=cupping,
-        blocks=sums_before.blocks,
-        mean_factor=1.0 if cupping is None else middle_factor(sums_before, turning, cupping),
-    )
+    facts = {"slices": sums_before.slices, "cupping": cupping, "trends": trends}
+    record = record.model_copy(update=facts | {"sentences": tuple(sentences)})
+    rings = ring_fit if record.rings else None
+    mean_factor = 1.0 if cupping is None else middle_factor(sums_before, turning, cupping)
+    change = Change(turning, levels, rings, cupping, sums_before.blocks, mean_factor)
     return change, record

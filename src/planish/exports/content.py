@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from planish.core.bands import band_of, bands
+from planish.core.bands import read_bands
 from planish.core.errors import SizeError
-from planish.core.threads import thread_pool
 from planish.core.typing import Array, DType, Entries, Fields, Floats, Pair, Singles
 from planish.report.colours import Scale
+
+_ENDS = (slice(None, -1), slice(1, None))
+# Corners of the cells between the nodes of a grid: row by row, all nodes that are one.
+CORNERS = [(rows, cols) for rows in _ENDS for cols in _ENDS]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +97,7 @@ class Maps:
                 " size."
             )
         y, x = self.at_um
-        return exact((y[-1] - y[0]) / (y.size - 1)), exact((x[-1] - x[0]) / (x.size - 1))
+        return exact_pitch(y), exact_pitch(x)
 
     @property
     def origin_um(self) -> Pair:
@@ -136,20 +138,13 @@ class Maps:
         """
         pixels = self.data[name]
         target = plain_type(pixels.dtype) if dtype is None else np.dtype(dtype)
-        row_slices = list(bands(self.shape[0]))
-        with thread_pool() as pool:
+        for rows, (band,) in read_bands(pixels):
+            yield rows, np.ascontiguousarray(band, dtype=target)
 
-            def read_rows(rows: slice) -> Future[Array]:
-                return pool.submit(
-                    lambda: np.ascontiguousarray(band_of(pixels, rows), dtype=target)
-                )
 
-            next_band = read_rows(row_slices[0])
-            for rows, next_rows in zip(row_slices, [*row_slices[1:], None], strict=True):
-                band = next_band.result()
-                if next_rows is not None:
-                    next_band = read_rows(next_rows)
-                yield rows, band
+def volume_facts(volume: xr.DataArray) -> Entries:
+    """Attributes of a volume for the history, where its voxel size stands by itself."""
+    return {str(key): value for key, value in volume.attrs.items() if key != "voxel_um"}
 
 
 def percentile_limits(pixels: Singles) -> Pair:
@@ -178,6 +173,11 @@ def column_of(name: str, units: str) -> str:
     """Name of a column or property with its unit: ``coating_top_um``; no unit for plain numbers."""
     word = units.replace("/", "_per_").replace("%", "percent")
     return name if units in ("", "1") or name.endswith(f"_{word}") else f"{name}_{word}"
+
+
+def exact_pitch(places_um: Floats) -> float:
+    """Pitch of evenly spaced places, without the rounding of each; 0 of a single one."""
+    return exact((places_um[-1] - places_um[0]) / max(places_um.size - 1, 1))
 
 
 def exact(length_um: float) -> float:

@@ -18,7 +18,7 @@ from planish.core.plugins import faults_named
 from planish.core.threads import limit_threads
 from planish.core.typing import Texts
 from planish.exports import run_contents
-from planish.exports.content import Maps
+from planish.exports.content import Maps, volume_facts
 from planish.exports.formats import (
     FORMATS,
     ExportFormat,
@@ -35,6 +35,17 @@ from planish.io.store import write_store
 from planish.run.compute import Compute, Progress, silent
 from planish.run.run import MAPS, Run, open_run
 from planish.run.study import changed
+
+
+class OutputFile(NamedTuple):
+    """One call of a writer.
+
+    Names of its files in a folder, the first of which it is given, and what it writes.
+    """
+
+    names: list[str]
+    content: object
+    summary_text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +73,7 @@ class ExportRequest:
         history = run_contents.history_of(self.run)
         # The working store of a volume.
         if isinstance(content, xr.DataArray) and self.file_format.is_folder:
-            facts = {str(key): value for key, value in content.attrs.items() if key != "voxel_um"}
-            volume = content.assign_attrs(history=history.json(**facts))
+            volume = content.assign_attrs(history=history.json(**volume_facts(content)))
             write_store(volume, path, memory_bytes=self.compute.block_bytes)
             return
         if isinstance(content, Maps):
@@ -71,6 +81,10 @@ class ExportRequest:
         write = writer_of(self.params.to)
         with faults_named(f"The export {self.params.to!r}", write.__module__):
             write(content, path, history, self.params)
+
+    def file(self, name: str, content: object, summary_text: str = "") -> OutputFile:
+        """Give the file of a name; the name stands for what it is where nothing else is said."""
+        return OutputFile([f"{name}{self.file_format.suffixes[0]}"], content, summary_text or name)
 
     def _with_limits(self, maps: Maps) -> Maps:
         """Maps with the limits between which they are shown first, where their file says so."""
@@ -80,20 +94,8 @@ class ExportRequest:
         # A map shares its limits with the other side of the sheet, and those of an image are of
         # what is valid.
         group = self.run.groups[maps.group].assign(maps.data.data_vars)
-        return replace(
-            maps, scales={name: run_contents.scale_of(group, name) for name in maps.names}
-        )
-
-
-class OutputFile(NamedTuple):
-    """One call of a writer.
-
-    Names of its files in a folder, the first of which it is given, and what it writes.
-    """
-
-    names: list[str]
-    content: object
-    summary_text: str
+        scales = {name: run_contents.scale_of(group, name) for name in maps.names}
+        return replace(maps, scales=scales)
 
 
 def _output_files(request: ExportRequest) -> list[OutputFile]:
@@ -126,10 +128,11 @@ def _check_size(request: ExportRequest, count: int, size_text: str, remedy_text:
             f"{file_format.title} is written of at most {file_format.most / 1e6:.0f} million"
             f" {file_format.counts}; there are {size_text}. {remedy_text}"
         )
-    if count * file_format.byte_cost > allowed_bytes:
+    needed_bytes = count * file_format.byte_cost
+    if needed_bytes > allowed_bytes:
         raise ResourceError(
-            f"{file_format.title} of {size_text} takes {count * file_format.byte_cost / 1e9:.1f} GB"
-            f" of memory, {allowed_bytes / 1e9:.1f} GB are allowed. Allow more with `memory`."
+            f"{file_format.title} of {size_text} takes {needed_bytes / 1e9:.1f} GB of memory,"
+            f" {allowed_bytes / 1e9:.1f} GB are allowed. Allow more with `memory`."
         )
 
 
@@ -148,22 +151,21 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
     rows, cols = maps.shape
     remedy_text = "Write them as tiff, txt or netcdf, which have no limit."
     _check_size(request, rows * cols, f"{rows} x {cols}", remedy_text)
-    suffix = file_format.suffixes[0]
     if file_format.apart and not request.is_single_file:
-        return [OutputFile([f"{name}{suffix}"], maps.only(name), name) for name in names]
+        return [request.file(name, maps.only(name)) for name in names]
     if not file_format.stack and len(names) > 1:
         raise StudyError(
             f"{request.out.name} holds one map, and {len(names)} are asked for. Choose one with"
             f" `map`, or give a folder. The group {group} holds {', '.join(names)}."
         )
     maps_text = ", ".join(names) if len(names) < 5 else f"{len(names)} maps"
-    return [OutputFile([f"{group.rsplit('/', 1)[-1]}{suffix}"], maps, maps_text)]
+    return [request.file(group.rpartition("/")[2], maps, maps_text)]
 
 
 def _check_image(request: ExportRequest) -> None:
     """Raise ResourceError where the image does not fit into the memory."""
-    height, width = Grid.of(request.run.groups["linked"]).shape
-    image_bytes, memory_bytes = 8 * height * width, request.compute.for_work
+    image_bytes = 8 * math.prod(Grid.of(request.run.groups["linked"]).shape)
+    memory_bytes = request.compute.for_work
     if image_bytes > memory_bytes:
         raise ResourceError(
             f"The image on the flat sheet takes {image_bytes / 1e9:.1f} GB of memory,"
@@ -186,7 +188,7 @@ def _straightened(request: ExportRequest) -> list[OutputFile]:
     )
     voxel_text = " x ".join(f"{v:g}" for v in volume.attrs["voxel_um"])
     size_text = f"{' x '.join(map(str, volume.shape))} voxels of {voxel_text} um"
-    return [OutputFile([f"{STRAIGHTENED}{file_format.suffixes[0]}"], volume, size_text)]
+    return [request.file(STRAIGHTENED, volume, size_text)]
 
 
 def _surfaces(request: ExportRequest) -> list[OutputFile]:
@@ -211,12 +213,7 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
     remedy_text = "Give a larger `mesh_um`, such as four columns."
     _check_size(request, n_nodes, f"{n_nodes / 1e6:.1f} million", remedy_text)
     scales = {name: run_contents.scale_of(columns, name) for name in maps[:1]}
-    suffix = request.file_format.suffixes[0]
-    files: list[OutputFile] = []
-    for name in surface_names:
-        surface = Surface(columns, name, maps, scales)
-        files.append(OutputFile([f"{name}{suffix}"], surface, name))
-    return files
+    return [request.file(name, Surface(columns, name, maps, scales)) for name in surface_names]
 
 
 def _chosen(
@@ -226,7 +223,7 @@ def _chosen(
 
     Where none is named, all that were measured, and all properties, the headline first.
     """
-    variables = dict(zip(map(str, surfaces.data_vars), surfaces.data_vars.values(), strict=True))
+    variables = {str(name): variable for name, variable in surfaces.data_vars.items()}
     names = [n for n, v in variables.items() if v.ndim == 2 and v.dtype.kind in "fiub"]
     checked = checked_names(requested, names, "surfaces")
     maps = [name for name in checked if name not in SURFACES]

@@ -65,6 +65,9 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
         )
 
 
+_SI_UNITS = {"um": ("m", 1e-6), "1": ("", 1.0)}  # with what turns numbers into it
+
+
 def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
     """Write all maps as channels of one file.
 
@@ -75,7 +78,9 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
     from gwyfile.objects import GwyContainer, GwyDataField, GwySIUnit
 
     file = GwyContainer()
-    (dy_um, dx_um), (y0, x0), (rows, cols) = maps.pixel_um, maps.origin_um, maps.shape
+    dy_um, dx_um = maps.pixel_um
+    y0, x0 = maps.origin_um
+    rows, cols = maps.shape
     extent_m: dict[str, Any] = {
         "xreal": 1e-6 * dx_um * cols,
         "yreal": 1e-6 * dy_um * rows,
@@ -84,15 +89,15 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
     }
     for k, name in enumerate(maps.names):
         # Gwyddion takes units without prefix and chooses the prefix itself.
-        si_unit, si_factor = {"um": ("m", 1e-6), "1": ("", 1.0)}.get(
-            maps.units[name], (maps.units[name], 1.0)
-        )
+        map_unit = maps.units[name]
+        si_unit, si_factor = _SI_UNITS.get(map_unit, (map_unit, 1.0))
         pixels = np.concatenate([band for _, band in maps.bands(name, np.float64)])
         is_missing = ~np.isfinite(pixels)
         pixels[is_missing] = 0.0 if is_missing.all() else float(pixels[~is_missing].mean())
         file[f"/{k}/data/title"] = maps.titles[name]
         data_fields = [("data", pixels * si_factor, si_unit)]
-        data_fields += [("mask", is_missing.astype(np.float64), "")] if is_missing.any() else []
+        if is_missing.any():
+            data_fields.append(("mask", is_missing.astype(np.float64), ""))
         for field_key, values, unit in data_fields:
             file[f"/{k}/{field_key}"] = GwyDataField(
                 values,
@@ -167,32 +172,36 @@ def _entity(crate: Any, identifier: str, kind: str, **properties: Any) -> Any:
     return crate.add(ContextEntity(crate, identifier, properties={"@type": kind} | properties))
 
 
+_DESCRIPTIONS = {
+    "run.toml": "Every parameter of the run; planish run repeats it",
+    "results.json": "Every number of the run",
+    "figures.csv": "Every figure with its error",
+    "report.html": "The report, to read",
+    "regions.geojson": "Regions that were declared artefacts",
+    "maps.zarr": "All maps, zarr version 3; xarray.open_datatree opens it",
+    "figures": "The figures of the report as SVG and CSV",
+    "layers": "Whole runs of volumes that were mapped on the way",
+}
+_MIME_TYPES = {
+    ".toml": "application/toml",
+    ".json": "application/json",
+    ".csv": "text/csv",
+    ".html": "text/html",
+    ".geojson": "application/geo+json",
+}
+
+
 def _add(crate: Any, entry: Path) -> Any:
     name = entry.name
-    description = {
-        "run.toml": "Every parameter of the run; planish run repeats it",
-        "results.json": "Every number of the run",
-        "figures.csv": "Every figure with its error",
-        "report.html": "The report, to read",
-        "regions.geojson": "Regions that were declared artefacts",
-        "maps.zarr": "All maps, zarr version 3; xarray.open_datatree opens it",
-        "figures": "The figures of the report as SVG and CSV",
-        "layers": "Whole runs of volumes that were mapped on the way",
-    }.get(name, "Marks and registration" if name.startswith("marks") else name)
+    usual_text = "Marks and registration" if name.startswith("marks") else name
+    description = _DESCRIPTIONS.get(name, usual_text)
     properties = {"name": name, "description": description}
     if entry.is_dir():
         return crate.add_dataset(str(entry), f"{name}/", properties=properties)
-    mime_type = {
-        ".toml": "application/toml",
-        ".json": "application/json",
-        ".csv": "text/csv",
-        ".html": "text/html",
-        ".geojson": "application/geo+json",
-    }.get(entry.suffix, "application/octet-stream")
-    sha256 = hashlib.sha256(entry.read_bytes()).hexdigest()
+    content = entry.read_bytes()
     properties |= {
-        "contentSize": str(entry.stat().st_size),
-        "sha256": sha256,
-        "encodingFormat": mime_type,
+        "contentSize": str(len(content)),
+        "sha256": hashlib.sha256(content).hexdigest(),
+        "encodingFormat": _MIME_TYPES.get(entry.suffix, "application/octet-stream"),
     }
     return crate.add_file(str(entry), name, properties=properties)

@@ -57,7 +57,8 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
             oned_as="row",
             long_field_names=True,
         )
-        version, header_end = "5.0", b""
+        version = "5.0"
+        header_end = b""
     else:
         with h5py.File(path, "w", userblock_size=_HEAD, libver="earliest") as file:
             for name in maps.names:
@@ -65,9 +66,8 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
             for name, variable in metadata.items():
                 _put(file, name, variable)
         header_end = (b"\0" * 8 + b"\x00\x02IM").ljust(_HEAD - _TEXT, b"\0")
-    header_start = f"MATLAB {version} MAT-file, written by {history.program}".encode("ascii").ljust(
-        _TEXT
-    )[:_TEXT]
+    title = f"MATLAB {version} MAT-file, written by {history.program}"
+    header_start = title.encode("ascii").ljust(_TEXT)[:_TEXT]
     with path.open("rb+") as file:
         file.write(header_start + header_end)
 

@@ -18,7 +18,7 @@ from planish.core.errors import StudyError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.typing import Array, Singles, Texts
-from planish.exports.content import ExportHistory, column_of, units_of
+from planish.exports.content import CORNERS, ExportHistory, column_of, units_of
 from planish.exports.formats import ExportParams
 from planish.report.colours import Scale
 
@@ -59,9 +59,8 @@ def write_ply(surface: Surface, path: Path, history: ExportHistory, params: Expo
     if mesh.colours is not None:
         columns |= zip(("red", "green", "blue"), mesh.colours.T, strict=True)
     columns |= mesh.maps
-    nodes = np.rec.fromarrays(
-        columns.values(), [(k, column.dtype.newbyteorder("<")) for k, column in columns.items()]
-    )
+    node_type = [(k, column.dtype.newbyteorder("<")) for k, column in columns.items()]
+    nodes = np.rec.fromarrays(columns.values(), node_type)
     faces = np.empty(len(mesh.quads), dtype=[("count", "u1"), ("nodes", "<i4", (4,))])
     faces["count"], faces["nodes"] = 4, mesh.quads
     header_lines = [
@@ -113,25 +112,21 @@ def write_stl(surface: Surface, path: Path, history: ExportHistory, params: Expo
     """
     mesh = mesh_of(surface, params)
     corners = mesh.quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
-    triangles = np.zeros(
-        len(corners), [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour", "<u2")]
-    )
+    record = [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour", "<u2")]
+    triangles = np.zeros(len(corners), record)
     vertices = mesh.points[corners]
-    normals = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0]).astype(
-        np.float64
-    )
+    edges = vertices[:, 1:] - vertices[:, :1]  # from the first corner to the others
+    normals = np.cross(edges[:, 0], edges[:, 1]).astype(np.float64)
     norms = np.linalg.norm(normals, axis=1, keepdims=True)
     triangles["normal"] = normals / np.where(norms > 0, norms, 1.0)
     triangles["corners"] = vertices
     if mesh.colours is not None:
         # Five bits each, blue the lowest; the sixteenth says that they hold.
-        red, green, blue = (
-            np.rint(mesh.colours[corners].mean(axis=1) / 255 * 31).astype(np.uint16).T
-        )
+        shares = mesh.colours[corners].mean(axis=1) / 255
+        red, green, blue = np.rint(shares * 31).astype(np.uint16).T
         triangles["colour"] = 1 << 15 | red << 10 | green << 5 | blue
-    header = f"{history.program}, {surface.name}, um, study {history.study_sha256[:16]}".encode(
-        "ascii", "replace"
-    )
+    title = f"{history.program}, {surface.name}, um, study {history.study_sha256[:16]}"
+    header = title.encode("ascii", "replace")
     with path.open("wb") as file:
         file.write(header[:80].ljust(80))
         file.write(len(triangles).to_bytes(4, "little"))
@@ -188,19 +183,14 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     heights = nodes[surface.name].values
     is_node = np.isfinite(heights)
     node_index = np.cumsum(is_node.ravel()).reshape(is_node.shape) - 1
-    corners = [
-        (slice(None, -1), slice(None, -1)),
-        (slice(None, -1), slice(1, None)),
-        (slice(1, None), slice(1, None)),
-        (slice(1, None), slice(None, -1)),
-    ]
+    corners = [CORNERS[k] for k in (0, 1, 3, 2)]  # around the cell
     is_cell = np.all([is_node[corner] for corner in corners], axis=0)
     if not is_cell.any():
         raise StudyError(
             f"The surface {surface.name} has no cell at these nodes: {int(is_node.sum())} nodes are"
             " known. Give a smaller `mesh_um`, or another surface."
         )
-    quads = np.stack([node_index[corner][is_cell] for corner in corners], axis=1).astype(np.int32)
+    quads = np.stack([node_index[corner][is_cell] for corner in corners], axis=1)
     coords_um = {
         frame.rows: nodes["y"].values[:, None],
         frame.cols: nodes["x"].values[None, :],
@@ -219,10 +209,11 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     cell_normal = np.cross(unit_vectors[frame.cols], unit_vectors[frame.rows])
     if (float(cell_normal @ outward_normal) > 0) == params.as_seen:
         quads = quads[:, ::-1]
-    maps = {
-        column_of(n, units_of(nodes[n])): nodes[n].values[is_node].astype(np.float32)
-        for n in surface.maps
-    }
+    maps: dict[str, Singles] = {}
+    for name in surface.maps:
+        node_map = nodes[name]
+        column = column_of(name, units_of(node_map))
+        maps[column] = node_map.values[is_node].astype(np.float32)
     about = f"surface {surface.name}; um; x, y, z of the volume"
     if params.as_seen:
         about = f"surface {surface.name}; um; y of the volume with its sign turned"
@@ -234,7 +225,7 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
         about += f"; colour: {colour_map.name} from {scale.low:.6g} to {scale.high:.6g}"
         about += f" {units_of(colour_map)}".removesuffix(" 1")
     points = np.ascontiguousarray(points, np.float32)
-    quads = np.ascontiguousarray(quads)
+    quads = np.ascontiguousarray(quads, np.int32)
     return SurfaceMesh(points, quads, maps, colours, about)
 
 
@@ -254,10 +245,10 @@ def steps_of(columns: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:
     """
     if mesh_um is None:
         return 1, 1
-    pitches = pitch(columns)
-    if mesh_um < 0.999 * max(pitches):
+    row_um, col_um = pitch(columns)
+    if mesh_um < 0.999 * max(row_um, col_um):
         raise StudyError(
-            f"`mesh_um={mesh_um:g}` is less than a column of {max(pitches):g} um. Give a multiple"
-            " of it."
+            f"`mesh_um={mesh_um:g}` is less than a column of {max(row_um, col_um):g} um. Give a"
+            " multiple of it."
         )
-    return max(1, round(mesh_um / pitches[0])), max(1, round(mesh_um / pitches[1]))
+    return max(1, round(mesh_um / row_um)), max(1, round(mesh_um / col_um))

@@ -36,12 +36,13 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
         shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
     dims = ["c", "y", "x"] if has_channels else ["y", "x"]
     arrays: list[Any] = []
-    for level, (rows, cols) in enumerate(shapes):
+    for level, level_shape in enumerate(shapes):
+        chunk = [min(n, BAND) for n in level_shape]
         array = group.create_array(
             str(level),
-            shape=(len(names), rows, cols)[-len(dims) :],
+            shape=(len(names), *level_shape)[-len(dims) :],
             dtype=np.float32,
-            chunks=(1, min(rows, BAND), min(cols, BAND))[-len(dims) :],
+            chunks=(1, *chunk)[-len(dims) :],
             fill_value=np.nan,
             compressors=CODECS,
             dimension_names=dims,
@@ -87,33 +88,29 @@ def _copied(path: Path, run_folders: Sequence[Path], n_levels: int, channel: Sha
 
 def _alike(source: Path, target: Path) -> bool:
     """Tell whether two arrays differ only in a first axis, so their chunks have the same bytes."""
-    a, b = (
-        json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target)
-    )
+    return _layout(source) == _layout(target)
+
+
+def _layout(folder: Path) -> list[Any]:
+    """What the bytes of an array's chunks depend on, of its last two axes."""
+    metadata = json.loads((folder / "zarr.json").read_text(encoding="utf-8"))
     keys = ("data_type", "codecs", "chunk_key_encoding", "fill_value")
-    if any(a.get(key) != b.get(key) for key in keys):
-        return False
-    a_chunk, b_chunk = (array["chunk_grid"]["configuration"]["chunk_shape"] for array in (a, b))
-    return a_chunk[-2:] == b_chunk[-2:] and a["shape"] == b["shape"][-2:]
+    chunk = metadata["chunk_grid"]["configuration"]["chunk_shape"]
+    return [*map(metadata.get, keys), chunk[-2:], metadata["shape"][-2:]]
 
 
 def _attributes(
     maps: Maps, windows: list[dict[str, float]], n_levels: int, history: ExportHistory
 ) -> Entries:
     names = maps.names
-    name, axes = (maps.group, "cyx") if len(names) > 1 else (names[0], "yx")
+    title, axes = (maps.group, "cyx") if len(names) > 1 else (names[0], "yx")
     multiscales = multiscale(
-        name, axes, maps.pixel_um, maps.origin_um, n_levels, kind="mean of 2 x 2 known pixels"
+        title, axes, maps.pixel_um, maps.origin_um, n_levels, kind="mean of 2 x 2 known pixels"
     )
-    channels = [
-        {
-            "label": f"{name} ({units})",
-            "color": "FFFFFF",
-            "active": name == names[0],
-            "window": window,
-        }
-        for (name, units), window in zip(maps.units.items(), windows, strict=True)
-    ]
+    channels: list[Entries] = []
+    for (name, units), window in zip(maps.units.items(), windows, strict=True):
+        channel = {"label": f"{name} ({units})", "color": "FFFFFF", "active": name == names[0]}
+        channels.append(channel | {"window": window})
     return {
         "ome": {"version": "0.5", "multiscales": [multiscales], "omero": {"channels": channels}},
         "planish": {

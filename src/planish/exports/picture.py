@@ -55,11 +55,9 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     pixels, reduction = _reduced(maps, name)
     scale = maps.scales.get(name) or Scale(*percentile_limits(pixels))
     note = history.json(**maps.facts(), map=name, low=scale.low, high=scale.high, reduced=reduction)
-    program_fields = (
-        {"Software": history.program}
-        if params.to == "png"
-        else {"Date": None, "Creator": history.program}
-    )
+    program_fields: Entries = {"Date": None, "Creator": history.program}
+    if params.to == "png":
+        program_fields = {"Software": history.program}
     metadata = program_fields | {"Title": maps.titles[name], "Description": note}
     with style.context(["default", _STYLE]), path.open("wb") as file:  # whatever the user has set
         _figure(maps, pixels, reduction, scale).savefig(file, format=params.to, metadata=metadata)

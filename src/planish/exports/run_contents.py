@@ -47,12 +47,15 @@ def history_of(run: Run) -> ExportHistory:
         study_bytes = (run.folder / RUN_TOML).read_bytes()
     else:
         study_bytes = tomli_w.dumps({"planish": run.results.planish} | to_dict(run.study)).encode()
-    sources = [(layer.name, layer.source) for layer in run.results.layers]
+    inputs = [
+        {"layer": layer.name, "name": layer.source.name, "sha256": layer.source.sha256}
+        for layer in run.results.layers
+    ]
     return ExportHistory(
         planish=run.results.planish,
         exported_by=__version__,
         study_sha256=hashlib.sha256(study_bytes).hexdigest(),
-        inputs=tuple({"layer": layer, "name": s.name, "sha256": s.sha256} for layer, s in sources),
+        inputs=tuple(inputs),
     )
 
 
@@ -246,11 +249,9 @@ def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
     is_affine = isinstance(transform, Similarity | Affine)
     moving = grid_of(run, layer.name) or _grid_around(fit.moving)
     fixed = grid_of(run, target) or _grid_around(fit.fixed)
-    return TransformPair(
-        DirectedTransform(layer.name, target, fit, moving, affine, is_affine),
-        DirectedTransform(target, layer.name, fit.inverse, fixed, affine.inverse, is_affine),
-        fit.model,
-    )
+    forward = DirectedTransform(layer.name, target, fit, moving, affine, is_affine)
+    back = DirectedTransform(target, layer.name, fit.inverse, fixed, affine.inverse, is_affine)
+    return TransformPair(forward, back, fit.model)
 
 
 def landmarks(run: Run, layer: LayerFacts) -> xr.Dataset:

@@ -11,7 +11,7 @@ from planish.core.axial import summable
 from planish.core.bands import band_of, bands
 from planish.core.errors import StudyError
 from planish.core.memory import TABLE_VALUES, TEXT_VALUES
-from planish.core.typing import Floats
+from planish.core.typing import Array, Floats
 from planish.exports.content import ExportHistory, Maps, column_of
 from planish.exports.formats import ExportParams
 
@@ -24,7 +24,9 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
     Numbers read back to the same float32.
     """
     (name,) = maps.names
-    (dy_um, dx_um), (y0, x0), (y, x) = maps.pixel_um, maps.origin_um, maps.dims
+    dy_um, dx_um = maps.pixel_um
+    y0, x0 = maps.origin_um
+    y, x = maps.dims
     header_lines = [
         f"{name}: {maps.titles[name]}",
         f"unit: {maps.units[name]}",
@@ -38,9 +40,8 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
         for _, band in maps.bands(name, np.float32):
             rows_at_once = max(1, TEXT_VALUES // band.shape[1])
             for start in range(0, len(band), rows_at_once):
-                file.writelines(
-                    "\t".join(row) + "\n" for row in _texts(band[start : start + rows_at_once])
-                )
+                rows = _texts(band[start : start + rows_at_once])
+                file.writelines("\t".join(row) + "\n" for row in rows)
 
 
 def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
@@ -83,9 +84,8 @@ def _pixels(maps: Maps, names: list[str]) -> Iterator[Floats]:
     property_indices = [k for k, name in enumerate(names) if name != "valid"] or slice(None)
     for start in range(0, rows, rows_at_once):
         rows_slice = slice(start, min(start + rows_at_once, rows))
-        values = np.stack(
-            [band_of(maps.data[name], rows_slice).astype(np.float64) for name in names]
-        )
+        map_bands = [band_of(maps.data[name], rows_slice) for name in names]
+        values = np.stack(map_bands).astype(np.float64)
         has_value = np.isfinite(values[property_indices]).any(axis=0)
         coords_um = np.stack(np.broadcast_arrays(x[None, :], y[rows_slice, None]))
         yield np.concatenate([coords_um[:, has_value], values[:, has_value]])
@@ -98,10 +98,10 @@ def _points(maps: Maps, names: list[str], point_um: float) -> Iterator[Floats]:
     validity = AreaMeans(maps.shape, pixels_per_point, least_share=0.0)
     means = {name: AreaMeans(maps.shape, pixels_per_point, least_share=_LEAST) for name in names}
     for rows in bands(maps.shape[0]):
-        map_bands = {
-            name: summable(maps.data[name], band_of(maps.data[name], rows).astype(np.float64))
-            for name in names
-        }
+        map_bands: dict[str, Array] = {}
+        for name in names:
+            band = band_of(maps.data[name], rows).astype(np.float64)
+            map_bands[name] = summable(maps.data[name], band)
         if "valid" in maps.data:
             valid = band_of(maps.data["valid"], rows).astype(bool)
         else:
@@ -110,14 +110,15 @@ def _points(maps: Maps, names: list[str], point_um: float) -> Iterator[Floats]:
         for name, area_means in means.items():
             area_means.add(rows.start, valid & np.isfinite(map_bands[name]), map_bands[name])
     (shares,) = validity.means()
-    y, x = (  # A point begins at the border of the first pixel.
-        origin_um - 0.5 * pitch + point_um * (np.arange(n_points) + 0.5)
-        for origin_um, pitch, n_points in zip(maps.origin_um, pixel_um, shares.shape, strict=True)
+    # A point begins at the border of the first pixel.
+    low_um = np.array(maps.origin_um) - 0.5 * np.array(pixel_um)
+    y, x = (
+        low + point_um * (np.arange(n) + 0.5) for low, n in zip(low_um, shares.shape, strict=True)
     )
     coords_um = np.broadcast_arrays(x[None, :], y[:, None])
-    yield np.stack([*coords_um, *(area_means.means()[0] for area_means in means.values()), shares])[
-        :, shares >= _LEAST - 1e-9
-    ]
+    map_means = [area_means.means()[0] for area_means in means.values()]
+    columns = np.stack([*coords_um, *map_means, shares])
+    yield columns[:, shares >= _LEAST - 1e-9]
 
 
 def _texts(values: NDArray[np.floating]) -> list[list[str]]:

@@ -21,7 +21,7 @@ import xarray as xr
 from planish.core.errors import ResourceError
 from planish.core.memory import STACK_BYTES
 from planish.core.typing import Array, DType, Entries, Shape
-from planish.exports.content import ExportHistory, Maps, exact
+from planish.exports.content import ExportHistory, Maps, exact, exact_pitch, volume_facts
 from planish.exports.formats import ExportParams
 
 MOST = 2**32 - 2**20
@@ -57,8 +57,9 @@ def write_imagej(
             metadata["mode"] = "grayscale"
     else:
         metadata["spacing"] = stack.pixel_um[0]
+    # Along x and y, in pixels per um.
     pixel_fractions = [Fraction(pitch).limit_denominator(10**6) for pitch in stack.pixel_um[:-3:-1]]
-    resolution = tuple((fraction.denominator, fraction.numerator) for fraction in pixel_fractions)
+    resolution = [(fraction.denominator, fraction.numerator) for fraction in pixel_fractions]
     stack.write(path, history, imagej=True, ome=False, resolution=resolution, metadata=metadata)
 
 
@@ -66,11 +67,13 @@ def _limits(maps: Maps) -> Entries:
     """Limits between which maps are shown at first; empty where they are not all known."""
     if not maps.scales.keys() >= {*maps.names}:
         return {}
-    scales = [maps.scales[name] for name in maps.names]
-    limits = np.array([(scale.low, scale.high) for scale in scales]).ravel().tolist()
+    limits: list[float] = []
+    for name in maps.names:
+        scale = maps.scales[name]
+        limits += [float(scale.low), float(scale.high)]
     first = {"min": limits[0], "max": limits[1]}
     # ImageJ takes the ranges of up to seven channels; of more, one for all.
-    return first | {"Ranges": limits} if len(scales) > 1 else first
+    return first | {"Ranges": limits} if len(limits) > 2 else first
 
 
 def write_ome(
@@ -129,6 +132,7 @@ class _Stack:
     @classmethod
     def _of_maps(cls, maps: Maps) -> _Stack:
         names = maps.names
+        labels = [f"{name} ({maps.units[name]})".removesuffix(" (1)") for name in names]
         axes = "YX"
         shape: Shape = maps.shape
         dtype = np.dtype(np.float32)
@@ -144,7 +148,7 @@ class _Stack:
             shape=shape,
             pixel_um=maps.pixel_um,
             origin_um=maps.origin_um,
-            labels=[f"{name} ({maps.units[name]})".removesuffix(" (1)") for name in names],
+            labels=labels,
             facts=maps.facts() | {"maps": maps.titles},
         )
 
@@ -152,11 +156,8 @@ class _Stack:
     def _of_volume(cls, volume: xr.DataArray) -> _Stack:
         coords_um = [volume[dim].values for dim in volume.dims]
         first_um = tuple(exact(axis_um[0]) for axis_um in coords_um)
-        pixel_um = tuple(
-            exact((axis_um[-1] - axis_um[0]) / max(axis_um.size - 1, 1)) for axis_um in coords_um
-        )
-        facts = {str(key): value for key, value in volume.attrs.items() if key != "voxel_um"}
-        facts |= {
+        pixel_um = tuple(map(exact_pitch, coords_um))
+        facts = volume_facts(volume) | {
             "axes": "".join(map(str, volume.dims)),
             "voxel_um": list(pixel_um),
             "first_voxel_um": list(first_um),
@@ -183,11 +184,9 @@ class _Stack:
         n_slices, n_rows, n_cols = self.content.shape
         rows_at_once = max(1, STACK_BYTES // (4 * n_slices * n_cols))
         for first_row in range(0, n_rows, rows_at_once):
-            slab = np.asarray(
-                self.content[:, first_row : first_row + rows_at_once, :].values, dtype=self.dtype
-            )
-            for k in range(n_slices):
-                yield k, first_row, slab[k]
+            slab = self.content[:, first_row : first_row + rows_at_once, :]
+            for k, band in enumerate(slab.values.astype(self.dtype)):
+                yield k, first_row, band
 
     def write(self, path: Path, history: ExportHistory, **options: Any) -> None:
         """Lay out a file of uncompressed planes, one after another, and put the values into it."""

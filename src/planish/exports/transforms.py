@@ -14,17 +14,11 @@ import zarr
 
 from planish.core.files import write_text
 from planish.core.grid import Grid
-from planish.core.transform import Affine
+from planish.core.transform import Affine, grid_points
 from planish.core.typing import Array, Bools, Floats, Ints, Pair, Texts, pair_of
-from planish.exports.content import ExportHistory, Maps, plain_type
+from planish.exports.content import CORNERS, ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
 from planish.marks.exchange import write_any
-
-_CORNERS = [
-    (rows, cols)
-    for rows in (slice(None, -1), slice(1, None))
-    for cols in (slice(None, -1), slice(1, None))
-]
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,15 +97,13 @@ def _sampled(
     margin_um = 0.1 * float(size_um.max())
     low_um = np.array(transform.grid.origin_um) - 0.5 * pixel_um - margin_um
     length_um = size_um + 2 * margin_um
+    high_um = low_um + length_um
     # At most so many pixels of the layer between nodes.
     pitch_um = 64 * float(np.sqrt(pixel_um.prod()))
 
     def nodes(node_shift: float, n_nodes: Ints) -> Floats:
-        axes = [
-            low_um[k] + pitch_um * (np.arange(n_nodes[k] - (node_shift > 0)) + node_shift)
-            for k in (0, 1)
-        ]
-        return np.stack(np.meshgrid(*axes), axis=-1)
+        steps = [np.arange(n - (node_shift > 0)) + node_shift for n in n_nodes]
+        return low_um + pitch_um * grid_points(*steps)
 
     def offsets(points: Floats) -> tuple[Floats, Bools]:
         images = transform.function(points)
@@ -125,12 +117,11 @@ def _sampled(
         vectors, has_image = offsets(nodes(0.0, n_nodes))
         sampled, is_inside = offsets(centres)
         interpolated = np.zeros_like(sampled)
-        for corner in _CORNERS:
+        for corner in CORNERS:
             interpolated += 0.25 * vectors[corner]
             is_inside &= has_image[corner]
-        is_inside &= (
-            (centres >= low_um + margin_um) & (centres <= low_um + length_um - margin_um)
-        ).all(axis=-1)
+        is_over_layer = (centres >= low_um + margin_um) & (centres <= high_um - margin_um)
+        is_inside &= is_over_layer.all(axis=-1)
         errors_um = np.linalg.norm(interpolated - sampled, axis=-1)[is_inside]
         error_um = float(errors_um.max()) if errors_um.size else 0.0
         # In the middle between nodes it may err by so much. An affine map needs no finer grid.
@@ -142,6 +133,9 @@ def _sampled(
 
 
 UNITS = {"um": 1.0, "mm": 1e-3}
+_DIRECTION = (1, 0, 0, 1)  # of the axes, as a matrix row by row
+_FALSE, _TRUE = ["false"], ["true"]
+_NO_TRANSFORM = "NoInitialTransform"
 
 
 def write_itk(
@@ -162,20 +156,10 @@ def write_itk(
         field = before_affine(transform)
         field_facts = field.facts()
         rows, cols = field.shape
-        geometry = [
-            cols,
-            rows,
-            *(per_um * v for v in (*field.origin_um, field.pitch_um, field.pitch_um)),
-            1,
-            0,
-            0,
-            1,
-        ]
-        field_part = (
-            "DisplacementFieldTransform_double_2_2",
-            (field.vectors * per_um).ravel(),
-            geometry,
-        )
+        places = [per_um * um for um in (*field.origin_um, field.pitch_um, field.pitch_um)]
+        geometry = [cols, rows, *places, *_DIRECTION]
+        vectors = (field.vectors * per_um).ravel()
+        field_part = ("DisplacementFieldTransform_double_2_2", vectors, geometry)
         transforms = [("CompositeTransform_double_2_2", [], []), *transforms, field_part]
     lines = ["#Insight Transform File V1.0", f"#{transform.name}: {history.json(**field_facts)}"]
     for k, (class_name, *number_lists) in enumerate(transforms):
@@ -201,41 +185,36 @@ def write_elastix(
     """
     per_um = UNITS[params.unit]
     # The image that transformix makes lies on the pixels of the source.
-    (rows, cols), (x, y), (dy_um, dx_um) = (
-        transform.grid.shape,
-        transform.grid.origin_um,
-        transform.grid.pixel_um,
-    )
+    grid = transform.grid
     raster = {
-        "Size": [cols, rows],
+        "Size": grid.shape[::-1],
         "Index": [0, 0],
-        "Spacing": [dx_um * per_um, dy_um * per_um],
-        "Origin": [x * per_um, y * per_um],
-        "Direction": [1, 0, 0, 1],
-        "UseDirectionCosines": ["true"],
+        "Spacing": [um * per_um for um in grid.pixel_um[::-1]],
+        "Origin": [um * per_um for um in grid.origin_um],
+        "Direction": _DIRECTION,
+        "UseDirectionCosines": _TRUE,
     }
     note = f"// {transform.name}: takes points of {transform.source} to {transform.target}. "
-    initial_file = "NoInitialTransform"
+    initial_file = _NO_TRANSFORM
     if not transform.exact:
         field = before_affine(transform)
         initial_file = f"{transform.name}_local.txt"
         coefficients = np.moveaxis(field.vectors, -1, 0).ravel() * per_um
-        bspline = _elastix_parameters("BSplineTransform", coefficients, "NoInitialTransform") | {
+        bspline = _elastix_parameters("BSplineTransform", coefficients, _NO_TRANSFORM)
+        field_grid = {
             "GridSize": field.shape[::-1],
             "GridIndex": [0, 0],
             "GridSpacing": [field.pitch_um * per_um] * 2,
-            "GridOrigin": [v * per_um for v in field.origin_um],
-            "GridDirection": [1, 0, 0, 1],
+            "GridOrigin": [um * per_um for um in field.origin_um],
+            "GridDirection": _DIRECTION,
             "BSplineTransformSplineOrder": [1],
-            "UseCyclicTransform": ["false"],
+            "UseCyclicTransform": _FALSE,
         }
-        _write_elastix_file(
-            path.with_name(initial_file), note + history.json(**field.facts()), bspline | raster
-        )
+        field_note = note + history.json(**field.facts())
+        _write_elastix_file(path.with_name(initial_file), field_note, bspline | field_grid | raster)
     matrix_and_shift, center = _affine_parameters(transform, per_um)
-    affine = _elastix_parameters("AffineTransform", matrix_and_shift, initial_file) | {
-        "CenterOfRotationPoint": center
-    }
+    affine = _elastix_parameters("AffineTransform", matrix_and_shift, initial_file)
+    affine["CenterOfRotationPoint"] = center
     # Beside the image stands -1e30: elastix reads no NaN, and 0 would be taken for a measurement.
     resampling = {
         "ResampleInterpolator": ["FinalBSplineInterpolator"],
@@ -244,7 +223,7 @@ def write_elastix(
         "DefaultPixelValue": [-1e30],
         "ResultImageFormat": ["nrrd"],
         "ResultImagePixelType": ["float"],
-        "CompressResultImage": ["false"],
+        "CompressResultImage": _FALSE,
     }
     _write_elastix_file(path, note + history.json(), affine | raster | resampling)
 
@@ -264,9 +243,7 @@ def write_zarr(
         group.attrs.update({"source": source, "target": target} | field.facts())
         arrays: dict[str, tuple[Any, Texts, str]] = {}
         for k, axis in ((1, "y"), (0, "x")):
-            coords_um = field.origin_um[k] + field.pitch_um * np.arange(
-                field.shape[1 - k], dtype=np.float64
-            )
+            coords_um = field.origin_um[k] + field.pitch_um * np.arange(field.shape[1 - k])
             arrays[axis] = (coords_um, (axis,), f"{axis} of {source}")
         for k, axis in enumerate("xy"):
             long_name = f"{axis} of {target} minus {axis} of {source}"
@@ -293,10 +270,9 @@ def _affine_parameters(
 
     ``scale`` turns um into its unit.
     """
-    source, target = (
-        np.array(point) * per_um for point in (transform.affine.source, transform.affine.target)
-    )
-    return [*transform.affine.matrix().ravel(), *(target - source)], list(source)
+    affine = transform.affine
+    source, target = np.array([affine.source, affine.target]) * per_um
+    return [*affine.matrix().ravel(), *(target - source)], list(source)
 
 
 def _elastix_parameters(
@@ -340,8 +316,11 @@ def write_nrrd(
     if isinstance(content, DirectedTransform):
         field = displacement(content)
         title = f"displacement of points of {content.source} to {content.target}"
-        dtype, components, shape = field.vectors.dtype, ["vector"], field.shape
-        (x, y), dx_um, dy_um = field.origin_um, field.pitch_um, field.pitch_um
+        dtype = field.vectors.dtype
+        components = ["vector"]
+        shape = field.shape
+        x, y = field.origin_um
+        dx_um = dy_um = field.pitch_um
         key_values = {"value_unit": unit, "planish": history.json(**field.facts())}
         blocks: Iterable[Array] = [field.vectors * UNITS[unit]]
     else:
@@ -350,7 +329,8 @@ def write_nrrd(
         dtype = plain_type(content.data[name].dtype)
         components = []
         shape = content.shape
-        (y, x), (dy_um, dx_um) = content.origin_um, content.pixel_um
+        y, x = content.origin_um
+        dy_um, dx_um = content.pixel_um
         key_values = {"value_unit": content.units[name], "planish": history.json(**content.facts())}
         blocks = (band for _, band in content.bands(name))
     x, y, dx_um, dy_um = (f"{v * UNITS[unit]:.12g}" for v in (x, y, dx_um, dy_um))

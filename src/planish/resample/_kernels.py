@@ -29,7 +29,8 @@ def _place(number, wb, wc, cols):
 @njit(cache=True, nogil=True)
 def _on_target(uv, i, j, first, pitch):
     """Place of a node in pixels of the target."""
-    return (uv[i, j, 0] - first[0]) * (1.0 / pitch[0]), (uv[i, j, 1] - first[1]) * (1.0 / pitch[1])
+    u, v = uv[i, j, 0] - first[0], uv[i, j, 1] - first[1]
+    return u * (1.0 / pitch[0]), v * (1.0 / pitch[1])
 
 
 @njit(cache=True, nogil=True)
@@ -77,10 +78,9 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
             triangle[y, x] = -1
     for i in range(rows - 1):
         for s in range(low.shape[1]):
-            if (
-                min(low[i, s], low[i + 1, s]) - _EDGE > end - 1
-                or max(high[i, s], high[i + 1, s]) + _EDGE < begin
-            ):
+            segment_low = min(low[i, s], low[i + 1, s])
+            segment_high = max(high[i, s], high[i + 1, s])
+            if segment_low - _EDGE > end - 1 or segment_high + _EDGE < begin:
                 continue
             start = s * segment
             # Corners of the quad: a = 0, b = 1, c = 2, d = 3; b and c are a and d of the next one.
@@ -123,9 +123,8 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
                             weight[0, y, x] = wb
                             weight[1, y, x] = wc
                         elif twice[y, x] == 0:
-                            r0, c0 = _place(
-                                np.int64(triangle[y, x]), weight[0, y, x], weight[1, y, x], cols
-                            )
+                            before = np.int64(triangle[y, x])
+                            r0, c0 = _place(before, weight[0, y, x], weight[1, y, x], cols)
                             r1, c1 = _place(number + t, wb, wc, cols)
                             if abs(r0 - r1) > _SAME or abs(c0 - c1) > _SAME:
                                 twice[y, x] = 1
@@ -136,11 +135,8 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
 @njit(cache=True, nogil=True)
 def _corners(number, corners, cols):
     if corners.shape[0] > 0:
-        return (
-            np.int64(corners[number, 0]),
-            np.int64(corners[number, 1]),
-            np.int64(corners[number, 2]),
-        )
+        nodes = corners[number]
+        return np.int64(nodes[0]), np.int64(nodes[1]), np.int64(nodes[2])
     node = np.int64(number) >> 1
     half = np.int64(number) & 1
     return node, node + 1 + half * cols, node + 1 + cols - half
@@ -237,7 +233,9 @@ def interpolate(image, nodes, down, across, least, out):
                 b = np.float64(image[top, left + 1])
                 e = np.float64(image[top + 1, left])
                 f = np.float64(image[top + 1, left + 1])
-                total = (a * (1.0 - fx) + b * fx) * (1.0 - fy) + (e * (1.0 - fx) + f * fx) * fy
+                upper = a * (1.0 - fx) + b * fx
+                lower = e * (1.0 - fx) + f * fx
+                total = upper * (1.0 - fy) + lower * fy
                 if np.isfinite(total):
                     out[r, c] = total
                     continue
@@ -281,9 +279,8 @@ def _under(sums, x0, y0, x1, y1):
         if last:
             then = 1.0
         base = sums[r, c]
-        total += (then - now) * (
-            base + (y0 - r + 0.5 * (now + then) * dy) * (sums[r + 1, c] - base)
-        )
+        depth = y0 - r + 0.5 * (now + then) * dy
+        total += (then - now) * (base + depth * (sums[r + 1, c] - base))
         if last:
             return dx * total
         now = then

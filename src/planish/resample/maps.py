@@ -130,16 +130,12 @@ def _as_stored(
     properties, errors, layers = names
     maps = _with_angles(maps, similarity)
     for name in errors:
-        maps[name] = maps[name].copy(
-            data=se_of_mean(maps[name].values, surfaces[name].attrs, pixel_um)
-        )
+        se = se_of_mean(maps[name].values, surfaces[name].attrs, pixel_um)
+        maps[name] = maps[name].copy(data=se)
     # Geometry stays double.
-    float32_names = [
-        name for name in [*properties, *errors] if "support_um" not in surfaces[name].attrs
-    ] + layers
-    return maps.assign(
-        {name: maps[name].astype(np.float32) for name in float32_names if name in maps}
-    )
+    measured = [n for n in properties + errors if "support_um" not in surfaces[n].attrs]
+    single = {n: maps[n].astype(np.float32) for n in measured + layers if n in maps}
+    return maps.assign(single)
 
 
 def resample_image(
@@ -198,26 +194,28 @@ class Lattice:
     """
 
     def __init__(self, grid: Grid) -> None:
-        self._nodes_um = [
-            np.linspace(v[0], v[-1], min(v.size, 200)) for v in (grid.y_um, grid.x_um)
-        ]
-        self.places: Floats = grid_points(self._nodes_um[1], self._nodes_um[0])
+        self._y_um, self._x_um = map(_thinned, (grid.y_um, grid.x_um))
+        self.places: Floats = grid_points(self._x_um, self._y_um)
 
     def between(self, values: Floats, part: Grid) -> Floats:
         """Interpolate values (rows, cols) of the places bilinearly on some pixels of the grid."""
-        for axis, (nodes_um, pixels_um) in enumerate(
-            zip(self._nodes_um, (part.y_um, part.x_um), strict=True)
-        ):
-            low = np.clip(
-                np.searchsorted(nodes_um, pixels_um, side="right") - 1, 0, max(nodes_um.size - 2, 0)
-            )
-            high = np.minimum(low + 1, nodes_um.size - 1)
-            share = (pixels_um - nodes_um[low]) / np.where(
-                high > low, nodes_um[high] - nodes_um[low], 1.0
-            )
-            share = share[:, None] if axis == 0 else share
-            values = values.take(low, axis) * (1.0 - share) + values.take(high, axis) * share
-        return values
+        by_rows = _between(values, self._y_um, part.y_um)
+        return _between(by_rows.T, self._x_um, part.x_um).T
+
+
+def _thinned(axis_um: Floats) -> Floats:
+    return np.linspace(axis_um[0], axis_um[-1], min(axis_um.size, 200))
+
+
+def _between(values: Floats, nodes_um: Floats, pixels_um: Floats) -> Floats:
+    """Interpolate the rows (nodes, ...) of values linearly at some pixels between their places."""
+    last = nodes_um.size - 1
+    n_before = np.searchsorted(nodes_um, pixels_um, side="right")
+    low = np.clip(n_before - 1, 0, max(last - 1, 0))
+    high = np.minimum(low + 1, last)
+    spacing_um = np.where(high > low, nodes_um[high] - nodes_um[low], 1.0)
+    share = ((pixels_um - nodes_um[low]) / spacing_um)[:, None]
+    return values[low] * (1.0 - share) + values[high] * share
 
 
 def _variable_names(surfaces: xr.Dataset) -> Names:
@@ -251,9 +249,8 @@ def se_of_mean(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
     if "patch_um2" not in attrs:
         return se
     x = pixel_um / np.sqrt(float(attrs["patch_um2"]) / (2 * np.pi))
-    share = (
-        np.sqrt(2 * np.pi) / x * special.erf(x / np.sqrt(2)) - 2 * -np.expm1(-0.5 * x * x) / x**2
-    )
+    plateau = np.sqrt(2 * np.pi) / x * special.erf(x / np.sqrt(2))
+    share = plateau - 2 * -np.expm1(-0.5 * x * x) / x**2
     common_se = float(attrs["common_um"])
     variance = se**2
     variance -= common_se**2
@@ -266,9 +263,10 @@ def se_of_mean(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
 def _on_columns(
     surfaces: xr.Dataset, flat: xr.Dataset, names: Names, coordinates: tuple[str, str]
 ) -> xr.Dataset:
-    fields = surfaces[[*names[0], *names[1], *names[2]]].assign(
-        {name: flat[name] for name in coordinates}
-    )
+    """Fields of the sheet's columns, with flat coordinates and their places in the volume."""
+    properties, errors, layers = names
+    fields = surfaces[properties + errors + layers]
+    fields = fields.assign(flat[list(coordinates)].data_vars)
     frame = Frame.of(surfaces)
     is_flattened = np.isfinite(flat["u"].values)
     positions = {
@@ -278,11 +276,8 @@ def _on_columns(
     positions[frame.through] = surfaces["centre"].values
     for axis in ("x", "y", "z"):
         attrs = {"units": "um", "long_name": f"Centre surface, {axis} in the volume"}
-        fields[f"volume_{axis}"] = (
-            ("y", "x"),
-            np.where(is_flattened, positions[axis], np.nan),
-            attrs,
-        )
+        place = np.where(is_flattened, positions[axis], np.nan)
+        fields[f"volume_{axis}"] = (("y", "x"), place, attrs)
     return fields
 
 

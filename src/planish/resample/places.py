@@ -22,7 +22,7 @@ from planish.core.facts import ResultModel
 from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
 from planish.core.transform import are_known, grid_points
-from planish.core.typing import Array, Bools, Floats, Pair
+from planish.core.typing import Array, Bools, Floats, Pair, pair_of
 from planish.resample._kernels import locate, sample
 
 Indices = NDArray[np.int32]
@@ -115,12 +115,15 @@ def find_places(
             f"The flat coordinates have the shape {uv.shape}; (rows, cols, 2) is needed, with 2^30"
             " nodes at most."
         )
-    pixel, origin = grid.pixel_um, grid.origin_um
+    pixel = grid.pixel_um
+    origin = grid.origin_um
     fine = min(max(1, int(np.ceil(max(pixel) / least_um - 1e-6))), 32) if least_um else 1
     step = pixel[1] / fine, pixel[0] / fine
     # The first sub-pixel's centre lies half a pixel less half a sub-pixel before the pixel's.
-    first = origin[0] - 0.5 * (pixel[1] - step[0]), origin[1] - 0.5 * (pixel[0] - step[1])
-    size, mesh = (shape[0] * fine, shape[1] * fine), (uv.shape[0], uv.shape[1])
+    first_u = origin[0] - 0.5 * (pixel[1] - step[0])
+    first = (first_u, origin[1] - 0.5 * (pixel[0] - step[1]))
+    size = (shape[0] * fine, shape[1] * fine)
+    mesh = (uv.shape[0], uv.shape[1])
     uv = np.ascontiguousarray(uv, dtype=np.float64)
     corners = np.empty((0, 3), dtype=np.int32)
     overlaps = 0
@@ -129,10 +132,8 @@ def find_places(
     if method == "delaunay":
         corners = _locate_in_delaunay(uv, first, step, triangle, weight)
     else:
-        segment_low, segment_high = _extents(uv[..., 1], first[1], step[1])
+        extents = (_SEGMENT, *_extents(uv[..., 1], first[1], step[1]))
         is_double = np.zeros(size, np.uint8)
-
-        extents = (_SEGMENT, segment_low, segment_high)
 
         def band(begin: int, end: int) -> int:
             return locate(uv, first, step, *extents, triangle, weight, is_double, begin, end)
@@ -160,9 +161,8 @@ class Mesh:
     @classmethod
     def of(cls, uv: Floats, *, least_um: float) -> Mesh:
         """``least_um`` is the pitch of the mesh, as for :func:`find_places`."""
-        low, high = map(
-            np.stack, zip(*(_extents(uv[..., k], 0.0, 1.0) for k in range(2)), strict=True)
-        )
+        extents = np.array([_extents(uv[..., k], 0.0, 1.0) for k in range(2)])
+        low, high = extents[:, 0], extents[:, 1]
         low = np.minimum(low[:, :-1], low[:, 1:])
         high = np.maximum(high[:, :-1], high[:, 1:])
         return cls(uv=uv, least_um=least_um, _low=low, _high=high)
@@ -170,21 +170,14 @@ class Mesh:
     def under(self, grid: Grid) -> tuple[tuple[slice, slice], Places]:
         """Return the nodes under the pixels of a grid, and where each pixel lies among them."""
         touched = np.ones(self._low.shape[1:], dtype=bool)
-        for k, (centres_um, pixel) in enumerate(
-            ((grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0]))
-        ):
-            touched &= (self._low[k] <= centres_um[-1] + pixel) & (
-                self._high[k] >= centres_um[0] - pixel
-            )
-        rows, segments = (np.flatnonzero(touched.any(axis=axis)) for axis in (1, 0))
-        if rows.size == 0:
-            nodes = slice(0, 1), slice(0, 1)  # a single node covers nothing
-        else:
+        axes = (grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0])
+        for low, high, (centres_um, pixel) in zip(self._low, self._high, axes, strict=True):
+            touched &= (low <= centres_um[-1] + pixel) & (high >= centres_um[0] - pixel)
+        nodes = slice(0, 1), slice(0, 1)  # a single node covers nothing
+        if touched.any():
+            rows, segments = (np.flatnonzero(touched.any(axis=axis)).tolist() for axis in (1, 0))
             last = min((segments[-1] + 1) * _SEGMENT, self.uv.shape[1] - 1)
-            nodes = (
-                slice(int(rows[0]), int(rows[-1]) + 2),
-                slice(int(segments[0]) * _SEGMENT, int(last) + 1),
-            )
+            nodes = slice(rows[0], rows[-1] + 2), slice(segments[0] * _SEGMENT, last + 1)
         return nodes, find_places(self.uv[nodes], grid, least_um=self.least_um)
 
 
@@ -212,10 +205,8 @@ def covering_grid(uv: Floats, pixel_um: float) -> Grid:
         )
     low = np.floor(points.min(axis=0) / pixel_um)
     high = np.ceil(points.max(axis=0) / pixel_um)
-    size = (high - low).astype(int) + 1
-    return Grid.regular(
-        (int(size[1]), int(size[0])), pixel_um, (float(low[0] * pixel_um), float(low[1] * pixel_um))
-    )
+    cols, rows = ((high - low).astype(int) + 1).tolist()
+    return Grid.regular((rows, cols), pixel_um, pair_of(low * pixel_um))
 
 
 def each_band(work: Callable[[int, int], Result], rows: int) -> list[Result]:
@@ -266,19 +257,16 @@ def _locate_in_delaunay(
             f"The {finite_nodes.size} known nodes cannot be triangulated; at least 3 are needed"
             " that do not lie in one line. Check the flat coordinates."
         ) from error
-    u, v = (
-        a + b * np.arange(n)
-        for a, b, n in zip(first_um, step_um, triangle.shape[::-1], strict=True)
-    )
+    sides = zip(first_um, step_um, triangle.shape[::-1], strict=True)
+    u, v = (first + step * np.arange(n) for first, step, n in sides)
     for begin in range(0, v.size, _LEAST_ROWS):
         rows = slice(begin, begin + _LEAST_ROWS)
         points = grid_points(u, v[rows])
         triangle[rows] = triangulation.find_simplex(points)
         # Weights of the first two corners; without a triangle they are not used.
         barycentric = triangulation.transform[triangle[rows]]
-        corner_weights = np.einsum(
-            "yxij,yxj->yxi", barycentric[..., :2, :], points - barycentric[..., 2, :]
-        )
+        offsets = points - barycentric[..., 2, :]
+        corner_weights = np.einsum("yxij,yxj->yxi", barycentric[..., :2, :], offsets)
         weight[0, rows] = corner_weights[..., 1]
         weight[1, rows] = 1.0 - corner_weights.sum(axis=-1)
     return np.ascontiguousarray(finite_nodes[triangulation.simplices], dtype=np.int32)
@@ -354,7 +342,8 @@ def resample_dataset(
         if np.issubdtype(variable.dtype, np.floating):
             resampled = resample(summable(variable, variable.values), places)
             variables[str(name)] = xr.Variable(dims, resampled, attrs)
-    return xr.Dataset(variables, coords={k: (k, v, {"units": "um"}) for k, v in coords.items()})
+    places_um = {axis: (axis, um, {"units": "um"}) for axis, um in coords.items()}
+    return xr.Dataset(variables, coords=places_um)
 
 
 def _sampled(field: Array, places: Places, share: Floats) -> Floats:

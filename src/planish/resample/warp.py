@@ -7,6 +7,7 @@ result depends on what is worked on together.
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from planish.core.errors import CannotRegister, InputError, ResourceError, SizeE
 from planish.core.grid import Grid
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
-from planish.core.transform import are_known
+from planish.core.transform import are_known, grid_points
 from planish.core.typing import Array, Floats, Pair
 from planish.resample._kernels import integrals, interpolate
 
@@ -99,7 +100,8 @@ def warp_image(
     Rounding leaves 1e-13 of the largest value nearby in a mean: mark values that stand for missing
     ones as NaN.
     """
-    shape, size = grid.shape, image.shape
+    shape = grid.shape
+    size = image.shape
     if image.ndim != 2 or min(size) < 1 or image.dtype.kind != "f":
         raise InputError(
             f"The image has the shape {size} and {image.dtype} values; (rows, cols) of floats is"
@@ -129,47 +131,48 @@ def warp_image(
 
     out = np.full(shape, np.nan, dtype=image.dtype)
     map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
-    if np.isfinite(out).any() or not must_meet:
-        return out
-    x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
-    points_um = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
-    points_um = points_um[are_known(points_um)]
-    where_text = "nowhere"
-    if len(points_um):
-        a, b = points_um.min(axis=0)
-        c, d = points_um.max(axis=0)
-        where_text = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
-    height_um, width_um = size[0] * pixel_um[0], size[1] * pixel_um[1]
-    raise CannotRegister(
-        f"The transformation takes the target {where_text}, which is {width_um:.0f} um wide and"
-        f" {height_um:.0f} um high: nothing overlaps. Check the pixel sizes and the origin, and"
-        " that the transformation goes from target to image (else use its inverse)."
-    )
+    if must_meet and not np.isfinite(out).any():
+        sides = (np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1])
+        points_um = mapping(grid_points(*sides)) * pixel_um[::-1]
+        where_text = _where_text(points_um[are_known(points_um)])
+        height_um, width_um = size[0] * pixel_um[0], size[1] * pixel_um[1]
+        raise CannotRegister(
+            f"The transformation takes the target {where_text}, which is {width_um:.0f} um wide and"
+            f" {height_um:.0f} um high: nothing overlaps. Check the pixel sizes and the origin, and"
+            " that the transformation goes from target to image (else use its inverse)."
+        )
+    return out
+
+
+def _where_text(points_um: Floats) -> str:
+    """Say where points (n, 2) of the target lie in the image."""
+    if not len(points_um):
+        return "nowhere"
+    a, b = points_um.min(axis=0)
+    c, d = points_um.max(axis=0)
+    return f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
 
 
 def _warp_tile(image: Array, mapping: Mapping, out: Array, tile: Tile) -> None:
     """Set one tile of ``out``, which is NaN before."""
     for (y0, y1, x0, x1), nodes in zip(*find_patches(mapping, tile, image.shape), strict=True):
         sides = y1 - y0, x1 - x0
-        down, across = (
-            (nodes[k] - nodes[0, 0]) / n for k, n in zip(((-1, 0), (0, -1)), sides, strict=True)
-        )
-        if abs(down[0] * across[1] - down[1] * across[0]) <= _FLAT * max(
-            down @ down, across @ across
-        ):
+        down = (nodes[-1, 0] - nodes[0, 0]) / sides[0]
+        across = (nodes[0, -1] - nodes[0, 0]) / sides[1]
+        area = abs(down[0] * across[1] - down[1] * across[0])
+        if area <= _FLAT * max(down @ down, across @ across):
             # a line or a point of the source: one value spread over the patch would look like a
             # map.
             continue
-        longest = [
-            np.linalg.norm(np.diff(nodes[::3, ::3], axis=k), axis=-1).max() / n
-            for k, n in enumerate(sides)
-        ]
-        if max(longest) > LARGER:
+        corners = nodes[::3, ::3]
+        lengths = (np.linalg.norm(np.diff(corners, axis=k), axis=-1).max() for k in (0, 1))
+        target = out[y0:y1, x0:x1]
+        if max(map(np.divide, lengths, sides)) > LARGER:
             v, u = (np.arange(n + 1) / n for n in sides)
-            out[y0:y1, x0:x1] = _averaged(image, places(nodes, v, u))
+            target[:] = _averaged(image, places(nodes, v, u))
         else:
             down, across = (_weights((np.arange(n) + 0.5) / n) for n in sides)
-            interpolate(image, nodes, down, across, 1.0 - _EDGE, out[y0:y1, x0:x1])
+            interpolate(image, nodes, down, across, 1.0 - _EDGE, target)
 
 
 def _part(image: Array, positions: Floats, margin: int) -> tuple[Array, Floats]:
@@ -206,7 +209,8 @@ def _averaged(image: Array, nodes: Floats) -> Floats:
     along = 0.5 * (y[:, :-1] + y[:, 1:]) * np.diff(x, axis=1)
     side = 0.5 * (y[:-1] + y[1:]) * np.diff(x, axis=0)
     area = (along[:-1] - side[:, :-1]) + side[:, 1:] - along[1:]
-    diagonals = nodes[1:, 1:] - nodes[:-1, :-1], nodes[:-1, 1:] - nodes[1:, :-1]
+    falling = nodes[1:, 1:] - nodes[:-1, :-1]
+    diagonals = (falling, nodes[:-1, 1:] - nodes[1:, :-1])
     longest = np.maximum(*(np.sum(line**2, axis=-1) for line in diagonals))
     area[2 * np.abs(area) <= _FLAT * longest] = np.nan
     total = integrals(_sums(np.where(is_valid, part, 0.0)), x, y)
@@ -236,16 +240,16 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
     patches: list[tuple[Integers, Floats]] = []
 
     def places_at(shares: Floats) -> Floats:
-        y = bounds[:, :1] + shares * (bounds[:, 1:2] - bounds[:, :1]) - 0.5
-        x = bounds[:, 2:3] + shares * (bounds[:, 3:] - bounds[:, 2:3]) - 0.5
+        y0, y1, x0, x1 = bounds.T[..., None]
+        y = y0 + shares * (y1 - y0) - 0.5
+        x = x0 + shares * (x1 - x0) - 0.5
         return mapping(np.stack(np.broadcast_arrays(x[:, None, :], y[:, :, None]), axis=-1))
 
     while len(bounds):
         nodes = places_at(_NODES)
         tests = places_at(_TEST)
-        is_defined = np.concatenate(
-            [are_known(a).reshape(len(a), -1) for a in (nodes, tests)], axis=1
-        )
+        node_known, test_known = (are_known(p).reshape(len(p), -1) for p in (nodes, tests))
+        is_defined = np.concatenate([node_known, test_known], axis=1)
         is_finite = is_defined.all(axis=1)
         error = np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1).max(axis=(1, 2))
         error = np.where(is_finite, error, np.inf)
@@ -253,11 +257,11 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
         high = nodes.max(axis=(1, 2))
         # a patch that is further away from the source shows nothing of it.
         margin = (2 * error + 2.0)[:, None]
-        is_outside = np.any(
-            (high + margin < 0) | (low - margin > (source[1] - 1, source[0] - 1)), axis=1
-        )
+        last_pixel = (source[1] - 1, source[0] - 1)
+        is_outside = np.any((high + margin < 0) | (low - margin > last_pixel), axis=1)
         is_empty = (is_finite & is_outside) | ~is_defined.any(axis=1)
-        is_single = (bounds[:, 1] - bounds[:, 0] == 1) & (bounds[:, 3] - bounds[:, 2] == 1)
+        y0, y1, x0, x1 = bounds.T
+        is_single = (y1 - y0 == 1) & (x1 - x0 == 1)
         # Where it is tested the polynomial may err by half; the rest is for between the tests. What
         # is summed for area means stays in the cache where no more pixels of the source lie under a
         # patch.
@@ -267,8 +271,8 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
         # The others are cut in the middle of both sides.
         y0, y1, x0, x1 = bounds[~(is_patch | is_empty | is_single)].T
         y, x = (y0 + y1 + 1) // 2, (x0 + x1 + 1) // 2
-        quarters = (y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1)
-        bounds = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
+        halves = product(((y0, y), (y, y1)), ((x0, x), (x, x1)))
+        bounds = np.concatenate([np.stack([*rows, *cols], axis=1) for rows, cols in halves])
         bounds = bounds[(bounds[:, 1] > bounds[:, 0]) & (bounds[:, 3] > bounds[:, 2])]
     all_bounds, all_nodes = zip(*patches, strict=True)
     return np.concatenate(all_bounds), np.concatenate(all_nodes)

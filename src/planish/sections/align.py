@@ -8,6 +8,7 @@ something fixed to the stage shows that drift.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -90,7 +91,8 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     Methods 9, 717. A sheet that rises along the cut has a true offset from section to section; it
     belongs to the slow part, and the band follows it before anything is compared.
     """
-    away_um, n = series.away_um, series.away_um.size
+    away_um = series.away_um
+    n = away_um.size
     cutoff_um = _CUTOFF_PITCHES * series.pitch_um
     first, second = neighbours(away_um, series.pitch_um, _REACH)
     # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the
@@ -104,53 +106,50 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     for is_compared in (is_near, is_near, np.ones_like(is_near)):
         coarse_pairs = compare(series, pose, first[is_compared], second[is_compared])
         places, is_used = _join_pairs(coarse_pairs, n)
-        components = section_components(
-            coarse_pairs.first[is_used], coarse_pairs.second[is_used], n
-        )
+        first_used, second_used = coarse_pairs.first[is_used], coarse_pairs.second[is_used]
+        components = section_components(first_used, second_used, n)
         pose = quick_places(places + sheet_course, away_um, components, cutoff_um=cutoff_um)
     # Coarse texture wanders along the columns with the fibres that come and go; fine texture less.
     # The place along the columns is measured once more in it, now that the sections lie near
     # enough.
     is_close = (second - first == 1) & is_used
+    has_fine = max(series.pixel_um) <= FINEST_UM and is_close.any()
+    coarse_sigma = coarse_pairs.sigma[is_close, 1]
     fine_pairs: SectionPairs | None = None
     coarse_pose = pose
-    for _ in range(2 if max(series.pixel_um) <= FINEST_UM and is_close.any() else 0):
+    for _ in range(2 if has_fine else 0):
         finer_pairs = compare(series, pose, first[is_close], second[is_close], is_fine=True)
-        if not np.median(finer_pairs.sigma[:, 1]) < _SURER * np.median(
-            coarse_pairs.sigma[is_close, 1]
-        ):
+        if not np.median(finer_pairs.sigma[:, 1]) < _SURER * np.median(coarse_sigma):
             fine_pairs, pose = None, coarse_pose
             break
         fine_pairs = finer_pairs
         places[:, 1] = _join_columns(coarse_pairs, fine_pairs, n)
         pose = quick_places(places + sheet_course, away_um, components, cutoff_um=cutoff_um)
     # Sections that hang together with others, by two pairs or more.
-    pair_counts = np.bincount(np.concatenate([first[is_used], second[is_used]]), minlength=n)
-    aligned = np.isin(np.arange(n), np.concatenate([*components, []])) & (
-        pair_counts >= min(2, n - 1)
-    )
+    pair_counts = np.bincount(np.concatenate([first_used, second_used]), minlength=n)
+    aligned = np.zeros(n, bool)
+    for component in components:
+        aligned[component] = pair_counts[component] >= min(2, n - 1)
     pose[~aligned] = 0.0
     pose_variance = _jackknife_variance(series, coarse_pairs, fine_pairs, components, aligned)
     # A narrow image determines rotations badly: they are shortened to what is more than their own
     # error (Wiener).
     mean_square_rotation = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
-    pose[:, 2] *= (
-        max(0.0, 1.0 - float(pose_variance[:, 2].mean()) / mean_square_rotation)
-        if mean_square_rotation > 0
-        else 0.0
-    )
-    is_fixed = (
-        _add_fixed_drift(pose, fixed, away_um, cutoff_um, aligned)
-        if fixed is not None
-        else [False] * 3
-    )
+    known_share = 0.0
+    if mean_square_rotation > 0:
+        known_share = 1.0 - float(pose_variance[:, 2].mean()) / mean_square_rotation
+    pose[:, 2] *= max(0.0, known_share)
+    is_fixed = [False] * 3
+    if fixed is not None:
+        is_fixed = _add_fixed_drift(pose, fixed, away_um, cutoff_um, aligned)
+    # The median section: where a hole rules one run of columns, leaving that out tells the error of
+    # the others, not of all.
+    jitter_left_um = np.sqrt(np.median(pose_variance[:, :2], axis=0))
     return Alignment(
         shift_um=pose[:, :2].copy(),
         rotation_rad=pose[:, 2].copy(),
         aligned=aligned,
-        # The median section: where a hole rules one run of columns, leaving that out tells the
-        # error of the others, not of all.
-        jitter_left_um=np.sqrt(np.median(pose_variance[:, :2], axis=0)),
+        jitter_left_um=jitter_left_um,
         pairs_used=int(is_used.sum()),
         pairs_refused=int((~is_used).sum()),
         cutoff_um=cutoff_um,
@@ -171,18 +170,16 @@ def _jackknife_variance(
     """
     if not aligned.any():
         return np.full((1, 3), np.nan)
+    away_um = series.away_um
+    cutoff_um = _CUTOFF_PITCHES * series.pitch_um
     poses: list[Floats] = []
     for k in range(GROUPS):
         fewer_pairs = coarse.without(k)
-        places = _join_pairs(fewer_pairs, len(series.away_um))[0]
+        places = _join_pairs(fewer_pairs, away_um.size)[0]
         if fine is not None:
-            places[:, 1] = _join_columns(fewer_pairs, fine.without(k), len(series.away_um))
+            places[:, 1] = _join_columns(fewer_pairs, fine.without(k), away_um.size)
         places += _sheet_course(series, left_out_group=k)
-        poses.append(
-            quick_places(
-                places, series.away_um, components, cutoff_um=_CUTOFF_PITCHES * series.pitch_um
-            )
-        )
+        poses.append(quick_places(places, away_um, components, cutoff_um=cutoff_um))
     return np.var(poses, axis=0)[aligned] * (GROUPS - 1)
 
 
@@ -192,10 +189,9 @@ def _add_fixed_drift(
     """Add the slow part of what something fixed shows; True for each axis that it shows."""
     is_fixed = [bool(share >= 0.5) for share in np.isfinite(fixed).mean(axis=0)]
     for axis in np.flatnonzero(is_fixed):
-        weights = np.isfinite(fixed[:, axis]).astype(np.float64)
-        drift = slow_part(
-            away_um, np.nan_to_num(fixed[:, axis]), cutoff_um=cutoff_um, weights=weights
-        )
+        places = fixed[:, axis]
+        weights = np.isfinite(places).astype(np.float64)
+        drift = slow_part(away_um, np.nan_to_num(places), cutoff_um=cutoff_um, weights=weights)
         pose[aligned, axis] += drift[aligned]
     return is_fixed
 
@@ -208,14 +204,11 @@ def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Ints, Ints
     n = away_um.size
     # Neighbours farther apart show other fibres: three missing sections are bridged, no more.
     n_gaps = np.cumsum(np.concatenate([[0], np.diff(away_um) > 4.5 * pitch_um]))
-    pairs = [
-        (i, j)
-        for i in range(n)
-        for j in range(i + 1, min(i + reach + 1, n))
-        if n_gaps[i] == n_gaps[j]
-    ]
-    first, second = np.array(pairs, np.intp).reshape(-1, 2).T
-    return first, second
+    first = np.repeat(np.arange(n), reach)
+    second = first + np.tile(np.arange(reach) + 1, n)
+    first, second = first[second < n], second[second < n]
+    is_joined = n_gaps[first] == n_gaps[second]
+    return first[is_joined], second[is_joined]
 
 
 def _sheet_course(series: SectionSeries, left_out_group: int = -1) -> Floats:
@@ -237,13 +230,7 @@ def _join_pairs(pairs: SectionPairs, n: int) -> tuple[Floats, Bools]:
     weight_shares = np.zeros((pairs.first.size, 3))
     is_sound = pairs.is_sound
     for axis in range(3):
-        places[:, axis], weight_shares[is_sound, axis] = solve_places(
-            pairs.first[is_sound],
-            pairs.second[is_sound],
-            pairs.offset[is_sound, axis],
-            pairs.sigma[is_sound, axis],
-            n,
-        )
+        places[:, axis], weight_shares[is_sound, axis] = solve_places(*pairs.sound(axis), n)
     return places, is_sound & (np.min(weight_shares, axis=1) > LEAST_SHARE)
 
 
@@ -252,16 +239,9 @@ def _join_columns(coarse_pairs: SectionPairs, fine_pairs: SectionPairs, n: int) 
     # The coarse ones bridge what the fine ones do not hold together, and take over where noise
     # hides fine texture. Coarse pairs over the same sections, and the next ones, share their
     # errors: hence the factor on their sigma.
-    column_offsets = [
-        (
-            p.first[p.is_sound],
-            p.second[p.is_sound],
-            p.offset[p.is_sound, 1],
-            sigma_factor * p.sigma[p.is_sound, 1],
-        )
-        for p, sigma_factor in ((coarse_pairs, 4.0), (fine_pairs, 1.0))
-    ]
-    first, second, offset, sigma = map(np.concatenate, zip(*column_offsets, strict=True))
+    coarse_pairs = coarse_pairs._replace(sigma=4.0 * coarse_pairs.sigma)
+    both: Any = zip(coarse_pairs.sound(1), fine_pairs.sound(1), strict=True)
+    first, second, offset, sigma = map(np.concatenate, both)
     return solve_places(first, second, offset, sigma, n)[0]
 
 
@@ -302,7 +282,8 @@ def fixed_places(
     for axis, strip in ((0, rows), (1, cols)):
         if strip is None:
             continue
-        size, (low, high) = stack.shape[1 + axis], strip
+        size = stack.shape[1 + axis]
+        low, high = strip
         if not 0 <= low <= high - _LEAST < size - _LEAST:
             raise VolumeError(
                 f"The strip {low} to {high} of a fixed line does not lie in the photographs, which"
@@ -334,13 +315,13 @@ def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple
     correlation = np.zeros(profiles.shape[:2])
     # From coarse to fine: the first reaches as far as sections are off.
     for sigma_um in (12.0, 4.0, 2.0):
-        smoothed = gaussian_filter1d(
-            profiles, max(sigma_um / across_um, 0.5), axis=2, mode="nearest"
-        )
+        sigma_px = max(sigma_um / across_um, 0.5)
+        longest_step = 2 * sigma_um / across_um
+        smoothed = gaussian_filter1d(profiles, sigma_px, axis=2, mode="nearest")
         for _ in range(4):
             shifted = _shifted(smoothed, shift)
             shift_step, correlation = _match_template(shifted, np.median(shifted, axis=0))
-            shift += np.clip(shift_step, -2 * sigma_um / across_um, 2 * sigma_um / across_um)
+            shift += np.clip(shift_step, -longest_step, longest_step)
             shift -= np.median(shift)
     # Correlation with the mean profile below which a piece does not show the line.
     shows_line = correlation > 0.7
@@ -351,14 +332,14 @@ def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple
             " that lies still in most sections. Look at a few photographs and give a strip that"
             " shows the same straight line throughout."
         )
-    along_um = (0.5 * (piece_edges[1:] + piece_edges[:-1] - 1) - 0.5 * (length_px - 1)) * pixel_um[
-        1 - axis
-    ]
+    piece_middles = 0.5 * (piece_edges[1:] + piece_edges[:-1] - 1)
+    along_um = (piece_middles - 0.5 * (length_px - 1)) * pixel_um[1 - axis]
     # The mean course of all sections is the line's own and is taken off.
     shift *= across_um
     line_course = np.zeros(_PARTS)
     has_line = shows_line.any(axis=0)
-    line_course[has_line] = np.nanmedian(np.where(shows_line, shift, np.nan)[:, has_line], axis=0)
+    line_shift = np.where(shows_line, shift, np.nan)
+    line_course[has_line] = np.nanmedian(line_shift[:, has_line], axis=0)
     line_fits = np.full((is_clear.size, 2), np.nan)
     for i in np.flatnonzero(is_clear):
         is_visible = shows_line[i]

@@ -80,7 +80,7 @@ class SectionSeries:
                 f"There are {stack.shape[0]} sections and {positions.size} positions. Each section"
                 " needs one."
             )
-        if not all(np.isfinite(p) and p > 0 for p in self.pixel_um):
+        if not all(0 < um < np.inf for um in self.pixel_um):
             pixel = "{:g} x {:g}".format(*self.pixel_um)
             raise VolumeError(f"A pixel of {pixel} um is none. Give its size (row, col) in um.")
         if wrong := np.flatnonzero(~(np.diff(self.away_um) > 0)).tolist():
@@ -117,9 +117,8 @@ class SectionSeries:
         blocks = np.stack(map_threads(means, range(n)))
         # Rows at each end that are taken to be background.
         margin = max(1, int(0.15 * blocks.shape[1]))
-        background = _row_medians(
-            np.concatenate([blocks[:, :margin], blocks[:, -margin:]], axis=1).reshape(n, -1)
-        )
+        ends = np.concatenate([blocks[:, :margin], blocks[:, -margin:]], axis=1)
+        background = _row_medians(ends.reshape(n, -1))
         is_sheet, weight = _find_sheet(blocks, background)
         thickness = is_sheet.sum(axis=1)
         typical = float(np.median(thickness[thickness > 0]))
@@ -140,16 +139,14 @@ class SectionSeries:
         median_contrast = float(np.nanmedian(contrast))
         # A section without a sheet has no contrast of its own; a drift of colour is far less than a
         # factor of two.
-        is_plausible = np.isfinite(contrast) & (
-            np.abs(contrast - median_contrast) < 0.5 * abs(median_contrast)
-        )
+        is_plausible = np.abs(contrast - median_contrast) < 0.5 * abs(median_contrast)
+        is_known = np.isfinite(background)
         return SheetBand(
             row=smooth_row,
-            at_col=np.arange(blocks.shape[2], dtype=np.float64) * block_cols
-            + 0.5 * (block_cols - 1),
+            at_col=np.arange(blocks.shape[2]) * block_cols + 0.5 * (block_cols - 1),
             jump=jump,
             half_um=0.5 * typical * block_rows * self.pixel_um[0],
-            background=np.where(np.isfinite(background), background, np.nanmedian(background)),
+            background=np.where(is_known, background, np.nanmedian(background)),
             contrast=np.where(is_plausible, contrast, median_contrast),
         )
 
@@ -162,8 +159,7 @@ def _find_sheet(blocks: Singles, background: Floats) -> tuple[Bools, Floats]:
     sample = smoothed_difference[:: max(1, len(blocks) // 200)].ravel()
     bin_counts, bin_edges = np.histogram(sample, 512)
     bin_sums = bin_counts * (0.5 * (bin_edges[1:] + bin_edges[:-1]))
-    cum_count, cum_grey = (np.cumsum([0.0, *values]) for values in (bin_counts, bin_sums))
-    (border,) = otsu_borders(cum_count, cum_grey, classes=2)
+    (border,) = otsu_borders(bin_counts, bin_sums, classes=2)
     labels, n_labels = label(smoothed_difference > float(bin_edges[border]))
     if n_labels == 0:
         raise VolumeError(
@@ -181,20 +177,15 @@ def block_means(section: Array, rows: int, cols: int) -> Singles:
     """
     n_down, n_across = section.shape[0] // rows, section.shape[1] // cols
     interior = section[: n_down * rows, : n_across * cols].reshape(n_down, rows, n_across * cols)
-    total = (
-        interior.sum(axis=1, dtype=np.float32)
-        .reshape(n_down, n_across, cols)
-        .sum(axis=2, dtype=np.float64)
-    )
+    row_sums = interior.sum(axis=1, dtype=np.float32)
+    total = row_sums.reshape(n_down, n_across, cols).sum(axis=2, dtype=np.float64)
     return (total / (rows * cols)).astype(np.float32)
 
 
 def _row_medians(values: Array) -> Floats:
-    is_valid = np.isfinite(values)
-    return np.array(
-        [np.median(v[h]) if h.any() else np.nan for v, h in zip(values, is_valid, strict=True)],
-        np.float64,
-    )
+    """Median of the finite values of each row; NaN where there is none."""
+    finite_rows = [row[np.isfinite(row)] for row in values]
+    return np.array([np.median(row) if row.size else np.nan for row in finite_rows], np.float64)
 
 
 def _smooth_surface(middle_row: Floats, away_um: Floats) -> Floats:
@@ -248,10 +239,11 @@ def normalise_sections(series: SectionSeries) -> Gains:
     band, pixel = series.band, series.pixel_um[0]
     n, rows, cols = series.stack.shape
     # The core lies away from the faces and their coatings, the background beyond the faces.
-    near, far = 0.7 * band.half_um / pixel, (band.half_um + 30.0) / pixel
+    near = 0.7 * band.half_um / pixel
+    far = (band.half_um + 30.0) / pixel
     inside = 2 * near * cols
     outside = max(1.0, rows - 2 * far) * cols
-    step = max(1, round(inside / _MOST)), max(1, round(outside / _MOST))
+    step = (max(1, round(inside / _MOST)), max(1, round(outside / _MOST)))
 
     def levels(i: int) -> Pair:
         height = band.heights(i, cols) + np.float32(band.jump[i])
@@ -286,12 +278,14 @@ def core_and_background(
     sheet_row = height.astype(np.float64)
     is_core = (row >= sheet_row - near_px) & (row <= sheet_row + near_px)
     is_background = (row <= sheet_row - far_px) | (row >= sheet_row + far_px)
-    samples = (
-        section[m][::k].astype(np.float32)
-        for m, k in zip((is_core, is_background), strides, strict=True)
-    )
-    core, background = (greys[~np.isnan(greys)][: 2 * _MOST] for greys in samples)
-    return core, background
+    core, background = section[is_core][:: strides[0]], section[is_background][:: strides[1]]
+    return _first_numbers(core), _first_numbers(background)
+
+
+def _first_numbers(samples: Array) -> Singles:
+    """Enough of the samples, without those that are missing."""
+    greys = samples.astype(np.float32)
+    return greys[~np.isnan(greys)][: 2 * _MOST]
 
 
 def _crowd_mean(greys: Singles) -> float:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import median_filter
 
+from planish.core.robust import MAD_TO_SD, mad_sd
 from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats, Ints, Pair, Singles
 from planish.sections._kernels import pair_sums, smooth, straighten
@@ -33,6 +34,17 @@ _LEAST_REACHED = 0.25
 _TURN_UM = 1000.0
 _ALIKE = 0.5  # correlation of two bands below which they do not show the same sheet
 _BLOCK = 32  # sections that a thread takes at a time
+
+
+def in_pixels(poses: Floats, pixel_um: Pair) -> Floats:
+    """Poses (..., 3), (row, col) in um and rotation in rad, as the kernels take them (..., 4).
+
+    Shifts are in pixels, the turn of a row, then that of a column, in pixels per pixel.
+    """
+    row_um, col_um = pixel_um
+    row, col, turn = np.moveaxis(poses, -1, 0)
+    turns = turn * col_um / row_um, turn * row_um / col_um
+    return np.stack([row / row_um, col / col_um, *turns], axis=-1)
 
 
 class SectionPairs(NamedTuple):
@@ -55,6 +67,12 @@ class SectionPairs(NamedTuple):
     base_offset: Floats
     is_fine: bool
 
+    def sound(self, axis: int) -> tuple[Ints, Ints, Floats, Floats]:
+        """First and second section of the sound pairs, their offset along an axis, its sigma."""
+        is_sound = self.is_sound
+        offset, sigma = self.offset[is_sound, axis], self.sigma[is_sound, axis]
+        return self.first[is_sound], self.second[is_sound], offset, sigma
+
     def without(self, group: int) -> SectionPairs:
         """Return the same pairs without one group of the columns, of `GROUPS`.
 
@@ -67,10 +85,9 @@ class SectionPairs(NamedTuple):
             sums, self.first, self.second, self.base_offset, self.is_same_sheet, self.is_fine
         )
         total = self.normal_sums.sum(axis=1)
-        is_known = total[:, [0, 3]] > 0
-        reached = np.divide(
-            total[:, 13:], total[:, [0, 3]], out=np.ones(is_known.shape), where=is_known
-        )
+        newton = total[:, [0, 3]]
+        is_known = newton > 0
+        reached = np.where(is_known, total[:, 13:], 1.0) / np.where(is_known, newton, 1.0)
         step = fewer_pairs.offset - self.base_offset
         step[:, :2] /= np.clip(reached, _LEAST_REACHED, 1.0)
         return fewer_pairs._replace(offset=self.base_offset + step)
@@ -108,31 +125,15 @@ class Bands(NamedTuple):
         ``pose``, (row, col) in um and rotation in rad, is taken off.
         """
         _, rows, cols = self.stack.shape
-        (down, across), (pitch_r, pitch_c), (pixel_r, pixel_c) = (
-            self.step,
-            self.pitch_um,
-            self.pixel_um,
-        )
+        down, across = self.step
+        pitch_r, pitch_c = self.pitch_um
+        pixel_r, pixel_c = self.pixel_um
         height = self.band.heights(section, cols)
         n_rows = max(5, round(2 * (self.band.half_um + _MARGIN_UM) / pitch_r))
         samples = np.zeros((n_rows, cols // across), np.float32)
-        in_pixels = np.array(
-            [
-                pose[0] / pixel_r,
-                pose[1] / pixel_c,
-                pose[2] * pixel_c / pixel_r,
-                pose[2] * pixel_r / pixel_c,
-            ]
-        )
-        straighten(
-            self.stack[section],
-            height,
-            -0.5 * (n_rows * down - 1),
-            down,
-            across,
-            in_pixels,
-            samples,
-        )
+        first_row = -0.5 * (n_rows * down - 1)
+        pose_px = in_pixels(pose, self.pixel_um)
+        straighten(self.stack[section], height, first_row, down, across, pose_px, samples)
         samples -= np.float32(self.band.background[section])
         samples /= np.float32(self.band.contrast[section])
         self._replace_knife_marks(samples)
@@ -159,7 +160,7 @@ class Bands(NamedTuple):
         # surroundings.
         window, margin = (max(1, round(length_um / self.pitch_um[1])) for length_um in (75.0, 5.0))
         deviation = np.abs(profile - median_filter(profile, window, mode="nearest"))
-        is_marked = deviation > 5.0 * 1.4826 * float(np.median(deviation))
+        is_marked = deviation > 5.0 * mad_sd(deviation, 0.0)
         is_marked = np.convolve(is_marked, np.ones(2 * margin + 1), mode="same") > 0
         clean_cols = np.flatnonzero(~is_marked)
         marked_cols = np.flatnonzero(is_marked)
@@ -213,18 +214,9 @@ class Bands(NamedTuple):
             # faces would else tell the shift along the columns, and every unevenness of the smooth
             # surface would count as one. What this neglects vanishes with the shift itself, after
             # two or three rounds.
-            pair_sums(
-                a,
-                b,
-                x_um,
-                0.5 * (y_a + y_b),
-                self.pitch_um,
-                n_parts,
-                limit,
-                trust,
-                sums[k],
-                float(self.is_fine),
-            )
+            y_um = 0.5 * (y_a + y_b)
+            is_fine = float(self.is_fine)
+            pair_sums(a, b, x_um, y_um, self.pitch_um, n_parts, limit, trust, sums[k], is_fine)
         return sums
 
 
@@ -249,10 +241,9 @@ def compare(
     # Enough of both is there, and they go up and down together.
     total = normal_sums.sum(axis=1)
     likeness = 1.0 - total[:, 9] / np.maximum(total[:, 10], 1e-12)
-    is_same_sheet = (likeness > _ALIKE) & (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
-    return _solve(
-        normal_sums, first, second, pose[second] - pose[first], is_same_sheet | is_fine, is_fine
-    )
+    is_enough = (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
+    is_same_sheet = (likeness > _ALIKE) & is_enough | is_fine
+    return _solve(normal_sums, first, second, pose[second] - pose[first], is_same_sheet, is_fine)
 
 
 def _solve(
@@ -288,17 +279,15 @@ def _solve(
         # A part of the columns weighs less where it pulls farther than the others.
         stiffness = np.maximum(np.einsum("pkii->pki", normal_matrix), 0.0)
         pull = np.abs(residual / np.sqrt(stiffness + 1e-12))
-        sigmas = np.max(pull / (1.4826 * np.median(pull, axis=1, keepdims=True) + 1e-12), axis=2)
-        part_weights = np.where(
-            sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0
-        )
+        usual_pull = MAD_TO_SD * np.median(pull, axis=1, keepdims=True)
+        sigmas = np.max(pull / (usual_pull + 1e-12), axis=2)
+        part_weights = _OUTLIER_SIGMAS / np.maximum(sigmas, _OUTLIER_SIGMAS)
     offset = base_offset.copy()
     offset[:, :n_unknowns] += solution / scale
     n_parts = normal_sums.shape[1]
     sigma = np.full((first.size, 3), np.inf)
-    sigma[:, :n_unknowns] = np.sqrt(
-        np.einsum("pii->pi", covariance) * n_parts / max(n_parts - 1, 1)
-    )
+    variance = np.einsum("pii->pi", covariance)
+    sigma[:, :n_unknowns] = np.sqrt(variance * n_parts / max(n_parts - 1, 1))
     is_sound = is_same_sheet & np.isfinite(solution).all(axis=1) & (sigma[:, :2] < 5.0).all(axis=1)
     sigma = np.maximum(sigma, 0.02)  # no pair is better than this, whatever its parts say
     sigma[:, 2] /= _TURN_UM

@@ -18,6 +18,7 @@ from planish.core.typing import Array, Bools, Entries, Fields, Floats, Ints
 from planish.sections._kernels import interpolate
 from planish.sections.align import Alignment
 from planish.sections.band import Gains, SectionSeries, Stack
+from planish.sections.pairs import in_pixels
 
 _MOST_MISSING = 3  # sections in a row that are interpolated
 _ON_SECTION = 1e-3  # of a pitch: a plane so near to a section is that section
@@ -62,7 +63,8 @@ def regular_volume(
         If more than 3 sections in a row are missing from integers; of real numbers
         these planes are NaN.
     """
-    stack, real = series.stack, series.stack.dtype.kind == "f"
+    stack = series.stack
+    is_real = stack.dtype.kind == "f"
     n = stack.shape[0]
     used_sections = np.arange(n) if alignment is None else np.flatnonzero(alignment.aligned)
     if used_sections.size < 2:
@@ -72,14 +74,10 @@ def regular_volume(
         )
     missing = np.rint(np.diff(series.away_um[used_sections]) / series.pitch_um).astype(int) - 1
     gaps = np.flatnonzero(missing > _MOST_MISSING)
-    if gaps.size and not real:
-        used_um = series.positions_um[used_sections]
-        named = ", ".join(
-            f"{missing[k]} between {used_um[k]:g} and {used_um[k + 1]:g} um" for k in gaps[:5]
-        )
-        more = f" and {gaps.size - 5} more" if gaps.size > 5 else ""
+    if gaps.size and not is_real:
+        gaps_text = _gaps_text(series.positions_um[used_sections], missing, gaps)
         raise VolumeError(
-            f"Sections are missing or could not be aligned: {named}{more}. At most {_MOST_MISSING}"
+            f"Sections are missing or could not be aligned: {gaps_text}. At most {_MOST_MISSING}"
             " in a row can be interpolated: add the sections, or split the series there and treat"
             " each part as a volume of its own."
         )
@@ -89,13 +87,15 @@ def regular_volume(
         values = np.empty(planes.shape, stack.dtype)
         map_threads(planes.fill, range(planes.shape[0]), values)
     voxel = (series.pitch_um, *map(float, series.pixel_um))
-    volume_attrs: Entries = {
+    usual_attrs: Entries = {
         "units": "1",
         "long_name": "Grey value",
         "voxel_um": list(voxel),
         "voxel_um_source": "given",
-        "full_scale": None if real else int(np.iinfo(stack.dtype).max),
-        **(attrs or {}),
+        "full_scale": None if is_real else int(np.iinfo(stack.dtype).max),
+    }
+    volume_attrs = usual_attrs | dict(attrs or {})
+    volume_attrs |= {
         "sections": int(used_sections.size),
         "sections_missing": int(np.maximum(missing, 0).sum()),
         "first_position_um": float(series.positions_um[used_sections[0]]),
@@ -103,6 +103,13 @@ def regular_volume(
     if alignment is not None:
         volume_attrs["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
     return labelled(values, "zyx", voxel, name="volume", attrs=volume_attrs)
+
+
+def _gaps_text(used_um: Floats, missing: Ints, gaps: Ints) -> str:
+    """Say how many sections are missing where."""
+    texts = [f"{missing[k]} between {used_um[k]:g} and {used_um[k + 1]:g} um" for k in gaps[:5]]
+    more_text = f" and {gaps.size - 5} more" if gaps.size > 5 else ""
+    return ", ".join(texts) + more_text
 
 
 def _place_planes(
@@ -116,25 +123,29 @@ def _place_planes(
 
     Those in one of the gaps are empty.
     """
-    places_um, pitch_um, n = series.away_um[used_sections], series.pitch_um, series.stack.shape[0]
-    planes_um = places_um[0] + pitch_um * np.arange(
-        int(np.ptp(places_um) / pitch_um + 0.5 * _ON_SECTION) + 1
-    )
-    last_index, tolerance_um = used_sections.size - 1, _ON_SECTION * pitch_um
-    before = np.clip(
-        np.searchsorted(places_um, planes_um + tolerance_um, side="right") - 1, 0, last_index
-    )
+    places_um = series.away_um[used_sections]
+    pitch_um = series.pitch_um
+    n = series.stack.shape[0]
+    n_planes = int(np.ptp(places_um) / pitch_um + 0.5 * _ON_SECTION) + 1
+    planes_um = places_um[0] + pitch_um * np.arange(n_planes)
+    last_index = used_sections.size - 1
+    tolerance_um = _ON_SECTION * pitch_um
+    n_before = np.searchsorted(places_um, planes_um + tolerance_um, side="right")
+    before = np.clip(n_before - 1, 0, last_index)
     after = np.minimum(before + 1, last_index)
+    passed_um = planes_um - places_um[before]
     spacing_um = np.where(after > before, places_um[after] - places_um[before], 1.0)
-    weight = np.clip((planes_um - places_um[before]) / spacing_um, 0.0, 1.0)
-    weight[np.abs(planes_um - places_um[before]) <= tolerance_um] = 0.0
+    weight = np.clip(passed_um / spacing_um, 0.0, 1.0)
+    weight[np.abs(passed_um) <= tolerance_um] = 0.0
     weight[np.abs(planes_um - places_um[after]) <= tolerance_um] = 1.0
     weight[after == before] = 0.0
-    poses = np.zeros((n, 4))  # as the kernels take them: pixels, and pixels per pixel
+    poses = np.zeros((n, 4))
     if alignment is not None:
-        poses[:, :2] = alignment.shift_um / np.asarray(series.pixel_um)
-        poses[:, 2] = alignment.rotation_rad * series.pixel_um[1] / series.pixel_um[0]
-        poses[:, 3] = alignment.rotation_rad * series.pixel_um[0] / series.pixel_um[1]
+        poses_um = np.column_stack([alignment.shift_um, alignment.rotation_rad])
+        poses = in_pixels(poses_um, series.pixel_um)
+    grades = np.tile([1.0, 0.0], (n, 1))
+    if gains is not None:
+        grades = np.stack([gains.gain, gains.offset], axis=1)
     return Planes(
         stack=series.stack,
         before=used_sections[before],
@@ -142,11 +153,7 @@ def _place_planes(
         weight=weight,
         empty=(weight > 0) & (weight < 1) & np.isin(before, gaps),
         poses=poses,
-        grades=(
-            np.tile([1.0, 0.0], (n, 1))
-            if gains is None
-            else np.stack([gains.gain, gains.offset], axis=1)
-        ),
+        grades=grades,
     )
 
 
@@ -177,14 +184,15 @@ class Planes(LazyArray):
         if self.empty[k]:
             out[...] = np.nan
             return
-        pair_indices = [int(self.before[k]), int(self.after[k])]
-        first = self.stack[pair_indices[0]]
-        second = first if pair_indices[0] == pair_indices[1] else self.stack[pair_indices[1]]
-        is_integer, low, high = self.dtype.kind != "f", -np.inf, np.inf
+        before, after = pair = [int(self.before[k]), int(self.after[k])]
+        first = self.stack[before]
+        second = first if before == after else self.stack[after]
+        is_integer = self.dtype.kind != "f"
+        low, high = -np.inf, np.inf
         if is_integer:
-            low = float(np.iinfo(self.dtype).min)
-            high = float(np.iinfo(self.dtype).max)
-        poses, grades = self.poses[pair_indices], self.grades[pair_indices]
+            limits = np.iinfo(self.dtype)
+            low, high = float(limits.min), float(limits.max)
+        poses, grades = self.poses[pair], self.grades[pair]
         interpolate(first, second, float(self.weight[k]), poses, grades, low, high, is_integer, out)
 
     def read(self, where: Where) -> Array:

@@ -135,9 +135,8 @@ def otsu(grey: Floats, classes: int) -> Pair:
     counts, edges = np.histogram(np.clip(grey, low, high), bins=_BINS, range=(low, high))
     shares = counts / counts.sum()
     middle = 0.5 * (edges[1:] + edges[:-1])
-    cumulative_share = np.concatenate([[0.0], np.cumsum(shares)])
-    cumulative_mean = np.concatenate([[0.0], np.cumsum(middle * counts / counts.sum())])
-    thresholds = [float(edges[k]) for k in otsu_borders(cumulative_share, cumulative_mean, classes)]
+    greys = middle * counts / counts.sum()
+    thresholds = [float(edges[k]) for k in otsu_borders(shares, greys, classes)]
     return thresholds[0], thresholds[1] if classes == 3 else float("inf")
 
 
