@@ -20,10 +20,10 @@ from matplotlib.patches import Circle, Rectangle
 
 from planish.core.numbers import round_step
 from planish.core.transform import grid_points
-from planish.core.typing import Floats
+from planish.core.typing import Entries, Floats, pair_of
 from planish.design.gcode import DryRun, dry_run, pattern_dxf, stage_program
 from planish.design.params import ImagingParams, StageParams
-from planish.design.pattern import P95, Pattern, Predicted, holes_csv, predict
+from planish.design.pattern import P95, Pattern, Predicted, holes_csv, predict, size_text
 from planish.design.rules import Rule
 
 INK, SOFT, FAINT, ACCENT, GROUND = "#22292f", "#66707a", "#c9ced3", "#b3402a", "#eef4f8"
@@ -57,7 +57,7 @@ _SCALES = (
     40,
     50,
 )
-_STYLE: dict[str, Any] = {
+_STYLE: Entries = {
     "font.family": "DejaVu Sans",
     "font.size": 8,
     "text.color": INK,
@@ -118,7 +118,8 @@ class Page:
             width_mm / self.width,
             height_mm / self.height,
         )
-        (x, y), (width_um, height_um) = low_um, size_um
+        x, y = low_um
+        width_um, height_um = size_um
         axes = self.figure.add_axes(box, xlim=(x, x + width_um), ylim=(y, y + height_um))
         axes.set_axis_off()
         return axes
@@ -149,35 +150,28 @@ class Page:
         """Draw a round length of at most ``max_mm`` millimetres of paper."""
         length_mm = round_step(max_mm / scale)
         axes = self.add_plan(x_mm, y_mm, (0, 0), (1000 * length_mm, 1000 / scale), scale)
-        axes.plot(
-            [0, 1000 * length_mm],
-            [500 / scale] * 2,
-            color=INK,
-            lw=2,
-            solid_capstyle="butt",
-            clip_on=False,
-        )
+        look: Entries = {"color": INK, "lw": 2, "solid_capstyle": "butt", "clip_on": False}
+        axes.plot([0, 1000 * length_mm], [500 / scale] * 2, **look)
         self.text(x_mm + length_mm * scale + 2, y_mm + 1.4, f"{length_mm:g} mm", fontsize=8)
+
+
+_METADATA: dict[str, Entries] = {  # without a time
+    "svg": {"Date": None, "Creator": "planish"},
+    "png": {"Software": "planish"},
+    "pdf": {"Title": "", "Creator": "planish", "Producer": "planish", "CreationDate": None},
+}
 
 
 def encode(pages: Sequence[Page], kind: str, title: str = "", *, dpi: float = 150) -> bytes:
     """Render a page as ``svg`` or ``png``, or pages as one ``pdf``."""
     buffer = io.BytesIO()
     if kind == "pdf":
-        metadata = {
-            "Title": title,
-            "Creator": "planish",
-            "Producer": "planish",
-            "CreationDate": None,
-        }
+        metadata = _METADATA["pdf"] | {"Title": title}
         with PdfPages(buffer, metadata=metadata) as pdf:
             for page in pages:
                 pdf.savefig(page.figure)
     else:
-        metadata = (
-            {"Date": None, "Creator": "planish"} if kind == "svg" else {"Software": "planish"}
-        )
-        pages[0].figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+        pages[0].figure.savefig(buffer, format=kind, dpi=dpi, metadata=_METADATA[kind])
     return buffer.getvalue()
 
 
@@ -190,39 +184,32 @@ def drawing_page(pattern: Pattern) -> Page:
         f"{len(pattern.holes)} holes around a field of {_size(pattern.field_um)} mm; as the laser"
         " sees it"
     )
-    view, (x, y) = pattern.view_um, pattern.origin_um
+    view = pattern.view_um
+    x, y = pattern.origin_um
     page = Page(f"Laser holes: {pattern.name}", subtitle, (x, y), view, note="; pitches in mm")
-    axes, mm = page.plan, 1000 / page.scale  # um of the sheet for one mm of paper
+    axes = page.plan
+    mm = 1000 / page.scale  # um of the sheet for one mm of paper
     _holes(axes, pattern, SOFT)
     _box(axes, (x, y), view, edgecolor=SOFT, ls=(0, (5, 3)))
-    field_low, corner = pattern.field_low_um, pattern.frame_low_um
+    field_low = pattern.field_low_um
+    corner = pattern.frame_low_um
+    field_middle = field_low + np.array(pattern.field_um) / 2
     field_text = f"field {_size(pattern.field_um)} mm\nno hole reaches into it"
-    _write(
-        axes,
-        field_low + np.array(pattern.field_um) / 2,
-        field_text,
-        color=SOFT,
-        fontsize=9,
-        linespacing=1.6,
-    )
-    _numbers(axes, pattern.points_um, pattern.labels, pattern.frame_low_um, pattern.frame_um)
+    _write(axes, field_middle, field_text, color=SOFT, fontsize=9, linespacing=1.6)
+    _numbers(axes, pattern.points_um, pattern.labels, corner, pattern.frame_um)
     for dx, dy, name in ((1, 0, "x"), (0, 1, "y")):
         arrow_end = (x + 11 * mm * dx, y + 11 * mm * dy)
         _arrow(axes, (x, y), arrow_end, color=ACCENT, lw=1.1)
         _write(axes, arrow_end, name, (6 * dx, 6 * dy), color=ACCENT, fontsize=8)
     if pattern.layout != "own":
         _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
-        axes.plot(*corner[:, None], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
-        axes.annotate(
-            "no hole in this corner:\nit shows the orientation",
-            (corner[0], corner[1]),
-            (field_low[0] + 13 * mm, field_low[1] + 13 * mm),
-            color=ACCENT,
-            fontsize=7.5,
-            ha="left",
-            va="bottom",
-            arrowprops={"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5},
-        )
+        ring: Entries = {"ms": 7, "mfc": "none", "mec": ACCENT, "mew": 0.9, "clip_on": False}
+        axes.plot(*corner[:, None], "o", **ring)
+        corner_text = "no hole in this corner:\nit shows the orientation"
+        text_place = pair_of(field_low + 13 * mm)
+        look: Entries = {"color": ACCENT, "fontsize": 7.5, "ha": "left", "va": "bottom"}
+        line = {"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5}
+        axes.annotate(corner_text, pair_of(corner), text_place, arrowprops=line, **look)
     rows = [
         ("layout", f"{pattern.layout}, seed {pattern.seed}"),
         ("hole", f"{pattern.diameter_um:g} µm"),
@@ -257,7 +244,8 @@ def error_page(
     _error_map(page, pattern, predicted)
     _box(page.plan, pattern.field_low_um, pattern.field_um, edgecolor=SOFT)
     _box(page.plan, pattern.origin_um, pattern.view_um, edgecolor=SOFT, ls=(0, (5, 3)))
-    page.plan.plot(*pattern.points_um.T, "o", ms=3.5, mfc="white", mec=INK, mew=0.8, clip_on=False)
+    ring: Entries = {"ms": 3.5, "mfc": "white", "mec": INK, "mew": 0.8, "clip_on": False}
+    page.plan.plot(*pattern.points_um.T, "o", **ring)
     field_points = predicted.field_um
     worst = field_points[1 + int(np.argmax(predicted.at(field_points[1:])))]
     text_box = {
@@ -273,17 +261,9 @@ def error_page(
     for point, error_um, name in marked_points:
         page.plan.plot(*point[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
         x, y = np.sign(field_points[0] - point)
-        alignment = ("center", "left", "right")[int(x)]
-        error_text = f"{name}: {error_um:.2f} µm"
-        _write(
-            page.plan,
-            point,
-            error_text,
-            (10 * x, 12 * (y or -1)),
-            ha=alignment,
-            fontsize=8.5,
-            bbox=text_box,
-        )
+        look: Entries = {"ha": ("center", "left", "right")[int(x)], "fontsize": 8.5}
+        offset_pt = (10 * x, 12 * (y or -1))
+        _write(page.plan, point, f"{name}: {error_um:.2f} µm", offset_pt, bbox=text_box, **look)
     rows = [
         ("one hole", f"{predicted.fle_um:.2f} µm rms"),
         ("holes N", f"{len(predicted.holes_um)}"),
@@ -308,30 +288,26 @@ def error_page(
 
 def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
     """Draw the predicted error over the field, with contours and a colour bar."""
-    axes, field_low = page.plan, pattern.field_low_um
-    x_um, y_um = (  # 200 pixels along the longer side of the map.
-        low_um + np.linspace(0, side_um, max(20, round(200 * side_um / max(pattern.field_um))))
-        for low_um, side_um in zip(field_low, pattern.field_um, strict=True)
-    )
+    axes = page.plan
+    field_low = pattern.field_low_um
+    width_um, height_um = pattern.field_um
+    longest_um = max(width_um, height_um)
+    cols, rows = (max(20, round(200 * side / longest_um)) for side in pattern.field_um)
+    left, low = field_low
+    right, high = field_low + pattern.field_um
+    x_um = left + np.linspace(0, width_um, cols)
+    y_um = low + np.linspace(0, height_um, rows)
     error_um = predicted.at(grid_points(x_um, y_um))
-    field_high = field_low + pattern.field_um
     plot_limits = axes.axis()
-    image = axes.imshow(
-        error_um,
-        extent=(field_low[0], field_high[0], field_low[1], field_high[1]),
-        origin="lower",
-        cmap="cividis",
-        aspect="auto",
-        interpolation="bilinear",
-    )
+    look: Entries = {"cmap": "cividis", "aspect": "auto", "interpolation": "bilinear"}
+    image = axes.imshow(error_um, extent=(left, right, low, high), origin="lower", **look)
     axes.axis(plot_limits)
     levels = np.linspace(error_um.min(), error_um.max(), 7)[1:-1]
     contours = axes.contour(x_um, y_um, error_um, levels=levels, colors="white", linewidths=0.6)
     axes.clabel(contours, fmt="%.2f", fontsize=7)
     plan_box = axes.get_position()
-    bar_axes = page.figure.add_axes(
-        (plan_box.x1 + 4 / page.width, plan_box.y0, 3.5 / page.width, plan_box.height)
-    )
+    bar_left = plan_box.x1 + 4 / page.width
+    bar_axes = page.figure.add_axes((bar_left, plan_box.y0, 3.5 / page.width, plan_box.height))
     colour_bar = page.figure.colorbar(image, cax=bar_axes)
     colour_bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     colour_bar.ax.set_title("µm", fontsize=8)
@@ -376,11 +352,8 @@ def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
     _box(axes, pattern.field_low_um, pattern.field_um, fill=True, facecolor=GROUND, edgecolor=edge)
     for place in pattern.points_um:
         for radius, colour in ((pattern.burnt_um, BURNT), (0.5 * pattern.diameter_um, INK)):
-            axes.add_patch(
-                Circle(
-                    (place[0], place[1]), radius, facecolor=colour, edgecolor="none", clip_on=False
-                )
-            )
+            look: Entries = {"facecolor": colour, "edgecolor": "none", "clip_on": False}
+            axes.add_patch(Circle(pair_of(place), radius, **look))
 
 
 def _numbers(axes: Axes, points: Floats, labels: Sequence[str], low: Floats, size: Floats) -> None:
@@ -396,48 +369,36 @@ def _pitches(axes: Axes, pattern: Pattern, distance: float) -> None:
     points, low, size = pattern.points_um, pattern.frame_low_um, pattern.frame_um
     for axis, is_far in ((0, 0), (1, 1), (0, 1), (1, 0)):
         side_level = low[1 - axis] + is_far * size[1 - axis]
-        positions = np.sort(points[np.abs(points[:, 1 - axis] - side_level) < 1e-3][:, axis])
+        is_on_side = np.abs(points[:, 1 - axis] - side_level) < 1e-3
         text_level = side_level + (distance if is_far else -distance)
-        for a, b in pairwise(positions):
+        look: Entries = {"fontsize": 6, "color": SOFT, "rotation": 90 * axis}
+        for a, b in pairwise(np.sort(points[is_on_side, axis])):
             middle = ((a + b) / 2, text_level) if axis == 0 else (text_level, (a + b) / 2)
-            _write(
-                axes, middle, f"{(b - a) / 1000:.2f}", fontsize=6, color=SOFT, rotation=90 * axis
-            )
+            _write(axes, middle, f"{(b - a) / 1000:.2f}", **look)
 
 
 def _write(axes: Axes, place: Point, text: str, offset_pt: Point = (0, 0), **options: Any) -> None:
-    annotation: dict[str, Any] = {
-        "ha": "center",
-        "va": "center",
-        "annotation_clip": False,
-        **options,
-    }
-    axes.annotate(
-        text,
-        (place[0], place[1]),
-        (offset_pt[0], offset_pt[1]),
-        textcoords="offset points",
-        **annotation,
-    )
+    look: Entries = {"ha": "center", "va": "center", "annotation_clip": False} | options
+    x, y = place
+    dx, dy = offset_pt
+    axes.annotate(text, (x, y), (dx, dy), textcoords="offset points", **look)
 
 
 def _arrow(axes: Axes, start: Point, end: Point, **options: Any) -> None:
-    arrow_style = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8, **options}
-    axes.annotate(
-        "", (end[0], end[1]), (start[0], start[1]), annotation_clip=False, arrowprops=arrow_style
-    )
+    look = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8} | options
+    x, y = start
+    x_end, y_end = end
+    axes.annotate("", (x_end, y_end), (x, y), annotation_clip=False, arrowprops=look)
 
 
 def _box(axes: Axes, low: Point, size: Point, **options: Any) -> None:
-    axes.add_patch(
-        Rectangle(
-            (low[0], low[1]), *size, **{"fill": False, "clip_on": False, "lw": 0.5, **options}
-        )
-    )
+    look: Entries = {"fill": False, "clip_on": False, "lw": 0.5} | options
+    x, y = low
+    axes.add_patch(Rectangle((x, y), *size, **look))
 
 
 def _size(size_um: Point) -> str:
-    return " × ".join(f"{side / 1000:g}" for side in size_um)
+    return size_text(size_um).replace("x", "×")
 
 
 def write_design(
@@ -484,15 +445,15 @@ def write_design(
         "program.gcode": program.encode("ascii"),
     }
     with house_style():
-        pages = [
-            drawing_page(pattern),
-            error_page(pattern, predicted, imaging, rules),
-            path_page(run),
-        ]
-        files["drawing.svg"] = encode(pages, "svg")
-        for name, page in zip(("drawing", "predicted_error", "path"), pages, strict=True):
-            files[f"{name}.png"] = encode([page], "png", dpi=72 if name == "drawing" else 150)
-        files["drawing.pdf"] = encode(pages, "pdf", f"Laser holes: {pattern.name}")
+        drawing = drawing_page(pattern)
+        errors = error_page(pattern, predicted, imaging, rules)
+        path = path_page(run)
+        files["drawing.svg"] = encode([drawing], "svg")
+        files["drawing.png"] = encode([drawing], "png", dpi=72)
+        files["predicted_error.png"] = encode([errors], "png")
+        files["path.png"] = encode([path], "png")
+        title = f"Laser holes: {pattern.name}"
+        files["drawing.pdf"] = encode([drawing, errors, path], "pdf", title)
     for name, content in files.items():
         (Path(folder) / name).write_bytes(content)
     return tuple(files), run, predicted

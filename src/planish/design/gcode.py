@@ -6,7 +6,8 @@ A stage program in a dialect of G-code (docs/marks.md), its dry run, a drawing f
 import math
 import re
 from dataclasses import dataclass, field
-from itertools import pairwise
+from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike
 from planish.core.errors import MarkError
 from planish.core.typing import Floats, Ints, Pair
 from planish.design.params import StageParams
-from planish.design.pattern import Pattern, size_text
+from planish.design.pattern import CORNERS, Pattern, size_text
 
 Groups = list[tuple[int, Any]]
 # Colour numbers: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
@@ -186,39 +187,43 @@ def pattern_dxf(pattern: Pattern) -> str:
     colour, 70 flags, 9 a variable of the header. Release 12 has no unit of its own; a comment (999)
     and the drawing's extents say what is meant.
     """
-    (x0, y0), (width, height), diameter = pattern.origin_um, pattern.view_um, pattern.diameter_um
+    x0, y0 = pattern.origin_um
+    width, height = pattern.view_um
+    diameter = pattern.diameter_um
     x1, y1 = x0 + width, y0 + height
-    head = _DXF_HEAD.format(
-        name=ascii_only(pattern.name),
-        lowest=_lines(_point(10, x0, y0)),
-        highest=_lines(_point(10, x1, y1)),
-        count=len(_LAYER_COLOURS),
-    )
+    lowest, highest = _lines(_point(10, x0, y0)), _lines(_point(10, x1, y1))
+    name = ascii_only(pattern.name)
     groups: Groups = []
-    for name, colour in _LAYER_COLOURS.items():
-        groups += [(0, "LAYER"), (2, name), (70, 64), (62, colour), (6, "CONTINUOUS")]
+    for layer, colour in _LAYER_COLOURS.items():
+        groups += [(0, "LAYER"), (2, layer), (70, 64), (62, colour), (6, "CONTINUOUS")]
     groups += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
     for label, (x, y) in zip(pattern.labels, pattern.points_um.tolist(), strict=True):
         for layer, radius in (("HOLES", 0.5 * diameter), ("BURNT", pattern.burnt_um)):
-            groups += [(0, "CIRCLE"), (8, layer), *_point(10, x, y), (40, _mm(radius))]
+            groups += _entity("CIRCLE", layer, *_point(10, x, y), (40, _mm(radius)))
         groups += _text("NUMBERS", x + 0.6 * diameter + pattern.rim_um, y, diameter, label)
-    (x, y), (w, h), arm = pattern.field_low_um, pattern.field_um, 3 * diameter
-    for layer, corners in (
-        ("FIELD", _rectangle(x, y, x + w, y + h)),
-        ("VIEW", _rectangle(x0, y0, x1, y1)),
-        ("ORIGIN", ((x0, y0), (x0 + arm, y0))),
-        ("ORIGIN", ((x0, y0), (x0, y0 + arm))),
-    ):
-        for start, end in pairwise(corners):
-            groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
-    groups += _text("ORIGIN", x0 + arm, y0, diameter, "x")
-    groups += _text("ORIGIN", x0, y0 + arm, diameter, "y")
+    groups += _rectangle("FIELD", pattern.field_low_um, pattern.field_um)
+    groups += _rectangle("VIEW", (x0, y0), pattern.view_um)
+    arm = 3 * diameter
+    x_end, y_end = (x0 + arm, y0), (x0, y0 + arm)
+    groups += _line("ORIGIN", (x0, y0), x_end) + _line("ORIGIN", (x0, y0), y_end)
+    groups += _text("ORIGIN", *x_end, diameter, "x") + _text("ORIGIN", *y_end, diameter, "y")
     groups += [(0, "ENDSEC"), (0, "EOF")]
+    head = _DXF_HEAD.format(name=name, lowest=lowest, highest=highest, count=len(_LAYER_COLOURS))
     return head + _lines(groups)
 
 
-def _rectangle(x0: float, y0: float, x1: float, y1: float) -> tuple[Pair, ...]:
-    return (x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)
+def _entity(kind: str, layer: str, *groups: tuple[int, Any]) -> Groups:
+    return [(0, kind), (8, layer), *groups]
+
+
+def _line(layer: str, start: Pair | Floats, end: Pair | Floats) -> Groups:
+    return _entity("LINE", layer, *_point(10, *start), *_point(11, *end))
+
+
+def _rectangle(layer: str, low_um: Pair | Floats, size_um: Pair | Floats) -> Groups:
+    """The four sides of a rectangle, counter-clockwise from its lower left corner."""
+    corners = low_um + CORNERS * size_um
+    return list(chain(*map(partial(_line, layer), corners, np.roll(corners, -1, axis=0))))
 
 
 def _lines(groups: Groups) -> str:
@@ -226,13 +231,8 @@ def _lines(groups: Groups) -> str:
 
 
 def _text(layer: str, x_um: float, y_um: float, height_um: float, text: str) -> Groups:
-    return [
-        (0, "TEXT"),
-        (8, layer),
-        *_point(10, x_um, y_um),
-        (40, _mm(height_um)),
-        (1, ascii_only(text)),
-    ]
+    place = _point(10, x_um, y_um)
+    return _entity("TEXT", layer, *place, (40, _mm(height_um)), (1, ascii_only(text)))
 
 
 def _point(code: int, x_um: float, y_um: float) -> Groups:
@@ -329,11 +329,12 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
         raise MarkError(
             "The program fires no shot. Give a stage program of 'planish marks design'."
         )
+    pauses_s = np.diff(machine.switched_s)[1::2]
     return DryRun(
         fired_um=np.array(machine.shots_um),
         pulse_s=np.array(machine.pulses_s),
         path_um=np.array(machine.corners_um),
-        least_pause_s=float(min(np.diff(machine.switched_s)[1::2], default=math.nan)),
+        least_pause_s=float(min(pauses_s, default=math.nan)),
         time_s=machine.clock_s,
     )
 
@@ -458,7 +459,8 @@ class _Machine:
             raise MarkError("a move before G21 (millimetres) and G90 (absolute positions)")
         if self.on_command:
             raise MarkError("a move with the laser on; it would cut the sheet")
-        for letter, low, high in zip("XY", self.range_um[:2], self.range_um[2:], strict=True):
+        x0, y0, x1, y1 = self.range_um
+        for letter, low, high in (("X", x0, x1), ("Y", y0, y1)):
             target_um = 1000 * arguments.get(letter, math.nan)
             if target_um < low - 1e-3 or target_um > high + 1e-3:
                 raise MarkError(

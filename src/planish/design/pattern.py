@@ -30,6 +30,8 @@ FORMAT, VERSION = "planish hole pattern", 1
 SIDES = ("bottom", "right", "top", "left")
 BORDER_DIAMETERS = 1.5  # from the middle of a hole to the end of the view
 BURN = ("diameter_um", "rim_um", "pulse_s", "pause_s")
+# Of a unit square, counter-clockwise from the lower left, (x, y).
+CORNERS = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
 _COLUMNS = ("label", "x_um", "y_um", "diameter_um")
 
 
@@ -85,18 +87,16 @@ class Pattern(BaseModel):
 
     def with_holes(self, points_um: Floats, lines: Sequence[str]) -> Self:
         """Return the pattern with other holes, (n, 2) in stage coordinates, numbered from 1."""
-        numbered = enumerate(zip(*points_um.T.tolist(), lines, strict=True), 1)
-        holes = tuple(
-            PatternHole(label=str(k), x_um=x, y_um=y, line=line) for k, (x, y, line) in numbered
-        )
-        return self.model_copy(update={"holes": holes})
+        holes: list[PatternHole] = []
+        for k, ((x, y), line) in enumerate(zip(points_um.tolist(), lines, strict=True), 1):
+            holes.append(PatternHole(label=str(k), x_um=x, y_um=y, line=line))
+        return self.model_copy(update={"holes": tuple(holes)})
 
     @property
     def points_um(self) -> Floats:
         """Centres as an array (n, 2), stage coordinates."""
-        return np.array([(hole.x_um, hole.y_um) for hole in self.holes], dtype=np.float64).reshape(
-            -1, 2
-        )
+        points = [(hole.x_um, hole.y_um) for hole in self.holes]
+        return np.array(points, dtype=np.float64).reshape(-1, 2)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -193,15 +193,18 @@ def own_pattern(
             "All holes have the same x or the same y; such a line encloses no field. Place them"
             " around it."
         )
-    field = np.array(field_um or np.maximum(size - 2 * (0.5 * diameter + burn["rim_um"]), 1.0))
+    burnt_um = 0.5 * diameter + burn["rim_um"]
+    field = np.array(field_um or np.maximum(size - 2 * burnt_um, 1.0))
+    margin = (size - field) / 2
     border = BORDER_DIAMETERS * diameter
+    origin = points.min(axis=0) - border
     blank = Pattern(
         name=name,
         layout="own",
         field_um=field.tolist(),
-        margin_um=((size - field) / 2).tolist(),
+        margin_um=margin.tolist(),
         border_um=border,
-        origin_um=(points.min(axis=0) - border).tolist(),
+        origin_um=origin.tolist(),
         spacing_um=3 * diameter,
         seed=0,
         **burn,
@@ -219,12 +222,10 @@ def holes_csv(pattern: Pattern, *, imaged: bool = False) -> str:
         instead of the stage's.
     """
     rows: list[list[str]] = []
-    for label, (x, y) in zip(
-        pattern.labels, pattern.imaged_um if imaged else pattern.points_um, strict=True
-    ):
-        rows.append(
-            [label, *(f"{um:.6f}".rstrip("0").rstrip(".") for um in (x, y, pattern.diameter_um))]
-        )
+    places_um = pattern.imaged_um if imaged else pattern.points_um
+    for label, place_um in zip(pattern.labels, places_um, strict=True):
+        numbers = [f"{um:.6f}" for um in (*place_um, pattern.diameter_um)]
+        rows.append([label, *(number.rstrip("0").rstrip(".") for number in numbers)])
     return table_text(_COLUMNS, rows)
 
 
@@ -310,10 +311,10 @@ class Predicted:
 
     def at(self, points_um: ArrayLike) -> Floats:
         """Predict the rms error, in um, at points (..., 2) in stage coordinates."""
-        r2 = np.sum((np.asarray(points_um) - self.holes_um.mean(axis=0)) ** 2, axis=-1)
-        return np.asarray(
-            self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + r2 / self.radius_um**2)
-        )
+        offsets = np.asarray(points_um) - self.holes_um.mean(axis=0)
+        r2 = np.sum(offsets**2, axis=-1)
+        mean_um = self.fle_um / np.sqrt(len(self.holes_um))
+        return np.asarray(mean_um * np.sqrt(1 + r2 / self.radius_um**2))
 
     def sentence(self) -> str:
         """Write the error in a line."""
@@ -366,8 +367,6 @@ def predict(pattern: Pattern, imaging: ImagingParams | None = None) -> Predicted
     Predicted; error in um, at the field's middle, its corners, or any point
     """
     fle_um = hole_error_um(pattern.diameter_um, imaging)
-    field_points = (
-        np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]]) * pattern.field_um
-        + pattern.field_low_um
-    )
+    middle_and_corners = np.vstack([[0.5, 0.5], CORNERS])
+    field_points = middle_and_corners * pattern.field_um + pattern.field_low_um
     return Predicted(fle_um=fle_um, holes_um=pattern.points_um, field_um=field_points)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planish.core.errors import MarkError
 from planish.core.typing import Pair
 from planish.design.params import DesignParams
-from planish.design.pattern import BORDER_DIAMETERS, BURN, SIDES, Pattern, size_text
+from planish.design.pattern import BORDER_DIAMETERS, BURN, CORNERS, SIDES, Pattern, size_text
 from planish.design.rules import (
     LAST_RULE,
     MARKER_DIAMETERS,
@@ -67,9 +67,11 @@ def _place_side(
         ]
         distances = _distances(positions)
         if not rate:
-            is_golomb = np.all(np.diff(np.sort(distances, axis=1), axis=1) > 0, axis=1)
+            gaps = np.diff(np.sort(distances, axis=1), axis=1)
+            is_golomb = np.all(gaps > 0, axis=1)
             # So many are compared with the sides before.
-            positions, distances = positions[is_golomb][:400], distances[is_golomb][:400]
+            positions = positions[is_golomb][:400]
+            distances = distances[is_golomb][:400]
         if len(positions):
             n_repeated = np.isin(distances, np.fromiter(used, dtype=np.int64)).sum(axis=1)
             return positions[int(np.argmin(n_repeated))]
@@ -271,14 +273,16 @@ def _draw_pattern(blank: Pattern, hole_count: int, rng: np.random.Generator) -> 
     hole_counts = [min(4, max(1, (hole_count - 3) // 4))] * 4  # Three corners hold holes too.
     for _ in range(max(0, hole_count - 3 - sum(hole_counts))):
         # The side on which the holes are farthest apart gets the next one.
-        hole_counts[max(range(4), key=lambda k: (side_steps[k] / (hole_counts[k] + 1), -k))] += 1
+        gaps = [n / (count + 1) for n, count in zip(side_steps, hole_counts, strict=True)]
+        hole_counts[int(np.argmax(gaps))] += 1
     # Last pitch over first pitch, less 1.
-    rates = rng.permutation(np.array([1.0, 1.5, 2.1, 2.8])) + rng.uniform(-0.4, 0.4, 4)
+    usual_rates = rng.permutation(np.array([1.0, 1.5, 2.1, 2.8]))
+    rates = usual_rates + rng.uniform(-0.4, 0.4, 4)
     used_distances: set[int] = set()
     side_points: list[Steps] = []
     side_names: list[str] = []
-    corners = np.array([(0, 0), (width_steps, 0), (width_steps, height_steps), (0, height_steps)])
-    directions = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+    corners = CORNERS * (width_steps, height_steps)
+    directions = np.roll(CORNERS, -1, axis=0) - CORNERS
     for side_number, (n_steps, n_inner) in enumerate(zip(side_steps, hole_counts, strict=True)):
         rate = float(rates[side_number]) if blank.layout == "line" else 0.0
         positions = _place_side(blank, side_number, n_steps, n_inner, rate, used_distances, rng)

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from planish.core.errors import MarkError
 from planish.core.robust import rms_length
 from planish.core.typing import Bools, Complexes, Floats, Ints
-from planish.design.pattern import Pattern
+from planish.design.pattern import CORNERS, Pattern
 
 TOLERANCE_UM = 25.0  # within which two marks are taken for one
 SCALE = 0.03  # how far a map's scale may be off its calibration
@@ -56,9 +56,9 @@ def self_motions(points_um: Floats) -> Motions:
     bases = np.tile(base_pairs[repeated_numbers], (2, 1))
     goals = np.concatenate([goal_pairs, goal_pairs[:, ::-1]])
     tree = cKDTree(points_um)
-    hits, kinds = _motion_hits(z, bases, goals, tree, mirrored=False)
-    mirrored_hits, mirrored_kinds = _motion_hits(z, bases, goals, tree, mirrored=True)
-    return Motions(np.concatenate([hits, mirrored_hits]), np.concatenate([kinds, mirrored_kinds]))
+    motions = [_motion_hits(z, bases, goals, tree, mirrored) for mirrored in (False, True)]
+    hits, kinds = map(np.concatenate, zip(*motions, strict=True))
+    return Motions(hits, kinds)
 
 
 def _motion_hits(
@@ -73,7 +73,8 @@ def _motion_hits(
     is_motion = source[base_pairs[:, 1]] != source[base_pairs[:, 0]]
     if not mirrored:
         is_motion &= np.any(base_pairs != goal_pairs, axis=1)
-    (start, end), (goal_start, goal_end) = base_pairs[is_motion].T, goal_pairs[is_motion].T
+    start, end = base_pairs[is_motion].T
+    goal_start, goal_end = goal_pairs[is_motion].T
     alpha = (z[goal_end] - z[goal_start]) / (source[end] - source[start])
     moved_points = alpha[:, None] * source + (z[goal_start] - alpha * source[start])[:, None]
     moved_xy = np.stack([moved_points.real, moved_points.imag], axis=-1)
@@ -99,9 +100,8 @@ def perimeter_order(points_um: Floats) -> Ints:
     x, y = (points_um - points_um.min(axis=0)).T
     width, height = np.ptp(points_um, axis=0)
     nearest_side = np.argmin([y, width - x, height - y, x], axis=0)
-    perimeter_um = np.choose(
-        nearest_side, [x, width + y, 2 * width + height - x, 2 * (width + height) - y]
-    )
+    around = [x, width + y, 2 * width + height - x, 2 * (width + height) - y]
+    perimeter_um = np.choose(nearest_side, around)
     return np.argsort(perimeter_um, kind="stable")
 
 
@@ -126,7 +126,8 @@ def code_misfit_um(points_um: Floats) -> float:
         product = np.conj(windows) @ goal.T
         scale = np.clip(np.abs(product) / power, 1 - SCALE, 1 + SCALE)
         alpha = scale * np.exp(1j * np.angle(product))
-        misfits.append(np.abs(alpha[:, :, None] * windows[:, None, :] - goal).max(axis=2))
+        moved = alpha[:, :, None] * windows[:, None, :]
+        misfits.append(np.abs(moved - goal).max(axis=2))
     np.fill_diagonal(misfits[0], np.inf)
     return float(np.min(misfits))
 
@@ -208,14 +209,10 @@ class Rule:
     @property
     def passed(self) -> bool:
         """Return whether the rule is kept."""
-        if not np.isfinite(self.value):
-            return self.sense == "at least" and self.value > 0
         slack = 1e-9 * max(abs(self.limit), 1.0)
-        return (
-            self.value >= self.limit - slack
-            if self.sense == "at least"
-            else self.value <= self.limit + slack
-        )
+        if self.sense == "at least":
+            return self.value >= self.limit - slack
+        return self.value <= self.limit + slack
 
     def sentence(self) -> str:
         """Write what was measured and what is needed."""
@@ -252,18 +249,19 @@ def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
     first, second = np.triu_indices(len(points), 1)
     least_spacing_um = float(np.hypot(*(points[first] - points[second]).T).min())
     # How much farther the emptiest corner of the frame is from its nearest hole than the next one.
-    corners = pattern.frame_low_um + pattern.frame_um * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    corner_distances = np.sort(np.hypot(*(corners - points[:, None]).T).min(axis=1))
+    corners = pattern.frame_low_um + pattern.frame_um * CORNERS
+    corner_distances = np.hypot(*(corners - points[:, None]).T).min(axis=1)
+    _, _, next_um, farthest_um = np.sort(corner_distances).tolist()
+    needed_spacing_um = max(SPACING_DIAMETERS * diameter, pattern.spacing_um)
+    n_survivors = crops(pattern).sum(axis=1)
     return (
         _rule("count", len(points), LEAST_HOLES),
         _rule("around", n_inside, 0),
         _rule("radius", rms_radius_um / float(np.hypot(*field)), 0.4),
-        _rule("spacing", least_spacing_um, max(SPACING_DIAMETERS * diameter, pattern.spacing_um)),
+        _rule("spacing", least_spacing_um, needed_spacing_um),
         area_rule(pattern, len(points)),
-        _rule(
-            "marker", float(corner_distances[3] - corner_distances[2]), MARKER_DIAMETERS * diameter
-        ),
-        _rule("crop", int(crops(pattern).sum(axis=1).min()), 4),
+        _rule("marker", farthest_um - next_um, MARKER_DIAMETERS * diameter),
+        _rule("crop", int(n_survivors.min()), 4),
     )
 
 
@@ -289,7 +287,8 @@ def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
     kinds = ("half turn", "quarter turn", "mirror", "shift")
     # Of each crop, the holes that the best motion without a mirror explains.
     is_hit = motions.hit[motions.kind != "mirror"].astype(np.float32)
-    hit_counts = np.max(is_hit @ crop_masks.T.astype(np.float32), axis=0, initial=0).astype(np.intp)
+    hits_left = is_hit @ crop_masks.T.astype(np.float32)
+    hit_counts = np.max(hits_left, axis=0, initial=0).astype(np.intp)
     # Of so few survivors, three may meet by chance; four are needed to believe an arrangement.
     worst_share = float(np.max(hit_counts / np.maximum(crop_masks.sum(axis=1), 6)))
     rivals = [_rule(kind, motions.best_count(kind) / len(points), RIVAL_SHARE) for kind in kinds]
@@ -304,18 +303,21 @@ def crops(pattern: Pattern) -> Bools:
     that in both directions. A window that cuts all four sides loses whatever lies around the field,
     so no pattern could keep it. A hole survives whole.
     """
-    points, radius = pattern.points_um - pattern.origin_um, 0.5 * pattern.diameter_um
+    points = pattern.points_um - pattern.origin_um
+    radius = 0.5 * pattern.diameter_um
     lows, highs = (points - radius).T, (points + radius).T
     survivors: list[Bools] = []
     # The side that the crop keeps lies along the second direction.
     for depth_axis, side_axis in ((0, 1), (1, 0)):
-        view_um, low, high = pattern.view_um[side_axis], lows[side_axis], highs[side_axis]
-        window_um, depth_um = (1 - CROP) * view_um, (1 - CROP) * pattern.view_um[depth_axis]
+        low, high = lows[side_axis], highs[side_axis]
+        view_um, view_depth_um = pattern.view_um[side_axis], pattern.view_um[depth_axis]
+        window_um = (1 - CROP) * view_um
+        depth_um = (1 - CROP) * view_depth_um
         starts_um = np.concatenate([low + 1e-3, high - window_um - 1e-3, [0.0, CROP * view_um]])
         starts_um = np.unique(np.clip(starts_um, 0.0, CROP * view_um))[:, None]
         is_inside = (low >= starts_um) & (high <= starts_um + window_um)
         survivors.append(is_inside & (highs[depth_axis] <= depth_um))
-        survivors.append(is_inside & (lows[depth_axis] >= pattern.view_um[depth_axis] - depth_um))
+        survivors.append(is_inside & (lows[depth_axis] >= view_depth_um - depth_um))
     return np.unique(np.concatenate(survivors), axis=0)
 
 
