@@ -450,7 +450,7 @@ MUTANTS = [
     # sections, correct
     Mutant(
         "sections/volume.py",
-        "weight = np.clip((planes_um - places_um[before]) / spacing_um, 0.0, 1.0)",
+        "weight = np.clip(passed_um / spacing_um, 0.0, 1.0)",
         "weight = np.clip((places_um[after] - planes_um) / spacing_um, 0.0, 1.0)",
         "sections/test_volume.py",
     ),
