@@ -350,8 +350,8 @@ MUTANTS = [
     ),
     Mutant(
         "register/result.py",
-        "                2.0\n                * self.field.mark_variance",
-        "                self.field.mark_variance",
+        "np.sqrt(2.0 * self.field.mark_variance",
+        "np.sqrt(self.field.mark_variance",
         "register/test_models.py",
     ),
     Mutant(

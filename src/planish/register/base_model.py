@@ -79,9 +79,8 @@ class ParametricModel(Model):
                     errors[k] = pairs.fixed[k] - reduced_fit(pairs.moving[k])
             return errors
         whitening = pairs.whitening()
-        q, _ = whitened_qr(
-            whitening, self.design(transform, pairs.frame(), pairs.moving), self.name
-        )
+        design = self.design(transform, pairs.frame(), pairs.moving)
+        q, _ = whitened_qr(whitening, design, self.name)
         blocks = q.reshape(len(pairs), 2, -1)
         residual_blocks = np.eye(2) - blocks @ blocks.swapaxes(1, 2)
         # Leverage 1: without this mark the others leave a parameter free.
@@ -107,9 +106,8 @@ def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, F
     """
     equations = (whitening @ design).reshape(-1, design.shape[-1])
     q, r = np.linalg.qr(equations)
-    singular_values = np.linalg.svd(
-        r / np.maximum(np.linalg.norm(r, axis=0), 1e-300), compute_uv=False
-    )
+    scaled_r = r / np.maximum(np.linalg.norm(r, axis=0), 1e-300)
+    singular_values = np.linalg.svd(scaled_r, compute_uv=False)
     # Condition number of the scaled equations beyond which marks do not fix the parameters.
     if len(equations) < design.shape[-1] or not singular_values[-1] > 1e-8 * singular_values[0]:
         raise CannotRegister(

@@ -71,11 +71,7 @@ class Bent(NearSimilarity):
 
         slices = self._parts(scaled_points)
         # With fewer parts, starting threads takes longer than the work.
-        if len(slices) < 4:
-            for part in slices:
-                add(part)
-        else:
-            map_threads(add, slices)
+        map_threads(add, slices, number=1 if len(slices) < 4 else None)
         return out.reshape(points_um.shape)
 
     def _parts(self, scaled_points: Floats) -> list[slice]:
@@ -135,7 +131,7 @@ class _Inverse:
         self.low, self.high = low - self.around, high + self.around
         # The inverse begins at the nearest image of a grid that reaches one extent of the marks
         # beyond them.
-        axes = [np.linspace(a, b, 49) for a, b in zip(self.low, self.high, strict=True)]
+        axes = np.linspace(self.low, self.high, 49).T
         self.grid = grid_points(*axes).reshape(-1, 2)
         self.images = bent(self.grid)
         self.slopes = bent.jacobian(self.grid)
@@ -174,7 +170,7 @@ class _Inverse:
             length = np.linalg.norm(step, axis=1, keepdims=True)
             step *= np.minimum(1.0, 0.125 * self.around / np.maximum(length, 1e-300))
             start_errors = np.linalg.norm(error[active], axis=1)
-            is_better = np.zeros(active.size, dtype=np.bool_)
+            is_better = np.zeros(active.size, bool)
             # Where the whole step does not help, a quarter of it may.
             for step_share in (1.0, 0.25):
                 is_tried = ~is_better & ((start_errors > tolerance) | (step_share == 1.0))
@@ -188,13 +184,14 @@ class _Inverse:
                 sources[active[improved_rows]] = trial[is_improved]
                 error[active[improved_rows]] = trial_error[is_improved]
                 is_better[improved_rows] = True
-            active = active[is_better & (np.linalg.norm(error[active], axis=1) > tolerance)]
+            is_wrong = np.linalg.norm(error[active], axis=1) > tolerance
+            active = active[is_better & is_wrong]
             if not active.size:
                 break
-        is_outside = not bent.everywhere and np.any(
-            (sources < self.low) | (sources > self.high), axis=1
-        )
-        sources[is_outside | (np.linalg.norm(error, axis=1) > 100 * tolerance)] = np.nan
+        is_lost = np.linalg.norm(error, axis=1) > 100 * tolerance
+        if not bent.everywhere:
+            is_lost |= np.any((sources < self.low) | (sources > self.high), axis=1)
+        sources[is_lost] = np.nan
         return sources
 
 
@@ -260,10 +257,13 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     if len(points) > 1:
         worst_place = points[int(np.argmax(np.abs(stretches).max(axis=1)))]
     return LocalStrain(
-        area=(float(areas.min() / mean), float(areas.max() / mean)),
-        stretch=(float(stretches.min()), float(stretches.max())),
-        at_um=pair_of(worst_place),
+        area=range_of(areas / mean), stretch=range_of(stretches), at_um=pair_of(worst_place)
     )
+
+
+def range_of(numbers: Floats) -> Pair:
+    """The least and the largest of some numbers."""
+    return float(numbers.min()), float(numbers.max())
 
 
 def inside(marks: Floats, steps: int = 65) -> Floats:
@@ -273,9 +273,7 @@ def inside(marks: Floats, steps: int = 65) -> Floats:
     """
     from scipy.spatial import Delaunay, QhullError
 
-    axes = [
-        np.linspace(a, b, steps) for a, b in zip(marks.min(axis=0), marks.max(axis=0), strict=True)
-    ]
+    axes = np.linspace(marks.min(axis=0), marks.max(axis=0), steps).T
     grid = grid_points(*axes).reshape(-1, 2)
     middle = marks.mean(axis=0)
     try:

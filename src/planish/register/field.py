@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planish.core.transform import are_known
 from planish.core.typing import Floats, Ints
 from planish.register.pairs import (
     COINCIDENT,
@@ -120,10 +121,12 @@ class DeviationField:
             mixture = _shares(np.array([v.log_posterior for v in kernel_fits.values()]))
         self.mixture = mixture
         self._kernel_fits = {k: v for k, v in kernel_fits.items() if mixture[k].any()}
-        total = sum(
-            float(np.sum(mixture[k] * v.mark_variances)) for k, v in self._kernel_fits.items()
-        )
-        self.mark_variance = total * self._unit if self.freedom > 0 else float("nan")
+        self.mark_variance = np.nan
+        if self.freedom > 0:
+            variances = [
+                np.sum(mixture[k] * v.mark_variances) for k, v in self._kernel_fits.items()
+            ]
+            self.mark_variance = float(sum(variances)) * self._unit
 
     def _columns(self, scaled: Floats) -> Floats:
         """Derivatives of the image of scaled points (k, 2).
@@ -196,21 +199,17 @@ class DeviationField:
             probabilities = self.mixture[k]
             plane_coefficients += np.einsum("ag,agp->p", probabilities, kernel_fit.coefficients)
             # From eigenvectors (2n,) back to coefficients of the marks (n, 2).
-            dual = kernel_fit.eigenvectors @ np.einsum(
-                "ag,g,agk->k", probabilities, _FIELD, self._scaled_residuals(kernel_fit)
-            )
-            kernel_coefficients[k] = (self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1))[
-                ..., 0
-            ]
+            residuals = self._scaled_residuals(kernel_fit)
+            mean_residuals = np.einsum("ag,g,agk->k", probabilities, _FIELD, residuals)
+            dual = kernel_fit.eigenvectors @ mean_residuals
+            coefficients = self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1)
+            kernel_coefficients[k] = coefficients[..., 0]
         # Coefficients of `_columns` as those of ``(1, x, y)``.
         corners = self._columns(np.array([[0.0, 0], [1, 0], [0, 1]]))
         plane = np.einsum("kcp,p->kc", corners, plane_coefficients + self._first)
         plane[1:] -= plane[:1]
-        return (
-            plane,
-            tuple(KERNELS[k] for k in kernel_coefficients),
-            np.array(list(kernel_coefficients.values())),
-        )
+        kernels = tuple(KERNELS[k] for k in kernel_coefficients)
+        return plane, kernels, np.array(list(kernel_coefficients.values()))
 
     def _scaled_residuals(self, kernel_fit: _KernelFit) -> Floats:
         """Residuals of the six coefficients over their variance: (a, g, 2n)."""
@@ -227,23 +226,19 @@ class DeviationField:
 
         forms: dict[int, tuple[Floats, Floats, float]] = {}
         n = len(self._pairs)
-        plane_basis = np.linalg.lstsq(
-            np.kron(np.column_stack([np.ones(n), self.nodes]), np.eye(2)),
-            self._columns(self.nodes).reshape(-1, 6),
-            rcond=None,
-        )[0]
+        plane_columns = on_both_axes(_plane_rows(self.nodes))
+        columns = self._columns(self.nodes).reshape(-1, 6)
+        plane_basis, *_ = np.linalg.lstsq(plane_columns, columns, rcond=None)
         unwhitening = block_diag(*self._whitening.swapaxes(1, 2))
         for k, kernel_fit in self._kernel_fits.items():
             probabilities, variances = self.mixture[k], kernel_fit.mark_variances
             # Rows of which the products with (columns, eigenvectors) are squared and summed.
-            root = np.linalg.cholesky(
-                kernel_fit.coefficient_cov + np.diag([0.0, 0, 0, 0, 1e-300, 1e-300])
-            )
+            least_variance = np.diag([0.0, 0, 0, 0, 1e-300, 1e-300])
+            root = np.linalg.cholesky(kernel_fit.coefficient_cov + least_variance)
             root = root.swapaxes(-1, -2)
             # (g, 6, 2n).
-            cross_terms = -_FIELD[:, None, None] * (
-                kernel_fit.design.T * kernel_fit.shrinkage[:, None]
-            )
+            shrunk_design = kernel_fit.design.T * kernel_fit.shrinkage[:, None]
+            cross_terms = -_FIELD[:, None, None] * shrunk_design
             spread_rows = np.concatenate([root, root @ cross_terms], axis=-1)
             spread_rows *= np.sqrt(probabilities * variances)[..., None, None]
             dual = _FIELD[:, None] * self._scaled_residuals(kernel_fit)
@@ -280,11 +275,11 @@ class DeviationField:
             part = slice(start, start + step)
             scaled_points = (points[part] - self.middle) / self.size
             squares = squared_distances(scaled_points, self.nodes)
-            plane = np.column_stack([np.ones(len(scaled_points)), scaled_points])
+            plane_rows = _plane_rows(scaled_points)
             deviations = images[part] - self._columns(scaled_points) @ self._first
             squares_um2 = np.sum(deviations**2, axis=1)
             for k, (form, mean, constant) in self._square_forms.items():
-                row = np.concatenate([plane, covariance(KERNELS[k], squares)], axis=1)
+                row = np.concatenate([plane_rows, covariance(KERNELS[k], squares)], axis=1)
                 cross_terms = np.sum(deviations * (row @ mean), axis=1)
                 squares_um2 += np.sum(row * (row @ form), axis=1) + constant - 2.0 * cross_terms
             out[part] = np.maximum(squares_um2, 0.0)
@@ -304,7 +299,7 @@ class DeviationField:
             plane, kernels, bends = self.mean()
             scaled_points = (self._all_pairs.moving - self.middle) / self.size
             squares = squared_distances(scaled_points, self.nodes)
-            images = np.column_stack([np.ones(len(scaled_points)), scaled_points]) @ plane
+            images = _plane_rows(scaled_points) @ plane
             for kernel, bend in zip(kernels, bends, strict=True):
                 images += covariance(kernel, squares) @ bend
             errors = self._all_pairs.fixed - images
@@ -318,22 +313,19 @@ class DeviationField:
         for k, kernel_fit in self._kernel_fits.items():
             fit_errors, determinants, misfit_shares = self._missed(kernel_fit)
             errors += np.einsum("ag,agni->ni", self.mixture[k], fit_errors)
-            log_tail = np.log(
-                np.clip(1.0 - misfit_shares / kernel_fit.misfit[..., None], 1e-14, 1.0)
-            )
+            rest_shares = 1.0 - misfit_shares / kernel_fit.misfit[..., None]
+            log_tail = tail_exponent * np.log(np.clip(rest_shares, 1e-14, 1.0))
             with np.errstate(divide="ignore"):
                 prior = np.log(self.mixture[k] * kernel_fit.misfit)[..., None]
-            log_shares.append(
-                (prior - 0.5 * np.log(determinants) - tail_exponent * log_tail).reshape(-1, n)
-            )
-            log_chances.append((tail_exponent * log_tail).reshape(-1, n))
+            log_share = prior - 0.5 * np.log(determinants) - log_tail
+            log_shares.append(log_share.reshape(-1, n))
+            log_chances.append(log_tail.reshape(-1, n))
         log_chance = np.zeros(n)
         if tail_exponent > 0:
             log_weights = np.concatenate(log_shares)
-            log_weights = np.where(np.isfinite(errors).all(axis=1), log_weights, 0.0)
-            log_chance = np.nan_to_num(
-                _log_sum(log_weights + np.concatenate(log_chances)) - _log_sum(log_weights)
-            )
+            log_weights = np.where(are_known(errors), log_weights, 0.0)
+            log_sum = _log_sum(log_weights + np.concatenate(log_chances))
+            log_chance = np.nan_to_num(log_sum - _log_sum(log_weights))
         return solved(self._whitening, errors), log_chance
 
     def _missed(self, kernel_fit: _KernelFit) -> tuple[Floats, Floats, Floats]:
@@ -343,30 +335,32 @@ class DeviationField:
         """
         n = len(self._pairs)
         rows = kernel_fit.eigenvectors.reshape(n, 2, -1)
-        residuals = (self._scaled_residuals(kernel_fit) @ kernel_fit.eigenvectors.T).reshape(
-            *kernel_fit.misfit.shape, n, 2
-        )
+        residuals = self._scaled_residuals(kernel_fit) @ kernel_fit.eigenvectors.T
+        residuals = residuals.reshape(*kernel_fit.misfit.shape, n, 2)
         blocks: list[Floats] = []
         step = max(1, 16 * _AT_ONCE // (n * kernel_fit.shrinkage.shape[0]))
-        for mark_rows in (rows[k : k + step] for k in range(0, n, step)):
+        for start in range(0, n, step):
+            mark_rows = rows[start : start + step]
             weighted = mark_rows * kernel_fit.shrinkage[:, None, None]  # (g, marks, 2, 2n)
             projected = weighted @ kernel_fit.design
-            explained = (
-                projected @ kernel_fit.coefficient_cov[:, :, None] @ projected.swapaxes(2, 3)
-            )
+            coefficient_cov = kernel_fit.coefficient_cov[:, :, None]
+            explained = projected @ coefficient_cov @ projected.swapaxes(2, 3)
             blocks.append(weighted @ mark_rows.swapaxes(1, 2) - explained)
         blocks_of_p = np.concatenate(blocks, axis=2)
-        determinants = blocks_of_p[..., 0, 0] * blocks_of_p[..., 1, 1] - blocks_of_p[..., 0, 1] ** 2
+        xx, xy, yy = blocks_of_p[..., 0, 0], blocks_of_p[..., 0, 1], blocks_of_p[..., 1, 1]
+        determinants = xx * yy - xy**2
         # Without this mark the others leave the similarity free.
-        is_undetermined = (
-            determinants < COINCIDENT**2 * (blocks_of_p[..., 0, 0] + blocks_of_p[..., 1, 1]) ** 2
-        )
-        blocks_of_p[is_undetermined], determinants[is_undetermined] = np.nan, np.nan
-        errors = (
-            inverse_of(blocks_of_p.reshape(-1, 2, 2)).reshape(blocks_of_p.shape)
-            @ residuals[..., None]
-        )[..., 0]
+        is_undetermined = determinants < COINCIDENT**2 * (xx + yy) ** 2
+        blocks_of_p[is_undetermined] = np.nan
+        determinants[is_undetermined] = np.nan
+        inverses = inverse_of(blocks_of_p.reshape(-1, 2, 2)).reshape(blocks_of_p.shape)
+        errors = (inverses @ residuals[..., None])[..., 0]
         return errors, determinants, np.sum(residuals * errors, axis=-1)
+
+
+def _plane_rows(scaled_points: Floats) -> Floats:
+    """Rows ``(1, x, y)`` (k, 3) of scaled points."""
+    return np.column_stack([np.ones(len(scaled_points)), scaled_points])
 
 
 def _groups(places: Floats, most: int) -> Ints:
@@ -382,9 +376,8 @@ def _groups(places: Floats, most: int) -> Ints:
         halves: list[Ints] = []
         for part in parts:
             axis = int(np.argmax(np.ptp(places[part], axis=0)))
-            halves += np.split(
-                part[np.argsort(places[part, axis], kind="stable")], [part.size // 2]
-            )
+            order = np.argsort(places[part, axis], kind="stable")
+            halves += np.split(part[order], [part.size // 2])
         parts = halves
     for number, part in enumerate(parts):
         group[part] = number
@@ -404,9 +397,10 @@ def _grouped_pairs(pairs: Pairs, group: Ints) -> Pairs:
     moving = np.zeros((group_count, 2))
     fixed = np.zeros((group_count, 2))
     covariances = np.zeros((group_count, 2, 2))
+    mean_covariances = inverse_of(pairs.information) * (share**2)[:, None, None]
     np.add.at(moving, group, share[:, None] * pairs.moving)
     np.add.at(fixed, group, share[:, None] * pairs.fixed)
-    np.add.at(covariances, group, inverse_of(pairs.information) * (share**2)[:, None, None])
+    np.add.at(covariances, group, mean_covariances)
     return Pairs(moving=moving, fixed=fixed, information=inverse_of(covariances))
 
 

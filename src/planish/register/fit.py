@@ -157,17 +157,14 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     """
     n = len(pairs)
     field = best_field = DeviationField(pairs, mirrored)
-    is_right = np.ones(n, dtype=np.bool_)
+    is_right = np.ones(n, bool)
     removed, wrong_count = [], 0
     # Three wrong marks may hide each other, and two right ones may be taken out before them.
     extra, hidden = (2, 3) if 2 * _LEAST_JUDGED <= n <= _MANY else (0, 1)
-    while (
-        n >= _LEAST_JUDGED
-        and len(removed) < max(1, n // 4) + extra
-        and len(removed) - wrong_count < hidden + extra
-    ):
+    most_removed = max(1, n // 4) + extra if n >= _LEAST_JUDGED else 0
+    while len(removed) < most_removed and len(removed) - wrong_count < hidden + extra:
         remaining_rows = np.flatnonzero(is_right)
-        chance = field.left_out()[1]
+        _, chance = field.left_out()
         # The more marks were taken out without need, the more choices there were.
         limit = np.log(_CHANCE) - (1 + len(removed) - wrong_count) * np.log(remaining_rows.size)
         # Among many marks a few wrong ones accuse no right ones: all that stand out at once.
@@ -175,7 +172,8 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
         outliers = np.argsort(chance, kind="stable")[:count]
         # Of marks that were taken together, the one that stands out most: it moves the mean of the
         # others.
-        outliers = outliers[np.sort(np.unique(field.group[outliers], return_index=True)[1])]
+        _, first_rows = np.unique(field.group[outliers], return_index=True)
+        outliers = outliers[np.sort(first_rows)]
         removed += remaining_rows[outliers].tolist()
         is_right[removed] = False
         field = DeviationField(pairs.take(is_right), mirrored)
@@ -189,9 +187,9 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     for mark in reversed(removed[:wrong_count]):
         is_right[mark] = True
         field = DeviationField(pairs.take(is_right), mirrored)
-        if field.left_out()[1][np.count_nonzero(is_right[:mark])] < np.log(
-            _CHANCE / np.count_nonzero(is_right)
-        ):
+        _, chance = field.left_out()
+        row = np.count_nonzero(is_right[:mark])
+        if chance[row] < np.log(_CHANCE / np.count_nonzero(is_right)):
             is_right[mark] = False
         else:
             best_field = field

@@ -11,13 +11,15 @@ be matched, and a symmetry that one side alone seems to have is judged by the de
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister, MarkError, WrongHand
 from planish.core.robust import rms_length
-from planish.core.transform import Similarity
+from planish.core.transform import Similarity, are_known
 from planish.core.typing import Floats, Ints, Texts
 from planish.register.match_choose import BestMatch, choose, self_likeness
 from planish.register.match_search import ACCEPTED
@@ -120,7 +122,8 @@ def match_marks(
         )
     if count < choice.needed_count:
         raise CannotRegister(f"{sides_text}: {_no_match(choice, smaller_count, mirror)}")
-    triangles = (source[choice.pairs[:, 0]], target[choice.pairs[:, 1]])
+    i, j = choice.pairs.T
+    triangles = (source[i], target[j])
     if smaller_count == 3 and any(_has_alike(t, 3.0 * tolerance_um) for t in triangles):
         raise CannotRegister(
             f"{sides_text}: three marks match, but two of their three distances are alike within"
@@ -237,37 +240,37 @@ def match_by_design(
     MarkError
         If a position is not finite, an array has another shape, or there is not one label a hole.
     """
-    side_points = (
-        _usable_points(moving, f"marks of the {names[0]}", _PAIRS_HINT),
-        _usable_points(fixed, f"marks of the {names[1]}", _PAIRS_HINT),
-    )
+    source = _usable_points(moving, f"marks of the {names[0]}", _PAIRS_HINT)
+    target = _usable_points(fixed, f"marks of the {names[1]}", _PAIRS_HINT)
     holes = _usable_points(design, "designed holes", _PAIRS_HINT)
-    labels = tuple(str(k + 1) for k in range(len(holes))) if labels is None else tuple(labels)
+    numbers = map(str, range(1, len(holes) + 1))
+    labels = tuple(numbers if labels is None else labels)
     if len(labels) != len(holes):
         raise MarkError(
             f"{len(labels)} labels are given for {len(holes)} designed holes. Give one for each."
         )
     choices: list[dict[bool, BestMatch]] = []
-    for side in side_points:
+    for side in (source, target):
         as_designed = choose(holes, side, scale_tolerance, tolerance_um, hands=(False,))
         turned_over = choose(holes, side, scale_tolerance, tolerance_um, hands=(True,))
         choices.append({False: as_designed, True: turned_over})
     (first_match, second_match), is_ambiguous = _choose_hands(choices, names, mirror)
-    (first_transform, sentence), (second_transform, second_sentence) = (
-        _fit_on_design(choice, side, holes, scale_tolerance, layer)
-        for choice, side, layer in zip((first_match, second_match), side_points, names, strict=True)
-    )
-    sentence += f" {second_sentence}"
+    fit = partial(_fit_on_design, holes=holes, scale_tolerance=scale_tolerance)
+    first_transform, first_sentence = fit(first_match, source, name=names[0])
+    second_transform, second_sentence = fit(second_match, target, name=names[1])
+    sentence = f"{first_sentence} {second_sentence}"
     if is_ambiguous:
         raise CannotRegister(
             f"{sentence} Turned over, the design fits nearly as well, so the holes cannot be"
             f" identified. Leave the design out, or {_PAIRS_HINT}."
         )
     # The designed holes that both sides have, sorted by the marks of the first.
+    first_holes, first_marks = first_match.pairs.T
+    second_holes, second_marks = second_match.pairs.T
     shared_holes, i, j = np.intersect1d(
-        first_match.pairs[:, 0], second_match.pairs[:, 0], assume_unique=True, return_indices=True
+        first_holes, second_holes, assume_unique=True, return_indices=True
     )
-    pairs = np.stack([first_match.pairs[i, 1], second_match.pairs[j, 1]], axis=1)
+    pairs = np.stack([first_marks[i], second_marks[j]], axis=1)
     order = np.argsort(pairs[:, 0])
     pairs = np.ascontiguousarray(pairs[order])
     shared_holes = shared_holes[order]
@@ -275,28 +278,27 @@ def match_by_design(
     # From so many marks on both sides on, they alone give the transformation; with fewer, the
     # design helps.
     if len(pairs) >= 4:
-        transform, rms = _fit_similarity(
-            side_points[0][pairs[:, 0]], side_points[1][pairs[:, 1]], mirrored
-        )
+        transform, rms = _fit_similarity(source[pairs[:, 0]], target[pairs[:, 1]], mirrored)
         basis_text = f"residual {rms:.1f} um rms"
     else:
         # The design's holes as both sides have them, laid on one another.
-        transform = _fit_similarity(first_transform(holes), second_transform(holes), mirrored)[0]
+        transform, _ = _fit_similarity(first_transform(holes), second_transform(holes), mirrored)
         basis_text = "through the design, since fewer than 4 are on both sides"
+    design_text = (
+        f"Holes identified by the pattern {name} of {len(holes)}"
+        f" holes{_FROM_BEHIND * second_match.mirrored}."
+    )
+    sentence += (
+        f" {len(pairs)} holes are on both sides ({_similarity_text(transform)}, {basis_text})."
+    )
     return Matched(
         pairs=pairs,
         labels=tuple(labels[k] for k in shared_holes),
         transform=transform,
         mirrored=mirrored,
         second_best=max(first_match.second_best_count, second_match.second_best_count),
-        design=(
-            f"Holes identified by the pattern {name} of {len(holes)}"
-            f" holes{_FROM_BEHIND * second_match.mirrored}."
-        ),
-        sentence=(
-            f"{sentence} {len(pairs)} holes are on both sides ({_similarity_text(transform)},"
-            f" {basis_text})."
-        ),
+        design=design_text,
+        sentence=sentence,
     )
 
 
@@ -309,32 +311,23 @@ def _choose_hands(
 
     The hand that it has against the sheet is not known; both sides have the same, unless mirrored.
     """
-    log_chances = {
-        (i, j): a.log_chance + b.log_chance
-        for i, a in choices[0].items()
-        for j, b in choices[1].items()
-    }
-    allowed = {
-        hands: log_chance
-        for hands, log_chance in log_chances.items()
-        if mirror or hands[0] == hands[1]
-    }
-    best_hands = min(allowed, key=lambda hands: (allowed[hands], hands))
-    if min(log_chances.values()) < min(allowed[best_hands], 2 * ACCEPTED) - 1.0:
+    first, second = choices
+    log_chances: dict[tuple[bool, bool], float] = {}
+    for i, j in product((False, True), repeat=2):
+        log_chances[i, j] = first[i].log_chance + second[j].log_chance
+    allowed = [(log_chances[i, j], i, j) for i, j in log_chances if mirror or i == j]
+    (best_chance, i, j), *others = sorted(allowed)
+    if min(log_chances.values()) < min(best_chance, 2 * ACCEPTED) - 1.0:
         raise WrongHand(
             f"The {names[0]} and the {names[1]} both match the design, but one of them only if it"
             f" is turned over: {_WRONG_SIDE}"
         )
-    is_ambiguous = any(
-        log_chance < allowed[best_hands] + _MARGIN
-        for hands, log_chance in allowed.items()
-        if hands != best_hands
-    )
-    return (choices[0][best_hands[0]], choices[1][best_hands[1]]), is_ambiguous
+    is_ambiguous = any(log_chance < best_chance + _MARGIN for log_chance, *_ in others)
+    return (first[i], second[j]), is_ambiguous
 
 
 def _fit_on_design(
-    choice: BestMatch, points: Floats, holes: Floats, scale_tolerance: float, name: str
+    choice: BestMatch, points: Floats, *, holes: Floats, scale_tolerance: float, name: str
 ) -> tuple[Similarity, str]:
     sides_text = f"{len(points)} marks of the {name} and {len(holes)} designed holes"
     count = len(choice.pairs)
@@ -391,9 +384,8 @@ def _fit_choice(
             " regular, or the marks that would decide are missing. Find more of the marks (range"
             f" of hole diameters), remove false ones, or {hint_text}."
         )
-    transform, rms = _fit_similarity(
-        source[choice.pairs[:, 0]], target[choice.pairs[:, 1]], choice.mirrored
-    )
+    i, j = choice.pairs.T
+    transform, rms = _fit_similarity(source[i], target[j], choice.mirrored)
     deviation = abs(transform.scale - 1.0)
     if deviation > scale_tolerance:
         raise CannotRegister(
@@ -408,15 +400,14 @@ def _fit_choice(
 def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Similarity, float]:
     """Least-squares similarity through pairs ``(k, 2)`` in um, and the rms residual."""
     information = np.broadcast_to(np.eye(2), (len(source), 2, 2))
-    transform = SimilarityModel().fit(
-        Pairs(moving=source, fixed=target, information=information), mirrored
-    )
+    pairs = Pairs(moving=source, fixed=target, information=information)
+    transform = SimilarityModel().fit(pairs, mirrored)
     return transform, rms_length(transform(source) - target)
 
 
 def _usable_points(marks: ArrayLike, name: str, hint_text: str) -> Floats:
     points = points_of(marks, name)
-    nonfinite_rows = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
+    nonfinite_rows = np.flatnonzero(~are_known(points))
     if nonfinite_rows.size:
         raise MarkError(
             f"Position of mark {listed(nonfinite_rows)} (counted from 0) among the {name} is not"

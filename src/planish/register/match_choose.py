@@ -7,6 +7,7 @@ from math import comb, log10
 from typing import NamedTuple
 
 import numpy as np
+from scipy import special
 
 from planish.core.typing import Bools, Floats, Ints
 from planish.register.match_search import (
@@ -52,17 +53,16 @@ class BestMatch(NamedTuple):
         And how many each side alone shows.
         """
         rows, columns = self.pairs.T[::-1] if self.is_swapped else self.pairs.T
+        small_alone = self._in_both(np.delete(self.small_points, rows))
+        large_alone = self._in_both(np.delete(self.large_points, columns))
+        points = np.concatenate([self.large_points[columns], small_alone, large_alone])
+        return points, (len(small_alone), len(large_alone))
+
+    def _in_both(self, points: Complexes) -> Complexes:
+        """Those of some points that lie in the fields of both sides."""
         # Marks of a larger map are no evidence about a smaller one.
-        alone = [
-            points[
-                _inside(points, self.large_points, 0.15) & _inside(points, self.small_points, 0.15)
-            ]
-            for points in (
-                np.delete(self.small_points, rows),
-                np.delete(self.large_points, columns),
-            )
-        ]
-        return np.concatenate([self.large_points[columns], *alone]), (len(alone[0]), len(alone[1]))
+        is_near = _inside(points, self.large_points, 0.15)
+        return points[is_near & _inside(points, self.small_points, 0.15)]
 
 
 def choose(
@@ -75,7 +75,7 @@ def choose(
 ) -> BestMatch:
     """Return the best arrangement of three or more marks a side, (n, 2) and (m, 2) in um."""
     is_swapped = len(source) > len(target)
-    a, b = (as_complex(p, False) for p in ((target, source) if is_swapped else (source, target)))
+    a, b = (as_complex(points, False) for points in sorted((source, target), key=len))
     arrangements = search(a, b, scale_tolerance, tolerance_um, hands=hands)
     if len(arrangements.inliers) == 0:
         return BestMatch()
@@ -89,9 +89,8 @@ def choose(
     scatter = np.sqrt(np.median(agreeing_squares) * len(agreeing_squares) / free_count) / 1.18
     # A pair this many times further apart than the others are is not one, however wide the
     # tolerance.
-    rows = np.flatnonzero(
-        squares <= float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um)) ** 2
-    )
+    largest_um = float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um))
+    rows = np.flatnonzero(squares <= largest_um**2)
     pairs = np.stack([rows, arrangements.partner[best][rows].astype(np.intp)], axis=1)
     pairs = pairs[:, ::-1] if is_swapped else pairs
     moved_points = arrangements.landed[best]
@@ -102,6 +101,7 @@ def choose(
         chance_count = marks_needed(len(a), b, int(arrangements.tests[0]), tolerance_um)
         needed_count = max(needed_count, chance_count, len(pairs) + 1)
     rival_chance, rival_count = _rival(arrangements, best, b, tolerance_um)
+    stretch = 2.0 * abs(arrangements.gamma[best]) / abs(arrangements.alpha[best])
     return BestMatch(
         pairs=np.ascontiguousarray(pairs[np.argsort(pairs[:, 0])]),
         mirrored=bool(arrangements.mirrored[best]),
@@ -109,7 +109,7 @@ def choose(
         log_chance=float(arrangements.log_chance[best]),
         second_log_chance=rival_chance,
         second_best_count=rival_count,
-        stretch=2.0 * abs(arrangements.gamma[best]) / abs(arrangements.alpha[best]),
+        stretch=stretch,
         is_swapped=is_swapped,
         small_points=moved_points,
         large_points=b,
@@ -124,22 +124,20 @@ def _rival(
     Also gives how many marks agree in it.
     """
     is_used = arrangements.squares[best] <= tolerance * tolerance
-    moved = np.max(
-        np.abs(arrangements.landed[:, is_used] - arrangements.landed[best, is_used]), axis=1
-    )
+    landed = arrangements.landed[:, is_used]
+    moved = np.abs(landed - landed[best]).max(axis=1)
     is_turned_over = arrangements.mirrored != arrangements.mirrored[best]
     is_rival = is_turned_over | (moved > 2.0 * tolerance)
     if not is_rival.any():
         return np.inf, 0
     rivals = arrangements.take(is_rival)
     # Pairs that both arrangements share support neither, unless one of the two is turned over.
-    is_shared = (
-        (rivals.partner == arrangements.partner[best]) & is_used & ~is_turned_over[is_rival, None]
-    )
+    is_shared = (rivals.partner == arrangements.partner[best]) & is_used
+    is_shared &= ~is_turned_over[is_rival, None]
     squares = np.where(is_shared, np.inf, rivals.squares)
-    log_chances = log_chance(
-        squares, b, int(rivals.tests[0]), tolerance, rivals.freedom, np.zeros(len(squares))
-    )
+    tests = int(rivals.tests[0])
+    no_power = np.zeros(len(squares))
+    log_chances = log_chance(squares, b, tests, tolerance, rivals.freedom, no_power)
     best_rival = int(np.lexsort((-rivals.inliers, log_chances))[0])
     if np.isfinite(log_chances[best_rival]):
         return float(log_chances[best_rival]), int(rivals.inliers[best_rival])
@@ -171,13 +169,12 @@ def self_likeness(
     without symmetry; together they give it away.
     """
     count = len(points)
-    n_common = len(points) - sum(alone_counts)
+    n_common = count - sum(alone_counts)
     if count < 4:
         return None
+    hands = (False, True) if mirror else (False,)
     # Scales up to 1 % off: under those a pattern may repeat itself.
-    arrangements = search(
-        points, points, 0.01, tolerance_um, hands=(False, True) if mirror else (False,)
-    )
+    arrangements = search(points, points, 0.01, tolerance_um, hands=hands)
     is_moved = np.abs(arrangements.landed - points).max(axis=1) > 2.0 * tolerance_um
     symmetries = arrangements.take(arrangements.mirrored | is_moved)
     if len(symmetries.inliers) == 0:
@@ -211,18 +208,18 @@ def _plausible_gaps(n_common: int, alone_counts: tuple[int, int]) -> tuple[Bools
     """
     count = n_common + sum(alone_counts)
     missing_share = min(0.9, 0.1 + _LOST_OF_ALONE * (count - n_common + 1.0) / (count + 2.0))
-    is_plausible = [_at_least(gap, count, missing_share) > 1e-3 for gap in range(count + 1)]
+    # bdtrc(k - 1, n, p): probability of k or more of n, each with probability p.
+    is_plausible = special.bdtrc(np.arange(count + 1) - 1, count, missing_share) > 1e-3
     # The same for marks found on both sides, of whose partners only those lost on both are missing.
     first_share, second_share = (
         _LOST_OF_ALONE * (c + 1.0) / (n_common + c + 2.0) for c in alone_counts
     )
-    is_plausible_common: list[bool] = []
-    for gap in range(n_common + 1):
-        # A wrong arrangement that agrees well makes losses look rare; the symmetry itself gives
-        # what has to be lost.
-        lost_share = max(first_share * second_share, (gap / max(n_common + gap, 1)) ** 2)
-        is_plausible_common.append(_at_least(gap, n_common, _NOT_BURNT + lost_share) > 3e-3)
-    return np.array(is_plausible), np.array(is_plausible_common)
+    gaps = np.arange(n_common + 1)
+    # A wrong arrangement that agrees well makes losses look rare; the symmetry itself gives what
+    # has to be lost.
+    gap_shares = (gaps / np.maximum(n_common + gaps, 1)) ** 2
+    lost_shares = _NOT_BURNT + np.maximum(first_share * second_share, gap_shares)
+    return is_plausible, special.bdtrc(gaps - 1, n_common, lost_shares) > 3e-3
 
 
 def _motion_text(symmetries: Arrangements, row: int, middle: complex) -> str:
@@ -247,9 +244,8 @@ def _log_evidence(
     count = len(points)
     is_paired = symmetries.partner >= 0
     is_moved = is_paired & (np.abs(symmetries.landed - points) > 2.0 * tolerance)
-    reverse_partner = np.take_along_axis(
-        symmetries.partner, np.maximum(symmetries.partner, 0).astype(np.intp), axis=1
-    )
+    columns = np.maximum(symmetries.partner, 0).astype(np.intp)
+    reverse_partner = np.take_along_axis(symmetries.partner, columns, axis=1)
     is_mutual = is_moved & (reverse_partner == np.arange(count))
     moved_counts = is_moved.sum(axis=1)
     mutual_counts = is_mutual.sum(axis=1)
@@ -259,19 +255,15 @@ def _log_evidence(
     pair_counts = moved_counts - mutual_counts / 2
     free_counts = np.where(is_exchange, pair_counts - 1, moved_counts - 2)
     tests = np.where(is_exchange, count * (count - 1) / 2, symmetries.tests)
-    rms = np.sqrt(
-        np.sum(np.where(is_paired, symmetries.squares, 0.0), axis=1)
-        / np.maximum(is_paired.sum(axis=1), 1)
-    )
+    paired_counts = is_paired.sum(axis=1)
+    paired_squares = np.where(is_paired, symmetries.squares, 0.0)
+    rms = np.sqrt(paired_squares.sum(axis=1) / np.maximum(paired_counts, 1))
     meeting_shares = share_within(1.8 * rms + 0.08 * tolerance, points, tolerance)
     missing_share = min(0.9, max(0.1, (single_count + 1.0) / (count + 2.0)))
-    missing_counts = count - is_paired.sum(axis=1)
-    return (
-        -np.maximum(free_counts, 0) * np.log10(meeting_shares)
-        - np.log10(np.maximum(tests, 1))
-        + missing_counts * log10(missing_share)
-        + is_paired.sum(axis=1) * log10(1.0 - missing_share)
-    )
+    log_met = -np.maximum(free_counts, 0) * np.log10(meeting_shares)
+    log_missing = (count - paired_counts) * log10(missing_share)
+    log_paired = paired_counts * log10(1.0 - missing_share)
+    return log_met - np.log10(np.maximum(tests, 1)) + log_missing + log_paired
 
 
 def _lost_alike(n_lost: int, count: int, alone_counts: tuple[int, int]) -> float:
@@ -284,13 +276,7 @@ def _lost_alike(n_lost: int, count: int, alone_counts: tuple[int, int]) -> float
     """
     n_holes = count + n_lost
     n_first, n_second = n_lost + alone_counts[1], n_lost + alone_counts[0]
-    chance_alike = (
-        comb(n_first, n_lost) * comb(n_holes - n_first, n_second - n_lost) / comb(n_holes, n_second)
-    )
+    alike_count = comb(n_first, n_lost) * comb(n_holes - n_first, n_second - n_lost)
+    chance_alike = alike_count / comb(n_holes, n_second)
     chance_unburnt = comb(n_holes, n_lost) * _NOT_BURNT**n_lost * (1.0 - _NOT_BURNT) ** count
     return log10(max(chance_alike, chance_unburnt, 1e-300))
-
-
-def _at_least(k: int, n: int, p: float) -> float:
-    """Probability of ``k`` or more of ``n``, each with probability ``p``."""
-    return sum(comb(n, j) * p**j * (1.0 - p) ** (n - j) for j in range(k, n + 1))

@@ -70,12 +70,13 @@ def search(
     from planish.register import _kernels
 
     is_self = a is b
-    hypotheses, seeds = _hypotheses(
-        a, b, scale_tolerance + SCALE_SPARE, tolerance_um, 25_000 if is_self else 40_000
-    )
+    most_count = 25_000 if is_self else 40_000
+    scale_reach = scale_tolerance + SCALE_SPARE
+    hypotheses, seeds = _hypotheses(a, b, scale_reach, tolerance_um, most_count)
     tests = len(seeds) * len(hands)
     reach = REACH * tolerance_um
-    wide_reach = reach + 0.5 * STRETCH * float(np.hypot(np.ptp(b.real), np.ptp(b.imag)))
+    diagonal_um = float(np.hypot(np.ptp(b.real), np.ptp(b.imag)))
+    wide_reach = reach + 0.5 * STRETCH * diagonal_um
     raster = _raster(b, wide_reach)
     cells = _cells(b, wide_reach)
     reaches = np.array([wide_reach, 0.5 * (wide_reach + reach), reach, reach, reach])
@@ -85,11 +86,11 @@ def search(
     for hand in hands:
         points = -np.conj(a) if hand else a
         counts = _kernels.count_near(points, b, *hypotheses, raster, 0.0 if is_self else 0.6)
-        least_count = max(3, int(0.3 * len(a) if is_self else 0.6 * counts.max(initial=0)))
+        least_count = 0.3 * len(a) if is_self else 0.6 * counts.max(initial=0)
         if is_self and not hand:
             # These leave every mark where it is.
             counts[(seeds[:, :2] == seeds[:, 2:]).all(axis=1)] = 0
-        best_rows = np.flatnonzero(counts >= least_count)
+        best_rows = np.flatnonzero(counts >= max(3, int(least_count)))
         if len(best_rows) > _MOST_REFINED:
             order = np.argsort(-counts[best_rows].astype(np.intp), kind="stable")
             best_rows = np.sort(best_rows[order[:_MOST_REFINED]])
@@ -97,7 +98,7 @@ def search(
             seeds[best_rows], points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells
         )
         scale = np.abs(refined[2])
-        is_possible = (np.abs(scale - 1.0) <= scale_tolerance + SCALE_SPARE) & (scale >= 0.45)
+        is_possible = (np.abs(scale - 1.0) <= scale_reach) & (scale >= 0.45)
         hand_arrangements.append(
             _arrangements(refined, is_possible, points, b, tolerance_um, ridge, hand, tests)
         )
@@ -123,19 +124,20 @@ def _arrangements(
     _, first_rows = np.unique(partner[is_possible], axis=0, return_index=True)
     rows = np.flatnonzero(is_possible)[first_rows]
     partner, squares, alpha, gamma, beta, power = (column[rows] for column in refined)
-    freedom = np.where(
-        np.count_nonzero(partner >= 0, axis=1) > 3, 2.0 + power / (power + ridge), 2.0
-    )
+    pair_counts = np.count_nonzero(partner >= 0, axis=1)
+    freedom = np.where(pair_counts > 3, 2.0 + power / (power + ridge), 2.0)
+    inliers = np.count_nonzero(squares <= tolerance_um**2, axis=1)
+    landed = alpha[:, None] * points + gamma[:, None] * np.conj(points) + beta[:, None]
     return Arrangements(
         partner=partner,
         squares=squares,
-        inliers=np.count_nonzero(squares <= tolerance_um**2, axis=1).astype(np.intp),
+        inliers=inliers,
         log_chance=log_chance(squares, b, tests, tolerance_um, freedom, power),
         alpha=alpha,
         gamma=gamma,
         beta=beta,
         freedom=freedom,
-        landed=alpha[:, None] * points + gamma[:, None] * np.conj(points) + beta[:, None],
+        landed=landed,
         mirrored=np.full(len(rows), hand),
         tests=np.full(len(rows), tests),
     )
@@ -150,9 +152,8 @@ def bounds_of(b: Complexes, margin: float = 0.0) -> tuple[float, float, float, f
 def extents(b: Complexes) -> Pair:
     """Long and short side of the field of the marks along its own axes, in um."""
     centred = np.stack([b.real - b.real.mean(), b.imag - b.imag.mean()], axis=1)
-    short_um, long_um = sorted(
-        np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0).tolist()
-    )
+    _, own_axes = np.linalg.eigh(centred.T @ centred)
+    short_um, long_um = sorted(np.ptp(centred @ own_axes, axis=0).tolist())
     return long_um, short_um
 
 
@@ -171,7 +172,7 @@ def marks_needed(n: int, b: Complexes, tests: int, tolerance_um: float) -> int:
     """
     share_near = float(share_within(np.array([0.3 * tolerance_um]), b, tolerance_um)[0])
     for k in range(3 if n == 3 else 4, n + 1):
-        log_tests = log10(max(tests, 1) * max(n - 2, 1)) + _log10_choose(n - 2, k - 2)
+        log_tests = log10(max(tests, 1) * (n - 2)) + _log10_choose(n - 2, k - 2)
         if log_tests + (k - 2) * log10(share_near) <= ACCEPTED:
             return k
     return n + 1
@@ -200,11 +201,13 @@ def _hypotheses(
         base_count = max(1, len(base) * most_count // tried_count)
         sample_rows = np.unique(np.linspace(0, len(base) - 1, base_count).astype(np.intp))
         base, first, stop = base[sample_rows], first[sample_rows], stop[sample_rows]
-    start = np.concatenate([[0], np.cumsum(2 * (stop - first))])
-    base_rows = np.repeat(np.arange(len(base)), 2 * (stop - first))
+    counts = 2 * (stop - first)
+    start = np.append(0, np.cumsum(counts))
+    base_rows = np.repeat(np.arange(len(base)), counts)
     target_index, is_turned = np.divmod(np.arange(start[-1]) - start[base_rows], 2)
     target_pairs = target[first[base_rows] + target_index]
-    target_pairs[is_turned == 1] = target_pairs[is_turned == 1, ::-1]
+    turned_rows = np.flatnonzero(is_turned)
+    target_pairs[turned_rows] = target_pairs[turned_rows, ::-1]
     return (base, first, start, target), np.concatenate([base[base_rows], target_pairs], axis=1)
 
 
@@ -221,24 +224,37 @@ def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np
 
     Its border is 0.
     """
-    x0, x1, y0, y1 = bounds_of(b, reach)
+    bounds = x0, x1, y0, y1 = bounds_of(b, reach)
     largest_raster = np.sqrt((x1 - x0) * (y1 - y0) / 1_500_000)
     size = float(max(reach / 3.0, largest_raster, max(x1 - x0, y1 - y0) / 20000.0))
-    x0 = float(x0 - 2.0 * size)
-    y0 = float(y0 - 2.0 * size)
-    near = np.zeros((int((y1 - y0) / size) + 3, int((x1 - x0) / size) + 3), np.uint8)
+    (x0, y0, _, rows, columns), row, column = _on_raster(b, bounds, size)
+    near = np.zeros((rows, columns), np.uint8)
     steps = np.arange(-int(reach / size) - 2, int(reach / size) + 3)
-    column, row = (
-        ((p - p0) / size).astype(np.intp)[:, None] + steps for p, p0 in ((b.real, x0), (b.imag, y0))
-    )
-    dx, dy = x0 + (column + 0.5) * size - b.real[:, None], y0 + (row + 0.5) * size - b.imag[:, None]
+    row, column = row[:, None] + steps, column[:, None] + steps
+    dx = x0 + (column + 0.5) * size - b.real[:, None]
+    dy = y0 + (row + 0.5) * size - b.imag[:, None]
     # A cell counts where its middle does, or a little beyond, so that no cell with a good place is
     # lost.
-    mark, r, c = np.nonzero(dy[:, :, None] ** 2 + dx[:, None, :] ** 2 <= (reach + 0.5 * size) ** 2)
-    near[
-        np.clip(row[mark, r], 1, near.shape[0] - 2), np.clip(column[mark, c], 1, near.shape[1] - 2)
-    ] = 1
+    is_near = dy[:, :, None] ** 2 + dx[:, None, :] ** 2 <= (reach + 0.5 * size) ** 2
+    mark, r, c = np.nonzero(is_near)
+    near_rows = np.clip(row[mark, r], 1, rows - 2)
+    near_columns = np.clip(column[mark, c], 1, columns - 2)
+    near[near_rows, near_columns] = 1
     return x0, y0, size, near
+
+
+def _on_raster(
+    b: Complexes, bounds: tuple[float, float, float, float], size: float
+) -> tuple[tuple[float, float, float, int, int], Ints, Ints]:
+    """Lay a raster over bounds: ``x0, y0, size, rows, columns``; and each mark's row and column."""
+    x0, x1, y0, y1 = bounds
+    x0 = float(x0 - 2 * size)
+    y0 = float(y0 - 2 * size)
+    rows = int((y1 - y0) / size) + 3
+    columns = int((x1 - x0) / size) + 3
+    row = ((b.imag - y0) / size).astype(np.intp)
+    column = ((b.real - x0) / size).astype(np.intp)
+    return (x0, y0, size, rows, columns), row, column
 
 
 def _cells(
@@ -248,24 +264,19 @@ def _cells(
 
     It is ``x0, y0, size, rows, columns``, then ``start`` and ``index``.
     """
-    x0, x1, y0, y1 = bounds_of(b)
+    bounds = x0, x1, y0, y1 = bounds_of(b)
     # Never more than about a million cells, however large the field.
     most_cells = np.sqrt((x1 - x0 + 4 * reach) * (y1 - y0 + 4 * reach) / 1e6)
     size = float(max(reach, most_cells, max(x1 - x0, y1 - y0) / 1e5))
-    x0 = float(x0 - 2 * size)
-    y0 = float(y0 - 2 * size)
-    columns = int((x1 - x0) / size) + 3
-    rows = int((y1 - y0) / size) + 3
+    raster, row, column = _on_raster(b, bounds, size)
+    *_, rows, columns = raster
     near = np.arange(-1, 2)
-    column, row = (
-        ((p - p0) / size).astype(np.intp)[:, None, None] for p, p0 in ((b.real, x0), (b.imag, y0))
-    )
-    cell = ((row + near[:, None]) * columns + column + near).reshape(-1)
-    start = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=rows * columns))]).astype(
-        np.intp
-    )
+    near_rows = row[:, None, None] + near[:, None]
+    cell = (near_rows * columns + column[:, None, None] + near).reshape(-1)
+    counts = np.bincount(cell, minlength=rows * columns)
+    start = np.append(0, np.cumsum(counts))
     index = (np.argsort(cell, kind="stable") // near.size**2).astype(np.int32)
-    return (x0, y0, size, rows, columns), start, index
+    return raster, start, index
 
 
 def log_chance(
@@ -276,22 +287,24 @@ def log_chance(
     The marks that agree best are taken, as many as make chance least likely.
     """
     n = squares.shape[1]
-    sorted_squares = np.sort(np.where(squares <= tolerance * tolerance, squares, np.inf), axis=1)
-    k = np.arange(1.0, n + 1.0)
+    agreeing_squares = np.where(squares <= tolerance * tolerance, squares, np.inf)
+    agreeing_counts = np.count_nonzero(np.isfinite(agreeing_squares), axis=1)
+    # Two marks agree by choice.
+    k = np.arange(3.0, n + 1.0)
+    worst_squares = np.sort(agreeing_squares, axis=1)[:, 2:]
     # Fitting makes residuals smaller; a tenth of the tolerance keeps those of exact numbers finite.
     with np.errstate(invalid="ignore"):
-        inflated_squares = sorted_squares * k / np.maximum(k - freedom[:, None], 0.5)
+        inflated_squares = worst_squares * k / np.maximum(k - freedom[:, None], 0.5)
         radius = np.sqrt(inflated_squares + (0.08 * tolerance) ** 2)
         shares = share_within(radius, b, tolerance)
         # The stretch was free too: as many as can be distinguished count as tests.
-        spread = np.sqrt(power / np.maximum(np.sum(np.isfinite(sorted_squares), axis=1), 1))
+        spread = np.sqrt(power / np.maximum(agreeing_counts, 1))
         stretches = np.where(freedom > 2.0, 0.5 * STRETCH * spread, 0.0)[:, None] / radius
-        log_choices = np.array([_log10_choose(n - 2, int(c) - 2) if c >= 2 else 0.0 for c in k])
-        log_tests = log10(max(tests, 1) * max(n - 2, 1)) + log_choices
-        log_counts = (
-            log_tests + (k - 2) * np.log10(shares) + np.log10(np.maximum(1.0, np.pi * stretches**2))
-        )
-    return np.where((k >= 3) & np.isfinite(sorted_squares), log_counts, np.inf).min(axis=1)
+        log_stretches = np.log10(np.maximum(1.0, np.pi * stretches**2))
+        log_choices = np.array([_log10_choose(n - 2, chosen) for chosen in range(1, n - 1)])
+        log_tests = log10(max(tests, 1) * (n - 2)) + log_choices
+        log_counts = log_tests + (k - 2) * np.log10(shares) + log_stretches
+    return np.where(np.isfinite(worst_squares), log_counts, np.inf).min(axis=1)
 
 
 def _log10_choose(n: int, k: int) -> float:

@@ -58,14 +58,16 @@ class AveragedModel(Model):
     def of(self, field: DeviationField) -> Averaged:
         """The mean of a field."""
         affine, kernels, bend = field.mean()
+        gauss = [length for name, length in kernels if name == "gauss"]
+        matern = [length for name, length in kernels if name == "matern"]
         return Averaged(
             source=pair_of(field.middle),
             size=field.size,
             nodes=field.nodes,
             affine=affine + 0.0,
             bend=bend + 0.0,
-            gauss=np.array([v for name, v in kernels if name == "gauss"]),
-            matern=np.array([v for name, v in kernels if name == "matern"]),
+            gauss=np.array(gauss),
+            matern=np.array(matern),
         )
 
     def refit(self, pairs: Pairs, _transform: Averaged, field: DeviationField, /) -> Averaged:
@@ -77,17 +79,15 @@ class AveragedModel(Model):
         return field.left_out()[0]
 
 
-MODELS: dict[str, Model] = {
-    m.name: m
-    for m in (
-        RigidModel(),
-        SimilarityModel(),
-        AffineModel(),
-        ProjectiveModel(),
-        SplineModel(),
-        AveragedModel(),
-    )
-}
+_MODELS = (
+    RigidModel(),
+    SimilarityModel(),
+    AffineModel(),
+    ProjectiveModel(),
+    SplineModel(),
+    AveragedModel(),
+)
+MODELS: dict[str, Model] = {model.name: model for model in _MODELS}
 
 
 def model_named(name: str) -> Model:

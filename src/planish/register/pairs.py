@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import MarkError
+from planish.core.transform import are_known
 from planish.core.typing import Bools, Complexes, Floats, Ints
 
 # Marks closer together than this share of their distance from the origin cannot be distinguished in
@@ -72,7 +73,8 @@ class Pairs:
         Coordinates near 1 start here.
         """
         middle = self.share @ self.moving
-        return middle, float(np.sqrt(self.share @ np.sum((self.moving - middle) ** 2, axis=1)))
+        squares = np.sum((self.moving - middle) ** 2, axis=1)
+        return middle, float(np.sqrt(self.share @ squares))
 
 
 def whitened(whitening: Floats, rows: Floats) -> Floats:
@@ -98,7 +100,8 @@ def squared_distances(places: Floats, targets: Floats) -> Floats:
 def inverse_of(blocks: Floats) -> Floats:
     """Inverse of symmetric 2 x 2 blocks (n, 2, 2); NaN stays NaN."""
     a, b, c = blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 1, 1]
-    return np.stack([c, -b, -b, a], axis=-1).reshape(-1, 2, 2) / (a * c - b * b)[:, None, None]
+    adjugates = np.stack([c, -b, -b, a], axis=-1).reshape(-1, 2, 2)
+    return adjugates / (a * c - b * b)[:, None, None]
 
 
 def as_complex(points: Floats, mirrored: bool) -> Complexes:
@@ -125,7 +128,7 @@ def check_pairs(
     faults: list[str] = []
     information = _information(weights, len(source), faults)
     for name, points in sides.items():
-        nonfinite_rows = np.flatnonzero(~np.all(np.isfinite(points), axis=-1))
+        nonfinite_rows = np.flatnonzero(~are_known(points))
         if nonfinite_rows.size:
             faults.append(
                 f"{name} mark{'s' * (nonfinite_rows.size > 1)} {listed(nonfinite_rows)} not finite"
@@ -139,11 +142,9 @@ def check_pairs(
             f"{used.size} pair{'s' * (used.size != 1)} of marks given, a transformation needs 2,"
             f" and 3 to estimate its error. Add {2 - used.size} or more, far apart."
         )
-    coincidence_um = {
-        name: COINCIDENT * max(1.0, float(np.abs(points[used]).max()))
-        for name, points in sides.items()
-    }
+    coincidence_um: dict[str, float] = {}
     for name, points in sides.items():
+        coincidence_um[name] = COINCIDENT * max(1.0, float(np.abs(points[used]).max()))
         if np.ptp(points[used], axis=0).max() <= coincidence_um[name]:
             x, y = points[used[0]]
             raise MarkError(
@@ -160,9 +161,8 @@ def _repeated(sides: dict[str, Floats], used: Ints, coincidence_um: dict[str, fl
     from scipy.spatial import KDTree
 
     repeated_rows: set[int] = set()
-    for (name, points), (other_name, partners) in zip(
-        sides.items(), reversed(sides.items()), strict=True
-    ):
+    for name, other_name in (("moving", "fixed"), ("fixed", "moving")):
+        points, partners = sides[name], sides[other_name]
         for a, b in sorted(KDTree(points[used]).query_pairs(coincidence_um[name])):
             first_row, second_row = used[a], used[b]
             distance = float(np.linalg.norm(partners[first_row] - partners[second_row]))
@@ -179,7 +179,8 @@ def _repeated(sides: dict[str, Floats], used: Ints, coincidence_um: dict[str, fl
 
 def listed(rows: Sequence[int] | Ints) -> str:
     """Numbers of a few marks, counted from 0, as in an array or a table without its header."""
-    return ", ".join(str(int(k)) for k in rows[:8]) + (", ..." if len(rows) > 8 else "")
+    numbers = ", ".join(str(int(k)) for k in rows[:8])
+    return numbers + ", ..." * (len(rows) > 8)
 
 
 def weighted_rms(lengths: Floats, weights: Floats) -> float:
@@ -224,10 +225,9 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
     a, b, c, d = weights.reshape(n, 4).T
     largest = np.maximum(a, d)
     with np.errstate(invalid="ignore"):
-        is_positive = (
-            (np.abs(b - c) <= 1e-9 * largest) & (a > 0) & (a * d - b**2 > 1e-12 * largest**2)
-        )
-    bad_rows = np.flatnonzero(~(is_positive & np.isfinite(weights).all(axis=(1, 2))))
+        is_positive = (a > 0) & (a * d - b**2 > 1e-12 * largest**2)
+        is_covariance = is_positive & (np.abs(b - c) <= 1e-9 * largest)
+    bad_rows = np.flatnonzero(~(is_covariance & np.isfinite(weights).all(axis=(1, 2))))
     if bad_rows.size:
         faults.append(f"covariance of mark {listed(bad_rows)} not symmetric and positive")
         return np.zeros((n, 2, 2))
@@ -247,14 +247,15 @@ def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
     for is_mirrored in (False, True):
         z = as_complex(pairs.moving, is_mirrored)
         z = z - pairs.share @ z
-        rotation = np.sum(pairs.share * z.conj() * w) / np.sum(pairs.share * np.abs(z) ** 2)
+        product = np.sum(pairs.share * z.conj() * w)
+        rotation = product / np.sum(pairs.share * np.abs(z) ** 2)
+        mean_square = np.sum(pairs.share * np.abs(w - rotation * z) ** 2)
         rotations.append(rotation)
-        hand_rms.append(float(np.sqrt(np.sum(pairs.share * np.abs(w - rotation * z) ** 2))))
+        hand_rms.append(float(np.sqrt(mean_square)))
     if mirrored is None:
         return hand_rms[True] < hand_rms[False]
     rms_um, other_um = hand_rms[mirrored], hand_rms[not mirrored]
-    offsets = pairs.fixed - pairs.weights @ pairs.fixed / np.sum(pairs.weights)
-    spread = np.sqrt(np.average(np.sum(offsets**2, axis=1), weights=pairs.weights))
+    spread = np.sqrt(pairs.share @ np.abs(w) ** 2)
     # The other hand has to fit five times as well, and this one has to miss by 5 % of the marks'
     # spread, to be refused.
     if len(pairs) < 3 or rms_um < 0.05 * spread or other_um > 0.2 * rms_um:
@@ -264,14 +265,15 @@ def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
     is_exchanged = not mirrored and max(abs(rotation.real), abs(rotation.imag + 1.0)) < 0.2
     exchange_text = "x and y are exchanged on one side: exchange the two columns of that table"
     declare_text = (
-        "the maps are not mirrored after all: leave out mirrored=True, or `mirror=True`"
-        if mirrored
-        else "one map shows the other side: declare it as mirrored (mirrored=True, or"
-        " `mirror=True`)"
+        "one map shows the other side: declare it as mirrored (mirrored=True, or `mirror=True`)"
     )
-    first_text, second_text = (
-        (exchange_text, declare_text) if is_exchanged else (declare_text, exchange_text)
-    )
+    if mirrored:
+        declare_text = (
+            "the maps are not mirrored after all: leave out mirrored=True, or `mirror=True`"
+        )
+    first_text, second_text = declare_text, exchange_text
+    if is_exchanged:
+        first_text, second_text = exchange_text, declare_text
     raise MarkError(
         f"The marks disagree by {rms_um:.3g} um rms as they are and by {other_um:.3g} um rms with"
         f" the handedness of one side reversed. Probably {first_text}. If not, {second_text}."

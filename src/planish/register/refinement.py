@@ -15,9 +15,9 @@ from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.errors import CannotRegister, SizeError
-from planish.core.transform import Affine, grid_points
+from planish.core.transform import Affine, are_known, grid_points
 from planish.core.typing import Bools, Floats, Pair, Texts, pair_of
-from planish.register.bent import NOTABLE, determinants
+from planish.register.bent import NOTABLE, determinants, range_of
 from planish.register.result import FittedTransform
 
 Refinement = Literal["affine", "bspline"]
@@ -41,8 +41,10 @@ class FreeForm:
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points ``(..., 2)``, in um; NaN stays NaN."""
         points_um = np.asarray(points, dtype=np.float64)
-        moved_um = points_um + self._values(self._clamped(points_um)[0], (0, 0))
-        return np.where(np.isfinite(points_um).all(axis=-1, keepdims=True), moved_um, np.nan)
+        clamped, _ = self._clamped(points_um)
+        moved_um = points_um + self._values(clamped, (0, 0))
+        moved_um[~are_known(points_um)] = np.nan
+        return moved_um
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``.
@@ -51,11 +53,12 @@ class FreeForm:
         """
         points_um = np.asarray(points, dtype=np.float64)
         clamped, is_inside = self._clamped(points_um)
-        slopes = np.stack([self._values(clamped, nu) for nu in ((0, 1), (1, 0))], axis=-1)
+        along_x = self._values(clamped, (0, 1))
+        along_y = self._values(clamped, (1, 0))
+        slopes = np.stack([along_x, along_y], axis=-1)
         out = slopes * is_inside[..., None, :] + np.eye(2)
-        return np.where(
-            np.expand_dims(np.all(np.isfinite(points_um), axis=-1), (-2, -1)), out, np.nan
-        )
+        out[~are_known(points_um)] = np.nan
+        return out
 
     def _clamped(self, points: Floats) -> tuple[Floats, Bools]:
         """Nearest points of the mesh, and whether they are the points themselves, along x and y."""
@@ -72,9 +75,8 @@ class FreeForm:
         """
         from scipy.interpolate import NdBSpline
 
-        axes = zip(
-            self.coefficients_um.shape[1:], self.origin_um[::-1], self.mesh_um[::-1], strict=True
-        )
+        _, *counts = self.coefficients_um.shape
+        axes = zip(counts, self.origin_um[::-1], self.mesh_um[::-1], strict=True)
         knots = tuple(first + mesh * (np.arange(n + 4) - 2.0) for n, first, mesh in axes)
         spline: Any = NdBSpline(knots, np.moveaxis(self.coefficients_um, 0, -1), 3)
         return np.asarray(spline(points[..., ::-1], nu=nu), dtype=np.float64)
@@ -126,13 +128,10 @@ class Refined:
         source_px = self(grid_points(cols, rows)) / np.array(pixel_um)[::-1]
         row_col = np.moveaxis(source_px[..., ::-1], -1, 0)
         is_known = np.isfinite(image)
-        filled_image = np.where(
-            is_known, image, float(image[is_known].mean()) if is_known.any() else 0.0
-        )
-        resampled = ndimage.map_coordinates(filled_image, row_col, order=3, mode="nearest")
-        known_weight = ndimage.map_coordinates(
-            is_known.astype(np.float64), row_col, order=1, cval=0.0
-        )
+        mean = float(image[is_known].mean()) if is_known.any() else 0.0
+        filled = np.where(is_known, image, mean)
+        resampled = ndimage.map_coordinates(filled, row_col, order=3, mode="nearest")
+        known_weight = ndimage.map_coordinates(is_known.astype(np.float64), row_col, order=1)
         return np.where(known_weight > 0.999, resampled, np.nan)
 
 
@@ -216,12 +215,8 @@ def refine(
     rows, cols = (
         np.unique(np.linspace(0, n - 1, min(n, 65)).round().astype(np.int64)) for n in maps[0].shape
     )
-    used_nodes = np.argwhere((masks[0] & masks[1])[np.ix_(rows, cols)])
-    points = (
-        np.stack([cols[used_nodes[:, 1]], rows[used_nodes[:, 0]]], axis=-1)
-        * np.array(pixel_um)[::-1]
-        + first_um
-    )
+    i, j = np.nonzero((masks[0] & masks[1])[np.ix_(rows, cols)])
+    points = np.stack([cols[j], rows[i]], axis=-1) * pixel_um[::-1] + first_um
     return _assess(transform, points, fit, options)
 
 
@@ -271,19 +266,20 @@ def _assess(
     rms = float(np.sqrt(np.mean(moved_um**2)))
     largest = float(moved_um.max())
     model_words = {"affine": "affine", "bspline": "B-spline"}[options.model]
+    sentence = (
+        f"Refined on the maps ({model_words}, {options.metric}): points moved by {rms:.1f} um"
+        f" rms, {largest:.1f} um at most, strain up to {100 * strain:.2f} %."
+    )
     return Refined(
         transform=transform,
         model=options.model,
         metric=options.metric,
         moved_um=(rms, largest),
         share=float(ratios.max()),
-        area=(float(areas.min()), float(areas.max())),
+        area=range_of(areas),
         strain=strain,
         warnings=tuple(faults),
-        sentence=(
-            f"Refined on the maps ({model_words}, {options.metric}): points moved by {rms:.1f} um"
-            f" rms, {largest:.1f} um at most, strain up to {100 * strain:.2f} %."
-        ),
+        sentence=sentence,
     )
 
 
@@ -301,10 +297,8 @@ def _search(
     """
     unit_um = pixel_um[1]
     images: list[Any] = []
-    for values in (*maps, *masks):
-        itk_image = itk.GetImageFromArray(
-            values.astype(np.uint8) if values.dtype == np.bool_ else values
-        )
+    for values in (*maps, *(mask.astype(np.uint8) for mask in masks)):
+        itk_image = itk.GetImageFromArray(values)
         itk_image.SetSpacing((1.0, pixel_um[0] / unit_um))
         images.append(itk_image)
     search = itk.ImageRegistrationMethod()
@@ -360,10 +354,9 @@ def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affi
     coefficient_images = fitted.GetCoefficientImages()
     origin_um = pair_of(np.array(coefficient_images[0].GetOrigin()) * unit_um + first_um)
     mesh_um = pair_of(np.array(coefficient_images[0].GetSpacing()) * unit_um)
-    coefficients = np.stack(
-        [itk.GetArrayFromImage(c).astype(np.float64) * unit_um for c in coefficient_images]
-    )
-    return FreeForm(coefficients_um=coefficients, origin_um=origin_um, mesh_um=mesh_um)
+    coefficients = np.stack([itk.GetArrayFromImage(c) for c in coefficient_images])
+    coefficients_um = coefficients.astype(np.float64) * unit_um
+    return FreeForm(coefficients_um=coefficients_um, origin_um=origin_um, mesh_um=mesh_um)
 
 
 def _prepare(
@@ -385,7 +378,8 @@ def _prepare(
         np.where(np.isfinite(m) & is_allowed, m, np.nan).astype(np.float64) for m in (linked, image)
     ]
     factor = math.ceil(math.sqrt(linked.size / 60_000))
-    first_um = (0.5 * (factor - 1) * pixel_um[1], 0.5 * (factor - 1) * pixel_um[0])
+    row_um, col_um = pixel_um
+    first_um = (0.5 * (factor - 1) * col_um, 0.5 * (factor - 1) * row_um)
     if factor > 1:
         maps = [area_mean(m, (factor, factor)) for m in maps]
     masks = [np.isfinite(m) for m in maps]
@@ -395,7 +389,7 @@ def _prepare(
             f"{count} pixels are known in both maps; a refinement needs 400. Keep the marks only."
         )
     filled = [_standardised(values, mask) for values, mask in zip(maps, masks, strict=True)]
-    return filled, masks, (factor * pixel_um[0], factor * pixel_um[1]), first_um
+    return filled, masks, (factor * row_um, factor * col_um), first_um
 
 
 def _standardised(values: Floats, mask: Bools) -> Floats:

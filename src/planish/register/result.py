@@ -93,9 +93,8 @@ class FittedTransform:
         """
         missed = self.residuals_um.copy()
         used = self.weights > 0
-        missed[used] = MODELS[self.model].left_out(
-            self._pairs.take(used), self.transform, self.field
-        )
+        pairs = self._pairs.take(used)
+        missed[used] = MODELS[self.model].left_out(pairs, self.transform, self.field)
         return np.linalg.norm(missed, axis=1)
 
     @property
@@ -111,19 +110,17 @@ class FittedTransform:
         excluded = np.flatnonzero(self.robust_weights == 0)
         used_count = np.count_nonzero(self.weights > 0)
         rms = self.leave_one_out_rms_um
-        sentence = (
-            f"{used_count} of {used_count + excluded.size}" if excluded.size else f"{used_count}"
-        )
-        sentence += (
-            f" marks agree to {rms:.1f} um (leave-one-out, rms)"
-            if np.isfinite(rms)
-            else " marks were used"
-        )
+        sentence = f"{used_count}"
+        if excluded.size:
+            sentence += f" of {used_count + excluded.size}"
+        if np.isfinite(rms):
+            sentence += f" marks agree to {rms:.1f} um (leave-one-out, rms)"
+        else:
+            sentence += " marks were used"
         if excluded.size:
             names_text = and_join_few([str(labels[int(k)]) for k in excluded])
-            distances_text = and_join_few(
-                [f"{distance:.0f}" for distance in np.hypot(*self.residuals_um[excluded].T)]
-            )
+            distances_um = np.hypot(*self.residuals_um[excluded].T)
+            distances_text = and_join_few([f"{distance:.0f}" for distance in distances_um])
             verb, auxiliary = ("are", "were") if excluded.size > 1 else ("is", "was")
             sentence += f"; {names_text} {verb} {distances_text} um off and {auxiliary} left out"
         return sentence + "."
@@ -143,13 +140,8 @@ class FittedTransform:
         marks make likely are taken off, and does not depend on the model.
         """
         used = self.weights > 0
-        return float(
-            np.sqrt(
-                2.0
-                * self.field.mark_variance
-                / np.mean(self.weights[used] / self.robust_weights[used])
-            )
-        )
+        given_weights = self.weights[used] / self.robust_weights[used]
+        return float(np.sqrt(2.0 * self.field.mark_variance / np.mean(given_weights)))
 
     def expected_error_um(self, points: ArrayLike) -> Floats:
         """Expected distance between the fitted and the true image of each point.
@@ -182,10 +174,8 @@ class FittedTransform:
         """
         points_um = np.asarray(points, dtype=np.float64)
         flat_points = points_um.reshape(-1, 2)
-        squares_um2 = (
-            self.field.expected_square(flat_points, self.transform(flat_points)) + self.shared_um**2
-        )
-        return np.sqrt(squares_um2).reshape(points_um.shape[:-1])
+        squares_um2 = self.field.expected_square(flat_points, self.transform(flat_points))
+        return np.sqrt(squares_um2 + self.shared_um**2).reshape(points_um.shape[:-1])
 
     def refitted(self, moving: ArrayLike) -> Transform:
         """Fit the same pairs with other moving places, from another flattening of the sheet.
@@ -306,15 +296,15 @@ def registration_to_json(fit: FittedTransform) -> Entries:
     every mark. NaN becomes None.
     """
     t = fit.transform
+    parameters = [field.name for field in fields(model_named(fit.model).transform)]
+    shared = {"shared_um": fit.shared_um} if fit.shared_um else {}
     return {
         "format": FORMAT,
         **_plain_fields(fit, ("model", "sentence", "warnings")),
         **_plain_fields(t, ("scale", "rotation_rad", "shift_um", "mirrored")),
         **_plain_fields(fit, _ERRORS),
-        **({"shared_um": fit.shared_um} if fit.shared_um else {}),
-        "transform": _plain_fields(
-            t, [field.name for field in fields(model_named(fit.model).transform)]
-        ),
+        **shared,
+        "transform": _plain_fields(t, parameters),
         **_plain_fields(fit, _ARRAYS),
     }
 
@@ -338,15 +328,16 @@ def registration_from_json(data: Any) -> FittedTransform:
             )
         kind = model_named(data["model"]).transform
         hints = get_type_hints(kind)
+        entries = data["transform"]
+        parameters = {f.name: _read(entries[f.name], hints[f.name]) for f in fields(kind)}
+        arrays = {name: _read(data[name], Floats) for name in _ARRAYS}
         return FittedTransform(
-            transform=kind(
-                **{f.name: _read(data["transform"][f.name], hints[f.name]) for f in fields(kind)}
-            ),
+            transform=kind(**parameters),
             model=str(data["model"]),
             sentence=str(data["sentence"]),
-            warnings=tuple(str(w) for w in data["warnings"]),
+            warnings=tuple(map(str, data["warnings"])),
             shared_um=float(data.get("shared_um", 0.0)),
-            **{name: _read(data[name], Floats) for name in _ARRAYS},
+            **arrays,
         )
     except (ValueError, KeyError, TypeError, IndexError) as fault:
         raise MarkError(

@@ -40,9 +40,8 @@ class RigidModel(ParametricModel):
                 turned = turn * (z - z_mean)
                 error = w - middle - turned
                 design = similarity_columns(turned / size, only_turn=True)
-                step = least_squares(
-                    whitening, design, np.stack([error.real, error.imag], axis=-1), "rigid"
-                )
+                error_xy = np.stack([error.real, error.imag], axis=-1)
+                step = least_squares(whitening, design, error_xy, self.name)
                 middle += complex(step[0], step[1])
                 turn *= np.exp(1j * step[2] / size)
                 step_length = float(np.abs(step).max())
@@ -57,9 +56,7 @@ class RigidModel(ParametricModel):
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, turn."""
         scaled_offsets = (transform(points) - transform(frame[0])) / frame[1]
-        return similarity_columns(
-            scaled_offsets[..., 0] + 1j * scaled_offsets[..., 1], only_turn=True
-        )
+        return similarity_columns(as_complex(scaled_offsets, False), only_turn=True)
 
 
 class SimilarityModel(ParametricModel):
@@ -81,28 +78,22 @@ class SimilarityModel(ParametricModel):
             return Similarity(
                 scale=abs(alpha), rotation_rad=angle, shift_um=shift_um, mirrored=mirrored
             )
-        share = pairs.share
-        z = (as_complex(pairs.moving, mirrored) - as_complex(middle[None], mirrored)[0]) / size
-        target = share @ pairs.fixed
+        design = similarity_columns(as_complex(pairs.moving - middle, mirrored) / size)
+        target = pairs.share @ pairs.fixed
         beta_x, beta_y, a, b = least_squares(
-            pairs.whitening(), similarity_columns(z), pairs.fixed - target, self.name
+            pairs.whitening(), design, pairs.fixed - target, self.name
         )
         _refuse_no_rotation(complex(a, b) / size, 1.0)
-        turn = Similarity(
-            scale=float(np.hypot(a, b)) / size,
-            rotation_rad=float(np.arctan2(b, a)),
-            mirrored=mirrored,
-        )
+        scale = float(np.hypot(a, b)) / size
+        angle = float(np.arctan2(b, a))
+        turn = Similarity(scale=scale, rotation_rad=angle, mirrored=mirrored)
         shift_um = target + np.array([beta_x, beta_y]) - turn(middle)
         return replace(turn, shift_um=pair_of(shift_um))
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, stretch, turn."""
         middle, size = frame
-        z = (as_complex(points.reshape(-1, 2) - middle, transform.mirrored) / size).reshape(
-            points.shape[:-1]
-        )
-        return similarity_columns(z)
+        return similarity_columns(as_complex(points - middle, transform.mirrored) / size)
 
 
 class AffineModel(ParametricModel):
@@ -121,13 +112,12 @@ class AffineModel(ParametricModel):
         refuse_line(pairs, self.name)
         target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
         design = affine_columns((pairs.moving - middle) / size)
-        x, y, xx, xy, yx, yy = least_squares(
-            pairs.whitening(), design, pairs.fixed - target, self.name
-        )
+        parameters = least_squares(pairs.whitening(), design, pairs.fixed - target, self.name)
+        x_row, y_row = parameters[2:].reshape(2, 2) / size
         return Affine(
-            linear=((float(xx / size), float(xy / size)), (float(yx / size), float(yy / size))),
-            source=tuple(middle.tolist()),
-            target=(float(target[0] + x), float(target[1] + y)),
+            linear=(pair_of(x_row), pair_of(y_row)),
+            source=pair_of(middle),
+            target=pair_of(target + parameters[:2]),
         )
 
     def design(self, _transform: Affine, frame: Frame, points: Floats, /) -> Floats:
@@ -199,22 +189,22 @@ class ProjectiveModel(ParametricModel):
         target_size = float(np.sqrt(share @ np.sum((pairs.fixed - target) ** 2, axis=1)))
 
         def build(h: Floats) -> Projective:
-            row_1, row_2, row_3 = (h / h[2, 2]).tolist()
+            row_1, row_2, row_3 = map(tuple, (h / h[2, 2]).tolist())
             return Projective(
-                homography=(tuple(row_1), tuple(row_2), tuple(row_3)),
-                source=tuple(middle.tolist()),
-                target=tuple(target.tolist()),
+                homography=(row_1, row_2, row_3),
+                source=pair_of(middle),
+                target=pair_of(target),
                 source_size=size,
                 target_size=target_size,
             )
 
         def cost(trial: Projective) -> float:
-            return float(np.sum((whitening @ (pairs.fixed - trial(pairs.moving))[..., None]) ** 2))
+            error = pairs.fixed - trial(pairs.moving)
+            return float(np.sum((whitening @ error[..., None]) ** 2))
 
-        scaled = (pairs.moving - middle) / size
-        transform = build(
-            _direct_linear(scaled, (pairs.fixed - target) / target_size, np.sqrt(share))
-        )
+        scaled_moving = (pairs.moving - middle) / size
+        scaled_fixed = (pairs.fixed - target) / target_size
+        transform = build(_direct_linear(scaled_moving, scaled_fixed, np.sqrt(share)))
         whitening = pairs.whitening()
         last_length = np.inf
         for _ in range(_STEPS):
@@ -224,13 +214,13 @@ class ProjectiveModel(ParametricModel):
                     "The projective transformation puts marks behind the camera: the pairs do not"
                     " show one flat sheet. Check the pairs, or fit an affine transformation."
                 )
-            step = least_squares(
-                whitening, self.design(transform, (middle, size), pairs.moving), error, self.name
-            )
+            design = self.design(transform, (middle, size), pairs.moving)
+            step = least_squares(whitening, design, error, self.name)
             # Shortened until the error does not rise.
             start_cost = cost(transform)
             h = np.array(transform.homography)
-            trials = (build(h + np.append(step / 2**k, 0.0).reshape(3, 3)) for k in range(12))
+            full_step = np.append(step, 0.0).reshape(3, 3)
+            trials = (build(h + full_step / 2**k) for k in range(12))
             cost_limit = start_cost * (1 + 1e-9) + 1e-300
             transform = next(
                 (t for t in trials if np.isfinite(after := cost(t)) and after <= cost_limit),
@@ -251,9 +241,8 @@ class ProjectiveModel(ParametricModel):
         image = (scaled_points @ h[:2, :2].T + h[:2, 2]) / denominators
         rows = np.concatenate([scaled_points, np.ones_like(denominators)], axis=-1) / denominators
         design = np.zeros((*points.shape[:-1], 2, 8))
-        design[..., 0, 0:3] = rows
-        design[..., 1, 3:6] = rows
-        design[..., :, 6:8] = -image[..., :, None] * (scaled_points / denominators)[..., None, :]
+        design[..., 0, 0:3] = design[..., 1, 3:6] = rows
+        design[..., 6:8] = -image[..., None] * rows[..., None, :2]
         return transform.target_size * design
 
 

@@ -120,7 +120,8 @@ class Smoothing:
         full, triangle = qr(whitened(self.whitening, affine_part))
         self.span, self.triangle = full[:, :6], triangle[:6]
         self.target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
-        self.y = whitened(self.whitening, (pairs.fixed - self.target).reshape(-1, 1))[:, 0]
+        offsets = (pairs.fixed - self.target).reshape(-1, 1)
+        self.y = whitened(self.whitening, offsets)[:, 0]
         complement = full[:, 6:]
         projected_kernel = complement.T @ self.kernel @ complement
         eigenvalues, vectors = eigh(0.5 * (projected_kernel + projected_kernel.T))
@@ -138,14 +139,14 @@ class Smoothing:
         smoothing = smoothing_um2 / self.size**2
         residual_shares = np.ones_like(self.eigenvalues)
         if np.isfinite(smoothing):
-            residual_shares = (float(np.median(self.eigenvalues)) + smoothing) / (
-                self.eigenvalues + smoothing
-            )
+            typical = float(np.median(self.eigenvalues)) + smoothing
+            residual_shares = typical / (self.eigenvalues + smoothing)
         rows = self.vectors.reshape(len(self.pairs), 2, -1)
         blocks = (rows * residual_shares) @ rows.swapaxes(1, 2)
         least = np.linalg.eigvalsh(blocks)[:, 0]
         blocks[least < 1e-12 * float(np.median(least))] = np.nan
-        return (inverse_of(blocks) @ (rows @ (residual_shares * self.z))[..., None])[..., 0]
+        residuals = rows @ (residual_shares * self.z)
+        return (inverse_of(blocks) @ residuals[..., None])[..., 0]
 
     def choose(self) -> float:
         """Return the smoothing with the least sum of squares of marks left out.
@@ -165,7 +166,7 @@ class Smoothing:
             optimum = minimize_scalar(
                 lambda v: self._cost(float(np.exp(v))), bounds=bracket, method="bounded"
             )
-            if float(optimum.fun) < least:
+            if optimum.fun < least:
                 chosen = float(np.exp(optimum.x))
                 least = float(optimum.fun)
         if self._cost(np.inf) <= least * (1 + 1e-9):
@@ -184,9 +185,8 @@ class Smoothing:
         dual = self.vectors @ (self.z / (self.eigenvalues + smoothing_um2 / self.size**2))
         # No negative zero.
         bend = (self.whitening.swapaxes(1, 2) @ dual.reshape(n, 2, 1))[..., 0] + 0.0
-        affine = solve_triangular(
-            self.triangle, self.span.T @ (self.y - self.kernel @ dual)
-        ).reshape(3, 2)
+        affine_part = self.span.T @ (self.y - self.kernel @ dual)
+        affine = solve_triangular(self.triangle, affine_part).reshape(3, 2)
         affine[0] += self.target
         return ThinPlate(
             source=pair_of(self.middle),

@@ -14,7 +14,14 @@ from scipy.linalg import block_diag
 
 from planish.core.robust import rms_length
 from planish.core.typing import Floats
-from planish.register.pairs import Pairs, as_complex, inverse_of, solved, squared_distances
+from planish.register.pairs import (
+    Pairs,
+    as_complex,
+    inverse_of,
+    on_both_axes,
+    solved,
+    squared_distances,
+)
 from planish.register.similarity import affine_columns, similarity_columns
 
 CHANCE = 0.0027  # that right marks exclude a scale of 1: three errors
@@ -96,22 +103,24 @@ def find_through_scale(
     fine_scales = np.unique(np.append(np.geomspace(scales[0], scales[-1], _STEPS), 1.0))
     designs = _centred(spline(fine_scales**2), mirrored) / spread
     marks_precision, precision = _precisions(designs, target, used_pairs, spread)
-    best = int(np.argmin(_solved(designs, target, precision)[1]))
-    bracket = fine_scales[max(best - 2, 0)], fine_scales[min(best + 2, fine_scales.size - 1)]
-    fine_scales = np.unique(np.concatenate([fine_scales, np.linspace(*bracket, _STEPS)]))
+    _, misfit = _solved(designs, target, precision)
+    best = int(np.argmin(misfit))
+    around = fine_scales[max(best - 2, 0) : best + 3]
+    finer_scales = np.linspace(around[0], around[-1], _STEPS)
+    fine_scales = np.union1d(fine_scales, finer_scales)
     designs = _centred(spline(fine_scales**2), mirrored) / spread
-    misfit = _solved(designs, target, precision)[1]
+    _, misfit = _solved(designs, target, precision)
     best = int(np.argmin(misfit))
     one_index = int(np.searchsorted(fine_scales, 1.0))
     limit = float(special.fdtri(1, 2 * rows.size - 5, 1 - CHANCE))
     t_factor = float(np.sqrt(limit) / special.ndtri(1 - CHANCE / 2))
-    source = (spline(1.0) - spline(1.0).mean(axis=0)) / spread
-    (affine_parameters,), (affine_misfit,) = _solved(
-        affine_columns(source)[None], target, marks_precision
-    )
-    _, (most_stretch, least_stretch), right_vectors = np.linalg.svd(
-        affine_parameters[2:].reshape(2, 2)
-    )
+    source = spline(1.0)
+    affine_design = affine_columns((source - source.mean(axis=0)) / spread)
+    (affine_parameters,), (affine_misfit,) = _solved(affine_design[None], target, marks_precision)
+    linear = affine_parameters[2:].reshape(2, 2)
+    _, (most_stretch, least_stretch), right_vectors = np.linalg.svd(linear)
+    direction_x, direction_y = right_vectors[0]
+    over_stretch = affine_misfit + np.log(2 * rows.size) - misfit[best]
     return ThroughScale(
         scale=float(fine_scales[best]),
         error=t_factor * _toward_one(fine_scales, misfit, best, one_index),
@@ -119,8 +128,8 @@ def find_through_scale(
         evidence=float(misfit[one_index] - misfit[best]),
         without_any=_without_any(designs, target, precision, one_index),
         stretch=float(most_stretch / least_stretch - 1),
-        stretch_deg=float(np.degrees(np.arctan2(right_vectors[0, 1], right_vectors[0, 0]))) % 180,
-        over_stretch=float(affine_misfit + np.log(2 * rows.size) - misfit[best]),
+        stretch_deg=float(np.degrees(np.arctan2(direction_y, direction_x))) % 180,
+        over_stretch=float(over_stretch),
         marks=int(rows.size),
     )
 
@@ -133,12 +142,12 @@ def _without_any(designs: Floats, target: Floats, precision: Floats, one_index: 
     if len(target) <= _LEAST:
         return 0.0
     covariance = np.linalg.inv(precision)
-    mark_rows = np.arange(len(target))
     evidences: list[float] = []
-    for k in mark_rows:
-        equation_rows = np.flatnonzero(np.repeat(mark_rows != k, 2))
-        reduced_precision = np.linalg.inv(covariance[np.ix_(equation_rows, equation_rows)])
-        misfit = _solved(designs[:, mark_rows != k], target[mark_rows != k], reduced_precision)[1]
+    for k in range(len(target)):
+        others = np.delete(np.arange(len(target)), k)
+        equations = np.delete(np.arange(2 * len(target)), [2 * k, 2 * k + 1])
+        reduced_precision = np.linalg.inv(covariance[np.ix_(equations, equations)])
+        _, misfit = _solved(designs[:, others], target[others], reduced_precision)
         evidences.append(float(misfit[one_index] - misfit.min()))
     return min(evidences)
 
@@ -148,7 +157,8 @@ def _centred(places: Floats, mirrored: bool) -> Floats:
 
     The points count from their middle.
     """
-    return similarity_columns(as_complex(places - places.mean(axis=1, keepdims=True), mirrored))
+    centred = places - places.mean(axis=1, keepdims=True)
+    return similarity_columns(as_complex(centred, mirrored))
 
 
 def _solved(
@@ -159,18 +169,16 @@ def _solved(
     Gives parameters (m, p) and rest in variances (m,).
     """
     m, n, _, p = design.shape
-    rows = np.moveaxis(design.reshape(m, 2 * n, p), 0, 1).reshape(2 * n, m * p)
-    whitened = np.linalg.cholesky(precision).T @ np.concatenate(
-        [rows, target.reshape(-1, 1)], axis=1
-    )
+    by_equation = np.moveaxis(design.reshape(m, 2 * n, p), 0, 1)
+    rows = np.column_stack([by_equation.reshape(2 * n, m * p), target.ravel()])
+    whitened = np.linalg.cholesky(precision).T @ rows
     columns = np.moveaxis(whitened[:, :-1].reshape(2 * n, m, p), 1, 0)
     white_target = whitened[:, -1]
     projections = white_target @ columns
     normal = columns.transpose(0, 2, 1) @ columns
     parameters = solved(normal, projections)
-    return parameters, np.maximum(
-        white_target @ white_target - np.sum(projections * parameters, axis=1), 0.0
-    )
+    explained = np.sum(projections * parameters, axis=1)
+    return parameters, np.maximum(white_target @ white_target - explained, 0.0)
 
 
 def _precisions(
@@ -188,7 +196,8 @@ def _precisions(
     precision = block_diag(*information)
     free, misfit = _free_columns(designs, target, precision)
     # Standard deviation of either part of a shear of the paper: a stretch of 0.14 %, rms.
-    shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * 0.0005
+    shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1)
+    strains = shears.reshape(2 * n, 2) * 0.0005
     squares = squared_distances(target, target) / spread**2
     # Smooth displacements: their reach over the spread of the marks, and their variance over that
     # of a mark.
@@ -196,27 +205,22 @@ def _precisions(
     field_covariances = [
         ratio * np.exp(-squares / (2 * length**2)) for length, ratio in lengths_ratios
     ]
+    variances = max(misfit / (2 * n - 5), 1e-6) * np.geomspace(1e-3, 10, 16)
     rows = free.reshape(2 * n, -1)
     log_weights: list[float] = []
     precision_pairs: list[Floats] = []
-    for field_covariance, square in product(
-        [0.0 * squares, *field_covariances],
-        max(misfit / (2 * n - 5), 1e-6) * np.geomspace(1e-3, 10, 16),
-    ):
-        marks_covariance = square * (noise + np.kron(field_covariance, np.eye(2)))
-        precisions = np.linalg.inv(
-            np.stack([marks_covariance, marks_covariance + shears @ shears.T])
-        )
-        misfit_left = float(_solved(free[None], target, precisions[1])[1][0])
-        determinants = (
-            np.linalg.slogdet(rows.T @ precisions[1] @ rows)[1]
-            - np.linalg.slogdet(precisions[1])[1]
-        )
+    for field_covariance, variance in product([0.0 * squares, *field_covariances], variances):
+        marks_covariance = variance * (noise + on_both_axes(field_covariance))
+        covariances = np.stack([marks_covariance, marks_covariance + strains @ strains.T])
+        precisions = np.linalg.inv(covariances)
+        _, (misfit_left,) = _solved(free[None], target, precisions[1])
+        log_determinants = np.linalg.slogdet(rows.T @ precisions[1] @ rows)[1]
+        log_determinants -= np.linalg.slogdet(precisions[1])[1]
         weight = 1 / len(field_covariances) if field_covariance.any() else 1.0
-        log_weights.append(np.log(weight) - 0.5 * float(misfit_left + determinants))
+        log_weights.append(np.log(weight) - 0.5 * float(misfit_left + log_determinants))
         precision_pairs.append(precisions)
-    probabilities = np.exp(np.array(log_weights) - max(log_weights))
-    return np.einsum("k,kaij->aij", probabilities / probabilities.sum(), np.array(precision_pairs))
+    probabilities = special.softmax(log_weights)
+    return np.einsum("k,kaij->aij", probabilities, np.array(precision_pairs))
 
 
 def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[Floats, float]:
@@ -226,10 +230,10 @@ def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[F
     """
     parameters, misfit = _solved(designs, target, precision)
     best = int(np.argmin(misfit))
-    slope = (designs[min(best + 1, len(designs) - 1)] - designs[max(best - 1, 0)]) @ parameters[
-        best
-    ]
-    slope = slope - designs[best] @ _solved(designs[[best]], slope, precision)[0][0]
+    around = designs[max(best - 1, 0) : best + 2]
+    slope = (around[-1] - around[0]) @ parameters[best]
+    (explained,), _ = _solved(designs[[best]], slope, precision)
+    slope = slope - designs[best] @ explained
     length = float(np.linalg.norm(slope))
     columns = [designs[best], slope[..., None] / length] if length > 1e-6 else [designs[best]]
     return np.concatenate(columns, axis=-1), float(misfit[best])
@@ -242,13 +246,12 @@ def _toward_one(fine_scales: Floats, misfit: Floats, best: int, one_index: int) 
     """
     distances: list[float] = []
     for step in [1] * (best <= one_index) + [-1] * (best >= one_index):
-        scales, excess = fine_scales[best::step], misfit[best::step] - misfit[best] - 1.0
+        scales = fine_scales[best::step]
+        excess = misfit[best::step] - misfit[best] - 1.0
         crossing = int(np.argmax(excess > 0))
+        if not crossing:
+            return np.inf
         bracket = slice(crossing - 1, crossing + 1)
-        distance = (
-            abs(np.interp(0.0, excess[bracket], scales[bracket]) - fine_scales[best])
-            if crossing
-            else np.inf
-        )
-        distances.append(float(distance))
+        scale = np.interp(0.0, excess[bracket], scales[bracket])
+        distances.append(float(abs(scale - scales[0])))
     return max(distances)
