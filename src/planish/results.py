@@ -24,15 +24,14 @@ from planish.analyze.scales import Scales
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
 from planish.core.facts import (
+    DescribedModel,
     HoleTiltFacts,
     InputFile,
     Number,
     Pair,
-    ResultModel,
     SheetNumbers,
     Side,
     Trust,
-    optional,
 )
 from planish.core.older_names import FORMAT, todays_names
 from planish.core.source_hash import is_this_code
@@ -40,56 +39,60 @@ from planish.core.tables import naming_faults
 from planish.flatten import FlatteningQuality
 
 
-class SurfaceFacts(ResultModel):
+class SurfaceFacts(DescribedModel):
     """What the surface search learnt, and how much of the sheet it measured."""
 
-    through: Literal["z", "y", "x"] = Field(description="Axis through the sheet.")
-    top_side: Literal["high", "low"] = Field(
-        description="End of that axis at which the top side lies."
-    )
-    row_axis: str = Field(description="Axis of the volume that runs down the rows of the surfaces.")
-    col_axis: str = Field(description="Axis of the volume that runs along their columns.")
-    thickness_um: Number = Field(
-        description="Median thickness of the sheet, as the first look found it."
-    )
-    blur_um: Number = Field(
-        description="Standard deviation of the blur of the scan; None where no edge shows it."
-    )
-    fringe: Number = Field(
-        description="Phase-contrast fringe as a share of an edge's step; 0 where there is none."
-    )
-    fringe_um: Number = Field(description="Distance of the fringe from the edge.")
-    cutoff_um: Number = Field(
-        description="Wavelength of the centre surface that the smoothing halves."
-    )
-    bridged_share: Number = optional("Share of the columns where gaps needed a wider cut-off.")
-    bridged_off_rims_share: Number = optional("The same away from holes and their rims.")
-    rim_um: Number = Field(description="Zone around holes and gaps that is left out.")
-    missing_share: Number = Field(description="Share of the voxels that are NaN or infinite.")
-    empty_share: Number = optional("Share of the columns that hold nothing but air.")
-    polarity: Number = Field(
-        description="1 where the sheet is lighter than air, -1 where it is darker."
-    )
-    grey_air: Number = Field(description="Grey of the air.")
-    grey_base: Number = Field(description="Grey of the base.")
-    grey_coating_top: Number = Field(
-        description="Grey of the top coating; None where there is none."
-    )
-    grey_coating_bottom: Number = Field(
-        description="Grey of the bottom coating; None where there is none."
-    )
-    grey_noise: Number = Field(description="Standard deviation of the grey from voxel to voxel.")
-    columns: int = Field(description="Number of columns.")
-    particles_removed: int = Field(
-        description=(
-            "Particles that were left out: those that float, and those that stick to a face."
-        )
-    )
-    half_closed_holes: int = Field(description="Holes of which less than 70 % is open.")
-    shares: dict[str, float] = Field(description="Share of the columns with each status.")
+    through: Literal["z", "y", "x"]
+    """Axis through the sheet."""
+    top_side: Literal["high", "low"]
+    """End of that axis at which the top side lies."""
+    row_axis: str
+    """Axis of the volume that runs down the rows of the surfaces."""
+    col_axis: str
+    """Axis of the volume that runs along their columns."""
+    thickness_um: Number
+    """Median thickness of the sheet, as the first look found it."""
+    blur_um: Number
+    """Standard deviation of the blur of the scan; None where no edge shows it."""
+    fringe: Number
+    """Phase-contrast fringe as a share of an edge's step; 0 where there is none."""
+    fringe_um: Number
+    """Distance of the fringe from the edge."""
+    cutoff_um: Number
+    """Wavelength of the centre surface that the smoothing halves."""
+    bridged_share: Number = None
+    """Share of the columns where gaps needed a wider cut-off."""
+    bridged_off_rims_share: Number = None
+    """The same away from holes and their rims."""
+    rim_um: Number
+    """Zone around holes and gaps that is left out."""
+    missing_share: Number
+    """Share of the voxels that are NaN or infinite."""
+    empty_share: Number = None
+    """Share of the columns that hold nothing but air."""
+    polarity: Number
+    """1 where the sheet is lighter than air, -1 where it is darker."""
+    grey_air: Number
+    """Grey of the air."""
+    grey_base: Number
+    """Grey of the base."""
+    grey_coating_top: Number
+    """Grey of the top coating; None where there is none."""
+    grey_coating_bottom: Number
+    """Grey of the bottom coating; None where there is none."""
+    grey_noise: Number
+    """Standard deviation of the grey from voxel to voxel."""
+    columns: int
+    """Number of columns."""
+    particles_removed: int
+    """Particles that were left out: those that float, and those that stick to a face."""
+    half_closed_holes: int
+    """Holes of which less than 70 % is open."""
+    shares: dict[str, float]
+    """Share of the columns with each status."""
 
 
-class PropertyFacts(ResultModel):
+class PropertyFacts(DescribedModel):
     """Distribution of one property over the columns."""
 
     WITHHELD: ClassVar = (
@@ -102,62 +105,80 @@ class PropertyFacts(ResultModel):
         "standard_error",
     )
 
-    units: str = Field(description="Unit of all values; 1 for a share.")
-    n: int = Field(description="Columns with a value.")
-    mean: Number = Field(description="Mean over the columns.")
-    sd: Number = Field(description="Standard deviation over the columns.")
-    coefficient_of_variation: Number = optional(
-        "sd over mean, a share; None of what has no zero of its own, such as heights and angles."
-    )
-    p5: Number = Field(description="5th percentile.")
-    median: Number = Field(description="Median.")
-    p95: Number = Field(description="95th percentile.")
-    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
-    standard_error: Number = optional("Median of the standard errors of single columns.")
-    n_independent: int | None = optional(
-        "How many independent values the columns have: neighbours share their errors."
-    )
-    mean_standard_error: Number = optional(
-        "Standard error of the mean over the columns, from the measurement alone."
-    )
-    support_um: Number = optional("Size of the region that one value stands for.")
-    period_deg: Number = optional("180 for angles of an axis, whose mean and spread these are.")
+    units: str
+    """Unit of all values; 1 for a share."""
+    n: int
+    """Columns with a value."""
+    mean: Number
+    """Mean over the columns."""
+    sd: Number
+    """Standard deviation over the columns."""
+    coefficient_of_variation: Number = None
+    """sd over mean, a share; None of what has no zero of its own, such as heights and angles."""
+    p5: Number
+    """5th percentile."""
+    median: Number
+    """Median."""
+    p95: Number
+    """95th percentile."""
+    trust: Trust = "ok"
+    """What the checks leave of the figures."""
+    standard_error: Number = None
+    """Median of the standard errors of single columns."""
+    n_independent: int | None = None
+    """How many independent values the columns have: neighbours share their errors."""
+    mean_standard_error: Number = None
+    """Standard error of the mean over the columns, from the measurement alone."""
+    support_um: Number = None
+    """Size of the region that one value stands for."""
+    period_deg: Number = None
+    """180 for angles of an axis, whose mean and spread these are."""
 
 
-class SectionFacts(ResultModel):
+class SectionFacts(DescribedModel):
     """How serial sections were joined: what was taken off, and what is left of the quick errors."""
 
-    kind: str = Field(description="Photographs of the block face, or of sections.")
-    count: int = Field(description="Sections that were read.")
-    not_aligned: int = Field(description="Sections that match no neighbour and were left out.")
-    missing: int = Field(description="Missing sections that were bridged.")
-    cutoff_um: float = Field(description="Waves longer than this along the cut were left alone.")
-    fixed: tuple[str, ...] = Field(
-        description="What held the slow waves: row, col, rotation; empty without anything fixed."
-    )
-    pairs_used: int = Field(description="Pairs of sections that were compared.")
-    pairs_refused: int = Field(description="Pairs that did not agree with the others.")
-    gain_sd: Number = Field(description="Standard deviation of the gain from section to section.")
-    shift_row_rms_um: Number = Field(
-        description="Shifts along the rows' axis that were removed, rms."
-    )
-    shift_col_rms_um: Number = Field(description="The same along the columns' axis.")
-    jitter_left_row_um: Number = Field(
-        description="What is left of the quick errors along the rows' axis, standard deviation."
-    )
-    jitter_left_col_um: Number = Field(description="The same along the columns' axis.")
+    kind: str
+    """Photographs of the block face, or of sections."""
+    count: int
+    """Sections that were read."""
+    not_aligned: int
+    """Sections that match no neighbour and were left out."""
+    missing: int
+    """Missing sections that were bridged."""
+    cutoff_um: float
+    """Waves longer than this along the cut were left alone."""
+    fixed: tuple[str, ...]
+    """What held the slow waves: row, col, rotation; empty without anything fixed."""
+    pairs_used: int
+    """Pairs of sections that were compared."""
+    pairs_refused: int
+    """Pairs that did not agree with the others."""
+    gain_sd: Number
+    """Standard deviation of the gain from section to section."""
+    shift_row_rms_um: Number
+    """Shifts along the rows' axis that were removed, rms."""
+    shift_col_rms_um: Number
+    """The same along the columns' axis."""
+    jitter_left_row_um: Number
+    """What is left of the quick errors along the rows' axis, standard deviation."""
+    jitter_left_col_um: Number
+    """The same along the columns' axis."""
 
 
-class SheetFacts(ResultModel):
+class SheetFacts(DescribedModel):
     """A sheet that was measured and flattened."""
 
-    surfaces: SurfaceFacts = Field(description="The surface search.")
-    properties: dict[str, PropertyFacts] = Field(
-        description="Distribution of each property, by name."
-    )
-    numbers: SheetNumbers | None = Field(description="None where they are withheld.")
-    flatten: FlatteningQuality = Field(description="The flattening.")
-    sections: SectionFacts | None = optional("Where the volume was joined of serial sections.")
+    surfaces: SurfaceFacts
+    """The surface search."""
+    properties: dict[str, PropertyFacts]
+    """Distribution of each property, by name."""
+    numbers: SheetNumbers | None
+    """None where they are withheld."""
+    flatten: FlatteningQuality
+    """The flattening."""
+    sections: SectionFacts | None = None
+    """Where the volume was joined of serial sections."""
 
     @property
     def uncovered_areas(self) -> dict[str, tuple[float | None, float | None]]:
@@ -166,46 +187,59 @@ class SheetFacts(ResultModel):
         return {f"coating_{side}": facts.uncovered_area_ratio for side, facts in thin.items()}
 
 
-class ErrorShares(ResultModel):
+class ErrorShares(DescribedModel):
     """Where the expected error of the places comes from: root mean squares over the map, in um."""
 
-    marks_um: Number = optional("Marks, and what the model of the registration leaves open.")
-    neutral_um: Number = optional("Which surface stays unstrained where the sheet is bent.")
-    smoothing_um: Number = optional("Smoothing of the centre surface, and its bridges over holes.")
-    sections_um: Number = optional("What is left of the poses of serial sections.")
-    lines_um: Number = optional("Uneven motion of the carriage of an office scanner.")
-    rms_um: float = Field(description="Root mean square of the whole.")
-    largest: Literal["marks", "neutral", "smoothing", "sections", "lines"] = Field(
-        description="The share that is largest."
-    )
-    sentence: str = Field(description="The same in words, with what would lower it.")
+    marks_um: Number = None
+    """Marks, and what the model of the registration leaves open."""
+    neutral_um: Number = None
+    """Which surface stays unstrained where the sheet is bent."""
+    smoothing_um: Number = None
+    """Smoothing of the centre surface, and its bridges over holes."""
+    sections_um: Number = None
+    """What is left of the poses of serial sections."""
+    lines_um: Number = None
+    """Uneven motion of the carriage of an office scanner."""
+    rms_um: float
+    """Root mean square of the whole."""
+    largest: Literal["marks", "neutral", "smoothing", "sections", "lines"]
+    """The share that is largest."""
+    sentence: str
+    """The same in words, with what would lower it."""
 
 
-class ExpectedError(ResultModel):
+class ExpectedError(DescribedModel):
     """How far a pixel may be off, rms, over the map."""
 
     WITHHELD: ClassVar = ("median_um", "largest_um")
 
-    median_um: Number = Field(description="Median over the map.")
-    largest_um: Number = Field(description="Largest value of the map.")
-    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
-    shares: ErrorShares | None = optional("Where it comes from; of a sheet only.")
+    median_um: Number
+    """Median over the map."""
+    largest_um: Number
+    """Largest value of the map."""
+    trust: Trust = "ok"
+    """What the checks leave of the figures."""
+    shares: ErrorShares | None = None
+    """Where it comes from; of a sheet only."""
 
 
-class OrientationFacts(ResultModel):
+class OrientationFacts(DescribedModel):
     """How two planes lie on each other: side, hand and machine direction, as given."""
 
-    image_side: Side = Field(description="Side that the fixed layer shows.")
-    side_given: bool = Field(description="Whether that was given; assumed otherwise.")
-    mirrored_volume: bool = Field(
-        description="Whether the marks fit mirrored only: slices numbered against the usual sense."
-    )
-    md_deg_moving: Number = Field(description="Machine direction in the moving layer, as given.")
-    md_deg_fixed: Number = Field(description="The same in the fixed layer, as given.")
-    md_deg_fixed_from_moving: Number = Field(
-        description="The first carried over by the registration; 0 to 180."
-    )
-    sentence: str = Field(description="The same in words.")
+    image_side: Side
+    """Side that the fixed layer shows."""
+    side_given: bool
+    """Whether that was given; assumed otherwise."""
+    mirrored_volume: bool
+    """Whether the marks fit mirrored only: slices numbered against the usual sense."""
+    md_deg_moving: Number
+    """Machine direction in the moving layer, as given."""
+    md_deg_fixed: Number
+    """The same in the fixed layer, as given."""
+    md_deg_fixed_from_moving: Number
+    """The first carried over by the registration; 0 to 180."""
+    sentence: str
+    """The same in words."""
 
     @property
     def remedy(self) -> str:
@@ -216,97 +250,133 @@ class OrientationFacts(ResultModel):
         return f"Options: {', '.join(words)}." if words else ""
 
 
-class RegistrationFacts(ResultModel):
+class RegistrationFacts(DescribedModel):
     """How a layer was registered to another one."""
 
-    to: str = Field(description="Layer that it was registered to.")
-    path: tuple[str, ...] = Field(description="Layers from this one to the reference.")
-    source: str = Field(
-        description="'found', 'texture', or the kind of file that the marks came from."
-    )
-    found_moving: int = Field(description="Marks found in the moving layer.")
-    found_fixed: int = Field(description="Marks found in the fixed layer.")
-    matched: int = Field(description="Pairs in use.")
-    second_best: int | None = Field(description="Marks that the second-best match has in common.")
-    match_sentence: str | None = Field(description="How the marks were matched.")
-    design: str | None = optional("Name of the pattern that was burnt, where one was given.")
-    tilt: HoleTiltFacts | None = optional("What the holes look like through the sheet.")
-    model: str = Field(description="Model of the transform that was fitted.")
-    model_sentence: str = Field(description="The model and its errors in words.")
-    warnings: tuple[str, ...] = Field(description="What to be careful about.")
-    rms_um: float = Field(description="Root mean square of the residuals.")
-    leave_one_out_rms_um: Number = Field(
-        description="Root mean square of the leave-one-out errors."
-    )
-    expected_error: ExpectedError | None = Field(description="How far a pixel may be off.")
-    scale: float = Field(description="Scale of the closest similarity.")
-    rotation_deg: float = Field(description="Rotation of the closest similarity.")
-    shift_um: Pair = Field(description="Shift of the closest similarity, along x and y.")
-    mirrored: bool = Field(description="Whether the transform mirrors.")
-    orientation: OrientationFacts = Field(description="Side, hand and machine direction.")
-    lag: LagNumbers | None = optional("The image-based check; of a sheet on an image only.")
-    false_probability: Number = optional(
-        "Of a place found by texture: that unrelated layers would have been linked."
-    )
-    held_out: RefinementR | None = optional("r that a place found by texture was not tuned on.")
+    to: str
+    """Layer that it was registered to."""
+    path: tuple[str, ...]
+    """Layers from this one to the reference."""
+    source: str
+    """'found', 'texture', or the kind of file that the marks came from."""
+    found_moving: int
+    """Marks found in the moving layer."""
+    found_fixed: int
+    """Marks found in the fixed layer."""
+    matched: int
+    """Pairs in use."""
+    second_best: int | None
+    """Marks that the second-best match has in common."""
+    match_sentence: str | None
+    """How the marks were matched."""
+    design: str | None = None
+    """Name of the pattern that was burnt, where one was given."""
+    tilt: HoleTiltFacts | None = None
+    """What the holes look like through the sheet."""
+    model: str
+    """Model of the transform that was fitted."""
+    model_sentence: str
+    """The model and its errors in words."""
+    warnings: tuple[str, ...]
+    """What to be careful about."""
+    rms_um: float
+    """Root mean square of the residuals."""
+    leave_one_out_rms_um: Number
+    """Root mean square of the leave-one-out errors."""
+    expected_error: ExpectedError | None
+    """How far a pixel may be off."""
+    scale: float
+    """Scale of the closest similarity."""
+    rotation_deg: float
+    """Rotation of the closest similarity."""
+    shift_um: Pair
+    """Shift of the closest similarity, along x and y."""
+    mirrored: bool
+    """Whether the transform mirrors."""
+    orientation: OrientationFacts
+    """Side, hand and machine direction."""
+    lag: LagNumbers | None = None
+    """The image-based check; of a sheet on an image only."""
+    false_probability: Number = None
+    """Of a place found by texture: that unrelated layers would have been linked."""
+    held_out: RefinementR | None = None
+    """r that a place found by texture was not tuned on."""
 
 
-class LayerFacts(ResultModel):
+class LayerFacts(DescribedModel):
     """One layer: a sheet or an image."""
 
-    name: str = Field(description="Name of the layer.")
-    kind: Literal["sheet", "image"] = Field(description="sheet or image.")
-    source: InputFile = Field(description="The file that it was read from.")
-    headline: str = Field(description="The map that stands for the layer.")
-    share_of_reference: Number = optional("Share of the reference's pixels that show the layer.")
-    registration: RegistrationFacts | None = optional("None for the reference.")
-    sheet: SheetFacts | None = optional("None for an image.")
-    image: ImageFacts | None = optional("None for a sheet.")
+    name: str
+    """Name of the layer."""
+    kind: Literal["sheet", "image"]
+    """sheet or image."""
+    source: InputFile
+    """The file that it was read from."""
+    headline: str
+    """The map that stands for the layer."""
+    share_of_reference: Number = None
+    """Share of the reference's pixels that show the layer."""
+    registration: RegistrationFacts | None = None
+    """None for the reference."""
+    sheet: SheetFacts | None = None
+    """None for an image."""
+    image: ImageFacts | None = None
+    """None for a sheet."""
 
 
-class LinkedArea(ResultModel):
+class LinkedArea(DescribedModel):
     """How much of the reference shows all layers, and how much of that is valid."""
 
-    pixels: int = Field(description="Pixels of the reference.")
-    share_on_sheet: float = Field(description="Share of them that shows the sheet.")
-    share_valid: float = Field(description="Share of them that is valid.")
-    share_valid_of_sheet: float = Field(description="Share of the sheet's pixels that is valid.")
-    share_valid_away_from_holes: float = Field(
-        description="The same away from holes and their rims."
-    )
+    pixels: int
+    """Pixels of the reference."""
+    share_on_sheet: float
+    """Share of them that shows the sheet."""
+    share_valid: float
+    """Share of them that is valid."""
+    share_valid_of_sheet: float
+    """Share of the sheet's pixels that is valid."""
+    share_valid_away_from_holes: float
+    """The same away from holes and their rims."""
 
 
-class RegionFacts(ResultModel):
+class RegionFacts(DescribedModel):
     """A region that was declared an artefact; its texts are empty where they are not given."""
 
-    name: str = Field(description="Name of the region.")
-    reason: str = Field(description="Why its pixels do not count.")
-    author: str = Field(description="Who declared it.")
-    share: float = Field(description="Share of the reference's pixels.")
+    name: str
+    """Name of the region."""
+    reason: str
+    """Why its pixels do not count."""
+    author: str
+    """Who declared it."""
+    share: float
+    """Share of the reference's pixels."""
 
 
-class RegionsFacts(ResultModel):
+class RegionsFacts(DescribedModel):
     """Regions that were declared artefacts.
 
     Their pixels are not valid and count in no correlation.
     """
 
-    count: int = Field(description="Number of regions.")
-    share: float = Field(description="Share of the reference's pixels that lie in a region.")
-    regions: tuple[RegionFacts, ...] = Field(description="Each of them.")
+    count: int
+    """Number of regions."""
+    share: float
+    """Share of the reference's pixels that lie in a region."""
+    regions: tuple[RegionFacts, ...]
+    """Each of them."""
 
 
-class Results(ResultModel):
+class Results(DescribedModel):
     """All numbers of a run: a map of one sheet, or layers linked onto the last one."""
 
-    format: Literal[4] = Field(default=FORMAT, description="Version of this schema.")
-    stored_format: SkipJsonSchema[int] = Field(
-        default=FORMAT, exclude=True, description="Format of the file that was read; in no file."
-    )
-    planish: str = Field(description="Version of the program.")
-    code: str = Field(
-        default="", description="Hash of the program's sources; empty where not all is of one code."
-    )
+    format: Literal[4] = FORMAT
+    """Version of this schema."""
+    stored_format: SkipJsonSchema[int] = Field(default=FORMAT, exclude=True)
+    """Format of the file that was read; in no file."""
+    planish: str
+    """Version of the program."""
+    code: str = ""
+    """Hash of the program's sources; empty where not all is of one code."""
     commit: str = Field(
         default="",
         description=(
@@ -314,38 +384,38 @@ class Results(ResultModel):
             " empty where there is none."
         ),
     )
-    versions: dict[str, str] = Field(
-        description="Versions of the libraries that numbers depend on."
-    )
-    layers: tuple[LayerFacts, ...] = Field(
-        description="In the order given; the last one is the reference of a link."
-    )
-    chain: bool = Field(
-        default=False, description="Whether each layer was registered to the next one."
-    )
-    correlations: tuple[CorrelationRow, ...] = Field(
-        default=(), description="Every pair of layers at each size of points."
-    )
-    comparison: tuple[ComparisonRow, ...] = Field(
-        default=(), description="The headline correlation by projection and flattening."
-    )
-    evidence: tuple[EvidenceFacts, ...] = Field(
-        default=(), description="What stands beside the headline correlation."
-    )
-    linked: LinkedArea | None = optional("How much of the reference is valid; of a link only.")
-    regions: RegionsFacts | None = optional("Declared artefacts, where there are any.")
-    mottle: tuple[Mottle, ...] = Field(
-        default=(), description="Unevenness of the image by octaves of wavelength."
-    )
-    refinement: RefinementFacts | None = optional("Where the registration was refined by the maps.")
-    explained: Explained | None = optional("The model that the study declares.")
-    explain_reason: str = Field(default="", description="Why there is no such model.")
-    scales: Scales | None = optional("Octaves of the maps that the study declares.")
-    scales_reason: str = Field(default="", description="Why there are no such octaves.")
-    checks: tuple[Check, ...] = Field(description="Every check with its state.")
-    parameters: dict[str, Any] = Field(
-        description="Every parameter of the study; paths are left out."
-    )
+    versions: dict[str, str]
+    """Versions of the libraries that numbers depend on."""
+    layers: tuple[LayerFacts, ...]
+    """In the order given; the last one is the reference of a link."""
+    chain: bool = False
+    """Whether each layer was registered to the next one."""
+    correlations: tuple[CorrelationRow, ...] = ()
+    """Every pair of layers at each size of points."""
+    comparison: tuple[ComparisonRow, ...] = ()
+    """The headline correlation by projection and flattening."""
+    evidence: tuple[EvidenceFacts, ...] = ()
+    """What stands beside the headline correlation."""
+    linked: LinkedArea | None = None
+    """How much of the reference is valid; of a link only."""
+    regions: RegionsFacts | None = None
+    """Declared artefacts, where there are any."""
+    mottle: tuple[Mottle, ...] = ()
+    """Unevenness of the image by octaves of wavelength."""
+    refinement: RefinementFacts | None = None
+    """Where the registration was refined by the maps."""
+    explained: Explained | None = None
+    """The model that the study declares."""
+    explain_reason: str = ""
+    """Why there is no such model."""
+    scales: Scales | None = None
+    """Octaves of the maps that the study declares."""
+    scales_reason: str = ""
+    """Why there are no such octaves."""
+    checks: tuple[Check, ...]
+    """Every check with its state."""
+    parameters: dict[str, Any]
+    """Every parameter of the study; paths are left out."""
 
     @property
     def is_of_this_code(self) -> bool:

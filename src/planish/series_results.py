@@ -17,9 +17,9 @@ from planish.analyze.sheets import SheetMean
 from planish.core.checks import State
 from planish.core.errors import FileError
 from planish.core.facts import (
+    DescribedModel,
     KnownPair,
     Number,
-    ResultModel,
     Trust,
     Unsaved,
     UnsavedInterval,
@@ -39,21 +39,21 @@ MemberState = Literal["whole", "withheld", "refused", "damaged", "open"]
 FACTORS = ("paper", "sheet", "field", "treatment", "side")
 
 
-class Member(ResultModel):
+class Member(DescribedModel):
     """One specimen of a series."""
 
-    name: str = Field(description="Name of the specimen; its run has this name, too.")
-    factors: dict[str, str] = Field(
-        default_factory=dict, description="Factors, such as paper, sheet and treatment."
-    )
-    state: MemberState = Field(
-        default="open", description="whole, withheld, refused, damaged or open."
-    )
-    message: str = Field(
-        default="", description="Why there is no run, or what a check refuted, and what to do."
-    )
-    seconds: float | None = optional("Time that the link took.")
-    run: str | None = optional("Folder of its run, relative to that of the series.")
+    name: str
+    """Name of the specimen; its run has this name, too."""
+    factors: dict[str, str] = Field(default_factory=dict)
+    """Factors, such as paper, sheet and treatment."""
+    state: MemberState = "open"
+    """whole, withheld, refused, damaged or open."""
+    message: str = ""
+    """Why there is no run, or what a check refuted, and what to do."""
+    seconds: float | None = None
+    """Time that the link took."""
+    run: str | None = None
+    """Folder of its run, relative to that of the series."""
 
     def folder(self, home: Path) -> Path | None:
         """Folder of its run."""
@@ -68,60 +68,71 @@ What = Literal["mean", "sd", "thin_share", "r"]  # statistics that are compared 
 RunKind = Literal["map", "sheet on image", "two volumes", "layers"]
 
 
-class Quantity(ResultModel):
+class Quantity(DescribedModel):
     """One figure that every specimen has: a statistic of a map, or r of two maps."""
 
-    layer: str = Field(
-        default="", description="Layer of the map; empty where each specimen has one sheet."
-    )
-    map: str = Field(description="Name of the map.")
-    what: What = Field(description="mean, sd, thin_share, or r with the other map.")
-    other_layer: str = Field(
-        default="", description="Layer of the other map of r; empty as for layer."
-    )
-    other_map: str = Field(default="", description="The other map of r.")
-    at_um: Number = optional("Limit of a thin share, or edge of the points of r.")
-    unit: str = Field(description="Of its values; 1 for a share and for r.")
-    title: str = Field(description="The same in words.")
-    map_title: str = Field(description="Title of the map.")
+    layer: str = ""
+    """Layer of the map; empty where each specimen has one sheet."""
+    map: str
+    """Name of the map."""
+    what: What
+    """mean, sd, thin_share, or r with the other map."""
+    other_layer: str = ""
+    """Layer of the other map of r; empty as for layer."""
+    other_map: str = ""
+    """The other map of r."""
+    at_um: Number = None
+    """Limit of a thin share, or edge of the points of r."""
+    unit: str
+    """Of its values; 1 for a share and for r."""
+    title: str
+    """The same in words."""
+    map_title: str
+    """Title of the map."""
 
 
-class Cell(ResultModel):
+class Cell(DescribedModel):
     """A quantity of one specimen."""
 
-    value: Number = optional("None where it was not measured, or is withheld.")
-    low: Number = optional("Lower end of its 95 % interval, of r only.")
-    high: Number = optional("Upper end of it.")
-    n_eff: Number = optional("Independent points, of r only.")
-    n_eff_interval: Number = optional("Independent points that would give the interval of r.")
-    trust: Trust = Field(default="ok", description="What the checks leave of it.")
-    counts: bool = Field(
-        default=False, description="Whether it takes part in means and comparisons."
-    )
-    why_not: str = Field(default="", description="Why it does not; empty where it does.")
+    value: Number = None
+    """None where it was not measured, or is withheld."""
+    low: Number = None
+    """Lower end of its 95 % interval, of r only."""
+    high: Number = None
+    """Upper end of it."""
+    n_eff: Number = None
+    """Independent points, of r only."""
+    n_eff_interval: Number = None
+    """Independent points that would give the interval of r."""
+    trust: Trust = "ok"
+    """What the checks leave of it."""
+    counts: bool = False
+    """Whether it takes part in means and comparisons."""
+    why_not: str = ""
+    """Why it does not; empty where it does."""
 
 
-class SeriesSpecimen(ResultModel):
+class SeriesSpecimen(DescribedModel):
     """One specimen: what it is, what was found, and what its checks say."""
 
-    member: Member = Field(description="Name, factors, state and run.")
-    kind: RunKind | None = optional("None where there is no run.")
-    sheet: str = Field(
-        default="", description="Sheet that it counts as a field of, among those of its paper."
-    )
-    light: State | None = optional("Worst state of its checks.")
-    spoken: dict[State, tuple[str, ...]] = Field(
-        default_factory=dict,
-        description="Names of the checks that fail, ask for a look, or could not be answered.",
-    )
-    marks_used: int | None = optional("Pairs of marks in use; the fewest of its layers.")
-    leave_one_out_um: Number = optional(
-        "Root mean square of the leave-one-out errors; the largest of its layers."
-    )
-    expected_error_um: Number = optional(
-        "Median of the expected error of a pixel; the largest of its layers."
-    )
-    cells: tuple[Cell, ...] = Field(default=(), description="One for each quantity of the series.")
+    member: Member
+    """Name, factors, state and run."""
+    kind: RunKind | None = None
+    """None where there is no run."""
+    sheet: str = ""
+    """Sheet that it counts as a field of, among those of its paper."""
+    light: State | None = None
+    """Worst state of its checks."""
+    spoken: dict[State, tuple[str, ...]] = Field(default_factory=dict)
+    """Names of the checks that fail, ask for a look, or could not be answered."""
+    marks_used: int | None = None
+    """Pairs of marks in use; the fewest of its layers."""
+    leave_one_out_um: Number = None
+    """Root mean square of the leave-one-out errors; the largest of its layers."""
+    expected_error_um: Number = None
+    """Median of the expected error of a pixel; the largest of its layers."""
+    cells: tuple[Cell, ...] = ()
+    """One for each quantity of the series."""
 
     @property
     def name(self) -> str:
@@ -133,36 +144,40 @@ class SeriesSpecimen(ResultModel):
         return self.member.factors.get(name, "")
 
 
-class _OfGroup(ResultModel):
-    quantity: int = Field(description="Number of the quantity, from 0.")
-    group: dict[str, str] = Field(
-        description="Levels of the factors; empty where all specimens are one group."
-    )
+class _OfGroup(DescribedModel):
+    quantity: int
+    """Number of the quantity, from 0."""
+    group: dict[str, str]
+    """Levels of the factors; empty where all specimens are one group."""
 
 
 class GroupFacts(SheetMean, _OfGroup):
     """One quantity over the sheets of one group."""
 
 
-class _OfLevels(ResultModel):
-    quantity: int = Field(description="Number of the quantity, from 0.")
-    within: dict[str, str] = Field(description="Levels of the other factors that both share.")
-    factor: str = Field(description="Factor that is compared.")
-    levels: tuple[str, str] = Field(description="Its two levels.")
+class _OfLevels(DescribedModel):
+    quantity: int
+    """Number of the quantity, from 0."""
+    within: dict[str, str]
+    """Levels of the other factors that both share."""
+    factor: str
+    """Factor that is compared."""
+    levels: tuple[str, str]
+    """Its two levels."""
 
 
 class DifferenceFacts(SetDifference, _OfLevels):
     """One quantity of two levels of a factor, the second minus the first."""
 
     smallest_seen: Value = optional("Difference that such a study sees in 80 % of cases.")
-    unpaired: tuple[str, ...] = Field(
-        default=(), description="Sheets without a partner, where sheets pair."
-    )
-    left_out: tuple[str, ...] = Field(
-        default=(), description="Specimens of both levels that do not count."
-    )
-    reason: str = Field(default="", description="Why there is no interval.")
-    equivalence: Equivalence | None = optional("Where a margin was declared.")
+    unpaired: tuple[str, ...] = ()
+    """Sheets without a partner, where sheets pair."""
+    left_out: tuple[str, ...] = ()
+    """Specimens of both levels that do not count."""
+    reason: str = ""
+    """Why there is no interval."""
+    equivalence: Equivalence | None = None
+    """Where a margin was declared."""
 
     @property
     def verdict(self) -> Literal["differ", "not after Holm", "not distinguishable", "unknown"]:
@@ -175,12 +190,17 @@ class DifferenceFacts(SetDifference, _OfLevels):
         return "differ" if self.p_of_table < 0.05 else "not after Holm"
 
 
-class _OfTwoLayers(ResultModel):
-    specimen: str = Field(description="Name of the specimen.")
-    a: str = Field(description="First layer.")
-    b: str = Field(description="Second layer.")
-    map: str = Field(description="The map that both show.")
-    unit: str = Field(description="Of bias and limits.")
+class _OfTwoLayers(DescribedModel):
+    specimen: str
+    """Name of the specimen."""
+    a: str
+    """First layer."""
+    b: str
+    """Second layer."""
+    map: str
+    """The map that both show."""
+    unit: str
+    """Of bias and limits."""
 
 
 class InstrumentFacts(Agreement, _OfTwoLayers):
@@ -188,40 +208,49 @@ class InstrumentFacts(Agreement, _OfTwoLayers):
 
     sd: Unsaved = optional("Standard deviation of b - a.")
     sd_interval: UnsavedInterval = optional("95 % interval of the standard deviation.")
-    slopes: KnownPair = optional("Slope of b over a, and 1 over that of a over b.")
-    shared_um: Number = optional("Both show the same in waves of this length and longer.")
-    sentence: str = Field(default="", description="What the rings of waves say, in words.")
-    trust: Trust = Field(default="ok", description="What the checks leave of it.")
+    slopes: KnownPair = None
+    """Slope of b over a, and 1 over that of a over b."""
+    shared_um: Number = None
+    """Both show the same in waves of this length and longer."""
+    sentence: str = ""
+    """What the rings of waves say, in words."""
+    trust: Trust = "ok"
+    """What the checks leave of it."""
 
 
-class SeriesResults(ResultModel):
+class SeriesResults(DescribedModel):
     """All numbers of a series of specimens."""
 
-    format: Literal[2] = Field(default=FORMAT, description="Version of this schema.")
-    stored_format: SkipJsonSchema[int] = Field(
-        default=FORMAT, exclude=True, description="Format of the file that was read; in no file."
-    )
-    planish: str = Field(description="Version of the program.")
-    declared: dict[str, object] = Field(
-        description="What was declared: factor, margins, maps, doubtful figures."
-    )
-    quantities: tuple[Quantity, ...] = Field(description="What is compared, the leading map first.")
-    headline_declared: bool = Field(
-        description="Whether the maps were declared; else they are those of the runs."
-    )
-    factors: tuple[str, ...] = Field(default=(), description="All factors of the table.")
-    grouped_by: tuple[str, ...] = Field(default=(), description="Factors that make the groups.")
-    compared_by: str | None = optional("Factor that is compared; None where there is none.")
-    sheets_given: bool = Field(description="Whether the table names the sheet of every specimen.")
-    specimens: tuple[SeriesSpecimen, ...] = Field(description="In the order of the table.")
-    groups: tuple[GroupFacts, ...] = Field(default=(), description="By group and quantity.")
-    differences: tuple[DifferenceFacts, ...] = Field(
-        default=(), description="By quantity and pair of levels."
-    )
-    instruments: tuple[InstrumentFacts, ...] = Field(
-        default=(), description="Specimens measured by two instruments."
-    )
-    cautions: tuple[str, ...] = Field(default=(), description="What to be careful about.")
+    format: Literal[2] = FORMAT
+    """Version of this schema."""
+    stored_format: SkipJsonSchema[int] = Field(default=FORMAT, exclude=True)
+    """Format of the file that was read; in no file."""
+    planish: str
+    """Version of the program."""
+    declared: dict[str, object]
+    """What was declared: factor, margins, maps, doubtful figures."""
+    quantities: tuple[Quantity, ...]
+    """What is compared, the leading map first."""
+    headline_declared: bool
+    """Whether the maps were declared; else they are those of the runs."""
+    factors: tuple[str, ...] = ()
+    """All factors of the table."""
+    grouped_by: tuple[str, ...] = ()
+    """Factors that make the groups."""
+    compared_by: str | None = None
+    """Factor that is compared; None where there is none."""
+    sheets_given: bool
+    """Whether the table names the sheet of every specimen."""
+    specimens: tuple[SeriesSpecimen, ...]
+    """In the order of the table."""
+    groups: tuple[GroupFacts, ...] = ()
+    """By group and quantity."""
+    differences: tuple[DifferenceFacts, ...] = ()
+    """By quantity and pair of levels."""
+    instruments: tuple[InstrumentFacts, ...] = ()
+    """Specimens measured by two instruments."""
+    cautions: tuple[str, ...] = ()
+    """What to be careful about."""
 
     @model_validator(mode="before")
     @classmethod

@@ -117,6 +117,12 @@ class ResultModel(BaseModel):
         return cls(**saved_fields | fields)
 
 
+class DescribedModel(ResultModel):
+    """A part of the results whose fields are described by the texts below them."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+
 class InputFile(ResultModel):
     """A file that was read, and the hash that tells it from every other."""
 
