@@ -535,8 +535,8 @@ def _from_format_2(stored_json: Any) -> Any:
     if "gates" in stored_json:
         checks: list[Any] = []
         for gate in stored_json["gates"]:
-            kept = {name: gate[name] for name in ("name", "sentence", "value", "limit")}
-            checks.append(kept | {"state": "pass" if gate["passed"] else "fail"})
+            same = {name: gate[name] for name in ("name", "sentence", "value", "limit")}
+            checks.append(same | {"state": "pass" if gate["passed"] else "fail"})
         sentence = (
             f"Made by planish {stored_json['planish']}, which made fewer checks and stated no"
             " intervals."

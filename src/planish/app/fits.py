@@ -21,7 +21,7 @@ from planish.core.errors import PlanishError
 from planish.core.facts import ResultModel
 from planish.core.text import and_join_few
 from planish.core.transform import Similarity
-from planish.core.typing import Bools, Complexes, Floats, Ints, Pair
+from planish.core.typing import Bools, Complexes, Floats, Ints, Pair, pair_of
 from planish.register import FittedTransform, RegistrationParams, fit_transform
 from planish.register.pairs import as_complex
 from planish.run.marks_registration import fit_marks
@@ -284,7 +284,8 @@ def _why_none(
 
 
 def _points(marks: Sequence[Mark], plane: Plane) -> Floats:
-    return np.array([getattr(mark, plane).xy for mark in marks], dtype=np.float64).reshape(-1, 2)
+    places = [getattr(mark, plane).xy for mark in marks]
+    return np.array(places, dtype=np.float64).reshape(-1, 2)
 
 
 def _least_squares(
@@ -297,8 +298,8 @@ def _least_squares(
 def _from_few_pairs(marks: Sequence[Mark], mirrored: bool | None) -> tuple[Any, str]:
     moving, fixed = (_points(marks, plane) for plane in PLANES)
     if len(moving) == 1:
-        x, y = (fixed[0] - (moving[0] * (-1.0, 1.0) if mirrored else moving[0])).tolist()
-        shift = Similarity(shift_um=(x, y), mirrored=bool(mirrored))
+        shift_um = fixed[0] - moving[0] * (-1.0 if mirrored else 1.0, 1.0)
+        shift = Similarity(shift_um=pair_of(shift_um), mirrored=bool(mirrored))
         return shift, "from 1 mark, a shift: rotation and scale unknown"
     with suppress(PlanishError):
         if len(moving):

@@ -23,6 +23,9 @@ way to the screen."""
 _log = logging.getLogger("planish.app")
 
 
+Wanted = tuple[tuple[Mark, ...], str]  # marks, and the model that is fitted to them
+
+
 class Live:
     """Fits of a session, one for each registration and state.
 
@@ -32,8 +35,8 @@ class Live:
     def __init__(self, session: Session) -> None:
         self.session = session
         self._lock = threading.Condition()
-        self._fits: dict[str, tuple[tuple[Mark, ...], str, Fitted]] = {}
-        self._queue: dict[str, tuple[tuple[Mark, ...], str]] = {}
+        self._fits: dict[str, tuple[Wanted, Fitted]] = {}
+        self._queue: dict[str, Wanted] = {}
         self._thread: threading.Thread | None = None
 
     def fit(self, layer: str) -> Fitted:
@@ -42,36 +45,35 @@ class Live:
         It is that of a similarity as long as that of another model is not ready.
         """
         state = self.session.state
-        marks = state.of(layer)
-        model = state.model
+        wanted = state.of(layer), state.model
         with self._lock:
-            current = self._current(layer, marks, model)
+            current = self._current(layer, wanted)
             if current is not None:
                 return current
-        quick_fit = self._fitted(layer, marks, model, quick=True)
+        quick_fit = self._fitted(layer, wanted, quick=True)
         with self._lock:
-            if self._current(layer, marks, model) is None:
-                self._fits[layer] = marks, model, quick_fit
+            if self._current(layer, wanted) is None:
+                self._fits[layer] = wanted, quick_fit
                 if quick_fit.is_pending:
-                    self._queue[layer] = marks, model
+                    self._queue[layer] = wanted
                     if self._thread is None:
                         self._thread = threading.Thread(target=self._work, name="fits", daemon=True)
                         self._thread.start()
-                    if model not in QUICK:
+                    if state.model not in QUICK:
                         self._lock.wait_for(
-                            lambda: not self._fits[layer][2].is_pending, timeout=WAIT_S
+                            lambda: not self._fits[layer][1].is_pending, timeout=WAIT_S
                         )
-            return self._current(layer, marks, model) or quick_fit
+            return self._current(layer, wanted) or quick_fit
 
-    def _current(self, layer: str, marks: tuple[Mark, ...], model: str) -> Fitted | None:
-        fitted_marks, fitted_model, fit = self._fits.get(layer, ((), "", None))
-        return fit if fitted_marks is marks and fitted_model == model else None
+    def _current(self, layer: str, wanted: Wanted) -> Fitted | None:
+        fit_of, fit = self._fits.get(layer, (None, None))
+        return fit if fit_of == wanted else None
 
-    def _fitted(self, layer: str, marks: tuple[Mark, ...], model: str, *, quick: bool) -> Fitted:
+    def _fitted(self, layer: str, wanted: Wanted, *, quick: bool) -> Fitted:
         params = self.session.study.registration
         mirrored = self.session.mirrored(layer)
         where = self.session.where(layer)
-        return fitted(marks, model, mirrored=mirrored, params=params, quick=quick, where=where)
+        return fitted(*wanted, mirrored=mirrored, params=params, quick=quick, where=where)
 
     def _work(self) -> None:
         """Work out what is wanted, the newest only, until nothing is."""
@@ -80,21 +82,21 @@ class Live:
                 if not self._queue:
                     self._thread = None
                     return
-                layer, (marks, model) = self._queue.popitem()
-            if model in QUICK:
+                layer, wanted = self._queue.popitem()
+            if wanted[1] in QUICK:
                 time.sleep(REST_S)
                 # Something else was clicked meanwhile.
-                if self._current(layer, marks, model) is None:
+                if self._current(layer, wanted) is None:
                     continue
             try:
-                full_fit = self._fitted(layer, marks, model, quick=False)
+                full_fit = self._fitted(layer, wanted, quick=False)
             except Exception:  # noqa: BLE001  it is in the log, and the quick fit stays
                 _log.exception("A fault in planish: a fit")
                 continue
             with self._lock:
-                if self._current(layer, marks, model) is None:
+                if self._current(layer, wanted) is None:
                     continue
-                self._fits[layer] = marks, model, full_fit
+                self._fits[layer] = wanted, full_fit
                 self._lock.notify_all()
             self.session.publish()
 

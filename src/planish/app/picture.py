@@ -286,6 +286,7 @@ class ComputedLevels:
         return temporary
 
     def _write(self, folder: Path) -> None:
+        """Write the levels that are kept, tile by tile of the full resolution."""
         level_files: dict[int, np.memmap[Any, Any]] = {}
         for k in self._cached_levels:
             level_files[k] = np.lib.format.open_memmap(

@@ -70,11 +70,8 @@ def nearest(
 
     The place is given along some axes of the volume.
     """
-    of_layer = {
-        p.variable: p
-        for p in tiles.pictures.on_same_pixels(picture)
-        if p.layer == layer or p.plane == "fixed"
-    }
+    pictures = tiles.pictures.on_same_pixels(picture)
+    of_layer = {p.variable: p for p in pictures if p.layer == layer or p.plane == "fixed"}
     maps = [of_layer[f"volume_{axis}"] for axis in place_um if f"volume_{axis}" in of_layer]
     if len(maps) < len(place_um):
         return None
@@ -244,10 +241,10 @@ def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None =
 def _pixels_between(centres_um: Floats, low_um: float, high_um: float, pixel_um: float) -> slice:
     # a border through the middle of a pixel takes it in, whatever was rounded.
     slack_um = 1e-6 * pixel_um
-    return slice(
-        int(np.searchsorted(centres_um, min(low_um, high_um) - slack_um, "left")),
-        int(np.searchsorted(centres_um, max(low_um, high_um) + slack_um, "right")),
-    )
+    low_um, high_um = min(low_um, high_um) - slack_um, max(low_um, high_um) + slack_um
+    first = np.searchsorted(centres_um, low_um, "left")
+    end = np.searchsorted(centres_um, high_um, "right")
+    return slice(int(first), int(end))
 
 
 def select(
@@ -269,7 +266,8 @@ def select(
     stop = stop or threading.Event()
     pixel_um = a.grid.pixel_um
     window: Window = (slice(None), slice(None)) if region is None else region.on(a)
-    x, y = (computed(p.full[window], partial(_read_until, stop, p.full[window])) for p in (a, b))
+    parts = [p.full[window] for p in (a, b)]
+    x, y = (computed(part, partial(_read_until, stop, part)) for part in parts)
     masks = [p.full[window] for p in tiles.pictures.valid_of(a, b)]
     if brushes or is_axial(a.full) or is_axial(b.full):
         unstated = dict.fromkeys(("r", "n_eff", "interval"))

@@ -395,9 +395,9 @@ def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     columns = {"x": x_um, "y": y_um, **places.extras}
     ends = list[End | None]()
     for k, source in enumerate(places.source):
-        known = {name: float(um[k]) for name, um in columns.items() if np.isfinite(um[k])}
-        is_placed = {"x", "y"} <= known.keys()
-        ends.append(End.model_validate(known | {"source": source}) if is_placed else None)
+        end = {name: float(um[k]) for name, um in columns.items() if np.isfinite(um[k])}
+        is_placed = {"x", "y"} <= end.keys()
+        ends.append(End.model_validate(end | {"source": source}) if is_placed else None)
     return ends
 
 
@@ -413,7 +413,8 @@ def pairs_of(
     pairs: list[Mark] = []
     for k, (moving_end, fixed_end) in enumerate(ends):
         if moving_end is not None and fixed_end is not None:
-            text, used = label(marks["label"].values[k]), bool(marks["used"].values[k])
+            text = label(marks["label"].values[k])
+            used = bool(marks["used"].values[k])
             pair = Mark(id=f"m0-{k + 1}", label=text, used=used, moving=moving_end, fixed=fixed_end)
             pairs.append(pair)
     return tuple(pairs)

@@ -137,7 +137,7 @@ class SlicedSheet:
         direction: Direction,
         index: int,
         values: Array,
-        codes: Codes | None,
+        codes: Codes | None = None,
         lines: Mapping[str, Floats] | None = None,
         contours: Mapping[str, Floats] | None = None,
         **axes: AxisFacts,
@@ -145,6 +145,7 @@ class SlicedSheet:
         """A slice as the page takes it: grey in 16 bits, curves in 32, and what both mean."""
         lines = lines or {}
         contours = contours or {}
+        codes = codes or self.codes
         if codes is None:
             pixels = values.astype(np.uint16)
             scale = 1.0
@@ -186,10 +187,9 @@ class SlicedSheet:
         it is straightened; ``near_um`` the place across and down around which a large slice is cut,
         its middle where None; ``corrections`` are seen as ``preview_top`` and ``preview_bottom``.
         """
-        if not 0 <= index < self.count(direction):
-            raise InputError(
-                f"There is no slice {index} along {direction}; there are {self.count(direction)}."
-            )
+        n_slices = self.count(direction)
+        if not 0 <= index < n_slices:
+            raise InputError(f"There is no slice {index} along {direction}; there are {n_slices}.")
         with self._lock:  # decoders of files are not all made for several threads
             if direction == "straight":
                 return self._straight(index, near_um, corrections)
@@ -218,8 +218,7 @@ class SlicedSheet:
             direction,
             index,
             values,
-            self.codes,
-            lines,
+            lines=lines,
             across=self._edge(axis, cols),
             down=edge_of(frame.through, depth_um),
             columns=edge_of(axis, self._columns_um(axis)[columns]),
@@ -243,7 +242,6 @@ class SlicedSheet:
             frame.through,
             index,
             values,
-            self.codes,
             contours=contours,
             across=self._edge(frame.cols, cols),
             down=self._edge(frame.rows, rows),
@@ -296,25 +294,19 @@ class SlicedSheet:
 
         frame = self.frame
         centre = lines["place"]
-        normal = {
-            getattr(frame, direction): lines[f"normal_{direction}"]
-            for direction in ("rows", "cols", "through")
-        }
-        row_um = self._columns_um(frame.rows)[index]
-        cols_um = self._columns_um(frame.cols)[window]
         centre_um = {
-            frame.rows: np.full(centre.shape, row_um),
-            frame.cols: cols_um,
-            frame.through: centre,
+            "rows": np.full(centre.shape, self._columns_um(frame.rows)[index]),
+            "cols": self._columns_um(frame.cols)[window],
+            "through": centre,
         }
-        is_sheet = np.isfinite(centre) & np.isfinite(normal[frame.through])
+        is_sheet = np.isfinite(centre) & np.isfinite(lines["normal_through"])
         values = np.full((s_um.size, centre.size), np.nan)
         if not is_sheet.any():
             return values
-        samples_um = {
-            axis: um[is_sheet] + s_um[:, None] * normal[axis][is_sheet]
-            for axis, um in centre_um.items()
-        }
+        samples_um: dict[str, Floats] = {}
+        for direction, um in centre_um.items():
+            along_normal_um = s_um[:, None] * lines[f"normal_{direction}"][is_sheet]
+            samples_um[getattr(frame, direction)] = um[is_sheet] + along_normal_um
         block, positions = voxels_around(self.volume, samples_um)
         block = block.astype(np.float32)
         values[:, is_sheet] = ndimage.map_coordinates(
@@ -339,11 +331,10 @@ class SlicedSheet:
     def _surfaces_in(
         self, rows: slice, cols: slice, names: Sequence[str] | None = None
     ) -> xr.Dataset:
-        all_names = [str(name) for name in self.surfaces.data_vars]
-        names = names or [
-            name for name in all_names if name in _READ_NAMES or name.startswith(_READ_PREFIXES)
-        ]
-        return self.surfaces[list(names)].isel(y=rows, x=cols).load()
+        if names is None:
+            stored = map(str, self.surfaces.data_vars)
+            names = [k for k in stored if k in _READ_NAMES or k.startswith(_READ_PREFIXES)]
+        return self.surfaces[[*names]].isel(y=rows, x=cols).load()
 
     def _lines(
         self, along: str, index: int, columns: slice, corrections: Corrections | None
@@ -354,17 +345,13 @@ class SlicedSheet:
         offset = index - neighbours.start
         neighbourhood = self._surfaces_in(*_in_order(neighbours, columns, axis))
         profile = neighbourhood.isel({"yx"[axis]: offset})
-        lines = {name: profile[name].values.astype(np.float64) for name in HEIGHTS}
+        lines = {str(k): data.values.astype(np.float64) for k, data in profile.items()}
         centre = self.frame.sign * neighbourhood["centre"].values.astype(np.float64)
         all_normals = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
         normals = np.take(all_normals, offset, axis=axis)
         lines["place"] = lines["centre"]
         lines["normal_rows"], lines["normal_cols"] = normals[:, 0], normals[:, 1]
         lines["normal_through"] = self.frame.sign * normals[:, 2]
-        names = [str(name) for name in profile.data_vars if str(name).startswith(_READ_PREFIXES)]
-        for name in ("thickness_se", "status", *names):
-            if name in profile:
-                lines[name] = profile[name].values.astype(np.float64)
         if "found_status" in lines:
             lines["found_status"][lines["found_status"] == 255] = np.nan
         if corrections is not None and corrections.stretches:

@@ -49,12 +49,11 @@ def snapped(session: Session, layer: str, mark: Mark) -> Move:
 
 def not_snapped(session: Session, layer: str, mark: Mark, move: Move) -> str:
     """Name the end that lies in no hole, where the other one does."""
-    missing = [
-        session.where(layer)[p]
-        for p in PLANES
-        if getattr(mark, p) is not None and getattr(move, p) is None
-    ]
-    return f"{mark.label} was not snapped {missing[0]}: no hole was found there." if missing else ""
+    for plane in PLANES:
+        if getattr(mark, plane) is not None and getattr(move, plane) is None:
+            place = session.where(layer)[plane]
+            return f"{mark.label} was not snapped {place}: no hole was found there."
+    return ""
 
 
 def warm(session: Session) -> None:
@@ -69,9 +68,8 @@ def warm(session: Session) -> None:
 
 def hole_at(session: Session, layer: str, plane: Plane, point_um: Pair) -> End | None:
     """The hole around a point, with what is known of it; None where there is none."""
-    return _nearest_hole(session.holes(layer)[plane], plane, point_um) or _nearest_hole(
-        _search_holes(session, layer, plane, point_um), plane, point_um
-    )
+    hole = _nearest_hole(session.holes(layer)[plane], plane, point_um)
+    return hole or _nearest_hole(_search_holes(session, layer, plane, point_um), plane, point_um)
 
 
 def _nearest_hole(holes: xr.Dataset | None, plane: Plane, point_um: Pair) -> End | None:
@@ -122,11 +120,9 @@ def _hole_layers(session: Session, layer: str, plane: Plane) -> dict[str, xr.Dat
 
 def _window(data: xr.DataArray, point_um: Pair, reach_um: float) -> xr.DataArray | None:
     grid = Grid.of(data)
-    indices = [
-        np.flatnonzero(np.abs(v - c) <= reach_um)
-        for v, c in ((grid.y_um, point_um[1]), (grid.x_um, point_um[0]))
-    ]
-    if min(r.size for r in indices) < 8:
+    x_um, y_um = point_um
+    rows = np.flatnonzero(np.abs(grid.y_um - y_um) <= reach_um)
+    cols = np.flatnonzero(np.abs(grid.x_um - x_um) <= reach_um)
+    if min(rows.size, cols.size) < 8:
         return None
-    rows, cols = (slice(int(r[0]), int(r[-1]) + 1) for r in indices)
-    return data[rows, cols].compute()
+    return data[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].compute()

@@ -63,11 +63,8 @@ def compare_layers(study: Study, overlay: Overlay, progress: Progress) -> Compar
         correlations += correlate_layers(
             a.name, b.name, overlay.maps, study.correlate.point_um, light_off=is_light_off
         )
-    textures = {
-        (a.name, b.name): _texture_of_pair(a, b)
-        for a, b in pairs
-        if a.kind != b.kind or a.layer.side == b.layer.side
-    }
+    comparable = [(a, b) for a, b in pairs if a.kind != b.kind or a.layer.side == b.layer.side]
+    textures = {(a.name, b.name): _texture_of_pair(a, b) for a, b in comparable}
     facts = _facts_of_layers(study, overlay, textures)
     area = None
     registrations = tuple[ComparisonRow, ...]()
@@ -161,8 +158,8 @@ def _bounds(valid: xr.DataArray) -> Window:
 
 
 def _bound(is_in: Bools) -> slice:
-    places = np.flatnonzero(is_in)
-    return slice(int(places[0]), int(places[-1]) + 1) if places.size else slice(0, 0)
+    places = np.flatnonzero(is_in).tolist()
+    return slice(places[0], places[-1] + 1) if places else slice(0, 0)
 
 
 def _evidence(
@@ -318,9 +315,8 @@ def correlate_maps(
                 "A screen was taken off the image before the regions were known, and what they hold"
                 " has reached their neighbours. Give `regions` to 'planish link' instead."
             )
-        valid_bands = [
-            valid & ~regions.inside(grid.part(rows))
-            for rows, (valid,) in read_bands(linked["valid"])
-        ]
+        valid_bands: list[Bools] = []
+        for rows, (is_valid,) in read_bands(linked["valid"]):
+            valid_bands.append(is_valid & ~regions.inside(grid.part(rows)))
         linked = linked.assign(valid=(("y", "x"), np.concatenate(valid_bands)))
     return tuple(correlate_layers(*names, split_linked(linked, *names), params.point_um))

@@ -91,13 +91,13 @@ def _read_image(params: GivenLayer) -> MappedLayer:
 def _check_marks(study: Study, layers: Mapping[str, MappedLayer], holes: HoleSearch) -> None:
     """Refuse marks of no use, and images with too few holes where the texture cannot help."""
     # A volume, which is not mapped yet, is a name.
-    known = [layers.get(params.name, params.name) for params in study.layers]
+    sources = [layers.get(params.name, params.name) for params in study.layers]
     for k, k_fixed in enumerate(study.next_layers):
         path = study.layers[k].marks or study.registration.marks
         if path is not None:
-            read_given(path, known[k], known[k_fixed])
+            read_given(path, sources[k], sources[k_fixed])
         elif study.registration.by == "holes":
-            for image in (known[k], known[k_fixed]):
+            for image in (sources[k], sources[k_fixed]):
                 if not isinstance(image, str) and image.kind == "image":
                     need_holes(holes.of(image, image), study.holes.hole_um)
 

@@ -41,7 +41,8 @@ def register_layers(
         registrations.append(registration)
         is_other_side = registration.fit.mirrored and layer.kind != fixed.kind
         if registration.source == "texture" and is_other_side and not study.registration.mirror:
-            layers[k], layers[k_fixed] = _seen_from_bottom(layer), _seen_from_bottom(fixed)
+            layers[k] = _seen_from_bottom(layer)
+            layers[k_fixed] = _seen_from_bottom(fixed)
     links: dict[str, Link] = {}
     for k, k_fixed in enumerate(study.next_layers):
         path, steps = [layers[k], layers[k_fixed]], registrations[k : k + 1]
