@@ -14,6 +14,7 @@ from pydantic import Field
 from planish.analyze.agreement import LIMIT
 from planish.analyze.correlation import Correlation, PairAtSizes, PairSums
 from planish.analyze.differences import holm, paired_difference
+from planish.analyze.distributions import around
 from planish.analyze.light_field import without_light
 from planish.core.axial import is_axial
 from planish.core.bands import read_bands
@@ -118,9 +119,8 @@ def maps_to_correlate(maps: xr.Dataset) -> list[str]:
     """
     if "image" in maps and "thickness" not in maps:
         return ["image"]
-    names = [
-        str(k) for k, data in maps.data_vars.items() if is_property(data) and not is_axial(data)
-    ]
+    measured = {str(name): data for name, data in maps.data_vars.items() if is_property(data)}
+    names = [name for name, data in measured.items() if not is_axial(data)]
     # A store gives its maps in the order of the alphabet: here they stand in one order, wherever
     # they come from.
     order = {name: index for index, name in enumerate(PROPERTIES)}
@@ -157,18 +157,16 @@ def correlate_layers(
     if are_sheets:
         pairs = [(name, name) for name in names_a if name in names_b]
     rows: list[CorrelationRow] = []
-    for pair, pair_sums in zip(pairs, _sums_of_pairs(layers, pairs, point_um), strict=True):
+    all_sums = _sums_of_pairs(layers, pairs, point_um)
+    for (a_map, b_map), pair_sums in zip(pairs, all_sums, strict=True):
         correlations = _sizes(pair_sums, light_off=light_off)
         if not correlations[0][0].n:
             continue
-        units = str(layers[0][pair[0]].attrs.get("units", "1"))
+        maps_of_row = {"a": a, "a_map": a_map, "b": b, "b_map": b_map}
+        units = str(layers[0][a_map].attrs.get("units", "1"))
         for correlation, sums in correlations:
             agreement = _agreement(sums, units) if are_sheets else {}
-            rows.append(
-                CorrelationRow.holding(
-                    correlation, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement
-                )
-            )
+            rows.append(CorrelationRow.holding(correlation, **maps_of_row, **agreement))
     yield from _with_p_of_table(rows)
 
 
@@ -202,7 +200,7 @@ def _agreement(sums: PairSums, units: str) -> Entries:
         "same_quantity": True,
         "difference_mean": mean,
         "difference_sd": sd,
-        "limits": (mean - LIMIT * sd, mean + LIMIT * sd),
+        "limits": around(mean, LIMIT * sd),
         "units": units,
     }
 
@@ -278,20 +276,13 @@ def comparison_rows(
         valid = np.logical_and.reduce([is_valid, away(part), *map(np.isfinite, placed)])
         compared = [np.where(valid, m, np.nan) for m in placed]
         map_threads(PairAtSizes.add, sums, repeat(rows.start), compared, repeat(image))
-    maps_of_run = (sums[-1].cells(), (sums[-1].points(), (point_um, point_um)))
-    sizes = [_sizes(variant_sums, light_off=light_off) for variant_sums in sums]
-    r_of_run = [row.r for row, _ in sizes[-1]]
-    for variant, variant_sums, variant_sizes in zip(variants, sums, sizes, strict=True):
-        for (row, _), variant_maps, run_r, run_maps in zip(
-            variant_sizes,
-            (variant_sums.cells()[0], variant_sums.points()),
-            r_of_run,
-            maps_of_run,
-            strict=True,
-        ):
+    of_run = _rows_with_maps(sums[-1], point_um, light_off=light_off)
+    for variant, variant_sums in zip(variants, sums, strict=True):
+        rows = _rows_with_maps(variant_sums, point_um, light_off=light_off)
+        for (row, pair, _), (run_row, *run_pair) in zip(rows, of_run, strict=True):
             change: Entries = {}
             if variant.mesh is not None and row.n:
-                change = _change(run_r - row.r, variant_maps, *run_maps)
+                change = _change(run_row.r - row.r, pair, *run_pair)
             yield ComparisonRow.holding(
                 row,
                 registration=variant.title,
@@ -299,6 +290,14 @@ def comparison_rows(
                 marks_rms_um=variant.rms_um,
                 **change,
             )
+
+
+def _rows_with_maps(
+    sums: PairAtSizes, point_um: float, *, light_off: bool
+) -> list[tuple[Correlation, Sequence[Array], Pixel]]:
+    """The correlations of all sizes, each with the two maps that stand for it, and their pixel."""
+    (pixel, _), (points, _) = _sizes(sums, light_off=light_off)
+    return [(pixel, *sums.cells()), (points, sums.points(), point_um)]
 
 
 def _change(
@@ -316,11 +315,9 @@ def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator
     for title, coordinates, model in REGISTRATION_VARIANTS:
         if model == fit.model and coordinates == ("u", "v"):
             continue  # the run's own
-        marks = (
-            fit.moving
-            if coordinates == ("u", "v")
-            else values_at(sheet["maps"], coordinates, fit.moving)
-        )
+        marks = fit.moving
+        if coordinates != ("u", "v"):
+            marks = values_at(sheet["maps"], coordinates, marks)
         if not np.isfinite(marks).all():
             raise MarkError(
                 "A mark lies outside the flattened sheet. Remove it from the table of marks."

@@ -41,6 +41,14 @@ def widened(r: float, interval: Pair, ratios: float | Floats) -> Pair:
     return pair_of(np.tanh(z + ratios * (fisher_z(interval) - z)))
 
 
+def variance_interval(variance: float, degrees: float) -> Pair:
+    """95 % interval of a variance that is known with so many degrees of freedom."""
+    if not variance > 0 or math.isinf(degrees):
+        return variance, variance
+    quantiles = 2.0 * special.gammaincinv(degrees / 2, [0.975, 0.025])
+    return pair_of(variance * degrees / quantiles)
+
+
 def normal_tail(value: float) -> float:
     """The share of the standard normal distribution above a value."""
     return float(special.ndtr(-value))

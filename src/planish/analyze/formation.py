@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 from pydantic import Field
-from scipy import fft, special
+from scipy import fft
 
+from planish.analyze.distributions import variance_interval
 from planish.core.area import area_mean, square_px
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, ResultModel, Value, optional
@@ -146,10 +147,9 @@ def formation_number(
     cov = math.sqrt(max(variance, 0.0)) / mean
     random_cov = math.sqrt(expected)
     number = cov / random_cov
-    quantiles = 2 * special.gammaincinv(degrees / 2, [0.975, 0.025]) / degrees
     return Formation(
         number=number,
-        interval=pair_of(number / np.sqrt(quantiles)),
+        interval=pair_of(np.sqrt(variance_interval(number**2, degrees))),
         cell_um=cell_um,
         n=n,
         cov=cov,

@@ -16,7 +16,7 @@ from planish.analyze.correlation import valid_pixels
 from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Number, ResultModel, optional
-from planish.core.typing import Array, Bools, Pair, Pixel
+from planish.core.typing import Array, Bools, Pair, Pixel, pair_of
 from planish.io.light import LightFacts
 from planish.io.params import ImageParams
 from planish.io.tone import Gamma, linear_grey
@@ -124,10 +124,10 @@ def compared_image(
     CannotMeasure
         If no pixel is known.
     """
-    values = image.values
-    title = str(image.attrs.get("long_name", "Image"))
     if params.dark_grey is None and params.screen_um is None:
         return image
+    values = image.values
+    title = str(image.attrs.get("long_name", "Image"))
     more: dict[str, object] = {}
     if params.dark_grey is not None and params.white_grey is not None:
         scale = image.attrs.get("full_scale")
@@ -136,10 +136,9 @@ def compared_image(
         _, comma, channel = title.replace(", uncalibrated", "").partition(", ")
         title = f"Reflectance{comma}{channel}"
     if params.screen_um is not None:
-        pixel = float(image.attrs["pixel_um"][0]), float(image.attrs["pixel_um"][1])
-        values = without_screen(
-            values, pixel_um=pixel, sigma_um=SCREEN_SIGMA * params.screen_um, mask=mask
-        )
+        pixel = pair_of(np.asarray(image.attrs["pixel_um"], dtype=np.float64))
+        sigma_um = SCREEN_SIGMA * params.screen_um
+        values = without_screen(values, pixel_um=pixel, sigma_um=sigma_um, mask=mask)
         title = f"{title}, without its screen"
         more["reach_um"] = reach_um(params)
     return image.copy(data=values).assign_attrs(long_name=title, **more)
@@ -205,14 +204,8 @@ def without_screen(
             " larger sigma_um, or an image with smaller pixels."
         )
     kind = np.result_type(values.dtype, np.float32)
-    weight = valid.astype(kind)
-    return smooth(
-        np.where(valid, values, 0).astype(kind, copy=False),
-        weight,
-        valid,
-        sigma,
-        truncate=SCREEN_REACH,
-    )
+    known = np.where(valid, values, 0).astype(kind, copy=False)
+    return smooth(known, valid.astype(kind), valid, sigma, truncate=SCREEN_REACH)
 
 
 def smooth(
@@ -222,8 +215,10 @@ def smooth(
 
     NaN where nothing is known.
     """
-    total = ndimage.gaussian_filter(values, sigma, mode="constant", truncate=truncate)
-    full = ndimage.gaussian_filter(weight, sigma, mode="constant", truncate=truncate)
+    total, full = (
+        ndimage.gaussian_filter(m, sigma, mode="constant", truncate=truncate)
+        for m in (values, weight)
+    )
     return np.divide(total, full, out=np.full_like(total, np.nan), where=is_valid)
 
 

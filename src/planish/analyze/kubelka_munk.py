@@ -19,7 +19,7 @@ from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.reflectance import layer_over
-from planish.core.typing import Entries, Floats, Pair
+from planish.core.typing import Entries, Floats, Pair, pair_of
 
 # S times the mean of x, up to where a layer hides everything, and the backing.
 _LOW = np.array([0.0, 0.0])
@@ -142,22 +142,23 @@ def fit_kubelka_munk(
         )
     intervals: list[Pair] = [*zip(best, best, strict=True)]
     if rms > 1e-9:  # else the fit has no error
-        limit = sum_of_squares * (1 + t_95(n_slope - 2) ** 2 / (n_slope - 2))
+        free = n_slope - 2
+        limit = sum_of_squares * (1 + t_95(free) ** 2 / free)
         intervals = [fit.interval(k, best, limit) for k in (0, 1)]
+    s_low, s_high = intervals[0]
     low_backing, high_backing = (
-        fit.refit(0, s, best) if s < math.inf else math.nan for s in intervals[0]
+        fit.refit(0, s, best) if s < math.inf else math.nan for s in (s_low, s_high)
     )
-    per_unit = 1000.0 if weight else 1.0  # g to kg
-    scattering, low, high = (s / x_mean * per_unit for s in (best[0], *intervals[0]))
+    per_x = (1000.0 if weight else 1.0) / x_mean  # g to kg
     return KubelkaMunk(
         ratio=ratio,
         n=xs.size,
         n_eff=n_slope,
         weight=weight,
-        scattering=scattering,
+        scattering=best[0] * per_x,
         backing=best[1],
         rms=rms,
-        scattering_interval=(low, high),
+        scattering_interval=(s_low * per_x, s_high * per_x),
         backing_interval=intervals[1],
         backing_at_ends=(low_backing, high_backing),
     )
@@ -206,21 +207,21 @@ class _Fit:
 
     def best(self) -> Pair:
         """Both free, from the straight line on: dR/dW of a layer is S [(1 - R)^2 - 2 R K/S]."""
-        x, y = self._x, self._y
-        slope = float(np.cov(x, y)[0, 1] / x.var(ddof=1))
-        y_mean = float(y.mean())
+        slope = float(np.polyfit(self._x, self._y, 1)[0])
+        y_mean = float(self._y.mean())
         slope_of_s = (1 - y_mean) ** 2 - 2 * y_mean * self._ratio
         s = slope / slope_of_s if abs(slope_of_s) > 1e-3 else 1.0
-        start = float(np.clip(s, 0.01, 100.0)), float(np.clip(y_mean - slope, 0.01, 0.99))
-        s, backing = _solved(lambda v: self._residuals(v[0], v[1]), start, slice(2))
-        return float(s), float(backing)
+        start = np.clip([s, y_mean - slope], [0.01, 0.01], [100.0, 0.99])
+        return pair_of(_solved(lambda v: self._residuals(v[0], v[1]), start, slice(2)))
 
     def refit(self, k: int, fixed: float, best: Pair) -> float:
         """Find the other parameter, near that of the best fit, that fits best with one fixed."""
         free = slice(1 - k, 2 - k)
-        return float(
-            _solved(lambda v: self._residuals(*_parameters(k, fixed, v[0])), best[free], free)[0]
-        )
+
+        def residuals(v: Floats) -> Floats:
+            return self._residuals(*_parameters(k, fixed, v[0]))
+
+        return float(_solved(residuals, best[free], free)[0])
 
     def interval(self, k: int, best: Pair, limit: float) -> Pair:
         """Values of one parameter for which the other can keep the sum of squares below a limit."""
@@ -228,11 +229,11 @@ class _Fit:
         def excess(value: float) -> float:
             return self.squares(*_parameters(k, value, self.refit(k, value, best))) - limit
 
-        low = float(_LOW[k])
-        high = float(_HIGH[k])
+        low, high = float(_LOW[k]), float(_HIGH[k])
+        unlimited = math.inf if k == 0 else high
         return (
             _crossing(excess, best[k], low, low),
-            _crossing(excess, best[k], high, math.inf if k == 0 else high),
+            _crossing(excess, best[k], high, unlimited),
         )
 
     def _residuals(self, s: float, backing: float) -> Floats:
@@ -244,19 +245,13 @@ def _parameters(k: int, fixed_value: float, free_value: float) -> Pair:
     return (fixed_value, free_value) if k == 0 else (free_value, fixed_value)
 
 
-def _solved(
-    residuals: Callable[[Floats], Floats], start: tuple[float, ...], free_slice: slice
-) -> Floats:
+def _solved(residuals: Callable[[Floats], Floats], start: ArrayLike, free_slice: slice) -> Floats:
     """Least squares over the parameters that are free, within what is possible."""
     low, high = _LOW[free_slice], _HIGH[free_slice]
+    inside = np.clip(start, low + 1e-9, high - 1e-9)
+    accuracy: Entries = {"xtol": 1e-12, "ftol": 1e-14, "gtol": 1e-14}
     return optimize.least_squares(
-        residuals,
-        np.clip(start, low + 1e-9, high - 1e-9),
-        bounds=(low, high),
-        x_scale="jac",
-        xtol=1e-12,
-        ftol=1e-14,
-        gtol=1e-14,
+        residuals, inside, bounds=(low, high), x_scale="jac", **accuracy
     ).x
 
 
@@ -304,7 +299,9 @@ def kubelka_munk_of(
 
     ``density``: um to g/m2, 1 for weights, None for lengths.
     """
-    is_weight, x, y = density is not None, points[0] * (density or 1.0), points[1]
+    is_weight = density is not None
+    x = points[0] * (density or 1.0)
+    y = points[1]
     try:
         count = independent_points(x, y, pixel_um=point_um)
         curve = fit_kubelka_munk(
@@ -334,12 +331,8 @@ def answer_kubelka_munk(pair: ComparedMaps) -> Entries:
     if ratio is None or not pair.is_coat_on_image:
         return {}
     if pair.why_no_points:
-        return {
-            "kubelka_munk": KubelkaMunk(point_um=point_um, ratio=ratio, reason=pair.why_no_points)
-        }
-    density = 1.0 if pair.units[0] == "g/m2" else answer_density(pair).get("density_g_cm3")
-    return {
-        "kubelka_munk": kubelka_munk_of(
-            pair.points, point_um=point_um, ratio=ratio, density=density
-        )
-    }
+        curve = KubelkaMunk(point_um=point_um, ratio=ratio, reason=pair.why_no_points)
+    else:
+        density = 1.0 if pair.units[0] == "g/m2" else answer_density(pair).get("density_g_cm3")
+        curve = kubelka_munk_of(pair.points, point_um=point_um, ratio=ratio, density=density)
+    return {"kubelka_munk": curve}

@@ -18,7 +18,7 @@ from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.numbers import in_ascii, to_spread
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Entries, Floats, Pair, pair_of
 from planish.texture.detrend import PhaseSurrogate
 from planish.texture.lag_field import LagField, lag_field
 from planish.texture.lag_search import LagSearch
@@ -27,6 +27,10 @@ from planish.texture.textures import Textures
 
 Reason = Literal["few", "texture", "border", "rival", "light"]
 NAME = "position by texture"
+ALLOWED = math.sqrt(-math.log(0.05))
+"""Of their rms, what 95 % of displacements stay below that are normal with one spread along x and
+y."""
+
 _REASONS: dict[Reason, str] = {
     "few": "too few pixels are known in all maps",
     "texture": "the maps have no texture in common that stands out from chance",
@@ -80,13 +84,6 @@ class LagNumbers(ResultModel):
     tiles: tuple[LagTile, ...] = Field(description="Lags of parts of the map.")
 
 
-# Of a lag, in this order in the results.
-_SAVED = (
-    *("lag_um", "se_um", "length_um", "length_se_um", "r", "r_at_zero", "limit_r", "reason"),
-    *("pixel_um", "n", "reach_um", "light"),
-)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lag:
     """Where the last map's texture lies, relative to that of the first ones.
@@ -116,8 +113,7 @@ class Lag:
     @property
     def se_um(self) -> Pair:
         """Standard errors along x and y, in um."""
-        x, y = np.sqrt(np.diag(self.covariance_um2))
-        return float(x), float(y)
+        return pair_of(np.sqrt(np.diag(self.covariance_um2)))
 
     @property
     def length_um(self) -> float:
@@ -153,20 +149,16 @@ class Lag:
         return self.length_um <= self._allowed_um(expected_error_um)
 
     def _allowed_um(self, expected_error_um: float) -> float:
-        """Length that 95 % of the lags of right registrations stay below.
-
-        The lags are normal with one spread along x and y.
-        """
-        return math.sqrt(-math.log(0.05)) * math.hypot(expected_error_um, *self.se_um)
+        """Length that 95 % of the lags of right registrations stay below."""
+        return ALLOWED * math.hypot(expected_error_um, *self.se_um)
 
     def scaled(self, factor: float) -> Lag:
         """The same with lengths that are larger by a factor."""
-        (down, across), (x, y) = self.pixel_um, self.lag_um
         return replace(
             self,
             reach_um=factor * self.reach_um,
-            pixel_um=(factor * down, factor * across),
-            lag_um=(factor * x, factor * y),
+            pixel_um=pair_of(np.multiply(factor, self.pixel_um)),
+            lag_um=pair_of(np.multiply(factor, self.lag_um)),
             covariance_um2=factor**2 * self.covariance_um2,
             field=None if self.field is None else self.field.scaled(factor),
         )
@@ -181,8 +173,9 @@ class Lag:
             sentence = f"{inconclusive} {_REASONS[self.reason]}."
             return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
         length, length_error = self.length_um, self.length_se_um
+        lengths_um = (length, length_error, *self.lag_um)
         length_text, error_text, x_text, y_text = (
-            in_ascii(to_spread(um, length_error)) for um in (length, length_error, *self.lag_um)
+            in_ascii(to_spread(um, length_error)) for um in lengths_um
         )
         offset = (
             f"y their texture the maps lie {length_text} ± {error_text} um apart (x {x_text}, y"
@@ -193,26 +186,16 @@ class Lag:
             return Check(name=NAME, state="unknown", sentence=sentence, value=length, units="um")
         limit_um = self._allowed_um(expected_error_um)
         expected = f"expected error {to_spread(expected_error_um, expected_error_um)} um"
-        judge = partial(
-            Check,
-            name=NAME,
-            value=length,
-            limit=limit_um,
-            units="um",
-            figures=(POSITION, CORRELATION),
-        )
+        judge = partial(Check, name=NAME, value=length, limit=limit_um, units="um")
+        judge = partial(judge, figures=(POSITION, CORRELATION))
         if length <= limit_um:
             is_vague = math.hypot(*self.se_um) > max(expected_error_um, *self.pixel_um)
             verdict = "agrees, but is less certain than the marks" if is_vague else "agrees"
             return judge(state="pass", sentence=f"B{offset}, {expected}: {verdict}.")
         excess = f"more than the marks allow ({expected})"
         if length <= 3.0 * length_error:
-            return judge(
-                state="unknown",
-                sentence=(
-                    f"{inconclusive} b{offset}, which is {excess} but within 3 standard errors."
-                ),
-            )
+            sentence = f"{inconclusive} b{offset}, which is {excess} but within 3 standard errors."
+            return judge(state="unknown", sentence=sentence)
         return judge(
             state="look",
             sentence=f"B{offset}, {excess}. Nothing else shows a shift that all marks share.",
@@ -232,22 +215,25 @@ class Lag:
         With the first map's property, and the expected error if known.
         """
         expected_um = math.nan if expected_error_um is None else expected_error_um
+        field = self.field
         tile_um = math.nan
         tiles: list[LagTile] = []
-        if self.field is not None:
-            tile_um = self.field.tile_um
-            columns = (self.field.at_um, self.field.lag_um, self.field.distinct)
-            for (x, y), lag, distinct in zip(*(column.tolist() for column in columns), strict=True):
-                tiles.append(LagTile(x=x, y=y, lag_um=lag, distinct=distinct))
-        return LagNumbers(
-            **{name: getattr(self, name) for name in _SAVED},
-            property=property_name,
-            agrees=self.agrees(expected_um),
-            expected_um=expected_um,
-            sentence=self.sentence(expected_um),
-            tile_um=tile_um,
-            tiles=tuple(tiles),
-        )
+        if field is not None:
+            tile_um = field.tile_um
+            for (x, y), lag, distinct in zip(
+                field.at_um, field.lag_um, field.distinct, strict=True
+            ):
+                tiles.append(LagTile(x=x, y=y, lag_um=pair_of(lag), distinct=distinct))
+        of_run: Entries = {
+            "property": property_name,
+            "agrees": self.agrees(expected_um),
+            "expected_um": expected_um,
+            "sentence": self.sentence(expected_um),
+            "tile_um": tile_um,
+            "tiles": tuple(tiles),
+        }
+        of_lag = {k: getattr(self, k) for k in LagNumbers.model_fields if k not in of_run}
+        return LagNumbers(**of_lag | of_run)
 
 
 def texture_lag(  # noqa: PLR0911
@@ -304,15 +290,14 @@ def texture_lag(  # noqa: PLR0911
     halves = [texture.halves(k) for k in first]
     x = np.concatenate(halves)
     y = texture.maps[last]
-    search = LagSearch(x, y, texture.known, (reach[0] + MARGIN, reach[1] + MARGIN))
+    no_lag = (reach[0] + MARGIN, reach[1] + MARGIN)
+    search = LagSearch(x, y, texture.known, no_lag)
     allowed = within(reach)
     limit = search.limit(reach)
     above = allowed & (search.height > limit)
     peak = find_peak(search.share, above if above.any() else allowed)
-    share_at_zero = search.share[search.share.shape[0] // 2, search.share.shape[1] // 2]
-    lag = build_lag(
-        reason="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(share_at_zero, 0))
-    )
+    r_at_zero = math.sqrt(max(search.share[no_lag], 0))
+    lag = build_lag(reason="texture", limit_r=math.sqrt(limit), r_at_zero=r_at_zero)
     if peak is None:
         return lag
     weights = search.weights(peak.lag_px)
@@ -326,7 +311,8 @@ def texture_lag(  # noqa: PLR0911
         return replace(lag, reason="border")
     if rival_of(search.share, peak, allowed) > max(limit, 0.8 * peak.r):
         return replace(lag, reason="rival")
-    lag = _located(lag, search, peak, halves_of_slopes=sum(map(len, halves[len(first) - slopes :])))
+    n_slopes = sum(map(len, halves[len(first) - slopes :]))
+    lag = _located(lag, search, peak, halves_of_slopes=n_slopes)
     if tiles_um is None or not lag.distinct:
         return lag
     unrelated = PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(20090501))
@@ -375,5 +361,5 @@ def _located(lag: Lag, search: LagSearch, peak: Peak, *, halves_of_slopes: int) 
     covariance += (0.1 * max(lag.pixel_um)) ** 2 * np.eye(2)  # what is lost between the pixels
     if not math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) < lag.reach_um / 4:
         return replace(lag, reason=unsure)
-    x_um, y_um = (float(v) for v in peak.summit_px[::-1] * step_um)
-    return replace(lag, reason=None, lag_um=(x_um, y_um), covariance_um2=covariance)
+    lag_um = pair_of(peak.summit_px[::-1] * step_um)
+    return replace(lag, reason=None, lag_um=lag_um, covariance_um2=covariance)

@@ -107,10 +107,8 @@ def print_mottle(
     # Of longer waves a field has too few.
     most_um = 0.2 * shorter_side_um(image.shape, pixel)
     limit_um = most_um if longest_um is None else longest_um
-    if not (
-        least_um <= shortest_um < math.inf
-        and 2 * shortest_um <= limit_um * (1 + 1e-9) <= most_um * (1 + 2e-9)
-    ):
+    holds_octave = least_um <= shortest_um < math.inf and 2 * shortest_um <= limit_um * (1 + 1e-9)
+    if not (holds_octave and limit_um <= most_um * (1 + 1e-9)):
         raise SizeError(
             f"No octave lies between waves of {shortest_um:g} and {limit_um:g} um: this image shows"
             f" waves from {least_um:g} um (4 pixels) to {most_um:g} um (a fifth of its shorter"
@@ -130,28 +128,21 @@ def print_mottle(
     weight = is_valid.astype(np.float64)
     bands: list[MottleBand] = []
     fine = np.zeros(0)
-    for k, edge_um in enumerate(edges):
+    for edge_um in edges:
         sigma = [_HALF * edge_um / p for p in pixel]
         coarse = smooth(values, weight, is_valid, sigma, truncate=4.0)[is_valid]
-        if k:
-            sd = float((fine - coarse).std()) / _OCTAVE
-            bands.append(
-                MottleBand(
-                    shortest_um=edges[k - 1],
-                    longest_um=edge_um,
-                    coefficient_of_variation=sd / mean,
-                )
-            )
+        if fine.size:
+            cov = float((fine - coarse).std()) / _OCTAVE / mean
+            band = {"shortest_um": edge_um / 2, "longest_um": edge_um}
+            bands.append(MottleBand(**band, coefficient_of_variation=cov))
         fine = coarse
+    n = int(np.count_nonzero(is_valid))
     measured = (
         f"Coefficient of variation of the {in_words(quantity)} in octaves from {edges[0]:g}"
-        f" to {edges[-1]:g} um, as differences of Gaussian means over"
-        f" {np.count_nonzero(is_valid)} pixels; after ISO/IEC 24790 and ISO 15311,"
-        " conforming to neither."
+        f" to {edges[-1]:g} um, as differences of Gaussian means over {n} pixels; after ISO/IEC"
+        " 24790 and ISO 15311, conforming to neither."
     )
-    return Mottle(
-        bands=tuple(bands), mean=mean, n=int(np.count_nonzero(is_valid)), measured=measured
-    )
+    return Mottle(bands=tuple(bands), mean=mean, n=n, measured=measured)
 
 
 def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> Mottle:

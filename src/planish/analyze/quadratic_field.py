@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planish.core.grid import Grid
-from planish.core.typing import Bools, Floats, Shape
+from planish.core.typing import Bools, Floats, Shape, pair_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -18,15 +18,14 @@ class QuadraticField:
     def on(self, grid: Grid) -> Floats:
         """Its values (rows, cols) on some pixels."""
         axes = (grid.y_um, self.points.y_um), (grid.x_um, self.points.x_um)
-        y, x = (2 * (um - ends[0]) / np.ptp(ends) - 1 for um, ends in axes)
+        y, x = (2 * (um - of_points[0]) / np.ptp(of_points) - 1 for um, of_points in axes)
         return _terms_of(y, x) @ self.weights
 
 
 def points_of(grid: Grid, shape: Shape, point_um: float) -> Grid:
     """So many points (rows, cols), which begin with the pixels of a grid."""
-    x_um, y_um = grid.origin_um
-    row_um, col_um = grid.pixel_um
-    origin_um = x_um + (point_um - col_um) / 2, y_um + (point_um - row_um) / 2
+    half_pixels_um = np.divide(grid.pixel_um[::-1], 2)
+    origin_um = pair_of(np.add(grid.origin_um, point_um / 2) - half_pixels_um)
     return Grid.regular((shape[0], shape[1]), point_um, origin_um)
 
 

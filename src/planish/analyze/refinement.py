@@ -19,10 +19,10 @@ from planish.analyze.differences import paired_difference
 from planish.analyze.distributions import largest_tail
 from planish.core.arrays import check_numbers
 from planish.core.errors import CannotMeasure
-from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.facts import Interval, ResultModel, Value, is_known, optional
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
-from planish.core.typing import Bools, Floats, Ints, Pair, Texts
+from planish.core.typing import Bools, Floats, Ints, Pair, Texts, pair_of
 from planish.register import Chain, FittedTransform, Refined, RefineOptions, refine
 from planish.register.by_texture.place import tuned_place
 from planish.register.by_texture.rotations import BAND_UM
@@ -131,15 +131,18 @@ def cross_fitted(
     gain = paired_difference(
         (a_centred, marks_centred), (a_centred, refined_centred), pixel_um=pixel_um
     )
-    low, high = gain.interval
-    limits = ""
-    if not math.isnan(row.interval[0]):
-        limits = f" (95 %: {row.interval[0]:.2f} to {row.interval[1]:.2f})"
-    change = "" if math.isnan(low) else f", from which it differs by {low:.3f} to {high:.3f}"
-    if low <= 0 <= high:
+    limits = change = ""
+    if is_known(row.interval):
+        low, high = row.interval
+        limits = f" (95 %: {low:.2f} to {high:.2f})"
+    if gain.distinguishable:
+        low, high = gain.interval
+        change = f", from which it differs by {low:.3f} to {high:.3f}"
+    elif gain.distinguishable is not None:
         change = ", which is not distinguishable from it"
+    basis = RegistrationBasis.CROSS_FITTED
     return RefinementR(
-        registration=RegistrationBasis.CROSS_FITTED,
+        registration=basis,
         r=row.r,
         interval=row.interval,
         n_eff=row.n_eff,
@@ -149,8 +152,8 @@ def cross_fitted(
         tile_um=side,
         guard_um=guard,
         sentence=(
-            f"r = {row.r:.2f}{limits}; the marks alone give {gain.r[0]:.2f} there{change}; "
-            f"{RegistrationBasis.CROSS_FITTED.sentence}"
+            f"r = {row.r:.2f}{limits}; the marks alone give {gain.r[0]:.2f} there{change};"
+            f" {basis.sentence}"
         ),
     )
 
@@ -164,17 +167,16 @@ def _checkerboard(
         # Of every row and column; a rest at the border goes half to either side.
         tile_numbers: list[Ints] = []
         for n, pitch in zip(shape, pixel_um, strict=True):
-            edge_um = 0.5 * (n * pitch - max(int(n * pitch / side), 1) * side)
-            tile_numbers.append(
-                np.floor(((np.arange(n) + 0.5) * pitch - edge_um) / side).astype(np.intp)
-            )
+            length_um = n * pitch
+            edge_um = 0.5 * (length_um - max(int(length_um / side), 1) * side)
+            middles_um = (np.arange(n) + 0.5) * pitch
+            tile_numbers.append(np.floor((middles_um - edge_um) / side).astype(np.intp))
         tile_row, tile_col = tile_numbers[0][:, None], tile_numbers[1]
         tuned = [is_valid & ((tile_row + tile_col) % 2 == k) for k in (0, 1)]
-        reported = [
-            tuned[1 - k] & (ndimage.distance_transform_edt(~tuned[k], sampling=pixel_um) > guard_um)
-            for k in (0, 1)
-        ]
-        tile_counts = [np.unique((tile_row * shape[1] + tile_col)[m]).size for m in reported]
+        away_um = [ndimage.distance_transform_edt(~m, sampling=pixel_um) for m in tuned]
+        reported = [tuned[1] & (away_um[0] > guard_um), tuned[0] & (away_um[1] > guard_um)]
+        tile_ids = tile_row * shape[1] + tile_col
+        tile_counts = [np.unique(tile_ids[m]).size for m in reported]
         if min(tile_counts) >= 4 and min(map(np.sum, reported)) >= 100:
             return side, tuned, reported
     raise CannotMeasure(
@@ -212,25 +214,23 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None) -> Refin
         return pearson(a_known, tune(a_known, is_valid))
 
     r = searched(flat)
-    null = [
-        abs(searched(surrogate))
-        for surrogate in PhaseSurrogate(flat, is_valid).draws(_SURROGATES, rng)
-    ]
-    tail_share = largest_tail(
-        np.arctanh(np.minimum(null, 1 - 1e-12)), math.atanh(min(abs(r), 1 - 1e-12))
-    )
+    surrogates = PhaseSurrogate(flat, is_valid).draws(_SURROGATES, rng)
+    null = [abs(searched(surrogate)) for surrogate in surrogates]
+    z, *null_z = np.arctanh(np.minimum([abs(r), *null], 1 - 1e-12))
+    tail_share = largest_tail(np.array(null_z), z)
     # A tail is not known further than half of one over their number squared.
     p = max(tail_share, 0.5 / _SURROGATES**2)
     null_95 = float(np.quantile(null, 0.95, method="higher"))
+    basis = RegistrationBasis.SEARCHED_NULL
     return RefinementR(
-        registration=RegistrationBasis.SEARCHED_NULL,
+        registration=basis,
         r=r,
         null_95=null_95,
         p=p,
         surrogates=_SURROGATES,
         sentence=(
             f"r = {r:.2f} after the search, which reaches {null_95:.2f} on unrelated maps (95 %; p"
-            f" = {p:.2g}); {RegistrationBasis.SEARCHED_NULL.sentence}"
+            f" = {p:.2g}); {basis.sentence}"
         ),
     )
 
@@ -304,10 +304,10 @@ def refine_link(
     moving, fixed = (_detail(m.values, valid, pixel, coarsest_um) for m in (a, b))
     fine = refine(moving, fixed, valid, pixel_um=pixel, fit=fit, options=options)
 
+    unbounded = replace(options, bounded=False)
+
     def tune(other: Floats, look: Bools) -> Floats:
-        tuned = refine(
-            other, fixed, look, pixel_um=pixel, fit=fit, options=replace(options, bounded=False)
-        )
+        tuned = refine(other, fixed, look, pixel_um=pixel, fit=fit, options=unbounded)
         return tuned.image_at(fixed, pixel)
 
     try:
@@ -345,7 +345,7 @@ def held_out_r(
     coarsest_um = unit_um * _COARSEST_UM
     a, b = (_detail(values, valid, pixel_um, coarsest_um) for values in (a, b))
     is_known = valid & np.isfinite(b)
-    pixel = (pixel_um[0] / unit_um, pixel_um[1] / unit_um)
+    pixel = pair_of(np.divide(pixel_um, unit_um))
     fixed = textures({"image": b}, is_known, pixel, band_um=BAND_UM)
     rows, cols = np.indices(b.shape)
     points = np.stack([cols * pixel[1], rows * pixel[0]], axis=-1)
@@ -355,12 +355,14 @@ def held_out_r(
     b_known = is_known.astype(np.float64)
 
     def tune(other: Floats, look: Bools) -> Floats:
-        maps = {"map": other} if face is None else {"map": other, "face": face}
-        moving = textures(maps, look & np.isfinite(other), pixel, band_um=BAND_UM)
+        maps = {"map": other}
         light = ()
         if face is not None:
-            moving = moving.with_slopes("face")
+            maps["face"] = face
             light = ("face_x", "face_y")
+        moving = textures(maps, look & np.isfinite(other), pixel, band_um=BAND_UM)
+        if face is not None:
+            moving = moving.with_slopes("face")
         place = tuned_place(
             moving, fixed, ("map", "image"), Similarity(), reach_um=_TUNED_UM, other_maps=light
         )
@@ -385,8 +387,5 @@ def held_out_r(
 def _detail(values: Floats, valid: Bools, pixel_um: Pair, longest_um: float) -> Floats:
     """A map without its slow variations; NaN where it is not valid."""
     is_valid = valid & np.isfinite(values)
-    return np.where(
-        is_valid,
-        in_band(values.astype(np.float64), is_valid, pixel_um, (None, longest_um)),
-        np.nan,
-    )
+    detail = in_band(values.astype(np.float64), is_valid, pixel_um, (None, longest_um))
+    return np.where(is_valid, detail, np.nan)

@@ -101,19 +101,14 @@ def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
     spread = np.sqrt(sums(np.abs(spectrum_a) ** 2) * sums(np.abs(spectrum_b) ** 2))
     correlation = sums((np.conj(spectrum_a) * spectrum_b).real) / np.maximum(spread, 1e-300)
     weak = np.flatnonzero(sums(waves.stand_out.astype(np.float64)) < count)
-    middle = sums(waves.frequency) / count
-    modes = (count / waves.joined).tolist()
-    n_strong = int(weak[0]) if weak.size else last
+    wavelengths_um = count / sums(waves.frequency)
+    modes = count / waves.joined
+    strong = slice(weak[0] if weak.size else last)
     rings = tuple(
-        Ring(
-            wavelength_um=1 / float(middle[k]),
-            correlation=float(correlation[k]),
-            modes=modes[k],
-            threshold=half_bit(modes[k]),
-        )
-        for k in range(n_strong)
+        Ring(wavelength_um=um, correlation=r, threshold=half_bit(n), modes=n)
+        for um, r, n in zip(wavelengths_um[strong], correlation[strong], modes[strong], strict=True)
     )
-    resolution_um, sentence = _resolved(rings, middle.tolist(), leaking=bool(weak.size))
+    resolution_um, sentence = _resolved(rings, leaking=bool(weak.size))
     return RingCorrelation(rings=rings, resolution_um=resolution_um, sentence=sentence)
 
 
@@ -130,30 +125,28 @@ def half_bit(modes: float) -> float:
     # (sqrt(2) - 1) / 2 is the ratio of signal to noise power, of one measurement, that gives the
     # mean half a bit.
     ratio = (math.sqrt(2) - 1) / 2
+    cross = 2 * math.sqrt(ratio)
     root = math.sqrt(max(modes, 1.0))
-    return (ratio + (2 * math.sqrt(ratio) + 1) / root) / (1 + ratio + 2 * math.sqrt(ratio) / root)
+    return (ratio + (cross + 1) / root) / (1 + ratio + cross / root)
 
 
-def _resolved(
-    rings: tuple[Ring, ...], frequencies: list[float], *, leaking: bool
-) -> tuple[float | None, str]:
+def _resolved(rings: tuple[Ring, ...], *, leaking: bool) -> tuple[float | None, str]:
     """Wavelength down to which the rings agree, None if they do not say, and the same in words."""
     excesses = [ring.correlation - ring.threshold for ring in rings]
     first_below = next((k for k, v in enumerate(excesses) if v < 0), None)
     if first_below is None:
-        why = (
-            "shorter waves are too weak to be distinguished from leakage"
-            if leaking
-            else "the pixels end there"
-        )
+        why = "the pixels end there"
+        if leaking:
+            why = "shorter waves are too weak to be distinguished from leakage"
         shortest = f"{rings[-1].wavelength_um:.3g} um" if rings else "the longest waves"
         return None, f"Both show the same down to {shortest}; {why}. No resolution."
     if first_below == 0:
-        return (
-            None,
-            f"Not even the longest waves ({rings[0].wavelength_um:.3g} um) agree. No resolution.",
-        )
-    share = excesses[first_below - 1] / (excesses[first_below - 1] - excesses[first_below])
-    frequency_above, frequency_below = frequencies[first_below - 1 : first_below + 1]
+        longest_um = rings[0].wavelength_um
+        return None, f"Not even the longest waves ({longest_um:.3g} um) agree. No resolution."
+    above, below = excesses[first_below - 1 : first_below + 1]
+    frequency_above, frequency_below = (
+        1 / ring.wavelength_um for ring in rings[first_below - 1 : first_below + 1]
+    )
+    share = above / (above - below)
     resolution_um = 1 / (frequency_above + share * (frequency_below - frequency_above))
     return resolution_um, f"Both show the same down to waves of {resolution_um:.3g} um (half bit)."

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 from pydantic import Field
-from scipy import special
 
-from planish.analyze.distributions import t_95
+from planish.analyze.distributions import around, t_95, variance_interval
 from planish.analyze.formation import Formation, RandomSheet
 from planish.core.facts import Interval, ResultModel, Trust, Value, optional
-from planish.core.typing import Array, Complexes, Floats, Pair
+from planish.core.typing import Array, Complexes, Floats, Pair, pair_of
 from planish.texture.octave_spectra import OctaveFields, OctavePower
 
 _LEAST_SIGNAL = 0.1  # share of the power that is no noise: below, the rest says nothing of the map
@@ -164,16 +163,10 @@ def octaves_of_map(
 
 def _facts_on(facts: MapScales, values: Array, is_valid: Array, pixel_um: Pair) -> MapScales:
     n = int(np.count_nonzero(is_valid))
-    rows, cols = is_valid.shape
-    return facts.model_copy(
-        update={
-            "n": n,
-            "mean": float(values[is_valid].mean(dtype=np.float64)) if n else math.nan,
-            "pixel_um": pixel_um,
-            "field_um": (rows * pixel_um[0], cols * pixel_um[1]),
-            "known_share": n / is_valid.size,
-        }
-    )
+    mean = float(values[is_valid].mean(dtype=np.float64)) if n else math.nan
+    field_um = pair_of(np.multiply(is_valid.shape, pixel_um))
+    update = {"n": n, "mean": mean, "pixel_um": pixel_um, "field_um": field_um}
+    return facts.model_copy(update=update | {"known_share": n / is_valid.size})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,7 +188,8 @@ def _noise_of(
     """Noise of maps by the shortest wave of each octave."""
     noise: dict[float, _Noise] = {}
     for half in halves:
-        numbers, differences = list(half.of_maps), list(half.of_maps.values())
+        numbers = list(half.of_maps)
+        differences = list(half.of_maps.values())
         is_valid = np.logical_and.reduce([np.isfinite(values) for values in differences])
         field = fields.on(is_valid, half.pixel_um)
         for power in field.powers(differences, rows=[half.of_rows] * len(differences)):
@@ -207,7 +201,8 @@ def _noise_of(
 
 def _spread(power: OctavePower, noise: _Noise, mean: float) -> dict[str, Any]:
     """Standard deviation of the first map, with its interval."""
-    total, noise_power = float(power.power[0, 0].real), float(noise.power[0, 0].real)
+    total = float(power.power[0, 0].real)
+    noise_power = float(noise.power[0, 0].real)
     rest = total - noise_power
     sd = math.sqrt(max(rest, 0.0))
     fields: dict[str, Any] = {"sd": sd, "modes": power.modes, "cov": sd / mean}
@@ -215,26 +210,19 @@ def _spread(power: OctavePower, noise: _Noise, mean: float) -> dict[str, Any]:
         fields["noise"] = math.sqrt(noise_power)
     if power.modes < _LEAST_MODES or power.degrees[0] < _LEAST_DEGREES:
         return fields
-    low, high = _chi_square_limits(total, float(power.degrees[0]))
-    noise_low, noise_high = _chi_square_limits(noise_power, float(noise.degrees[0]))
+    low, high = variance_interval(total, float(power.degrees[0]))
+    noise_low, noise_high = variance_interval(noise_power, float(noise.degrees[0]))
     below = math.hypot(total - low, noise_high - noise_power)
     above = math.hypot(high - total, noise_power - noise_low)
-    fields["interval"] = (math.sqrt(max(rest - below, 0)), math.sqrt(max(rest + above, 0)))
+    limits = np.maximum([rest - below, rest + above], 0.0)
+    fields["interval"] = pair_of(np.sqrt(limits))
     return fields
-
-
-def _chi_square_limits(power: float, degrees: float) -> Pair:
-    """95 % interval of a power with so many degrees of freedom."""
-    if not power > 0 or math.isinf(degrees):
-        return power, power
-    quantiles = 2.0 * special.gammaincinv(degrees / 2, [0.975, 0.025])
-    return float(power * degrees / quantiles[0]), float(power * degrees / quantiles[1])
 
 
 def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
     """Gain, coherence and phase of the first map against the second."""
-    totals = np.einsum("ii->i", power.power).real
-    shares = 1.0 - np.einsum("ii->i", noise.power).real / np.maximum(totals, 1e-300)
+    totals = np.diag(power.power).real
+    shares = 1.0 - np.diag(noise.power).real / np.maximum(totals, 1e-300)
     modes = 0.5 * min(float(power.degrees[1]), 2.0 * power.modes)
     raw_coherence = float(power.coherence[1, 0])
     if modes < _LEAST_MODES or not shares.min() > _LEAST_SIGNAL or math.isnan(raw_coherence):
@@ -242,34 +230,32 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
     cross = complex(power.power[1, 0])
     cross_rest = cross - complex(noise.power[1, 0])
     raw = min(abs(cross) ** 2 / float(totals.prod()), 1.0)
-    response = cross_rest / float(totals[1] * shares[1])
+    own_power = float(totals[1] * shares[1])
     t = t_95(2 * modes - 2)
     # Of noise in the cross power and, where noise was taken off the second map, in its power.
     error = math.sqrt((1 - raw) / (2 * modes * raw)) if raw > 0 else math.inf
     error_of_noise = math.sqrt(2 / float(noise.degrees[1])) * (1 - shares[1]) / shares[1]
     relative = t * math.hypot(error, error_of_noise)
-    sign = math.copysign(1.0, response.real)
-    gain = sign * abs(response)
-    phase_deg = math.degrees(math.atan2(response.imag, response.real))
+    sign = math.copysign(1.0, cross_rest.real)
+    gain = sign * abs(cross_rest) / own_power
+    phase_deg = math.degrees(math.atan2(cross_rest.imag, cross_rest.real))
     fields: dict[str, Any] = {"gain": gain, "phase_deg": phase_deg}
-    fields["gain_interval"] = tuple(sorted((gain * (1 - relative), gain * (1 + relative))))
+    fields["gain_interval"] = around(gain, abs(gain) * relative)
     if t * error < 1:
-        half_deg = math.degrees(math.asin(t * error))
-        fields["phase_interval"] = (phase_deg - half_deg, phase_deg + half_deg)
-    factor = abs(cross_rest / cross) ** 2 / float(shares.prod()) if abs(cross) > 0 else 1.0
-    fields["coherence"] = factor * (raw_coherence - 1 / power.modes) / (1 - 1 / power.modes)
-    z, half_z = (
-        math.atanh(min(math.sqrt(raw_coherence), 1 - 1e-12)),
-        1.96 / math.sqrt(2 * power.modes - 2),
-    )
-    ends = (max(z - half_z, 0.0), z + half_z)
-    fields["coherence_interval"] = tuple(min(factor * math.tanh(end) ** 2, 1.0) for end in ends)
+        fields["phase_interval"] = around(phase_deg, math.degrees(math.asin(t * error)))
+    factor = 1.0
+    if abs(cross) > 0:
+        factor = abs(cross_rest / cross) ** 2 / float(shares.prod())
+    by_chance = 1 / power.modes
+    fields["coherence"] = factor * (raw_coherence - by_chance) / (1 - by_chance)
+    z = math.atanh(min(math.sqrt(raw_coherence), 1 - 1e-12))
+    ends = np.maximum(around(z, 1.96 / math.sqrt(2 * power.modes - 2)), 0.0)
+    fields["coherence_interval"] = pair_of(np.minimum(factor * np.tanh(ends) ** 2, 1.0))
     return fields
 
 
 def with_formation(bands: Sequence[ScaleBand], sheet: RandomSheet) -> tuple[ScaleBand, ...]:
     """The same octaves, each with the formation number of its waves."""
-    return tuple(
-        band.model_copy(update={"formation": band.cov / sheet.cov_of(band.low_um, band.high_um)})
-        for band in bands
-    )
+    numbers = [band.cov / sheet.cov_of(band.low_um, band.high_um) for band in bands]
+    with_numbers = zip(bands, numbers, strict=True)
+    return tuple(band.model_copy(update={"formation": number}) for band, number in with_numbers)

@@ -29,7 +29,7 @@ class SharedError(ResultModel):
 
 def _signs_of_surfaces() -> dict[str, dict[str, float]]:
     """With which sign the height of each surface enters each map."""
-    signs = {name: dict(zip(ends, (1.0, -1.0), strict=True)) for name, ends in LENGTHS.items()}
+    signs = {name: {upper: 1.0, lower: -1.0} for name, (upper, lower) in LENGTHS.items()}
     for name, surface in HEIGHTS.items():
         signs[name] = {surface: 1.0 if name.endswith("_top") else -1.0}
     for surfaces in signs.values():

@@ -17,7 +17,7 @@ from planish.core.facts import SIDES, Side
 from planish.core.grid import Grid, shorter_side_um
 from planish.core.numbers import capital, with_article
 from planish.core.older_names import height_map
-from planish.core.typing import Bools, Texts
+from planish.core.typing import Bools, Texts, pair_of
 from planish.measure.registry import HEIGHTS
 from planish.register.by_texture.rotations import FALSE
 from planish.texture.textures import Relation, Textures, relate, textures, unexplained
@@ -217,7 +217,6 @@ def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Si
     cross = None
     if len(coatings) == len(SIDES):
         cross = _mean_relation(texture, zip(coatings, reversed(coatings), strict=True))
-    whole = _mean_relation(texture, [("thickness", "thickness")])
     a, b = names
     if _is_related(same) and _stands_out(same, cross):
         end = f", not crosswise ({cross})" if cross else ""
@@ -233,21 +232,23 @@ def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Si
             remedy="Check `top`, and whether its slices are numbered against the usual sense.",
             figures=_OF_SIDES,
         )
-    if _is_related(whole):
-        why = "the coatings do not tell the sides apart" if same else "no coating is seen in both"
-        text = (
-            f"Side: inconclusive, because {why}; the thicknesses of {a} and {b} go together"
-            f" ({whole}), {_ONE}."
-        )
-        return _check("unknown", text, whole)
-    return _not_together(names, same, whole)
+    return _by_thickness(names, same, _mean_relation(texture, [("thickness", "thickness")]))
 
 
-def _not_together(
+def _by_thickness(
     names: tuple[str, str], coatings: Relation | None, thickness: Relation | None
 ) -> Check:
-    """The check of two sheets of which no maps go together."""
+    """The check of two sheets whose coatings do not go together."""
     a, b = names
+    if _is_related(thickness):
+        why = "the coatings do not tell the sides apart"
+        if coatings is None:
+            why = "no coating is seen in both"
+        text = (
+            f"Side: inconclusive, because {why}; the thicknesses of {a} and {b} go together"
+            f" ({thickness}), {_ONE}."
+        )
+        return _check("unknown", text, thickness)
     relations = (("coatings", coatings), ("thickness", thickness))
     tried = [f"{name} {relation}" for name, relation in relations if relation is not None]
     if not tried:
@@ -335,38 +336,36 @@ def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Rel
 
     Of several maps of a face that which stands out most.
     """
-    image = texture.maps["image"]
     strongest_relations: dict[Side, Relation] = {}
     for side, names_of_side in names.items():
         rival_names = names.get(_OPPOSITE[side], repeat(""))
-        relations: list[Relation] = []
-        for name, rival_name in zip(names_of_side, rival_names, strict=False):
-            if name not in texture.maps:
-                continue
-            face = texture.maps[name]
-            shown = image
-            if rival_name in texture.maps:
-                rival = texture.maps[rival_name]
-                face = unexplained(face, rival)
-                shown = unexplained(image, rival)
-            relations.append(relate(face, shown, texture.known, texture.pixel_um, of=image))
+        pairs = zip(names_of_side, rival_names, strict=False)
+        relations = [_face_relation(texture, *pair) for pair in pairs if pair[0] in texture.maps]
         strongest = _strongest(relations)
         if strongest is not None:
             strongest_relations[side] = strongest
     return strongest_relations
 
 
+def _face_relation(texture: Textures, name: str, rival_name: str) -> Relation:
+    """Correlation of a map of a face with the image, freed of that of the other face."""
+    image = texture.maps["image"]
+    face, shown = texture.maps[name], image
+    rival = texture.maps.get(rival_name)
+    if rival is not None:
+        face, shown = unexplained(face, rival), unexplained(image, rival)
+    return relate(face, shown, texture.known, texture.pixel_um, of=image)
+
+
 def _mean_relation(texture: Textures, pairs: Iterable[tuple[str, str]]) -> Relation | None:
     """Mean relation of maps of the first sheet and maps of the second; None where none is known."""
-    relations = [
-        _relation(texture, name, f"other {other}")
-        for name, other in pairs
-        if {name, f"other {other}"} <= texture.maps.keys()
-    ]
-    if not relations:
+    known = [(name, f"other {other}") for name, other in pairs]
+    known = [pair for pair in known if texture.maps.keys() >= {*pair}]
+    if not known:
         return None
-    r = sum(k.r for k in relations) / len(relations)
-    sd = math.sqrt(sum(k.sd**2 for k in relations)) / len(relations)
+    relations = [_relation(texture, *pair) for pair in known]
+    r = sum(relation.r for relation in relations) / len(relations)
+    sd = math.hypot(*(relation.sd for relation in relations)) / len(relations)
     return Relation(r, sd, r, sd)
 
 
@@ -407,11 +406,9 @@ def texture_of(
         a, b = b, a
         names = (names[1], names[0])
     valid = a["valid"].values & b["valid"].values
-    pixel_um = Grid.of(a).pixel_um
+    pixel = pair_of(np.divide(Grid.of(a).pixel_um, unit_um))
     try:
-        texture = textures(
-            _maps_of_pair(a, b, valid), valid, (pixel_um[0] / unit_um, pixel_um[1] / unit_um)
-        )
+        texture = textures(_maps_of_pair(a, b, valid), valid, pixel)
     except SizeError as error:
         text = f"Specimen and position by texture: inconclusive. {error.text}"
         return TextureFound(None, (Check(name=NAME, state="unknown", sentence=text),))
@@ -420,6 +417,7 @@ def texture_of(
         return _without_screen(judged.check)
     expected_um = _expected_um(a, b, valid)
     short = shorter_side_um(judged.texture.known.shape, judged.texture.pixel_um)
+    tiles_um = _TILE_UM if short >= 2 * _TILE_UM else None
     try:
         offset = lag.texture_lag(
             judged.texture,
@@ -427,14 +425,15 @@ def texture_of(
             judged.target_map,
             slopes=len(judged.slopes),
             reach_um=min(150.0, short / 4),
-            tiles_um=_TILE_UM if short >= 2 * _TILE_UM else None,
+            tiles_um=tiles_um,
         ).scaled(unit_um)
     except SizeError:
         return TextureFound(None, (judged.check,))
-    check = _moved(judged.check, offset.length_um) if offset.distinct else judged.check
-    return TextureFound(
-        offset.numbers(judged.source_maps[0], expected_um), (check, offset.check(expected_um))
-    )
+    check = judged.check
+    if offset.distinct:
+        check = _moved(check, offset.length_um)
+    numbers = offset.numbers(judged.source_maps[0], expected_um)
+    return TextureFound(numbers, (check, offset.check(expected_um)))
 
 
 def _expected_um(a: xr.Dataset, b: xr.Dataset, valid: Bools) -> float | None:
@@ -579,7 +578,7 @@ def holes_and_texture(apart_um: float, expected_um: float) -> Check:
 
     Both errors are rms.
     """
-    limit_um = math.sqrt(-math.log(0.05)) * expected_um
+    limit_um = lag.ALLOWED * expected_um
     text = f"Holes and texture, each by itself, put the middle of the map {apart_um:.1f} um apart"
     state: State = "pass"
     advice = remedy = ""
@@ -609,8 +608,8 @@ def _coated(sheet: xr.Dataset) -> list[Side]:
     for side in SIDES:
         names = (f"coating_{side}", f"coating_{side}_se")
         use, *maps = thinned(sheet["valid"], *(sheet[k] for k in names if k in sheet))[1]
-        coat_um, *errors = (m[use & np.isfinite(m)] for m in maps)
-        limit_um = 3.0 * float(np.median(errors[0])) if errors and errors[0].size else 0.0
+        coat_um, *errors_um = (m[use & np.isfinite(m)] for m in maps)
+        limit_um = 3.0 * sum(float(np.median(m)) for m in errors_um if m.size)
         is_measured = coat_um.size >= max(1, 0.5 * np.count_nonzero(use))
         if is_measured and float(np.median(coat_um)) > limit_um:
             sides.append(side)

@@ -15,13 +15,11 @@ from pydantic import Field
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import correlate
 from planish.analyze.sheet_columns import SheetColumns
-from planish.core.area import area_mean
+from planish.core.area import area_mean, square_px
 from planish.core.bands import bands
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, optional
-from planish.core.typing import Array, Bools, Floats, Ints, Pair, Pixel
-
-"""Of each map that is a distance of two surfaces, the upper and the lower."""
+from planish.core.typing import Array, Bools, Floats, Ints, Pair, Pixel, pair_of
 
 
 class Reliability(ResultModel):
@@ -89,13 +87,13 @@ def split_reliability(
         raise CannotMeasure(
             f"The halves have no correlation. {' '.join(row.warnings)} Give two maps that vary."
         )
-    low, high = (_of_both(v) for v in row.interval)
+    low, high = row.interval
     return Reliability(
         point_um=row.point_um,
         n=row.n,
         halves_r=row.r,
         value=_of_both(row.r),
-        interval=(low, high),
+        interval=(_of_both(low), _of_both(high)),
         n_eff=row.n_eff,
     )
 
@@ -124,10 +122,13 @@ def half_points(
     where less than half of a point counts, or the halves have no column in it. Also says whether no
     column's value holds anything of its neighbours.
     """
-    point_cells = (point_um / cell_um[0], point_um / cell_um[1])
-    enough = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), point_cells))
+    known = np.where(is_valid, 1.0, np.nan)
+    enough = np.isfinite(area_mean(known, square_px(point_um, cell_um)))
+    height_um, width_um = np.minimum(
+        np.multiply(is_valid.shape, cell_um), np.multiply(enough.shape, point_um)
+    )
     turn = columns.similarity.matrix()
-    shift_um = columns.similarity.shift_um
+    shift_um = np.subtract(columns.similarity.shift_um, origin_um)
     n_columns = np.zeros(enough.size)
     totals = np.zeros((2, enough.size))
     alone = True
@@ -140,11 +141,10 @@ def half_points(
         of_band = slice(before, before + rows.stop - rows.start)
         halves = [_half(values, first)[of_band].ravel() for first in (1, 0)]
         u, v = (part.flat[axis].values[of_band].ravel() for axis in "uv")
-        x = turn[0, 0] * u + turn[0, 1] * v + (shift_um[0] - origin_um[0])
-        y = turn[1, 0] * u + turn[1, 1] * v + (shift_um[1] - origin_um[1])
-        use = np.isfinite(halves[0] + halves[1]) & (y >= 0) & (x >= 0)
-        use &= (y < is_valid.shape[0] * cell_um[0]) & (x < is_valid.shape[1] * cell_um[1])
-        use &= (y < enough.shape[0] * point_um) & (x < enough.shape[1] * point_um)
+        x = turn[0, 0] * u + turn[0, 1] * v + shift_um[0]
+        y = turn[1, 0] * u + turn[1, 1] * v + shift_um[1]
+        use = np.isfinite(halves[0] + halves[1])
+        use &= (y >= 0) & (y < height_um) & (x >= 0) & (x < width_um)
         use[use] = is_valid[_index(y[use], cell_um[0]), _index(x[use], cell_um[1])]
         ids = _index(y[use], point_um) * enough.shape[1] + _index(x[use], point_um)
         n_columns += np.bincount(ids, minlength=enough.size)
@@ -185,7 +185,7 @@ def row_difference(values: Floats) -> Floats:
 def reliability_of(pair: ComparedMaps, layer: str, name: str) -> Reliability:
     """How much of a map two halves of its measurement show alike, or why that cannot be said."""
     columns, grid, point_um = pair.columns[layer], pair.grid, pair.point_um
-    corner_um = grid.origin_um[0] - grid.pixel_um[1] / 2, grid.origin_um[1] - grid.pixel_um[0] / 2
+    corner_um = pair_of(np.subtract(grid.origin_um, np.divide(grid.pixel_um[::-1], 2)))
     try:
         odd, even, alone = half_points(
             columns,

@@ -1,13 +1,14 @@
 """How a map differs inside and outside of regions, such as those where a coating is thin."""
 
 import math
+from contextlib import suppress
 
 import numpy as np
 from pydantic import Field
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import LEAST, LEAST_CLAIMED, on_one_grid, valid_pixels
-from planish.analyze.distributions import t_95
+from planish.analyze.distributions import around, t_95
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Entries, Pixel
@@ -71,10 +72,11 @@ def region_difference(values: Array, inside: Bools, *, pixel_um: Pixel) -> Regio
             " needed on either side. Give another limit."
         )
     share = count[0] / sum(count)
-    means = float(values[is_inside].mean()), float(values[is_outside].mean())
+    mean_inside, mean_outside = (float(values[part].mean()) for part in (is_inside, is_outside))
+    difference = mean_inside - mean_outside
     contributions = np.zeros(is_valid.shape)
-    contributions[is_inside] = (values[is_inside] - means[0]) / share
-    contributions[is_outside] = -(values[is_outside] - means[1]) / (1 - share)
+    contributions[is_inside] = (values[is_inside] - mean_inside) / share
+    contributions[is_outside] = (mean_outside - values[is_outside]) / (1 - share)
     variance, n_eff = scatter_of(contributions, Lags(is_valid, pixel))
     width = math.nan
     if not variance > 0:
@@ -82,13 +84,8 @@ def region_difference(values: Array, inside: Bools, *, pixel_um: Pixel) -> Regio
         n_eff = float(sum(count))
     elif n_eff >= LEAST_CLAIMED:
         width = t_95(n_eff - 1) * math.sqrt(variance / n_eff)
-    difference = means[0] - means[1]
-    return RegionDifference(
-        share=share,
-        difference=difference,
-        interval=(difference - width, difference + width),
-        n_eff=n_eff,
-    )
+    interval = around(difference, width)
+    return RegionDifference(share=share, difference=difference, interval=interval, n_eff=n_eff)
 
 
 def answer_thin(pair: ComparedMaps) -> Entries:
@@ -98,16 +95,10 @@ def answer_thin(pair: ComparedMaps) -> Entries:
     """
     if not (pair.a[1].startswith("coating_") and "image" in pair.layers[1]):
         return {}
-    is_valid = pair.lags.is_valid
-    differences = list[RegionDifference]()
+    coating_um = np.where(pair.lags.is_valid, pair.x, np.inf)
+    differences: list[RegionDifference] = []
     for limit_um in THIN_UM:
-        try:
-            difference = region_difference(
-                pair.y,
-                np.where(is_valid, pair.x, np.inf) < limit_um,
-                pixel_um=pair.cell_um,
-            )
-        except PlanishError:
-            continue
-        differences.append(RegionDifference.holding(difference, thinner_than_um=limit_um))
+        with suppress(PlanishError):
+            row = region_difference(pair.y, coating_um < limit_um, pixel_um=pair.cell_um)
+            differences.append(RegionDifference.holding(row, thinner_than_um=limit_um))
     return {"thin": tuple(differences)}

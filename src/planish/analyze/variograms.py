@@ -4,6 +4,7 @@ Its noise from pixel to pixel, its spread, and how far its texture reaches.
 """
 
 import math
+from operator import itemgetter
 
 import numpy as np
 from pydantic import Field
@@ -104,15 +105,14 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None) -> Variogram:
     shared = min(_at_zero(distance, covariance, max(lags.pixel_um)), sill)
     range_along_um = range_across_um = math.nan
     if md_deg is not None:
-        turned = np.degrees(np.arctan2(lags.lag_um[0][:, None], lags.lag_um[1][None, :]))
-        sectors = (
-            np.abs((turned - direction + 90) % 180 - 90) for direction in (md_deg, md_deg + 90)
-        )
+        down_um, across_um = lags.lag_um
+        from_md = np.degrees(np.arctan2(down_um[:, None], across_um)) - md_deg
         range_along_um, range_across_um = (
-            _range(*_by_ring(lags, products, away <= 22.5 + 1e-9), shared) for away in sectors
+            _range(*_by_ring(lags, products, _is_near_axis(from_axis)), shared)
+            for from_axis in (from_md, from_md - 90)
         )
     ratio = math.nan
-    if np.isfinite([range_along_um, range_across_um]).all():
+    if math.isfinite(range_along_um) and math.isfinite(range_across_um):
         ratio = range_along_um / range_across_um
     return Variogram(
         cell_um=lags.pixel_um,
@@ -128,6 +128,11 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None) -> Variogram:
     )
 
 
+def _is_near_axis(angle_deg: Floats) -> Bools:
+    """Whether directions lie within 22.5 degrees of an axis."""
+    return np.abs((angle_deg + 90) % 180 - 90) <= 22.5 + 1e-9
+
+
 def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floats]:
     """Mean distance and covariance of rings one pixel wide.
 
@@ -136,14 +141,13 @@ def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floa
     step = max(lags.pixel_um)
     ring = np.rint(lags.distance_um / step).astype(np.intp)
     side_um = shorter_side_um(lags.is_valid.shape, lags.pixel_um)
-    is_in_reach = (
-        is_used & lags.inside & (lags.pairs > 0) & (ring >= 1) & (lags.distance_um <= side_um / 2)
-    )
+    is_in_reach = is_used & lags.inside & (lags.pairs > 0)
+    is_in_reach &= (ring >= 1) & (lags.distance_um <= side_um / 2)
     ring_numbers = ring[is_in_reach]
-    pairs, total = (
-        np.bincount(ring_numbers, weights=m[is_in_reach]) for m in (lags.pairs, products)
+    pairs, distance_sums, total = (
+        np.bincount(ring_numbers, weights=m[is_in_reach])
+        for m in (lags.pairs, lags.pairs * lags.distance_um, products)
     )
-    distance_sums = np.bincount(ring_numbers, weights=(lags.pairs * lags.distance_um)[is_in_reach])
     has_pairs = pairs > 0
     return distance_sums[has_pairs] / pairs[has_pairs], total[has_pairs] / pairs[has_pairs]
 
@@ -156,21 +160,22 @@ def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
     if covariance[0] <= 0:
         return 0.0
     low = np.flatnonzero(covariance < 0.3 * covariance[0])
-    count = min(max(int(low[0]) if low.size else covariance.size, _LEAST_RINGS), 40)
-    h, c = distance[:count], covariance[:count] / covariance[0]
+    until_low = int(low[0]) if low.size else covariance.size
+    count = min(max(until_low, _LEAST_RINGS), 40)
+    h = distance[:count]
+    c = covariance[:count] / covariance[0]
     # Each ring counts the same: longer ones have more pairs but scatter more, as a field holds few
     # long waves.
 
     def off(p: Floats) -> Floats:
         return p[0] * np.exp(-((h / math.exp(p[1])) ** p[2])) - c
 
-    start = max(float(h[-1]) / 2, step)
-    fit = optimize.least_squares(
-        off,
-        np.array([1.1, math.log(start), 1.3]),
-        # From the exponential to the Gaussian covariance.
-        bounds=([0.0, math.log(step / 20), 1.0], [np.inf, math.log(1e3 * float(h[-1])), 2.0]),
-    )
+    farthest = float(h[-1])
+    start = np.array([1.1, math.log(max(farthest / 2, step)), 1.3])
+    # From the exponential to the Gaussian covariance.
+    least = [0.0, math.log(step / 20), 1.0]
+    most = [np.inf, math.log(1e3 * farthest), 2.0]
+    fit = optimize.least_squares(off, start, bounds=(least, most))
     return float(fit.x[0] * covariance[0])
 
 
@@ -179,13 +184,12 @@ def _range(distance: Floats, covariance: Floats, shared: float) -> float:
     if not shared > 0:
         return math.nan
     h = np.concatenate([[0.0], distance])
-    c = np.concatenate([[shared], covariance]) / shared
+    c = np.concatenate([[1.0], covariance / shared])
     below = np.flatnonzero(c < math.exp(-1))
     if not below.size:
         return math.inf
-    k = int(below[0])
-    part = (c[k - 1] - math.exp(-1)) / (c[k - 1] - c[k])
-    return float(h[k - 1] + part * (h[k] - h[k - 1]))
+    bracket = slice(below[0] - 1, below[0] + 1)
+    return float(np.interp(-math.exp(-1), -c[bracket], h[bracket]))
 
 
 def answer_variograms(pair: ComparedMaps) -> Entries:
@@ -194,23 +198,23 @@ def answer_variograms(pair: ComparedMaps) -> Entries:
     Nothing of a map that the field is too small for.
     """
     curves: list[Variogram] = []
-    for values, (layer, name), units in zip(
-        (pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True
-    ):
+    maps = zip((pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True)
+    for values, (layer, name), units in maps:
         try:
             curve = variogram_of(values, pair.lags, pair.md_deg)
         except PlanishError:
             continue
         # At up to 60 distances, closer for short ones.
-        indices = np.unique(np.geomspace(1, len(curve.values), 60).round().astype(np.intp)) - 1
+        rings = np.geomspace(1, len(curve.values), 60).round().astype(np.intp)
+        thinned = itemgetter(*(np.unique(rings) - 1))
         curves.append(
             Variogram.holding(
                 curve,
                 layer=layer,
                 map=name,
                 units=units,
-                distances_um=tuple(curve.distances_um[n] for n in indices),
-                values=tuple(curve.values[n] for n in indices),
+                distances_um=thinned(curve.distances_um),
+                values=thinned(curve.values),
             )
         )
     return {"variograms": tuple(curves)}
