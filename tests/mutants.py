@@ -425,8 +425,8 @@ MUTANTS = [
     ),
     Mutant(
         "analyze/scales.py",
-        "gain = sign * abs(response)",
-        "gain = abs(response)",
+        "gain = sign * abs(cross_rest) / own_power",
+        "gain = abs(cross_rest) / own_power",
         "analyze/test_scales.py",
     ),
     Mutant(

@@ -279,10 +279,10 @@ def comparison_rows(
     of_run = _rows_with_maps(sums[-1], point_um, light_off=light_off)
     for variant, variant_sums in zip(variants, sums, strict=True):
         rows = _rows_with_maps(variant_sums, point_um, light_off=light_off)
-        for (row, pair, _), (run_row, *run_pair) in zip(rows, of_run, strict=True):
+        for (row, pair, _), (run_row, run_pair, pixel_um) in zip(rows, of_run, strict=True):
             change: Entries = {}
             if variant.mesh is not None and row.n:
-                change = _change(run_row.r - row.r, pair, *run_pair)
+                change = _change(run_row.r - row.r, pair, run_pair, pixel_um)
             yield ComparisonRow.holding(
                 row,
                 registration=variant.title,
