@@ -21,6 +21,7 @@ from planish.core.bands import read_bands
 from planish.core.errors import MarkError
 from planish.core.facts import Interval, Trust, Value, optional
 from planish.core.grid import Grid, pitch, values_at
+from planish.core.tables import grouped
 from planish.core.threads import map_threads
 from planish.core.typing import Array, Bools, Entries, Pixel
 from planish.measure import PROPERTIES
@@ -207,10 +208,8 @@ def _agreement(sums: PairSums, units: str) -> Entries:
 
 def _with_p_of_table(rows: Sequence[CorrelationRow]) -> list[CorrelationRow]:
     """Correct p for the number of properties at each point size; negative controls count alone."""
-    families: dict[tuple[float, str], list[int]] = {}
-    for index, row in enumerate(rows):
-        control = row.a_map if row.negative_control else ""
-        families.setdefault((row.point_um, control), []).append(index)
+    controls = [row.a_map if row.negative_control else "" for row in rows]
+    families = grouped(range(len(rows)), lambda k: (rows[k].point_um, controls[k]))
     corrected = [*rows]
     for indices in families.values():
         p_of_family = holm([rows[k].p for k in indices])

@@ -11,12 +11,12 @@ import csv
 import io
 import math
 import re
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -25,6 +25,9 @@ from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.files import check_exists
 from planish.core.typing import Floats
 from planish.core.units import unit_um
+
+_Key = TypeVar("_Key", bound=Hashable)
+_Item = TypeVar("_Item")
 
 LARGEST_FILE = 10_000_000  # bytes; no table of marks, holes or sections is larger
 DECIMAL_COMMAS = "decimal commas need semicolons between the columns"
@@ -51,6 +54,14 @@ class Heading(NamedTuple):
     def um(self) -> float | None:
         """Length of the unit in um; None where it is none."""
         return unit_um(self.unit)
+
+
+def grouped(items: Iterable[_Item], key_of: Callable[[_Item], _Key]) -> dict[_Key, list[_Item]]:
+    """Items, such as rows, by their keys, both in the order in which they come."""
+    groups: dict[_Key, list[_Item]] = {}
+    for item in items:
+        groups.setdefault(key_of(item), []).append(item)
+    return groups
 
 
 @dataclass(frozen=True, kw_only=True)

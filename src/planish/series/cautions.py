@@ -3,13 +3,19 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from planish.core.tables import grouped
 from planish.core.text import and_join
-from planish.core.typing import Texts
 from planish.series.gather import Gathered
 from planish.series_results import FACTORS, Cell, Quantity, SeriesSpecimen
 
 NEST = ("sheet", "field")  # factors that are the sample
 _MOST_NAMES = 6
+_KIND_NAMES = {
+    "map": "maps without an image",
+    "sheet on image": "links to an image",
+    "two volumes": "links of two volumes",
+    "layers": "links of several layers",
+}
 
 
 def cautions_of(
@@ -29,23 +35,22 @@ def cautions_of(
     yield from _factors(counted, levels, grouped_by)
     if compared_by is not None:
         yield from _comparison(counted, compared_by, len(levels.get(compared_by, ())), most_levels)
-    kind_counts = Counter(specimen.kind for specimen in counted)
-    if len(kind_counts) > 1:
-        kind_names = {
-            "map": "maps without an image",
-            "sheet on image": "links to an image",
-            "two volumes": "links of two volumes",
-            "layers": "links of several layers",
-        }
-        kinds_text = ", ".join(f"{n} {kind_names[str(kind)]}" for kind, n in kind_counts.items())
-        yield (
-            f"The runs are of different kinds ({kinds_text}): only figures that are of the same"
-            " maps meet."
-        )
+    yield from _kinds(counted)
     # Standard deviations of unlike supports are of different things.
     if any(quantity.what in ("sd", "thin_share") for quantity in quantities):
         widths_um = [gathered.runs[specimen.name].column_um for specimen in counted]
         yield from _column_widths([um for um in widths_um if um is not None])
+
+
+def _kinds(counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
+    """What does not meet where runs are of different kinds."""
+    kind_counts = Counter(specimen.kind for specimen in counted)
+    if len(kind_counts) > 1:
+        kinds_text = ", ".join(f"{n} {_KIND_NAMES[str(kind)]}" for kind, n in kind_counts.items())
+        yield (
+            f"The runs are of different kinds ({kinds_text}): only figures that are of the same"
+            " maps meet."
+        )
 
 
 def _column_widths(widths_um: Sequence[float]) -> Iterator[str]:
@@ -58,19 +63,8 @@ def _column_widths(widths_um: Sequence[float]) -> Iterator[str]:
 
 def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity]) -> Iterator[str]:
     """Figures that a check or too little data keeps out of means and comparisons."""
-    for word, meaning in (("withheld", "a check failed"), ("doubtful", "a check asks for a look")):
-        figure_counts: dict[str, int] = {}
-        for specimen in counted:
-            reasons = [cell.why_not for cell in specimen.cells]
-            figure_counts[specimen.name] = sum(reason.startswith(word) for reason in reasons)
-        names = [name for name, n_figures in figure_counts.items() if n_figures]
-        if names:
-            is_every_figure = {*figure_counts.values()} <= {0, len(quantities)}
-            figures = "all figures" if is_every_figure else "some figures (marked in the table)"
-            yield (
-                f"{word.capitalize()} figures take part in no mean and no comparison, because"
-                f" {meaning}: {figures} of {listed(names)}."
-            )
+    yield from _kept_out("withheld", "a check failed", counted, len(quantities))
+    yield from _kept_out("doubtful", "a check asks for a look", counted, len(quantities))
     doubtful = _with_cell(counted, lambda cell: cell.trust == "doubtful" and cell.counts)
     if doubtful:
         yield (
@@ -91,15 +85,31 @@ def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity])
         )
 
 
+def _kept_out(
+    trust: str, why: str, counted: Sequence[SeriesSpecimen], n_quantities: int
+) -> Iterator[str]:
+    """Which specimens have figures that a check keeps out."""
+    figure_counts: dict[str, int] = {}
+    for specimen in counted:
+        reasons = [cell.why_not for cell in specimen.cells]
+        figure_counts[specimen.name] = sum(reason.startswith(trust) for reason in reasons)
+    names = [name for name, n_figures in figure_counts.items() if n_figures]
+    if names:
+        is_every_figure = {*figure_counts.values()} <= {0, n_quantities}
+        figures = "all figures" if is_every_figure else "some figures (marked in the table)"
+        yield (
+            f"{trust.capitalize()} figures take part in no mean and no comparison, because"
+            f" {why}: {figures} of {listed(names)}."
+        )
+
+
 def _with_cell(counted: Sequence[SeriesSpecimen], is_meant: Callable[[Cell], bool]) -> list[str]:
     return [specimen.name for specimen in counted if any(map(is_meant, specimen.cells))]
 
 
 def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
     """What does not match of sheets and volumes."""
-    by_volumes: dict[Texts, list[SeriesSpecimen]] = {}
-    for specimen in counted:
-        by_volumes.setdefault(gathered.runs[specimen.name].volumes, []).append(specimen)
+    by_volumes = grouped(counted, lambda specimen: gathered.runs[specimen.name].volumes)
     without = specimens_without("sheet", counted)
     if without and len(counted) > 1:
         kind = "volume" if len(by_volumes) < len(counted) else "specimen"
@@ -123,13 +133,11 @@ def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[s
 
 
 def _same_fields(counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
-    by_field: dict[Texts, list[str]] = {}
-    for specimen in counted:
-        if specimen.factor("field"):
-            field = (specimen.sheet, *specimen.member.factors.values())
-            by_field.setdefault(field, []).append(specimen.name)
-    for names in by_field.values():
-        if len(names) > 1:
+    with_field = [specimen for specimen in counted if specimen.factor("field")]
+    by_field = grouped(with_field, lambda s: (s.sheet, *s.member.factors.values()))
+    for same in by_field.values():
+        if len(same) > 1:
+            names = [specimen.name for specimen in same]
             yield (
                 f"{listed(names)} have the same factors, sheet and field; they count as fields of"
                 " one sheet."

@@ -10,7 +10,7 @@ import xarray as xr
 
 from planish.core.errors import FileError
 from planish.core.older_names import todays_names
-from planish.core.tables import parse_table, read_bytes
+from planish.core.tables import grouped, parse_table, read_bytes
 from planish.core.typing import Array, Entries
 from planish.series.pages import OF_A_ROW, RESULTS, VALUES, factor_columns
 from planish.series_results import FORMAT, SeriesResults
@@ -84,9 +84,8 @@ def _rows_of(
     folder: Path, results: SeriesResults, names: Sequence[str]
 ) -> dict[str, list[dict[str, str]]]:
     """Rows of values.csv, by quantity; FileError where they are not of these specimens."""
-    text = read_bytes(folder / VALUES, what="table of a series", most_bytes=2 * 10**9).decode(
-        "utf-8", errors="replace"
-    )
+    content = read_bytes(folder / VALUES, what="table of a series", most_bytes=2 * 10**9)
+    text = content.decode("utf-8", errors="replace")
     table = parse_table(text, VALUES, needed=("specimen", *OF_A_ROW[:-1]), error=FileError)
     figure_rows = [dict(zip(table.header, row.cells, strict=True)) for row in table.rows]
     table.check("Write the series again.")
@@ -98,10 +97,7 @@ def _rows_of(
             f"{VALUES} has figures of {', '.join(sorted(unknown)[:3])}, which {RESULTS} does not"
             " know: the two files are of different series. Write the series again."
         )
-    rows_by_quantity: dict[str, list[dict[str, str]]] = {}
-    for row in figure_rows:
-        rows_by_quantity.setdefault(row["quantity"], []).append(row)
-    return rows_by_quantity
+    return grouped(figure_rows, lambda row: row["quantity"])
 
 
 def _labels(row: Mapping[str, str], has_several_sheets: bool) -> Entries:
@@ -137,6 +133,12 @@ def _number(text: str) -> float:
         ) from None
 
 
+def _labels_of_dim(labels: Sequence[Any]) -> list[Any]:
+    """Each label once: texts as they come, numbers in their order."""
+    once = dict.fromkeys(labels)
+    return list(once) if isinstance(labels[0], str) else sorted(once)
+
+
 def _arrays(
     quantity: str, rows: Sequence[Mapping[str, str]], names: Sequence[str], has_several_sheets: bool
 ) -> dict[str, xr.DataArray]:
@@ -147,11 +149,9 @@ def _arrays(
     figures = [{"specimen": row["specimen"]} | _labels(row, has_several_sheets) for row in rows]
     labels: dict[str, list[Any]] = {"specimen": list(names)}
     coords: dict[str, Array] = {}
-    for dim in [*figures[0]][1:]:  # texts as they come, numbers in their order
-        labels[dim] = list(dict.fromkeys(figure[dim] for figure in figures))
+    for dim in [*figures[0]][1:]:
+        labels[dim] = _labels_of_dim([figure[dim] for figure in figures])
         is_text = isinstance(labels[dim][0], str)
-        if not is_text:
-            labels[dim].sort()
         coords[dim] = np.array(labels[dim], dtype=object if is_text else np.float64)
     # The figure and the ends of its interval.
     values = np.full((3, *map(len, labels.values())), np.nan)
@@ -164,7 +164,8 @@ def _arrays(
     attrs: Entries = {"units": units.pop()} if len(units) == 1 else {}
     variables = {quantity: (values[0], attrs)}
     if np.isfinite(values[1]).any():
-        variables |= {f"{quantity}_low": (values[1], attrs), f"{quantity}_high": (values[2], attrs)}
+        variables[f"{quantity}_low"] = (values[1], attrs)
+        variables[f"{quantity}_high"] = (values[2], attrs)
     if quantity in _JUDGED:
         flags = {"flag_values": [0, 1, 2], "flag_meanings": " ".join(_TRUST)}
         variables[_JUDGED[quantity]] = (trust, flags)

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from planish.core.errors import InputError
 from planish.core.numbers import in_words
+from planish.core.tables import grouped
 from planish.core.text import likely
 from planish.measure import property_names, registered
 from planish.report.text import as_compared
@@ -144,8 +145,7 @@ def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
     They are with the images, or with the same map of another sheet.
     """
     size_counts: dict[Pair, Counter[float]] = {}
-    for specimen in dict.fromkeys(row.specimen for row in rows):
-        specimen_rows = [row for row in rows if row.specimen == specimen]
+    for specimen_rows in grouped(rows, lambda row: row.specimen).values():
         for pair, size in _largest_points(specimen_rows, name).items():
             size_counts.setdefault(pair, Counter())[round(size, 3)] += 1
     quantities: list[Quantity] = []
@@ -216,16 +216,13 @@ def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -
     if pair not in largest_um:
         is_linked = any(row.quantity == "r" for row in rows)
         return Cell(why_not="not measured" if is_linked else "not linked")
-    at_um = largest_um[pair]
-    for row in pair_rows:
-        if row.quantity == "r" and _alike(row.at_um, q.at_um):
-            at_um = row.at_um
+    sizes_um = [row.at_um for row in pair_rows if _alike(row.at_um, q.at_um)]
+    at_um = sizes_um[-1] if sizes_um else largest_um[pair]
     row_by_quantity = {row.quantity: row for row in pair_rows if row.at_um == at_um}
     r = row_by_quantity["r"]
     n_eff_interval = row_by_quantity["n_eff_interval"].value
     reason = _why_not(r, with_doubtful=with_doubtful)
-    if not reason:
-        reason = _why_not_of_r(r, n_eff_interval or 0.0, q.at_um)
+    reason = reason or _why_not_of_r(r, n_eff_interval or 0.0, q.at_um)
     return Cell(
         value=r.value,
         low=r.low,

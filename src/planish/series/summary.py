@@ -4,9 +4,9 @@ It gives means over sheets, differences between papers or treatments, and pooled
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import planish
 from planish import analyze
 from planish.core.axial import angle_of, doubled, has_axes, near_axis
 from planish.core.errors import InputError
+from planish.core.tables import grouped
 from planish.core.text import likely
 from planish.core.typing import Entries, Texts
 from planish.series.cautions import NEST, cautions_of, specimens_without
@@ -58,7 +59,8 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     common, else as two groups (Welch). p is corrected for all differences together (Holm). A figure
     that is withheld takes part in nothing; a doubtful one does only where that was declared.
     """
-    factors = tuple(dict.fromkeys(name for member in gathered.members for name in member.factors))
+    factors_of_members = (member.factors for member in gathered.members)
+    factors = tuple(dict.fromkeys(chain.from_iterable(factors_of_members)))
     compared_by = _compared_by(gathered, factors, declared)
     separate_factors = dict.fromkeys(("paper", "treatment", "side", compared_by or "paper"))
     grouped_by = tuple(name for name in separate_factors if _varies(gathered, name))
@@ -66,14 +68,8 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     quantities = quantities_of(rows, gathered.runs, declared)
     specimens = _specimens(gathered, rows, quantities, declared)
     counted = [specimen for specimen in specimens if specimen.kind is not None]
-    groups: list[GroupFacts] = []
-    for group, members in _by_levels(counted, grouped_by).items():
-        levels = dict(zip(grouped_by, group, strict=True))
-        groups += [_group(members, k, q, levels) for k, q in enumerate(quantities)]
-    differences: Iterable[DifferenceFacts] = ()
-    if compared_by is not None:
-        pairs = [*_pairs(counted, quantities, compared_by, grouped_by)]
-        differences = _differences(pairs, quantities, declared)
+    pairs = [*_pairs(counted, quantities, compared_by, grouped_by)]
+    instruments = (run.instruments for run in gathered.runs.values())
     cautions = cautions_of(gathered, specimens, quantities, grouped_by, compared_by, _MOST_LEVELS)
     return SeriesResults(
         planish=planish.__version__,
@@ -85,9 +81,9 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
         compared_by=compared_by,
         sheets_given=bool(counted) and not specimens_without("sheet", counted),
         specimens=tuple(specimens),
-        groups=tuple(groups),
-        differences=tuple(differences),
-        instruments=tuple(facts for run in gathered.runs.values() for facts in run.instruments),
+        groups=tuple(_groups(counted, quantities, grouped_by)),
+        differences=tuple(_differences(pairs, quantities, declared)),
+        instruments=tuple(chain.from_iterable(instruments)),
         cautions=tuple(cautions),
     )
 
@@ -162,9 +158,7 @@ def _specimens(
     declared: Declared,
 ) -> list[SeriesSpecimen]:
     """Every specimen with its sheet and its cells; those without a run have neither."""
-    rows_by_specimen: dict[str, list[FigureRow]] = {}
-    for row in rows:
-        rows_by_specimen.setdefault(row.specimen, []).append(row)
+    rows_by_specimen = grouped(rows, lambda row: row.specimen)
     first_of_volume: dict[Texts, str] = {}
     specimens: list[SeriesSpecimen] = []
     for member in gathered.members:
@@ -189,10 +183,7 @@ def _by_levels(
     specimens: Sequence[SeriesSpecimen], factors: Sequence[str]
 ) -> dict[Texts, list[SeriesSpecimen]]:
     """Specimens by their levels of some factors."""
-    groups: dict[Texts, list[SeriesSpecimen]] = {}
-    for specimen in specimens:
-        groups.setdefault(tuple(map(specimen.factor, factors)), []).append(specimen)
-    return groups
+    return grouped(specimens, lambda specimen: tuple(map(specimen.factor, factors)))
 
 
 def _fields(
@@ -205,17 +196,25 @@ def _fields(
     return analyze.Fields(values, [specimen.sheet for specimen in specimens], names)
 
 
-def _group(
-    members: Sequence[SeriesSpecimen], k: int, quantity: Quantity, levels: dict[str, str]
-) -> GroupFacts:
+def _groups(
+    specimens: Sequence[SeriesSpecimen], quantities: Sequence[Quantity], grouped_by: Sequence[str]
+) -> Iterator[GroupFacts]:
+    """The mean of each quantity over the sheets of each group."""
+    for levels, members in _by_levels(specimens, grouped_by).items():
+        group = dict(zip(grouped_by, levels, strict=True))
+        for k, quantity in enumerate(quantities):
+            mean = _mean_of(members, k, quantity)
+            left_out = _left_out(members, k)
+            yield GroupFacts.holding(mean, quantity=k, group=group, left_out=left_out)
+
+
+def _mean_of(members: Sequence[SeriesSpecimen], k: int, quantity: Quantity) -> analyze.SheetMean:
     fields = _fields(members, k)
     if quantity.what == "r":
         n_effs = [specimen.cells[k].n_eff_interval for specimen in members]
-        mean = analyze.pooled_r(fields, [math.nan if n_eff is None else n_eff for n_eff in n_effs])
-    else:
-        variances = analyze.variances_of(fields)
-        mean = analyze.over_sheets(fields).model_copy(update={"variances": variances})
-    return GroupFacts.holding(mean, quantity=k, group=levels, left_out=_left_out(members, k))
+        return analyze.pooled_r(fields, [math.nan if n is None else n for n in n_effs])
+    variances = analyze.variances_of(fields)
+    return analyze.over_sheets(fields).model_copy(update={"variances": variances})
 
 
 def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> Texts:
@@ -225,33 +224,42 @@ def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> Texts:
 def _pairs(
     specimens: Sequence[SeriesSpecimen],
     quantities: Sequence[Quantity],
-    factor: str,
+    factor: str | None,
     grouped_by: Sequence[str],
 ) -> Iterator[tuple[Entries, analyze.SheetDifference]]:
-    """Compare every quantity of every two levels of a factor.
+    """Compare every quantity of every two levels of a factor; none without one.
 
     This is done within each level of the other factors that make groups.
     """
-    levels = [level for (level,) in _by_levels(specimens, [factor]) if level]
-    if [level.casefold() for level in levels] == ["after", "before"]:
-        levels.reverse()
+    if factor is None:
+        return
+    levels = _levels_in_order(specimens, factor)
     if not 2 <= len(levels) <= _MOST_LEVELS:
         return
     other_factors = [name for name in grouped_by if name != factor]
     strata = _by_levels(specimens, other_factors)
     for k, quantity in enumerate(quantities):
         for stratum, members in strata.items():
-            by_level = _by_levels(members, [factor])
-            for pair in combinations([level for level in levels if (level,) in by_level], 2):
-                before, after = (by_level[level,] for level in pair)
+            within = dict(zip(other_factors, stratum, strict=True))
+            by_level = grouped(members, lambda specimen: specimen.factor(factor))
+            for pair in combinations([level for level in levels if level in by_level], 2):
+                before, after = (by_level[level] for level in pair)
                 labels = {
                     "quantity": k,
-                    "within": dict(zip(other_factors, stratum, strict=True)),
+                    "within": within,
                     "factor": factor,
                     "levels": pair,
                     "left_out": _left_out([*before, *after], k),
                 }
                 yield labels, _compare(before, after, k, quantity)
+
+
+def _levels_in_order(specimens: Sequence[SeriesSpecimen], factor: str) -> list[str]:
+    """Levels of a factor that are given, as they come; before stands before after."""
+    levels = [*filter(None, dict.fromkeys(specimen.factor(factor) for specimen in specimens))]
+    if [level.casefold() for level in levels] == ["after", "before"]:
+        levels.reverse()
+    return levels
 
 
 def _compare(
@@ -266,9 +274,8 @@ def _compare(
     else:
         difference = analyze.paired_over_sheets(*fields) if paired else analyze.two_groups(*fields)
     sheets = dict.fromkeys(specimen.sheet for specimen in (*first, *second))
-    return difference.model_copy(
-        update={"unpaired": tuple(sheet for sheet in sheets if sheet in difference.unpaired)}
-    )
+    unpaired = tuple(sheet for sheet in sheets if sheet in difference.unpaired)
+    return difference.model_copy(update={"unpaired": unpaired})
 
 
 def _have_fields(specimens: Sequence[SeriesSpecimen]) -> bool:

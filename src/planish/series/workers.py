@@ -123,19 +123,26 @@ def _run_jobs(
             if is_idle:
                 time.sleep(_PAUSE)
             continue
-        timeout_s = _PAUSE if is_idle else None
-        finished, _ = wait(running, timeout=timeout_s, return_when=FIRST_COMPLETED)
-        for future in finished:
-            job = running.pop(future)
-            try:
-                yield job, future.result()
-            except workers.deaths:
-                tries[job.name] += 1
-                workers.forget(future)
-                if tries[job.name] < workers.tries:
-                    retries.append(job)
-                else:
-                    yield job, job.note.model_copy(update=KILLED)
+        for job, note in _ended(running, workers, timeout_s=_PAUSE if is_idle else None):
+            tries[job.name] += 1
+            if note is None and tries[job.name] < workers.tries:
+                retries.append(job)
+            else:
+                yield job, note or job.note.model_copy(update=KILLED)
+
+
+def _ended(
+    running: dict[Future[Note], Job], workers: _Cluster | _Processes, *, timeout_s: float | None
+) -> Iterator[tuple[Job, Note | None]]:
+    """Jobs that end within a time, taken off those that run; without a note where one was lost."""
+    finished, _ = wait(running, timeout=timeout_s, return_when=FIRST_COMPLETED)
+    for future in finished:
+        note = None
+        try:
+            note = future.result()
+        except workers.deaths:
+            workers.forget(future)
+        yield running.pop(future), note
 
 
 class _Cluster:

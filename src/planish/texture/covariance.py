@@ -35,9 +35,9 @@ class Lags:
         self._size = padded_shape(is_valid.shape, reach)
         self.lag_um = wrapped_lags_um(self._size, pixel_um)
         down_um, across_um = self.lag_um
-        self.inside = np.logical_and.outer(
-            np.abs(down_um) <= reach[0] * pixel_um[0], np.abs(across_um) <= reach[1] * pixel_um[1]
-        )
+        down_reach_um, across_reach_um = np.multiply(reach, pixel_um)
+        is_near = (np.abs(down_um) <= down_reach_um, np.abs(across_um) <= across_reach_um)
+        self.inside = np.logical_and.outer(*is_near)
         self.distance_um = np.hypot(down_um[:, None], across_um)
         # Rings one pixel wide; the numbers of pairs are whole.
         self._ring = np.rint(self.distance_um / max(pixel_um)).astype(np.intp)
@@ -74,8 +74,8 @@ class Lags:
         it back.
         """
         pairs = np.where(used, self.pairs, 0.0)
-        rest = self.n**2 - float(pairs.sum())
-        mean = float(products[used].sum()) / rest if rest > 0 else 0.0
+        rest = self.n**2 - pairs.sum()
+        mean = products[used].sum() / rest if rest > 0 else 0.0
         return np.where(pairs > 0, products / np.maximum(pairs, 1.0) + mean, 0.0)
 
     def variance_of_mean(self, covariance: Floats) -> float:
@@ -128,38 +128,33 @@ class PairCovariances:
         self.lags = lags
         self._maps = [np.where(lags.is_valid, m - m[lags.is_valid].mean(), 0.0) for m in (x, y)]
         a, b = (lags.transform(m) for m in self._maps)
-        x_products = lags.products(a, a)
-        y_products = lags.products(b, b)
-        self.used = [lags.until_zero(x_products), lags.until_zero(y_products)]
-        self.xx = lags.covariance(x_products, self.used[0])
-        self.yy = lags.covariance(y_products, self.used[1])
+        products = (lags.products(a, a), lags.products(b, b), lags.products(a, b))
+        used_x, used_y = (lags.until_zero(p) for p in products[:2])
+        self.xx = lags.covariance(products[0], used_x)
+        self.yy = lags.covariance(products[1], used_y)
         # For the interval all are cut alike: where r is large they nearly cancel each other.
-        used = self.used[0] | self.used[1]
-        products = (x_products, y_products, lags.products(a, b))
-        self._together = [lags.covariance(p, used) for p in products]
-        self.variances = (float(x_products[0, 0]) / lags.n, float(y_products[0, 0]) / lags.n)
-        variance_x, variance_y = self.variances
-        self._put_back = (float(self.xx[0, 0]) - variance_x, float(self.yy[0, 0]) - variance_y)
+        self._together = [lags.covariance(p, used_x | used_y) for p in products]
+        self.variances = (products[0][0, 0] / lags.n, products[1][0, 0] / lags.n)
+        # What the covariances have got back of the variance of the mean.
+        self._put_back = np.subtract((self.xx[0, 0], self.yy[0, 0]), self.variances)
 
     def variance_of_r(self, variances: Pair | None = None) -> float:
         """Variance of r of unrelated maps (Dutilleul 1993).
 
         ``variances``: of single points, where maps are means.
         """
-        n, (xx, yy) = self.lags.n, (self.xx, self.yy)
-        row_x = self.lags.sums(xx)
-        row_y = self.lags.sums(yy)
-        sum_x = float(row_x.sum())
-        sum_y = float(row_y.sum())
-        trace = float(np.sum(self.lags.pairs * xx * yy))
-        trace -= 2.0 / n * float(np.sum(row_x * row_y))
-        trace += sum_x * sum_y / n**2
-        # What is put back into the covariances belongs to the variances, too.
-        variance_x, variance_y = variances or self.variances
-        back_x, back_y = self._put_back
-        product = n * variance_x + back_x * n - sum_x / n
-        product *= n * variance_y + back_y * n - sum_y / n
-        return trace / product if product > 0 else math.nan
+        n = self.lags.n
+        rows = np.stack([self.lags.sums(covariance) for covariance in (self.xx, self.yy)])
+        sums = rows.sum(axis=(1, 2))
+        trace = np.sum(self.lags.pairs * self.xx * self.yy)
+        trace -= 2.0 / n * np.sum(rows[0] * rows[1])
+        trace += math.prod(sums) / n**2
+        product = math.prod(n * self._whole(variances) - sums / n)
+        return float(trace / product) if product > 0 else math.nan
+
+    def _whole(self, variances: Pair | None) -> Floats:
+        """Variances of both maps with what was put back into their covariances."""
+        return np.add(variances or self.variances, self._put_back)
 
     def n_eff(self, n: int, variances: Pair | None = None) -> float:
         """Independent points, at most ``n``, that would give r of unrelated maps this variance.
@@ -174,7 +169,7 @@ class PairCovariances:
 
         The maps have these covariances.
         """
-        return float(self._influence(r, variances).sum()) / self.lags.n**2
+        return float(self._influence(r, variances).sum() / self.lags.n**2)
 
     def spatial_error(self, r: float) -> Pair:
         """Standard error of z from what the points add to r, and the same over that of the model.
@@ -188,10 +183,9 @@ class PairCovariances:
         influence_hat = self.lags.transform(influence)
         weight = np.maximum(1.0 - self.lags.distance_um / bandwidth_um, 0.0)
         model = self._influence(r, None)
-        weighted_pairs = float(np.sum(weight * self.lags.pairs))
-        model_variance = float(np.sum(weight * model))
-        model_variance -= float(model.sum()) * weighted_pairs / self.lags.n**2
-        observed = float(np.sum(weight * self.lags.products(influence_hat, influence_hat)))
+        mean_weight = np.sum(weight * self.lags.pairs) / self.lags.n**2
+        model_variance = np.sum(weight * model) - model.sum() * mean_weight
+        observed = np.sum(weight * self.lags.products(influence_hat, influence_hat))
         error = math.sqrt(max(observed / (1 - r * r) ** 2, 0.0))
         ratio = error / math.sqrt(model_variance) if model_variance > 0 else 1.0
         return error / self.lags.n, ratio
@@ -203,12 +197,10 @@ class PairCovariances:
         return max(self.spatial_error(r)[1], 1.0)
 
     def _influence(self, r: float, variances: Pair | None) -> Floats:
-        variance_x, variance_y = variances or self.variances
-        back_x, back_y = self._put_back
-        sd_x = math.sqrt(variance_x + back_x)
-        sd_y = math.sqrt(variance_y + back_y)
-        xx, yy, xy = self._together
-        xx, yy, xy = xx / sd_x**2, yy / sd_y**2, xy / (sd_x * sd_y)
+        variance_x, variance_y = self._whole(variances)
+        xx = self._together[0] / variance_x
+        yy = self._together[1] / variance_y
+        xy = self._together[2] / math.sqrt(variance_x * variance_y)
         yx = _reversed(xy)
         squares = xx**2 + yy**2 + xy**2 + yx**2
         terms = xx * yy + xy * yx - r * (xx + yy) * (xy + yx) + r * r / 2 * squares
@@ -232,12 +224,13 @@ def variance_of_products(
         used = lags.until_zero(products + _reversed(products))
         covariances[i, j] = lags.covariance(products, used)
         covariances[j, i] = _reversed(covariances[i, j])
-    sd = [math.sqrt(float(covariances[i, i][0, 0])) for i in range(len(maps))]
+    sd = [math.sqrt(covariances[i, i][0, 0]) for i in range(len(maps))]
     total = np.zeros_like(lags.pairs)
     for (i, j, v), (k, m, w) in product(terms, repeat=2):
         # Isserlis: of Gaussian maps the covariance of products is one of pairs.
         pairs = covariances[i, k] * covariances[j, m] + covariances[i, m] * covariances[j, k]
-        total += v * w / (sd[i] * sd[j] * sd[k] * sd[m]) * pairs
+        weight = v * w / (sd[i] * sd[j] * sd[k] * sd[m])
+        total += weight * pairs
     return lags.variance_of_mean(total)
 
 

@@ -33,15 +33,15 @@ def without_trend(values: Floats, is_valid: Bools) -> Floats:
     """
     # Products of one polynomial along the rows and one along the columns: no term is ever as large
     # as the map.
-    rows, cols = (
-        np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), 2) for n in is_valid.shape
-    )
+    axes = (np.linspace(-1.0, 1.0, n) for n in is_valid.shape)
+    rows, cols = (np.polynomial.legendre.legvander(axis, 2) for axis in axes)
     inside = np.where(is_valid, values - values[is_valid].mean(), 0.0)
     weights = is_valid.astype(np.float64)
     products = (cols[:, :, None] * cols[:, None, :]).reshape(len(cols), 9)
-    moments = np.einsum("rjl,ri,rk->ijkl", (weights @ products).reshape(-1, 3, 3), rows, rows)
+    by_row = (weights @ products).reshape(-1, 3, 3)
+    moments = np.einsum("rjl,ri,rk->ijkl", by_row, rows, rows)
     sums = rows.T @ inside @ cols
-    i, j = np.nonzero(np.add.outer(np.arange(3), np.arange(3)) < 3)
+    i, j = np.nonzero(np.add.outer(range(3), range(3)) < 3)
     matrix = moments[i[:, None], j[:, None], i, j]
     surface = np.zeros((3, 3))
     surface[i, j] = np.linalg.lstsq(matrix, sums[i, j], rcond=None)[0]
@@ -54,12 +54,12 @@ def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
     Empty where it is less than a quarter of either.
     """
     a, b = (without_trend(m, is_valid)[is_valid] for m in (x, y))
-    share_x = 1.0 - float(a.var()) / float(x[is_valid].var())
-    share_y = 1.0 - float(b.var()) / float(y[is_valid].var())
+    share_x = 1.0 - a.var() / x[is_valid].var()
+    share_y = 1.0 - b.var() / y[is_valid].var()
     if min(share_x, share_y) < 0.25:
         return ""
-    spread = math.sqrt(float(a.var()) * float(b.var()))
-    r = float(np.mean(a * b)) / spread if spread > 0 else math.nan
+    spread = a.std() * b.std()
+    r = np.mean(a * b) / spread if spread > 0 else math.nan
     return (
         f"Trends over the whole field hold {100 * share_x:.0f} % of the variance of the first map"
         f" and {100 * share_y:.0f} % of that of the second; without them r is {r:.2f}."
@@ -79,7 +79,8 @@ class PhaseSurrogate:
         mean = float(values[valid].mean()) if valid.any() else 0.0
         # The jump at the borders would whiten the spectrum, and make the null too narrow.
         taper = np.multiply.outer(*(_tapered(n) for n in values.shape))
-        self.amplitude = np.abs(np.asarray(fft.rfft2(np.where(valid, values - mean, 0.0) * taper)))
+        centred = np.where(valid, values - mean, 0.0)
+        self.amplitude = np.abs(np.asarray(fft.rfft2(centred * taper)))
         self._shape = values.shape
         self._plane = Plane(valid)
 
@@ -114,10 +115,11 @@ class Plane:
         rows, cols = (np.arange(k, dtype=np.float64) for k in valid.shape)
         self._rows = rows - by_row @ rows / n
         self._cols = cols - by_col @ cols / n
-        mixed = float(self._rows @ (valid @ self._cols))
-        square = np.array([[by_row @ self._rows**2, mixed], [mixed, by_col @ self._cols**2]])
+        rows_cols = self._rows @ (valid @ self._cols)
+        rows_rows = by_row @ self._rows**2
+        cols_cols = by_col @ self._cols**2
         # On one line of pixels only the slope along it is known.
-        self._solve = np.linalg.pinv(square)
+        self._solve = np.linalg.pinv([[rows_rows, rows_cols], [rows_cols, cols_cols]])
         self._n = n
 
     def taken_off(self, values: Floats) -> Floats:
@@ -126,8 +128,9 @@ class Plane:
             return np.zeros(values.shape)
         centred = np.where(self._valid, values, 0.0)
         centred = np.where(self._valid, centred - centred.sum() / self._n, 0.0)
-        slope = self._solve @ (self._rows @ centred.sum(axis=1), self._cols @ centred.sum(axis=0))
-        plane = np.add.outer(slope[0] * self._rows, slope[1] * self._cols)
+        products = (self._rows @ centred.sum(axis=1), self._cols @ centred.sum(axis=0))
+        down, across = self._solve @ products
+        plane = np.add.outer(down * self._rows, across * self._cols)
         return np.where(self._valid, centred - plane, 0.0)
 
 
@@ -182,8 +185,8 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     below = np.flatnonzero((mean < np.exp(-1.0)) & (count > 0))
     if not below.size:
         return math.inf
-    k = int(below[0])
-    if k == 0:
+    if below[0] == 0:
         return step
-    part = (mean[k - 1] - np.exp(-1.0)) / (mean[k - 1] - mean[k])
-    return float(step * (k - 1 + part))
+    last = below[0] - 1
+    part = (mean[last] - np.exp(-1.0)) / (mean[last] - mean[last + 1])
+    return float(step * (last + part))

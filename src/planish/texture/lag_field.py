@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -68,9 +69,11 @@ class LagField:
         if int(use.sum()) < 6:
             return None
         centres = self.at_um[use]
-        weight = 1.0 / np.sqrt(np.trace(self.covariance_um2[use], axis1=1, axis2=2))[:, None]
+        variances = np.trace(self.covariance_um2[use], axis1=1, axis2=2)
+        weight = 1.0 / np.sqrt(variances)[:, None]
         lag = self.lag_um[use] * weight
-        design = weight * np.column_stack([np.ones(len(centres)), centres - centres.mean(axis=0)])
+        from_middle = centres - centres.mean(axis=0)
+        design = weight * np.column_stack([np.ones(len(centres)), from_middle])
         if np.linalg.matrix_rank(design) < 3:
             return None
         coefficients = np.linalg.lstsq(design, lag, rcond=None)[0]
@@ -88,6 +91,11 @@ def _place_of(
         return np.full(2, np.nan), np.full((2, 2), np.nan)
     covariance = covariance_of(peak, a, b, a_valid, b_valid) + lost_between_pixels(peak)
     return peak.summit_px[::-1], covariance[::-1, ::-1]
+
+
+def _z(r: Any, share: Any) -> Any:
+    """Fisher's z of tiles, each put to that of one which is known throughout."""
+    return np.arctanh(np.minimum(r, 0.999999)) * np.sqrt(share)
 
 
 def lag_field(
@@ -112,7 +120,9 @@ def lag_field(
     side_px = [round(tile_um / p) for p in pixel_um]
     allowed = within(reach)
     wide = (reach[0] + MARGIN, reach[1] + MARGIN)
-    if np.less_equal(side_px, 2 * np.array(wide)).any() or np.greater(side_px, a.shape).any():
+    rows, cols = side_px
+    is_small = rows <= 2 * wide[0] or cols <= 2 * wide[1]
+    if is_small or rows > a.shape[0] or cols > a.shape[1]:
         raise SizeError(
             f"Tiles of {tile_um:g} um are too small for the reach, or larger than the map. Take"
             f" sides above {2 * max(wide[0] * pixel_um[0], wide[1] * pixel_um[1]):.3g} um, or a"
@@ -122,34 +132,34 @@ def lag_field(
     tiles: list[tuple[Floats, Floats, Floats, float, float]] = []
     null_z: list[float] = []
     starts = (
-        range(0, n - s + 1, max(s // (1 + overlapping), 1))
-        for n, s in zip(a.shape, side_px, strict=True)
+        range(0, n - side + 1, max(side // (1 + overlapping), 1))
+        for n, side in zip(a.shape, side_px, strict=True)
     )
     for row, col in product(*starts):
         # The tile of a, and b around it as far as the search goes: every lag keeps its pairs.
-        around = (
-            slice(max(row - wide[0], 0), row + side_px[0] + wide[0]),
-            slice(max(col - wide[1], 0), col + side_px[1] + wide[1]),
-        )
+        around_rows = slice(max(row - wide[0], 0), row + rows + wide[0])
+        around_cols = slice(max(col - wide[1], 0), col + cols + wide[1])
+        around = (around_rows, around_cols)
+        tile = np.s_[row : row + rows, col : col + cols]
         is_in_tile = np.zeros(a.shape, dtype=bool)
-        is_in_tile[row : row + side_px[0], col : col + side_px[1]] = True
-        tile_valid = (is_valid & is_in_tile)[around]
-        share = float(tile_valid.sum()) / (side_px[0] * side_px[1])
+        is_in_tile[tile] = is_valid[tile]
+        share = float(is_valid[tile].mean())
         if share < 0.5:
             continue
-        pair = (a[around], b[around], tile_valid, is_valid[around])
-        correlate = MaskedNcc(a[around], a_valid=tile_valid, b_valid=is_valid[around], reach=wide)
+        masks = (is_in_tile[around], is_valid[around])
+        correlate = MaskedNcc(a[around], a_valid=masks[0], b_valid=masks[1], reach=wide)
         peak = find_peak(correlate(b[around]), allowed)
         for values in unrelated:
-            r = float(np.nanmax(correlate(values[around])[allowed], initial=0.0))
-            null_z.append(float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)))
-        centre_um = (np.array([col, row]) + (np.array(side_px[::-1]) - 1) / 2) * step
-        lag, covariance = _place_of(peak, *pair)
+            r = np.nanmax(correlate(values[around])[allowed], initial=0.0)
+            null_z.append(_z(r, share))
+        centre_um = np.array([col + (cols - 1) / 2, row + (rows - 1) / 2]) * step
+        lag, covariance = _place_of(peak, a[around], b[around], *masks)
+        covariance_um2 = covariance * np.outer(step, step)
         r = np.nan if peak is None else peak.r
-        tiles.append((centre_um, lag * step, covariance * np.outer(step, step), r, share))
+        tiles.append((centre_um, lag * step, covariance_um2, r, share))
     table = np.array(tiles, dtype=_TILE)
     limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf
-    height = np.arctanh(np.minimum(np.abs(table["r"]), 0.999999)) * np.sqrt(table["share"])
+    height = _z(np.abs(table["r"]), table["share"])
     distinct = np.isfinite(table["lag"][:, 0]) & (height > limit)
     return LagField(
         at_um=table["centre"],

@@ -6,7 +6,7 @@ The share that they explain, and what unrelated maps reach.
 import math
 
 import numpy as np
-from scipy import fft, special
+from scipy import fft, optimize, special
 
 from planish.core.typing import Bools, Complexes, Floats, Pair
 from planish.texture.ncc import LEAST_PAIRS, Peak, overlap
@@ -31,11 +31,9 @@ class LagSearch:
         self._y_hat = padded_spectrum(y, self._size)
         self._x_hat = np.stack([padded_spectrum(m, self._size) for m in x])
         pairs = np.rint(self._lags(np.abs(mask) ** 2))
-        self._pairs = np.maximum(pairs, 1.0)
         enough = pairs >= LEAST_PAIRS * pairs.max()
-        self._g = np.stack(
-            [self._lags(np.conj(m) * self._y_hat) / self._pairs for m in self._x_hat]
-        )
+        products = [self._lags(np.conj(m) * self._y_hat) for m in self._x_hat]
+        self._g = np.stack(products) / np.maximum(pairs, 1.0)
         n = int(np.count_nonzero(is_valid))
         self._inner = np.tensordot(x, x, ((1, 2), (1, 2))) / n
         self._inverse = np.linalg.pinv(self._inner, rcond=1e-6, hermitian=True)
@@ -62,22 +60,20 @@ class LagSearch:
         n = float(np.count_nonzero(self._is_valid))
         power_y = np.abs(self._y_hat) ** 2
         power_y[:, 1:] *= 2.0
-        powers = [
-            np.abs(np.tensordot(weights, self._x_hat, 1)) ** 2 * power_y for weights in across
-        ]
+        powers = np.abs(np.tensordot(across, self._x_hat, 1)) ** 2 * power_y
         # As in `relate`.
-        largest = max(float(np.sum(m)) for m in powers)
+        largest = np.sum(powers, axis=(1, 2)).max()
         rows, cols = self._size
         variance = largest / (rows * cols * n**3)
         fy = 2 * np.pi * fft.fftfreq(rows)[:, None]
         fx = 2 * np.pi * fft.rfftfreq(cols)
         power = np.sum(powers, axis=0)
-        total = float(np.sum(power))
+        total = np.sum(power)
         if not total > 0:
             return math.inf
-        moments = [float(np.sum(power * m)) / total for m in (fy * fy, fx * fx, fy * fx)]
-        root = math.sqrt(max(moments[0] * moments[1] - moments[2] ** 2, 0.0))
-        return variance * _chi2_limit(int(use.sum()), reach, root)
+        yy, xx, yx = (np.sum(power * m) / total for m in (fy * fy, fx * fx, fy * fx))
+        root = math.sqrt(max(yy * xx - yx**2, 0.0))
+        return float(variance * _chi2_limit(len(across), reach, root))
 
     def covariance(self, peak: Peak, pixel_um: Pair) -> Floats:
         """Covariance of the peak's place, (2, 2) in pixels squared, from the scatter of tiles.
@@ -120,18 +116,12 @@ def _chi2_limit(k: int, reach: tuple[int, int], root: float) -> float:
     area = math.pi * reach[0] * reach[1] * root
     half_round = math.pi * math.sqrt(reach[0] * reach[1] * root)
 
-    def expected(u: float) -> float:
+    def excess(u: float) -> float:
         scale = math.exp(-u / 2 - special.gammaln(k / 2) - (k - 2) / 2 * math.log(2.0))
         along = u ** ((k - 1) / 2) * scale / math.sqrt(2 * math.pi)
         over = u ** ((k - 2) / 2) * scale * (u - (k - 1)) / (2 * math.pi)
-        return float(special.gammaincc(k / 2, u / 2)) + half_round * along + area * over
-
-    low, high = 2.0 * k + 2.0, 400.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
+        expected = special.gammaincc(k / 2, u / 2) + half_round * along + area * over
         # Unrelated textures give a lag so often; of those that are not alike everywhere, more do.
-        if expected(middle) > 0.001:
-            low = middle
-        else:
-            high = middle
-    return high
+        return float(expected - 0.001)
+
+    return float(optimize.brentq(excess, 2.0 * k + 2.0, 400.0))

@@ -61,8 +61,8 @@ class MaskedNcc:
         product = self._lags(self._a * b_hat) - self._sum_a * sum_b / self._n
         least = 1e-9 * self._n
         is_valid = (self._var_a > least) & (var_b > least)
-        spread = np.sqrt(np.where(is_valid, self._var_a, 1.0) * np.where(is_valid, var_b, 1.0))
-        return np.where(is_valid, np.clip(product / spread, -1.0, 1.0), np.nan)
+        squared_spread = np.where(is_valid, self._var_a * var_b, np.nan)
+        return np.clip(product / np.sqrt(squared_spread), -1.0, 1.0)
 
     def _lags(self, spectrum: Complexes) -> Floats:
         return lags_within(spectrum, self._shape, self._reach)
@@ -148,7 +148,8 @@ def rival_of(share: Floats, peak: Peak, allowed: Bools) -> float:
     """
     height = np.where(allowed & np.isfinite(share), share, 0.0)
     labels, _ = ndimage.label(height > 0.5 * peak.r)
-    peak_label = labels[share.shape[0] // 2 + peak.lag_px[0], share.shape[1] // 2 + peak.lag_px[1]]
+    middle = np.array(share.shape) // 2
+    peak_label = labels[tuple(middle + peak.lag_px)]
     return float(np.where(labels == peak_label, 0.0, height).max())
 
 
@@ -165,7 +166,7 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     a_slices, b_slices = overlap(a.shape, peak.lag_px)
     # A cubic spline, as in `find_peak`: its slope in a pixel is half the difference of neighbouring
     # coefficients.
-    centred = np.where(b_valid, b - float(b[b_valid].mean()), 0.0)
+    centred = np.where(b_valid, b - b[b_valid].mean(), 0.0)
     spline = np.asarray(ndimage.spline_filter(centred, order=3), dtype=np.float64)
     spline = np.pad(spline, 1, mode="edge")
     slope_y = 0.5 * (spline[2:, 1:-1] - spline[:-2, 1:-1])
@@ -174,8 +175,8 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     is_valid = a_valid[a_slices] & b_valid[b_slices]
     n = int(is_valid.sum())
     u = standard(a[a_slices], is_valid) - peak.r * standard(b[b_slices], is_valid)
-    v = np.where(is_valid, slopes / float(b[b_slices][is_valid].std()), 0.0)
-    v = np.where(is_valid, v - v.sum(axis=(1, 2), keepdims=True) / n, 0.0)
+    v = slopes / b[b_slices][is_valid].std()
+    v = np.where(is_valid, v - v[:, is_valid].mean(axis=1)[:, None, None], 0.0)
     reach = quarter_of(u.shape)
     shape = padded_shape(u.shape, reach)
     mask_hat = padded_spectrum(is_valid.astype(np.float64), shape)
@@ -190,8 +191,9 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     r_uv = [lags(u_hat, s) for s in v_hat]
     covariance = np.empty((2, 2))
     for i, j in np.ndindex(2, 2):
+        alike = r_u * lags(v_hat[i], v_hat[j])
         crossed = r_uv[i] * r_uv[j][::-1, ::-1] / pairs
-        covariance[i, j] = np.sum(r_u * lags(v_hat[i], v_hat[j]) + crossed)
+        covariance[i, j] = np.sum(alike + crossed)
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / n**2)
     covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
     inverse = np.linalg.inv(peak.curvature)

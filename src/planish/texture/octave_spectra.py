@@ -60,7 +60,8 @@ def octaves_of(is_valid: Bools, pixel_um: Pair) -> list[Pair]:
         valid_index = np.flatnonzero(is_valid.any(axis=axis))
         if not valid_index.size:
             return []
-        sides_um.append(float(valid_index[-1] - valid_index[0] + 1) * pixel_um[1 - axis])
+        n_pixels = np.ptp(valid_index) + 1
+        sides_um.append(n_pixels * pixel_um[1 - axis])
     longest = math.floor(math.log2(SIDE_SHARE * min(sides_um) / 1000.0) + 1e-9)
     shortest = math.ceil(math.log2(LEAST_PIXELS * max(pixel_um) / 1000.0) - 1e-9)
     return [(1000.0 * 2.0 ** (k - 1), 1000.0 * 2.0**k) for k in range(longest, shortest, -1)]
@@ -116,7 +117,7 @@ class OctaveField:
 
     def _filled(self, values: Array) -> Levels:
         """Means of a map at each level, 0 in all; what is missing is filled from the next one."""
-        mean = float(values[self.is_valid].mean(dtype=np.float64))
+        mean = values[self.is_valid].mean(dtype=np.float64)
         levels = [np.where(self.is_valid, values - mean, 0.0).astype(np.float32)]
         for share, coarse_share in zip(self._shares, self._shares[1:], strict=False):
             total = halved_values(levels[-1] * share)
@@ -172,7 +173,7 @@ class _OctaveWindow:
         share = self._mean_around(is_known.astype(np.float32), mode="constant")
         self._weight = np.where(is_known, share * share, np.float32(0.0))
         squares = np.square(self._weight, dtype=np.float64)
-        pixels = float(squares.sum()) ** 2 / float(np.square(squares).sum())
+        pixels = squares.sum() ** 2 / np.square(squares).sum()
         self._area_um2 = pixels * self._pixel_um2
         self._lag_window = self._window_of_lags()
         self._frequencies = [
@@ -185,7 +186,7 @@ class _OctaveWindow:
         maps = [levels[self.step] for levels in pyramids]
         spectra = [self._transform(self._weight * (m - self._mean_around(m))) for m in maps]
         frequency = np.hypot(self._frequencies[0][:, None], self._frequencies[1])
-        cell_per_um2 = math.prod(float(f[1]) for f in self._frequencies)
+        cell_per_um2 = math.prod(f[1] for f in self._frequencies)
         step_per_um = math.sqrt(cell_per_um2)
         # Share of each cell of frequency that lies in the ring of the octave.
         ring = np.clip((frequency - 1 / self._high_um) / step_per_um + 0.5, 0.0, 1.0)
@@ -207,7 +208,7 @@ class _OctaveWindow:
         power = densities @ cells
         # The scatter of the densities themselves adds to the mean of their squares.
         squares = np.square(auto_power) @ cells / (1.0 + self._window_um2 / self._area_um2)
-        total = np.einsum("ii->i", power).real
+        total = np.diag(power).real
         radius = np.rint(frequency[waves] / (2.0 * step_per_um)).astype(np.intp)
         return OctavePower(
             low_um=self._low_um,
@@ -280,9 +281,10 @@ def _coherence(densities: Complexes, cells: Floats, radius: Array) -> Floats:
     floor = 1e-4 * level.max(axis=1, keepdims=True)
     level = np.maximum(level, np.maximum(floor, 1e-300))[:, radius]
     whitened = (densities / np.sqrt(level[:, None] * level[None, :])) @ cells
-    power = np.einsum("ii->i", whitened).real / cells.sum()  # of 1, less what is next to nothing
+    whitened /= cells.sum()
+    power = np.real(np.diag(whitened)).copy()  # of 1, less what is next to nothing
     power[power < 0.02] = math.nan
-    return np.abs(whitened / cells.sum()) ** 2 / np.outer(power, power)
+    return np.abs(whitened) ** 2 / np.outer(power, power)
 
 
 def _mean_of_wave(turns: Floats, count: int) -> Floats:

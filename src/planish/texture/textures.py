@@ -153,7 +153,7 @@ def textures(
     factor = max(1, math.ceil(math.sqrt(valid.size / most_pixels)))
     pixel_um = (factor * pixel_um[0], factor * pixel_um[1])
     shown = {k: common_means([m], (factor, factor), masks=[valid])[0] for k, m in maps.items()}
-    count = {k: int(np.count_nonzero(np.isfinite(m))) for k, m in shown.items()}
+    count = {k: np.count_nonzero(np.isfinite(m)) for k, m in shown.items()}
     # Of the pixels of the map that is known best; maps with fewer are left out.
     least = max(0.7 * max(count.values(), default=0), 1)
     shown = {k: m for k, m in shown.items() if count[k] >= least}
@@ -210,9 +210,9 @@ def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: Pair) -> float:
     size = padded_shape(a.shape, (0, 0))
     power = np.abs(padded_spectrum(a, size) * padded_spectrum(b, size)) ** 2
     power[:, 1 : (size[1] + 1) // 2] *= 2.0  # waves that run the other way
-    alike = float(np.sum(power)) / (size[0] * size[1] * n)
+    alike = np.sum(power) / (size[0] * size[1] * n)
     parts = tile_sums(a * b - 0.5 * r * (a * a + b * b), pixel_um)
-    return math.sqrt(max(alike, float(np.sum(parts**2)), 0.0)) / n
+    return math.sqrt(max(alike, np.sum(parts**2))) / n
 
 
 def standard(values: Floats, is_valid: Bools) -> Floats:
@@ -232,10 +232,10 @@ def standard(values: Floats, is_valid: Bools) -> Floats:
 
 def unexplained(values: Floats, explaining: Floats) -> Floats:
     """What a texture does not share with another one: the residual of least squares."""
-    sum_of_squares = float(np.sum(explaining**2))
+    sum_of_squares = np.sum(explaining**2)
     if not sum_of_squares > 0:
         return values
-    return values - float(np.sum(values * explaining)) / sum_of_squares * explaining
+    return values - np.sum(values * explaining) / sum_of_squares * explaining
 
 
 def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:

@@ -30,8 +30,10 @@ def without_white_noise(values: Array, is_known: Bools) -> Floats:
     frequency = np.hypot(down[:, None], across)
     power = waves * waves
     ring = (frequency * _RINGS).astype(np.intp)
-    mean_power = np.bincount(ring.ravel(), power.ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
-    floor = float(np.mean(power[frequency > _FLOOR]))
+    numbers = ring.ravel()
+    mean_power = np.bincount(numbers, power.ravel()) / np.maximum(np.bincount(numbers), 1)
+    floor = np.mean(power[frequency > _FLOOR])
     gain = np.clip(1.0 - floor / np.maximum(mean_power, 1e-30), 0.0, 1.0)
     gain[0] = 1.0  # the mean
-    return np.where(is_known, np.asarray(fft.idctn(waves * gain[ring], norm="ortho")), np.nan)
+    estimate = np.asarray(fft.idctn(waves * gain[ring], norm="ortho"))
+    return np.where(is_known, estimate, np.nan)
