@@ -161,7 +161,7 @@ def steady_grey(rule: CheckRule, scan: GreyScan) -> Check:
 
 def level_jump(window: Window) -> float:
     """Standard deviation of what the levels of single slices jump by, in greys."""
-    levels = np.percentile(window.blocks, (5.0, 50.0, 95.0), axis=1)
+    levels = np.percentile(window.blocks, (5.0, 50.0, 95.0), axis=(1, 2))
     if levels.shape[1] < 8:
         return 0.0
     second_differences = np.abs(np.diff(levels, n=2, axis=1))

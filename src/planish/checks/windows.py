@@ -38,13 +38,13 @@ class Window:
     first: int  # number of the first slice in the volume, from 0
     square: Floats  # (slices - 1,): means over voxels of u_k²
     product: Floats  # (slices - 2,): and of u_k u_k+1
-    blocks: NDArray[np.float32]  # (slices, blocks): means of 5 x 5 voxels
+    blocks: NDArray[np.float32]  # (slices, rows, cols): means of 5 x 5 voxels
 
 
 def window_of(slices: Array, axis: Axis = "z") -> Window:
     """Sum up slices that are in memory, (slices, rows, cols)."""
     part = np.ascontiguousarray(slices, dtype=np.float32)
-    square, product, blocks = _sums(part)
+    square, product, blocks = _sums(part, edge=min(BLOCK, *part.shape[1:]))
     voxels = part.shape[1] * part.shape[2]
     return Window(
         axis=axis, first=0, square=square / voxels, product=product / voxels, blocks=blocks
@@ -158,6 +158,7 @@ def _read_part(
     n_before = min(2, start - window_box["z"].start) if axis == "z" else 0
     piece_box = window_box | {"z": slice(start - n_before, stop)}
     k = "zyx".index(axis)
+    edge = _block_edge(window_box, axis)
     parts: list[_Part] = []
     last_slices: Array | None = None
     for cut in _cuts(volume, piece_box, axis):
@@ -172,7 +173,9 @@ def _read_part(
         if last_slices is not None:
             n_before = last_slices.shape[k]
             greys = np.concatenate([last_slices, greys], axis=k)
-        parts.append(_Part(_part_sums(greys, axis, n_before, fill_grey), sample, indices, grey))
+        parts.append(
+            _Part(_part_sums(greys, axis, n_before, fill_grey, edge), sample, indices, grey)
+        )
         last_slices = greys.take(range(max(greys.shape[k] - 2, 0), greys.shape[k]), axis=k)
     if len(parts) == 1:
         return parts[0]
@@ -227,23 +230,31 @@ def _voxels_of_slice(box: Box, axis: Axis) -> int:
     return math.prod(part.stop - part.start for k, part in box.items() if k != axis)
 
 
-def _part_sums(greys: Array, axis: Axis, n_before: int, fill_grey: float) -> Sums:
+def _block_edge(window_box: Box, axis: Axis) -> int:
+    """Voxels along the edge of a block: fewer where the whole window is narrower."""
+    return min(BLOCK, *(part.stop - part.start for k, part in window_box.items() if k != axis))
+
+
+def _part_sums(greys: Array, axis: Axis, n_before: int, fill_grey: float, edge: int) -> Sums:
     slices = np.ascontiguousarray(np.moveaxis(greys, "zyx".index(axis), 0), dtype=np.float32)
-    sums = _sums(slices, n_before)
+    sums = _sums(slices, n_before, edge=edge)
     if np.isfinite(sums[0]).all() and np.isfinite(sums[2]).all():
         return sums
-    return _sums(np.nan_to_num(slices, nan=fill_grey, posinf=fill_grey, neginf=fill_grey), n_before)
+    filled = np.nan_to_num(slices, nan=fill_grey, posinf=fill_grey, neginf=fill_grey)
+    return _sums(filled, n_before, edge=edge)
 
 
-def _sums(part: NDArray[np.float32], n_before: int = 0) -> Sums:
-    """Sums over pairs of slices, and block means; the first slices belong to the part before."""
+def _sums(part: NDArray[np.float32], n_before: int = 0, *, edge: int) -> Sums:
+    """Sums over pairs of slices, and means of whole blocks.
+
+    The first ``n_before`` slices belong to the part before.
+    """
     n, rows, cols = part.shape
-    edge = min(BLOCK, rows, cols)
     square = np.zeros(max(n - 1, 0))
     product = np.zeros(max(n - 2, 0))
     sums = np.zeros((n - n_before, rows // edge, cols // edge))
     _kernels.add_slices(part, edge, n_before, square, product, sums)
-    blocks = (sums / edge**2).reshape(n - n_before, -1).astype(np.float32)
+    blocks = (sums / edge**2).astype(np.float32)
     return square[max(n_before - 1, 0) :], product, blocks
 
 
