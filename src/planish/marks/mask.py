@@ -122,9 +122,7 @@ def without_dots(
     filled = np.where(has_data, coarse_greys, np.median(coarse_greys[has_data]))
     smooth = ndimage.gaussian_filter(filled, 1.0)
     counts, grey_edges = np.histogram(smooth[has_data], 256)
-    counts_below = np.append(0.0, np.cumsum(counts))
-    sums_below = np.append(0.0, np.cumsum(counts * np.arange(256)))
-    (best_edge,) = otsu_borders(counts_below, sums_below, 2)
+    (best_edge,) = otsu_borders(counts, counts * np.arange(256), 2)
     is_dark = has_data & (smooth < float(grey_edges[best_edge]))
     if not is_dark.any() or not (has_data & ~is_dark).any():
         return greys
