@@ -493,7 +493,7 @@ MUTANTS = [
     ),
     Mutant(
         "synthetic/_kernels.py",
-        "s = (dx * nx + dy * ny + dz * nz) / sqrt(nx * nx + ny * ny + nz * nz)",
+        "s = (dx * nx + dy * ny + dz * nz) / n",
         "s = dx * nx + dy * ny + dz * nz",
         "synthetic/test_specimen.py -k inverse",
     ),

@@ -374,13 +374,11 @@ def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
     is_cell = np.pad(whole_cells(points, uv), 1)
     row_edges = is_cell[1:, 1:-1] != is_cell[:-1, 1:-1]  # (rows, cols - 1): edges along rows
     col_edges = is_cell[1:-1, 1:] != is_cell[1:-1, :-1]  # (rows - 1, cols)
-
-    def length(nodes: Floats) -> float:
-        along_rows = np.diff(nodes, axis=1)[row_edges]
-        along_cols = np.diff(nodes, axis=0)[col_edges]
-        return float(sum(np.linalg.norm(edges, axis=1).sum() for edges in (along_rows, along_cols)))
-
-    return length(points), length(uv)
+    lengths: list[float] = []
+    for nodes in (points, uv):
+        edges = np.diff(nodes, axis=1)[row_edges], np.diff(nodes, axis=0)[col_edges]
+        lengths.append(float(sum(np.linalg.norm(e, axis=1).sum() for e in edges)))
+    return lengths[0], lengths[1]
 
 
 def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:

@@ -51,15 +51,15 @@ def flat_moves(
     area_um2 = float(np.count_nonzero(np.isfinite(centre))) * abs(row_um * col_um)
     mesh_um = max(float(np.sqrt(area_um2 / _MOST_NODES)), 4 * abs(row_um))
     mesh = sheet_mesh(surfaces, mesh_um)
-
-    def places(offset: NDArray[np.floating]) -> Floats:
-        return relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv
-
-    neutral_uv = places(np.broadcast_to(np.asarray(neutral, dtype=np.float64), centre.shape))
+    neutral_offset = np.broadcast_to(np.asarray(neutral, dtype=np.float64), centre.shape)
+    neutral_uv, *other_uvs = (
+        relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv
+        for offset in (neutral_offset, *others.values())
+    )
     u_sign = -1.0 if Frame.of(surfaces).mirrored else 1.0
     moves = xr.Dataset(coords={"y": mesh.y_um, "x": mesh.x_um})
-    for name, offset in others.items():
-        move_uv = places(offset) - neutral_uv
+    for name, uv in zip(others, other_uvs, strict=True):
+        move_uv = uv - neutral_uv
         moves[f"{name}_u"] = ("y", "x"), filled(u_sign * move_uv[..., 0]), {"units": "um"}
         moves[f"{name}_v"] = ("y", "x"), filled(move_uv[..., 1]), {"units": "um"}
     return moves

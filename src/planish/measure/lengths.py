@@ -236,11 +236,11 @@ def thickness_envelope(sheet: Sheet) -> Measured:
 
     f = sheet.frame
     radius_um = sheet.params.of(ThicknessOptions).envelope_radius_um
-
-    def envelope(outward_um: Floats) -> Floats:
-        return rolled(np.where(sheet.valid, outward_um, np.nan), f.pitch_um, radius_um)
-
-    return Measured(values=envelope(f.faces["top"]) + envelope(-f.faces["bottom"]))
+    top, bottom = (
+        rolled(np.where(sheet.valid, face, np.nan), f.pitch_um, radius_um)
+        for face in (f.faces["top"], -f.faces["bottom"])
+    )
+    return Measured(values=top + bottom)
 
 
 @cached

@@ -14,11 +14,21 @@ FULL = 100  # of a cell of wall and nothing else, in the whole numbers that a st
 
 
 @njit(cache=True, nogil=True)
-def _trace(x, y, angle, length, half_width, curl, stamp, fibre_number, nodes, top, step_height):
+def _scratch(shape, lengths, widths):
+    """Arrays that :func:`_trace` works in: stamps of nodes, heights by steps, and nodes."""
+    longest = int(lengths.max()) + 2
+    most_nodes = longest * (int(widths.max()) + 3) * 2
+    return np.zeros(shape, np.int32), np.empty(longest), np.empty((most_nodes, 4), np.int32)
+
+
+@njit(cache=True, nogil=True)
+def _trace(start, angle, length, half_width, curl, stamp, fibre_number, nodes, top, step_height):
     """Return the nodes under a ribbon, and the highest node of ``top`` under each step.
 
     The nodes are (row, col, step, place across).
     """
+    x, y = start
+    rows, cols = top.shape
     n_nodes = 0
     n_steps = max(int(length), 1)
     n_across = int(half_width / 0.7) + 1
@@ -28,19 +38,12 @@ def _trace(x, y, angle, length, half_width, curl, stamp, fibre_number, nodes, to
             offset = half_width * k / n_across
             i = int(floor(y + offset * cos(angle) + 0.5))
             j = int(floor(x - offset * sin(angle) + 0.5))
-            if (
-                i < 0
-                or j < 0
-                or i >= top.shape[0]
-                or j >= top.shape[1]
-                or n_nodes >= nodes.shape[0]
-            ):
+            if not (0 <= i < rows and 0 <= j < cols and n_nodes < len(nodes)):
                 continue
             step_height[t] = max(step_height[t], top[i, j])
             if stamp[i, j] != fibre_number:
                 stamp[i, j] = fibre_number
-                nodes[n_nodes, 0], nodes[n_nodes, 1], nodes[n_nodes, 2] = i, j, t
-                nodes[n_nodes, 3] = 1000 * abs(k) // n_across
+                nodes[n_nodes] = i, j, t, 1000 * abs(k) // n_across
                 n_nodes += 1
         x += cos(angle)
         y += sin(angle)
@@ -86,10 +89,7 @@ def lay_ribbons(  # noqa: C901
     ``wall_um`` um high.
     """
     rows, cols = top.shape
-    stamp = np.zeros((rows, cols), np.int32)
-    longest = int(lengths.max()) + 2
-    step_height = np.empty(longest)
-    nodes = np.empty((longest * (int(widths.max()) + 3) * 2, 4), np.int32)
+    stamp, step_height, nodes = _scratch(top.shape, lengths, widths)
     total_wall = 0.0
     for n in range(starts.shape[0]):
         if total_wall >= wall_um:
@@ -107,19 +107,8 @@ def lay_ribbons(  # noqa: C901
                     n_samples += 1
             if n_samples and height_sum / n_samples < lowest_mean:
                 best, lowest_mean = c, height_sum / n_samples
-        n_nodes, n_steps = _trace(
-            starts[n, best, 0],
-            starts[n, best, 1],
-            angles[n],
-            lengths[n],
-            0.5 * widths[n],
-            curls[n],
-            stamp,
-            n + 1,
-            nodes,
-            top,
-            step_height,
-        )
+        ribbon = starts[n, best], angles[n], lengths[n], 0.5 * widths[n], curls[n]
+        n_nodes, n_steps = _trace(*ribbon, stamp, n + 1, nodes, top, step_height)
         for t in range(1, n_steps):
             step_height[t] = max(step_height[t], step_height[t - 1] - flexibility[n])
         for t in range(n_steps - 2, -1, -1):
@@ -131,12 +120,13 @@ def lay_ribbons(  # noqa: C901
             wall, lumen = walls[n] * rounding, lumens[n] * rounding
             high = low + 2 * wall + lumen
             total_wall += 2 * wall
+            cells = shares[i, j]
             height_above = low - ground[i, j]
             if lumen > 0.0:
-                _fill(shares[i, j], height_above, height_above + wall, cell)
-                _fill(shares[i, j], height_above + wall + lumen, high - ground[i, j], cell)
+                _fill(cells, height_above, height_above + wall, cell)
+                _fill(cells, height_above + wall + lumen, high - ground[i, j], cell)
             else:
-                _fill(shares[i, j], height_above, high - ground[i, j], cell)
+                _fill(cells, height_above, high - ground[i, j], cell)
             top[i, j] = max(top[i, j], high)
 
 
@@ -198,29 +188,15 @@ def raise_fibres(
     out, low, sign, face, starts, angles, lengths, widths, curls, thickness, rises, cell
 ):
     """Add fibres (n) that begin at a face and stand off it by ``rises`` um at their free end."""
-    stamp = np.zeros(face.shape, np.int32)
-    longest = int(lengths.max()) + 2
-    step_height = np.empty(longest)
-    nodes = np.empty((longest * (int(widths.max()) + 3) * 2, 4), np.int32)
+    stamp, step_height, nodes = _scratch(face.shape, lengths, widths)
     for n in range(starts.shape[0]):
-        n_nodes, n_steps = _trace(
-            starts[n, 0],
-            starts[n, 1],
-            angles[n],
-            lengths[n],
-            0.5 * widths[n],
-            curls[n],
-            stamp,
-            n + 1,
-            nodes,
-            face,
-            step_height,
-        )
-        root_height = step_height[0]
+        ribbon = starts[n], angles[n], lengths[n], 0.5 * widths[n], curls[n]
+        n_nodes, n_steps = _trace(*ribbon, stamp, n + 1, nodes, face, step_height)
+        root_height = max(step_height[0], -1e8)
         for q in range(n_nodes):
             i, j = nodes[q, 0], nodes[q, 1]
             length_share = nodes[q, 2] / max(n_steps - 1, 1)
-            a = max(root_height, -1e8) + rises[n] * length_share * length_share - thickness[n]
+            a = root_height + rises[n] * length_share * length_share - thickness[n]
             b = a + thickness[n]
             if sign < 0:
                 a, b = -b, -a

@@ -19,6 +19,26 @@ _CLOSE_UM = 1e-3  # the step after it is smaller by the curvature times the dist
 
 
 @njit(cache=True, nogil=True)
+def _hermite(curve, i, k, f, h):
+    """Cubic Hermite between exact values and exact tangents: error below 1e-8 um at 2 um steps."""
+    a, b = curve[i], curve[i + 1]
+    h00 = (1 + 2 * f) * (1 - f) * (1 - f)
+    h10 = f * (1 - f) * (1 - f)
+    h01 = f * f * (3 - 2 * f)
+    h11 = f * f * (f - 1)
+    return h00 * a[k] + h10 * h * a[k + 2] + h01 * b[k] + h11 * h * b[k + 2]
+
+
+@njit(cache=True, nogil=True)
+def _normal(ux, uy, uz, vx, vy, vz):
+    """Normal to two tangents, and its length."""
+    nx = uy * vz - uz * vy
+    ny = uz * vx - ux * vz
+    nz = ux * vy - uy * vx
+    return nx, ny, nz, sqrt(nx * nx + ny * ny + nz * nz)
+
+
+@njit(cache=True, nogil=True)
 def frame_at(w, curve, u, v):
     """Return m (3), m_u (3), m_v (3) of the centre surface at (u, v), as nine scalars."""
     ca, sa = w[0], w[1]
@@ -28,24 +48,8 @@ def frame_at(w, curve, u, v):
     t = (p - w[5]) / h
     i = int(floor(t))
     i = min(max(i, 0), curve.shape[0] - 2)
-    f = t - i
-    # Cubic Hermite between exact values and exact tangents: error below 1e-8 um at 2 um steps.
-    h00 = (1 + 2 * f) * (1 - f) * (1 - f)
-    h10 = f * (1 - f) * (1 - f)
-    h01 = f * f * (3 - 2 * f)
-    h11 = f * f * (f - 1)
-    big_x = (
-        h00 * curve[i, 0]
-        + h10 * h * curve[i, 2]
-        + h01 * curve[i + 1, 0]
-        + h11 * h * curve[i + 1, 2]
-    )
-    big_z = (
-        h00 * curve[i, 1]
-        + h10 * h * curve[i, 3]
-        + h01 * curve[i + 1, 1]
-        + h11 * h * curve[i + 1, 3]
-    )
+    big_x = _hermite(curve, i, 0, t - i, h)
+    big_z = _hermite(curve, i, 1, t - i, h)
     psi = w[14] + w[2] * sin(w[3] * p + w[4])
     psi += 0.5 * w[15] * (1.0 + tanh((p - w[16]) / (2.0 * w[17]))) if w[15] != 0.0 else 0.0
     c = cos(psi)
@@ -84,8 +88,8 @@ def invert(w, curve, x, y, z, u, v):
         dv = (g11 * r2 - g12 * r1) / det
         u += du
         v += dv
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        s = (dx * nx + dy * ny + dz * nz) / sqrt(nx * nx + ny * ny + nz * nz)
+        nx, ny, nz, n = _normal(ux, uy, uz, vx, vy, vz)
+        s = (dx * nx + dy * ny + dz * nz) / n
         if abs(du) + abs(dv) < _CLOSE_UM:
             break
     return u, v, s
@@ -98,10 +102,9 @@ def frames(w, curve, u, v):
     normals = np.empty((u.size, 3))
     for i in range(u.size):
         mx, my, mz, ux, uy, uz, vx, vy, vz = frame_at(w, curve, u[i], v[i])
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        n = sqrt(nx * nx + ny * ny + nz * nz)
-        points[i, 0], points[i, 1], points[i, 2] = mx, my, mz
-        normals[i, 0], normals[i, 1], normals[i, 2] = nx / n, ny / n, nz / n
+        nx, ny, nz, n = _normal(ux, uy, uz, vx, vy, vz)
+        points[i] = mx, my, mz
+        normals[i] = nx / n, ny / n, nz / n
     return points, normals
 
 
@@ -110,9 +113,8 @@ def materials(w, curve, points):
     """Material coordinates (n, 3) as (u, v, s) of the points in space (n, 3) as (x, y, z)."""
     out = np.empty((points.shape[0], 3))
     for i in range(points.shape[0]):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        u, v, s = invert(w, curve, x, y, z, x - w[7], y - w[8])
-        out[i, 0], out[i, 1], out[i, 2] = u, v, s
+        x, y, z = points[i]
+        out[i] = invert(w, curve, x, y, z, x - w[7], y - w[8])
     return out
 
 
@@ -135,9 +137,7 @@ def columns(w, curve, ys, xs):
                 v += dv
                 if abs(du) + abs(dv) < _CLOSE_UM:
                     break
-            out[i, j, 0] = u
-            out[i, j, 1] = v
-            out[i, j, 2] = frame_at(w, curve, u, v)[2]
+            out[i, j] = u, v, frame_at(w, curve, u, v)[2]
     return out
 
 
@@ -150,9 +150,7 @@ def paint(
     xs,
     first,
     step,
-    shift_x,
-    shift_z,
-    turn,
+    moved,
     middle,
     under,
     half_um,
@@ -169,8 +167,8 @@ def paint(
 
     Around the sheet, nothing is added.
 
-    With ``z = (first + k) * step`` and x', z' counted from ``middle`` (x, z), the voxel (i, j, k)
-    shows the point
+    With ``z = (first + k) * step``, x', z' counted from ``middle`` (x, z), and ``moved`` (3, rows)
+    = (shift_x, shift_z, turn), the voxel (i, j, k) shows the point
     ``(xs[j] + shift_x[i] - turn[i] * z', ys[i], z + shift_z[i] + turn[i] * x')``.
     ``fields`` (fr, fc, n): s_T, s_TI, s_BI, s_B, the distances to the rim at both faces, the
     coating's burn and
@@ -192,16 +190,17 @@ def paint(
     layers = fields.shape[2] - _SINGLE
     at = np.empty(_SINGLE)
     for i in range(ys.size):
+        shift_x, shift_z, turn = moved[0, i], moved[1, i], moved[2, i]
         for j in range(xs.size):
-            lift = shift_z[i] + turn[i] * (xs[j] - middle[0])
-            zc = under[i, j, 2] - lift
-            u, v = under[i, j, 0], under[i, j, 1]
+            lift = shift_z + turn * (xs[j] - middle[0])
+            u, v, z_below = under[i, j]
+            zc = z_below - lift
             k0 = max(int(floor((zc - half_um) / step)) - first, 0)
             k1 = min(int(floor((zc + half_um) / step)) + 1 - first, depth_voxels - 1)
             du, dv, ddu, ddv = 0.0, 0.0, 0.0, 0.0
             for k in range(k0, k1 + 1):
                 z = (first + k) * step
-                x = xs[j] + shift_x[i] - turn[i] * (z - middle[1])
+                x = xs[j] + shift_x - turn * (z - middle[1])
                 # Up a column the material moves by nearly the same step again and again: one
                 # correction is enough.
                 u0, v0, du0, dv0 = u, v, du, dv
@@ -218,10 +217,8 @@ def paint(
                 low = _bilinear(fields, r, c, fy, fx, 3)
                 crack = _bilinear(fields, r, c, fy, fx, 8)
                 high = max(top + max(crack, 0.0), structure_high)
-                if (
-                    s > high + step
-                    or s < (min(low, structure_low) if has_cells else low) + min(crack, 0.0) - step
-                ):
+                deepest = min(low, structure_low) if has_cells else low
+                if s > high + step or s < deepest + min(crack, 0.0) - step:
                     continue
                 for n in range(_SINGLE):
                     at[n] = _bilinear(fields, r, c, fy, fx, n)
@@ -232,38 +229,30 @@ def paint(
                 in_sheet = _ramp((top - s) / step) * _ramp((s - low) / step)
                 in_base = _ramp((inner_top - s) / step) * _ramp((s - inner_low) / step)
                 outside = s - top if crack > 0.0 else low - s
-                in_crack = (
-                    _ramp(outside / step) * _ramp((abs(crack) - outside) / step)
-                    if crack != 0.0
-                    else 0.0
-                )
+                in_crack = 0.0
+                if crack != 0.0:
+                    in_crack = _ramp(outside / step) * _ramp((abs(crack) - outside) / step)
+                coat_share = max(in_sheet - in_base, 0.0)
+                coat = coat_share * grey[1] * (at[6] * at[7])
                 if has_cells:
-                    coat_share = max(in_sheet - in_base, 0.0)
                     fibre = 0.0
                     if coat_share < 1.0:
-                        height, half = (s - structure_low) / cell, 0.5 * step / cell
-                        density = _cells_between(
-                            structure, r, c, fy, fx, height - half, height + half
-                        )
+                        height = (s - structure_low) / cell
+                        half = 0.5 * step / cell
+                        low_cell, high_cell = height - half, height + half
+                        density = _cells_between(structure, r, c, fy, fx, low_cell, high_cell)
                         fibre = (1.0 - coat_share) * density
-                    value = (
-                        fibre * grey[0]
-                        + coat_share * grey[1] * (at[6] * at[7])
-                        + in_crack * grey[2]
-                    )
+                    value = fibre * grey[0] + coat + in_crack * grey[2]
                     slab[i, j, k] = value * (1.0 if s < film else solid)
                     continue
-                depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (
-                    layers - 1
-                )
+                relative_depth = (s - inner_low) / max(inner_top - inner_low, 1e-6)
+                depth = min(max(relative_depth, 0.0), 1.0) * (layers - 1)
                 layer = min(int(depth), layers - 2)
                 f = depth - layer
                 under_it = _bilinear(fields, r, c, fy, fx, _SINGLE + layer)
                 above_it = _bilinear(fields, r, c, fy, fx, _SINGLE + 1 + layer)
                 density = under_it * (1 - f) + above_it * f
-                value = in_base * grey[0] * density + max(in_sheet - in_base, 0.0) * grey[1] * (
-                    at[6] * at[7]
-                )
+                value = in_base * grey[0] * density + coat
                 slab[i, j, k] = (value + in_crack * grey[2]) * solid
 
 
@@ -280,11 +269,8 @@ def _cells_between(cells, r, c, fy, fx, low, high):
     last = min(int(floor(high)), cells.shape[2] - 1)
     density_sum = 0.0
     for k in range(first, last + 1):
-        upper_row = cells[r, c, k] * (1 - fx) + cells[r, c + 1, k] * fx
-        lower_row = cells[r + 1, c, k] * (1 - fx) + cells[r + 1, c + 1, k] * fx
-        density_sum += (upper_row * (1 - fy) + lower_row * fy) * (
-            min(high, k + 1.0) - max(low, float(k))
-        )
+        overlap = min(high, k + 1.0) - max(low, float(k))
+        density_sum += _bilinear(cells, r, c, fy, fx, k) * overlap
     return 0.01 * density_sum / (high - low)
 
 
@@ -315,8 +301,9 @@ def lay_fibres(field, starts, angles, lengths, widths, curls):
                 continue
             px, py = cx, cy
             r = int(half) + 1
+            left, right = max(cx - r, 0), min(cx + r + 1, cols)
             for i in range(max(cy - r, 0), min(cy + r + 1, rows)):
-                for j in range(max(cx - r, 0), min(cx + r + 1, cols)):
+                for j in range(left, right):
                     d2 = ((i - y) ** 2 + (j - x) ** 2) / (half * half)
                     if d2 < 1:
                         field[i, j] = max(field[i, j], sqrt(1 - d2))

@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.reflectance import layer_over
-from planish.core.typing import Bools, Floats
-from planish.synthetic.params import CameraParams, PaperParams, PrintParams
+from planish.core.typing import Array, Bools, Floats
+from planish.synthetic.params import CameraParams, PaperParams, PrintParams, spawned
 from planish.synthetic.pose import CameraPose
 from planish.synthetic.sheet import PITCH_UM, DrawnSheet, Field, noise
 
@@ -36,9 +36,8 @@ def base_weight(paper: PaperParams, base_mass: ArrayLike = 1.0) -> Floats:
 
     It is mean thickness times density, times the relative grammage of the place.
     """
-    return (
-        paper.base_um * paper.base_g_per_cm3 * _KG_PER_M2 * np.asarray(base_mass, dtype=np.float64)
-    )
+    mean_weight = paper.base_um * paper.base_g_per_cm3 * _KG_PER_M2
+    return mean_weight * np.asarray(base_mass, dtype=np.float64)
 
 
 def coated(
@@ -53,12 +52,8 @@ def coated(
 
     That is the base unless ``outwards`` is false.
     """
-    weight = (
-        paper.coating_g_per_cm3
-        * _KG_PER_M2
-        * np.asarray(coating_um, float)
-        * np.asarray(density, float)
-    )
+    mean_density = paper.coating_g_per_cm3 * _KG_PER_M2
+    weight = mean_density * np.asarray(coating_um, float) * np.asarray(density, float)
     layers = list(zip(COATING_S_M2_PER_KG, COATING_SHARES, strict=True))
     result = np.asarray(backing, dtype=np.float64)
     for s, share in layers if outwards else layers[::-1]:
@@ -81,23 +76,21 @@ def sheet_reflectance(
     The backing is a pile of the paper or a black hollow; density of coatings and grammage of the
     base have a mean of 1.
     """
-    reflectance = pile_reflectance(paper) if backing == "pile" else 0.0
-    reflectance = coated(reflectance, coating_bottom_um, coating_density, paper, outwards=False)
-    reflectance = layer_over(
-        reflectance, base_s_m2_per_kg, BASE_K_M2_PER_KG, base_weight(paper, base_mass)
-    )
-    return coated(reflectance, coating_top_um, coating_density, paper)
+    below = pile_reflectance(paper) if backing == "pile" else 0.0
+    below = coated(below, coating_bottom_um, coating_density, paper, outwards=False)
+    weight = base_weight(paper, base_mass)
+    base = layer_over(below, base_s_m2_per_kg, BASE_K_M2_PER_KG, weight)
+    return coated(base, coating_top_um, coating_density, paper)
 
 
 def pile_reflectance(paper: PaperParams) -> float:
     """Reflectance of a pile of mean sheets of this paper that nothing shines through."""
     reflectance = np.zeros(())
+    weight = base_weight(paper)
     for _ in range(_SHEETS):
-        reflectance = coated(reflectance, paper.coating_bottom_um, 1.0, paper, outwards=False)
-        reflectance = layer_over(
-            reflectance, BASE_S_M2_PER_KG, BASE_K_M2_PER_KG, base_weight(paper)
-        )
-        reflectance = coated(reflectance, paper.coating_top_um, 1.0, paper)
+        below = coated(reflectance, paper.coating_bottom_um, 1.0, paper, outwards=False)
+        base = layer_over(below, BASE_S_M2_PER_KG, BASE_K_M2_PER_KG, weight)
+        reflectance = coated(base, paper.coating_top_um, 1.0, paper)
     return float(reflectance)
 
 
@@ -147,11 +140,7 @@ def photograph(
     ValueError
         If ``camera.oracle_r2`` is out of reach.
     """
-    # As ``seed.spawn`` makes them, which counts in the caller's object and gives others next time.
-    seeds = (np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in range(5))
-    for_scatter, for_nuisance, for_tone, for_noise, for_print_noise = map(
-        np.random.default_rng, seeds
-    )
+    for_scatter, for_nuisance, for_tone, for_noise, for_print_noise = spawned(seed, 5)
     u, v = image_material(pose, shape, camera.pixel_um)
     top, coating, rim, hole, image = _bare_sheet(sheet, camera, u, v, for_scatter)
     nuisance = _coarse_noise(sheet, _PAPER_UM, for_nuisance)
@@ -173,16 +162,22 @@ def photograph(
             a, b = _screen_coordinates(*uv, screen)
             col = np.floor(a)
             row = np.floor(b)
-            distance = 1e4 / screen.screen_per_cm * np.hypot(a - col - 0.5, b - row - 0.5)
+            distance = screen.pitch_um * np.hypot(a - col - 0.5, b - row - 0.5)
             i = np.clip(row.astype(int) - first_cell[0], 0, radius_um.shape[0] - 1)
             j = np.clip(col.astype(int) - first_cell[1], 0, radius_um.shape[1] - 1)
-            ink_share = np.clip((radius_um[i, j] - distance) / camera.pixel_um + 0.5, 0, 1)
+            ink_share = _covered(radius_um[i, j] - distance, camera)
             # Murray and Davies.
             reflectance = reflectance * (1 - ink_share) + screen.ink * ink_share
-        image[rows] = reflectance * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *uv)))
-    paper_share = np.clip(rim / camera.pixel_um + 0.5, 0, 1)
+        burnt = 1 - sheet.at(sheet.char, *uv)
+        image[rows] = reflectance * (1 - 2 * (1 - _CHAR_RIM) * burnt)
+    paper_share = _covered(rim, camera)
     image = np.asarray(hole + (image - hole) * paper_share, dtype=np.float32)
     return _expose(image, top, paper_share, camera, for_print_noise if printed else for_noise)
+
+
+def _covered(inside_um: Array, camera: CameraParams) -> Array:
+    """Share of each pixel on the inner side of a border that lies so far outside its middle."""
+    return np.clip(inside_um / camera.pixel_um + 0.5, 0, 1)
 
 
 def _bare_sheet(
@@ -192,7 +187,6 @@ def _bare_sheet(
 
     Reflectances of a hole and of the sheet.
     """
-    pixel_um = camera.pixel_um
     scattering_field = _BASE_S_SD_M2_PER_KG * _coarse_noise(sheet, _PAPER_UM, rng)
     top_um, coating_um, rim_um, hole_reflectance, reflectance = (
         np.empty(u.shape, dtype=np.float32) for _ in range(5)
@@ -203,8 +197,9 @@ def _bare_sheet(
         top_um[rows] = faces[0]
         coating_um[rows] = np.maximum(faces[0] - faces[1], 0)
         rim_um[rows] = sheet.at(sheet.rim_um[0], *uv)
-        lower_share = np.clip(sheet.at(sheet.rim_um[1], *uv) / pixel_um + 0.5, 0, 1)
+        lower_share = _covered(sheet.at(sheet.rim_um[1], *uv), camera)
         hole_reflectance[rows] = _HOLE + (_CHAR_GREY - _HOLE) * lower_share
+        scattering = BASE_S_M2_PER_KG + _sample(sheet, scattering_field, *uv)
         reflectance[rows] = sheet_reflectance(
             sheet.params,
             camera.backing,
@@ -212,9 +207,7 @@ def _bare_sheet(
             coating_bottom_um=np.maximum(faces[2] - faces[3], 0),
             coating_density=sheet.at(sheet.coating_density, *uv),
             base_mass=sheet.at(sheet.base_mass, *uv),
-            base_s_m2_per_kg=np.maximum(
-                BASE_S_M2_PER_KG + _sample(sheet, scattering_field, *uv), 0
-            ),
+            base_s_m2_per_kg=np.maximum(scattering, 0),
         )
     return top_um, coating_um, rim_um, hole_reflectance, reflectance
 
@@ -310,13 +303,10 @@ def _oracle_gain(
             " but more than 0."
         )
     scaled_target = target * tt
-    roots = np.roots(
-        [
-            tn * tn - scaled_target * nn,
-            2 * (tr * tn - scaled_target * rn),
-            tr * tr - scaled_target * rr,
-        ]
-    )
+    square = tn * tn - scaled_target * nn
+    linear = 2 * (tr * tn - scaled_target * rn)
+    constant = tr * tr - scaled_target * rr
+    roots = np.roots([square, linear, constant])
     gains = [g.real for g in roots if abs(g.imag) < 1e-12 and g.real >= 0 and tr + g.real * tn > 0]
     if not gains:
         raise ValueError(
@@ -337,42 +327,32 @@ def _dot_radii(
     rows, cols = sheet.char.shape
     u = sheet.origin[0] + PITCH_UM * np.array([0, cols - 1, 0, cols - 1])
     v = sheet.origin[1] + PITCH_UM * np.array([0, 0, rows - 1, rows - 1])
-    a, b = _screen_coordinates(u, v, screen)
-    first_cell = (int(np.floor(b.min())), int(np.floor(a.min())))
-    cell_shape = (
-        int(np.floor(b.max())) - first_cell[0] + 1,
-        int(np.floor(a.max())) - first_cell[1] + 1,
-    )
+    cells = np.floor(_screen_coordinates(u, v, screen)).astype(int)
+    first_col, first_row = cells.min(axis=1).tolist()
+    n_cols, n_rows = (np.ptp(cells, axis=1) + 1).tolist()
     sample_offsets = (np.arange(_CELL_SAMPLES) + 0.5) / _CELL_SAMPLES
-    b, a = np.meshgrid(
-        *(
-            (k + np.arange(n)[:, None] + sample_offsets).ravel()
-            for k, n in zip(first_cell, cell_shape, strict=True)
-        ),
-        indexing="ij",
+    a, b = np.meshgrid(
+        (first_col + np.arange(n_cols)[:, None] + sample_offsets).ravel(),
+        (first_row + np.arange(n_rows)[:, None] + sample_offsets).ravel(),
     )
-    pitch = 1e4 / screen.screen_per_cm
+    pitch = screen.pitch_um
     angle = np.deg2rad(screen.angle_deg)
     u = pitch * (a * np.cos(angle) - b * np.sin(angle))
     v = pitch * (a * np.sin(angle) + b * np.cos(angle))
     coating = np.maximum(sheet.at(sheet.faces[0], u, v) - sheet.at(sheet.faces[1], u, v), 0)
     mean_coating_um = float(np.mean(sheet.faces[0] - sheet.faces[1], dtype=np.float64))
-    tone_change = screen.gain_sd * _sample(sheet, tone, u, v) - screen.gain_per_um * (
-        coating - mean_coating_um
-    )
-    cell_change = tone_change.reshape(
-        cell_shape[0], _CELL_SAMPLES, cell_shape[1], _CELL_SAMPLES
-    ).mean(axis=(1, 3))
+    coating_gain = screen.gain_per_um * (coating - mean_coating_um)
+    tone_change = screen.gain_sd * _sample(sheet, tone, u, v) - coating_gain
+    samples = tone_change.reshape(n_rows, _CELL_SAMPLES, n_cols, _CELL_SAMPLES)
     # A larger dot would touch its neighbours: then the tone is no longer pi r^2.
-    dot_area = np.clip(screen.tone + cell_change, 0.0, 0.25 * np.pi)
-    return first_cell, pitch * np.sqrt(dot_area / np.pi)
+    dot_area = np.clip(screen.tone + samples.mean(axis=(1, 3)), 0.0, 0.25 * np.pi)
+    return (first_row, first_col), pitch * np.sqrt(dot_area / np.pi)
 
 
 def _screen_coordinates(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floats, Floats]:
-    pitch = 1e4 / screen.screen_per_cm
     angle = np.deg2rad(screen.angle_deg)
-    cos = np.cos(angle) / pitch
-    sin = np.sin(angle) / pitch
+    cos = np.cos(angle) / screen.pitch_um
+    sin = np.sin(angle) / screen.pitch_um
     return u * cos + v * sin, v * cos - u * sin
 
 
@@ -382,17 +362,15 @@ def _coarse_noise(sheet: DrawnSheet, correlation_um: float, rng: np.random.Gener
     It lies on every 4th node of the sheet's grid.
     """
     rows, cols = sheet.char.shape
-    return noise(
-        (rows // _COARSE_STEP + 2, cols // _COARSE_STEP + 2), correlation_um / _COARSE_STEP, rng
-    )
+    shape = (rows // _COARSE_STEP + 2, cols // _COARSE_STEP + 2)
+    return noise(shape, correlation_um / _COARSE_STEP, rng)
 
 
 def _sample(sheet: DrawnSheet, coarse_field: Floats, u: Floats, v: Floats) -> Floats:
     pitch_um = PITCH_UM * _COARSE_STEP
-    node_positions = np.stack([(v - sheet.origin[1]) / pitch_um, (u - sheet.origin[0]) / pitch_um])
-    return np.asarray(
-        ndimage.map_coordinates(coarse_field, node_positions, order=1, mode="nearest")
-    )
+    row = (v - sheet.origin[1]) / pitch_um
+    col = (u - sheet.origin[0]) / pitch_um
+    return ndimage.map_coordinates(coarse_field, np.stack([row, col]), order=1, mode="nearest")
 
 
 def _row_blocks(rows: int) -> list[slice]:

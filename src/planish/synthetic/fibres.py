@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.grid import at_index
 from planish.core.typing import Floats, Singles
 from planish.synthetic.params import FilmParams, PaperParams, generator
 
@@ -24,10 +25,17 @@ WALL_G_PER_CM3 = 1.5
 _FILLER_G_PER_CM3, _FILLER_UM3 = 2.7, 4.2  # of calcite; volume of a grain of 2 um
 # What a grain adds to a cell of 1 um; 100 is wall: it fills half and is twice as bright.
 _GRAIN = 110
+FWHM = float(np.sqrt(8 * np.log(2.0)))  # of a Gaussian over its standard deviation
 _TRIES = 6  # places of a fibre, of which it takes the lowest
 _FACE_ROWS = 64
 # Height of a sheet before the press over its solid thickness, and more with hollow fibres.
 _DEEPEST = (2.5, 10.5)
+
+
+def drawn_angles(anisotropy: float, count: int, rng: np.random.Generator) -> Floats:
+    """Directions of fibres, by von Mises' angles: ``anisotropy`` is number along u over across."""
+    axes = rng.vonmises(0.0, 0.5 * np.log(anisotropy), count) / 2
+    return axes + rng.integers(0, 2, count) * np.pi
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,29 +58,25 @@ class Structure:
 
     def on_film(self, bottom: Floats, film: FilmParams) -> Structure:
         """Put a film below a sheet with the face ``bottom`` (rows, cols)."""
-        contact_um = float(np.percentile(bottom, 1.0))
-        film_top_um = contact_um if film.is_tape else float(bottom.min()) - film.gap_um
-        low_um = float(np.floor(min(self.low_um, film_top_um - film.film_um - 2 * self.cell_um)))
+        if film.is_tape:
+            film_top_um = float(np.percentile(bottom, 1.0))
+            upper_um = np.minimum(bottom, film_top_um + 30.0)
+        else:
+            film_top_um = float(bottom.min()) - film.gap_um
+            upper_um = np.full(bottom.shape, film_top_um)
+        film_low_um = film_top_um - film.film_um
+        low_um = float(np.floor(min(self.low_um, film_low_um - 2 * self.cell_um)))
         n_cells_below = int(np.ceil((self.low_um - low_um) / self.cell_um))
         density = np.pad(self.density, ((0, 0), (0, 0), (n_cells_below, 0)))
-        cell_borders = self.low_um + self.cell_um * (
-            np.arange(density.shape[2] + 1) - n_cells_below
-        )
-        upper_um = (
-            np.minimum(bottom, contact_um + 30.0)
-            if film.is_tape
-            else np.full(bottom.shape, film_top_um)
-        )
+        cells = np.arange(density.shape[2] + 1) - n_cells_below
+        cell_borders = self.low_um + self.cell_um * cells
         cols = slice(0, round(film.share * bottom.shape[1]))
         for k, (start_um, stop_um) in enumerate(pairwise(cell_borders)):
-            filled_um = np.minimum(stop_um, upper_um[:, cols]) - max(
-                start_um, film_top_um - film.film_um
-            )
+            filled_um = np.minimum(stop_um, upper_um[:, cols]) - max(start_um, film_low_um)
             share = np.clip(filled_um, 0.0, None) / self.cell_um
+            film_density = np.rint(np.minimum(100 * film.grey * share, 255)).astype(np.uint8)
             film_cells = density[:, cols, k]
-            film_cells[:] = np.maximum(
-                film_cells, np.rint(np.minimum(100 * film.grey * share, 255)).astype(np.uint8)
-            )
+            np.maximum(film_cells, film_density, out=film_cells)
         return Structure(
             density=density,
             low_um=float(cell_borders[0]),
@@ -87,30 +91,24 @@ class Structure:
         width, reaches half of its own density. Give it a structure without loose fibres, which are
         no part of the face.
         """
-        sigma = blur_um / np.sqrt(8 * np.log(2.0))
+        sigma = blur_um / FWHM
+        sigmas = (sigma / pitch_um, sigma / pitch_um, sigma / self.cell_um)
         halo_rows = int(np.ceil(4 * sigma / pitch_um)) + 1
         rows, cols, n_cells = self.density.shape
         face = np.full((rows, cols), np.nan, dtype=np.float32)
         for start in range(0, rows, _FACE_ROWS):
             halo_start = max(start - halo_rows, 0)
             stop = min(start + _FACE_ROWS, rows)
-            wall_share = (
-                self.density[halo_start : min(stop + halo_rows, rows)].astype(np.float32) / 100.0
-            )
-            sigmas = (sigma / pitch_um, sigma / pitch_um, sigma / self.cell_um)
-            blurred = ndimage.gaussian_filter(np.minimum(wall_share, 1.0), sigmas)[
-                start - halo_start :
-            ][: stop - start]
+            wall_share = self.density[halo_start : stop + halo_rows].astype(np.float32) / 100.0
+            blurred = ndimage.gaussian_filter(np.minimum(wall_share, 1.0), sigmas)
+            blurred = blurred[start - halo_start :][: stop - start]
             blurred = blurred[..., ::-1] if top else blurred
-            outer_blurred = np.concatenate(
-                [np.zeros_like(blurred[..., :1]), blurred[..., :-1]], axis=2
-            )
+            outer_blurred = np.zeros_like(blurred)
+            outer_blurred[..., 1:] = blurred[..., :-1]
             is_face = (blurred >= 0.5) & (outer_blurred < 0.5)
-            k = is_face.argmax(axis=2)[..., None]
-            outer, inner = (
-                np.take_along_axis(a, k, axis=2)[..., 0] for a in (outer_blurred, blurred)
-            )
-            crossing = k[..., 0] - (inner - 0.5) / np.maximum(inner - outer, 1e-6) + 0.5
+            k = is_face.argmax(axis=2)
+            inner, outer = at_index(blurred, k), at_index(outer_blurred, k)
+            crossing = k - (inner - 0.5) / np.maximum(inner - outer, 1e-6) + 0.5
             height = (n_cells - crossing if top else crossing) * self.cell_um + self.low_um
             face[start:stop] = np.where(is_face.any(axis=2), height, np.nan)
         return face
@@ -147,43 +145,26 @@ class FibreMat:
         solid_um = 0.5 * p.g_per_m2 / WALL_G_PER_CM3
         lengths, widths, walls, lumens = self._drawn(shape, solid_um, rng)
         n_fibres = lengths.size
-        angles = (
-            rng.vonmises(0.0, 0.5 * np.log(self._paper.anisotropy), n_fibres) / 2
-            + rng.integers(0, 2, n_fibres) * np.pi
-        )
+        angles = drawn_angles(self._paper.anisotropy, n_fibres, rng)
         curls = rng.normal(0.0, 4e-4, n_fibres) * pitch
         lengths, widths = lengths / pitch, widths / pitch
-        middles = rng.uniform(0.0, 1.0, (n_fibres, _TRIES, 2)) * (
-            np.array(shape[::-1]) + lengths[:, None, None]
-        )
-        middles -= 0.5 * lengths[:, None, None]
-        starts = (
-            middles
-            - 0.5
-            * lengths[:, None, None]
-            * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
-        )
+        length = lengths[:, None, None]
+        shares_of_field = rng.uniform(0.0, 1.0, (n_fibres, _TRIES, 2))
+        middles = shares_of_field * (np.array(shape[::-1]) + length)
+        middles -= 0.5 * length
+        directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        starts = middles - 0.5 * length * directions[:, None]
         flexibility = rng.uniform(*p.flexibility, n_fibres) * pitch
         hollow_share = 0.5 * sum(p.lumen_um) / sum(p.wall_um)
         n_cells = int((_DEEPEST[0] + _DEEPEST[1] * hollow_share) * solid_um / p.cell_um) + 8
         shares = np.zeros((*shape, n_cells), dtype=np.uint8)
         top = ground.copy()
+        ribbons = (starts, angles - 0.5 * curls * lengths, lengths, widths, curls)
+        solid_sum_um = solid_um * shape[0] * shape[1]
         _fibre_kernels.lay_ribbons(
-            shares,
-            top,
-            ground,
-            starts,
-            angles - 0.5 * curls * lengths,
-            lengths,
-            widths,
-            curls,
-            walls,
-            lumens,
-            flexibility,
-            p.cell_um,
-            solid_um * shape[0] * shape[1],
+            shares, top, ground, *ribbons, walls, lumens, flexibility, p.cell_um, solid_sum_um
         )
-        return shares, np.minimum(top, ground + shares.shape[2] * p.cell_um)
+        return shares, np.minimum(top, ground + n_cells * p.cell_um)
 
     def _drawn(
         self, shape: tuple[int, int], solid_um: float, rng: np.random.Generator
@@ -197,10 +178,13 @@ class FibreMat:
         # may lie in.
         while volume_um3 < 1.1 * solid_um * area:
             is_fine = rng.random(512) < p.fines
-            lengths = np.where(
-                is_fine, rng.uniform(60.0, 250.0, 512), rng.uniform(*p.length_um, 512)
-            )
-            widths = np.where(is_fine, rng.uniform(6.0, 15.0, 512), rng.uniform(*p.width_um, 512))
+
+            fine_lengths = rng.uniform(60.0, 250.0, 512)
+            coarse_lengths = rng.uniform(*p.length_um, 512)
+            lengths = np.where(is_fine, fine_lengths, coarse_lengths)
+            fine_widths = rng.uniform(6.0, 15.0, 512)
+            coarse_widths = rng.uniform(*p.width_um, 512)
+            widths = np.where(is_fine, fine_widths, coarse_widths)
             walls = rng.uniform(*p.wall_um, 512)
             lumens = np.where(is_fine, 0.0, rng.uniform(*p.lumen_um, 512))
             share_in_field = area / ((shape[0] * pitch + lengths) * (shape[1] * pitch + lengths))
@@ -222,17 +206,18 @@ class FibreMat:
             solids.append(np.minimum(solid, height - ground))
             voids.append(height - ground - solids[-1])
 
+        def mean_um(halves: list[Floats]) -> float:
+            return float(sum(half.mean() for half in halves))
+
         def faces(flattening: float) -> list[Floats]:
             """Faces whose distances from their mean are multiplied by ``flattening``."""
-            open_share = (p.base_um - float(sum(s.mean() for s in solids))) / float(
-                sum(v.mean() for v in voids)
-            )
+            open_share = (p.base_um - mean_um(solids)) / mean_um(voids)
             pressed_halves: list[Floats] = []
             for ground, solid, void in zip(self._grounds, solids, voids, strict=True):
                 height = ground + solid + max(open_share, 0.0) * void
                 height = height.mean() + flattening * (height - height.mean())
                 pressed_halves.append(np.clip(height, ground + 0.9 * solid, ground + solid + void))
-            excess_um = p.base_um - float(sum(face.mean() for face in pressed_halves))
+            excess_um = p.base_um - mean_um(pressed_halves)
             return [face + 0.5 * excess_um for face in pressed_halves]
 
         low, high = 0.0, 1.0
@@ -255,43 +240,31 @@ class FibreMat:
         low_um = float(np.floor(bottom.min() - margin_um))
         n_cells = int(np.ceil((top.max() + margin_um - low_um) / p.cell_um))
         density = np.zeros((*top.shape, n_cells), dtype=np.uint8)
-        for sign, shares, heights, ground, target in zip(
-            (1.0, -1.0), self._shares, self.heights, self._grounds, (top, -bottom), strict=True
-        ):
-            _fibre_kernels.press(
-                density, low_um, sign, shares, heights, ground, target, p.cell_um, p.void_floor
-            )
+        outward_faces = ((1.0, top), (-1.0, -bottom))
+        halves = zip(self._shares, self.heights, self._grounds, strict=True)
+        for (sign, face), half in zip(outward_faces, halves, strict=True):
+            _fibre_kernels.press(density, low_um, sign, *half, face, p.cell_um, p.void_floor)
         cell_um3 = self._pitch**2 * p.cell_um
-        grain_probability = (
-            paper.filler * paper.base_g_per_cm3 / _FILLER_G_PER_CM3 / _FILLER_UM3 * cell_um3
-        )
+        filler_g_per_cm3 = paper.filler * paper.base_g_per_cm3
+        grain_probability = filler_g_per_cm3 / _FILLER_G_PER_CM3 / _FILLER_UM3 * cell_um3
         rng = generator(self._seed, "filler")
         if grain_probability:
             for k in range(n_cells):
                 height = low_um + (k + 0.5) * p.cell_um
-                is_grain = (
-                    (rng.random(top.shape, dtype=np.float32) < grain_probability)
-                    & (height < top)
-                    & (height > bottom)
-                )
+                is_grain = rng.random(top.shape, dtype=np.float32) < grain_probability
+                is_grain &= (height < top) & (height > bottom)
                 density[..., k] += (_GRAIN / p.cell_um * is_grain).astype(np.uint8)
         if p.fuzz_per_mm2:
-            for sign, outward_face in ((1.0, top), (-1.0, -bottom)):
+            for sign, face in outward_faces:
                 rng = generator(self._seed, "fuzz", str(sign))
                 n = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)
                 lengths = rng.uniform(100.0, 350.0, n) / self._pitch
-                _fibre_kernels.raise_fibres(
-                    density,
-                    low_um,
-                    sign,
-                    outward_face,
-                    rng.uniform(0, 1, (n, 2)) * top.shape[::-1],
-                    rng.uniform(0, 2 * np.pi, n),
-                    lengths,
-                    rng.uniform(12.0, 22.0, n) / self._pitch,
-                    rng.normal(0, 2e-3, n) * self._pitch,
-                    rng.uniform(3.0, 6.0, n),
-                    rng.uniform(*p.fuzz_um, n),
-                    p.cell_um,
-                )
+                starts = rng.uniform(0, 1, (n, 2)) * top.shape[::-1]
+                angles = rng.uniform(0, 2 * np.pi, n)
+                widths = rng.uniform(12.0, 22.0, n) / self._pitch
+                curls = rng.normal(0, 2e-3, n) * self._pitch
+                thickness = rng.uniform(3.0, 6.0, n)
+                rises = rng.uniform(*p.fuzz_um, n)
+                fuzz = (starts, angles, lengths, widths, curls, thickness, rises)
+                _fibre_kernels.raise_fibres(density, low_um, sign, face, *fuzz, p.cell_um)
         return Structure(density=density, low_um=low_um - neutral_um, cell_um=p.cell_um)

@@ -118,13 +118,10 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
     p, poses, microtome = specimen.params.sections, specimen.poses, specimen.microtome
     photo_folder = folder / "sections"
     photo_folder.mkdir()
-    per_cm = 1e4 / p.pixel_um
     lines = ["# kind: block-face", "file,position_um"]
     for k, picture in enumerate(microtome.pictures()):
         name = f"section_{int(poses.index[k]):05d}.tif"
-        tifffile.imwrite(
-            photo_folder / name, picture, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER"
-        )
+        tifffile.imwrite(photo_folder / name, picture, **_per_cm(p.pixel_um))
         lines.append(f"{name},{poses.counter_um[k]:.3f}")
     write_text(photo_folder / COUNTER, "\n".join(lines) + "\n")
     middle = 0.5 * (np.array(microtome.shape[::-1]) - 1) * p.pixel_um
@@ -141,14 +138,13 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
             x = x + aligned["shift_col"] - aligned["rotation"] * dz
             z = z + aligned["shift_row"] + aligned["rotation"] * dx
             position = position + float(sections.attrs["first_position_um"])
-        turn = np.interp(position, poses.counter_um, poses.turn_rad)
-        true_x = (
-            x + np.interp(position, poses.counter_um, poses.shift_x_um) - turn * (z - middle[1])
+        shift_x, shift_z, turn, true_y = (
+            np.interp(position, poses.counter_um, values)
+            for values in (poses.shift_x_um, poses.shift_z_um, poses.turn_rad, poses.y_um)
         )
-        true_z = (
-            z + np.interp(position, poses.counter_um, poses.shift_z_um) + turn * (x - middle[0])
-        )
-        return np.stack([true_x, np.interp(position, poses.counter_um, poses.y_um), true_z], axis=1)
+        true_x = x + shift_x - turn * (z - middle[1])
+        true_z = z + shift_z + turn * (x - middle[0])
+        return np.stack([true_x, true_y, true_z], axis=1)
 
     return InstrumentFiles(volume=photo_folder, through="y", to_physical=to_physical)
 
@@ -169,18 +165,18 @@ def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Pat
     reflectance = (specimen.printed if printed else specimen.image).values
     grey = np.clip(np.rint(reflectance * 65535), 0, 65535).astype(np.uint16)
     pixel = specimen.params.camera.pixel_um
-    size: Entries = {
-        "resolution": (1e4 / pixel, 1e4 / pixel),
-        "resolutionunit": "CENTIMETER",
-    }
+    size = _per_cm(pixel)
     if path.name.endswith(".ome.tif"):
-        unit = {"PhysicalSizeXUnit": "µm", "PhysicalSizeYUnit": "µm"}
-        size |= {
-            "ome": True,
-            "metadata": {"axes": "YX", "PhysicalSizeX": pixel, "PhysicalSizeY": pixel, **unit},
-        }
+        metadata: Entries = {"axes": "YX"}
+        for axis in "XY":
+            metadata |= {f"PhysicalSize{axis}": pixel, f"PhysicalSize{axis}Unit": "µm"}
+        size |= {"ome": True, "metadata": metadata}
     tifffile.imwrite(path, grey, **size)
     return path
+
+
+def _per_cm(pixel_um: float) -> Entries:
+    return {"resolution": (1e4 / pixel_um, 1e4 / pixel_um), "resolutionunit": "CENTIMETER"}
 
 
 def write_flatbed(specimen: Specimen, path: Path) -> Path:
@@ -196,10 +192,11 @@ def write_flatbed(specimen: Specimen, path: Path) -> Path:
     Path; the one given
     """
     dpi = specimen.params.flatbed.dpi
+    values = specimen.flatbed.values
     tifffile.imwrite(
         path,
-        specimen.flatbed.values,
-        photometric="rgb" if specimen.flatbed.values.ndim == 3 else "minisblack",
+        values,
+        photometric="rgb" if values.ndim == 3 else "minisblack",
         resolution=(dpi, dpi),
         resolutionunit="INCH",
         software="planish flatbed scanner",
@@ -219,11 +216,9 @@ def write_nodes(specimen: Specimen, path: Path) -> None:
     x, y, _ = specimen.extent_um
     columns = specimen.warp.columns(np.arange(0.0, y, _NODES_UM), np.arange(0.0, x, _NODES_UM))
     u, v = columns[..., 0], columns[..., 1]
-    faces = specimen.sheet.faces
-    coating = specimen.sheet.at(faces[0], u, v) - specimen.sheet.at(faces[1], u, v)
-    np.savez_compressed(
-        path, points=specimen.warp.points(u, v), u=u, v=v, coating_top=coating.astype(np.float32)
-    )
+    top, inner_top = (specimen.sheet.at(face, u, v) for face in specimen.sheet.faces[:2])
+    coating = (top - inner_top).astype(np.float32)
+    np.savez_compressed(path, points=specimen.warp.points(u, v), u=u, v=v, coating_top=coating)
 
 
 def write_truth(specimen: Specimen, folder: Path) -> None:
@@ -236,14 +231,11 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
     """
     folder.mkdir(parents=True)
     pixel = specimen.params.camera.pixel_um
+    form: Entries = {"imagej": True, "resolution": (1 / pixel, 1 / pixel)}
+    metadata = {"unit": "um", "axes": "YX"}
     for name, field in specimen.truth.data_vars.items():
-        tifffile.imwrite(
-            folder / f"{name}.tif",
-            field.values.astype(np.float32),
-            imagej=True,
-            resolution=(1 / pixel, 1 / pixel),
-            metadata={"unit": "um", "axes": "YX"},
-        )
+        values = field.values.astype(np.float32)
+        tifffile.imwrite(folder / f"{name}.tif", values, **form, metadata=metadata)
     holes = specimen.sheet.holes
     image_xy = specimen.pose(holes)
     volume_xyz = specimen.warp.points(holes[:, 0], holes[:, 1])

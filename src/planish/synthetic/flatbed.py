@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from planish.core.reflectance import LUMINANCE
 from planish.core.typing import Floats, Shape
-from planish.synthetic.params import FlatbedParams
+from planish.synthetic.params import FlatbedParams, spawned
 
 INCH_UM = 25_400.0
 _UNSHARP_PX = 1.0  # Gaussian sigma of the usual unsharp mask
@@ -71,13 +71,9 @@ def scan_flatbed(
     FlatbedScan
         8 or 16 bit. JPEG has been undone again.
     """
-    for_carriage, for_noise = (
-        np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)))
-        for k in range(2)
-    )
-    lit = np.asarray(reflectance, dtype=np.float64) * lamp(
-        face_um, pixel_um=pixel_um, params=params
-    )
+    for_carriage, for_noise = spawned(seed, 2)
+    light = lamp(face_um, pixel_um=pixel_um, params=params)
+    lit = np.asarray(reflectance, dtype=np.float64) * light
     if params.lens_um > 0:
         lit = ndimage.gaussian_filter(lit, params.lens_um / pixel_um, mode="nearest")
     pitch_um = INCH_UM / params.dpi
@@ -85,14 +81,14 @@ def scan_flatbed(
     across = _area_means(lit.T, columns_um / pixel_um, pitch_um / pixel_um).T
     # The lines of red and blue, brought over that of green but for a rest. The grey of all three,
     # as their weights have it, lies where the carriage says.
-    shifts_px = params.colour_shift_px * (
-        np.array([-1.0, 0.0, 1.0]) - (LUMINANCE[2] - LUMINANCE[0])
-    )
+    shifts = np.array([-1.0, 0.0, 1.0]) - (LUMINANCE[2] - LUMINANCE[0])
+    shifts_um = params.colour_shift_px * shifts * pitch_um if params.colour else np.zeros(1)
     channels = [
-        _area_means(across, (lines_um + shift * pitch_um) / pixel_um, pitch_um / pixel_um)
-        for shift in (shifts_px if params.colour else (0.0,))
+        _area_means(across, (lines_um + shift_um) / pixel_um, pitch_um / pixel_um)
+        for shift_um in shifts_um
     ]
-    coded = 255.0 * encode(np.clip(np.stack(channels, axis=-1), 0.0, 1.0), params.gamma)
+    linear = np.clip(np.stack(channels, axis=-1), 0.0, 1.0)
+    coded = 255.0 * encode(linear, params.gamma)
     coded += params.noise * for_noise.standard_normal(coded.shape)
     if params.sharpen > 0:
         sigma = (_UNSHARP_PX, _UNSHARP_PX, 0.0)
@@ -137,20 +133,17 @@ def _carriage(
     Every number is drawn whatever its size, so that one that is off does not move the others.
     """
     along, across, phase = rng.uniform(-1.0, 1.0, 3)
-    rows, columns = (
-        int((n * pixel_um - 2 * _MARGIN_UM) / (pitch_um * (1 + params.scale_range))) for n in shape
-    )
+    widest_um = pitch_um * (1 + params.scale_range)
+    rows, columns = (int((n * pixel_um - 2 * _MARGIN_UM) / widest_um) for n in shape)
     ramp_um = pitch_um * np.arange(rows)
     jitter = rng.standard_normal(rows)
     white = rng.standard_normal(int(_TRACK_UM / pitch_um))
     wander = ndimage.gaussian_filter1d(white, 0.5 * _WANDER_UM / pitch_um, mode="wrap")
-    lines_um = (
-        _MARGIN_UM
-        + ramp_um * (1 + params.scale_range * along)
-        + params.wander_um * (wander / wander.std())[:rows]
-        + params.ripple_um * np.sin(2 * np.pi * (ramp_um / params.ripple_period_um + phase))
-        + params.jitter_um * jitter
-    )
+    ripple = np.sin(2 * np.pi * (ramp_um / params.ripple_period_um + phase))
+    lines_um = _MARGIN_UM + ramp_um * (1 + params.scale_range * along)
+    lines_um += params.wander_um * (wander / wander.std())[:rows]
+    lines_um += params.ripple_um * ripple
+    lines_um += params.jitter_um * jitter
     columns_um = _MARGIN_UM + pitch_um * np.arange(columns) * (1 + params.scale_range * across)
     return lines_um, columns_um
 
@@ -172,7 +165,6 @@ def _stored(coded: Floats, params: FlatbedParams) -> NDArray[np.generic]:
     if params.quality is None:
         return values
     file = BytesIO()
-    Image.fromarray(values if params.colour else values[..., 0]).save(
-        file, "JPEG", quality=params.quality
-    )
+    picture = Image.fromarray(values if params.colour else values[..., 0])
+    picture.save(file, "JPEG", quality=params.quality)
     return np.asarray(Image.open(file)).reshape(values.shape)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from planish.core.threads import count_threads, thread_pool
 from planish.core.typing import Floats, Shape, Singles
 from planish.synthetic import _kernels
+from planish.synthetic.fibres import FWHM
 from planish.synthetic.params import ScannerParams, SectionsParams, Warp, generator
 from planish.synthetic.sheet import PITCH_UM, DrawnSheet
 
@@ -39,12 +40,13 @@ def painted(
     2 halo, depth + 2 halo), column and depth those of the block's first voxel inside the halo.
     Around them there is only air.
     """
-    middle_um = 0.5 * (shape[0] - 1) * step_um, 0.5 * (shape[1] - 1) * step_um
+    middle_um = 0.5 * (np.array(shape) - 1) * step_um
     shift_x, shift_z, turn = moved
     w, curve = warp.packed()
     reach_um = sheet.reach_um + 2 * step_um
     half_depth = 1.05 * reach_um * float(np.hypot(1.0, warp.steepest))
-    greys = np.array([grey[1] - grey[0], grey[2] - grey[0], _CRACK * (grey[2] - grey[0])])
+    base, coating = grey[1] - grey[0], grey[2] - grey[0]
+    greys = np.array([base, coating, _CRACK * coating])
     structure = sheet.structure
     structure_args = (np.zeros((1, 1, 0), np.uint8), 0.0, 1.0, -np.inf)
     if structure is not None:
@@ -60,31 +62,17 @@ def painted(
             ]
         )
         middle = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - middle_um[0])
-        first = max(int(np.floor((middle.min() - half_depth) / step_um)) - halo, 0)
-        last = min(int(np.ceil((middle.max() + half_depth) / step_um)) + halo, shape[1] - 1)
+        lowest_px = (middle.min() - half_depth) / step_um
+        highest_px = (middle.max() + half_depth) / step_um
+        first = max(int(np.floor(lowest_px)) - halo, 0)
+        last = min(int(np.ceil(highest_px)) + halo, shape[1] - 1)
         if last < first:
             continue
         block = np.zeros((ys_um.size, xs.size, last - first + 1 + 2 * halo), dtype=np.float32)
-        _kernels.paint(
-            block,
-            w,
-            curve,
-            ys_um,
-            xs,
-            first - halo,
-            step_um,
-            shift_x,
-            shift_z,
-            turn,
-            np.array(middle_um),
-            under,
-            half_depth,
-            sheet.packed,
-            np.array(sheet.origin),
-            PITCH_UM,
-            greys,
-            *structure_args,
-        )
+        voxels = (ys_um, xs, first - halo, step_um, moved, middle_um)
+        columns = (under, half_depth)
+        fields = (sheet.packed, np.array(sheet.origin), PITCH_UM, greys)
+        _kernels.paint(block, w, curve, *voxels, *columns, *fields, *structure_args)
         blocks.append((start, first, block))
     return blocks
 
@@ -97,6 +85,11 @@ def gaussian_taps(sigma: float) -> Singles:
     reach = int(np.ceil(4 * sigma)) if sigma > 0 else 0
     taps = np.exp(-0.5 * (np.arange(reach + 1) / max(sigma, 1e-9)) ** 2)
     return (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
+
+
+def noise_gain(taps: Singles) -> np.float32:
+    """Standard deviation of white noise of 1 after a filter along one axis."""
+    return np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))
 
 
 def smooth(slab: Slab, taps: Singles, axes: Shape) -> Slab:
@@ -124,14 +117,13 @@ def trimmed(slab: Slab, cut: int, axes: Shape) -> Slab:
     """Cut voxels off both ends of the axes."""
     if cut == 0:
         return slab
-    return slab[
-        tuple(slice(cut, -cut) if axis in axes else slice(None) for axis in range(slab.ndim))
-    ]
+    inner, whole = slice(cut, -cut), slice(None)
+    return slab[tuple(inner if axis in axes else whole for axis in range(slab.ndim))]
 
 
 _TILE_VOXELS, _LEAST_ROWS = 1 << 23, 24  # of a tile; the rows around it are painted twice
 _FRINGE_PX = 1.5
-_FWHM = float(np.sqrt(8 * np.log(2.0)))
+
 _STREAK_ROWS, _STREAK_UM = 8, 1000.0  # a streak lasts so long across and along
 
 
@@ -202,7 +194,7 @@ class Scanner:
     def _sheet(self, start: int, stop: int) -> Slab:
         """Slices of the sheet as the scanner blurs it, with fringes at its edges, without noise."""
         p = self.params
-        psf = gaussian_taps(p.fwhm_um / _FWHM / p.voxel_um)
+        psf = gaussian_taps(p.fwhm_um / FWHM / p.voxel_um)
         ring = gaussian_taps(_FRINGE_PX)
         halo = max(psf.size - 1, ring.size if p.fringe else 0)
         ys = np.arange(start - halo, stop + halo, dtype=np.float64) * p.voxel_um
@@ -236,19 +228,19 @@ class Scanner:
         plane = (self.shape[2] + 2 * halo, self.shape[0] + 2 * halo)
         rngs = (generator(self.seed, "scan", str(row)) for row in range(start - halo, stop + halo))
         white = np.stack([rng.standard_normal(plane, dtype=np.float32) for rng in rngs])
-        gain = float(np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))) ** 3
-        return smooth(white, taps, (0, 1, 2)) / np.float32(gain)
+        gain = np.float32(float(noise_gain(taps)) ** 3)
+        return smooth(white, taps, (0, 1, 2)) / gain
 
     def _radius(self) -> Floats:
-        x = np.arange(self.shape[2])[:, None] - 0.5 * (self.shape[2] - 1)
-        z = np.arange(self.shape[0])[None, :] - 0.5 * (self.shape[0] - 1)
-        return np.hypot(x, z)
+        z, x = (np.arange(n) - 0.5 * (n - 1) for n in self.shape[::2])
+        return np.hypot(x[:, None], z)
 
     @cached_property
     def _cupping_factor(self) -> Slab:
         """Factor (x, z) that makes what is lighter than air too faint in the field's middle."""
         radius = self._radius()
-        return (1 - self.params.cupping * (1 - (radius / radius.max()) ** 2)).astype(np.float32)
+        depth = 1 - (radius / radius.max()) ** 2
+        return (1 - self.params.cupping * depth).astype(np.float32)
 
     @cached_property
     def _rings_image(self) -> Slab:
@@ -266,26 +258,30 @@ class Scanner:
 
         Unit standard deviation.
         """
-        n_knots = int(np.ceil(self.shape[2] * self.params.voxel_um / _STREAK_UM)) + 2
-        knot_position = np.arange(self.shape[2]) * self.params.voxel_um / _STREAK_UM
+        depth, _, width = self.shape
+        n_knots = int(np.ceil(width * self.params.voxel_um / _STREAK_UM)) + 2
+        knot_position = np.arange(width, dtype=np.float64) * self.params.voxel_um / _STREAK_UM
         taps = gaussian_taps(1.0)
+        shape = (1, n_knots, depth + 2 * (taps.size - 1))
 
         def knot(number: int) -> Floats:
             rng = generator(self.seed, "streaks", str(number))
-            white = rng.standard_normal(
-                (1, n_knots, self.shape[0] + 2 * (taps.size - 1)), dtype=np.float32
-            )
-            lines = smooth(white, taps, (2,))[0] / np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))
+            white = rng.standard_normal(shape, dtype=np.float32)
+            lines = smooth(white, taps, (2,))[0] / noise_gain(taps)
             j = knot_position.astype(int)
-            f = (knot_position % 1)[:, None]
-            return (lines[j] * (1 - f) + lines[j + 1] * f) / np.sqrt((1 - f) ** 2 + f**2)
+            return _faded(lines[j], lines[j + 1], (knot_position % 1)[:, None])
 
         knots = {k: knot(k) for k in range(start // _STREAK_ROWS, (stop - 1) // _STREAK_ROWS + 2)}
-        out = np.empty((stop - start, self.shape[2], self.shape[0]), dtype=np.float32)
+        out = np.empty((stop - start, width, depth), dtype=np.float32)
         for i, row in enumerate(range(start, stop)):
-            k, f = row // _STREAK_ROWS, (row % _STREAK_ROWS) / _STREAK_ROWS
-            out[i] = (knots[k] * (1 - f) + knots[k + 1] * f) / np.sqrt((1 - f) ** 2 + f**2)
+            k, beyond = divmod(row, _STREAK_ROWS)
+            out[i] = _faded(knots[k], knots[k + 1], beyond / _STREAK_ROWS)
         return out
+
+
+def _faded(a: Floats, b: Floats, share: Floats | float) -> Floats:
+    """Go from one noise to another of the same standard deviation, which stays."""
+    return (a * (1 - share) + b * share) / np.sqrt((1 - share) ** 2 + share**2)
 
 
 def _laplacian(slab: Slab) -> Slab:
@@ -293,10 +289,14 @@ def _laplacian(slab: Slab) -> Slab:
 
     The size of the fringe thus does not depend on its width.
     """
-    inner = slab[1:-1, 1:-1, 1:-1]
-    total = slab[2:, 1:-1, 1:-1] + slab[:-2, 1:-1, 1:-1] + slab[1:-1, 2:, 1:-1]
-    total += slab[1:-1, :-2, 1:-1] + slab[1:-1, 1:-1, 2:] + slab[1:-1, 1:-1, :-2]
-    return np.float32(_FRINGE_PX**2) * (total - 6 * inner)
+    rows, cols, depths = (
+        trimmed(slab, 1, (1, 2)),
+        trimmed(slab, 1, (0, 2)),
+        trimmed(slab, 1, (0, 1)),
+    )
+    total = rows[2:] + rows[:-2] + cols[:, 2:]
+    total += cols[:, :-2] + depths[..., 2:] + depths[..., :-2]
+    return np.float32(_FRINGE_PX**2) * (total - 6 * trimmed(slab, 1, (0, 1, 2)))
 
 
 _EPOCH = 40  # sections cut with one part of the knife's edge
@@ -337,7 +337,8 @@ def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
     position_error = rng.standard_normal(count)
     rng = generator(seed, "missing")  # sections are lost in runs, never the first or the last one
     is_lost = np.zeros(count, dtype=bool)
-    run_starts = np.flatnonzero(rng.random(count) < params.missing / (0.5 * (1 + _RUN)))
+    mean_run = 0.5 * (1 + _RUN)
+    run_starts = np.flatnonzero(rng.random(count) < params.missing / mean_run)
     run_lengths = rng.integers(1, _RUN + 1, count)
     for k in run_starts:
         if not is_lost[max(k - 1, 0)]:  # one that is left between two runs keeps them apart
@@ -387,43 +388,51 @@ class Microtome:
         number = int(self.poses.index[k])
         rng = generator(self.seed, "section", str(number))
         gains = 1 + p.drift * rng.standard_normal(3)
-        knots = rng.standard_normal(
-            (self.shape[0] // _RESIN_PX + 2, self.shape[1] // _RESIN_PX + 2), dtype=np.float32
-        )
-        resin_texture = _between(_between(knots, self.shape[0]).T, self.shape[1]).T
-        texture = (
-            p.texture * contrast * resin_texture + p.knife * contrast * self._knife(number)
-        ).astype(np.float32)
+        rows, cols = self.shape
+        knots_shape = (rows // _RESIN_PX + 2, cols // _RESIN_PX + 2)
+        knots = rng.standard_normal(knots_shape, dtype=np.float32)
+        resin_texture = _between(_between(knots, rows).T, cols).T
+        knife_marks = p.knife * contrast * self._knife(number)
+        texture = (p.texture * contrast * resin_texture + knife_marks).astype(np.float32)
         if not p.colour:
             return self._exposed(k, p.grey, float(gains[1]), texture, rng)
         channels: list[NDArray[np.uint8]] = []
-        for tints, gain in zip(zip(*_TINTS, strict=True), gains.tolist(), strict=True):
-            grey = tuple(float(level * tint) for level, tint in zip(p.grey, tints, strict=True))
-            channels.append(self._exposed(k, grey, gain, texture, rng))
+        for (resin, base, coating), gain in zip(zip(*_TINTS, strict=True), gains, strict=True):
+            grey = (p.grey[0] * resin, p.grey[1] * base, p.grey[2] * coating)
+            channels.append(self._exposed(k, grey, float(gain), texture, rng))
         return np.stack(channels, axis=-1)
 
     def _exposed(
-        self, k: int, grey: tuple[float, ...], gain: float, texture: Slab, rng: np.random.Generator
+        self,
+        k: int,
+        grey: tuple[float, float, float],
+        gain: float,
+        texture: Slab,
+        rng: np.random.Generator,
     ) -> NDArray[np.uint8]:
+        """One channel of the k-th picture: ``grey`` of resin, base and coating, by its gain."""
         p = self.params
         taps = gaussian_taps(p.defocus_um / p.pixel_um)
         poses = self.poses
+        rows, cols = self.shape
+        moves = (poses.shift_x_um, poses.shift_z_um, poses.turn_rad)
         blocks = painted(
             self.sheet,
             self.warp,
             poses.y_um[k : k + 1],
-            shape=(self.shape[1], self.shape[0]),
+            shape=(cols, rows),
             step_um=p.pixel_um,
-            grey=(grey[0], grey[1], grey[2]),
+            grey=grey,
             halo=taps.size - 1,
-            moved=np.stack([poses.shift_x_um, poses.shift_z_um, poses.turn_rad])[:, k : k + 1],
+            moved=np.stack([move[k : k + 1] for move in moves]),
         )
-        picture = np.zeros((self.shape[1], self.shape[0]), dtype=np.float32)
+        picture = np.zeros((cols, rows), dtype=np.float32)
         for col, depth, block in blocks:
             blurred = smooth(block, taps, (1, 2))[0]
             picture[col : col + blurred.shape[0], depth : depth + blurred.shape[1]] = blurred
         grain = rng.standard_normal(self.shape, dtype=np.float32)
-        exposed = gain * (grey[0] + picture.T + texture) + p.noise * (p.grey[0] - p.grey[2]) * grain
+        noise = p.noise * (p.grey[0] - p.grey[2]) * grain
+        exposed = gain * (grey[0] + picture.T + texture) + noise
         return np.clip(np.rint(exposed), 0, 255).astype(np.uint8)
 
     def _knife(self, number: int) -> Slab:
@@ -433,12 +442,10 @@ class Microtome:
         n_marks = rng.poisson(_MARKS_PER_MM * width * self.params.pixel_um * 1e-3)
         x = np.arange(width, dtype=np.float32)[None, :]
         marks = np.zeros((1, width), dtype=np.float32)
-        for centre, sign in zip(
-            rng.uniform(0, width, n_marks), rng.choice([-1.0, 1.0], n_marks), strict=True
-        ):
-            marks += np.float32(sign) * np.exp(
-                -0.5 * ((x - np.float32(centre)) / np.float32(1.5)) ** 2
-            )
+        centres = rng.uniform(0, width, n_marks).astype(np.float32)
+        signs = rng.choice([-1.0, 1.0], n_marks).astype(np.float32)
+        for centre, sign in zip(centres, signs, strict=True):
+            marks += sign * np.exp(-0.5 * ((x - centre) / np.float32(1.5)) ** 2)
         return marks
 
 

@@ -74,30 +74,29 @@ def make_specimen(
             params, "SpecimenParams", 'pl.make_specimen(folder="sheet")', "pl.make_specimen"
         )
     params = params or DEMO
-    if params.film is not None and (
-        params.paper.fibres is None if sheet is None else not sheet.has_film
-    ):
+    has_place_for_film = sheet.has_film if sheet else params.paper.fibres is not None
+    if params.film is not None and not has_place_for_film:
         raise ValueError(
             "a film lies under a base of fibres only: set paper.fibres, or give a sheet made with a"
             " film"
         )
     warp, uvz, depth_um = _place_in_volume(params)
-    field_uv = np.concatenate([uvz[..., :2].min(axis=(0, 1)), uvz[..., :2].max(axis=(0, 1))])
+    uv = uvz[..., :2]
+    field_uv = np.concatenate([uv.min(axis=(0, 1)), uv.max(axis=(0, 1))])
     image_shape, pose = draw_pose(params.camera, field_uv, generator(params.seed, "pose"))
     rows, cols = np.multiply(image_shape, params.camera.pixel_um)
     corners = pose.inverse([[x, y] for x in (0.0, cols) for y in (0.0, rows)])
     low = np.minimum(field_uv[:2], corners.min(axis=0)) - _BEYOND_UM
     high = np.maximum(field_uv[2:], corners.max(axis=0)) + _BEYOND_UM
     if sheet is None:
-        inner_low = np.array([uvz[:, 0, 0].max(), uvz[0, :, 1].max()])
-        inner_high = np.array([uvz[:, -1, 0].min(), uvz[-1, :, 1].min()])
-        centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
+        inner_low = np.array([uv[:, 0, 0].max(), uv[0, :, 1].max()])
+        inner_high = np.array([uv[:, -1, 0].min(), uv[-1, :, 1].min()])
         sheet = make_sheet(
             params.paper,
             params.holes,
             low=low,
             high=high,
-            centres=centres,
+            centres=hole_pattern(params.holes, inner_low, inner_high, params.seed),
             seed=params.seed,
             stiffness=params.stiffness,
             film=params.film,
@@ -169,9 +168,8 @@ def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
     thickness_um = p.base_um + p.coating_top_um + p.coating_bottom_um
     film = params.film
     film_depth_um = film.film_um + film.gap_um if film is not None else 0.0
-    margin_um = (0.5 * thickness_um + 20.0 + film_depth_um) * float(
-        np.hypot(1.0, warp.steepest)
-    ) + 60.0
+    depth_um = 0.5 * thickness_um + 20.0 + film_depth_um
+    margin_um = depth_um * float(np.hypot(1.0, warp.steepest)) + 60.0
     low_z = float(uvz[..., 2].min()) - margin_um
     high_z = float(uvz[..., 2].max()) + margin_um
     return replace(warp, shift_um=(width_um / 2, height_um / 2, -low_z)), uvz, high_z - low_z

@@ -32,6 +32,15 @@ def generator(seed: int, *names: str) -> np.random.Generator:
     return np.random.default_rng(stream(seed, *names))
 
 
+def spawned(seed: np.random.SeedSequence, count: int) -> list[np.random.Generator]:
+    """Return generators of the first seeds that a stream spawns.
+
+    ``seed.spawn`` would count in the caller's object and give others next time.
+    """
+    keys = [(*seed.spawn_key, k) for k in range(count)]
+    return [np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=k)) for k in keys]
+
+
 class Strict:
     """A table in a scenario file with a key that is no field is refused."""
 
@@ -107,9 +116,8 @@ class Warp(Strict):
     @property
     def steepest(self) -> float:
         """Steepest slope of the profile, with tilt and curl."""
-        return float(
-            np.tan(np.deg2rad(abs(self.tilt_deg) + abs(self.curl_deg)) + np.arctan(abs(self.slope)))
-        )
+        turn = np.deg2rad(abs(self.tilt_deg) + abs(self.curl_deg))
+        return float(np.tan(turn + np.arctan(abs(self.slope))))
 
     def points(self, u: Floats, v: Floats) -> Floats:
         """Return ``m(u, v)`` as (..., 3) in the order x, y, z, in um."""
@@ -141,11 +149,10 @@ class Warp(Strict):
     def _frames(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
         from planish.synthetic import _kernels
 
-        u, v = np.broadcast_arrays(u, v)
-        points, normals = _kernels.frames(
-            *self.packed(), u.ravel().astype(float), v.ravel().astype(float)
-        )
-        return points.reshape(*u.shape, 3), normals.reshape(*u.shape, 3)
+        uv = np.stack(np.broadcast_arrays(u, v)).astype(float)
+        shape = (*uv.shape[1:], 3)
+        points, normals = _kernels.frames(*self.packed(), *uv.reshape(2, -1))
+        return points.reshape(shape), normals.reshape(shape)
 
 
 @lru_cache(maxsize=8)
@@ -166,21 +173,13 @@ def _packed(warp: Warp) -> tuple[Floats, Floats]:
     # Gauss-Legendre on every step: exact to rounding, because psi is smooth over a step.
     p = p0 + _STEP_UM * (np.arange(count - 1)[:, None] + 0.5 * (1 + _GAUSS_X))
     turn = turn_at(p)
-    steps = 0.5 * _STEP_UM * np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W], axis=1)
-    curve = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    curve -= curve[count // 2]
+    means = np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W], axis=1)
+    places = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * _STEP_UM * means, axis=0)])
+    places -= places[count // 2]
     turn = turn_at(p0 + _STEP_UM * np.arange(count))
-    curve = np.concatenate([curve, np.cos(turn)[:, None], np.sin(turn)[:, None]], axis=1)
-    parameters = [
-        np.cos(angle),
-        np.sin(angle),
-        psi,
-        k,
-        warp.phase_rad,
-        p0,
-        _STEP_UM,
-        *warp.shift_um,
-    ]
+    curve = np.column_stack([places, np.cos(turn), np.sin(turn)])
+    parameters = [np.cos(angle), np.sin(angle), psi, k, warp.phase_rad, p0, _STEP_UM]
+    parameters += [*warp.shift_um]
     parameters += [warp.bump_um, warp.bump_u_um, warp.bump_v_um, warp.bump_radius_um, tilt]
     parameters += [curl, warp.curl_p_um, warp.curl_width_um]
     return np.array(parameters, dtype=np.float64), curve
@@ -349,6 +348,11 @@ class PrintParams(Strict):
     ink: float = 0.08  # reflectance of a dot
     gain_per_um: float = 0.01  # tone by which a coating one um thicker than the mean prints lighter
     gain_sd: float = 0.02  # tone, random, correlation length 300 um
+
+    @property
+    def pitch_um(self) -> float:
+        """Distance of the dots along the screen's axes."""
+        return 1e4 / self.screen_per_cm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planish.core.transform import Similarity
+from planish.core.transform import Similarity, grid_points
 from planish.core.typing import Floats, Pair, pair_of
 from planish.synthetic.params import CameraParams
 
@@ -55,12 +55,8 @@ class CameraPose:
         centre = np.array(self.centre_um)
         offset = np.asarray(points, dtype=np.float64) - centre
         if self.radial != 0:
-            offset = (
-                offset
-                * self._shrink(np.hypot(offset[..., 0], offset[..., 1]) / self.half_diagonal_um)[
-                    ..., None
-                ]
-            )
+            radius = np.hypot(offset[..., 0], offset[..., 1]) / self.half_diagonal_um
+            offset = offset * self._shrink(radius)[..., None]
         stretched = self.similarity.inverse(offset + centre)
         return middle + (stretched - middle) / self._strain()
 
@@ -115,13 +111,14 @@ def draw_pose(
     middle = 0.5 * (field[:2] + field[2:])
     width_um, height_um = _frame_sides(field, rotation)
     scale_factor = float(1 + camera.scale_range * scale)
-    grid = np.stack(np.meshgrid(*np.linspace(field[:2], field[2:], 101).T), axis=-1)
+    grid = grid_points(*np.linspace(field[:2], field[2:], 101).T)
 
     def posed(shape: tuple[int, int], shift: Floats) -> CameraPose:
         centre = 0.5 * camera.pixel_um * (np.array(shape[::-1]) - 1.0)
         linear = Similarity(scale=scale_factor, rotation_rad=rotation, mirrored=camera.mirrored)
+        shift_um = pair_of(centre + shift - linear(middle))
         return CameraPose(
-            similarity=replace(linear, shift_um=pair_of(centre + shift - linear(middle))),
+            similarity=replace(linear, shift_um=shift_um),
             stretch=float(camera.stretch * stretch),
             middle_um=pair_of(middle),
             radial=camera.radial,
@@ -136,12 +133,11 @@ def draw_pose(
         return float(np.mean(np.all(is_inside, axis=-1)))
 
     no_shift = np.zeros(2)
-    shape = (
-        max(int(_TALL * height_um / camera.pixel_um), 2),
-        max(int(_WIDE * width_um / camera.pixel_um), 2),
-    )
-    while in_view(shape, no_shift) < _CENTRED_IN_VIEW:
-        shape = (int(_GROWTH * shape[0]) + 1, int(_GROWTH * shape[1]) + 1)
+    rows = max(int(_TALL * height_um / camera.pixel_um), 2)
+    cols = max(int(_WIDE * width_um / camera.pixel_um), 2)
+    while in_view((rows, cols), no_shift) < _CENTRED_IN_VIEW:
+        rows, cols = (int(_GROWTH * n) + 1 for n in (rows, cols))
+    shape = (rows, cols)
     drawn_shift = camera.shift_range_um * np.array([shift_x, shift_y])
     low = 0.0
     high = 1.0
@@ -165,9 +161,8 @@ def _frame_sides(field: Floats, rotation: float) -> Pair:
     """
     width, height = field[2:] - field[:2]
     off_upright = abs(np.remainder(np.rad2deg(rotation) + 90.0, 180.0) - 90.0)
-    turn = np.deg2rad(
-        np.clip((off_upright - _UPRIGHT_DEG) / (90.0 - 2 * _UPRIGHT_DEG), 0.0, 1.0) * 90.0
-    )
+    share = (off_upright - _UPRIGHT_DEG) / (90.0 - 2 * _UPRIGHT_DEG)
+    turn = np.deg2rad(np.clip(share, 0.0, 1.0) * 90.0)
     cos = np.cos(turn)
     sin = np.sin(turn)
     return float(width * cos + height * sin), float(width * sin + height * cos)

@@ -12,9 +12,9 @@ import numpy as np
 from scipy import fft, ndimage
 
 from planish.core.grid import bilinear
-from planish.core.typing import Complexes, Floats, Pair, Singles, pair_of
+from planish.core.typing import Complexes, Floats, Pair, Shape, Singles, pair_of
 from planish.synthetic import _kernels
-from planish.synthetic.fibres import FibreMat, Structure
+from planish.synthetic.fibres import FibreMat, Structure, drawn_angles
 from planish.synthetic.params import BurnParams, FilmParams, PaperParams, generator
 
 PITCH_UM = 3.0  # of the sheet's grid
@@ -27,9 +27,8 @@ def noise(shape: tuple[int, int], correlation_um: float, rng: np.random.Generato
 
     Its autocorrelation is ``exp(-(r / correlation_um)^2)``.
     """
-    return _unit(
-        _filtered(rng.standard_normal(_padded(shape)), 0.5 * correlation_um)[: shape[0], : shape[1]]
-    )
+    smooth = _filtered(rng.standard_normal(_padded(shape)), 0.5 * correlation_um)
+    return _unit(smooth[: shape[0], : shape[1]])
 
 
 def lowpass(field: Floats, half_um: float) -> Floats:
@@ -62,9 +61,7 @@ def fibres(
     field = np.zeros(shape)
     margin = 0.5 * longest / PITCH_UM
     starts = rng.uniform(-margin, [shape[1] + margin, shape[0] + margin], (count, 2))
-    angles = (
-        rng.vonmises(0.0, 0.5 * np.log(anisotropy), count) / 2 + rng.integers(0, 2, count) * np.pi
-    )
+    angles = drawn_angles(anisotropy, count, rng)
     lengths = rng.uniform(shortest, longest, count) / PITCH_UM
     widths = rng.uniform(narrowest, widest, count) / PITCH_UM
     curls = rng.normal(0, 4e-4, count) * PITCH_UM
@@ -88,18 +85,18 @@ def _unit(field: Floats) -> Floats:
     return field / field.std()
 
 
-def _padded(shape: tuple[int, int]) -> tuple[int, int]:
-    return (fft.next_fast_len(shape[0], True), fft.next_fast_len(shape[1], True))
+def _padded(shape: Shape) -> Shape:
+    return tuple(fft.next_fast_len(n, True) for n in shape)
 
 
 def _filtered(field: Floats, sigma_um: float) -> Floats:
-    shape = _padded((field.shape[0], field.shape[1]))
-    padded = np.pad(
-        field, ((0, shape[0] - field.shape[0]), (0, shape[1] - field.shape[1])), mode="wrap"
-    )
-    fy = np.exp(-2 * (np.pi * sigma_um * fft.fftfreq(shape[0], PITCH_UM)) ** 2)[:, None]
-    fx = np.exp(-2 * (np.pi * sigma_um * fft.rfftfreq(shape[1], PITCH_UM)) ** 2)[None, :]
-    return fft.irfft2(fft.rfft2(padded) * fy * fx, shape)[: field.shape[0], : field.shape[1]]
+    shape = _padded(field.shape)
+    beyond = [(0, n - rows) for n, rows in zip(shape, field.shape, strict=True)]
+    spectrum = fft.rfft2(np.pad(field, beyond, mode="wrap"))
+    fy = np.exp(-2 * (np.pi * sigma_um * fft.fftfreq(shape[0], PITCH_UM)) ** 2)
+    fx = np.exp(-2 * (np.pi * sigma_um * fft.rfftfreq(shape[1], PITCH_UM)) ** 2)
+    filtered = fft.irfft2(spectrum * fy[:, None] * fx, shape)
+    return filtered[: field.shape[0], : field.shape[1]]
 
 
 _BORDER_UM = 260.0  # from the middle of a hole to the end of the field
@@ -183,21 +180,24 @@ def burn(
     char = np.ones(shape, dtype=np.float32)
     reach_um = 2.0 * params.diameter_um + 4 * params.char_um
     for k, (u, v) in enumerate(holes):
-        j0, j1 = (int((u - low[0] + d) / PITCH_UM) for d in (-reach_um, reach_um))
-        i0, i1 = (int((v - low[1] + d) / PITCH_UM) for d in (-reach_um, reach_um))
-        box = (slice(max(i0, 0), min(i1, shape[0])), slice(max(j0, 0), min(j1, shape[1])))
-        y = low[1] + PITCH_UM * np.arange(shape[0])[box[0], None] - v
-        x = low[0] + PITCH_UM * np.arange(shape[1])[None, box[1]] - u
+        rows = _nodes_within(reach_um, v - low[1], shape[0])
+        cols = _nodes_within(reach_um, u - low[0], shape[1])
+        y = low[1] + PITCH_UM * np.arange(shape[0])[rows, None] - v
+        x = low[0] + PITCH_UM * np.arange(shape[1])[None, cols] - u
         if x.size == 0 or y.size == 0:
             continue
         top, bottom, burnt_um = _hole(params, x, y, depth_um, generator(seed, "hole", str(k)))
-        rim[0][box] = np.minimum(rim[0][box], top)
-        rim[1][box] = np.minimum(rim[1][box], bottom)
+        rims = rim[:, rows, cols]
+        rims[:] = np.minimum(rims, [top, bottom])
         if burnt_um > 0:
-            char[box] = np.minimum(
-                char[box], 1 - 0.5 * np.exp(-np.maximum(top, 0) / (0.5 * burnt_um))
-            )
+            burnt = 1 - 0.5 * np.exp(-np.maximum(top, 0) / (0.5 * burnt_um))
+            char[rows, cols] = np.minimum(char[rows, cols], burnt)
     return rim, char
+
+
+def _nodes_within(reach_um: float, middle_um: float, n: int) -> slice:
+    first, last = (int((middle_um + d) / PITCH_UM) for d in (-reach_um, reach_um))
+    return slice(max(first, 0), min(last, n))
 
 
 def _hole(
@@ -213,11 +213,8 @@ def _hole(
     axis_angle, lean_angle, closed_angle = rng.uniform(0, 2 * np.pi, 3)
     lean_um = np.tan(np.deg2rad(params.tilt_deg * rng.random())) * depth_um
     wave_power = np.exp(-((_ORDERS * _ROUGH_UM / (2 * radius)) ** 2))
-    waves = (
-        params.rim_um
-        * np.sqrt(wave_power / wave_power.sum())[:, None]
-        * rng.standard_normal((_ORDERS.size, 2))
-    )
+    wave_sd_um = params.rim_um * np.sqrt(wave_power / wave_power.sum())
+    waves = wave_sd_um[:, None] * rng.standard_normal((_ORDERS.size, 2))
     burnt_um = max(params.char_um + params.char_sd_um * rng.standard_normal(), 0.0)
     is_half_closed = rng.random() < params.half_closed
 
@@ -297,12 +294,11 @@ class DrawnSheet:
     @cached_property
     def reach_um(self) -> float:
         """Largest distance of a face from the centre surface."""
-        reach = float(max(self.faces.max(), -self.faces.min())) + float(np.abs(self.crack_um).max())
-        return (
-            reach
-            if self.structure is None
-            else max(reach, self.structure.high_um, -self.structure.low_um)
-        )
+        crack_um = float(np.abs(self.crack_um).max())
+        reach = float(np.abs(self.faces).max()) + crack_um
+        if self.structure is None:
+            return reach
+        return max(reach, self.structure.high_um, -self.structure.low_um)
 
     @cached_property
     def texture(self) -> Field:
@@ -312,11 +308,10 @@ class DrawnSheet:
         for k in range(LAYERS):
             depth = (k + 0.5) / LAYERS
             filler_sd = _FILLER_CONTRAST * p.filler * (1.2 - 1.6 * (depth - 0.5) ** 2)
-            net = p.base_density_sd * fibrous(
-                shape, p.anisotropy, generator(self.seed, "net", str(k)), per_mm2=50.0
-            )
-            filler_noise = filler_sd * generator(self.seed, "filler", str(k)).standard_normal(shape)
-            layers[k] = np.clip(1 + net + filler_noise, 0.2, 2.5)
+            for_net, for_filler = (generator(self.seed, name, str(k)) for name in ("net", "filler"))
+            net = p.base_density_sd * fibrous(shape, p.anisotropy, for_net, per_mm2=50.0)
+            filler = filler_sd * for_filler.standard_normal(shape)
+            layers[k] = np.clip(1 + net + filler, 0.2, 2.5)
         return layers
 
     @cached_property
@@ -326,15 +321,8 @@ class DrawnSheet:
         The shape is (rows, cols, 9), with LAYERS more for a slab.
         """
         texture = self.texture if self.structure is None else ()
-        fields = [
-            *self.faces,
-            *self.rim_um,
-            self.char,
-            self.coating_density,
-            self.crack_um,
-            *texture,
-        ]
-        return np.stack(fields, axis=-1)
+        fields = [*self.faces, *self.rim_um, self.char, self.coating_density, self.crack_um]
+        return np.stack([*fields, *texture], axis=-1)
 
 
 def make_sheet(
@@ -367,19 +355,12 @@ def make_sheet(
     -------
     DrawnSheet
     """
-    shape = (
-        int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2,
-        int(np.ceil((high[0] - low[0]) / PITCH_UM)) + 2,
-    )
+    cols, rows = (np.ceil((high - low) / PITCH_UM).astype(int) + 2).tolist()
+    shape = (rows, cols)
     fibre_mat = None
     if paper.fibres:
-        fibre_mat = FibreMat(
-            paper,
-            shape,
-            PITCH_UM,
-            _MIDDLE_UM * noise(shape, 400.0, generator(seed, "middle")),
-            seed,
-        )
+        middle_um = _MIDDLE_UM * noise(shape, 400.0, generator(seed, "middle"))
+        fibre_mat = FibreMat(paper, shape, PITCH_UM, middle_um, seed)
         upper_height, lower_height = fibre_mat.calendered()
         thickness, relief = upper_height + lower_height, 0.5 * (upper_height - lower_height)
     else:
@@ -388,10 +369,8 @@ def make_sheet(
     mass /= mass.mean()
     faces: list[Floats] = []
     pit_depths: list[Floats | float] = []
-    for side, sign, mean in (
-        ("top", 1.0, paper.coating_top_um),
-        ("bottom", -1.0, paper.coating_bottom_um),
-    ):
+    sides = (("top", 1.0, paper.coating_top_um), ("bottom", -1.0, paper.coating_bottom_um))
+    for side, sign, mean in sides:
         inner = 0.5 * thickness + sign * relief
         pit_depth = 0.0
         if paper.fibres and mean:
@@ -407,28 +386,29 @@ def make_sheet(
     depth_um = float(np.mean(faces[0] + faces[2]))
     rim, char = burn(holes, centres, shape, pair_of(low), depth_um, seed)
     crack = noise(shape, _CRACK_UM, generator(seed, "cracks")) if crack_um else np.zeros(shape)
+    cracks_um = crack_um * np.sign(crack) * np.maximum(np.abs(crack) - 1.0, 0.0)
     density = noise(shape, 300.0, generator(seed, "grain"))
     density = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * density
-    top, bottom = (float(np.mean(faces[k] - faces[k + 1])) for k in (0, 2))
-    neutral_um = neutral_height(float(np.mean(faces[1] + faces[3])), top, bottom, stiffness)
+    top, inner_top, bottom, inner_bottom = faces
+    coatings_um = float(np.mean(top - inner_top)), float(np.mean(bottom - inner_bottom))
+    base_um = float(np.mean(inner_top + inner_bottom))
+    neutral_um = neutral_height(base_um, *coatings_um, stiffness)
+    heights = np.stack([top, inner_top, -inner_bottom, -bottom]).astype(np.float32)
     structure = fibre_mat and fibre_mat.pressed(
-        faces[1] - pit_depths[0], -(faces[3] - pit_depths[1]), neutral_um
+        inner_top - pit_depths[0], -(inner_bottom - pit_depths[1]), neutral_um
     )
     if structure is not None and film is not None:
-        structure = structure.on_film(-faces[2] - neutral_um, film)
+        structure = structure.on_film(-bottom - neutral_um, film)
     return DrawnSheet(
         params=paper,
         seed=seed,
         origin=pair_of(low),
-        faces=np.stack([faces[0], faces[1], -faces[3], -faces[2]]).astype(np.float32)
-        - np.float32(neutral_um),
+        faces=heights - np.float32(neutral_um),
         rim_um=rim,
         char=char,
         coating_density=(1 + paper.coating_density_sd * density).astype(np.float32),
         base_mass=mass.astype(np.float32),
-        crack_um=(crack_um * np.sign(crack) * np.maximum(np.abs(crack) - 1.0, 0.0)).astype(
-            np.float32
-        ),
+        crack_um=cracks_um.astype(np.float32),
         holes=centres,
         structure=structure,
     )
@@ -485,8 +465,6 @@ def _coating(p: PaperParams, inner: Floats, mean_um: float, side: str, seed: int
         spots = np.exp(0.6 * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
         coating_change -= np.sqrt(excess_variance) * (spots - spots.mean()) / spots.std()
     coating = np.maximum(mean_um + coating_change, p.least_coating_um)
-    return (
-        coating
-        if p.fibres is None
-        else np.maximum(coating + mean_um - coating.mean(), p.least_coating_um)
-    )
+    if p.fibres is None:
+        return coating
+    return np.maximum(coating + mean_um - coating.mean(), p.least_coating_um)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -53,12 +53,11 @@ class Specimen:
     def __repr__(self) -> str:
         """Sizes of sheet, volume and image."""
         (x, y, _), p = self.extent_um, self.params
-        shape = " x ".join(map(str, self.scanner.shape))
+        shape, pixels = (" x ".join(map(str, n)) for n in (self.scanner.shape, self.image_shape))
         return (
             f"Specimen({x / 1000:g} x {y / 1000:g} mm, seed {p.seed}; volume of {shape} voxels (z,"
-            f" y, x) of {p.scanner.voxel_um:g} um; image of"
-            f" {' x '.join(map(str, self.image_shape))} pixels of {p.camera.pixel_um:g} um;"
-            f" {len(self.sheet.holes)} holes)"
+            f" y, x) of {p.scanner.voxel_um:g} um; image of {pixels} pixels of"
+            f" {p.camera.pixel_um:g} um; {len(self.sheet.holes)} holes)"
         )
 
     @property
@@ -102,6 +101,7 @@ class Specimen:
         """
         voxel = self.params.scanner.voxel_um
         values = self.scanner.volume()
+        is_integer = values.dtype.kind == "u"
         return _labelled(
             values,
             ("z", "y", "x"),
@@ -109,9 +109,7 @@ class Specimen:
             long_name="Grey value",
             voxel_um=[voxel] * 3,
             voxel_um_source="synthetic",
-            full_scale=(
-                float(np.iinfo(self.params.scanner.dtype).max) if values.dtype.kind == "u" else None
-            ),
+            full_scale=float(np.iinfo(self.params.scanner.dtype).max) if is_integer else None,
             file_bytes=values.nbytes,
         )
 
@@ -137,13 +135,11 @@ class Specimen:
         shape = np.array(self.image_shape) * p.camera.pixel_um / PITCH_UM
         rows, cols = shape.astype(int).tolist()
         seed = stream(p.seed, "camera")
-        return scan_flatbed(
-            photograph(self.sheet, self.pose, even, shape=(rows, cols), seed=seed),
-            self.sheet.at(self.sheet.faces[0], *image_material(self.pose, (rows, cols), PITCH_UM)),
-            pixel_um=PITCH_UM,
-            params=p.flatbed,
-            seed=stream(p.seed, "flatbed"),
-        )
+        reflectance = photograph(self.sheet, self.pose, even, shape=(rows, cols), seed=seed)
+        uv = image_material(self.pose, (rows, cols), PITCH_UM)
+        top_um = self.sheet.at(self.sheet.faces[0], *uv)
+        seed = stream(p.seed, "flatbed")
+        return scan_flatbed(reflectance, top_um, pixel_um=PITCH_UM, params=p.flatbed, seed=seed)
 
     def _photograph(self, *, printed: bool) -> xr.DataArray:
         p = self.params.camera
@@ -188,13 +184,8 @@ class Specimen:
             "thickness": top - bottom,
             "rim": sheet.at(sheet.rim_um[0], u, v),
         }
-        coords = {
-            "y": np.arange(self.image_shape[0]) * pixel,
-            "x": np.arange(self.image_shape[1]) * pixel,
-        }
-        return xr.Dataset(
-            {k: (("y", "x"), value, {"units": "um"}) for k, value in values.items()}, coords=coords
-        )
+        y, x = (np.arange(n, dtype=np.float64) * pixel for n in self.image_shape)
+        return _maps_um(values, y, x)
 
     @cached_property
     def columns(self) -> xr.Dataset:
@@ -203,12 +194,13 @@ class Specimen:
             np.arange(n, dtype=np.float64) * self.params.scanner.voxel_um
             for n in self.scanner.shape[1:]
         )
-        uvz = np.moveaxis(self.warp.columns(y, x), -1, 0)
-        values = {
-            k: (("y", "x"), field, {"units": "um"})
-            for k, field in zip(("u", "v", "centre"), uvz, strict=True)
-        }
-        return xr.Dataset(values, coords={"y": y, "x": x})
+        u, v, centre = np.moveaxis(self.warp.columns(y, x), -1, 0)
+        return _maps_um({"u": u, "v": v, "centre": centre}, y, x)
+
+
+def _maps_um(values: Mapping[str, Floats], y: Floats, x: Floats) -> xr.Dataset:
+    maps = {name: (("y", "x"), field, {"units": "um"}) for name, field in values.items()}
+    return xr.Dataset(maps, coords={"y": y, "x": x})
 
 
 def _labelled(values: Array, dims: Texts, pitch_um: float, **attrs: Any) -> xr.DataArray:
