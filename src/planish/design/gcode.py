@@ -191,7 +191,8 @@ def pattern_dxf(pattern: Pattern) -> str:
     width, height = pattern.view_um
     diameter = pattern.diameter_um
     x1, y1 = x0 + width, y0 + height
-    lowest, highest = _lines(_point(10, x0, y0)), _lines(_point(10, x1, y1))
+    lowest = _lines(_point(10, x0, y0))
+    highest = _lines(_point(10, x1, y1))
     name = ascii_only(pattern.name)
     groups: Groups = []
     for layer, colour in _LAYER_COLOURS.items():

@@ -129,6 +129,10 @@ class Maps:
         """Take a single map."""
         return replace(self, data=self.data[[name]])
 
+    def whole(self, name: str, dtype: DType | type[np.generic]) -> Array:
+        """All of a map at once, as ``dtype``."""
+        return np.concatenate([band for _, band in self.bands(name, dtype)])
+
     def bands(
         self, name: str, dtype: DType | type[np.generic] | None = None
     ) -> Iterator[tuple[slice, Array]]:

@@ -333,7 +333,10 @@ def export(
     refuse_existing(out)
     writer_of(params.to)
     # A run in memory may have been changed since it was read.
-    run, store = (run, None) if isinstance(run, Run) else (open_run(run), Path(run) / MAPS)
+    store = None
+    if not isinstance(run, Run):
+        store = Path(run) / MAPS
+        run = open_run(run)
     if run.folder is not None:
         refuse_inside(out, [run.folder])
     if params.point_um is None and "point_um" in file_format.options:

@@ -44,17 +44,13 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
             for rows, band in maps.bands(name):
                 dataset[rows] = band
             units, attrs = maps.units[name], maps.data[name].attrs
-            dataset.attrs.update(
-                {"long_name": maps.titles[name], "units": udunits.get(units, units)}
-            )
+            dataset.attrs["long_name"] = maps.titles[name]
+            dataset.attrs["units"] = udunits.get(units, units)
             if maps.data[name].dtype.kind == "b":
-                dataset.attrs.update(
-                    {"flag_values": np.array([0, 1], np.uint8), "flag_meanings": "false true"}
-                )
-            elif "flag_values" in attrs:
-                flag_values = np.asarray(attrs["flag_values"]).astype(dtype)
-                flag_meanings = str(attrs["flag_meanings"])
-                dataset.attrs.update({"flag_values": flag_values, "flag_meanings": flag_meanings})
+                attrs = {"flag_values": [0, 1], "flag_meanings": "false true"}
+            if "flag_values" in attrs:
+                dataset.attrs["flag_values"] = np.asarray(attrs["flag_values"]).astype(dtype)
+                dataset.attrs["flag_meanings"] = str(attrs["flag_meanings"])
         file.attrs.update(
             {
                 "Conventions": "CF-1.11",
@@ -91,7 +87,7 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
         # Gwyddion takes units without prefix and chooses the prefix itself.
         map_unit = maps.units[name]
         si_unit, si_factor = _SI_UNITS.get(map_unit, (map_unit, 1.0))
-        pixels = np.concatenate([band for _, band in maps.bands(name, np.float64)])
+        pixels = maps.whole(name, np.float64)
         is_missing = ~np.isfinite(pixels)
         pixels[is_missing] = 0.0 if is_missing.all() else float(pixels[~is_missing].mean())
         file[f"/{k}/data/title"] = maps.titles[name]
@@ -129,9 +125,8 @@ def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportPa
     crate.description = (
         "Maps of a sheet from a volume, and their link to other layers, made by planish."
     )
-    crate.root_dataset["datePublished"] = (
-        f"{datetime.fromtimestamp((run / 'results.json').stat().st_mtime, UTC):%Y-%m-%d}"
-    )
+    changed = datetime.fromtimestamp((run / "results.json").stat().st_mtime, UTC)
+    crate.root_dataset["datePublished"] = f"{changed:%Y-%m-%d}"
     files = [
         _add(crate, entry) for entry in sorted(run.iterdir()) if not entry.name.startswith(".")
     ]

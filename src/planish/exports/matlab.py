@@ -45,10 +45,7 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     }
     version = chosen_version(maps, params)
     if version == "5":
-        pixels: Entries = {}
-        for name in maps.names:
-            dtype = maps.data[name].dtype
-            pixels[name] = np.concatenate([band for _, band in maps.bands(name, dtype)])
+        pixels = {name: maps.whole(name, maps.data[name].dtype) for name in maps.names}
         io.savemat(
             str(path),
             pixels | metadata,
@@ -127,9 +124,8 @@ def _put(group: h5py.Group, name: str, variable: Any) -> None:
         utf16 = np.frombuffer(variable.encode("utf-16-le"), dtype="<u2")
         _set_class(group.create_dataset(name, data=utf16[:, None]), "char", int_decode=2)
     else:
-        _set_class(
-            group.create_dataset(name, data=np.asarray(variable, dtype=np.float64).T), "double"
-        )
+        numbers = np.asarray(variable, dtype=np.float64).T
+        _set_class(group.create_dataset(name, data=numbers), "double")
 
 
 def _set_class(dataset: h5py.Dataset, name: str, *, int_decode: int | None = None) -> None:

@@ -200,14 +200,7 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     points = np.stack(columns, axis=1)
     if params.as_seen:
         points[:, 1] *= -1
-    # Cells of (row, col), (row, col + 1) ... have to run anticlockwise as seen from outside of the
-    # sheet.
-    unit_vectors = dict(zip("xyz", np.eye(3), strict=True))
-    outward_normal = unit_vectors[frame.through] * frame.sign
-    if surface.name.endswith("bottom"):
-        outward_normal = -outward_normal
-    cell_normal = np.cross(unit_vectors[frame.cols], unit_vectors[frame.rows])
-    if (float(cell_normal @ outward_normal) > 0) == params.as_seen:
+    if _are_anticlockwise(frame, surface.name) == params.as_seen:
         quads = quads[:, ::-1]
     maps: dict[str, Singles] = {}
     for name in surface.maps:
@@ -227,6 +220,14 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     points = np.ascontiguousarray(points, np.float32)
     quads = np.ascontiguousarray(quads, np.int32)
     return SurfaceMesh(points, quads, maps, colours, about)
+
+
+def _are_anticlockwise(frame: Frame, name: str) -> bool:
+    """True if cells of (row, col), (row, col + 1) ... run so as seen from outside of the sheet."""
+    vectors = dict(zip("xyz", np.eye(3), strict=True))
+    cell_normal = np.cross(vectors[frame.cols], vectors[frame.rows])
+    is_upwards = float(cell_normal @ vectors[frame.through]) * frame.sign > 0
+    return is_upwards != name.endswith("bottom")
 
 
 def _colours(values: Array, scale: Scale) -> NDArray[np.uint8]:

@@ -33,7 +33,8 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
     has_channels = len(names) > 1
     group = zarr.open_group(path, mode="w-", zarr_format=3)
     for _ in range(overview_count(maps.shape)):
-        shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
+        rows, cols = shapes[-1]
+        shapes.append(((rows + 1) // 2, (cols + 1) // 2))
     dims = ["c", "y", "x"] if has_channels else ["y", "x"]
     arrays: list[Any] = []
     for level, level_shape in enumerate(shapes):

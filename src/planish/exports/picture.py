@@ -72,8 +72,9 @@ def _reduced(maps: Maps, name: str) -> tuple[Singles, float]:
     """Give a map's values, at most as fine as a picture shows, and how much they were reduced."""
     reduction = max(1.0, max(maps.shape) / MOST)
     if reduction > 1:
-        return area_mean(maps.data[name], (reduction, reduction)).astype(np.float32), reduction
-    return np.concatenate([band for _, band in maps.bands(name, np.float32)]), reduction
+        means = area_mean(maps.data[name], (reduction, reduction))
+        return means.astype(np.float32), reduction
+    return maps.whole(name, np.float32), reduction
 
 
 def _figure(maps: Maps, pixels: Singles, reduction: float, scale: Scale) -> Figure:

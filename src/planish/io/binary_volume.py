@@ -24,7 +24,7 @@ from planish.io.headed import (
 )
 from planish.io.lazy import ViewArray, unmapped
 from planish.io.orientation import Orientation
-from planish.io.sizes import Stated, stated_in
+from planish.io.sizes import NO_SIZE, Stated, stated_in
 from planish.io.tiff import damaged
 
 LONGEST_NIFTI = 540  # bytes of the header of version 2
@@ -146,9 +146,8 @@ def _mrc_header(head: bytes, path: Path) -> Any:
     if len(head) == HEADER_BYTES:
         for byte_order in ("<", ">"):
             fields = np.frombuffer(head, dtypes.HEADER_DTYPE.newbyteorder(byte_order))[0]
-            if 0 <= int(fields["mode"]) < 128 and all(
-                0 < int(fields[name]) < 2**24 for name in ("nx", "ny", "nz")
-            ):
+            has_sizes = all(0 < int(fields[name]) < 2**24 for name in ("nx", "ny", "nz"))
+            if has_sizes and 0 <= int(fields["mode"]) < 128:
                 return fields
     raise FileError(f"{path.name} is no MRC file. Check its name, or export it again.")
 
@@ -170,9 +169,8 @@ def _type_of(fields: Any, path: Path) -> DType:
         raise VolumeError(
             f"{path.name} has values of the mode {mode}. Export it with whole or real numbers."
         )
-    stamp, flags = np.frombuffer(
-        fields["extra2"].tobytes(), np.dtype(np.int32).newbyteorder(byte_order), 2, IMOD_AT
-    )
+    whole = np.dtype(np.int32).newbyteorder(byte_order)
+    stamp, flags = np.frombuffer(fields["extra2"].tobytes(), whole, 2, IMOD_AT)
     if mode == 0 and stamp == IMOD_STAMP and not flags & 1:
         dtype = np.dtype(np.uint8)
     return dtype.newbyteorder(byte_order)
@@ -188,10 +186,8 @@ def _stated(fields: Any, letters: Texts, axes: Shape) -> Stated:
         n_intervals = int(fields[f"m{axis}"]) if axis else 0
         cell_lengths.append(float(fields["cella"][axis]) / n_intervals if n_intervals > 0 else None)
     if all(length in (0.0, 1.0) for length in cell_lengths):
-        note_text = (
-            "1 Angstrom is what programs write when they do not know"
-            if cell_lengths[0]
-            else "it is 0"
-        )
-        return Stated("the MRC cell", (None, None, None), note_text)
+        note_text = "it is 0"
+        if cell_lengths[0]:
+            note_text = "1 Angstrom is what programs write when they do not know"
+        return Stated("the MRC cell", NO_SIZE, note_text)
     return stated_in("the MRC cell", cell_lengths, ["angstrom"] * 3, axes)

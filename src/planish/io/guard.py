@@ -84,11 +84,15 @@ def reading(path: Path) -> Generator[None]:
         raise _undecodable(path, error) from error
 
 
+def reason_of(error: Exception) -> str:
+    """What an error of another library says, in short: some hold the whole file."""
+    return " ".join(str(error).split())[:160] or type(error).__name__
+
+
 def _undecodable(path: Path, error: Exception) -> FileError:
-    reason = " ".join(str(error).split())[:160] or type(error).__name__
     return FileError(
-        f"{path.name} cannot be decoded ({reason}). It is damaged or of a rare kind: copy or"
-        " export it again."
+        f"{path.name} cannot be decoded ({reason_of(error)}). It is damaged or of a rare kind: copy"
+        " or export it again."
     )
 
 

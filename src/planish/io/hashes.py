@@ -46,18 +46,18 @@ def store_fingerprint(path: Path) -> str:
     shard_hashes = sorted(_read_checksums(path).items())
     if not shard_hashes:  # The shards hold the voxels, the metadata their size.
         return ""
-    files = sorted(p for p in path.rglob("*") if p.name in ("zarr.json", ".zattrs", ".zarray"))
-    hashes = [
-        (p.relative_to(path).as_posix(), hashlib.sha256(p.read_bytes()).hexdigest()) for p in files
-    ]
-    return _hash_of_hashes([*shard_hashes, *hashes])
+    hashes = shard_hashes
+    for file in sorted(path.rglob("*")):
+        if file.name in ("zarr.json", ".zattrs", ".zarray"):
+            digest = hashlib.sha256(file.read_bytes()).hexdigest()
+            hashes.append((file.relative_to(path).as_posix(), digest))
+    return _hash_of_hashes(hashes)
 
 
 def _hash_of_hashes(hashes: Iterable[tuple[str, str]], part: str = "") -> str:
     prefix = f"{part}\n" if part else ""
-    return hashlib.sha256(
-        (prefix + "".join(f"{sha}  {name}\n" for name, sha in hashes)).encode()
-    ).hexdigest()
+    lines = "".join(f"{sha}  {name}\n" for name, sha in hashes)
+    return hashlib.sha256((prefix + lines).encode()).hexdigest()
 
 
 class ShardLists:
@@ -81,9 +81,8 @@ class ShardLists:
 
     def add(self, level: Array, checksums: dict[str, str]) -> None:
         """List the shards of a block that was written: only after their bytes are on the disk."""
-        with (self.folder / level.basename / CHECKSUMS).open(
-            "a", encoding="utf-8", newline="\n"
-        ) as file:
+        list_file = self.folder / level.basename / CHECKSUMS
+        with list_file.open("a", encoding="utf-8", newline="\n") as file:
             file.write("".join(f"{checksum}  {name}\n" for name, checksum in checksums.items()))
             file.flush()
             os.fsync(file.fileno())
@@ -92,11 +91,9 @@ class ShardLists:
     def settle(self) -> None:
         """Sort the lists: they do not depend on the order in which blocks were written."""
         for path in self.folder.glob(f"*/{CHECKSUMS}"):
-            lines = sorted(
-                {*path.read_text(encoding="utf-8").splitlines(keepends=True)},
-                key=lambda line: line[64:],
-            )
-            write_whole(path, "".join(lines).encode(), over=True)
+            lines = {*path.read_text(encoding="utf-8").splitlines(keepends=True)}
+            by_name = sorted(lines, key=lambda line: line[64:])
+            write_whole(path, "".join(by_name).encode(), over=True)
         for half in self.folder.rglob("*.partial"):  # of a writer that was killed
             delete(half)
 
@@ -137,12 +134,11 @@ def fingerprint(path: str | Path) -> str:
     place = find_place(path)
     path = place.path
     # A store that planish wrote has the hashes of its shards already.
-    if format_of(place).marker_files and (stored_hash := store_fingerprint(path)):
-        return (
-            hashlib.sha256(f"{place.part}\n{stored_hash}".encode()).hexdigest()
-            if place.part
-            else stored_hash
-        )
+    stored_hash = store_fingerprint(path) if format_of(place).marker_files else ""
+    if stored_hash and place.part:
+        return hashlib.sha256(f"{place.part}\n{stored_hash}".encode()).hexdigest()
+    if stored_hash:
+        return stored_hash
     files = files_of(place)
     if files == [path] and not place.part:
         return hash_of_file(path)
@@ -166,11 +162,10 @@ def files_of(place: Place) -> list[Path]:
         return slice_files(path)
     if path.is_dir():
         return [file for file in path.rglob("*") if file.is_file()]
-    return (
-        [path]
-        if file_format is TIFF
-        else list(dict.fromkeys(loader(file_format)(place, None, sys.maxsize).files))
-    )
+    if file_format is TIFF:
+        return [path]
+    loaded = loader(file_format)(place, None, sys.maxsize)
+    return list(dict.fromkeys(loaded.files))
 
 
 # Hashes of files read before by this process, by path, size, time of change and inode.

@@ -197,9 +197,11 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     if not wanted:
         with opened(path) as file:
             wanted = _default_dataset(file, path) or ""
-    file_path, name = (
-        find_dataset(path, wanted) if wanted else (path, only_volume(volumes_in(path), path.name))
-    )
+    file_path = path
+    if wanted:
+        file_path, name = find_dataset(path, wanted)
+    else:
+        name = only_volume(volumes_in(path), path.name)
     with opened(file_path) as file:
         dataset: Any = file[name]
         if not isinstance(dataset, h5py.Dataset):
@@ -210,10 +212,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         placed = place_axes(shape, namings, f"{path.name}: {name}")
         array, doubts = lazy_dataset(dataset, file_path)
         files = [path, file_path, *source_files(dataset, file_path)]
-        stated = [
-            *sizes_by_attributes(dataset.attrs, shape, placed.order),
-            *sizes_by_attributes(dataset.parent.attrs, shape, placed.order),
-        ]
+        stated = sizes_by_attributes(dataset.attrs, shape, placed.order)
+        stated += sizes_by_attributes(dataset.parent.attrs, shape, placed.order)
         along = [_coordinates_along(dataset, axis, namings) for axis in range(len(shape))]
         by_coordinates, orientations = stated_by_coordinates(along, placed.order)
     return LoadedVolume(
@@ -312,13 +312,12 @@ def _axis_names(dataset: Any) -> list[AxisNames]:
     shape = dataset.shape
     scales = tuple(_last_word(scale) for scale in _scales(dataset))
     coordinates = tuple(_attribute(scale, "name") for scale in _emd_scales(dataset))
-    return [
-        AxisNames("the scales of its dimensions", scales),
-        AxisNames("the EMD dimensions", coordinates),
-        *names_by_attributes(dataset.attrs, shape, is_own=True),
-        *names_by_attributes(dataset.parent.attrs, shape, is_own=False),
-        *names_by_indices(dataset.parent.attrs, shape),
-    ]
+    namings = [AxisNames("the scales of its dimensions", scales)]
+    namings.append(AxisNames("the EMD dimensions", coordinates))
+    namings += names_by_attributes(dataset.attrs, shape, is_own=True)
+    group_attrs = dataset.parent.attrs
+    namings += names_by_attributes(group_attrs, shape, is_own=False)
+    return namings + names_by_indices(group_attrs, shape)
 
 
 def _scales(dataset: Any) -> list[Any]:
@@ -353,9 +352,8 @@ def _coordinates_along(dataset: Any, axis: int, namings: Sequence[AxisNames]) ->
     members = [_child(dataset.parent, naming.names[axis]) for naming in namings]
     for member in (_scales(dataset)[axis], _emd_scales(dataset)[axis], *members):
         # netCDF writes a scale without coordinates for a dimension that has none.
-        if not isinstance(member, h5py.Dataset) or _attribute(member, "NAME").startswith(
-            "This is a netCDF dimension but not"
-        ):
+        is_empty = _attribute(member, "NAME").startswith("This is a netCDF dimension but not")
+        if is_empty or not isinstance(member, h5py.Dataset):
             continue
         is_plain = not member.is_virtual and not member.external
         is_one_row = member.shape == (dataset.shape[axis],) and member.shape[0] < MOST_COORDINATES

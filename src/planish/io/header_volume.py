@@ -25,7 +25,7 @@ from planish.io.guard import head_of, memory_limit, reading, size_of_file
 from planish.io.headed import Header, StoredAxes, axes_of, unpacked_parts, values_behind
 from planish.io.lazy import FileArray, Values
 from planish.io.orientation import ANATOMICAL, Orientation, orientation_by_words
-from planish.io.sizes import Stated, stated_in
+from planish.io.sizes import NO_SIZE, Stated, stated_in
 from planish.io.tiff import damaged
 
 TYPES = {
@@ -411,7 +411,7 @@ def _raw_header(path: Path) -> Header:
     faults = [*unknown_texts, *_raw_faults(fields)]
     if faults:
         raise FileError(f"{header_file.name}: {'; '.join(faults)}. Correct the header, {EXAMPLE}.")
-    stated = Stated("the TOML header", (None, None, None), "it has no voxel_um")
+    stated = Stated("the TOML header", NO_SIZE, "it has no voxel_um")
     voxel_um = fields.get("voxel_um")
     if voxel_um is not None:
         stated = Stated("the TOML header", tuple(map(float, _per_axis(voxel_um))))

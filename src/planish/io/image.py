@@ -134,10 +134,12 @@ def picture_attrs(tag: int) -> Mapping[str, str]:
 
 def across(stated: Sequence[Stated]) -> list[Stated]:
     """Leave out what is stated about z."""
-    return [
-        s._replace(um=s.um[1:], note=s.note if None in s.um[1:] else "", written=s.written[1:])
-        for s in stated
-    ]
+    in_plane: list[Stated] = []
+    for s in stated:
+        um = s.um[1:]
+        note = s.note if None in um else ""
+        in_plane.append(s._replace(um=um, note=note, written=s.written[1:]))
+    return in_plane
 
 
 def pick_channel(

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -49,6 +49,7 @@ from planish.io.tiff import open_series
 from planish.io.volume import load_volume, open_volume
 
 SENTENCES = ("doubts", "notes")  # attributes of a volume that are said on their own
+T = TypeVar("T")
 # Finds the size and its source, or raises SizeError.
 Agreed = Callable[..., tuple[tuple[float, ...], str]]
 
@@ -59,6 +60,13 @@ class _Look(NamedTuple):
     most_bytes: int | None  # that may be decoded for its values; None where headers alone are read
     show: Callable[[Values], None] | None
     warnings: list[str]
+
+    def loaded(self, load: Callable[..., T]) -> T | None:
+        """What `load` gives where it may be decoded; None where it needs more memory."""
+        if self.most_bytes is not None:
+            with suppress(ResourceError):
+                return load(memory_bytes=self.most_bytes)
+        return None
 
     def facts(self, values: Values, largest: int | None, dims: Texts, *, is_read: bool) -> Entries:
         """Facts of values that were read, or of those that are declared."""
@@ -157,26 +165,18 @@ def _describe_volume(
 ) -> Entries:
     """Report what a volume holds; of its values, if they can be read within ``most_bytes``."""
     warnings = look_at.warnings
-    loaded = None
-    if look_at.most_bytes is not None:
-        with suppress(ResourceError):
-            loaded = load_volume(place, channel=channel, memory_bytes=look_at.most_bytes)
+    loaded = look_at.loaded(partial(load_volume, place, channel=channel))
     is_read = loaded is not None
     # Of what does not fit into the memory, the values are not read.
     loaded = loaded or open_volume(place, channel=channel)
     grey_values = unmapped(loaded.values)
-    file_format = format_of(place)
     warnings += loaded.attrs.get("doubts", [])
     warnings += filter(None, [hand_sentence(loaded.attrs, "volume")])
     largest = full_scale(grey_values.dtype, loaded.bits)
     facts = look_at.facts(grey_values, largest, VOXEL.axes, is_read=is_read)
-    size_facts = _size_facts(
-        partial(find_size, loaded.stated),
-        grey_values.shape,
-        warnings,
-        loaded.stated,
-        ("Voxels", USUAL_VOXEL_UM),
-    )
+    find_size = partial(find_size, loaded.stated)
+    shape = grey_values.shape
+    size_facts = _size_facts(find_size, shape, warnings, loaded.stated, USUAL_VOXEL_UM)
     window = loaded.attrs.get("attenuation_window")
     if window is not None and is_read and grey_values.dtype == np.uint8:
         warnings.append(
@@ -185,15 +185,16 @@ def _describe_volume(
             f" {100 * facts['saturated_share']:.3g} % are 255). 16 bits lose nothing."
         )
     # Memory and time of ``planish map`` are those for a sheet across the shortest axis.
-    n_columns = math.prod(grey_values.shape) // min(grey_values.shape)
+    n_columns = math.prod(shape) // min(shape)
     storage_text, whole_bytes = _storage_of(loaded.values, warnings)
+    needed_bytes = max(bytes_to_map(n_columns), bytes_to_hold(whole_bytes))
     return {
         "bytes": loaded.file_bytes,
-        "format": file_format.name,
+        "format": format_of(place).name,
         **facts,
         **size_facts,
         "stored": storage_text,
-        "run_bytes": PROGRAM_BYTES + max(bytes_to_map(n_columns), bytes_to_hold(whole_bytes)),
+        "run_bytes": PROGRAM_BYTES + needed_bytes,
         "run_seconds": map_seconds(n_columns),
         "through": likely_through(grey_values) if is_read else None,
         "notes": loaded.attrs.get("notes", []),
@@ -226,10 +227,7 @@ def _describe_image(path: Path, find_size: Agreed, look_at: _Look) -> Entries:
     Its values are those of the luminance, or of channel 0 where there is none.
     """
     warnings = look_at.warnings
-    picture = None
-    if look_at.most_bytes is not None:
-        with suppress(ResourceError):
-            picture = load_picture(path, memory_bytes=look_at.most_bytes)
+    picture = look_at.loaded(partial(load_picture, path))
     is_read = picture is not None
     picture = picture or load_picture(path, decode=False)
     full_values, shape = picture.values, picture.values.shape[:2]
@@ -252,9 +250,9 @@ def _describe_image(path: Path, find_size: Agreed, look_at: _Look) -> Entries:
     if is_read and stride > 1:
         facts["sampled"] = f"every {stride} rows and columns"
     stated = across(picture.stated)
-    size_facts = _size_facts(
-        partial(find_size, stated), shape, warnings, stated, ("Pixels", PIXEL.usual_um)
-    )
+    find_size = partial(find_size, stated)
+    size_facts = _size_facts(find_size, shape, warnings, stated, PIXEL.usual_um)
+    n_pixels = math.prod(shape)
     return {
         "bytes": size_of_file(path),
         **facts,
@@ -262,8 +260,8 @@ def _describe_image(path: Path, find_size: Agreed, look_at: _Look) -> Entries:
         "dtype": str(full_values.dtype),
         "colour": picture.colour,
         "channels": full_values.shape[2] if full_values.ndim == 3 else 1,
-        "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
-        "link_seconds": link_seconds(math.prod(shape)),
+        "link_bytes": LINK_BYTES + PIXEL_BYTES * n_pixels,
+        "link_seconds": link_seconds(n_pixels),
         **size_facts,
     }
 
@@ -299,34 +297,30 @@ def _size_facts(
     shape: Sequence[int],
     warnings: list[str],
     stated: Sequence[Stated],
-    usual_range: tuple[str, Pair] | None = None,
+    usual_um: Pair | None = None,
 ) -> Entries:
     """Voxel or pixel size and where it comes from, or why there is none.
 
     Unusual ones are doubted, and those that nobody may have measured.
     """
+    facts: Entries = dict.fromkeys(("size_um", "size_source", "size_problem", "extent_um"))
     try:
         size, source = find_size()
     except SizeError as error:
         warnings.append(error.text)
-        return {"size_um": None, "size_source": None, "size_problem": error.text, "extent_um": None}
+        return facts | {"size_problem": error.text}
+    asked = PIXEL if len(size) == len(PIXEL.axes) else VOXEL
     if doubt := doubt_of_size(stated, source):
-        asked = PIXEL if len(size) == len(PIXEL.axes) else VOXEL
         warnings.append(with_advice(doubt, asked))
     try:
         find_size(unusual=False)
     except SizeError as error:  # as a run says it
         warnings.append(error.text)
-        usual_range = None
-    if usual_range is not None:
-        warnings += _doubts_of_edges(size, *usual_range)
+        usual_um = None
+    if usual_um is not None:
+        warnings += _doubts_of_edges(size, f"{asked.name}s", usual_um)
     extent_um = [n * um for n, um in zip(shape, size, strict=True)]
-    return {
-        "size_um": list(size),
-        "size_source": source,
-        "size_problem": None,
-        "extent_um": extent_um,
-    }
+    return facts | {"size_um": list(size), "size_source": source, "extent_um": extent_um}
 
 
 def _doubts_of_edges(size: Sequence[float], elements: str, usual_um: Pair) -> list[str]:
@@ -339,14 +333,14 @@ def _doubts_of_edges(size: Sequence[float], elements: str, usual_um: Pair) -> li
         edges_text = " x ".join(f"{v:g}" for v in size)
         range_text = f"{least:g} to {most:g} um"
         doubts.append(
-            f"{elements} of {edges_text} um are unusual for paper ({range_text}). Is the unit"
-            " right?"
+            f"{elements.capitalize()} of {edges_text} um are unusual for paper ({range_text}). Is"
+            " the unit right?"
         )
     # Longest over shortest edge of a voxel; beyond, one of them is probably wrong.
     if longest > 5.0 * shortest:
-        size_name = "z size" if elements == "Voxels" else "size"
+        size_name = "z size" if len(size) == 3 else "size"
         doubts.append(
-            f"The edges of {elements.lower()} differ by a factor of {longest / shortest:.3g}. Is"
+            f"The edges of {elements} differ by a factor of {longest / shortest:.3g}. Is"
             f" the {size_name} right?"
         )
     return doubts

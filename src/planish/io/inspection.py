@@ -186,15 +186,15 @@ def middle_sections(values: Values) -> list[Section]:
         return [_section("y", "x", np.asarray(values), (1, 1))]
     depth, rows, cols = values.shape
     stride = -(-depth // 96)
-    planes = (np.asarray(values[k]) for k in range(0, depth, stride))
-    along_x, along_y = zip(
-        *((p[rows // 2].copy(), p[:, cols // 2].copy()) for p in planes), strict=True
-    )
-    return [
-        _section("z", "x", np.stack(along_x), (stride, 1)),
-        _section("z", "y", np.stack(along_y), (stride, 1)),
-        _section("y", "x", np.asarray(values[depth // 2]), (1, 1)),
-    ]
+    along_x: list[Array] = []
+    along_y: list[Array] = []
+    for k in range(0, depth, stride):
+        plane = np.asarray(values[k])
+        along_x.append(plane[rows // 2].copy())
+        along_y.append(plane[:, cols // 2].copy())
+    down_x = _section("z", "x", np.stack(along_x), (stride, 1))
+    down_y = _section("z", "y", np.stack(along_y), (stride, 1))
+    return [down_x, down_y, _section("y", "x", np.asarray(values[depth // 2]), (1, 1))]
 
 
 def best_section(sections: list[Section], through: str | None) -> Section:

@@ -73,8 +73,10 @@ class PagedArray(FileArray):
     def _read_pages(self, where: Where) -> Array:
         """Read a part page by page."""
         pages, rows, *across = where
-        first_strip, end_strip = rows.start // self.unit_rows, -(-rows.stop // self.unit_rows)
+        first_strip = rows.start // self.unit_rows
+        end_strip = -(-rows.stop // self.unit_rows)
         first_row = first_strip * self.unit_rows
+        kept = (slice(rows.start - first_row, rows.stop - first_row, rows.step), *across)
         values = np.empty(lengths(where), self.dtype)
         for i, page in enumerate(range(pages.start, pages.stop, pages.step)):
             if self.unit_rows == 1:
@@ -82,15 +84,12 @@ class PagedArray(FileArray):
             else:
                 strips = [self._strip(page, k) for k in range(first_strip, end_strip)]
                 page_rows = strips[0] if len(strips) == 1 else np.concatenate(strips)
-            values[i] = page_rows[
-                (slice(rows.start - first_row, rows.stop - first_row, rows.step), *across)
-            ]
+            values[i] = page_rows[kept]
         return values
 
     def _decoded(self, page: int, number: int) -> Array:
-        return self.rows(
-            page, number * self.unit_rows, min((number + 1) * self.unit_rows, self.shape[1])
-        )
+        first_row = number * self.unit_rows
+        return self.rows(page, first_row, min(first_row + self.unit_rows, self.shape[1]))
 
 
 def stored_array(
@@ -193,9 +192,8 @@ class ViewArray(FileArray):
         inner_slices = [slice(0, n, 1) for n in self.inner.shape]
         for axis_slice, axis in zip(where, self.order, strict=True):
             inner_slices[axis] = axis_slice
-        turned = np.moveaxis(
-            self.inner.read(tuple(inner_slices)), self.order, range(len(self.order))
-        )
+        part = self.inner.read(tuple(inner_slices))
+        turned = np.moveaxis(part, self.order, range(len(self.order)))
         return np.asarray(self.change(turned), self.dtype).reshape(lengths(where))
 
 

@@ -195,15 +195,16 @@ def correct_light(
     texture = 0.0
     if variance_of_image > 0:
         texture = contrast / variance_of_image * float(np.nanmedian(grey - zero)) ** 2
-    counts = np.bincount(status.ravel(), minlength=len(STATES))
+    names = (getattr(source, "attrs", {}).get("file_name", k) for k, source in sources.items())
+    shares = np.bincount(status.ravel(), minlength=len(STATES)) / grey.size
     facts = LightFacts(
-        files=tuple(getattr(m, "attrs", {}).get("file_name", k) for k, m in sources.items()),
+        files=tuple(names),
         exposure=exposure,
         fall_off=1 - lowest / highest,
         standard_error=factor * float(np.sqrt(variance[is_valid].mean())),
         texture=texture,
         median=float(np.median(reflectance[is_valid])),
-        shares=dict(zip(STATES, (counts / grey.size).tolist(), strict=True)),
+        shares=dict(zip(STATES, shares.tolist(), strict=True)),
     )
     title = str(image.attrs.get("long_name", "")).partition(", uncalibrated")[2]
     title = f"Reflectance{', up to a factor' * (exposure is None)}{title}"

@@ -5,10 +5,11 @@ They are in memory, or in a store from which parts are read back.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from functools import partial
-from itertools import count, takewhile
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from planish.core.older_names import FORMAT, todays_names
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Array, Entries, Shape
+from planish.io.guard import reason_of
 from planish.io.map_chunks import CODECS, is_ours, read_chunks, write_chunks
 
 CHUNK = 512  # pixels along the edge of a chunk of a map
@@ -82,10 +84,8 @@ class StoredMaps:
                 # Tiles begin at multiples of more pixels than there are in one of the last
                 # overview.
                 maps = halved(maps)
-                overview_tile = Tile(
-                    tile.r0 >> k, (tile.r0 >> k) + maps.sizes["y"], tile.c0 >> k, 0
-                )
-                overview_tile = overview_tile._replace(c1=overview_tile.c0 + maps.sizes["x"])
+                r0, c0 = tile.r0 >> k, tile.c0 >> k
+                overview_tile = Tile(r0, r0 + maps.sizes["y"], c0, c0 + maps.sizes["x"])
                 grid = Grid(y_um=middles(grid.y_um), x_um=middles(grid.x_um))
                 self._add(f"{OVERVIEWS}/{name}/{k}", grid, overview_tile, maps)
 
@@ -94,11 +94,9 @@ class StoredMaps:
             self._arrays[name] = self._create_arrays(name, grid, maps)
 
         def write(map_name: str) -> None:
-            array, where, values = (
-                self._arrays[name][map_name],
-                (tile.rows, tile.cols),
-                maps[map_name].values,
-            )
+            array = self._arrays[name][map_name]
+            where = (tile.rows, tile.cols)
+            values = maps[map_name].values
             if self.path is not None and name in self.stored:
                 write_chunks(self.path / array.path, array, where, values)
             else:
@@ -107,30 +105,27 @@ class StoredMaps:
         map_threads(write, map(str, maps.data_vars))
 
     def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> Entries:
-        group_bytes = (
-            sum(v.dtype.itemsize for v in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
-        )
-        if self.path is None or (
-            group_bytes < LARGE_BYTES and not name.startswith(f"{OVERVIEWS}/")
-        ):
-            variables = {
-                k: (v.dims, np.empty(grid.shape, v.dtype), v.attrs)
-                for k, v in maps.data_vars.items()
-            }
-            coords = {
-                k: (k, axis_um, dict(maps[k].attrs))
-                for k, axis_um in (("y", grid.y_um), ("x", grid.x_um))
-            }
-            self._groups[name] = xr.Dataset(variables, coords=coords, attrs=maps.attrs)
-            return {str(k): variable.values for k, variable in self._groups[name].data_vars.items()}
+        """Arrays of a new group by the names of its maps, in memory or in the store."""
+        pixel_bytes = sum(data.dtype.itemsize for data in maps.data_vars.values())
+        is_small = pixel_bytes * math.prod(grid.shape) < LARGE_BYTES
+        axes = {"y": grid.y_um, "x": grid.x_um}
+        arrays: Entries = {}
+        if self.path is None or (is_small and not name.startswith(f"{OVERVIEWS}/")):
+            group = xr.Dataset(attrs=maps.attrs)
+            for axis, axis_um in axes.items():
+                group.coords[axis] = (axis, axis_um, dict(maps[axis].attrs))
+            for key, data in maps.data_vars.items():
+                arrays[str(key)] = np.empty(grid.shape, data.dtype)
+                group[key] = (data.dims, arrays[str(key)], data.attrs)
+            self._groups[name] = group
+            return arrays
         group = open_group(self.path, name, maps)
-        for axis, axis_um in (("y", grid.y_um), ("x", grid.x_um)):
+        for axis, axis_um in axes.items():
             create_array(group, axis, maps[axis].variable, axis_um.shape)[:] = axis_um
+        for key, data in maps.data_vars.items():
+            arrays[str(key)] = create_array(group, str(key), data.variable, grid.shape)
         self.stored.append(name)
-        return {
-            str(k): create_array(group, str(k), data.variable, grid.shape)
-            for k, data in maps.data_vars.items()
-        }
+        return arrays
 
     def group(self, name: str) -> xr.Dataset:
         """A group of which all tiles were added."""
@@ -152,11 +147,10 @@ def open_group(path: Path, name: str, data: xr.Dataset) -> zarr.Group:
 
 def create_array(group: zarr.Group, key: str, like: xr.Variable, shape: Shape) -> zarr.Array[Any]:
     """Make an array of a group, of the type, dimensions and attributes of a variable."""
-    dtype, fill_value = (
-        (str, "")
-        if like.dtype.kind in "OU"
-        else (like.dtype, np.nan if like.dtype.kind == "f" else 0)
-    )
+    dtype: Any = like.dtype
+    fill_value: Any = np.nan if dtype.kind == "f" else 0
+    if dtype.kind in "OU":
+        dtype, fill_value = str, ""
     return group.create_array(
         key,
         shape=shape,
@@ -238,12 +232,14 @@ def overviews_of(path: Path, group: str, name: str = "") -> list[str]:
 
     The finest comes first.
     """
-    return list(
-        takewhile(
-            lambda copy: map_folder(path, copy, name) if name else (path / copy).is_dir(),
-            (f"{OVERVIEWS}/{group}/{k}" for k in count(1)),
-        )
-    )
+    copies: list[str] = []
+    for k in count(1):
+        copy = f"{OVERVIEWS}/{group}/{k}"
+        is_there = map_folder(path, copy, name) if name else (path / copy).is_dir()
+        if not is_there:
+            break
+        copies.append(copy)
+    return copies
 
 
 class PartCache:
@@ -285,16 +281,14 @@ def readable(path: Path) -> Generator[None]:
     except (PlanishError, MemoryError):
         raise
     except Exception as error:  # damaged metadata make zarr raise almost every type there is
-        # Some reasons hold the whole file.
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise FileError(
-            f"{path} cannot be read: {reason}. It may be damaged; repeat the run."
+            f"{path} cannot be read: {reason_of(error)}. It may be damaged; repeat the run."
         ) from error
 
 
 def json_attrs(attrs: Mapping[Any, Any]) -> Entries:
     """Attributes as a store holds them."""
-    return {
-        str(k): v.tolist() if isinstance(v, np.ndarray | np.generic) else v
-        for k, v in attrs.items()
-    }
+    plain: Entries = {}
+    for key, value in attrs.items():
+        plain[str(key)] = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    return plain

@@ -58,7 +58,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         dtype = matlab.NUMBERS[variable.kind]
         decoded_bytes = variable.count * dtype.itemsize
         check_blown_up(path, decoded_bytes=decoded_bytes, stored_bytes=size_of_file(path))
-        shape = (variable.shape[slice_axis], variable.shape[row_axis], variable.shape[column_axis])
+        shape = tuple(variable.shape[axis] for axis in axis_order)
         values = whole_array(path, shape, dtype, partial(_decoded, path, variable))
     stated = stated_in("the variable voxel_um", sizes, ["um"] * 3)
     return LoadedVolume(
@@ -73,9 +73,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 def _name_of_volume(variables: Mapping[str, matlab.Variable], place: Place) -> str:
     """Name of the variable with three axes that was chosen, or of the only one."""
     wanted = place.part.strip("/")
-    volumes = [
-        (v.name, v.shape, v.kind) for v in variables.values() if len(extended_axes(v.shape)) == 3
-    ]
+    deep = [v for v in variables.values() if len(extended_axes(v.shape)) == 3]
+    volumes = [(v.name, v.shape, v.kind) for v in deep]
     if not wanted:
         return only_volume(volumes, place.path.name)
     if wanted not in {name for name, *_ in volumes}:

@@ -117,7 +117,8 @@ def tag_orientation(tag: object) -> list[Orientation]:
     if not isinstance(tag, int) or tag not in TAG_STEPS:
         return []
     x_step, y_step = TAG_STEPS[tag]
-    directions = np.array([(0, 0, 1), (*y_step, 0), (*x_step, 0)], np.float64)
+    along_y, along_x = (*y_step, 0), (*x_step, 0)
+    directions = np.array([(0, 0, 1), along_y, along_x], np.float64)
     return [Orientation(f"the orientation tag {tag}", directions)]
 
 

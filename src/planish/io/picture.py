@@ -111,15 +111,9 @@ def load_picture(
             orientation = _orientation_of(page.tags.valueof(274, default=1))
             values = _with_gaps(values, page, is_image=decode and not is_slice)
             tone = _tone_of_page(page)
-        return DecodedPicture(
-            values=values,
-            colour=colour,
-            bits=bits,
-            stated=stated_by_tiff(tif, page, path),
-            orientation=orientation,
-            notes=notes_on_reading(tif, page, path) if is_slice else (),
-            tone=tone,
-        )
+        stated = stated_by_tiff(tif, page, path)
+        notes = notes_on_reading(tif, page, path) if is_slice else ()
+        return DecodedPicture(values, colour, bits, stated, orientation, notes, tone)
 
 
 def _series_values(
@@ -228,14 +222,10 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
             values = _raster_values(image, data, is_16_bit=is_16_bit)
         else:
             values = _raster_zeros(image, is_16_bit=is_16_bit)
-    return DecodedPicture(
-        values=values,
-        colour=_raster_colour(image.mode, values),
-        bits=16 if image.mode == "I" else 8 * values.itemsize,
-        stated=_stated_by_raster(kind, image.info.get("dpi"), exif, writer),
-        orientation=orientation,
-        tone=tone,
-    )
+    colour = _raster_colour(image.mode, values)
+    bits = 16 if image.mode == "I" else 8 * values.itemsize
+    stated = _stated_by_raster(kind, image.info.get("dpi"), exif, writer)
+    return DecodedPicture(values, colour, bits, stated, orientation, tone=tone)
 
 
 def _raster_colour(mode: str, values: Array) -> Colour:

@@ -21,7 +21,7 @@ from planish.core.text import first_few
 from planish.core.typing import Pair, Shape, Texts
 from planish.io.formats import pictures_in
 from planish.io.guard import reading
-from planish.io.sizes import Stated
+from planish.io.sizes import NO_SIZE, Stated
 from planish.io.slice_names import (
     SliceOrder,
     check_no_gap,
@@ -242,7 +242,7 @@ def _scan_by_projections(logs: list[Log], slices: list[Path]) -> Scan | None:
                 f" {name} states. Give the folder of the reconstructed slices, {ELSEWHERE}"
             )
         source = f"{name} (its projections)"
-        stated = Stated(source, (None, None, None), "the slices have other names")
+        stated = Stated(source, NO_SIZE, "the slices have other names")
         doubts: Texts = ()
         if first_slice.stem.casefold().startswith(log.stem):
             stated = Stated(source, (sizes[0],) * 3)

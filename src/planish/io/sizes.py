@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPage
 
 OVERRIDE = "`override_size=True`"
+NO_SIZE = (None, None, None)  # of a voxel, where the metadata are silent
 POSSIBLE_UM = (1e-4, 1000.0)  # of any pixel; outside of it there is no instrument
 
 
@@ -62,10 +63,8 @@ class Asked(NamedTuple):
 
     def in_words(self, size: Sequence[float | None]) -> str:
         """Write a size with its axes, for example ``z 2, y 1.5, x 1.5 um``."""
-        axis_texts = [
-            f"{axis} {um:.6g}" for axis, um in zip(self.axes, size, strict=True) if um is not None
-        ]
-        return ", ".join(axis_texts) + " um"
+        sizes = zip(self.axes, size, strict=True)
+        return ", ".join(f"{axis} {um:.6g}" for axis, um in sizes if um is not None) + " um"
 
     def statements(self, stated: Sequence[Stated]) -> str:
         """Write what several kinds of metadata state."""
@@ -172,15 +171,16 @@ def agreed_size(
     if user_um is not None:
         size = size_per_axis(user_um, asked)
         source = _source_of_given(size, statements, file_name, asked, override=override)
-        _check_range(size, (), file_name, asked, unusual=unusual)
-        return size, source
-    merged_size = _merge_stated(statements, file_name, asked)
-    size = tuple(um for um in merged_size if um is not None)
-    if len(size) < len(merged_size):
-        missing_text = _missing_text(merged_size, stated, statements, asked)
-        raise SizeError(f"{file_name} states no {asked.name} size{missing_text}, in um.")
+        statements = []
+    else:
+        merged_size = _merge_stated(statements, file_name, asked)
+        size = tuple(um for um in merged_size if um is not None)
+        source = _sources(statements)
+        if len(size) < len(merged_size):
+            missing_text = _missing_text(merged_size, stated, statements, asked)
+            raise SizeError(f"{file_name} states no {asked.name} size{missing_text}, in um.")
     _check_range(size, statements, file_name, asked, unusual=unusual)
-    return size, _sources(statements)
+    return size, source
 
 
 def _sources(statements: Sequence[Stated]) -> str:
@@ -390,7 +390,7 @@ def _stated_by_imagej(meta: Fields, density: Sequence[float | None], writer: Wri
     """Read `unit` (`yunit`, `zunit`), `spacing`, and pixels per unit from the resolution tags."""
     unit = str(meta.get("unit", ""))
     if unit_um(unit) is None:
-        return Stated("ImageJ metadata", (None, None, None), f"{unit!r} is no unit of length")
+        return Stated("ImageJ metadata", NO_SIZE, f"{unit!r} is no unit of length")
     unit_y, unit_z = [str(meta.get(key) or unit) for key in ("yunit", "zunit")]
     sizes_um = map(_pixel_um, density, (unit_y, unit))
     spacing = stated_in("", [_real(meta.get("spacing"))], [unit_z], (0,))

@@ -155,7 +155,8 @@ def _decimals(files: list[Path]) -> list[int]:
 
 def _counts(numbers: list[int]) -> bool:
     """True if numbers rise by one step, whatever their order in the list."""
-    return len({*np.diff(sorted(numbers)).tolist()} | {0}) == 2 and len({*numbers}) == len(numbers)
+    steps = {*np.diff(sorted(numbers)).tolist()}
+    return len(steps) == 1 and 0 not in steps
 
 
 def check_no_gap(numbers: list[int], folder: Path) -> None:

@@ -25,6 +25,15 @@ from planish.io.tiff import open_series, size_words
 from planish.io.tiff_volume import TiffPages
 
 
+class SliceHeader(NamedTuple):
+    """What is known of a slice that is not decoded."""
+
+    key: tuple[Any, ...]  # format, size and type: the same for slices that are alike
+    dtype: DType  # in the file
+    offset: int | None = None  # from where the values lie as they are
+    strip_rows: int = sys.maxsize  # what is decoded at once, if it is not all
+
+
 def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read a folder of slices at once where it fits, otherwise slice by slice on demand."""
     scan = read_scan(place.path)
@@ -91,22 +100,28 @@ def load_pictures(
     # Threads decode photographs while others are compared.
     needed_bytes = 4 * first.values.nbytes if photographs else 2 * grey.nbytes
     check_memory(folder, needed_bytes=needed_bytes, limit_bytes=limit)
-    planes: list[tuple[Path, int]] = []
-    strip_rows = header.strip_rows
-    for file in files:
-        file_header = _slice_header(file)
-        strip_rows = max(strip_rows, file_header.strip_rows)
+    headers = [header, *map(_slice_header, files[1:])]
+    for file, file_header in zip(files, headers, strict=True):
         if file_header.key != header.key:
             _check_same(load_one(file, memory_bytes=limit), first, file=file, first_file=files[0])
-        has_same_type = file_header.dtype == header.dtype and first.values.ndim == 2
-        if has_same_type and file_header.offset is not None:
-            planes.append((file, file_header.offset))
-    if len(planes) == len(files):
+    planes = _stored_planes(files, headers) if first.values.ndim == 2 else []
+    if planes:
         return widened(stored_array(planes, shape, header.dtype)), first
+    strip_rows = max(h.strip_rows for h in headers)
     rows = partial(_slice_rows, load_one, files, channel, grey.shape)
     if strip_rows < shape[1]:
         rows = partial(_strip_rows, files, grey.shape)
     return PagedArray(folder, shape, dtype, min(strip_rows, shape[1]), rows), first
+
+
+def _stored_planes(files: list[Path], headers: list[SliceHeader]) -> list[tuple[Path, int]]:
+    """Where the values of all slices lie as they are, of one type; empty where they do not."""
+    planes: list[tuple[Path, int]] = []
+    for file, header in zip(files, headers, strict=True):
+        if header.offset is None or header.dtype != headers[0].dtype:
+            return []
+        planes.append((file, header.offset))
+    return planes
 
 
 def _slice_rows(
@@ -144,15 +159,6 @@ def _check_unchanged(file: Path, shape: Shape, opened_shape: Shape) -> None:
             f"{file.name} is {size_words(shape)} pixels, {size_words(opened_shape)} when the folder"
             " was opened. Leave the slices alone while planish reads them."
         )
-
-
-class SliceHeader(NamedTuple):
-    """What is known of a slice that is not decoded."""
-
-    key: tuple[Any, ...]  # format, size and type: the same for slices that are alike
-    dtype: DType  # in the file
-    offset: int | None = None  # from where the values lie as they are
-    strip_rows: int = sys.maxsize  # what is decoded at once, if it is not all
 
 
 def _slice_header(file: Path) -> SliceHeader:
@@ -204,9 +210,9 @@ def _check_same(
     picture: DecodedPicture, first: DecodedPicture, *, file: Path, first_file: Path
 ) -> None:
     check_type(picture.values.dtype, file)
-    for verb, feature, a, b in zip(
-        ("is", "is", "has"), ("colour", "size", "type"), _kind(picture), _kind(first), strict=True
-    ):
+    kinds = zip(_kind(picture), _kind(first), strict=True)
+    words = (("is", "colour"), ("is", "size"), ("has", "type"))
+    for (verb, feature), (a, b) in zip(words, kinds, strict=True):
         if a != b:
             raise VolumeError(
                 f"{file.name} {verb} {a}, {first_file.name} {verb} {b}. All slices need the same"

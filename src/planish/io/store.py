@@ -195,9 +195,8 @@ def _plan_blocks(
     Blocks are whole shards on two levels.
     """
     shape = level.shape
-    unit_shape = [
-        min(2 * s, -(-n // s) * s) for s, n in zip(level.shards or level.chunks, shape, strict=True)
-    ]
+    shards = zip(level.shards or level.chunks, shape, strict=True)
+    unit_shape = [min(2 * s, -(-n // s) * s) for s, n in shards]
     # A block and its means, and what is compressed of it.
     block_bytes = 1.6 * level.dtype.itemsize * math.prod(map(min, unit_shape, shape))
     n_parallel = max(min(int(memory_bytes / block_bytes), max_blocks), 1)
@@ -232,27 +231,27 @@ def _write_block(
         if k > 0:
             values = halve(values)
         level = _level(folder, k)
-        written = _write_shards(level, _halved(where, k), values, folder / str(k), shard_names)
-        checksums.append(written)
+        checksums.append(_write_shards(level, _halved(where, k), values, folder, shard_names))
     return checksums
 
 
 def _write_coarser_level(fine: Array, coarse: Array, shards: ShardLists) -> None:
     for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
         if not shards.has(coarse, where):
-            values = halve(np.asarray(fine[tuple(slice(2 * w.start, 2 * w.stop) for w in where)]))
-            folder = shards.folder / coarse.basename
+            fine_where = tuple(slice(2 * w.start, 2 * w.stop) for w in where)
+            values = halve(np.asarray(fine[fine_where]))
             names = shards.names(coarse, where)
-            shards.add(coarse, _write_shards(coarse, where, values, folder, names))
+            shards.add(coarse, _write_shards(coarse, where, values, shards.folder, names))
 
 
 def _write_shards(
     level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]
 ) -> dict[str, str]:
+    """Write a part of a level into a store, and give the checksums of its shards."""
     level[where] = values
     checksums: dict[str, str] = {}
     for name in names:
-        with (folder / name).open("rb+") as file:
+        with (folder / level.basename / name).open("rb+") as file:
             os.fsync(file.fileno())
             checksums[name] = hashlib.file_digest(file, "sha256").hexdigest()
     return checksums
@@ -280,7 +279,8 @@ def _blocks(shape: Shape, block: Shape) -> Iterator[Where]:
 
 def _halved(where: Where, times: int) -> Where:
     """Return the same block on a coarser level; its starts are whole shards there."""
-    z, y, x = (slice(w.start >> times, -(-w.stop // 2**times)) for w in where)
+    scale = 2**times
+    z, y, x = (slice(w.start // scale, -(-w.stop // scale)) for w in where)
     return z, y, x
 
 

@@ -209,9 +209,8 @@ def _check_ome_images(tif: TiffFile, path: Path) -> None:
     """Refuse OME metadata of more planes than can be, or of planes far larger than the pages."""
     first = tif.pages.first
     for tag in _ome_pixels(tif):
-        sizes = {
-            k: int(n) for k, n in re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)
-        }
+        lengths = re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)
+        sizes = {letter: int(length) for letter, length in lengths}
         n_planes = math.prod(sizes.get(k, 1) for k in "ZCT")
         n_rows = sizes.get("Y", 1)
         n_columns = sizes.get("X", 1)
@@ -370,9 +369,8 @@ def mapped_from(series: TiffPageSeries) -> int | None:
     None where they have to be decoded.
     """
     is_turned = series.keyframe.photometric == PHOTOMETRIC.MINISWHITE
-    is_native = series.dtype.newbyteorder(
-        series.keyframe.parent.byteorder
-    ) == series.dtype.newbyteorder("=")
+    stored_dtype = series.dtype.newbyteorder(series.keyframe.parent.byteorder)
+    is_native = stored_dtype == series.dtype.newbyteorder("=")
     return series.dataoffset if is_native and not is_turned else None
 
 
@@ -395,14 +393,20 @@ def has_rgb(page: TiffPage) -> bool:
     )
 
 
+def _long(series: TiffPageSeries) -> list[tuple[str, int]]:
+    """Letter and length of y and x and of all other axes longer than 1."""
+    axes = zip(series.axes, series.shape, strict=True)
+    return [(letter, n) for letter, n in axes if n > 1 or letter in "YX"]
+
+
 def long_axes(series: TiffPageSeries) -> str:
     """Letters of y and x and of all other axes longer than 1."""
-    return "".join(a for a, n in zip(series.axes, series.shape, strict=True) if n > 1 or a in "YX")
+    return "".join(letter for letter, _ in _long(series))
 
 
 def long_shape(series: TiffPageSeries) -> Shape:
     """Lengths of these axes, of which others of length 1 may have the letter."""
-    return tuple(n for a, n in zip(series.axes, series.shape, strict=True) if n > 1 or a in "YX")
+    return tuple(n for _, n in _long(series))
 
 
 def shape_words(series: TiffPageSeries) -> str:

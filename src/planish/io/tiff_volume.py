@@ -62,16 +62,19 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
         check_type(series.dtype, path)
         if page.photometric == PHOTOMETRIC.PALETTE and not (tif.is_imagej or _is_grey_ramp(page)):
             raise VolumeError(f"{path.name} has a colour palette. {ADVICE}")
-        change: Change | None = partial(grey_of, channel=channel) if "S" in axes else None
+        in_colour = "S" in axes
+        bits = int(page.bitspersample)
+        change: Change | None = partial(grey_of, channel=channel) if in_colour else None
         if page.photometric == PHOTOMETRIC.MINISWHITE:
-            change = partial(turn_white, path=path, bits=page.bitspersample)
+            change = partial(turn_white, path=path, bits=bits)
+        attrs = colour_attrs(channel, path, in_colour=in_colour)
         return LoadedVolume(
-            attrs=colour_attrs(channel, path, in_colour="S" in axes),
             values=_series_values(series, path, axes, change, memory_limit(memory_bytes)),
             stated=stated_by_tiff(tif, page, path),
             files=[path],
-            bits=int(page.bitspersample),
-            notes=(*notes, *notes_on_reading(tif, page, path)),
+            bits=bits,
+            attrs=attrs,
+            notes=notes + notes_on_reading(tif, page, path),
             orientations=tag_orientation(page.tags.valueof(274)),
         )
 
@@ -81,7 +84,8 @@ def _is_grey_ramp(page: TiffPage) -> bool:
     if page.colormap is None:
         return False
     palette = np.asarray(page.colormap).astype(np.int64)
-    return bool(np.all(palette == palette[0]) and np.all(np.diff(palette[0]) > 0))
+    is_grey = np.all(palette == palette[0])
+    return bool(is_grey and np.all(np.diff(palette[0]) > 0))
 
 
 def _series_values(
@@ -220,14 +224,14 @@ class TiffPages(PagedArray):
                 data = file.read(byte_counts[index])
                 if len(data) < byte_counts[index]:
                     raise damaged(self.path, f"data of page {page + 1} are missing")
-                segment, (_, _, y, x, _), (_, height, width, _) = self._decode(
-                    data, index, _fullsize=False, **tables
-                )
+                segment, place, size = self._decode(data, index, _fullsize=False, **tables)
                 if segment is None:
                     raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
-                height = min(height, stop - y)
-                width = min(width, self.shape[2] - x)
-                pixels[y - start : y - start + height, x : x + width] = segment[0, :height, :width]
+                _, _, row, col, _ = place
+                height = min(size[1], stop - row)
+                width = min(size[2], self.shape[2] - col)
+                rows = slice(row - start, row - start + height)
+                pixels[rows, col : col + width] = segment[0, :height, :width]
         return values
 
 

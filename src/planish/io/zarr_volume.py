@@ -29,7 +29,7 @@ from planish.io.hashes import missing_shards
 from planish.io.lazy import FileArray, reordered
 from planish.io.orientation import orientation_by_words
 from planish.io.shards import is_plain, read_plain
-from planish.io.sizes import Stated, stated_in
+from planish.io.sizes import NO_SIZE, Stated, stated_in
 from planish.io.tiff import damaged
 
 # Files of a zarr store that are no chunks.
@@ -69,8 +69,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         along = [_coordinates_along(path, name, named, axis, n) for axis, n in enumerate(shape)]
         by_coordinates, orientations = stated_by_coordinates(along, placed.order)
         stated = sizes_by_attributes(array.attrs, shape, placed.order)
-        stated += sizes_by_attributes(group_attrs, shape, placed.order)
-        stated += by_coordinates
+        stated += sizes_by_attributes(group_attrs, shape, placed.order) + by_coordinates
     else:
         stated = [_stated_by_scale(multiscale, level, named.units, placed.order)]
         words = [named.directions[axis] for axis in placed.order]
@@ -101,7 +100,7 @@ def _stated_by_scale(multiscale: Keys, level: int, units: list[str], order: Shap
     source = "the OME-Zarr scale"
     scale = _scale_of(multiscale["datasets"][level], len(units))
     if scale is None:
-        return Stated(source, (None, None, None), "the level has no scale transformation")
+        return Stated(source, NO_SIZE, "the level has no scale transformation")
     image_scale = _scale_of(multiscale, len(units)) or [1.0] * len(units)
     lengths = [a * b for a, b in zip(scale, image_scale, strict=True)]
     return stated_in(source, lengths, units, order)

@@ -100,6 +100,31 @@ def warp_image(
     Rounding leaves 1e-13 of the largest value nearby in a mean: mark values that stand for missing
     ones as NaN.
     """
+    _check_input(image, grid, pixel_um, memory_bytes)
+
+    def mapping(points: Floats) -> Floats:
+        points_um = points * grid.pixel_um[::-1] + grid.origin_um
+        return np.asarray(to_source(points_um), dtype=np.float64) / pixel_um[::-1]
+
+    out = np.full(grid.shape, np.nan, dtype=image.dtype)
+    map_threads(partial(_warp_tile, image, mapping, out), tiles_of(grid.shape, _TILE))
+    if must_meet and not np.isfinite(out).any():
+        sides = (np.linspace(-0.5, n - 0.5, 17) for n in grid.shape[::-1])
+        points_um = mapping(grid_points(*sides)) * pixel_um[::-1]
+        where_text = _where_text(points_um[are_known(points_um)])
+        height_um, width_um = np.multiply(image.shape, pixel_um)
+        raise CannotRegister(
+            f"The transformation takes the target {where_text}, which is {width_um:.0f} um wide and"
+            f" {height_um:.0f} um high: nothing overlaps. Check the pixel sizes and the origin, and"
+            " that the transformation goes from target to image (else use its inverse)."
+        )
+    return out
+
+
+def _check_input(
+    image: NDArray[np.floating[Any]], grid: Grid, pixel_um: Pair, memory_bytes: int
+) -> None:
+    """Refuse an image, a grid or pixels that are none, and what does not fit into the memory."""
     shape = grid.shape
     size = image.shape
     if image.ndim != 2 or min(size) < 1 or image.dtype.kind != "f":
@@ -124,24 +149,6 @@ def warp_image(
             f"The warped image needs {needed / 1e9:.2f} GB of memory, {memory_bytes / 1e9:.2f} GB"
             " are allowed. Allow more, or warp to a smaller or coarser grid."
         )
-
-    def mapping(points: Floats) -> Floats:
-        points_um = points * grid.pixel_um[::-1] + grid.origin_um
-        return np.asarray(to_source(points_um), dtype=np.float64) / pixel_um[::-1]
-
-    out = np.full(shape, np.nan, dtype=image.dtype)
-    map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
-    if must_meet and not np.isfinite(out).any():
-        sides = (np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1])
-        points_um = mapping(grid_points(*sides)) * pixel_um[::-1]
-        where_text = _where_text(points_um[are_known(points_um)])
-        height_um, width_um = size[0] * pixel_um[0], size[1] * pixel_um[1]
-        raise CannotRegister(
-            f"The transformation takes the target {where_text}, which is {width_um:.0f} um wide and"
-            f" {height_um:.0f} um high: nothing overlaps. Check the pixel sizes and the origin, and"
-            " that the transformation goes from target to image (else use its inverse)."
-        )
-    return out
 
 
 def _where_text(points_um: Floats) -> str:

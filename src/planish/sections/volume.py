@@ -191,7 +191,8 @@ class Planes(LazyArray):
         low, high = -np.inf, np.inf
         if is_integer:
             limits = np.iinfo(self.dtype)
-            low, high = float(limits.min), float(limits.max)
+            low = float(limits.min)
+            high = float(limits.max)
         poses, grades = self.poses[pair], self.grades[pair]
         interpolate(first, second, float(self.weight[k]), poses, grades, low, high, is_integer, out)
 
