@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -169,7 +169,7 @@ def correct_volume(
     if levels is None:
         sentences = ("No sheet stands out from the air: nothing was corrected.",)
         record = record.model_copy(update={"sentences": sentences})
-        return Corrected(volume=_with_record(volume, record), record=record, turning=turning)
+        return _corrected(volume, record, turning)
     record = record.model_copy(update={"air": levels.air, "sheet": levels.sheet})
 
     def sums(slices: Iterator[tuple[int, Slice]], task_text: str) -> Sums:
@@ -181,9 +181,7 @@ def correct_volume(
     change, record = _find_change(before, turning, levels, record)
     if not record.changes:
         record = record.model_copy(update={"trends": _trends_with(record, record.trends)})
-        return Corrected(
-            volume=_with_record(volume, record), record=record, turning=turning, before=before
-        )
+        return _corrected(volume, record, turning, before=before)
     clipped = [0, 0]
 
     def changed() -> Iterator[tuple[int, Slice]]:
@@ -201,14 +199,7 @@ def correct_volume(
     share = clipped[0] / clipped[1]
     record = record.model_copy(update={"rings": rings, "trends": trends, "clipped": share})
     corrected = computed(volume, partial(_read_corrected, volume.variable, change))
-    return Corrected(
-        volume=_with_record(corrected, record),
-        record=record,
-        turning=turning,
-        before=before,
-        after=after,
-        change=change,
-    )
+    return _corrected(corrected, record, turning, before=before, after=after, change=change)
 
 
 def _trends_with(record: CorrectionRecord, trends_after: tuple[Trend, ...]) -> tuple[Trend, ...]:
@@ -219,8 +210,12 @@ def _trends_with(record: CorrectionRecord, trends_after: tuple[Trend, ...]) -> t
     )
 
 
-def _with_record(volume: xr.DataArray, record: CorrectionRecord) -> xr.DataArray:
-    return volume.assign_attrs(corrections=record.to_json())
+def _corrected(
+    volume: xr.DataArray, record: CorrectionRecord, turning: Turning, **more: Any
+) -> Corrected:
+    """A volume with its record among its attributes, and what else is known."""
+    volume = volume.assign_attrs(corrections=record.to_json())
+    return Corrected(volume=volume, record=record, turning=turning, **more)
 
 
 def _find_change(

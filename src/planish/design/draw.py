@@ -203,8 +203,7 @@ def drawing_page(pattern: Pattern) -> Page:
         _write(axes, arrow_end, name, (6 * dx, 6 * dy), color=ACCENT, fontsize=8)
     if pattern.layout != "own":
         _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
-        ring: Entries = {"ms": 7, "mfc": "none", "mec": ACCENT, "mew": 0.9, "clip_on": False}
-        axes.plot(*corner[:, None], "o", **ring)
+        axes.plot(*corner[:, None], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
         corner_text = "no hole in this corner:\nit shows the orientation"
         text_place = pair_of(field_low + 13 * mm)
         look: Entries = {"color": ACCENT, "fontsize": 7.5, "ha": "left", "va": "bottom"}
@@ -244,8 +243,7 @@ def error_page(
     _error_map(page, pattern, predicted)
     _box(page.plan, pattern.field_low_um, pattern.field_um, edgecolor=SOFT)
     _box(page.plan, pattern.origin_um, pattern.view_um, edgecolor=SOFT, ls=(0, (5, 3)))
-    ring: Entries = {"ms": 3.5, "mfc": "white", "mec": INK, "mew": 0.8, "clip_on": False}
-    page.plan.plot(*pattern.points_um.T, "o", **ring)
+    page.plan.plot(*pattern.points_um.T, "o", ms=3.5, mfc="white", mec=INK, mew=0.8, clip_on=False)
     field_points = predicted.field_um
     worst = field_points[1 + int(np.argmax(predicted.at(field_points[1:])))]
     text_box = {

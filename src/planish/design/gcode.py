@@ -174,7 +174,7 @@ def _move(x_um: float, y_um: float) -> str:
 
 def _plain(value: float, decimals: int) -> str:
     text = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
-    return "0" if text in ("", "-0") else text
+    return "0" if text == "-0" else text
 
 
 def pattern_dxf(pattern: Pattern) -> str:

@@ -11,6 +11,7 @@ import threading
 import warnings
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -116,10 +117,17 @@ def size_of_file(path: Path) -> int:
     return size
 
 
-def head_of(path: Path, most: int) -> bytes:
-    """First bytes of a file that is there and not empty."""
+@contextmanager
+def open_bytes(path: Path) -> Generator[BufferedReader]:
+    """Open a file that is there and not empty; what decoders raise becomes a FileError."""
     size_of_file(path)
     with reading(path), path.open("rb") as file:
+        yield file
+
+
+def head_of(path: Path, most: int) -> bytes:
+    """First bytes of a file that is there and not empty."""
+    with open_bytes(path) as file:
         return file.read(most)
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from planish.core.files import delete, write_whole
 from planish.core.lazy import chunk_parts
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, loader, pictures_in
-from planish.io.guard import reading, size_of_file
+from planish.io.guard import open_bytes
 from planish.io.sections import COUNTER, is_section_folder
 from planish.io.slice_volume import slice_files
 
@@ -174,8 +174,7 @@ _hashes_read: dict[tuple[Path, int, int, int], str] = {}
 
 def hash_of_file(path: Path) -> str:
     """SHA-256 of one file; a file that has not changed since is not read again."""
-    size_of_file(path)
-    with reading(path), path.open("rb") as file:
+    with open_bytes(path) as file:
         status = os.fstat(file.fileno())
         key = (path.absolute(), status.st_size, status.st_mtime_ns, status.st_ino)
         if key not in _hashes_read:

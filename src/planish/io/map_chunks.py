@@ -62,8 +62,13 @@ def _unpacked(file: Path, array: zarr.Array[Any]) -> Array:
     """What a file holds, which cannot be written to; where there is none, missing values."""
     if not file.is_file():
         return np.full(array.chunks, array.fill_value, array.dtype)
-    raw = file.read_bytes()
-    packed = raw[:-4]
-    if crc32c(packed) != int.from_bytes(raw[-4:], "little"):
-        raise ValueError(f"the chunk {file.name} of {array.path} is damaged")
+    packed = without_sum(file.read_bytes(), f"the chunk {file.name} of {array.path}")
     return np.frombuffer(_BLOSC.decode(packed), array.dtype).reshape(array.chunks)
+
+
+def without_sum(raw: bytes, subject: str) -> bytes:
+    """Take off the CRC-32C behind some bytes; ValueError where it is not theirs."""
+    content = raw[:-4]
+    if crc32c(content) != int.from_bytes(raw[-4:], "little"):
+        raise ValueError(f"{subject} is damaged")
+    return content

@@ -15,7 +15,7 @@ from planish.core.errors import FileError, VolumeError
 from planish.core.typing import Array, Texts
 from planish.io.axes import extended_axes
 from planish.io.formats import LoadedVolume, Place, describe_volumes, only_volume
-from planish.io.guard import check_blown_up, reading, size_of_file
+from planish.io.guard import check_blown_up, open_bytes, size_of_file
 from planish.io.lazy import reordered, whole_array
 from planish.io.sizes import stated_in
 
@@ -23,8 +23,7 @@ from planish.io.sizes import stated_in
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Read the variable that was chosen, or the only one with three axes."""
     path = place.path
-    size_of_file(path)
-    with reading(path), path.open("rb") as file:
+    with open_bytes(path) as file:
         first_bytes = file.read(520)
         if not matlab.is_new(first_bytes) and not matlab.is_version_5(first_bytes):
             raise FileError(

@@ -26,7 +26,7 @@ from planish.io.formats import (
     format_of,
     is_slice_name,
 )
-from planish.io.guard import head_of, reading
+from planish.io.guard import head_of, open_bytes, reading
 
 MOST_FOLDERS = 200  # folders at and below a path that are looked into
 RAW_VALUES = (".vol", ".raw")
@@ -244,7 +244,7 @@ def _kind_by_bytes(head: bytes) -> OtherKind | None:
 
 
 def _has_zeros_alone(path: Path) -> bool:
-    with reading(path), path.open("rb") as file:
+    with open_bytes(path) as file:
         while block := file.read(2**20):
             if any(block):
                 return False

@@ -34,8 +34,13 @@ class Writer(NamedTuple):
 
 def writer_of(tags: Mapping[int, Any], photo_tags: Iterable[Any]) -> Writer:
     """Read what wrote a picture from its tags and from those that Exif has of a photograph."""
-    names = [str(tags[code]).strip("\0 ") for code in _NAME_TAGS if tags.get(code)]
-    return Writer(" ".join(dict.fromkeys(names)), not _EXPOSURE_TAGS.isdisjoint(photo_tags))
+    return Writer(names_of(tags, _NAME_TAGS), not _EXPOSURE_TAGS.isdisjoint(photo_tags))
+
+
+def names_of(tags: Mapping[int, Any], codes: Iterable[int]) -> str:
+    """Join the texts of some tags, each once."""
+    names = [str(tags[code]).strip("\0 ") for code in codes if tags.get(code)]
+    return " ".join(dict.fromkeys(names))
 
 
 def from_density(per_unit: float | None, unit: str) -> float | None:

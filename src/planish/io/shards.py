@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import zarr
-from google_crc32c import value as crc32c
 from imagecodecs import zstd_decode
 from zarr.codecs import (
     BytesCodec,
@@ -22,6 +21,7 @@ from zarr.codecs import (
 
 from planish.core.lazy import Where, chunk_parts
 from planish.core.typing import Array
+from planish.io.map_chunks import without_sum
 
 _ABSENT = np.uint64(2**64 - 1)  # place of a chunk that holds the fill value
 
@@ -69,10 +69,8 @@ def _read_shard(path: Path, array: zarr.Array[Any], where: Where, values: Array)
     block = np.frombuffer(raw_block, values.dtype).reshape(array.chunks)
     with path.open("rb") as file:
         file.seek(-16 * n_chunks - 4, 2)
-        raw = file.read()
-        if crc32c(raw[:-4]) != int.from_bytes(raw[-4:], "little"):
-            raise ValueError(f"the index of {path.name} is damaged")
-        index = np.frombuffer(raw, "<u8", 2 * n_chunks).reshape(*chunks_shape, 2)
+        raw_index = without_sum(file.read(), f"the index of {path.name}")
+        index = np.frombuffer(raw_index, "<u8").reshape(*chunks_shape, 2)
         for position, within, target in chunk_parts(where, array.chunks):
             offset, size = index[position]
             if offset == _ABSENT:

@@ -104,24 +104,18 @@ def load_pictures(
     for file, file_header in zip(files, headers, strict=True):
         if file_header.key != header.key:
             _check_same(load_one(file, memory_bytes=limit), first, file=file, first_file=files[0])
-    planes = _stored_planes(files, headers) if first.values.ndim == 2 else []
-    if planes:
+    # Those of another type would lie otherwise; of several samples, one is taken.
+    alike = [h for h in headers if h.dtype == header.dtype and first.values.ndim == 2]
+    planes = [
+        (file, h.offset) for file, h in zip(files, alike, strict=False) if h.offset is not None
+    ]
+    if len(planes) == len(files):
         return widened(stored_array(planes, shape, header.dtype)), first
     strip_rows = max(h.strip_rows for h in headers)
     rows = partial(_slice_rows, load_one, files, channel, grey.shape)
     if strip_rows < shape[1]:
         rows = partial(_strip_rows, files, grey.shape)
     return PagedArray(folder, shape, dtype, min(strip_rows, shape[1]), rows), first
-
-
-def _stored_planes(files: list[Path], headers: list[SliceHeader]) -> list[tuple[Path, int]]:
-    """Where the values of all slices lie as they are, of one type; empty where they do not."""
-    planes: list[tuple[Path, int]] = []
-    for file, header in zip(files, headers, strict=True):
-        if header.offset is None or header.dtype != headers[0].dtype:
-            return []
-        planes.append((file, header.offset))
-    return planes
 
 
 def _slice_rows(

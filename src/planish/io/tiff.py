@@ -19,7 +19,7 @@ from tifffile import PHOTOMETRIC, TIFF, TiffFile, TiffFrame, TiffPage, TiffPageS
 
 from planish.core.errors import FileError, InputError
 from planish.core.typing import Array, Shape, Texts
-from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
+from planish.io.guard import check_blown_up, check_memory, open_bytes, reading, size_of_file
 
 JPEG_COMPRESSIONS = frozenset({6, 7, 34892, 33007})
 LAYOUT_NUMBERS = (  # Attributes of a page on which the position and meaning of every pixel depend.
@@ -110,7 +110,7 @@ def _count_pages(path: Path) -> int:
     """
     file_bytes = size_of_file(path)
     offsets: set[int] = set()
-    with reading(path), path.open("rb") as file:
+    with open_bytes(path) as file:
         head = file.read(16)
         count, tag, pointer = _table_structs(head, path)
         first_offset = 2 * pointer.size

@@ -16,7 +16,7 @@ from PIL import ImageCms
 
 from planish.core.errors import InputError
 from planish.io.params import HIGHEST_GAMMA
-from planish.io.resolution import writer_of
+from planish.io.resolution import names_of, writer_of
 
 Gamma = Literal["srgb"] | float
 COLOUR_SPACE = 40961  # tag of Exif; 1 is sRGB
@@ -49,10 +49,8 @@ def tone_of(tags: Mapping[int, Any], colour_space: Any, info: Mapping[Any, Any])
     elif "jfif" in info:
         curve = "sRGB, as JPEG has it"
     is_linear = "linear" in curve.casefold() or curve.startswith("an exponent of 1,")
-    names = [str(tags[tag]).strip("\0 ") for tag in (271, 272) if tags.get(tag)]
-    camera = " ".join(dict.fromkeys(names))
-    is_scan = writer_of(tags, ()).is_scanner
-    return Tone(camera, curve, is_linear, is_scan)
+    camera = names_of(tags, (271, 272))
+    return Tone(camera, curve, is_linear, is_scan=writer_of(tags, ()).is_scanner)
 
 
 def _profile_name(profile: bytes) -> str:
