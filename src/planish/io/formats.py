@@ -158,6 +158,11 @@ def exists(path: Path) -> bool:
         return False
 
 
+def path_words(part: str) -> list[str]:
+    """Names along a path within a file or store."""
+    return [name for name in part.split("/") if name not in ("", ".")]
+
+
 def format_of(place: Place) -> VolumeFormat:
     """Find the format by the name, or for folders by what lies in them.
 

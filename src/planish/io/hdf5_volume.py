@@ -35,6 +35,7 @@ from planish.io.formats import (
     check_chunks,
     describe_volumes,
     only_volume,
+    path_words,
     referenced_file,
 )
 from planish.io.guard import reading, size_of_file
@@ -81,7 +82,7 @@ def find_dataset(path: Path, name: str) -> tuple[Path, str]:
     """Follow a path through groups and links."""
     current_file = path
     group_path = ""
-    remaining_names = _words(name)
+    remaining_names = path_words(name)
     for _ in range(MOST_LINKS):
         with opened(current_file) as file:
             while remaining_names:
@@ -98,9 +99,9 @@ def find_dataset(path: Path, name: str) -> tuple[Path, str]:
             else:
                 return current_file, group_path
         is_external = isinstance(link, h5py.ExternalLink)
-        base_names = [] if is_external or link.path.startswith("/") else _words(group_path)
+        base_names = [] if is_external or link.path.startswith("/") else path_words(group_path)
         group_path = ""
-        remaining_names = [*base_names, *_words(link.path), *remaining_names]
+        remaining_names = [*base_names, *path_words(link.path), *remaining_names]
         if is_external:
             current_file = referenced_file(
                 path.parent, link.filename, path, base_folder=current_file.parent
@@ -109,10 +110,6 @@ def find_dataset(path: Path, name: str) -> tuple[Path, str]:
         f"{path.name}: {name!r} leads through more than {MOST_LINKS} links. Copy the data set into"
         " one file."
     )
-
-
-def _words(name: str) -> list[str]:
-    return [part for part in name.split("/") if part not in ("", ".")]
 
 
 def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:

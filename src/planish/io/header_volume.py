@@ -390,16 +390,7 @@ def _raw_header(path: Path) -> Header:
     """Header of raw values in a TOML file; either of the two files is given."""
     header_file = path if path.suffix.lower() == ".toml" else path.with_name(path.name + ".toml")
     if not header_file.is_file() and header_file != path:
-        # Here, so that a good file waits for no table of other files.
-        from planish.io.other_files import check_kind, description_of
-
-        check_kind(path, takes_text=True)
-        description = description_of(path)
-        source_text = f" Its numbers stand in {description.name}." if description else ""
-        raise FileError(
-            f"{path.name} has raw values and no header. Write {header_file.name} beside it,"
-            f" {EXAMPLE}.{source_text}"
-        )
+        raise _no_header(path, header_file)
     if size_of_file(header_file) > 100_000:
         raise FileError(
             f"{header_file.name} is larger than 100 kB and no header. Write one {EXAMPLE}."
@@ -424,6 +415,20 @@ def _raw_header(path: Path) -> Header:
         offset=fields.get("offset", 0),
         stored_dtype=dtype.newbyteorder(fields["byte_order"]) if dtype.itemsize > 1 else dtype,
         stated=[stated],
+    )
+
+
+def _no_header(path: Path, header_file: Path) -> FileError:
+    """Give the error for raw values alone, which may be those of another format."""
+    # Here, so that a good file waits for no table of other files.
+    from planish.io.other_files import check_kind, description_of
+
+    check_kind(path, takes_text=True)
+    description = description_of(path)
+    source_text = f" Its numbers stand in {description.name}." if description else ""
+    return FileError(
+        f"{path.name} has raw values and no header. Write {header_file.name} beside it,"
+        f" {EXAMPLE}.{source_text}"
     )
 
 

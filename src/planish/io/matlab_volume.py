@@ -7,6 +7,7 @@ from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -33,12 +34,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         with _damage(path):
             variables = {v.name: v for v in matlab.variables(file)}
             variable = variables[_name_of_volume(variables, place)]
-            # The voxel size, one number or z, y, x: no habit of MATLAB, but it can be saved beside
-            # the volume.
-            size = variables.get("voxel_um")
-            sizes = list[float]()
-            if size is not None and size.real and size.count in (1, 3):
-                sizes = np.broadcast_to(np.ravel(matlab.values(file, size)), 3).tolist()
+            sizes = _voxel_um(variables.get("voxel_um"), file)
     if variable.kind not in matlab.NUMBERS:
         raise VolumeError(
             f"{path.name}: {variable.name} holds values of the class {variable.kind}. Save it with"
@@ -67,6 +63,13 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         attrs={"variable": variable.name},
         doubts=doubts,
     )
+
+
+def _voxel_um(size: matlab.Variable | None, file: BinaryIO) -> list[float]:
+    """Voxel size z, y, x beside the volume: no habit of MATLAB, but it can be saved there."""
+    if size is None or not size.real or size.count not in (1, 3):
+        return []
+    return np.broadcast_to(np.ravel(matlab.values(file, size)), 3).tolist()
 
 
 def _name_of_volume(variables: Mapping[str, matlab.Variable], place: Place) -> str:

@@ -335,17 +335,23 @@ def _checked_bytes(
                 path, f"data of page {number} end at byte {end_byte}, the file has {file_bytes}"
             )
     stored_bytes = sum(page.databytecounts)
-    # Bytes that the strips of a page must have; samples lie in one plane or each in its own.
-    if frame.compression == 1 and not frame.is_subsampled:
-        rows = frame.imagelength * frame.imagedepth
-        row_samples = frame.samplesperpixel
-        if frame.planarconfig != 1:
-            rows *= frame.samplesperpixel
-            row_samples = 1
-        needed_bytes = rows * math.ceil(frame.imagewidth * frame.bitspersample * row_samples / 8)
-        if stored_bytes < needed_bytes:
-            raise damaged(path, f"{missing_text} {stored_bytes} bytes of {needed_bytes}")
+    needed_bytes = _least_bytes(frame)
+    if stored_bytes < needed_bytes:
+        raise damaged(path, f"{missing_text} {stored_bytes} bytes of {needed_bytes}")
     return stored_bytes
+
+
+def _least_bytes(frame: TiffPage) -> int:
+    """Bytes that the strips of a page must have; 0 where that depends on its pixels."""
+    if frame.compression != 1 or frame.is_subsampled:
+        return 0
+    rows = frame.imagelength * frame.imagedepth
+    row_samples = frame.samplesperpixel
+    # Samples lie in one plane or each in its own.
+    if frame.planarconfig != 1:
+        rows *= frame.samplesperpixel
+        row_samples = 1
+    return rows * math.ceil(frame.imagewidth * frame.bitspersample * row_samples / 8)
 
 
 def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> Array:

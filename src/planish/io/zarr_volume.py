@@ -23,7 +23,7 @@ from planish.io.attributes import (
     word_of,
 )
 from planish.io.axes import AxisNames, extended_axes, place_axes
-from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_type
+from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_type, path_words
 from planish.io.guard import reading
 from planish.io.hashes import missing_shards
 from planish.io.lazy import FileArray, reordered
@@ -151,13 +151,14 @@ def _open_again(path: Path, name: str, _changed_ns: int) -> Any:
 
 
 def _part_of(path: Path, part: str) -> str:
-    pieces = [piece for piece in part.replace("\\", "/").split("/") if piece not in ("", ".")]
-    if ".." in pieces or not (path / "/".join(pieces)).resolve().is_relative_to(path.resolve()):
+    pieces = path_words(part.replace("\\", "/"))
+    name = "/".join(pieces)
+    if ".." in pieces or not (path / name).resolve().is_relative_to(path.resolve()):
         raise FileError(
             f"{path.name}: {part!r} leads out of the store, which planish does not open. Check its"
             " metadata."
         )
-    return "/".join(pieces)
+    return name
 
 
 def _open_node(path: Path, name: str) -> Any:
