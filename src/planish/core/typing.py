@@ -17,6 +17,7 @@ Window = tuple[slice, slice]  # rows and columns of a part
 Complexes = NDArray[np.complex128]
 DType = np.dtype[Any]
 Shape = tuple[int, ...]
+Shape2D = tuple[int, int]  # rows and columns
 Texts = tuple[str, ...]  # names, words or sentences
 Entries = dict[str, Any]  # values by name: attributes, facts, what a file holds
 Fields = Mapping[str, Any]  # the same, only read

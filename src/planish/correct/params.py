@@ -10,6 +10,7 @@ from pydantic import Field
 from planish.core.facts import ResultModel, optional
 from planish.core.frame import Axis
 from planish.core.options import Params, option
+from planish.core.typing import Entries, Pair, Texts
 
 
 class CorrectParams(Params):
@@ -36,7 +37,7 @@ class CorrectParams(Params):
             " stacked."
         ),
     )
-    centre_um: tuple[float, float] | None = option(
+    centre_um: Pair | None = option(
         None,
         cli="--rotation-centre-um",
         metavar="A,B",
@@ -47,7 +48,7 @@ class CorrectParams(Params):
     )
 
     @property
-    def asked(self) -> tuple[str, ...]:
+    def asked(self) -> Texts:
         """Names of the corrections that are asked for."""
         return tuple(name for name in ("rings", "cupping") if getattr(self, name))
 
@@ -102,10 +103,8 @@ class CorrectionRecord(ResultModel):
     """What was found, and what was changed."""
 
     axis: Axis = Field(description="Axis of rotation.")
-    centre_um: tuple[float, float] = Field(
-        description="Where it stands along the two other axes, in array order."
-    )
-    asked: tuple[str, ...] = Field(description="``rings``, ``cupping``.")
+    centre_um: Pair = Field(description="Where it stands along the two other axes, in array order.")
+    asked: Texts = Field(description="``rings``, ``cupping``.")
     air: float | None = optional("Grey of the air; None where no sheet stands out.")
     sheet: float | None = optional("Grey of the sheet; None where none stands out.")
     rings: tuple[RingArtefact, ...] = Field(default=(), description="Those that were corrected.")
@@ -122,16 +121,14 @@ class CorrectionRecord(ResultModel):
     )
     slices: int = Field(default=0, description="Slices looked at.")
     length: int = Field(default=0, description="Slices there are.")
-    sentences: tuple[str, ...] = Field(
-        default=(), description="What was done or not done, and why."
-    )
+    sentences: Texts = Field(default=(), description="What was done or not done, and why.")
 
     @property
     def changes(self) -> bool:
         """True if any voxel is changed."""
         return bool(self.rings) or self.cupping is not None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Entries:
         """Return it as plain lists, numbers and text.
 
         Numbers have six digits, None where one is not known.

@@ -10,10 +10,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Ints, Pair
 from planish.correct.params import RingArtefact
 from planish.correct.sums import UNIT, Sums, Turning
 
@@ -48,7 +47,7 @@ class RingFit(NamedTuple):
         """Height (bin,) of all rings together."""
         return self.shapes.sum(axis=0)
 
-    def tables(self, blocks: Floats, slice_numbers: NDArray[np.intp]) -> Floats:
+    def tables(self, blocks: Floats, slice_numbers: Ints) -> Floats:
         """Height (slice, bin) as a share of the contrast.
 
         Between the middles of blocks it varies linearly.
@@ -232,7 +231,7 @@ def _intervals(profile: Floats, error: Floats, share: float) -> list[slice]:
     return intervals
 
 
-def _height_factor(shape: Floats, profile: Floats, error: Floats) -> tuple[float, float]:
+def _height_factor(shape: Floats, profile: Floats, error: Floats) -> Pair:
     """Factor on the height of a ring of a known shape, and one over its variance.
 
     1 and 0 where nothing is known.

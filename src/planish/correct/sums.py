@@ -20,7 +20,7 @@ from planish.core.frame import Axis, Frame
 from planish.core.labelled import read_box
 from planish.core.robust import MAD_TO_SD, mad_sd, otsu_borders
 from planish.core.threads import thread_pool
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Ints, Pair, Singles
 
 _WINDOW = 9
 
@@ -41,14 +41,14 @@ class Levels(NamedTuple):
         return self.sheet - self.air
 
 
-def smoothed(plane: NDArray[Any]) -> NDArray[np.float32]:
+def smoothed(plane: Array) -> Singles:
     """Smooth a slice; what is not finite counts as 0 and has to be masked."""
     # Then a single voxel shows its material in spite of the noise.
     filled = np.nan_to_num(plane.astype(np.float32), posinf=0.0, neginf=0.0)
     return ndimage.gaussian_filter(filled, 1.5)
 
 
-def missing(plane: NDArray[Any], padding: float) -> Bools:
+def missing(plane: Array, padding: float) -> Bools:
     """Voxels of a slice that hold nothing, and those too near to them to be smoothed."""
     empty = ~np.isfinite(plane)
     if np.isfinite(padding):
@@ -56,11 +56,11 @@ def missing(plane: NDArray[Any], padding: float) -> Bools:
     return ndimage.maximum_filter(empty, 9) if empty.any() else empty
 
 
-def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
+def find_levels(slices: list[Array], radius: Floats) -> Levels | None:
     """Find the greys in some slices; None where no sheet stands out from the air."""
     lowest = min((float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=np.nan)
     padding = _padding(slices, lowest, radius)
-    greys: list[NDArray[np.float32]] = []
+    greys: list[Singles] = []
     are_lowest: list[Bools] = []
     for s in slices:
         is_there = ~missing(s, padding)
@@ -77,7 +77,7 @@ def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
     return levels._replace(padding=padding, air_cut=0.05 < n_cut / max(n_dark, 1) < 0.8)
 
 
-def _padding(slices: list[NDArray[Any]], lowest: float, radius: Floats) -> float:
+def _padding(slices: list[Array], lowest: float, radius: Floats) -> float:
     """Value of the corners outside the scanner's circle.
 
     The lowest one, everywhere outside and nowhere inside.
@@ -100,7 +100,7 @@ def _without_specks(mask: Bools) -> Bools:
     return mask & (ndimage.maximum_filter(local_share, _WINDOW) > 0.95)
 
 
-def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
+def _estimate_levels(greys: Singles) -> Levels | None:
     """Read the levels off the histogram of smoothed greys.
 
     None where no sheet stands out from the air.
@@ -150,8 +150,8 @@ class Turning(NamedTuple):
     """
 
     axis: Axis
-    centre_um: tuple[float, float]
-    pitch_um: tuple[float, float]
+    centre_um: Pair
+    pitch_um: Pair
     shape: tuple[int, int, int]
 
     @property
@@ -184,7 +184,7 @@ class Turning(NamedTuple):
         """Middles of the histogram's radii."""
         return (np.arange(COARSE) + 0.5) * self.farthest_um / COARSE
 
-    def coarse_bins(self, radius_um: NDArray[Any]) -> NDArray[np.int64]:
+    def coarse_bins(self, radius_um: Array) -> NDArray[np.int64]:
         """Numbers of the histogram's radii."""
         return np.minimum((radius_um / self.farthest_um * COARSE).astype(np.int64), COARSE - 1)
 
@@ -194,16 +194,14 @@ class Turning(NamedTuple):
         axes = zip(self.centre_um, self.shape[1:], self.pitch_um, strict=True)
         return math.hypot(*(max(abs(c), abs((n - 1) * p - c)) for c, n, p in axes))
 
-    def offsets_um(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    def offsets_um(self, rows: Ints, cols: Ints) -> tuple[Floats, Floats]:
         """Distances (rows, 1) and (1, cols) from the axis along the two others."""
         r = rows.astype(np.float64) * self.pitch_um[0] - self.centre_um[0]
         c = cols.astype(np.float64) * self.pitch_um[1] - self.centre_um[1]
         return r[:, None], c[None, :]
 
 
-def make_turning(
-    volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float] | None
-) -> Turning:
+def make_turning(volume: xr.DataArray, axis: Axis, centre_um: Pair | None) -> Turning:
     """Place the axis of rotation; in the middle of the field where ``centre_um`` is None."""
     if "voxel_um" not in volume.attrs:
         raise SizeError(

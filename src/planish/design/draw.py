@@ -20,7 +20,7 @@ from matplotlib.patches import Circle, Rectangle
 
 from planish.core.numbers import round_step
 from planish.core.transform import grid_points
-from planish.core.typing import Entries, Floats, pair_of
+from planish.core.typing import Entries, Floats, Texts, pair_of
 from planish.design.gcode import DryRun, dry_run, pattern_dxf, stage_program
 from planish.design.params import ImagingParams, StageParams
 from planish.design.pattern import P95, Pattern, Predicted, holes_csv, predict, size_text
@@ -406,7 +406,7 @@ def write_design(
     *,
     stage: StageParams,
     imaging: ImagingParams,
-) -> tuple[tuple[str, ...], DryRun, Predicted]:
+) -> tuple[Texts, DryRun, Predicted]:
     """Write a pattern into a folder that exists: JSON, two tables, DXF, stage program, drawings.
 
     Parameters

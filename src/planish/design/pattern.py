@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 from planish.core.errors import MarkError
 from planish.core.robust import rms_length
 from planish.core.tables import naming_faults, parse_table, read_text, table_text
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats, Pair, Texts
 from planish.design.params import DesignParams, ImagingParams
 
 FORMAT, VERSION = "planish hole pattern", 1
@@ -99,7 +99,7 @@ class Pattern(BaseModel):
         return np.array(points, dtype=np.float64).reshape(-1, 2)
 
     @property
-    def labels(self) -> tuple[str, ...]:
+    def labels(self) -> Texts:
         """Number of each hole, from 1."""
         return tuple(hole.label for hole in self.holes)
 

@@ -16,7 +16,7 @@ import xarray as xr
 
 from planish.core.bands import read_bands
 from planish.core.errors import SizeError
-from planish.core.typing import Array, DType, Entries, Fields, Floats, Pair, Singles
+from planish.core.typing import Array, DType, Entries, Fields, Floats, Pair, Shape2D, Singles
 from planish.report.colours import Scale
 
 _ENDS = (slice(None, -1), slice(1, None))
@@ -80,7 +80,7 @@ class Maps:
         return self.data[rows].values, self.data[cols].values
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape2D:
         """Rows and columns."""
         y, x = self.at_um
         return y.size, x.size

@@ -22,6 +22,7 @@ from pydantic import Field
 from planish.core.errors import FileError, InputError
 from planish.core.options import Names, Params, option
 from planish.core.plugins import find_plugin, plugins
+from planish.core.typing import Pair, Texts
 
 Holds = Literal["maps", "volume", "surface", "registration", "marks", "run"]
 
@@ -36,9 +37,9 @@ class ExportFormat:
     #: the first is what is meant where nothing else is asked for.
     holds: tuple[Holds, ...] = ("maps",)
     #: ends of the names of its files, the usual one first; none: it is always a folder.
-    suffixes: tuple[str, ...]
+    suffixes: Texts
     #: of files of a registration; those after the first only if not affine.
-    endings: tuple[str, ...] = ()
+    endings: Texts = ()
     is_folder: bool = False  #: whether what has such a name is a folder
     stack: bool = False  #: whether one file holds several maps
     apart: bool = True  #: whether a folder gets a file for each map, or direction, not one for all
@@ -50,7 +51,7 @@ class ExportFormat:
     byte_cost: int = 0  #: bytes of memory that a pixel or node of such a map takes
     needs: str | None = None  #: library of the extra ``export``
     #: those of :class:`ExportParams` that are for some formats, and for this.
-    options: tuple[str, ...] = ()
+    options: Texts = ()
     note: str = ""  #: what has to be known when the files are used
 
     @property
@@ -58,7 +59,7 @@ class ExportFormat:
         """Word for the parts that its size is counted in: nodes of a surface, or pixels."""
         return "nodes" if "surface" in self.holds else "pixels"
 
-    def endings_of(self, *, affine: bool) -> tuple[str, ...]:
+    def endings_of(self, *, affine: bool) -> Texts:
         """Ends of the files of one direction of a registration."""
         return (self.endings or self.suffixes)[: 1 if affine or not self.endings else None]
 
@@ -370,7 +371,7 @@ def is_file(name: str, out: Path) -> bool:
 def formats_table() -> str:
     """Write the table of ``docs/export.md``."""
     head = ("Format", "PATH ends in", "Gives", "Opens in", "Missing values", "Largest")
-    rows: list[tuple[str, ...]] = [head, ("---",) * len(head)]
+    rows: list[Texts] = [head, ("---",) * len(head)]
     for name, form in FORMATS.items():
         ends = " ".join(f"`{end}`" for end in form.suffixes) or "(always a folder)"
         largest = "any" if form.most is None else f"{form.most / 1e6:.0f} million {form.counts}"
@@ -429,7 +430,7 @@ class ExportParams(Params):
             " volume."
         ),
     )
-    depth_um: tuple[float, float] | None = option(
+    depth_um: Pair | None = option(
         None,
         metavar="LOW,HIGH",
         help=(

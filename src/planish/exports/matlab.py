@@ -14,7 +14,7 @@ from scipy import io
 from planish.core.errors import ResourceError
 from planish.core.memory import WHOLE_BYTES
 from planish.core.threads import thread_pool
-from planish.core.typing import Array, Entries
+from planish.core.typing import Array, Entries, Shape2D
 from planish.exports.content import ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
 
@@ -106,7 +106,7 @@ def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
         _set_class(dataset, {"float32": "single", "float64": "double"}.get(dtype.name, dtype.name))
 
 
-def _turned(band: Array, chunk: tuple[int, int], first_col: int) -> Array:
+def _turned(band: Array, chunk: Shape2D, first_col: int) -> Array:
     """A chunk of a band (rows, cols) as (cols, rows), with zeros beyond the map."""
     columns = band[:, first_col : first_col + chunk[0]].T
     chunk_values = np.zeros(chunk, band.dtype)

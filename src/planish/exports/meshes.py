@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planish.core.errors import StudyError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.typing import Array, Singles, Texts
+from planish.core.typing import Array, Shape2D, Singles, Texts
 from planish.exports.content import CORNERS, ExportHistory, column_of, units_of
 from planish.exports.formats import ExportParams
 from planish.report.colours import Scale
@@ -239,7 +239,7 @@ def _colours(values: Array, scale: Scale) -> NDArray[np.uint8]:
     return np.where(np.isfinite(shares)[:, None], colours, (212, 214, 216)).astype(np.uint8)
 
 
-def steps_of(columns: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:
+def steps_of(columns: xr.Dataset, mesh_um: float | None) -> Shape2D:
     """Give how many rows and columns lie between nodes.
 
     StudyError where ``mesh_um`` is less than a column.

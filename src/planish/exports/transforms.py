@@ -15,7 +15,7 @@ import zarr
 from planish.core.files import write_text
 from planish.core.grid import Grid
 from planish.core.transform import Affine, grid_points
-from planish.core.typing import Array, Bools, Floats, Ints, Pair, Texts, pair_of
+from planish.core.typing import Array, Bools, Floats, Ints, Pair, Shape2D, Texts, pair_of
 from planish.exports.content import CORNERS, ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
 from planish.marks.exchange import write_any
@@ -59,7 +59,7 @@ class DisplacementField:
     n_filled: int  # nodes without a value, where the affine map stands
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape2D:
         """Rows and columns of nodes."""
         return self.vectors.shape[0], self.vectors.shape[1]
 

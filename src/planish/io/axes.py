@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from planish.core.errors import VolumeError
 from planish.core.text import and_join
+from planish.core.typing import Shape, Texts
 from planish.io.formats import ADVICE
 from planish.io.tiff import size_words
 
@@ -53,14 +54,14 @@ class AxisNames(NamedTuple):
     """Names that one convention gives the stored axes; empty where it has none for an axis."""
 
     source: str  # for example "the labels of its dimensions"
-    names: tuple[str, ...]
+    names: Texts
 
 
 class PlacedAxes(NamedTuple):
     """Which stored axes are z, y and x, and what is to be said about that."""
 
-    order: tuple[int, ...]
-    notes: tuple[str, ...]  # what was read or assumed of them
+    order: Shape
+    notes: Texts  # what was read or assumed of them
 
 
 def letter_of(name: str) -> str | None:
@@ -90,7 +91,7 @@ class _Naming(NamedTuple):
     source: str
     names: list[str]
     letters: list[str | None]
-    all_names: tuple[str, ...]
+    all_names: Texts
 
     def __str__(self) -> str:
         names = [name or "one without a name" for name in self.names]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planish.core.files import write_whole
 from planish.core.memory import EAGER_BYTES, SAMPLE_BYTES, SAMPLE_VALUES
 from planish.core.text import first_few
-from planish.core.typing import Array, Entries, Ints, Texts
+from planish.core.typing import Array, Entries, Ints, Shape2D, Texts
 from planish.io.lazy import Values
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -174,7 +174,7 @@ class Section(NamedTuple):
     down: str
     across: str
     grey: Grey
-    step: tuple[int, int]
+    step: Shape2D
 
 
 def middle_sections(values: Values) -> list[Section]:
@@ -250,7 +250,7 @@ def as_text(section: Section) -> list[str]:
     return [*lines, f"middle of the volume: {section.down} down, {section.across} across"]
 
 
-def _section(down: str, across: str, plane: Array, step: tuple[int, int]) -> Section:
+def _section(down: str, across: str, plane: Array, step: Shape2D) -> Section:
     strides = [max(1, -(-n * k // _SIDE) // k) for n, k in zip(plane.shape, step, strict=True)]
     plane = plane[:: strides[0], :: strides[1]].astype(np.float64)
     finite_values = plane[np.isfinite(plane)]

@@ -27,7 +27,7 @@ from planish.core.memory import LARGE_BYTES
 from planish.core.older_names import FORMAT, todays_names
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
-from planish.core.typing import Array, Entries, Shape
+from planish.core.typing import Array, Entries, Shape, Shape2D
 from planish.io.guard import reason_of
 from planish.io.map_chunks import CODECS, is_ours, read_chunks, write_chunks
 
@@ -41,7 +41,7 @@ OVERVIEWS = "overviews"
 _TILE = (1024, 2048)  # whole chunks, also of the first overview
 
 
-def map_tiles(shape: tuple[int, int]) -> list[Tile]:
+def map_tiles(shape: Shape2D) -> list[Tile]:
     """The tiles in which maps of a grid are made and written."""
     return tiles_of(shape, _TILE)
 

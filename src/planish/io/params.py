@@ -1,11 +1,12 @@
 """Options of the inputs: a volume and how the sheet lies in it, and an image and what it shows."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from planish.core.frame import Frame
 from planish.core.options import Params, option
+from planish.core.typing import Entries
 
 HIGHEST_GAMMA = 4.0  # those of cameras and screens are 1.8 to 2.6
 
@@ -82,7 +83,7 @@ class VolumeParams(Params):
         return Frame(through=self.through, top=self.top)
 
     @property
-    def how(self) -> dict[str, Any]:
+    def how(self) -> Entries:
         """Options that :func:`planish.read_volume` takes."""
         return self.model_dump(include={"voxel_um", "channel", "override_size", "unusual_size"})
 
@@ -178,7 +179,7 @@ class ImageParams(Params):
     )
 
     @property
-    def how(self) -> dict[str, Any]:
+    def how(self) -> Entries:
         """Options that :func:`planish.read_image` takes."""
         names = {"pixel_um", "channel", "override_size", "unusual_size", "gamma"}
         return self.model_dump(include=names)

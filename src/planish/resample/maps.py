@@ -11,7 +11,7 @@ from planish.core.errors import SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import Grid, pitch
 from planish.core.transform import Similarity, grid_points
-from planish.core.typing import Floats
+from planish.core.typing import Entries, Floats
 from planish.resample.places import Mesh, covering_grid, find_places, resample_dataset
 from planish.resample.warp import warp_image
 
@@ -178,7 +178,7 @@ def resample_image(
     return xr.Dataset({"image": (("y", "x"), values, image_attrs(image))}, coords=onto.coords)
 
 
-def image_attrs(image: xr.DataArray) -> dict[str, Any]:
+def image_attrs(image: xr.DataArray) -> Entries:
     """Give the name and unit of an image's values.
 
     They come with how far each value reached for its neighbours, where it did.
@@ -238,7 +238,7 @@ def _variable_names(surfaces: xr.Dataset) -> Names:
     return maps, errors, layers
 
 
-def se_of_mean(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
+def se_of_mean(se: Floats, attrs: Entries, pixel_um: float) -> Floats:
     """Give the standard error of the mean over a pixel of columns.
 
     The errors of the columns have a Gaussian autocorrelation.

@@ -22,7 +22,7 @@ from planish.core.facts import ResultModel
 from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
 from planish.core.transform import are_known, grid_points
-from planish.core.typing import Array, Bools, Floats, Pair, pair_of
+from planish.core.typing import Array, Bools, Floats, Pair, Shape2D, Window, pair_of
 from planish.resample._kernels import locate, sample
 
 Indices = NDArray[np.int32]
@@ -57,7 +57,7 @@ class Places(ResultModel):
             " quads."
         )
     )
-    mesh: tuple[int, int] = Field(description="Rows and columns of the mesh.")
+    mesh: Shape2D = Field(description="Rows and columns of the mesh.")
     fine: int = Field(description="Sub-pixels per pixel and axis; values are means over them.")
     overlaps: int = Field(
         description=(
@@ -67,7 +67,7 @@ class Places(ResultModel):
     )
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape2D:
         """Rows and columns of the grid."""
         return self.triangle.shape[0] // self.fine, self.triangle.shape[1] // self.fine
 
@@ -167,7 +167,7 @@ class Mesh:
         high = np.maximum(high[:, :-1], high[:, 1:])
         return cls(uv=uv, least_um=least_um, _low=low, _high=high)
 
-    def under(self, grid: Grid) -> tuple[tuple[slice, slice], Places]:
+    def under(self, grid: Grid) -> tuple[Window, Places]:
         """Return the nodes under the pixels of a grid, and where each pixel lies among them."""
         touched = np.ones(self._low.shape[1:], dtype=bool)
         axes = (grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0])

@@ -18,7 +18,7 @@ from planish.core.grid import Grid
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.transform import are_known, grid_points
-from planish.core.typing import Array, Floats, Pair
+from planish.core.typing import Array, Floats, Pair, Shape
 from planish.resample._kernels import integrals, interpolate
 
 Integers = NDArray[np.int64]
@@ -232,7 +232,7 @@ def _sums(values: Array) -> Floats:
     return sums
 
 
-def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple[Integers, Floats]:
+def find_patches(mapping: Mapping, tile: Tile, source: Shape) -> tuple[Integers, Floats]:
     """Cut a tile of the target into patches.
 
     Those that show nothing of the source (rows, cols) are left out.

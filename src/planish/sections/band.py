@@ -22,7 +22,7 @@ from planish.core.errors import VolumeError
 from planish.core.lazy import LazyArray
 from planish.core.robust import mad_sd, otsu_borders
 from planish.core.threads import map_threads
-from planish.core.typing import Array, Bools, Floats, Pair, Singles
+from planish.core.typing import Array, Bools, Floats, Pair, Shape2D, Singles
 from planish.sections.network import slow_part
 
 Stack = Array | LazyArray
@@ -266,7 +266,7 @@ def core_and_background(
     height: Singles,
     near_px: float,
     far_px: float,
-    strides: tuple[int, int],
+    strides: Shape2D,
 ) -> tuple[Singles, Singles]:
     """Grey levels of the sheet's core and of the background.
 

@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter
 
 from planish.core.robust import MAD_TO_SD, mad_sd
 from planish.core.threads import map_threads
-from planish.core.typing import Bools, Floats, Ints, Pair, Singles
+from planish.core.typing import Bools, Floats, Ints, Pair, Shape2D, Singles
 from planish.sections._kernels import pair_sums, smooth, straighten
 from planish.sections.band import SectionSeries, SheetBand, Stack
 
@@ -106,7 +106,7 @@ class Bands(NamedTuple):
     is_fine: bool = False
 
     @property
-    def step(self) -> tuple[int, int]:
+    def step(self) -> Shape2D:
         """Pixels per sample along rows and cols: about so many um."""
         row_step_um, col_step_um = (1.6, 0.8) if self.is_fine else (2.5, 5.0)
         col_step = min(round(col_step_um / self.pixel_um[1]), self.stack.shape[2] // 64)
