@@ -8,6 +8,7 @@ scale.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -94,10 +95,8 @@ def _specimen_line(
     cells = [(NONE, "")] * len(columns)
     for k, cell in enumerate(specimen.cells[: len(columns)]):
         # A word below a figure that is not used like the others.
-        doubt_text = ""
-        if cell.trust != "ok":
-            doubt_text = cell.trust
-        elif cell.why_not.startswith(("too few", "points of")):
+        doubt_text = "" if cell.trust == "ok" else cell.trust
+        if cell.trust == "ok" and cell.why_not.startswith(("too few", "points of")):
             doubt_text = cell.why_not
         cells[k] = words.cell_text(cell, results.quantities[k]), doubt_text
     link = "" if specimen.kind is None else f"{quote(specimen.member.run or '')}/report.html"
@@ -146,14 +145,14 @@ def _sort_keys(
     for k, q in enumerate(results.quantities):
         if q.map == results.quantities[0].map:
             values = [s.cells[k].value if s.cells else None for s in specimens]
-            finite_first = [(False, v) if is_known(v) else (True, 0.0) for v in values]
-            yield _STATISTICS[q.what], finite_first
+            yield _STATISTICS[q.what], [v if is_known(v) else math.inf for v in values]
 
 
-def natural(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Key that puts 2 before 10."""
-    runs = re.findall(r"\d+|\D+", name.casefold())
-    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in runs)
+def natural(name: str) -> list[Any]:
+    """Key that puts 2 before 10: texts and numbers by turns."""
+    parts: list[Any] = re.split(r"(\d+)", name.casefold())
+    parts[1::2] = map(int, parts[1::2])
+    return parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,25 +200,26 @@ def _tile_maps(maps: Sequence[SmallMap]) -> Entries:
     """
     shown_maps: dict[str, ShownMap] = {}
     missing: list[str] = []
-    labels: list[str] = []
+    label = ""
     for m in maps:
-        if m.shown is not None and bool(np.isfinite(m.shown.values).any()):
-            shown_maps[m.specimen] = m.shown
-            labels.append(axis_label(m.title, m.unit))
-        else:
+        if m.shown is None or not np.isfinite(m.shown.values).any():
             missing.append(m.specimen)
+            continue
+        shown_maps[m.specimen] = m.shown
+        label = label or axis_label(m.title, m.unit)
     if not shown_maps:
         return {"images": [], "missing": missing}
     scale = limits(np.concatenate([m.values.ravel() for m in shown_maps.values()]))
     um_per_px = max(max(m.width, m.height) for m in shown_maps.values()) / _WIDE
     images: list[tuple[str, str, float, float]] = []
     for name, m in shown_maps.items():
-        width_px, height_px = (max(um / um_per_px, _LEAST) for um in (m.width, m.height))
+        width_px = max(m.width / um_per_px, _LEAST)
+        height_px = max(m.height / um_per_px, _LEAST)
         images.append((name, image_uri(m.values, scale), width_px, height_px))
     # The colours of all small maps, and a length on them.
     canvas = Canvas(HALF, 62)
     canvas.colour_bar(8, 6, 300, 12, scale)
-    canvas.text(8, 54, labels[0])
+    canvas.text(8, 54, label)
     bar_um = round_step(0.5 * _WIDE * um_per_px)
     canvas.line((350, 350 + bar_um / um_per_px), 12, colour=INK, width=3)
     canvas.text(350, 32, plain(bar_um), size=SMALL)
@@ -234,11 +234,9 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     if sum(group.fields for group in groups) < 2:
         return None
     factor = 100.0 if q.what == "thin_share" else 1.0
-    values: list[list[tuple[str, float]]] = []
-    plotted: list[float] = []
+    values = [_values(results, group) for group in groups]
+    plotted = [value for group_values in values for _, value in group_values]
     for group in groups:
-        values.append(_values(results, group))
-        plotted += [value for _, value in values[-1]]
         plotted += filter(is_known, group.interval)
     title = words.title(q)
     names = [_short_label(group.group) for group in groups]
@@ -268,9 +266,9 @@ def _draw_group(
     sheets: dict[str, list[float]] = {}
     for sheet, value in values:
         sheets.setdefault(sheet, []).append(value * factor)
-    scaled = [value * factor for _, value in values]
-    axes.dots(scaled, y - 0.18, colour="#9db4c6", size=4)
-    axes.dots([*map(np.mean, sheets.values())], y + 0.06, colour=POINT, size=6)
+    means = [*map(np.mean, sheets.values())]
+    axes.dots([value * factor for _, value in values], y - 0.18, colour="#9db4c6", size=4)
+    axes.dots(means, y + 0.06, colour=POINT, size=6)
     if is_known(group.interval):
         axes.line(np.multiply(group.interval, factor), y + 0.3, colour=ACCENT, width=2)
     if is_known(group.mean):
@@ -286,8 +284,9 @@ def _short_label(group: Mapping[str, str]) -> str:
     # Of each level, and what shorter ones leave over.
     letters = max(max_letters // len(group) - 3, 4)
     letters += sum(max(letters - len(level), 0) for level in group.values())
-    levels = dict(group)
-    for factor, level in group.items():
-        if len(level) > letters:
-            levels[factor] = f"{level[: letters - 1]}…"
-    return words.label(levels)
+    return words.label(
+        {
+            factor: level if len(level) <= letters else f"{level[: letters - 1]}…"
+            for factor, level in group.items()
+        }
+    )

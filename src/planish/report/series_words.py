@@ -12,7 +12,9 @@ from planish.core.numbers import (
     capital,
     count,
     fixed,
+    interval_text,
     number,
+    percent,
     to_spread,
     typeset,
     unit,
@@ -43,15 +45,9 @@ def lead(results: SeriesResults) -> str:
     groups = [group for group in results.groups if group.fields]
     if not groups:
         return f"Nothing can be compared: no figure of any specimen counts. {states(results)}"
-    sentences = [
-        group_sentence(group, results)
-        for group in groups
-        if group.group == groups[0].group and results.quantities[group.quantity].what in _MAIN
-    ]
-    return " ".join(sentences[:2])
-
-
-_MAIN = ("mean", "r")
+    first_groups = [group for group in groups if group.group == groups[0].group]
+    main_groups = [g for g in first_groups if results.quantities[g.quantity].what in ("mean", "r")]
+    return " ".join(group_sentence(group, results) for group in main_groups[:2])
 
 
 def _lead_of_differences(results: SeriesResults) -> str:
@@ -61,10 +57,10 @@ def _lead_of_differences(results: SeriesResults) -> str:
     sentences = [difference(d, results) for d in same_quantity[:_LED]]
     if len(same_quantity) > _LED:
         sentences.append(f"{len(same_quantity) - _LED} more of this quantity are listed below.")
-    verdicts = [d.verdict for d in results.differences]
-    n_differences = len(verdicts)
-    n_differ = verdicts.count("differ")
-    n_unknown = verdicts.count("unknown")
+    verdicts = Counter(d.verdict for d in results.differences)
+    n_differences = verdicts.total()
+    n_differ = verdicts["differ"]
+    n_unknown = verdicts["unknown"]
     if n_unknown == n_differences > 1:
         sentences.append(f"None of {n_differences} differences is known.")
     elif n_differences > 1:
@@ -89,10 +85,11 @@ def states(results: SeriesResults) -> str:
 
 def light_of(results: SeriesResults) -> str:
     """The colour that the first lines have: the class of the style."""
-    is_whole = [member.state == "whole" for member in results.members]
-    if not any(is_whole):
+    states = {member.state for member in results.members}
+    if "whole" not in states:
         return "fail"
-    return "pass" if all(is_whole) and not any(g.left_out for g in results.groups) else "look"
+    is_complete = states == {"whole"} and not any(g.left_out for g in results.groups)
+    return "pass" if is_complete else "look"
 
 
 def value(v: float | None, q: Quantity, limits: Pair | None = None) -> str:
@@ -102,14 +99,15 @@ def value(v: float | None, q: Quantity, limits: Pair | None = None) -> str:
     """
     if v is None or not is_known(v):
         return NONE
-    spread = (limits[1] - limits[0]) / 2 if limits is not None and is_known(limits) else None
+    known_limits = limits if is_known(limits) else None
     if q.what == "r":
-        ends = None if spread is None else (v - spread, v + spread)
-        return fixed(v, _OF_CLOSE if abs(v) > _CLOSE and spread is None else decimals_of_r(ends))
-    factor = 100 if q.what == "thin_share" else 1
-    if spread is not None:
-        return to_spread(factor * v, factor * spread)
-    return number(factor * v, 2 if q.what == "thin_share" else 3)
+        is_close = abs(v) > _CLOSE and known_limits is None
+        return fixed(v, _OF_CLOSE if is_close else decimals_of_r(known_limits))
+    factor, digits = (100, 2) if q.what == "thin_share" else (1, 3)
+    if known_limits is not None:
+        low, high = known_limits
+        return to_spread(factor * v, factor * (high - low) / 2)
+    return number(factor * v, digits)
 
 
 def units(q: Quantity, *, change: bool = False) -> str:
@@ -156,18 +154,16 @@ def short(q: Quantity) -> str:
 def cell_text(cell: Cell, q: Quantity) -> str:
     """Write a quantity of one specimen; r with its interval below."""
     if q.what == "r" and cell.low is not None and cell.high is not None:
-        digits = decimals_of_r((cell.low, cell.high))
-        return (
-            f"{fixed(cell.value, digits)}\n{fixed(cell.low, digits)} to {fixed(cell.high, digits)}"
-        )
+        limits = (cell.low, cell.high)
+        digits = decimals_of_r(limits)
+        return f"{fixed(cell.value, digits)}\n{interval_text(limits, digits)}"
     return value(cell.value, q)
 
 
 def label(group: Mapping[str, str]) -> str:
     """Name a group by the levels of its factors."""
-    return (
-        ", ".join(level or f"{name} not given" for name, level in group.items()) or "all specimens"
-    )
+    levels = [level or f"{name} not given" for name, level in group.items()]
+    return ", ".join(levels) or "all specimens"
 
 
 def sheets_text(n: int) -> str:
@@ -197,10 +193,8 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
     quantity_text = typeset(q.title)
     names = f"{first} and {second}"
     if not is_known(d.interval):
-        reason = d.reason or "no figure counts"
-        return capital(
-            f"{group_text}it is not known whether {names} differ in {quantity_text}: {reason}."
-        )
+        unknown_text = f"it is not known whether {names} differ in {quantity_text}"
+        return capital(f"{group_text}{unknown_text}: {d.reason or 'no figure counts'}.")
     verb = "differ" if d.verdict == "differ" else f"are {verdict(d)}"
     change_text = with_units(signed(d, q), q, change=True)
     equivalence_text = ""
@@ -232,11 +226,9 @@ def sampled(d: DifferenceFacts) -> str:
 
 def verdict(d: DifferenceFacts) -> str:
     """The verdict on a difference, short."""
-    verdict_texts = {
-        "not after Holm": "not distinguishable after Holm",
-        "unknown": d.reason or "no figure counts",
-    }
-    return verdict_texts.get(d.verdict, d.verdict)
+    if d.verdict == "unknown":
+        return d.reason or "no figure counts"
+    return "not distinguishable after Holm" if d.verdict == "not after Holm" else d.verdict
 
 
 def left_out(names: Sequence[str]) -> str:
@@ -298,21 +290,28 @@ def _mean_figure(g: GroupFacts, q: Quantity) -> KeyFigure:
 def heterogeneous(g: GroupFacts, q: Quantity) -> str:
     """Say whether sheets differ by more than their fields' own scatter."""
     if q.what == "r":
-        z = g.between_sheets
-        if z is None:
-            return "one sheet: nothing to compare" if g.sheets == 1 else NONE
-        text = "sheets differ beyond" if z.p < 0.05 else "no more than"
-        share = f"{number(100 * z.i2, 2)}\u202f%"
-        return f"{text} their own scatter: I² {share}, Q {number(z.q)}, p {p_text(z.p)}"
+        return _heterogeneous_r(g)
     v = g.variances
-    if v is None or not is_known(v.sd_within) or not is_known(v.share):
-        return (v.reason if v else "") or NONE
-    low_text, high_text = (number(100 * share, 2) for share in v.share_interval)
-    limits_text = f" (95 %: {low_text} to {high_text}\u202f%)" if is_known(v.share_interval) else ""
+    if v is None:
+        return NONE
+    if not is_known(v.sd_within) or not is_known(v.share):
+        return v.reason or NONE
+    limits_text = ""
+    if is_known(v.share_interval):
+        low, high = v.share_interval
+        limits_text = f" (95 %: {number(100 * low, 2)} to {percent(high, 2)})"
     return (
         f"sd {value(v.sd_between, q)} between, {value(v.sd_within, q)} within; between:"
-        f" {number(100 * v.share, 2)}\u202f% of the variance{limits_text}, p {p_text(v.p)}"
+        f" {percent(v.share, 2)} of the variance{limits_text}, p {p_text(v.p)}"
     )
+
+
+def _heterogeneous_r(g: GroupFacts) -> str:
+    z = g.between_sheets
+    if z is None:
+        return "one sheet: nothing to compare" if g.sheets == 1 else NONE
+    text = "sheets differ beyond" if z.p < 0.05 else "no more than"
+    return f"{text} their own scatter: I² {percent(z.i2, 2)}, Q {number(z.q)}, p {p_text(z.p)}"
 
 
 def spans(results: SeriesResults, columns: Sequence[int]) -> list[tuple[str, int]]:

@@ -48,6 +48,7 @@ from planish.results import (
 
 Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
 PairKey = tuple[str, str, str, str]  # a pair of maps: first layer, its map, second layer, its map
+_LOO = "leave-one-out error"
 
 
 class KeyFigure(NamedTuple):
@@ -117,10 +118,8 @@ def titles_of(
 
     On request with their layers.
     """
-    first, second = (
-        as_compared(titles.get(key, key[1]), key[1])
-        for key in ((pair.a, pair.a_map), (pair.b, pair.b_map))
-    )
+    first = as_compared(titles.get((pair.a, pair.a_map), pair.a_map), pair.a_map)
+    second = as_compared(titles.get((pair.b, pair.b_map), pair.b_map), pair.b_map)
     return (f"{first}, {pair.a}", f"{second}, {pair.b}") if with_layers else (first, second)
 
 
@@ -145,8 +144,8 @@ def headline_pair(results: Results, moving: LayerFacts) -> list[CorrelationRow]:
     """
     headlines = {(layer.name, layer.headline) for layer in (moving, results.reference)}
     for group in by_pair(results):
-        a, a_map, b, b_map = key_of(group[0])
-        if {(a, a_map), (b, b_map)} == headlines:
+        row = group[0]
+        if {(row.a, row.a_map), (row.b, row.b_map)} == headlines:
             return group
     return []
 
@@ -162,10 +161,9 @@ def lead_pair(results: Results) -> list[CorrelationRow]:
     if len(results.moving) == 1:
         return headline_pair(results, results.moving[0])
     reference = results.reference.name
-    pair_groups = (
-        g for g in by_pair(results) if reference in (g[0].a, g[0].b) and is_known(largest(g).r2)
-    )
-    return min(pair_groups, key=lambda group: largest(group).r2, default=[])
+    known = [group for group in by_pair(results) if is_known(largest(group).r2)]
+    with_reference = [group for group in known if reference in (group[0].a, group[0].b)]
+    return min(with_reference, key=lambda group: largest(group).r2, default=[])
 
 
 def evidence_of(results: Results, row: CorrelationRow) -> EvidenceFacts | None:
@@ -229,12 +227,11 @@ def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]
     elif thickness is not None:
         spread_text = f"{thickness.trust}; see the checks"
     columns_text = f"of {count(sheet.surfaces.columns)}"
+    measured_text = _percent_text(measured_share)
     move = number(sheet.flatten.largest_move_um)
     return sentence, [
         KeyFigure(number(mean_um), "µm", "mean sheet thickness", spread_text),
-        KeyFigure(
-            _percent_text(measured_share), "%", "of the volume's columns are measured", columns_text
-        ),
+        KeyFigure(measured_text, "%", "of the volume's columns are measured", columns_text),
         KeyFigure(number(100 * strain, 2), "%", "edge strain", "95th percentile over the mesh"),
         KeyFigure(move, "µm", "largest displacement", "between projection and flat sheet"),
     ]
@@ -244,32 +241,31 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
     """Of two layers: how they are related, and how well one lies on the other."""
     marks = results.moving[0].registration
     rows = headline_pair(results, results.moving[0])
-    pixel = rows[0] if rows else None
     sentence = _relation_sentence(rows, results, titles)
-    if pixel is not None and pixel.trust == "ok":
-        sentence += _difference_sentence(largest(rows), titles)
-    held_out = None if marks is None else marks.held_out
-    if held_out is not None:
-        sentence = f"{held_out.sentence} With the place fitted to both: {sentence}"
-    error_figure = KeyFigure(NONE, "µm", "leave-one-out error", NONE)
-    if marks is not None:
-        loo_um = marks.leave_one_out_rms_um
-        error_figure = error_figure._replace(value=number(loo_um, 2), note=_marks_text(marks))
-        if loo_um is None:
-            sentence += f" {marks.matched} marks were used."
-        else:
-            sentence += (
-                f" Each of the {marks.matched} marks is predicted by the others to"
-                f" {length(loo_um, 2)} (rms)."
-            )
     figure = _r_figure(results, None, "r")
     pixel_figure = _r_figure(results, None, "r at the pixel")
-    if pixel is not None:
+    is_sound = bool(rows) and rows[0].trust == "ok"
+    if rows:
         row = largest(rows)
         figure = _r_figure(results, row, f"r, points of {point_of(row)}")
-        pixel_figure = _r_figure(results, pixel, f"r at the pixel, {point_of(pixel)}")
-        if held_out is not None and pixel.trust == "ok":
-            return sentence, [_held_out_figure(held_out), figure, error_figure]
+        pixel_figure = _r_figure(results, rows[0], f"r at the pixel, {point_of(rows[0])}")
+        if is_sound:
+            sentence += _difference_sentence(row, titles)
+    if marks is None:
+        return sentence, [figure, pixel_figure, KeyFigure(NONE, "µm", _LOO, NONE)]
+    if marks.held_out is not None:
+        sentence = f"{marks.held_out.sentence} With the place fitted to both: {sentence}"
+        if is_sound:
+            figure, pixel_figure = _held_out_figure(marks.held_out), figure
+    loo_um = marks.leave_one_out_rms_um
+    if loo_um is None:
+        sentence += f" {marks.matched} marks were used."
+    else:
+        sentence += (
+            f" Each of the {marks.matched} marks is predicted by the others to"
+            f" {length(loo_um, 2)} (rms)."
+        )
+    error_figure = KeyFigure(number(loo_um, 2), "µm", _LOO, _marks_text(marks))
     return sentence, [figure, pixel_figure, error_figure]
 
 
@@ -317,6 +313,13 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
         a, b = f"{a} of {pixel.a}", f"{b} of {pixel.b}"
     elif not are_images:
         b = "the image"
+    return _stated_relation(row, a, b, results, titles)
+
+
+def _stated_relation(row: CorrelationRow, a: str, b: str, results: Results, titles: Titles) -> str:
+    """State r of the larger points of two maps that are called ``a`` and ``b``."""
+    is_image = results.layer(row.b).kind == "image"
+    are_images = is_image and results.layer(row.a).kind == "image"
     points_text = f"{count(row.n)} points of {point_of(row)}"
     if is_known(row.n_eff):
         points_text += f", {count(round(row.n_eff))} of them independent"
@@ -328,7 +331,7 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
         return f"It is not certain that {b} is related to {a}: {limits_text}"
     comparatives = ("lighter", "darker") if is_image else ("larger", "smaller")
     comparative = comparatives[row.direction < 0]
-    title = titles.get((pixel.b, pixel.b_map)) if is_image else None
+    title = titles.get((row.b, row.b_map)) if is_image else None
     if title:
         comparative += f" ({title[:1].lower()}{title[1:]})"
     larger = "lighter" if are_images else "larger"
@@ -411,12 +414,12 @@ def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigu
     shares = [layer.share_of_reference for layer in results.moving]
     covered = _percent_text(min((share for share in shares if share is not None), default=None))
     n_layers = count(len(results.layers))
-    return sentence, [
+    figures = [
         KeyFigure(n_layers, "", "layers on one grid", f"{reference} is the reference"),
         KeyFigure(number(max_um, 2), "µm", "largest expected error", median_text),
         KeyFigure(covered, "%", "of the reference is covered", "by the layer that covers least"),
-        r_figure,
     ]
+    return sentence, [*figures, r_figure]
 
 
 def _worst_errors(results: Results) -> tuple[float | None, float | None]:
@@ -424,31 +427,28 @@ def _worst_errors(results: Results) -> tuple[float | None, float | None]:
 
     None where none can be trusted, or a layer is not registered.
     """
-    medians_um: list[float | None] = []
-    largest_um: list[float | None] = []
+    medians_um: list[float] = []
+    largest_um: list[float] = []
     for layer in results.moving:
         if layer.registration is None:
             return None, None
         error = layer.registration.expected_error
         if error is not None and error.trust == "ok":
-            medians_um.append(error.median_um)
-            largest_um.append(error.largest_um)
-    return _largest_of(medians_um), _largest_of(largest_um)
-
-
-def _largest_of(lengths_um: list[float | None]) -> float | None:
-    return max((um for um in lengths_um if um is not None), default=None)
+            medians_um += [] if error.median_um is None else [error.median_um]
+            largest_um += [] if error.largest_um is None else [error.largest_um]
+    return max(medians_um, default=None), max(largest_um, default=None)
 
 
 def _r_figure(results: Results, row: CorrelationRow | None, label: str) -> KeyFigure:
     if row is None or row.trust != "ok":
         return KeyFigure(NONE, "", label, f"{row.trust}; see the checks" if row else NONE)
-    has_interval = is_known(row.interval)
-    note_text = f"95 %: {r_interval_text(row)}" if has_interval else "no interval"
+    note_text = "no interval"
+    r2_limits_text = ""
+    if is_known(row.interval):
+        note_text = f"95 %: {r_interval_text(row)}"
+        r2_limits_text = f" ({r2_interval_text(row)})"
     if is_known(row.r2):
-        note_text += f"; r² {r2_text(row)}" + (
-            f" ({r2_interval_text(row)})" if has_interval else ""
-        )
+        note_text += f"; r² {r2_text(row)}{r2_limits_text}"
     if is_known(row.n_eff):
         note_text += f"; {count(round(row.n_eff))} independent points of {count(row.n)}"
     return KeyFigure(r_text(row), "", label, f"{note_text}; {stated_of(results)}")

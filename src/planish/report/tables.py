@@ -44,12 +44,12 @@ def columns(surfaces: SurfaceFacts) -> list[tuple[str, float, str]]:
     Each entry gives the class of the style, the share of all columns, and what the status means.
     """
     names = {status.label: status.sentence for status in Status}
-    rows: list[tuple[str, float, str]] = []
-    for name in dict.fromkeys((*_COLOURS, *surfaces.shares)):
-        share = surfaces.shares.get(name)
-        if share:
-            rows.append((_COLOURS.get(name, "lost"), share, names.get(name, name)))
-    return rows
+    shares = dict.fromkeys(_COLOURS, 0.0) | surfaces.shares
+    return [
+        (_COLOURS.get(name, "lost"), share, names.get(name, name))
+        for name, share in shares.items()
+        if share
+    ]
 
 
 def comparison(results: Results) -> list[PairLine]:
@@ -64,11 +64,8 @@ def comparison(results: Results) -> list[PairLine]:
         change_text = NONE
         if is_known(row.difference):
             change_text = f"{fixed(row.difference, 3)}\n{interval_text(row.difference_interval, 3)}"
-        marks_text = number(rows[0].marks_rms_um, 3)
-        is_best = name.startswith("flattened")
-        lines.append(
-            PairLine(capital(name), rows, before=(marks_text,), best=is_best, after=(change_text,))
-        )
+        texts: Entries = {"before": (number(rows[0].marks_rms_um),), "after": (change_text,)}
+        lines.append(PairLine(capital(name), rows, best=name.startswith("flattened"), **texts))
     return lines
 
 
@@ -144,15 +141,10 @@ def correlations(results: Results, titles: Titles) -> list[PairLine]:
             name = a
             second = ""
         rows_by_size = {round(r.point_um, 4): r for r in group}
-        lines.append(
-            PairLine(
-                name=name,
-                second=second,
-                rows=[*map(rows_by_size.get, sizes)],
-                after=(_difference_text(row),) if has_differences else (),
-                best=group == leading and len(results.correlations) > len(group),
-            )
-        )
+        rows = [*map(rows_by_size.get, sizes)]
+        after = (_difference_text(row),) if has_differences else ()
+        is_best = group == leading and len(results.correlations) > len(group)
+        lines.append(PairLine(name, rows, second, after=after, best=is_best))
     return lines
 
 
@@ -185,7 +177,8 @@ def parameters(values: Fields) -> list[tuple[str, list[tuple[str, str]]]]:
             sections.append((section, cast("Mapping[str, Any]", value)))
         else:
             unsectioned[section] = value
-    rows = [(name, [*_flat_rows(table)]) for name, table in [*sections, ("others", unsectioned)]]
+    sections.append(("others", unsectioned))
+    rows = [(name, [*_flat_rows(table)]) for name, table in sections]
     return [section for section in rows if section[1]]
 
 
