@@ -300,8 +300,8 @@ MUTANTS = [
     ),
     Mutant(
         "core/grid.py",
-        "np.searchsorted(grid.y_um, y - radius)",
-        "np.searchsorted(grid.y_um, y - 0.5 * radius)",
+        "np.searchsorted(places_um, middle_um - radius_um)",
+        "np.searchsorted(places_um, middle_um - 0.5 * radius_um)",
         "marks/test_mask.py",
     ),
     Mutant(

@@ -91,7 +91,8 @@ def common_means(
 
 def valid_in_all(maps: Sequence[Array], masks: Sequence[Array]) -> Bools:
     """Where all maps have a value and all masks are true."""
-    return np.logical_and.reduce([*map(np.isfinite, maps), *(mask.astype(bool) for mask in masks)])
+    are_known = [np.isfinite(values) for values in maps]
+    return np.logical_and.reduce([*are_known, *(mask.astype(bool) for mask in masks)])
 
 
 def _overlap(count: int, factor: float) -> sparse.csr_array:
@@ -133,30 +134,21 @@ def halved(maps: xr.Dataset) -> xr.Dataset:
 
     The last row and column of an odd number stand for themselves.
     """
-    names = [
-        str(name)
-        for name, data in maps.data_vars.items()
-        if data.ndim == 2 and data.dtype.kind in "fb"
-    ]
-    coords = {
-        str(dim): (dim, middles(maps[dim].values), maps[dim].attrs) for dim in maps[names].dims
-    }
-    variables = {
-        name: (
-            maps[name].dims,
-            halved_values(summable_of(maps, name)),
-            maps[name].attrs,
-        )
-        for name in names
-    }
-    return xr.Dataset(variables, coords=coords, attrs=maps.attrs)
+    out = xr.Dataset(attrs=maps.attrs)
+    for name, data in maps.data_vars.items():
+        if data.ndim == 2 and data.dtype.kind in "fb":
+            for dim in data.dims:
+                out.coords[dim] = dim, middles(maps[dim].values), maps[dim].attrs
+            out[name] = data.dims, halved_values(summable_of(maps, str(name))), data.attrs
+    return out
 
 
 def middles(centres: Floats) -> Floats:
     """Middles of the pixels that are twice as wide."""
     if centres.size < 2:
         return centres
-    return centres[0] + (centres[1] - centres[0]) * (0.5 + 2 * np.arange((centres.size + 1) // 2))
+    pixels = 0.5 + 2 * np.arange((centres.size + 1) // 2)
+    return centres[0] + (centres[1] - centres[0]) * pixels
 
 
 def halved_values(values: Array) -> Array:
@@ -168,6 +160,7 @@ def halved_values(values: Array) -> Array:
 
     if np.iscomplexobj(values):
         return axial_angle(halved_values(np.real(values)), halved_values(np.imag(values)))
-    out = np.empty(((values.shape[0] + 1) // 2, (values.shape[1] + 1) // 2), values.dtype)
-    (halve_truth if values.dtype == np.bool_ else halve_values)(np.ascontiguousarray(values), out)
+    out = np.empty([(n + 1) // 2 for n in values.shape], values.dtype)
+    halve = halve_truth if values.dtype == np.bool_ else halve_values
+    halve(np.ascontiguousarray(values), out)
     return out

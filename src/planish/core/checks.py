@@ -76,10 +76,8 @@ class CheckRule:
         **fields: Any,
     ) -> Check:
         """Make a check of this name; ``figures`` are those of the rule where not given."""
-        figures = self.figures if figures is None else figures
-        return Check(
-            name=self.name, state=state, sentence=sentence, advice=advice, figures=figures, **fields
-        )
+        fields["figures"] = self.figures if figures is None else figures
+        return Check(name=self.name, state=state, sentence=sentence, advice=advice, **fields)
 
     def at_most(
         self,
@@ -111,11 +109,10 @@ class CheckRule:
         self, value: float, *, look: float, sentence: str, advice: str, units: str
     ) -> Check:
         """Judge a value that should be large."""
-        state: State = "pass" if value >= look else "look"
-        advice = "" if state == "pass" else advice
-        return self.check(
-            state, sentence, value=float(value), limit=look, units=units, advice=advice
-        )
+        judged: dict[str, Any] = {"value": float(value), "limit": look, "units": units}
+        if value >= look:
+            return self.check("pass", sentence, **judged)
+        return self.check("look", sentence, advice=advice, **judged)
 
 
 def concerned(
@@ -128,11 +125,8 @@ def concerned(
     wanted_figures, layer_names = {*figures}, {*layers}
     if wanted_figures - {POSITION, CORRELATION}:
         wanted_figures.add(PROPERTIES)
-    return [
-        c
-        for c in checks
-        if wanted_figures & {*c.figures} and (not c.layers or layer_names & {*c.layers})
-    ]
+    of_figures = [check for check in checks if wanted_figures & {*check.figures}]
+    return [check for check in of_figures if not check.layers or layer_names & {*check.layers}]
 
 
 def trust_of(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]) -> Trust:

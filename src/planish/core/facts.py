@@ -24,9 +24,9 @@ def _finite(value: Any) -> Any:
 
 
 def _all_finite(values: Any) -> Any:
-    return (
-        None if values is None or not all(map(math.isfinite, values)) else tuple(map(float, values))
-    )
+    if values is None or not all(map(math.isfinite, values)):
+        return None
+    return tuple(map(float, values))
 
 
 Number = Annotated[float | None, BeforeValidator(_finite)]
@@ -35,9 +35,9 @@ KnownPair = Annotated[Pair | None, BeforeValidator(_all_finite)]
 
 def is_known(value: float | Pair | None) -> bool:
     """Whether a number is given and finite, or both ends of an interval are."""
-    return value is not None and all(
-        map(math.isfinite, value if isinstance(value, tuple) else (value,))
-    )
+    if value is None:
+        return False
+    return all(map(math.isfinite, value if isinstance(value, tuple) else (value,)))
 
 
 def _one_nan(value: Any) -> Any:

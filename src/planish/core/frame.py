@@ -126,7 +126,8 @@ def likely_through(values: Array | LazyArray | xr.Variable) -> Axis | None:
     sample = _sample(values)
     is_value = np.isfinite(sample)
     sample[~is_value] = np.mean(sample[is_value]) if is_value.any() else 0.0
-    variances = [float(sample.mean(axis=tuple({0, 1, 2} - {k})).var()) for k in range(3)]
+    planes = ((1, 2), (0, 2), (0, 1))  # across each axis
+    variances = [float(sample.mean(axis=axes).var()) for axes in planes]
     order = np.argsort(variances)[::-1]
     # The second axis may have this share of the variance along the first.
     if not variances[order[0]] > 0 or variances[order[1]] > 0.3 * variances[order[0]]:
@@ -152,8 +153,8 @@ def _sample(values: Array | LazyArray | xr.Variable) -> Floats:
         indices = slice_indices[slice_indices // depth == layer]
         parts: list[Array] = []
         for band in bands:
-            part = np.asarray(values[indices[0] : indices[-1] + 1, band])[indices - indices[0]]
-            parts.append(part[:, :: steps[0], :: steps[1]])
+            slab = np.asarray(values[indices[0] : indices[-1] + 1, band])
+            parts.append(slab[indices - indices[0], :: steps[0], :: steps[1]])
         planes += [*np.concatenate(parts, axis=1)]
     return np.stack(planes).astype(np.float64)
 

@@ -182,16 +182,16 @@ def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
     """
     inside = np.zeros(grid.shape, dtype=bool)
     for (x, y), radius in zip(centres_um, radii_um, strict=True):
-        rows = slice(
-            np.searchsorted(grid.y_um, y - radius), np.searchsorted(grid.y_um, y + radius, "right")
-        )
-        cols = slice(
-            np.searchsorted(grid.x_um, x - radius), np.searchsorted(grid.x_um, x + radius, "right")
-        )
-        inside[rows, cols] |= (
-            np.hypot(grid.x_um[None, cols] - x, grid.y_um[rows, None] - y) <= radius
-        )
+        rows, cols = _within(grid.y_um, y, radius), _within(grid.x_um, x, radius)
+        distance_um = np.hypot(grid.x_um[None, cols] - x, grid.y_um[rows, None] - y)
+        inside[rows, cols] |= distance_um <= radius
     return inside
+
+
+def _within(places_um: Floats, middle_um: float, radius_um: float) -> slice:
+    """Which of ascending places lie within a distance of a middle."""
+    first = np.searchsorted(places_um, middle_um - radius_um)
+    return slice(first, np.searchsorted(places_um, middle_um + radius_um, "right"))
 
 
 def blur_reach_um(attrs: Mapping[Any, Any]) -> float:

@@ -9,7 +9,7 @@ from xarray.backends import BackendArray
 from xarray.core.indexing import IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 from planish.core.lazy import LazyArray, Where
-from planish.core.typing import Array, Fields, Shape
+from planish.core.typing import Array, Entries, Fields, Shape
 
 
 def labelled(
@@ -25,13 +25,11 @@ def labelled(
     A :class:`LazyArray` stays one: ``isel`` moves borders, ``values`` reads; ``encoding`` says how
     it is best read.
     """
-    coords = {
-        axis: (axis, np.arange(n) * um, {"units": "um"})
-        for axis, n, um in zip(dims, values.shape, size_um, strict=True)
-    }
-    array = xr.DataArray(
-        xr.Variable(tuple(dims), variable_data(values)), coords=coords, name=name, attrs=attrs
-    )
+    coords: Entries = {}
+    for axis, n, um in zip(dims, values.shape, size_um, strict=True):
+        coords[axis] = axis, np.arange(n) * um, {"units": "um"}
+    variable = xr.Variable(tuple(dims), variable_data(values))
+    array = xr.DataArray(variable, coords=coords, name=name, attrs=attrs)
     if isinstance(values, LazyArray):
         array.encoding.update(chunks=values.chunks, whole_slices=values.whole_slices)
     return array
@@ -45,11 +43,8 @@ def chunks_of(volume: xr.DataArray) -> Shape:
 def computed(like: xr.DataArray, read: Callable[[Where], Array], dtype: Any = None) -> xr.DataArray:
     """Give the same array with other values, of which ``read`` gives the part that is asked for."""
     values = LazyArray(like.shape, np.dtype(dtype or like.dtype), read)
-    array = xr.DataArray(
-        xr.Variable(like.dims, variable_data(values), like.attrs),
-        coords=like.coords,
-        name=like.name,
-    )
+    variable = xr.Variable(like.dims, variable_data(values), like.attrs)
+    array = xr.DataArray(variable, coords=like.coords, name=like.name)
     array.encoding.update(like.encoding)
     return array
 

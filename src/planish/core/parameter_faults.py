@@ -52,9 +52,8 @@ def key_lines(text: str) -> KeyLines:
         if names is None:  # a value that goes on
             continue
         if statement.lstrip().startswith("["):
-            key = table_key = _table_key(
-                names, table_counts, is_array=statement.lstrip().startswith("[[")
-            )
+            is_array = statement.lstrip().startswith("[[")
+            key = table_key = _table_key(names, table_counts, is_array=is_array)
         else:  # names end at the first sign that is not within quotes
             parsed = (
                 _key_names(f"{statement[: sign.start()]}= 1")

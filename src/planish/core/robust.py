@@ -24,9 +24,8 @@ def mad_sd(values: NDArray[np.floating[Any]], centre: float | None = None) -> fl
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return float("nan")
-    return MAD_TO_SD * float(
-        np.median(np.abs(finite - (np.median(finite) if centre is None else centre)))
-    )
+    middle = np.median(finite) if centre is None else centre
+    return MAD_TO_SD * float(np.median(np.abs(finite - middle)))
 
 
 def rms_length(vectors: Floats) -> float:
@@ -37,11 +36,9 @@ def rms_length(vectors: Floats) -> float:
 def percentiles(values: NDArray[np.floating[Any]], *percents: float) -> tuple[float, ...]:
     """Percentiles of the finite values; NaN where there is none."""
     finite = values[np.isfinite(values)]
-    return (
-        tuple(map(float, np.percentile(finite, percents)))
-        if finite.size
-        else (float("nan"),) * len(percents)
-    )
+    if not finite.size:
+        return (float("nan"),) * len(percents)
+    return tuple(np.percentile(finite, percents).tolist())
 
 
 def running_sums(rows: ArrayLike) -> Floats:

@@ -202,18 +202,14 @@ def split_rows(text: str) -> Rows:
     table_lines = [(number, line) for number, line in lines if line.lstrip()[0] != "#"]
     delimiter = delimiter or _delimiter_of([line for _, line in table_lines[:20]])
     rows, faults = _rows_of(table_lines, delimiter)
-    comments: list[str] = []
-    label_faults: list[str] = []
-    for number, line in lines:
-        if line.lstrip()[0] != "#":
-            continue
-        comments.append(line.strip().lstrip("#").strip())
+    comment_lines = [(number, line) for number, line in lines if line.lstrip()[0] == "#"]
+    comments = [line.strip().lstrip("#").strip() for _, line in comment_lines]
+    label_faults = [
+        f"row {number} begins with #: write '# ' before a comment, a label in quotation marks"
+        for number, line in comment_lines
         # A label such as #1, and no comment.
-        if line.lstrip()[1:2].isdecimal() and delimiter in line:
-            label_faults.append(
-                f"row {number} begins with #: write '# ' before a comment, a label in quotation"
-                " marks"
-            )
+        if line.lstrip()[1:2].isdecimal() and delimiter in line
+    ]
     return Rows(rows=rows, comments=comments, delimiter=delimiter, faults=label_faults + faults)
 
 

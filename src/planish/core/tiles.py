@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, product
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -57,7 +57,8 @@ class Tile(NamedTuple):
 
     def within(self, outer: Tile) -> Tile:
         """Return the same tile, counted from the first row and column of another that holds it."""
-        return Tile(self.r0 - outer.r0, self.r1 - outer.r0, self.c0 - outer.c0, self.c1 - outer.c0)
+        r, c = outer.r0, outer.c0
+        return Tile(self.r0 - r, self.r1 - r, self.c0 - c, self.c1 - c)
 
     def grown(self, rows: int, cols: int, shape: tuple[int, int]) -> Tile:
         """Return the tile with so many more rows and columns on every side.
@@ -66,7 +67,9 @@ class Tile(NamedTuple):
         """
         r0 = max(self.r0 - rows, 0)
         r1 = min(self.r1 + rows, shape[0])
-        return Tile(r0, r1, max(self.c0 - cols, 0), min(self.c1 + cols, shape[1]))
+        c0 = max(self.c0 - cols, 0)
+        c1 = min(self.c1 + cols, shape[1])
+        return Tile(r0, r1, c0, c1)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -79,11 +82,11 @@ def tiles_of(shape: tuple[int, int], size: tuple[int, int]) -> list[Tile]:
 
     The last ones of an axis may be smaller.
     """
-    return [
-        Tile(r, min(r + size[0], shape[0]), c, min(c + size[1], shape[1]))
-        for r in range(0, shape[0], size[0])
-        for c in range(0, shape[1], size[1])
-    ]
+    rows, cols = (
+        [(start, min(start + step, n)) for start in range(0, n, step)]
+        for n, step in zip(shape, size, strict=True)
+    )
+    return [Tile(*row_range, *col_range) for row_range, col_range in product(rows, cols)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,17 +146,10 @@ class Engine:
             try:
                 for tile in tiles:
                     path = self._result_path(step, tile)
-                    is_stored = path is not None and path.is_file()
-                    waiting.append(
-                        (
-                            tile,
-                            (
-                                np.load(path)
-                                if path and is_stored
-                                else pool.submit(work, job(tile), tile)
-                            ),
-                        )
-                    )
+                    if path is not None and path.is_file():
+                        waiting.append((tile, np.load(path)))
+                    else:
+                        waiting.append((tile, pool.submit(work, job(tile), tile)))
                     # Two wait for their turn, beside those that are worked on.
                     if len(waiting) >= self.at_once + 2:
                         yield take()
@@ -165,9 +161,7 @@ class Engine:
                         future.cancel()
 
     def _result_path(self, step: str, tile: Tile) -> Path | None:
+        if self.folder is None:
+            return None
         # Named by what it covers: with another memory or number of threads the tiles are others.
-        return (
-            None
-            if self.folder is None
-            else self.folder / step / ("-".join(map(str, tile)) + ".npy")
-        )
+        return self.folder / step / ("-".join(map(str, tile)) + ".npy")

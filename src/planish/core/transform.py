@@ -141,9 +141,8 @@ class Affine(NearSimilarity):
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um; NaN stays NaN."""
-        return (np.asarray(points, dtype=np.float64) - self.source) @ self.matrix().T + np.asarray(
-            self.target
-        )
+        offsets = np.asarray(points, dtype=np.float64) - self.source
+        return offsets @ self.matrix().T + np.asarray(self.target)
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``."""
@@ -180,7 +179,8 @@ class Projective(NearSimilarity):
         h = np.array(self.homography)
         scaled = (np.asarray(points, dtype=np.float64) - self.source) / self.source_size
         denominators = scaled @ h[2, :2] + h[2, 2]
-        return scaled @ h[:2, :2].T + h[:2, 2], np.where(denominators > 0, denominators, np.nan)
+        numerators = scaled @ h[:2, :2].T + h[:2, 2]
+        return numerators, np.where(denominators > 0, denominators, np.nan)
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um.
@@ -196,7 +196,8 @@ class Projective(NearSimilarity):
         numerators, denominators = self._projected(points)
         image = numerators / denominators[..., None]
         ratio = self.target_size / self.source_size
-        return ratio * (h[:2, :2] - image[..., :, None] * h[2, :2]) / denominators[..., None, None]
+        numerator_change = h[:2, :2] - image[..., :, None] * h[2, :2]
+        return ratio * numerator_change / denominators[..., None, None]
 
     @property
     def inverse(self) -> Projective:
@@ -205,8 +206,9 @@ class Projective(NearSimilarity):
         # The sign is free; the denominator has to be positive where the marks are.
         a, b, c = np.array(self.homography)[:, 2]
         inverse_matrix *= np.sign(inverse_matrix[2] @ (a / c, b / c, 1.0))
+        first, second, third = map(tuple, inverse_matrix.tolist())
         return Projective(
-            homography=tuple((float(r[0]), float(r[1]), float(r[2])) for r in inverse_matrix),  # pyright: ignore[reportArgumentType]
+            homography=(first, second, third),
             source=self.target,
             target=self.source,
             source_size=self.target_size,
