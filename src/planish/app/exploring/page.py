@@ -49,7 +49,7 @@ def render(
     # In a scope of their own.
     script = "(() => {\n" + '"use strict";\n' + views + scripts + "})();\n"
     # What functions take and give is for readers of the sources.
-    script = re.sub(r"^ */\*\*.*?\*/\n", "", script, flags=re.MULTILINE | re.DOTALL)
+    script = re.sub(r"^ */\*\*(?:(?!\*/).)*\*/\n", "", script, flags=re.MULTILINE | re.DOTALL)
     digests = [hashlib.sha256(text.encode()).digest() for text in (style, script)]
     style_hash, script_hash = (base64.b64encode(digest).decode() for digest in digests)
     policy = (

@@ -70,7 +70,7 @@ export function profile(found, titles, close) {
   });
   const names = found.lines.map((one) => one.name).join(" and ");
   const saved = () => {
-    const copy = svg.cloneNode(true);
+    const copy = /** @type {Element} */ (svg.cloneNode(true));
     copy.setAttribute("width", String(wide));
     copy.setAttribute("height", String(tall));
     copy.prepend(draw("rect", { width: "100%", height: "100%", fill: "#fff" }));

@@ -48,7 +48,7 @@ export class Contrast {
     this.usual = counted?.range[0] < counted?.range[1] ? counted.range : values.range;
     const margin = 0.25 * (this.usual[1] - this.usual[0] || 1);
     this.span = counted ? [counted.low, counted.high] : [this.usual[0] - margin, this.usual[1] + margin];
-    const numbersOf = ({ mean, sd, median, pixel_um: pixel }) =>
+    const numbersOf = (/** @type {Histogram} */ { mean, sd, median, pixel_um: pixel }) =>
       `; mean ${shown(mean)}, SD ${shown(sd)}, median ${shown(median)}${withUnit(values)}; pixels of ${shown(pixel[1])} µm`;
     const beyond = counted?.beyond ? `, ${counted.beyond} beyond` : "";
     const words = counted ? `n ${counted.n}${beyond}${counted.pixel_um ? numbersOf(counted) : ""}` : "not counted yet";

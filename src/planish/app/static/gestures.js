@@ -35,7 +35,7 @@ export function bindGestures(element, on) {
     press = null;
   };
   element.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0 || event.target.closest("button")) return;
+    if (event.button !== 0 || /** @type {Element} */ (event.target).closest("button")) return;
     const at = placeOf(event);
     fingers.set(event.pointerId, at);
     if (fingers.size > 1) return cancel();

@@ -40,9 +40,9 @@ export class Linked {
     this.busy = false;
     moving.beside = () => (this.moves ? fixed.corners.map((one) => mapped(inverse(this.map), one)) : []);
     fixed.beside = () => (this.moves ? moving.corners.map((one) => mapped(this.map, one)) : []);
-    /** The view that was moved last leads */
+    /** @type {Side} the view that was moved last leads */
     this.leads = "moving";
-    for (const side of ["moving", "fixed"]) {
+    for (const side of /** @type {Side[]} */ (["moving", "fixed"])) {
       this.views[side].view.on(["change:center", "change:resolution", "change:rotation"], () => this.follow(side));
     }
   }

@@ -162,7 +162,7 @@ function onTab(listener) {
 function mountTabs(app) {
   shared = app;
   onTab(() => app.say(app.did));
-  const tabs = [...document.querySelectorAll("[role=tab]")];
+  const tabs = [.../** @type {NodeListOf<HTMLButtonElement>} */ (document.querySelectorAll("[role=tab]"))];
   tabs.forEach((tab, i) => {
     tab.disabled = false; // until now a click would have been lost
     tab.addEventListener("click", () => openTab(nameOf(tab)));
@@ -191,13 +191,13 @@ const nameOf = (tab) => tab.id.replace("tab-", "");
  * @returns {Promise<void>}
  */
 function openTab(name) {
-  for (const tab of document.querySelectorAll("[role=tab]")) {
+  for (const tab of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[role=tab]"))) {
     const chosen = nameOf(tab) === name;
     tab.setAttribute("aria-selected", String(chosen));
     tab.tabIndex = chosen ? 0 : -1;
     find(`panel-${nameOf(tab)}`).hidden = !chosen;
   }
-  for (const line of document.querySelectorAll("[data-tabs]")) {
+  for (const line of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-tabs]"))) {
     line.hidden = !(line.dataset.tabs ?? "").split(" ").includes(name);
   }
   document.body.dataset.tab = name;

@@ -435,7 +435,7 @@ export class MapView {
  */
 function drawIn(pen, canvas, view) {
   let [place, opacity, right] = [new DOMMatrix(), 1, view.clientWidth];
-  for (let one = canvas; one !== view; one = one.parentElement) {
+  for (let one = /** @type {HTMLElement} */ (canvas); one !== view; one = one.parentElement) {
     const style = getComputedStyle(one);
     if (style.visibility === "hidden") return;
     const [x, y] = style.transformOrigin.split(" ").map(parseFloat);

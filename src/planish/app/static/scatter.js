@@ -323,7 +323,7 @@ export class Scatter {
  * @param {string} [colour] of the line on its white ground
  */
 function stroked(pen, path, colour = "#111") {
-  for (const [ink, width] of [["#fff", 4], [colour, 1.8]]) {
+  for (const [ink, width] of /** @type {[string, number][]} */ ([["#fff", 4], [colour, 1.8]])) {
     pen.strokeStyle = ink;
     pen.lineWidth = width;
     pen.beginPath();

@@ -207,7 +207,7 @@ function drawCursor(view, pen) {
  * @param {number[]} at on the screen
  */
 function drawCross(pen, [x, y]) {
-  for (const [colour, width] of [["#000", 3], ["#fff", 1]]) {
+  for (const [colour, width] of /** @type {[string, number][]} */ ([["#000", 3], ["#fff", 1]])) {
     pen.strokeStyle = colour;
     pen.lineWidth = width;
     pen.beginPath();

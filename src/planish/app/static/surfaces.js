@@ -128,6 +128,7 @@ class Tab {
    * @returns {HTMLElement[]}
    */
   lineBoxes() {
+    /** @type {[string, string, string[]][]} */
     const kinds = [
       ["faces", "Faces", [LINES[0][2], LINES[4][2]]], ["interfaces", "Interfaces", [LINES[1][2], LINES[3][2]]],
       ["centre", "Centre surface", [LINES[2][2]]], ["normals", "Normals", []], ["error", "Standard error", []],
@@ -135,17 +136,17 @@ class Tab {
     ];
     return kinds.map(([kind, words, colours]) => {
       const box = make("input", { type: "checkbox", onchange: () => {
-        if (box.checked) this.view?.shown.add(String(kind));
-        else this.view?.shown.delete(String(kind));
+        if (box.checked) this.view?.shown.add(kind);
+        else this.view?.shown.delete(kind);
         this.view?.draw();
       } });
-      box.checked = this.view?.shown.has(String(kind));
+      box.checked = this.view?.shown.has(kind);
       const keys = colours.map((colour) => {
         const key = make("span", { class: "key", "aria-hidden": "true" });
         key.style.background = colour;
         return key;
       });
-      return make("label", { class: "check" }, box, ...keys, String(words));
+      return make("label", { class: "check" }, box, ...keys, words);
     });
   }
 

@@ -128,7 +128,7 @@ export class MarkTable {
     this.rows = new Map(rows.map((row) => [row.mark.id, row]));
     const elements = rows.map((row) => row.element);
     if (elements.length === this.body.rows.length && elements.every((element, i) => element === this.body.rows[i])) return;
-    const focused = document.activeElement;
+    const focused = /** @type {HTMLElement} */ (document.activeElement);
     const held = this.body.contains(focused);
     this.body.replaceChildren(...elements);
     if (held && focused?.isConnected) focused.focus();

@@ -126,7 +126,7 @@ export function drawScaleBar(pen, x, y, most, pixel, ink, halo) {
   pen.font = "12px sans-serif";
   pen.textAlign = "left";
   pen.lineJoin = "round";
-  for (const [colour, width] of [[halo, 4], [ink, 0]]) {
+  for (const [colour, width] of /** @type {[string, number][]} */ ([[halo, 4], [ink, 0]])) {
     pen.strokeStyle = pen.fillStyle = colour;
     pen.lineWidth = 4 + width;
     pen.beginPath();

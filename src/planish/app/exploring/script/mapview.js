@@ -2,6 +2,9 @@
 const view = { x: 0, y: 0, um: 0 }; // middle of the window, and um per CSS pixel; 0 shows the whole map
 const width_um = grid.cols * grid.dx, height_um = grid.rows * grid.dy;
 
+/** @type {[string, number][]} a light line below a dark one, seen on any ground: colour and width */
+const LINES_OF_CROSS = [["#fff", 4], ["#111", 1.6]];
+
 class MapView {
   /**
    * Make the view of a side.
@@ -80,10 +83,10 @@ class MapView {
     const box = this.drag || state.region;
     if (box) {
       const [x0, y0] = this.screen(box[0], box[1]), [x1, y1] = this.screen(box[2], box[3]);
-      for (const [colour, width] of [["#fff", 4], ["#111", 1.6]]) { pen.strokeStyle = colour; pen.lineWidth = width; pen.strokeRect(x0, y0, x1 - x0, y1 - y0); }
+      for (const [colour, width] of LINES_OF_CROSS) { pen.strokeStyle = colour; pen.lineWidth = width; pen.strokeRect(x0, y0, x1 - x0, y1 - y0); }
     }
     const [x, y] = this.screen(xOf(state.col), yOf(state.row));
-    for (const [colour, width] of [["#fff", 4], ["#111", 1.6]]) {
+    for (const [colour, width] of LINES_OF_CROSS) {
       pen.strokeStyle = colour; pen.lineWidth = width;
       pen.beginPath();
       for (const [a, b] of [[-14, -4], [4, 14]]) { pen.moveTo(x + a, y); pen.lineTo(x + b, y); pen.moveTo(x, y + a); pen.lineTo(x, y + b); }
@@ -108,7 +111,7 @@ class MapView {
    */
   drawTrace(pen) {
     if (!trace.length) return;
-    for (const [colour, size] of [["#fff", 3], ["#c22", 1.6]]) {
+    for (const [colour, size] of /** @type {[string, number][]} */ ([["#fff", 3], ["#c22", 1.6]])) {
       pen.fillStyle = colour;
       for (const i of trace) {
         const [x, y] = this.screen(xOf(i % grid.cols), yOf(Math.floor(i / grid.cols)));
@@ -116,8 +119,9 @@ class MapView {
       }
     }
     pen.font = "bold 13px sans-serif"; pen.lineJoin = "round"; pen.lineWidth = 3; pen.strokeStyle = "#fff"; pen.fillStyle = "#c22";
-    for (const [letter, i] of [["A", trace.first], ["B", trace.last]]) {
+    for (const [letter, i] of /** @type {[string, number][]} */ ([["A", trace.first], ["B", trace.last]])) {
       const [x, y] = this.screen(xOf(i % grid.cols), yOf(Math.floor(i / grid.cols)));
+      /** @type {[number, number]} */
       const here = [clamp(x - 4, 2, this.size[0] - 12), clamp(y - 6, 12, this.size[1] - 4)];
       pen.strokeText(letter, ...here); pen.fillText(letter, ...here);
     }

@@ -186,7 +186,9 @@ function pixelOf(group, stack, across, along) {
  * @returns {Record<string, number>|null} um by axis; null beside the sheet
  */
 function volumeAt(group) {
-  const i = state.row * grid.cols + state.col, out = {};
+  const i = state.row * grid.cols + state.col;
+  /** @type {Record<string, number>} */
+  const out = {};
   for (const [axis, map] of Object.entries(group.places)) {
     if (!map.codes[i]) return null;
     out[axis] = valueOf(map, map.codes[i]);

@@ -1,5 +1,6 @@
 // The slice next to the cursor, its top side up: the whole of it, and magnified around the cursor.
-const trace = []; // pixels of the map that the slice cuts
+/** @type {number[] & {first?: number, last?: number}} pixels of the map that the slice cuts, and those at its ends */
+const trace = [];
 const NEAR = 320; // um
 
 class SliceView {
@@ -66,7 +67,7 @@ class SliceView {
   picture(k) {
     const stack = this.stack, key = `${stack.sheet} ${k}`;
     if (!this.pictures.has(key)) {
-      const image = new Image(), all = stack.text || (stack.text = text(stack.pictures));
+      const image = /** @type {any} */ (new Image()), all = stack.text || (stack.text = text(stack.pictures));
       image.onload = () => { image.ready = true; if (k === this.k) redraw("slice"); };
       image.src = `data:image/${stack.kind};base64,${all.slice(k ? stack.ends[k - 1] : 0, stack.ends[k])}`;
       this.pictures.set(key, image);
@@ -124,7 +125,7 @@ class SliceView {
         let on = false;
         for (let c = 0, i = this.k * map.cols; c < map.cols; c++, i++) {
           const show = map.codes[i] && (counted === null || (used.codes[i] > 0) === (counted === 1));
-          if (show) { const p = [x(begin + c * pitch), y(valueOf(map, map.codes[i]))]; if (on) pen.lineTo(...p); else pen.moveTo(...p); }
+          if (show) { const px = x(begin + c * pitch), py = y(valueOf(map, map.codes[i])); if (on) pen.lineTo(px, py); else pen.moveTo(px, py); }
           on = Boolean(show);
         }
         pen.stroke();
@@ -168,7 +169,8 @@ class SliceView {
    */
   pressed(event) {
     if (this.k < 0 || event.button) return;
-    const near = event.target.id === "slice-near" ? 1 : 0, box = event.target.getBoundingClientRect(), window = this.windows[near];
+    const canvas = /** @type {Element} */ (event.target), near = canvas.id === "slice-near" ? 1 : 0;
+    const box = canvas.getBoundingClientRect(), window = this.windows[near];
     this.go(this.stack.at[this.k], window.left + (event.clientX - box.left) * window.across);
   }
 

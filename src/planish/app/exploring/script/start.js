@@ -29,7 +29,7 @@ function drawDue() {
 function showPoints() {
   scatter.brush = sides.map((side) => state.brush[side]);
   const withheld = doubtOf(state.left, state.right)?.trust === "withheld";
-  scatter.show(withheld ? null : pointsOf(...sides.map(shown)), withheld ? "Withheld by the checks; not drawn." : "");
+  scatter.show(withheld ? null : pointsOf(shown("left"), shown("right")), withheld ? "Withheld by the checks; not drawn." : "");
 }
 
 /**
@@ -128,12 +128,15 @@ function join() {
     box.replaceChildren(...data.maps.map((map, i) => new Option(named(map) + (map.trust === "ok" ? "" : ` (${map.trust})`), i)));
     box.value = state[side];
     box.addEventListener("change", () => { state[side] = Number(box.value); chosen(); });
-    field(`brush-${side}`, 2, (found) => setBrush(...sides.map((one) => (one === side ? found && [Math.min(...found), Math.max(...found)] : state.brush[one]))));
+    field(`brush-${side}`, 2, (found) => {
+      const brush = { ...state.brush, [side]: found && [Math.min(...found), Math.max(...found)] };
+      setBrush(brush.left, brush.right);
+    });
   });
   field("region", 4, (found) => setRegion(found && [Math.min(found[0], found[2]), Math.min(found[1], found[3]), Math.max(found[0], found[2]), Math.max(found[1], found[3])]));
   at("clear").addEventListener("click", clearSelection);
   document.addEventListener("keydown", (event) => {
-    if (event.key === "?" && !event.target.matches("input")) { at("keys").open = !at("keys").open; at("keys").scrollIntoView({ block: "nearest" }); }
+    if (event.key === "?" && !/** @type {Element} */ (event.target).matches("input")) { at("keys").open = !at("keys").open; at("keys").scrollIntoView({ block: "nearest" }); }
   });
   at("values").replaceChildren(...data.maps.map((map) => {
     const row = document.createElement("tr"), name = document.createElement("th"), cell = document.createElement("td"), unit = document.createElement("small");

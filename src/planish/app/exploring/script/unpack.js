@@ -10,7 +10,7 @@ const text = (id) => document.getElementById(id).textContent;
 /**
  * Bytes of a text in base64.
  * @param {string} base64 the text
- * @returns {Uint8Array}
+ * @returns {Uint8Array<ArrayBuffer>}
  */
 function bytesOf(base64) {
   const letters = atob(base64), out = new Uint8Array(letters.length);
