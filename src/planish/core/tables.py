@@ -204,13 +204,18 @@ def split_rows(text: str) -> Rows:
     rows, faults = _rows_of(table_lines, delimiter)
     comment_lines = [(number, line) for number, line in lines if line.lstrip()[0] == "#"]
     comments = [line.strip().lstrip("#").strip() for _, line in comment_lines]
-    label_faults = [
-        f"row {number} begins with #: write '# ' before a comment, a label in quotation marks"
-        for number, line in comment_lines
-        # A label such as #1, and no comment.
-        if line.lstrip()[1:2].isdecimal() and delimiter in line
-    ]
-    return Rows(rows=rows, comments=comments, delimiter=delimiter, faults=label_faults + faults)
+    faults = [*_label_faults(comment_lines, delimiter), *faults]
+    return Rows(rows=rows, comments=comments, delimiter=delimiter, faults=faults)
+
+
+def _label_faults(comment_lines: Sequence[tuple[int, str]], delimiter: str) -> Iterator[str]:
+    """Say which lines begin with a label such as #1, and are no comments."""
+    for number, line in comment_lines:
+        if line.lstrip()[1:2].isdecimal() and delimiter in line:
+            yield (
+                f"row {number} begins with #: write '# ' before a comment, a label in quotation"
+                " marks"
+            )
 
 
 def _rows_of(lines: Sequence[tuple[int, str]], delimiter: str) -> tuple[list[CsvRow], list[str]]:

@@ -129,7 +129,9 @@ class StiffnessSolver:
     def __init__(self, network: Network, uv: Floats, *, exact: bool = False) -> None:
         # Shifts, and the turn about the middle, at right angles to them.
         rigid = np.tile(np.eye(2, 3), (len(uv), 1, 1))
-        rigid[:, :, 2] = (uv - uv.mean(axis=0))[:, ::-1] * (-1, 1)
+        u, v = (uv - uv.mean(axis=0)).T
+        rigid[:, 0, 2] = -v
+        rigid[:, 1, 2] = u
         flat = rigid.reshape(-1, 3)
         self._rigid = flat / np.maximum(np.sqrt(np.sum(flat * flat, axis=0)), 1e-300)
         self._matrix: Floats | None = None

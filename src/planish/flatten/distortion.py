@@ -167,7 +167,8 @@ def trace_lines(
     is_turned = np.stack(triangle_areas(uv))[start.half, start.row, start.col] < 0
 
     # Lines that have not arrived: number, triangle; and last place on the surface, length so far.
-    triangles: Ints = np.stack([np.arange(flat_um.size), start.row, start.col, start.half], axis=1)
+    line = np.arange(flat_um.size)
+    triangles: Ints = np.stack([line, start.row, start.col, start.half], axis=1)
     positions: Floats = np.column_stack([start.on(points), np.zeros(flat_um.size)])
     # No line crosses so many triangles unless it winds through folded cells.
     for _ in range(20 * sum(points.shape[:2])):
@@ -419,7 +420,8 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
 def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
     across = np.diff(nodes, axis=1)
     down = np.diff(nodes, axis=0)
-    return 0.5 * (across[:-1] + across[1:]), 0.5 * (down[:, :-1] + down[:, 1:])
+    mean_across = 0.5 * (across[:-1] + across[1:])
+    return mean_across, 0.5 * (down[:, :-1] + down[:, 1:])
 
 
 def _spread(values: Floats) -> Spread:
@@ -449,7 +451,8 @@ def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float
     rotation = np.arctan2(cross_sum, np.sum(a * b))
     cos = np.cos(rotation)
     sin = np.sin(rotation)
-    residuals = np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)
+    turned = a @ np.array([[cos, sin], [-sin, cos]])
+    residuals = np.linalg.norm(b - turned, axis=1)
     if np.linalg.cond(scatter) > 1e12:  # a sheet on edge: its projection is a line
         return scale, np.nan, np.nan, residuals
     _, size, axes = np.linalg.svd(cross @ np.linalg.inv(scatter))

@@ -136,7 +136,8 @@ def relax_dynamically(
     start = np.asarray(start, dtype=np.float64)
     rest = np.asarray(rest, dtype=np.float64)
     stiff = np.ones_like(rest) if stiffness is None else np.asarray(stiffness, dtype=np.float64)
-    if start.shape[2:] != (2,) or not rest.shape == stiff.shape == (4, *start.shape[:2]):
+    spring_shape = (4, *start.shape[:2])
+    if start.shape[2:] != (2,) or not rest.shape == stiff.shape == spring_shape:
         raise CannotFlatten(
             f"Nodes {start.shape}, rest lengths {rest.shape} and stiffness {stiff.shape} do not fit"
             " together; needed are (rows, cols, 2) and twice (4, rows, cols). Make all of them"
@@ -210,7 +211,8 @@ def _motion(
     f = np.zeros_like(x)
     energy, largest_force = set_force(x, *springs, f)
     dt = p.fixed_dt
-    c = max(p.c_min, np.sqrt(mix(v, 0.0, f, 1.0, weights, next_v)[0] / p.b))
+    force_gradient, _, _ = mix(v, 0.0, f, 1.0, weights, next_v)
+    c = max(p.c_min, np.sqrt(force_gradient / p.b))
     gradient = time = calm_time = 0.0
     has_moved = False
     # Without any force there is no motion to wait for.
@@ -281,4 +283,6 @@ def _runge_kutta(
 
 
 def _framed(values: Floats) -> Floats:
-    return np.pad(values, [(0, 0)] * (values.ndim - 2) + [(1, 1), (1, 1)])
+    frame = np.zeros((*values.shape[:-2], *np.add(values.shape[-2:], 2)))
+    frame[..., 1:-1, 1:-1] = values
+    return frame

@@ -194,10 +194,9 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     area_um2 = np.count_nonzero(is_sheet) * pitch_um[0] * pitch_um[1]
     wanted_um = mesh_um or max(4 * max(pitch_um), np.sqrt(area_um2 / _MOST_NODES))
     # Columns per mesh cell, along rows and columns, so that cells are about square.
-    row_step, col_step = (
-        int(np.clip(round(wanted_um / step_um), 1, max(1, (n - 1) // 2)))
-        for step_um, n in zip(pitch_um, centre.shape, strict=True)
-    )
+    most_steps = [max(1, (n - 1) // 2) for n in centre.shape]
+    wanted_steps = np.divide(wanted_um, pitch_um).round().astype(int)
+    row_step, col_step = np.clip(wanted_steps, 1, most_steps).tolist()
     rows = _mesh_indices(y.size, row_step)
     cols = _mesh_indices(x.size, col_step)
     mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
@@ -280,11 +279,14 @@ def _flat_columns(
     is_valid = mesh.is_sheet.copy()
     for i, j in zip(*np.nonzero(relaxed.folded), strict=True):
         is_valid[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = False
-    flip, mirror_offset = (-1.0, float(x[0, -1] + x[0, 0])) if frame.mirrored else (1.0, 0.0)
+    projected_u, u = x, x + u_moves
+    if frame.mirrored:
+        mirror_um = float(x[0, -1] + x[0, 0])
+        projected_u, u = mirror_um - projected_u, mirror_um - u
     values_and_titles = {
-        "u": (mirror_offset + flip * (x + u_moves), "Flat coordinate u"),
+        "u": (u, "Flat coordinate u"),
         "v": (y + v_moves, "Flat coordinate v"),
-        "projected_u": (mirror_offset + flip * x, "Projected coordinate u"),
+        "projected_u": (projected_u, "Projected coordinate u"),
         "projected_v": (y, "Projected coordinate v"),
     }
     flat = xr.Dataset(

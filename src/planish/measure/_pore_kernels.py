@@ -25,11 +25,12 @@ def inscribed(distance, step):  # noqa: C901
                     continue
                 di = int(r / step[0])
                 dj = int(r / step[1])
+                first_col, last_col = max(j - dj, 0), min(j + dj, cols - 1)
                 for a in range(max(i - di, 0), min(i + di, rows - 1) + 1):
                     left = r * r - ((a - i) * step[0]) ** 2
                     if left <= 0:
                         continue
-                    for b in range(max(j - dj, 0), min(j + dj, cols - 1) + 1):
+                    for b in range(first_col, last_col + 1):
                         rest = left - ((b - j) * step[1]) ** 2
                         if rest <= 0:
                             continue
@@ -48,9 +49,10 @@ def _swallowed(distance, i, j, k, step):
             for c in range(max(k - 1, 0), min(k + 2, distance.shape[2])):
                 if a == i and b == j and c == k:
                     continue
-                way = np.sqrt(
-                    ((a - i) * step[0]) ** 2 + ((b - j) * step[1]) ** 2 + ((c - k) * step[2]) ** 2
-                )
+                down = (a - i) * step[0]
+                across = (b - j) * step[1]
+                through = (c - k) * step[2]
+                way = np.sqrt(down**2 + across**2 + through**2)
                 if distance[a, b, c] >= r + way - 1e-6:
                     return True
     return False

@@ -32,7 +32,8 @@ def height_at(field, r, c):
     i = min(max(int(r), 0), rows - 2)
     j = min(max(int(c), 0), cols - 2)
     fr, fc = r - i, c - j
-    p, q, s, t = field[i, j], field[i, j + 1], field[i + 1, j], field[i + 1, j + 1]
+    p, q = field[i, j], field[i, j + 1]
+    s, t = field[i + 1, j], field[i + 1, j + 1]
     if not np.isfinite(p) and (1 - fr) * (1 - fc) <= _HALF:
         p = q + s - t
     elif not np.isfinite(q) and (1 - fr) * fc <= _HALF:
@@ -200,9 +201,8 @@ def pieces(grey, s0, ds, lower, upper, least, most):
     ends = np.zeros((rows, cols), dtype=np.int32)
     for i in range(rows):
         for j in range(cols):
-            total, part, n = _piece(
-                grey[i, j], (lower[i, j] - s0) / ds, (upper[i, j] - s0) / ds, least, most
-            )
+            x0, x1 = (lower[i, j] - s0) / ds, (upper[i, j] - s0) / ds
+            total, part, n = _piece(grey[i, j], x0, x1, least, most)
             integral[i, j], length[i, j], ends[i, j] = ds * total, ds * part, n
     return integral, length, ends
 

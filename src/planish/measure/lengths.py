@@ -88,9 +88,7 @@ def _depths(rays: Rays) -> tuple[Floats, Floats, NDArray[np.uint8]]:
         limit = np.maximum(rays.top - options.ink_reach_um, rays.bottom)
     step_um = rays.step_um
     shares = np.array(list(_INK_SHARES)) / 100
-    depth, total = _ray_kernels.depths_of_shares(
-        rays.grey, float(rays.s_um[0]), step_um, rays.top, limit, low, high, shares
-    )
+    depth, total = _ray_kernels.depths_of_shares(*rays.profiles, rays.top, limit, low, high, shares)
     # Ink that is still there where the search ends may go deeper: its shares are not known.
     near, _ = rays.length(limit, limit + step_um, least=low, most=high)
     reason = np.zeros(total.shape, dtype=np.uint8)
@@ -255,12 +253,11 @@ def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
         face, inwards, limit = rays.top, -1.0, rays.interface_bottom
     else:
         face, inwards, limit = rays.bottom, 1.0, rays.interface_top
-    profiles = (rays.grey, float(rays.s_um[0]), rays.step_um)
     half_way = 0.5 * (coating_level + greys.base)
     reach_um = rays.oblique * (2.5 * greys.blur_um + rays.voxel_um)
     gap_um = rays.params.of(ThicknessOptions).gap_um
     summed, envelope, ends = _ray_kernels.layers(
-        *profiles, face, inwards, half_way, greys.polarity, reach_um, gap_um, limit
+        *rays.profiles, face, inwards, half_way, greys.polarity, reach_um, gap_um, limit
     )
     ends_se = rays.crossings_se(ends, coating_level - greys.base)
     return summed, envelope, np.hypot(face_errors(rays, envelope, side), ends_se)
@@ -479,15 +476,9 @@ def scale_limited(
 
     check_filters(s_filter_um, l_filter_um)
     name = "topography_top"
-    above = above_form(
-        {"top": height},
-        np.zeros(height.shape),
-        np.isfinite(height),
-        pitch_um,
-        names=(name,),
-        nesting_um=l_filter_um,
-    )[name]
-    return without_short(above, pitch_um, s_filter_um)
+    sheet = ({"top": height}, np.zeros(height.shape), np.isfinite(height))
+    above = above_form(*sheet, pitch_um, names=(name,), nesting_um=l_filter_um)
+    return without_short(above[name], pitch_um, s_filter_um)
 
 
 @sheet_property(
@@ -594,6 +585,7 @@ def _derivatives(sheet: Sheet) -> list[Floats]:
     p = (right - left) / (2 * dx)
     q = (down - up) / (2 * dy)
     r = (right - 2 * centre + left) / dx**2
-    s = (c[2:, 2:] - c[2:, :-2] - c[:-2, 2:] + c[:-2, :-2]) / (4 * dx * dy)
+    above, below = c[:-2], c[2:]
+    s = (below[:, 2:] - below[:, :-2] - above[:, 2:] + above[:, :-2]) / (4 * dx * dy)
     t = (down - 2 * centre + up) / dy**2
     return [np.pad(derivative, 1, constant_values=np.nan) for derivative in (p, q, r, s, t)]

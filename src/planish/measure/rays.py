@@ -24,6 +24,7 @@ from planish.measure.greys import Greys
 from planish.measure.options import Common
 
 Grey = NDArray[np.float32]
+Ends = NDArray[np.int32]  # of a phase on each ray
 Direction = Literal["normal", "vertical"]
 T = TypeVar("T")
 CUTOFF_UM = 400.0  # of a centre surface that does not state its own
@@ -102,14 +103,13 @@ class Rays:
 
         Grey times um.
         """
-        grey_integral, _, _ = self._pieces(lower, upper, 0.0, 0.0)
+        grey_integral, _, _ = _ray_kernels.pieces(*self.profiles, lower, upper, 0.0, 0.0)
         return grey_integral - self.greys.air * np.maximum(upper - lower, 0.0)
 
-    def _pieces(
-        self, lower: Floats, upper: Floats, least: float, most: float
-    ) -> tuple[Floats, Floats, NDArray[np.int32]]:
-        first_um = float(self.s_um[0])
-        return _ray_kernels.pieces(self.grey, first_um, self.step_um, lower, upper, least, most)
+    @property
+    def profiles(self) -> tuple[Grey, float, float]:
+        """Grey along the rays, place of the first sample and step in um, as kernels take them."""
+        return self.grey, float(self.s_um[0]), self.step_um
 
     def mean(self, lower: Floats, upper: Floats) -> Floats:
         """Mean grey above the air between two places; NaN where they are not a step apart."""
@@ -122,17 +122,16 @@ class Rays:
 
     def length(
         self, lower: Floats, upper: Floats, *, least: float, most: float
-    ) -> tuple[Floats, NDArray[np.int32]]:
+    ) -> tuple[Floats, Ends]:
         """Length in um with ``least <= grey <= most`` between two places.
 
         Also gives how many ends it has there.
         """
-        _, length_um, ends = self._pieces(lower, upper, float(least), float(most))
+        levels = float(least), float(most)
+        _, length_um, ends = _ray_kernels.pieces(*self.profiles, lower, upper, *levels)
         return length_um, ends
 
-    def beyond(
-        self, lower: Floats, upper: Floats, level: float
-    ) -> tuple[Floats, NDArray[np.int32]]:
+    def beyond(self, lower: Floats, upper: Floats, level: float) -> tuple[Floats, Ends]:
         """Length in um on which the grey is farther from the air than ``level``.
 
         Also gives how many ends it has.
@@ -154,7 +153,7 @@ class Rays:
         se_um = np.sqrt(2 * np.pi) * blur_um * self.greys.noise / max(abs(contrast), 1e-12)
         return self.oblique * se_um
 
-    def crossings_se(self, ends: NDArray[np.int32], contrast: float) -> Floats:
+    def crossings_se(self, ends: Ends, contrast: float) -> Floats:
         """Standard error in um of a length with so many ends on each ray, of one or more."""
         return np.sqrt(np.maximum(ends, 1)) * self.crossing_se(contrast)
 

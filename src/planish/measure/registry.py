@@ -301,11 +301,11 @@ def _add(added: Property) -> Property:
 
 def _of_side(template: Property, side: Side) -> Property:
     formatted = {key: getattr(template, key).format(side=side) for key in ("name", "long_name")}
-    bound_functions: dict[str, Any] = {
-        key: update_wrapper(partial(function, side=side), function)
-        for key in ("function", "after", "check", "when")
-        if callable(function := getattr(template, key))
-    }
+    bound_functions: dict[str, Any] = {}
+    for key in ("function", "after", "check", "when"):
+        function = getattr(template, key)
+        if callable(function):
+            bound_functions[key] = update_wrapper(partial(function, side=side), function)
     return replace(template, **formatted, **bound_functions)
 
 

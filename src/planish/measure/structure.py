@@ -13,6 +13,7 @@ be stable.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -85,7 +86,8 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
     derivatives: list[Floats] = []
     for pitch in rays.pitch_um:
         sigma = max((rays.params.of(Options).orientation_sigma_um or pitch) / pitch, 0.5)
-        x = np.arange(-int(np.ceil(_CUT * sigma)), int(np.ceil(_CUT * sigma)) + 1)
+        reach = int(np.ceil(_CUT * sigma))
+        x = np.arange(-reach, reach + 1)
         gaussian = np.exp(-0.5 * (x / sigma) ** 2)
         gaussians.append(gaussian / gaussian.sum())
         derivatives.append(x * gaussian / np.sum(x * x * gaussian) / pitch)  # 1 on a ramp
@@ -115,29 +117,26 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
     is_inside = rays.s_um[samples] >= np.maximum(lower, bottom + lowest * base_um)[..., None]
     is_inside &= rays.s_um[samples] < np.minimum(upper, bottom + highest * base_um)[..., None]
     is_inside &= rays.greys.polarity * (rays.grey[..., samples] - level) > 0
-    xx_sum, yy_sum, xy_sum = (
-        np.einsum("ijk,ijk,ijk->ij", a, b, is_inside, dtype=np.float64)
-        for a, b in ((by_col, by_col), (by_row, by_row), (by_row, by_col))
-    )
-    xx, yy, xy = _in_tangent_plane(xx_sum, yy_sum, xy_sum, rays.slope)
+    factors = ((by_col, by_col), (by_row, by_row), (by_row, by_col))
+    sums = [np.einsum("ijk,ijk,ijk->ij", a, b, is_inside, dtype=np.float64) for a, b in factors]
+    xx, yy, xy = _in_tangent_plane(sums, rays.slope)
     is_valid = (rays.status == 0) & np.isfinite(xx)
     sigma = [rays.params.of(Options).orientation_rho_um / p for p in rays.pitch_um]
-    averaged = [
-        ndimage.gaussian_filter(np.where(is_valid, v, 0.0), sigma, mode="constant", truncate=_CUT)
-        for v in (xx + yy, xx - yy, 2 * xy)
-    ]
-    return averaged[0], averaged[1], averaged[2]
+    parts = [np.where(is_valid, v, 0.0) for v in (xx + yy, xx - yy, 2 * xy)]
+    trace, cosine, sine = (
+        ndimage.gaussian_filter(part, sigma, mode="constant", truncate=_CUT) for part in parts
+    )
+    return trace, cosine, sine
 
 
-def _in_tangent_plane(
-    xx: Floats, yy: Floats, xy: Floats, slope: Floats
-) -> tuple[Floats, Floats, Floats]:
+def _in_tangent_plane(tensor: Sequence[Floats], slope: Floats) -> tuple[Floats, Floats, Floats]:
     """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane.
 
     The result is G^(-1/2) J G^(-1/2).
     """
     # G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the
     # slope, G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
+    xx, yy, xy = tensor
     q, p = np.moveaxis(slope, -1, 0)
     squared_slope = p * p + q * q
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -145,11 +144,10 @@ def _in_tangent_plane(
             squared_slope > 0, (1 - 1 / np.sqrt(1 + squared_slope)) / squared_slope, 0.5
         )
     a, b, d = 1 - shrinkage * p * p, -shrinkage * p * q, 1 - shrinkage * q * q
-    return (
-        a * a * xx + 2 * a * b * xy + b * b * yy,
-        b * b * xx + 2 * b * d * xy + d * d * yy,
-        a * b * xx + (a * d + b * b) * xy + b * d * yy,
-    )
+    turned_xx = a * a * xx + 2 * a * b * xy + b * b * yy
+    turned_yy = b * b * xx + 2 * b * d * xy + d * d * yy
+    turned_xy = a * b * xx + (a * d + b * b) * xy + b * d * yy
+    return turned_xx, turned_yy, turned_xy
 
 
 def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[Floats, Floats]:
@@ -329,13 +327,11 @@ def pore_diameter(rays: Rays) -> Floats:
     from planish.measure import _pore_kernels
 
     void, count = _voids(rays)
-    step = (
-        rays.pitch_um[0] * rays.mean_stretch[0],
-        rays.pitch_um[1] * rays.mean_stretch[1],
-        rays.step_um,
-    )
+    row_um, col_um = np.multiply(rays.pitch_um, rays.mean_stretch).tolist()
+    step = (row_um, col_um, rays.step_um)
     half_step_um = 0.5 * float(np.mean(step))
     distance = distances(void, step, 0.5 * rays.params.of(Options).pore_limit_um + half_step_um)
     radius = _pore_kernels.inscribed(distance, step)
-    diameter_um = np.where(void > 0, 2 * np.maximum(radius - half_step_um, 0.5 * half_step_um), 0.0)
+    true_radius = np.maximum(radius - half_step_um, 0.5 * half_step_um)
+    diameter_um = np.where(void > 0, 2 * true_radius, 0.0)
     return diameter_um.sum(axis=-1, dtype=np.float64) / count

@@ -246,7 +246,8 @@ def vignette(shape: tuple[int, int], loss: float) -> Field:
     (rows, cols); 1 in the middle, ``1 - loss`` in the corners
     """
     y, x = (np.linspace(-1, 1, n) * n for n in shape)
-    radius_squared = (y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)
+    corner_squared = shape[0] ** 2 + shape[1] ** 2
+    radius_squared = (y[:, None] ** 2 + x**2) / corner_squared
     return 1 - loss * radius_squared.astype(np.float32)
 
 
@@ -331,15 +332,15 @@ def _dot_radii(
     first_col, first_row = cells.min(axis=1).tolist()
     n_cols, n_rows = (np.ptp(cells, axis=1) + 1).tolist()
     sample_offsets = (np.arange(_CELL_SAMPLES) + 0.5) / _CELL_SAMPLES
-    a, b = np.meshgrid(
-        (first_col + np.arange(n_cols)[:, None] + sample_offsets).ravel(),
-        (first_row + np.arange(n_rows)[:, None] + sample_offsets).ravel(),
-    )
+    col_samples = (np.arange(n_cols)[:, None] + first_col + sample_offsets).ravel()
+    row_samples = (np.arange(n_rows)[:, None] + first_row + sample_offsets).ravel()
+    a, b = np.meshgrid(col_samples, row_samples)
     pitch = screen.pitch_um
     angle = np.deg2rad(screen.angle_deg)
     u = pitch * (a * np.cos(angle) - b * np.sin(angle))
     v = pitch * (a * np.sin(angle) + b * np.cos(angle))
-    coating = np.maximum(sheet.at(sheet.faces[0], u, v) - sheet.at(sheet.faces[1], u, v), 0)
+    top_um, inner_um = (sheet.at(face, u, v) for face in sheet.faces[:2])
+    coating = np.maximum(top_um - inner_um, 0)
     mean_coating_um = float(np.mean(sheet.faces[0] - sheet.faces[1], dtype=np.float64))
     coating_gain = screen.gain_per_um * (coating - mean_coating_um)
     tone_change = screen.gain_sd * _sample(sheet, tone, u, v) - coating_gain

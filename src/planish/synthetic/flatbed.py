@@ -13,6 +13,7 @@ from PIL import Image
 from scipy import ndimage
 
 from planish.core.reflectance import LUMINANCE
+from planish.core.robust import running_sums
 from planish.core.typing import Floats, Shape
 from planish.synthetic.params import FlatbedParams, spawned
 
@@ -37,11 +38,10 @@ class FlatbedScan:
 
         NaN outside the scan.
         """
-        places = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
-        middles = self.columns_um, self.lines_um
+        x, y = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
         scanned = [
-            np.interp(place, middle, np.arange(middle.size), left=np.nan, right=np.nan)
-            for place, middle in zip(places, middles, strict=True)
+            np.interp(place, middles, np.arange(middles.size), left=np.nan, right=np.nan)
+            for place, middles in ((x, self.columns_um), (y, self.lines_um))
         ]
         return self.pixel_um * np.stack(scanned, axis=-1)
 
@@ -150,7 +150,7 @@ def _carriage(
 
 def _area_means(picture: Floats, middles: Floats, width: float) -> Floats:
     """Means of rows between two places, both in rows; a row ends half a row from its middle."""
-    sums = np.concatenate([np.zeros((1, picture.shape[1])), np.cumsum(picture, axis=0)])
+    sums = running_sums(picture.T).T
     edges = np.stack([middles - 0.5 * width, middles + 0.5 * width]) + 0.5
     whole = np.clip(edges.astype(int), 0, len(picture) - 1)
     low, high = sums[whole] + (edges - whole)[..., None] * picture[whole]

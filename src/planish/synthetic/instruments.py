@@ -55,12 +55,11 @@ def painted(
     for start in range(0, shape[0], _BLOCK):
         stop = min(start + _BLOCK, shape[0])
         xs = np.arange(start - halo, stop + halo) * step_um
-        under = np.concatenate(
-            [
-                _kernels.columns(w, curve, ys_um[i : i + 1], xs + shift_x[i])
-                for i in range(ys_um.size)
-            ]
-        )
+        row_columns = [
+            _kernels.columns(w, curve, y_um, xs + shift)
+            for y_um, shift in zip(ys_um[:, None], shift_x, strict=True)
+        ]
+        under = np.concatenate(row_columns)
         middle = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - middle_um[0])
         lowest_px = (middle.min() - half_depth) / step_um
         highest_px = (middle.max() + half_depth) / step_um
@@ -289,11 +288,9 @@ def _laplacian(slab: Slab) -> Slab:
 
     The size of the fringe thus does not depend on its width.
     """
-    rows, cols, depths = (
-        trimmed(slab, 1, (1, 2)),
-        trimmed(slab, 1, (0, 2)),
-        trimmed(slab, 1, (0, 1)),
-    )
+    rows = trimmed(slab, 1, (1, 2))
+    cols = trimmed(slab, 1, (0, 2))
+    depths = trimmed(slab, 1, (0, 1))
     total = rows[2:] + rows[:-2] + cols[:, 2:]
     total += cols[:, :-2] + depths[..., 2:] + depths[..., :-2]
     return np.float32(_FRINGE_PX**2) * (total - 6 * trimmed(slab, 1, (0, 1, 2)))

@@ -314,12 +314,10 @@ class SpecimenOptions(Params):
         paper = PRESETS[self.preset][1]
         if self.slab or self.size == "T3":  # without voxels no fibre is seen
             paper = paper.as_slab()
+        scanner = replace(FIBRE_CT if paper.fibres else MICRO_CT, voxel_um=self.voxel_um)
+        size_um = SIZES_UM[self.size]
         params = SpecimenParams(
-            size_um=SIZES_UM[self.size],
-            paper=paper,
-            holes=holes,
-            scanner=replace(FIBRE_CT if paper.fibres else MICRO_CT, voxel_um=self.voxel_um),
-            seed=self.seed,
+            size_um=size_um, paper=paper, holes=holes, scanner=scanner, seed=self.seed
         )
         if self.nuisance is not None:
             params = with_only(params, set(self.nuisance) - {"none"})
