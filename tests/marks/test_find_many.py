@@ -102,6 +102,6 @@ def test_an_outline_that_bends_through_its_centre_has_no_edge_there():
     y, x = np.indices(image.shape)
     image[np.hypot(x - 30, y - 30) < 12] = 0.0
     model = np.where(np.arange(96) < 48, 48.0, -60.0)
-    radii, *_ = half_level_edges(image, 4.0, 4.0, 120.0, 120.0, 1.0, model, 8.0)
+    radii, *_ = half_level_edges(image, 4.0, 4.0, 1.0, 120.0, 120.0, model, 8.0)
     np.testing.assert_allclose(radii[:48], 48.0, atol=4.0)
     assert np.isnan(radii[48:]).all()

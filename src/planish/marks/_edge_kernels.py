@@ -51,7 +51,7 @@ def rise(sums, t, reach):
 
 
 @njit(cache=True, nogil=True)
-def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):  # noqa: C901, PLR0912
+def innermost_edges(image, px, py, sign, cx, cy, low, high, dt, window, rays):  # noqa: C901, PLR0912
     """Return the radius of the innermost strong edge on each ray (NaN where there is none)."""
     count = int((high + window) / dt) + 2
     reach = max(1, int(round(window / dt)))
@@ -118,7 +118,7 @@ def _plateaus(image, centre, step, edge, gap, width, dt):
 
 
 @njit(cache=True, nogil=True)
-def half_level_edges(image, px, py, cx, cy, sign, model, search):  # noqa: C901, PLR0912
+def half_level_edges(image, px, py, sign, cx, cy, model, search):  # noqa: C901, PLR0912
     """Give half-level radius, step, wider step and level outside of each ray, or NaN.
 
     They lie within ``search`` of the model.
@@ -190,7 +190,7 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search):  # noqa: C901,
 
 
 @njit(cache=True, nogil=True)
-def first_crossings(image, px, py, cx, cy, sign, level, reach, dt, rays):
+def first_crossings(image, px, py, sign, cx, cy, level, reach, dt, rays):
     """Return the radius where the grey first rises through a level on each ray.
 
     NaN where it does not.
@@ -212,7 +212,7 @@ def first_crossings(image, px, py, cx, cy, sign, level, reach, dt, rays):
 
 
 @njit(cache=True, nogil=True)
-def levels(image, px, py, cx, cy, sign, radius):
+def levels(image, px, py, sign, cx, cy, radius):
     """Give inside level, its spread, flatness, outside level and texture around a fitted circle."""
     rays, rings = 32, 8
     pixel = max(px, py)

@@ -18,7 +18,7 @@ SIDEWAYS, MOST_STEPS = 0.1, 1
 
 
 @njit(cache=True, nogil=True)
-def polar_rises(image, px, py, cx, cy, sign, dt, count, reach, rays):
+def polar_rises(image, px, py, sign, cx, cy, dt, count, reach, rays):
     """Give the rise (rays, count) of the mean outside a radius (of ``dt``) over that inside.
 
     The means are over ``reach`` samples; the rise may be NaN.
@@ -114,7 +114,7 @@ def _window(centre, radius, pixel, count):
 
 
 @njit(cache=True, nogil=True)
-def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
+def floor_middle(image, px, py, sign, cx, cy, radius, level, tolerance):
     """Return the centroid of what is as dark as the floor within a circle.
 
     Its centre where that is nothing.
@@ -133,7 +133,7 @@ def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
 
 
 @njit(cache=True, nogil=True)
-def darkest_beyond(image, px, py, cx, cy, sign, model, beyond, width):
+def darkest_beyond(image, px, py, sign, cx, cy, model, beyond, width):
     """Return the least mean grey, times sign, of the sectors just outside an outline.
 
     They are ``width`` rays wide and reach from the radii ``model`` (n,) outwards by a share of

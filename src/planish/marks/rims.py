@@ -55,7 +55,25 @@ _COS = np.array([*map(math.cos, _ANGLES)])
 _SIN = np.array([*map(math.sin, _ANGLES)])
 _COS_2 = np.array([*map(math.cos, _DOUBLED)])
 _SIN_2 = np.array([*map(math.sin, _DOUBLED)])
-_Picture = tuple[Image, float, float]  # an image, and its pixel size along x and y
+
+
+class _Picture(NamedTuple):
+    """An image, its pixel size along x and y in um, and the sign that makes its holes dark."""
+
+    image: Image
+    px: float
+    py: float
+    sign: float
+
+    @property
+    def pixel(self) -> float:
+        """Longer side of a pixel."""
+        return max(self.px, self.py)
+
+    @property
+    def near(self) -> float:
+        """Width of the search for an edge whose place is known, in um."""
+        return max(1.2 * self.pixel, 6.0)
 
 
 class _Outline(NamedTuple):
@@ -99,46 +117,46 @@ def measure_rims(
     the rim is from the sheet around (the last column is left to others). Lengths in um. NaN rows
     where there is no hole.
     """
-    picture = _picture(raster)
+    picture = _picture(raster, sign)
     holes = np.full((len(positions), COLUMNS), np.nan)
     for hole, position, least, contrast in zip(holes, positions, *thresholds, strict=True):
-        circle = _circle(picture, position, sign, radius_range, float(least), float(contrast))
+        circle = _circle(picture, position, radius_range, float(least), float(contrast))
         if circle is not None:
-            _measure_rim(hole, picture, sign, circle, radius_range)
+            _measure_rim(hole, picture, circle, radius_range)
     return holes
 
 
 def _measure_rim(
     hole: Floats,
     picture: _Picture,
-    sign: float,
     circle: tuple[float, float, float, float],
     radius_range: Pair,
 ) -> None:
     """Write the figures of the rim near a circle into a row, which is left as it is without one."""
     *centre, radius, scale = circle
-    pixel = max(picture[1:])
+    pixel = picture.pixel
     least, largest = 0.5 * radius_range[0], 1.5 * radius_range[1]
     search = max(0.15 * radius, 2 * pixel, 10.0, min(3 * scale, 0.3 * radius))
-    rim = _refined(picture, centre, sign, np.full(RAYS, radius), search, share=0.35)
+    rim = _refined(picture, centre, np.full(RAYS, radius), search, share=0.35)
     if rim is None or not (least < rim.fit[0] < largest):
         return
     # The strongest edge, but where another one goes round inside: then that around is the end of
     # the char.
-    centre, model, inner, around = _closed_rims(picture, centre, sign, radius, least)
-    closed = _followed(picture, centre, sign, model, share=0.35)
+    centre, model, inner, around = _closed_rims(picture, centre, radius, least)
+    closed = _followed(picture, centre, model, share=0.35)
     if closed is not None and _is_inside(closed, rim, least):
         rim = closed
-    _describe(hole, picture, sign, rim)
+    _describe(hole, picture, rim)
     hole[STEP] = _median(rim.steps)
     hole[FAR_STEP] = _median(rim.far_steps)
     hole[BURNT] = hole[OUTSIDE] - _median(rim.nears)
-    _set_doubt(hole, picture, sign, (rim.x, rim.y), rim.steps)
+    _set_doubt(hole, picture, (rim.x, rim.y), rim.steps)
     if around == 0.0:
         return
     # Another closed edge inside: the rim of a hole with a scorched ring around, or that of the
     # other face.
-    ring = _followed(picture, centre, around * sign, inner, share=LEAST_INNER)
+    ring_picture = picture._replace(sign=around * picture.sign)
+    ring = _followed(ring_picture, centre, inner, share=LEAST_INNER)
     if ring is None or not (least < ring.fit[0] < hole[RADIUS]):
         return
     if np.sum(ring.weight > 0) > 0.6 * RAYS:
@@ -148,7 +166,7 @@ def _measure_rim(
         if around < 0.0:
             _write_outline(hole, ring)
             other = rim
-        _set_doubt(hole, picture, sign, (other.x, other.y), rim.steps)
+        _set_doubt(hole, picture, (other.x, other.y), rim.steps)
 
 
 def measure_floors(
@@ -169,17 +187,17 @@ def measure_floors(
     step from the floor to the sheet, that with the roundest outline is taken. Returns ``(n,
     COLUMNS)`` as `measure_rims` does, without steps at the rim.
     """
-    picture = _picture(raster)
+    picture = _picture(raster, sign)
     holes = np.full((len(positions), COLUMNS), np.nan)
     row = np.empty(COLUMNS)
     for hole, position in zip(holes, positions, strict=True):
         least = np.inf
         model = np.empty(0)
         for share in shares:
-            outline = _floor_outline(picture, position, sign, radius, floor + share * depth)
+            outline = _floor_outline(picture, position, radius, floor + share * depth)
             if outline is None:
                 continue
-            _describe(row, picture, sign, outline)
+            _describe(row, picture, outline)
             # About the circle, not the ellipse: a blot beside a hole makes an ellipse of both.
             wave = 0.5 * row[HALF_DIFFERENCE] * row[HALF_DIFFERENCE]
             roughness = math.sqrt(row[ROUGHNESS] ** 2 + wave) / row[RADIUS] - row[COVERAGE]
@@ -189,31 +207,27 @@ def measure_floors(
                 model = outline.ellipse
         if least < np.inf:
             centre = (hole[X], hole[Y])
-            _, steps, _, nears = half_level_edges(*picture, *centre, sign, model, _near(picture))
+            _, steps, _, nears = half_level_edges(*picture, *centre, model, picture.near)
             hole[BURNT] = hole[OUTSIDE] - _median(nears)
-            _set_doubt(hole, picture, sign, centre, steps)
+            _set_doubt(hole, picture, centre, steps)
     return holes
 
 
-def _picture(raster: Raster) -> _Picture:
-    return raster.image, raster.pixel_um[1], raster.pixel_um[0]
-
-
-def _near(picture: _Picture) -> float:
-    """Width of the search for an edge whose place is known, in um."""
-    return max(1.2 * max(picture[1:]), 6.0)
+def _picture(raster: Raster, sign: float) -> _Picture:
+    row_um, col_um = raster.pixel_um
+    return _Picture(raster.image, col_um, row_um, sign)
 
 
 def _floor_outline(
-    picture: _Picture, position: Floats, sign: float, radius: float, level: float
+    picture: _Picture, position: Floats, radius: float, level: float
 ) -> _Outline | None:
     """Outline of what is below a level; None where it lies elsewhere."""
-    pixel = max(picture[1:])
+    pixel = picture.pixel
     x, y = position
     dt = max(0.25 * pixel, 0.5)
     cx, cy = position
     for turn in range(6):
-        radii = first_crossings(*picture, cx, cy, sign, level, 1.6 * radius, dt, RAYS)
+        radii = first_crossings(*picture, cx, cy, level, 1.6 * radius, dt, RAYS)
         fit, weight, _, inverse = fit_outline(radii, 1 if turn < 2 else 2, 0.3 + 0.1 * pixel)
         cx, cy = cx + fit[1], cy + fit[2]
         if np.sum(weight) == 0.0 or math.hypot(cx - x, cy - y) > 0.6 * radius:
@@ -226,7 +240,6 @@ def _floor_outline(
 def _circle(
     picture: _Picture,
     position: Floats,
-    sign: float,
     radius_range: Pair,
     least: float,
     contrast: float,
@@ -235,7 +248,7 @@ def _circle(
 
     None if there is none.
     """
-    pixel = max(picture[1:])
+    pixel = picture.pixel
     low, high = radius_range
     cx, cy = position
     window = max(14.0, 1.4 * pixel)
@@ -243,7 +256,7 @@ def _circle(
     radius = np.nan
     scale = 0.0
     for turn, rays in enumerate((36, 64, 64, 64)):
-        radii, _ = innermost_edges(*picture, cx, cy, sign, 0.5 * low, 1.25 * high, dt, window, rays)
+        radii, _ = innermost_edges(*picture, cx, cy, 0.5 * low, 1.25 * high, dt, window, rays)
         fit, weight, scale, _ = fit_outline(radii, 1, 0.5)
         radius = float(fit[0])
         shift = math.hypot(fit[1], fit[2])
@@ -252,7 +265,7 @@ def _circle(
             return None
         cx, cy = cx + fit[1], cy + fit[2]
         # Most places are mottle; the levels show it long before the rim is known.
-        if turn == 0 and _is_mottle(levels(*picture, cx, cy, sign, radius), least, contrast):
+        if turn == 0 and _is_mottle(levels(*picture, cx, cy, radius), least, contrast):
             return None
         if turn > 0 and shift < 0.1 * pixel:
             break
@@ -268,15 +281,14 @@ def _is_mottle(greys: tuple[float, ...], least: float, contrast: float) -> bool:
 
 
 def _followed(
-    picture: _Picture, centre: Sequence[float], sign: float, model: Floats, *, share: float
+    picture: _Picture, centre: Sequence[float], model: Floats, *, share: float
 ) -> _Outline | None:
-    return _refined(picture, centre, sign, model, _near(picture), share=share, follow=True)
+    return _refined(picture, centre, model, picture.near, share=share, follow=True)
 
 
 def _refined(
     picture: _Picture,
     centre: Sequence[float],
-    sign: float,
     model: Floats,
     search: float,
     *,
@@ -288,12 +300,12 @@ def _refined(
     Steps below a ``share`` of the median are left out. With ``follow`` what was found is followed,
     so that a rough rim needs no wide search, in which lies another edge.
     """
-    pixel = max(picture[1:])
+    pixel = picture.pixel
     cx, cy = centre
     radius = float(np.mean(model))
     outline = None
     for _turn in range(3):
-        edges = half_level_edges(*picture, cx, cy, sign, model, search)
+        edges = half_level_edges(*picture, cx, cy, model, search)
         radii, steps, *_ = edges
         radii[~(steps >= share * _median(steps))] = np.nan
         fit, weight, scale, inverse = fit_outline(radii, 2, 0.3 + 0.1 * pixel)
@@ -305,7 +317,7 @@ def _refined(
         if follow:
             model = np.where(weight > 0.0, radii - fit[1] * _COS - fit[2] * _SIN, model)
         else:
-            search = max(_near(picture), 4 * scale)
+            search = max(picture.near, 4 * scale)
     return outline
 
 
@@ -322,7 +334,7 @@ def _is_inside(closed: _Outline, rim: _Outline, least: float) -> bool:
 
 
 def _closed_rims(
-    picture: _Picture, centre: Sequence[float], sign: float, radius: float, least: float
+    picture: _Picture, centre: Sequence[float], radius: float, least: float
 ) -> tuple[Pair, Floats, Floats, float]:
     """Return a centre and the radii of the closed rim about it and of another rim inside.
 
@@ -331,18 +343,18 @@ def _closed_rims(
     The sign is 1 where the other edge rises as the rim does, -1 where it falls, and 0 where there
     is none.
     """
-    pixel = max(picture[1:])
+    pixel = picture.pixel
     dt = max(0.5 * pixel, 2.5)
     reach = max(1, round(max(14.0, 1.4 * pixel) / dt))
-    inside, spread, _, outside, _ = levels(*picture, *centre, sign, radius)
+    inside, spread, _, outside, _ = levels(*picture, *centre, radius)
     total = outside - inside
     tolerance = max(3 * spread, 0.1 * total)
-    x, y = kernels.floor_middle(*picture, *centre, sign, radius, inside, tolerance)
+    x, y = kernels.floor_middle(*picture, *centre, radius, inside, tolerance)
     shift = math.hypot(x - centre[0], y - centre[1])
     count = int((radius + shift + 0.3 * radius) / dt) + 2 * reach
     band = max(1, round(1.5 * pixel / dt))
     first = max(reach, int(least / dt))
-    rises = kernels.polar_rises(*picture, x, y, sign, dt, count, reach, RAYS)
+    rises = kernels.polar_rises(*picture, x, y, dt, count, reach, RAYS)
     # Not beyond the circle of the innermost strong edges: a hole that is half closed has char all
     # the way round.
     last = min(count - reach, int(1.1 * radius / dt) + 1)
@@ -368,12 +380,12 @@ def _closed_rims(
     return (x, y), path * dt, within * dt, float(has_other)
 
 
-def _describe(row: Floats, picture: _Picture, sign: float, outline: _Outline) -> None:
+def _describe(row: Floats, picture: _Picture, outline: _Outline) -> None:
     """Write the figures of a fitted outline into a row; steps at the rim are left out."""
     row[:] = np.nan
     _write_outline(row, outline)
     columns = [INSIDE, UNEVENNESS, FLATNESS, OUTSIDE, TEXTURE]
-    where = (*picture, outline.x, outline.y, sign)
+    where = (*picture, outline.x, outline.y)
     row[columns] = levels(*where, outline.fit[0])
     model = outline.ellipse
     model[outline.weight > 0.0] = np.nan  # the rim is there
@@ -381,7 +393,7 @@ def _describe(row: Floats, picture: _Picture, sign: float, outline: _Outline) ->
     row[BEYOND] = kernels.darkest_beyond(*where, model, reach, GAP_RAYS)
 
 
-def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: Floats) -> None:
+def _set_doubt(row: Floats, picture: _Picture, other: Pair, steps: Floats) -> None:
     """Write what another edge may move the centre by.
 
     Towards the middle of the floor, or of an outline at ``other``.
@@ -391,7 +403,7 @@ def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: 
     """
     centre, radius, total = row[CENTRE], row[RADIUS], row[OUTSIDE] - row[INSIDE]
     tolerance = max(3 * row[UNEVENNESS], LEAST_INNER * total)
-    floor = kernels.floor_middle(*picture, *centre, sign, radius, row[INSIDE], tolerance)
+    floor = kernels.floor_middle(*picture, *centre, radius, row[INSIDE], tolerance)
     from_floor = np.subtract(floor, centre)
     from_other = np.subtract(other, centre)
     distance = math.hypot(*from_floor)
@@ -400,7 +412,7 @@ def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: 
     wave = math.hypot(*parts)
     is_uneven = 2 * wave > ONE_SIDED * max(np.count_nonzero(is_known), 1) * total
     share, pixels = EXACT if is_uneven else USUAL
-    usual = (share * radius) ** 2 + (pixels * max(picture[1:])) ** 2
+    usual = (share * radius) ** 2 + (pixels * picture.pixel) ** 2
     beyond = FLOOR * math.sqrt(max(distance**2 - usual, 0.0))
     if EITHER * math.hypot(*from_other) > beyond:
         row[DOUBT] = EITHER * from_other

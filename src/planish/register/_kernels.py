@@ -35,7 +35,8 @@ def count_near(a, b, base, first, start, target, raster, share):
         for h in range(start[p], start[p + 1]):
             half = (h - start[p]) // 2
             turned = (h - start[p]) % 2
-            wa, wb = b[target[first[p] + half, turned]], b[target[first[p] + half, 1 - turned]]
+            pair = target[first[p] + half]
+            wa, wb = b[pair[turned]], b[pair[1 - turned]]
             alpha = (wb - wa) * inverse
             beta = 0.5 * (wa + wb) - alpha * 0.5 * (za + zb)
             ar, ai = alpha.real / size, alpha.imag / size
@@ -89,7 +90,8 @@ def refine(seeds, a, b, reaches, soft, ridge, raster, start, index):  # noqa: C9
     owner = np.empty(b.size, np.int32)
     for h in range(total):
         mine, off = partner[h], squares[h]
-        za, zb, wa, wb = a[seeds[h, 0]], a[seeds[h, 1]], b[seeds[h, 2]], b[seeds[h, 3]]
+        za, zb = a[seeds[h, 0]], a[seeds[h, 1]]
+        wa, wb = b[seeds[h, 2]], b[seeds[h, 3]]
         alpha = (wb - wa) / (zb - za)
         gamma = 0j
         beta = 0.5 * (wa + wb) - alpha * 0.5 * (za + zb)

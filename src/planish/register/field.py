@@ -107,16 +107,15 @@ class DeviationField:
         columns = whitened(self._whitening, design.reshape(-1, 6))
         # All else is small beside this similarity.
         self._first = np.zeros(6)
-        self._first[:4] = np.linalg.lstsq(columns[:, :4], target, rcond=None)[0]
+        self._first[:4], *_ = np.linalg.lstsq(columns[:, :4], target, rcond=None)
         y = target - columns @ self._first
         squares = squared_distances(self.nodes, self.nodes)
         self.freedom = 2 * len(pairs) - 4
         floor = (COINCIDENT * float(np.hypot(*self._first[2:4]))) ** 2
-        kernel_fits = {
-            k: self._fit(kernel, squares, columns, y, floor)
-            for k, kernel in enumerate(KERNELS)
-            if mixture is None or mixture[k].any()
-        }
+        kernel_fits: dict[int, _KernelFit] = {}
+        for k, kernel in enumerate(KERNELS):
+            if mixture is None or mixture[k].any():
+                kernel_fits[k] = self._fit(kernel, squares, columns, y, floor)
         if mixture is None:
             mixture = _shares(np.array([v.log_posterior for v in kernel_fits.values()]))
         self.mixture = mixture
@@ -164,12 +163,14 @@ class DeviationField:
         gram, projected = weighted @ design, weighted @ y
         coefficient_cov = np.zeros((len(_AFFINE), len(_FIELD), 6, 6))
         coefficient_cov[0, :, :4, :4] = np.linalg.inv(gram[:, :4, :4])
-        penalised = gram + np.diag([0.0, 0, 0, 0, 1, 1]) / _AFFINE[1:, None, None, None]
+        penalty = np.diag([0.0, 0, 0, 0, 1, 1])
+        penalised = gram + penalty / _AFFINE[1:, None, None, None]
         coefficient_cov[1:] = np.linalg.inv(penalised)
         coefficients = (coefficient_cov @ projected[..., None])[..., 0]
         residual_squares = shrinkage @ (y * y) - np.sum(coefficients * projected, axis=-1)
         misfit = np.maximum(residual_squares, 0.0) + max(self.freedom, 1) * misfit_floor
-        log_posterior = np.tile(0.5 * np.sum(np.log(shrinkage), axis=1), (len(_AFFINE), 1))
+        log_shrinkage = 0.5 * np.sum(np.log(shrinkage), axis=1)
+        log_posterior = np.tile(log_shrinkage, (len(_AFFINE), 1))
         log_posterior[0] -= 0.5 * np.linalg.slogdet(gram[:, :4, :4])[1]
         log_posterior[1:] -= 0.5 * np.linalg.slogdet(penalised)[1] + np.log(_AFFINE[1:, None])
         log_posterior -= 0.5 * self.freedom * np.log(misfit)

@@ -62,10 +62,9 @@ def register_marks(
         If the pairs cannot be used, or ``seen_from`` is no side.
     """
     sides = (moving, fixed)
-    names = (
-        str(moving.attrs.get("layer", "moving layer")),
-        str(fixed.attrs.get("layer", "fixed layer")),
-    )
+    moving_name = str(moving.attrs.get("layer", "moving layer"))
+    fixed_name = str(fixed.attrs.get("layer", "fixed layer"))
+    names = (moving_name, fixed_name)
     seen_from = [str(h.attrs.get("seen_from", "top")) for h in sides]
     for name, side in zip(names, seen_from, strict=True):
         if side not in get_args(Side):
@@ -91,11 +90,13 @@ def register_marks(
         )
         if (count := len(matched.pairs)) < 3:
             raise CannotRegister(
-                f"Only {count} designed holes are found in both the {names[0]} and the {names[1]};"
-                " 3 are needed. Image a larger common field."
+                f"Only {count} designed holes are found in both the {moving_name} and the"
+                f" {fixed_name}; 3 are needed. Image a larger common field."
             )
-    pairs = (holes.isel(mark=rows) for holes, rows in zip(sides, matched.pairs.T, strict=True))
-    return fit_pairs(*pairs, params=params, mirrored=matched.mirrored != is_facing), matched
+    i, j = matched.pairs.T
+    is_mirrored = matched.mirrored != is_facing
+    fit = fit_pairs(moving.isel(mark=i), fixed.isel(mark=j), params=params, mirrored=is_mirrored)
+    return fit, matched
 
 
 def fit_pairs(

@@ -211,12 +211,12 @@ def refine(
         ) from error
     maps, masks, pixel_um, first_um = _prepare(linked, image, valid, pixel_um, options.grid_um)
     transform = _search(itk, maps, masks, pixel_um, first_um, options)
+    is_shared = masks[0] & masks[1]
     # 65 places along either axis, where displacement and derivatives are looked at.
-    rows, cols = (
-        np.unique(np.linspace(0, n - 1, min(n, 65)).round().astype(np.int64)) for n in maps[0].shape
-    )
-    i, j = np.nonzero((masks[0] & masks[1])[np.ix_(rows, cols)])
-    points = np.stack([cols[j], rows[i]], axis=-1) * pixel_um[::-1] + first_um
+    rows, cols = (np.linspace(0, n - 1, min(n, 65)).round().astype(int) for n in is_shared.shape)
+    i, j = np.nonzero(is_shared[np.ix_(rows, cols)])
+    points_px = np.stack([cols[j], rows[i]], axis=-1)
+    points = points_px * pixel_um[::-1] + first_um
     return _assess(transform, points, fit, options)
 
 

@@ -154,7 +154,9 @@ def similarity_columns(z: Complexes, *, only_turn: bool = False) -> Floats:
 
     The turn alone may take the place of alpha.
     """
-    columns = [np.ones(z.shape), np.full(z.shape, 1j), *([] if only_turn else [z]), 1j * z]
+    columns = [np.ones(z.shape), np.full(z.shape, 1j), 1j * z]
+    if not only_turn:
+        columns.insert(2, z)
     design = np.stack(columns, axis=-1)
     return np.stack([design.real, design.imag], axis=-2)
 

@@ -47,41 +47,34 @@ def tuned_place(
     rows, cols = np.nonzero(moving.known)
     every = max(rows.size // _MOST_PIXELS, 1)  # neighbours say the same
     rows, cols = rows[::every], cols[::every]
-    points = np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=1)
+    points = np.column_stack([cols, rows]) * moving.pixel_um[::-1]
     maps = np.stack([moving.maps[k][rows, cols] for k in (names[0], *other_maps)])
     middle = points.mean(axis=0)
     image = _Sampled(fixed, names[1])
     arm_um = rms_length(points - middle)
 
     def placed(p: Floats) -> Similarity:
-        turn = replace(
-            start,
-            scale=start.scale * math.exp(p[3] / arm_um),
-            rotation_rad=start.rotation_rad + p[2] / arm_um,
-        )
+        scale = start.scale * math.exp(p[3] / arm_um)
+        rotation_rad = start.rotation_rad + p[2] / arm_um
+        turn = replace(start, scale=scale, rotation_rad=rotation_rad)
         return nearest_similarity(turn.matrix(), middle, start(middle) + p[:2])
 
-    def unexplained(place: Similarity) -> float:
-        grey, is_known = image(place(points))
+    def unexplained(p: Floats) -> float:
+        grey, is_known = image(placed(p)(points))
         if np.count_nonzero(is_known) < _LEAST_PIXELS:
             return 1.0
         centred = maps[:, is_known] - maps[:, is_known].mean(axis=1, keepdims=True)
         grey = grey[is_known] - grey[is_known].mean()
         products = centred @ grey
-        return 1.0 - float(
-            products @ np.linalg.pinv(centred @ centred.T) @ products / (grey @ grey)
-        )
+        explained = products @ np.linalg.pinv(centred @ centred.T) @ products
+        return 1.0 - float(explained / (grey @ grey))
 
+    simplex = np.concatenate([np.zeros((1, 4)), 0.5 * reach_um * np.eye(4)])
     optimum = optimize.minimize(
-        lambda p: unexplained(placed(p)),
+        unexplained,
         np.zeros(4),
         method="Nelder-Mead",
-        options={
-            "initial_simplex": np.concatenate([np.zeros((1, 4)), 0.5 * reach_um * np.eye(4)]),
-            "xatol": 0.05,
-            "fatol": 1e-6,
-            "maxfev": 400,
-        },
+        options={"initial_simplex": simplex, "xatol": 0.05, "fatol": 1e-6, "maxfev": 400},
     )
     return placed(optimum.x)
 
@@ -101,7 +94,7 @@ def shifted_place(
     shows, it is found there, and cannot climb back.
     """
     image, is_valid = _on_moving_pixels(moving, fixed, names[1], place)
-    shown = np.stack([standard(moving.maps[k], is_valid) for k in (names[0], *other_maps)])
+    shown = _standard_maps(moving, (names[0], *other_maps), is_valid)
     rows, cols = (round(reach_um / p) for p in moving.pixel_um)
     search = LagSearch(shown, image, is_valid, (rows + MARGIN, cols + MARGIN))
     peak = find_peak(search.share, within((rows, cols)))
@@ -157,24 +150,28 @@ def tile_places(
     """
     pixel_um = moving.pixel_um
     b, is_valid = _on_moving_pixels(moving, fixed, names[1], place)
-    a = standard(moving.maps[names[0]], is_valid)
+    shown = _standard_maps(moving, (names[0], *other_maps, *light), is_valid)
+    a = shown[0]
     relation = relate(a, b, is_valid, pixel_um)
     shared_um2 = np.zeros((2, 2))
-    if other_maps or light:
-        shown = np.stack([a, *(standard(moving.maps[k], is_valid) for k in (*other_maps, *light))])
-        if light:
-            shared_um2 = _shared(shown, b, is_valid, pixel_um, slopes=len(light))
-        weights = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)[0]
-        a = standard(math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1), is_valid)
+    if light:
+        shared_um2 = _shared(shown, b, is_valid, pixel_um, slopes=len(light))
+    if len(shown) > 1:
+        weights, *_ = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)
+        a = math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1)
+        a = standard(a, is_valid)
         relation = replace(relation, r=math.copysign(relation.r, weights[0]))
-    sides_um = [n * p for n, p in zip(moving.known.shape, pixel_um, strict=True)]
-    reach_um = _REACH_UM + min(0.5 * strain * math.hypot(*sides_um), 0.1 * min(sides_um))
-    reach = (max(round(reach_um / pixel_um[0]), 3), max(round(reach_um / pixel_um[1]), 3))
-    least_um = 2.2 * max((k + MARGIN) * p for k, p in zip(reach, pixel_um, strict=True))
-    short_um = min((n // 2 * 2) * p for n, p in zip(moving.known.shape, pixel_um, strict=True))
+    row_um, col_um = pixel_um
+    sides_um = np.multiply(moving.known.shape, pixel_um)
+    reach_um = _REACH_UM + min(0.5 * strain * math.hypot(*sides_um), 0.1 * sides_um.min())
+    reach = (max(round(reach_um / row_um), 3), max(round(reach_um / col_um), 3))
+    least_um = 2.2 * np.multiply(np.add(reach, MARGIN), pixel_um).max()
+    even_sides = np.array(moving.known.shape) // 2 * 2
+    short_um = np.multiply(even_sides, pixel_um).min()
     stands_out = abs(relation.z) / _TILE_Z
-    side_um = math.sqrt(moving.n * pixel_um[0] * pixel_um[1]) / max(stands_out, 1e-9)
+    side_um = math.sqrt(moving.n * row_um * col_um) / max(stands_out, 1e-9)
     side_um = min(side_um, 0.5 * short_um, _REACH_UM / max(strain, 1e-9))
+    unrelated = PhaseSurrogate(b, is_valid).draws(9, np.random.default_rng(20090501))
     field = lag_field(
         math.copysign(1.0, relation.r) * a,
         b,
@@ -182,12 +179,13 @@ def tile_places(
         pixel_um,
         reach=reach,
         overlapping=False,
-        tile_um=max(side_um, least_um),
-        unrelated=[*PhaseSurrogate(b, is_valid).draws(9, np.random.default_rng(20090501))],
+        tile_um=float(max(side_um, least_um)),
+        unrelated=[*unrelated],
     )
     at_um, lag_um = field.at_um[field.distinct], field.lag_um[field.distinct]
     turn = place.matrix()
     off_um = np.hypot(*field.lag_um.T)
+    there_count = np.count_nonzero(off_um <= max(pixel_um))
     return TilePlaces(
         at_um,
         place(at_um + lag_um),
@@ -195,8 +193,12 @@ def tile_places(
         turn @ shared_um2 @ turn.T,
         relation.r,
         place.similarity,
-        bool(np.count_nonzero(off_um <= max(pixel_um)) >= _MOST_TILES * off_um.size),
+        bool(there_count >= _MOST_TILES * off_um.size),
     )
+
+
+def _standard_maps(moving: Textures, names: Texts, is_valid: Bools) -> Floats:
+    return np.stack([standard(moving.maps[name], is_valid) for name in names])
 
 
 def _shared(
@@ -215,12 +217,14 @@ def _shared(
     is_near = within((reach, reach))
     search = LagSearch(shown, image, is_valid, lags)
     with_slopes = find_peak(search.share, is_near)
-    without = find_peak(LagSearch(shown[:-slopes], image, is_valid, lags).share, is_near)
+    search_without = LagSearch(shown[:-slopes], image, is_valid, lags)
+    without = find_peak(search_without.share, is_near)
     if with_slopes is None or without is None or not with_slopes.inner:
         return np.diag([(0.5 * reach * p) ** 2 for p in pixel_um[::-1]])
     taken_off = _OF_LIGHT * (with_slopes.summit_px - without.summit_px)
     covariance = search.covariance(with_slopes, pixel_um) + np.outer(taken_off, taken_off)
-    return covariance[::-1, ::-1] * np.outer(pixel_um[::-1], pixel_um[::-1])
+    xy_um = pixel_um[::-1]
+    return covariance[::-1, ::-1] * np.outer(xy_um, xy_um)
 
 
 def _on_moving_pixels(
@@ -228,7 +232,7 @@ def _on_moving_pixels(
 ) -> tuple[Floats, Bools]:
     """What a map of the fixed layer shows on the pixels of the moving one, and where both do."""
     rows, cols = np.indices(moving.known.shape)
-    points = np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=-1)
+    points = np.stack([cols, rows], axis=-1) * moving.pixel_um[::-1]
     values, is_known = _Sampled(fixed, name)(place(points))
     is_valid = moving.known & is_known
     return standard(np.where(is_valid, values, 0.0), is_valid), is_valid

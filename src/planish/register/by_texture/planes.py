@@ -54,11 +54,10 @@ class TexturedPlane:
             plane = cls(maps={"image": layer.values}, face={}, valid=valid, grid=grid)
             return plane.scaled(1.0 / unit_um)
         names = (f"coating_{side}", "base_thickness", "thickness")
-        maps = {
-            name: layer[name].values
-            for name in names
-            if name in layer and np.isfinite(layer[name].values).any()
-        }
+        maps: dict[str, Array] = {}
+        for name in filter(layer.__contains__, names):
+            if np.isfinite(layer[name].values).any():
+                maps[name] = layer[name].values
         if not maps:
             raise InputError(
                 "The maps hold no thickness whose texture could be searched. Measure one"
@@ -83,13 +82,14 @@ class TexturedPlane:
     @property
     def middle_um(self) -> Floats:
         """Its middle, ``(x, y)``."""
-        return np.array([0.5 * (a[0] + a[-1]) for a in (self.grid.x_um, self.grid.y_um)])
+        corners_um = self.corners_um
+        return 0.5 * (corners_um[0] + corners_um[-1])
 
     @property
     def corners_um(self) -> Floats:
         """Its corners, (4, 2)."""
-        x, y = (a[[0, -1]] for a in (self.grid.x_um, self.grid.y_um))
-        return grid_points(x, y).reshape(4, 2)
+        grid = self.grid
+        return grid_points(grid.x_um[[0, -1]], grid.y_um[[0, -1]]).reshape(4, 2)
 
     def scaled(self, factor: float) -> TexturedPlane:
         """The layer with lengths that are larger by a factor."""
@@ -101,19 +101,19 @@ class TexturedPlane:
         (left, upper), (right, lower) = low_um, high_um
         rows = slice(*np.searchsorted(self.grid.y_um, [upper, lower]).tolist())
         cols = slice(*np.searchsorted(self.grid.x_um, [left, right]).tolist())
-        return TexturedPlane(
-            maps={k: m[rows, cols] for k, m in self.maps.items()},
-            face={k: m[rows, cols] for k, m in self.face.items()},
-            valid=None if self.valid is None else self.valid[rows, cols],
-            grid=self.grid.part(rows, cols),
-        )
+        maps = {name: values[rows, cols] for name, values in self.maps.items()}
+        face = {name: heights[rows, cols] for name, heights in self.face.items()}
+        valid = None if self.valid is None else self.valid[rows, cols]
+        return TexturedPlane(maps=maps, face=face, valid=valid, grid=self.grid.part(rows, cols))
 
     def texture(self, pixel_um: float, *, slopes: bool = False) -> tuple[Textures, Floats]:
         """Textures on pixels of about a size, with the slopes of its face, in halves by wavelength.
 
         ``(x, y)`` of the middle of the first.
         """
-        factors = [max(int(pixel_um / p + 1e-6), 1) for p in self.grid.pixel_um]
+        row_um, col_um = self.grid.pixel_um
+        row_factor = max(int(pixel_um / row_um + 1e-6), 1)
+        col_factor = max(int(pixel_um / col_um + 1e-6), 1)
         masks = [] if self.valid is None else [self.valid]
         shown_maps = dict(self.maps)
         faces = self.face if slopes else {}
@@ -121,12 +121,9 @@ class TexturedPlane:
             # With noise on them, slopes would take up less of the light than there is.
             is_valid = np.logical_and.reduce([np.isfinite(heights), *masks])
             shown_maps[name] = without_white_noise(heights, is_valid)
-        shown = {
-            k: common_means([m], (factors[0], factors[1]), masks=masks)[0]
-            for k, m in shown_maps.items()
-        }
-        row_um, col_um = self.grid.pixel_um
-        coarse_um = factors[0] * row_um, factors[1] * col_um
+        factors = row_factor, col_factor
+        shown = {k: common_means([m], factors, masks=masks)[0] for k, m in shown_maps.items()}
+        coarse_um = row_factor * row_um, col_factor * col_um
         is_known = np.any([np.isfinite(m) for m in shown.values()], axis=0)
         first = [0.5 * (coarse_um[1] - col_um), 0.5 * (coarse_um[0] - row_um)]
         layer = textures(shown, is_known, coarse_um, band_um=BAND_UM, most_pixels=np.inf)

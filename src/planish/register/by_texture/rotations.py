@@ -24,7 +24,7 @@ from scipy import fft, ndimage, special
 from planish.core.errors import CannotRegister
 from planish.core.threads import map_threads
 from planish.core.transform import Similarity, nearest_similarity
-from planish.core.typing import Floats, Pair, Shape, Singles
+from planish.core.typing import Floats, Ints, Pair, Shape, Singles
 from planish.texture.textures import Textures, tile_sums
 
 BAND_UM = (18.0, 150.0)
@@ -49,6 +49,8 @@ _LEAST_ROTATIONS = 20  # that show how high chance gets
 _INDEPENDENT = 0.25
 _KNOWN = "known pixels"
 Slab = Singles
+Scales = tuple[float, ...]
+Tried = tuple[Similarity, Scales]  # a rotation and hand, and the scales to try there
 Names = tuple[str, str]
 """A map of the moving layer, and that of the fixed one which it is compared with."""
 
@@ -90,10 +92,10 @@ class PlaceSearch:
     @property
     def inverse(self) -> PlaceSearch:
         """The same places, from the fixed layer to the moving one."""
-        turned = (
-            replace(c, names=(c.names[1], c.names[0]), place=c.place.inverse)
-            for c in self.candidates
-        )
+        turned: list[Candidate] = []
+        for c in self.candidates:
+            first, second = c.names
+            turned.append(replace(c, names=(second, first), place=c.place.inverse))
         return replace(self, candidates=tuple(turned))
 
     @property
@@ -184,7 +186,7 @@ class _Steps:
 
     deg: float
     scale: float
-    scales: tuple[float, ...]
+    scales: Scales
     half: float  # the farthest, over the size, that a rotation and scale lies from any tried
 
     @classmethod
@@ -199,7 +201,7 @@ class _Steps:
 
     def tried(
         self, hands: tuple[bool, ...], among: Sequence[Similarity], rough: _Steps | None
-    ) -> Iterator[tuple[Similarity, tuple[float, ...]]]:
+    ) -> Iterator[Tried]:
         """All rotations of all hands, with the scales to try there.
 
         Where some are ``among`` the best after ``rough`` steps, those within half a step of them.
@@ -208,16 +210,17 @@ class _Steps:
             turn = Similarity(rotation_rad=math.radians(k * self.deg), mirrored=hand)
             scales = self.scales
             if rough is not None and among:
-                rows = np.array([t.matrix()[1] for t in among if t.mirrored == hand]).reshape(-1, 2)
-                off = [np.linalg.norm(rows - s * turn.matrix()[1], axis=1) for s in scales]
-                scales = tuple(compress(scales, [(o <= rough.half).any() for o in off]))
+                rows = [t.matrix()[1] for t in among if t.mirrored == hand]
+                scaled_rows = np.outer(scales, turn.matrix()[1])[:, None]
+                off = np.linalg.norm(np.reshape(rows, (-1, 2)) - scaled_rows, axis=2)
+                scales = tuple(compress(scales, (off <= rough.half).any(axis=1)))
             if scales:
                 yield turn, scales
 
-    def about(self, turn: Similarity) -> Iterator[tuple[Similarity, tuple[float, ...]]]:
+    def about(self, turn: Similarity) -> Iterator[Tried]:
         """Rotations between those of the search, with scales between its own."""
-        scales = tuple(turn.scale + self.scale * k / 4.0 for k in (-2, -1, 0, 1, 2))
-        for k in (-2, -1, 0, 1, 2):
+        scales = tuple(turn.scale + self.scale * k / 4.0 for k in range(-2, 3))
+        for k in range(-2, 3):
             rotation_rad = turn.rotation_rad + math.radians(self.deg) * k / 4.0
             yield replace(turn, scale=1.0, rotation_rad=rotation_rad), scales
 
@@ -228,7 +231,8 @@ def _by_null(cells: list[list[_Peak]]) -> Callable[[_Peak], float]:
     for names in {peak.names for peak in cells[0]}:
         peaks = [peak for cell in cells for peak in cell if peak.names == names]
         count = sum(peak.shifts for peak in peaks)
-        null_sd[names] = math.sqrt(sum(peak.squares for peak in peaks) / max(count, 1)) or 1.0
+        square_sum = sum(peak.squares for peak in peaks)
+        null_sd[names] = math.sqrt(square_sum / max(count, 1)) or 1.0
 
     return lambda peak: abs(peak.height) / null_sd[peak.names]
 
@@ -258,7 +262,8 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: i
     if len(unrelated) >= _LEAST_ROTATIONS:
         probability = _exceeded(z(best), np.array([z(p) for p in unrelated]))
     candidates = [scanner.candidate(_finest(scanner, steps, best), z(best))]
-    for peak in sorted((*best_of_cells[1:], *scanner.rivals(best)), key=z, reverse=True):
+    others = (*best_of_cells[1:], *scanner.rivals(best))
+    for peak in sorted(others, key=z, reverse=True):
         other = scanner.candidate(peak, z(peak))
         if not any(scanner.are_one(c, other) for c in candidates):
             candidates.append(other)
@@ -290,7 +295,8 @@ def _exceeded(z: float, chance_z: Floats) -> float:
     x = np.maximum(chance_z / s, 1.2)
     log_sums = special.logsumexp(_log_rates(chance_z / s), axis=1)
     independent = _INDEPENDENT * chance_z.size
-    log_likelihood = -_INDEPENDENT * np.sum(np.log(s) + 0.5 * x**2 - np.log(x**2 - 1.0), axis=1)
+    log_densities = np.log(s) + 0.5 * x**2 - np.log(x**2 - 1.0)
+    log_likelihood = -_INDEPENDENT * np.sum(log_densities, axis=1)
     weights = special.softmax(log_likelihood - independent * log_sums)
     rates = np.exp(np.minimum(_log_rates(z / s[:, 0]) - log_sums, 700.0))
     expected = (chance_z.size + 1) / _INDEPENDENT * rates
@@ -330,28 +336,30 @@ class _Scanner:
         self._names = compared(moving, fixed)
         self.strain = scale_tolerance
         # X, y.
-        self._moving_px, self._fixed_px = (np.array(t.pixel_um[::-1]) for t in (moving, fixed))
+        self._moving_px = np.array(moving.pixel_um[::-1])
+        self._fixed_px = np.array(fixed.pixel_um[::-1])
         shape = np.array(moving.known.shape[::-1])
         self._extent_um, self._middle_px = shape * self._moving_px, 0.5 * (shape - 1)
         self.size_um = math.sqrt(max(moving.area_um2, 1.0))
-        self._splines = {
-            k: np.asarray(ndimage.spline_filter(moving.maps[k]), dtype=np.float32)
-            for k, _ in self._names
-        }
+        self._splines: dict[str, Slab] = {}
+        for name, _ in self._names:
+            spline = ndimage.spline_filter(moving.maps[name])
+            self._splines[name] = np.asarray(spline, dtype=np.float32)
         self._mask = moving.known.astype(np.float32)
         self._most = moving.n * float(np.prod(self._moving_px / self._fixed_px))
         most_um = 1.05 * (1.0 + scale_tolerance) * float(np.hypot(*self._extent_um))
         self._margin = math.ceil(0.5 * most_um / float(self._fixed_px.min())) + 2
-        spans = [_spans(n, max(4 * self._margin, _LEAST_WINDOW)) for n in fixed.known.shape]
-        size = spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]
-        parts = () if is_near else product(spans[0][:-1], spans[1][:-1])
+        most = max(4 * self._margin, _LEAST_WINDOW)
+        rows, cols = (_spans(n, most) for n in fixed.known.shape)
+        size = rows[1] - rows[0], cols[1] - cols[0]
+        parts = () if is_near else product(rows[:-1], cols[:-1])
         self._whole = [self._spectra(first, size) for first in parts]
 
     def half_wave_um(self, names: Names) -> float:
         """Half the mean wave of a map; a pattern that repeats is as good a whole one on."""
         values = self._moving.maps[names[0]]
-        steps = [np.diff(values, axis=k) / self._moving.pixel_um[k] for k in (0, 1)]
-        slope = math.sqrt(sum(float(np.mean(s**2)) for s in steps))
+        slopes = [np.diff(values, axis=k) / p for k, p in enumerate(self._moving.pixel_um)]
+        slope = math.sqrt(sum(float(np.mean(s**2)) for s in slopes))
         return math.pi * float(np.std(values)) / (slope or math.inf)
 
     def reach_um(self, names: Names) -> float:
@@ -376,35 +384,32 @@ class _Scanner:
         is_apart = np.linalg.norm(a.place(points) - b.place(points), axis=-1) > half_wave_um
         side_um = half_wave_um / max(self.strain, 1e-9)
         parts: list[Floats] = []
-        for place, (name, image_name) in ((a.place, a.names), (b.place, b.names)):
-            at_px = np.moveaxis(place(points) / self._fixed_px, -1, 0)[::-1]
-            products = self._moving.maps[name] * ndimage.map_coordinates(
-                self._fixed.maps[image_name], at_px, order=1
-            )
-            parts.append(
-                tile_sums(np.stack([products, is_apart * products]), self._moving.pixel_um, side_um)
-            )
+        for candidate in (a, b):
+            name, image_name = candidate.names
+            at_px = np.moveaxis(candidate.place(points) / self._fixed_px, -1, 0)[::-1]
+            shown = ndimage.map_coordinates(self._fixed.maps[image_name], at_px, order=1)
+            products = self._moving.maps[name] * shown
+            all_and_apart = np.stack([products, is_apart * products])
+            parts.append(tile_sums(all_and_apart, self._moving.pixel_um, side_um))
         (a_all, a_apart), (b_all, b_apart) = parts
         shared = abs(float(np.vdot(a_apart, b_apart)))
         return shared <= _AMBIGUOUS * float(np.linalg.norm(a_all) * np.linalg.norm(b_all))
 
     def turned_um(self, a: Similarity, b: Similarity) -> float:
         """Distance between two places about one middle, rms over the map."""
-        return float(np.linalg.norm((a.matrix() - b.matrix()) * self._extent_um)) / math.sqrt(12.0)
+        spread = (a.matrix() - b.matrix()) * self._extent_um
+        return float(np.linalg.norm(spread)) / math.sqrt(12.0)
 
     def apart_um(self, a: Similarity, b: Similarity) -> float:
         """Distance between two places, rms over the map."""
-        return math.hypot(self.turned_um(a, b), *(a(self.middle_um) - b(self.middle_um)))
+        shift_um = a(self.middle_um) - b(self.middle_um)
+        return math.hypot(self.turned_um(a, b), *shift_um)
 
-    def cell(
-        self, tried: tuple[Similarity, tuple[float, ...]], windows: Sequence[Near | None]
-    ) -> list[_Peak]:
+    def cell(self, tried: Tried, windows: Sequence[Near | None]) -> list[_Peak]:
         """Peaks of all maps at one rotation and hand, and some scales."""
         return [peak for near in windows for peak in self.peaks(*tried, near)]
 
-    def peaks(
-        self, turn: Similarity, scales: tuple[float, ...], near: Near | None
-    ) -> Iterator[_Peak]:
+    def peaks(self, turn: Similarity, scales: Scales, near: Near | None) -> Iterator[_Peak]:
         """The highest correlation of each map at each scale."""
         for scaled, names, height, window, shifts in self._heights(turn, scales, near):
             row, col = divmod(int(np.argmax(np.abs(height))), height.shape[1])
@@ -441,7 +446,7 @@ class _Scanner:
         return nearest_similarity(turn.matrix(), self.middle_um, target_um)
 
     def _heights(
-        self, turn: Similarity, scales: tuple[float, ...], near: Near | None
+        self, turn: Similarity, scales: Scales, near: Near | None
     ) -> Iterator[tuple[Similarity, Names, Slab, _Window, int]]:
         """Heights by the pixel of the map's middle: sums of products over the root of the pairs.
 
@@ -475,16 +480,18 @@ class _Scanner:
             return self._whole
         arm_um = self.middle_um - (near.moving_um or self.middle_um)
         middle_um = near.fixed_um + turn.matrix() @ arm_um
-        radius_px = near.radius_um / self._fixed_px[::-1]
-        first = np.floor(middle_um[::-1] / self._fixed_px[::-1] - radius_px).astype(int)
-        row, col = first.tolist()
-        rows, cols = np.ceil(2.0 * radius_px + 1.0).astype(int).tolist()
+        radius_px = near.radius_um / self._fixed_px
+        first = np.floor(middle_um / self._fixed_px - radius_px).astype(int)
+        col, row = first.tolist()
+        cols, rows = np.ceil(2.0 * radius_px + 1.0).astype(int).tolist()
         return [self._spectra((row, col), (rows, cols))]
 
     def _spectra(self, first: tuple[int, int], count: Shape) -> _Window:
         margin = self._margin
-        sides = zip(first, count, self._fixed.known.shape, strict=True)
-        pixels = [np.arange(max(b - margin, 0), min(b + n + margin, size)) for b, n, size in sides]
+        pixels: list[Ints] = []
+        for start, n, size in zip(first, count, self._fixed.known.shape, strict=True):
+            stop = min(start + n + margin, size)
+            pixels.append(np.arange(max(start - margin, 0), stop))
         source = np.ix_(*pixels)
         target = tuple(k - b + margin for k, b in zip(source, first, strict=True))
         shape = tuple(fft.next_fast_len(n + 2 * margin, real=True) for n in count)
@@ -522,7 +529,8 @@ class _Scanner:
 
         The rows that the part does not fill need no transformation along them.
         """
-        return np.conj(fft.fft(fft.rfft(part, shape[1], axis=1), shape[0], axis=0))
+        by_rows = fft.rfft(part, shape[1], axis=1)
+        return np.conj(fft.fft(by_rows, shape[0], axis=0))
 
     def _lags(
         self,
@@ -537,8 +545,9 @@ class _Scanner:
         """
         along = fft.ifft(window.spectra[name] * part, axis=0, overwrite_x=True)
         row, col = (self._margin - h for h in half)
-        lags = fft.irfft(along[row : row + window.size[0]], window.shape[1], axis=1)
-        return np.ascontiguousarray(lags[:, col : col + window.size[1]], dtype=np.float32)
+        rows, cols = window.size
+        lags = fft.irfft(along[row : row + rows], window.shape[1], axis=1)
+        return np.ascontiguousarray(lags[:, col : col + cols], dtype=np.float32)
 
 
 def _spans(count: int, most: int) -> list[int]:

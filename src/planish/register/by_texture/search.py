@@ -131,8 +131,9 @@ def _nears(
         yield [_given_near(layers, params.near)]
         return
     if holes is not None and all(1 <= h.sizes["mark"] <= _FEW_HOLES for h in holes):
-        first, second = reversed(holes) if layers.swapped else holes
-        centres = (map(pair_of, centres_of(h) / layers.unit_um) for h in (first, second))
+        centres = [map(pair_of, centres_of(h) / layers.unit_um) for h in holes]
+        if layers.swapped:
+            centres.reverse()
         yield [
             Near(fixed_um=b_um, radius_um=_HOLE_UM, moving_um=a_um)
             for a_um, b_um in product(*centres)
@@ -191,11 +192,9 @@ def _searched(
         probability = min(looks * len(guesses) * search.false_probability, 1.0)
         if best is None or probability < best.search.false_probability:
             places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
-            fixed_places = tuple(
-                _between_layers(p, guess, swapped=layers.swapped) for p in places_um
-            )
+            between = partial(_between_layers, scaled=guess, swapped=layers.swapped)
             search = replace(search, false_probability=probability)
-            best = Found(search, places_um[0], guess, fixed_places)
+            best = Found(search, places_um[0], guess, tuple(map(between, places_um)))
         if best.search.is_sure:
             break
     assert best is not None
@@ -298,10 +297,13 @@ def tiles_near(
         # Chance may have moved the tiles of a weak pair; then the map goes worse with the image.
         tiles = max(tiles, _bent_tiles(tiles_at, place, strain), key=lambda t: abs(t.r))
     unit_um = layers.unit_um
+    moving_um = unit_um * (tiles.moving_um + moving_first)
+    fixed_um = unit_um * (tiles.fixed_um + fixed_first) / scaled
+    covariance_um2 = unit_um**2 * tiles.covariance_um2 / scaled**2
     return tiles._replace(
-        moving_um=unit_um * (tiles.moving_um + moving_first),
-        fixed_um=unit_um * (tiles.fixed_um + fixed_first) / scaled,
-        covariance_um2=unit_um**2 * tiles.covariance_um2 / scaled**2,
+        moving_um=moving_um,
+        fixed_um=fixed_um,
+        covariance_um2=covariance_um2,
         shared_um2=unit_um**2 * tiles.shared_um2 / scaled**2,
     )
 
