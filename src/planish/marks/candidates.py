@@ -77,10 +77,11 @@ def blob_responses(raster: Raster, radii_um: Pair) -> dict[float, Raster]:
     # Each radius lies between two widths of a ladder, and their difference is the Laplacian to
     # within a constant. Every width is reached from the one before, which costs little.
     widths = np.append(radii / np.sqrt(2 * ratio), radii[-1] * np.sqrt(ratio / 2))
+    added_widths = np.sqrt(np.diff(widths**2, prepend=0.0))
     responses: dict[float, Raster] = {}
     before = Raster(np.ascontiguousarray(image, dtype=np.float32), raster.pixel_um)
-    for level, step in enumerate(np.sqrt(np.diff(widths**2, prepend=0.0)).tolist()):
-        sigmas = [step / size for size in before.pixel_um]
+    for level, added_width in enumerate(added_widths.tolist()):
+        sigmas = [added_width / size for size in before.pixel_um]
         smooth = ndimage.gaussian_filter(before.image, sigmas, mode="nearest", truncate=3.0)
         if level:
             response = before._replace(image=smooth - before.image)
@@ -103,9 +104,9 @@ class LocalLevels(NamedTuple):
 
     def at_points(self, points: Floats) -> Floats:
         """Return the values at points (n, 2), ``x, y`` in um."""
-        rows, columns = self.values.shape
-        i = np.clip(points[:, 1] / self.side_um[0], 0, rows - 1).astype(np.intp)
-        j = np.clip(points[:, 0] / self.side_um[1], 0, columns - 1).astype(np.intp)
+        squares = points[:, ::-1] / self.side_um
+        last = np.subtract(self.values.shape, 1)
+        i, j = np.clip(squares, 0, last).astype(np.intp).T
         return self.values[i, j]
 
 
@@ -196,7 +197,8 @@ def _local_mean(raster: Raster, width_um: float, steps: tuple[int, int] = (1, 1)
     sample = image.ravel()[:: 1 + image.size // 500_000]
     sample = sample[np.isfinite(sample)]
     typical_grey = np.float32(np.median(sample)) if sample.size else np.float32(0)
-    mean = np.where(has_weight, sums / np.where(has_weight, weights, np.float32(1)), typical_grey)
+    weights[~has_weight] = 1.0
+    mean = np.where(has_weight, sums / weights, typical_grey)
     for n, factor, step in zip(image.shape, (block_rows, block_cols), steps, strict=True):
         # Linear between the middles of the blocks.
         last = len(mean) - 1
@@ -221,7 +223,8 @@ def _block_means(image: Image, factors: tuple[int, int]) -> tuple[Image, Image]:
     blocks = whole.reshape(rows, row_factor, cols, col_factor)
     has_data = np.isfinite(blocks)
     data_share = has_data.mean(axis=(1, 3), dtype=np.float32)
-    sums = np.where(has_data, blocks, 0).mean(axis=(1, 3), dtype=np.float64)
+    filled = np.where(has_data, blocks, 0)
+    sums = filled.mean(axis=(1, 3), dtype=np.float64)
     return (sums / np.maximum(data_share, 1e-12)).astype(np.float32), data_share
 
 
@@ -266,7 +269,8 @@ def _peaks_of_radius(
     padded = np.pad(signed, [(n, n) for n in reach], constant_values=-np.inf)
     offsets = product(*(range(-n, n + 1) for n in reach))
     for i, j in sorted(offsets, key=lambda offset: math.hypot(*offset)):
-        is_top = signed[rows, cols] >= padded[rows + reach[0] + i, cols + reach[1] + j]
+        neighbours = padded[rows + reach[0] + i, cols + reach[1] + j]
+        is_top = signed[rows, cols] >= neighbours
         rows, cols = rows[is_top], cols[is_top]
     places_um = np.column_stack([cols, rows]) * response.pixel_um[::-1]
     points = places_um + response.origin_um
@@ -285,8 +289,9 @@ def _strongest_by_tile(places: Floats, radius: float) -> Bools:
     tiles = np.floor(places[:, :2] / (TILE * radius)).astype(np.int64)
     _, tile, count = np.unique(tiles, axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(tile.ravel(), kind="stable")
+    first_ranks = np.repeat(np.cumsum(count) - count, count)
     rank = np.empty(len(places), np.int64)
-    rank[order] = np.arange(len(places)) - np.repeat(np.cumsum(count) - count, count)
+    rank[order] = np.arange(len(places)) - first_ranks
     return rank < TILE**2 / np.pi
 
 

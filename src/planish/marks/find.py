@@ -228,7 +228,8 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
         is_alike = criteria.share_floor(marks, *limits)
         if is_alike.any():
             sheet = _sheet(coarse, marks[is_alike])
-            marks[is_alike, k.ALIKE] = criteria.is_rare(marks[is_alike], sign * sheet.image)
+            is_rare = criteria.is_rare(marks[is_alike], sign * sheet.image)
+            marks[is_alike, k.ALIKE] = is_rare
         # The sheet's own texture is what is left when everything that looks like a hole is taken
         # out, with its char.
         holes = marks[criteria.is_hole(marks, *limits)]
@@ -245,7 +246,8 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
 def _sheet(raster: Raster, holes: Floats) -> Raster:
     """Give the image without holes; beyond a rim 60 um may be burnt."""
     centres = holes[:, k.CENTRE] - raster.origin_um
-    return candidates.outside(raster, np.column_stack([centres, holes[:, k.RADIUS] + 60.0]))
+    circles = np.column_stack([centres, holes[:, k.RADIUS] + 60.0])
+    return candidates.outside(raster, circles)
 
 
 def _count_rejected(
@@ -311,8 +313,9 @@ def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Fl
     clear_holes = holes[~criteria.is_doubtful(holes)]
     positions = positions[_is_outside(positions, clear_holes, 1.0)]
     x, y = np.ascontiguousarray(positions.T)
+    row_um, col_um = raster.pixel_um
     floor_centres = _rim_kernels.middles_of_floors(
-        raster.image, *raster.pixel_um[::-1], x, y, sign, typical.radius, level
+        raster.image, col_um, row_um, x, y, sign, typical.radius, level
     )
     floor_centres = floor_centres[are_known(floor_centres)]
     # Places beside each other lead to one hole.

@@ -328,9 +328,10 @@ def _is_inside(closed: _Outline, rim: _Outline, least: float) -> bool:
     """
     # As far as a shift of the centre goes, the two are compared on the same ray.
     shift = (closed.x - rim.x) * _COS + (closed.y - rim.y) * _SIN
-    away_count = np.count_nonzero(rim.radii - (closed.radii + shift) > APART * rim.fit[0])
-    is_smaller = least < closed.fit[0] < (1 - SMALLER) * rim.fit[0] and away_count > PART * RAYS
-    return bool(is_smaller and np.sum(closed.weight > 0) > CLOSED * RAYS)
+    distances = rim.radii - (closed.radii + shift)
+    is_apart = np.count_nonzero(distances > APART * rim.fit[0]) > PART * RAYS
+    is_smaller = least < closed.fit[0] < (1 - SMALLER) * rim.fit[0]
+    return bool(is_smaller and is_apart and np.sum(closed.weight > 0) > CLOSED * RAYS)
 
 
 def _closed_rims(

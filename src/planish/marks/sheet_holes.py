@@ -242,12 +242,14 @@ def _other_side(
     if is_through.any():
         moves = centres_of(partners)[partner_rows[is_through]] - centres[is_through]
         offset = np.median(moves, axis=0)
-    axes = [np.arange(n) * step for n, step in zip(material.shape, pixel_um, strict=True)]
+    row_um, col_um = pixel_um
+    rows_um = np.arange(material.shape[0]) * row_um
+    cols_um = np.arange(material.shape[1]) * col_um
     for k in np.flatnonzero(~is_through).tolist():
         radius_um = 0.25 * float(holes["diameter"].values[k])
         x, y = centres[k] + offset
-        dy = axes[0] - y
-        dx = axes[1] - x
+        dy = rows_um - y
+        dx = cols_um - x
         rows = np.flatnonzero(np.abs(dy) <= radius_um)
         cols = np.flatnonzero(np.abs(dx) <= radius_um)
         distances = np.hypot(dy[rows][:, None], dx[cols])
@@ -313,7 +315,9 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
 
 
 def _shifted(holes: xr.Dataset, offset: Sequence[float] | Floats) -> xr.Dataset:
-    x, y = (holes[k].copy(data=holes[k].values + d) for k, d in zip("xy", offset, strict=True))
+    dx, dy = offset
+    x = holes["x"].copy(data=holes["x"].values + dx)
+    y = holes["y"].copy(data=holes["y"].values + dy)
     return holes.assign(x=x, y=y)
 
 
@@ -325,8 +329,8 @@ def _partners(centres: Floats, candidate_centres: Floats, reach: Floats) -> Ints
     rows = np.full(len(centres), -1)
     if not len(centres) or not len(candidate_centres):
         return rows
-    nearest = np.asarray(KDTree(candidate_centres).query(centres)[1], dtype=np.intp)
-    reverse_nearest = np.asarray(KDTree(centres).query(candidate_centres)[1], dtype=np.intp)
+    nearest = np.asarray(KDTree(candidate_centres).query(centres)[1])
+    reverse_nearest = np.asarray(KDTree(centres).query(candidate_centres)[1])
     distances = np.hypot(*(candidate_centres[nearest] - centres).T)
     is_mutual = (reverse_nearest[nearest] == np.arange(len(centres))) & (distances <= reach)
     rows[is_mutual] = nearest[is_mutual]
@@ -342,8 +346,9 @@ def _openings(share: NDArray[np.generic], pixel_um: Pair, centres: Floats, least
     has_data = np.isfinite(material)
     regions = np.asarray(ndimage.label((material < MATERIAL) | ~has_data)[0])
     sizes = np.bincount(regions.ravel()) * pixel_um[0] * pixel_um[1]
-    for border in (regions[[0, -1]], regions[:, [0, -1]], regions[~has_data]):
-        sizes[border] = 0.0
+    sizes[regions[[0, -1]]] = 0.0
+    sizes[regions[:, [0, -1]]] = 0.0
+    sizes[regions[~has_data]] = 0.0
     places = np.rint(centres[:, ::-1] / pixel_um).astype(np.intp)
     rows, cols = np.clip(places, 0, np.subtract(share.shape, 1)).T
     sizes[regions[rows, cols]] = 0.0

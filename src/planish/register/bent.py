@@ -81,12 +81,16 @@ class Bent(NearSimilarity):
 
     def add_bends(self, scaled_points: Floats, out: Floats) -> None:
         """Add the local changes at scaled points (n, 2) to ``out`` (n, 2), in um."""
-        bends = [(value, bend) for value, _, bend in self.bends() if np.any(bend)]
-        if bends:
-            x, y = (scaled_points[:, None, i] - self.nodes[:, i] for i in range(2))
-            squares = x**2 + y**2
-            for value, bend in bends:
+        x, y = self._offsets(scaled_points)
+        squares = x**2 + y**2
+        for value, _, bend in self.bends():
+            if np.any(bend):
                 out += value(squares) @ bend
+
+    def _offsets(self, scaled_points: Floats) -> tuple[Floats, Floats]:
+        """Differences of points from all nodes along x and y, (points, nodes) each."""
+        x, y = (scaled_points[:, None, i] - self.nodes[:, i] for i in range(2))
+        return x, y
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``.
@@ -96,15 +100,14 @@ class Bent(NearSimilarity):
         points_um = np.asarray(points, dtype=np.float64)
         scaled_points = (points_um.reshape(-1, 2) - self.source) / self.size
         out = np.broadcast_to(self.affine[1:].T, (len(scaled_points), 2, 2)).copy()
-        bends = [(slope, bend) for _, slope, bend in self.bends() if np.any(bend)]
-        if bends:
-            for part in self._parts(scaled_points):
-                offsets = [scaled_points[part, None, i] - self.nodes[:, i] for i in range(2)]
-                squares = offsets[0] ** 2 + offsets[1] ** 2
-                for slope, bend in bends:
+        for part in self._parts(scaled_points):
+            x, y = self._offsets(scaled_points[part])
+            squares = x**2 + y**2
+            for _, slope, bend in self.bends():
+                if np.any(bend):
                     slopes = slope(squares)
-                    for i in range(2):
-                        out[part, :, i] += (slopes * offsets[i]) @ bend
+                    out[part, :, 0] += (slopes * x) @ bend
+                    out[part, :, 1] += (slopes * y) @ bend
         return (out / self.size).reshape(*points_um.shape[:-1], 2, 2)
 
     @property
@@ -156,7 +159,8 @@ class _Inverse:
         sources = starts - np.clip(step, -0.125 * self.around, 0.125 * self.around)
         if bent.everywhere:
             is_edge = np.any((starts == self.low) | (starts == self.high), axis=1)
-            scaled = (targets[is_edge] - bent.affine[0]) @ np.linalg.inv(bent.affine[1:])
+            to_scaled = np.linalg.inv(bent.affine[1:])
+            scaled = (targets[is_edge] - bent.affine[0]) @ to_scaled
             sources[is_edge] = scaled * bent.size + bent.source
         error = bent(sources) - targets
         # What rounding leaves of the sum of kernels.
@@ -199,9 +203,11 @@ def _solve(jacobian: Floats, error: Floats) -> Floats:
     """Solve 2 x 2 systems; a singular one gives what is not finite."""
     a, b, c, d = jacobian.reshape(-1, 4).T
     det = a * d - b * c
-    x = (d * error[:, 0] - b * error[:, 1]) / det
-    y = (a * error[:, 1] - c * error[:, 0]) / det
-    return np.nan_to_num(np.stack([x, y], axis=1), nan=0.0, posinf=0.0, neginf=0.0)
+    error_x, error_y = error.T
+    x = (d * error_x - b * error_y) / det
+    y = (a * error_y - c * error_x) / det
+    steps = np.stack([x, y], axis=1)
+    return np.nan_to_num(steps, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 # Local strain from which on a fit warns.
@@ -255,7 +261,8 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     mean = float(np.mean(areas))
     stretches = np.linalg.svd(jacobians, compute_uv=False) / np.sqrt(mean) - 1.0
     if len(points) > 1:
-        worst_place = points[int(np.argmax(np.abs(stretches).max(axis=1)))]
+        largest = np.abs(stretches).max(axis=1)
+        worst_place = points[int(np.argmax(largest))]
     return LocalStrain(
         area=range_of(areas / mean), stretch=range_of(stretches), at_um=pair_of(worst_place)
     )

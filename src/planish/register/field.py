@@ -103,7 +103,7 @@ class DeviationField:
         self._unit = float(np.median(pairs.weights))
         self._whitening = pairs.whitening() / np.sqrt(self._unit)
         design = self._columns(self.nodes)
-        target = whitened(self._whitening, pairs.fixed.reshape(-1, 1))[:, 0]
+        target = whitened(self._whitening, pairs.fixed.reshape(-1, 1)).ravel()
         columns = whitened(self._whitening, design.reshape(-1, 6))
         # All else is small beside this similarity.
         self._first = np.zeros(6)
@@ -132,7 +132,8 @@ class DeviationField:
 
         By shift, scale and turn, and by the affine deviation.
         """
-        x, y = (-scaled[:, 0] if self.mirrored else scaled[:, 0]), scaled[:, 1]
+        x, y = scaled.T
+        x = -x if self.mirrored else x
         ones = np.ones(len(scaled))
         zeros = np.zeros(len(scaled))
         rows = [[ones, zeros, x, -y, x, y], [zeros, ones, y, x, -y, x]]
@@ -162,7 +163,8 @@ class DeviationField:
         weighted = shrinkage[:, None] * design.T  # (g, 6, 2n)
         gram, projected = weighted @ design, weighted @ y
         coefficient_cov = np.zeros((len(_AFFINE), len(_FIELD), 6, 6))
-        coefficient_cov[0, :, :4, :4] = np.linalg.inv(gram[:, :4, :4])
+        similarity_gram = gram[:, :4, :4]
+        coefficient_cov[0, :, :4, :4] = np.linalg.inv(similarity_gram)
         penalty = np.diag([0.0, 0, 0, 0, 1, 1])
         penalised = gram + penalty / _AFFINE[1:, None, None, None]
         coefficient_cov[1:] = np.linalg.inv(penalised)
@@ -171,8 +173,10 @@ class DeviationField:
         misfit = np.maximum(residual_squares, 0.0) + max(self.freedom, 1) * misfit_floor
         log_shrinkage = 0.5 * np.sum(np.log(shrinkage), axis=1)
         log_posterior = np.tile(log_shrinkage, (len(_AFFINE), 1))
-        log_posterior[0] -= 0.5 * np.linalg.slogdet(gram[:, :4, :4])[1]
-        log_posterior[1:] -= 0.5 * np.linalg.slogdet(penalised)[1] + np.log(_AFFINE[1:, None])
+        _, log_determinants = np.linalg.slogdet(similarity_gram)
+        log_posterior[0] -= 0.5 * log_determinants
+        _, log_determinants = np.linalg.slogdet(penalised)
+        log_posterior[1:] -= 0.5 * log_determinants + np.log(_AFFINE[1:, None])
         log_posterior -= 0.5 * self.freedom * np.log(misfit)
         log_posterior += _log_prior(_FIELD) + _log_prior(_AFFINE)[:, None]
         return _KernelFit(
@@ -206,8 +210,9 @@ class DeviationField:
             coefficients = self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1)
             kernel_coefficients[k] = coefficients[..., 0]
         # Coefficients of `_columns` as those of ``(1, x, y)``.
-        corners = self._columns(np.array([[0.0, 0], [1, 0], [0, 1]]))
-        plane = np.einsum("kcp,p->kc", corners, plane_coefficients + self._first)
+        corners = np.array([[0.0, 0], [1, 0], [0, 1]])
+        corner_columns = self._columns(corners)
+        plane = np.einsum("kcp,p->kc", corner_columns, plane_coefficients + self._first)
         plane[1:] -= plane[:1]
         kernels = tuple(KERNELS[k] for k in kernel_coefficients)
         return plane, kernels, np.array(list(kernel_coefficients.values()))

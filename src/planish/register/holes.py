@@ -80,14 +80,8 @@ def register_marks(
     if pattern is None:
         matched = match_marks(*points, names=names, **options)
     else:
-        matched = match_by_design(
-            *points,
-            pattern.places_um,
-            labels=pattern.labels,
-            name=pattern.name,
-            names=names,
-            **options,
-        )
+        options |= {"labels": pattern.labels, "name": pattern.name}
+        matched = match_by_design(*points, pattern.places_um, names=names, **options)
         if (count := len(matched.pairs)) < 3:
             raise CannotRegister(
                 f"Only {count} designed holes are found in both the {moving_name} and the"
@@ -95,7 +89,8 @@ def register_marks(
             )
     i, j = matched.pairs.T
     is_mirrored = matched.mirrored != is_facing
-    fit = fit_pairs(moving.isel(mark=i), fixed.isel(mark=j), params=params, mirrored=is_mirrored)
+    sides = (moving.isel(mark=i), fixed.isel(mark=j))
+    fit = fit_pairs(*sides, params=params, mirrored=is_mirrored)
     return fit, matched
 
 

@@ -111,7 +111,8 @@ def match_marks(
     target = _usable_points(fixed, f"marks of the {names[1]}", _HINT)
     sides_text = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
     limits = (scale_tolerance, tolerance_um)
-    choice = choose(source, target, *limits, hands=(False, True) if mirror else (False,))
+    hands = (False, True) if mirror else (False,)
+    choice = choose(source, target, *limits, hands=hands)
     mirror_choice = BestMatch() if mirror else choose(source, target, *limits, hands=(True,))
     count = len(choice.pairs)
     smaller_count = min(len(source), len(target))
@@ -157,7 +158,8 @@ def match_marks(
 
 
 def _has_alike(triangle: Floats, within_um: float) -> bool:
-    lengths = np.sort(np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1))
+    sides = triangle - np.roll(triangle, 1, axis=0)
+    lengths = np.sort(np.linalg.norm(sides, axis=1))
     return bool(np.diff(lengths).min() < within_um)
 
 

@@ -91,7 +91,7 @@ def choose(
     # tolerance.
     largest_um = float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um))
     rows = np.flatnonzero(squares <= largest_um**2)
-    pairs = np.stack([rows, arrangements.partner[best][rows].astype(np.intp)], axis=1)
+    pairs = np.stack([rows, arrangements.partner[best][rows]], axis=1)
     pairs = pairs[:, ::-1] if is_swapped else pairs
     moved_points = arrangements.landed[best]
     # Of the marks of the smaller side that lie in the field of the other, 35 % have to agree.
@@ -244,7 +244,7 @@ def _log_evidence(
     count = len(points)
     is_paired = symmetries.partner >= 0
     is_moved = is_paired & (np.abs(symmetries.landed - points) > 2.0 * tolerance)
-    columns = np.maximum(symmetries.partner, 0).astype(np.intp)
+    columns = np.maximum(symmetries.partner, 0)
     reverse_partner = np.take_along_axis(symmetries.partner, columns, axis=1)
     is_mutual = is_moved & (reverse_partner == np.arange(count))
     moved_counts = is_moved.sum(axis=1)

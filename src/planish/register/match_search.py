@@ -7,7 +7,7 @@ agree are counted, and the best are refitted with a little stretch allowed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import lgamma, log, log10
+from math import comb, log10
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,6 +82,7 @@ def search(
     reaches = np.array([wide_reach, 0.5 * (wide_reach + reach), reach, reach, reach])
     # Localisation error that the stretch is weighed against, as a share of the tolerance.
     ridge = (0.16 * tolerance_um / (0.5 * STRETCH)) ** 2
+    soft = (0.5 * tolerance_um) ** 2
     hand_arrangements: list[Arrangements] = []
     for hand in hands:
         points = -np.conj(a) if hand else a
@@ -94,9 +95,7 @@ def search(
         if len(best_rows) > _MOST_REFINED:
             order = np.argsort(-counts[best_rows].astype(np.intp), kind="stable")
             best_rows = np.sort(best_rows[order[:_MOST_REFINED]])
-        refined = _kernels.refine(
-            seeds[best_rows], points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells
-        )
+        refined = _kernels.refine(seeds[best_rows], points, b, reaches, soft, ridge, *cells)
         scale = np.abs(refined[2])
         is_possible = (np.abs(scale - 1.0) <= scale_reach) & (scale >= 0.45)
         hand_arrangements.append(
@@ -151,13 +150,14 @@ def bounds_of(b: Complexes, margin: float = 0.0) -> tuple[float, float, float, f
 
 def extents(b: Complexes) -> Pair:
     """Long and short side of the field of the marks along its own axes, in um."""
-    centred = np.stack([b.real - b.real.mean(), b.imag - b.imag.mean()], axis=1)
+    x, y = b.real, b.imag
+    centred = np.stack([x - x.mean(), y - y.mean()], axis=1)
     _, own_axes = np.linalg.eigh(centred.T @ centred)
     short_um, long_um = sorted(np.ptp(centred @ own_axes, axis=0).tolist())
     return long_um, short_um
 
 
-def share_within(radius: Floats, b: Complexes, tolerance_um: float) -> Floats:
+def share_within(radius: Any, b: Complexes, tolerance_um: float) -> Any:
     """Probability that a point anywhere in the field lies within ``radius`` of a mark of ``b``."""
     long_side, short_side = extents(b)
     along = np.minimum(1.0, 2 * radius / max(long_side, tolerance_um))
@@ -170,9 +170,9 @@ def marks_needed(n: int, b: Complexes, tests: int, tolerance_um: float) -> int:
 
     ``n + 1`` where none is enough.
     """
-    share_near = float(share_within(np.array([0.3 * tolerance_um]), b, tolerance_um)[0])
+    share_near = float(share_within(0.3 * tolerance_um, b, tolerance_um))
     for k in range(3 if n == 3 else 4, n + 1):
-        log_tests = log10(max(tests, 1) * (n - 2)) + _log10_choose(n - 2, k - 2)
+        log_tests = log10(max(tests, 1) * (n - 2)) + log10(comb(n - 2, k - 2))
         if log_tests + (k - 2) * log10(share_near) <= ACCEPTED:
             return k
     return n + 1
@@ -208,13 +208,15 @@ def _hypotheses(
     target_pairs = target[first[base_rows] + target_index]
     turned_rows = np.flatnonzero(is_turned)
     target_pairs[turned_rows] = target_pairs[turned_rows, ::-1]
-    return (base, first, start, target), np.concatenate([base[base_rows], target_pairs], axis=1)
+    seeds = np.concatenate([base[base_rows], target_pairs], axis=1)
+    return (base, first, start, target), seeds
 
 
 def _by_length(points: Complexes) -> tuple[Ints, Floats]:
     """All pairs of points (k, 2), the shortest first, and their lengths (k,)."""
     pairs = np.stack(np.triu_indices(len(points), 1), axis=1)
-    lengths = np.abs(points[pairs[:, 1]] - points[pairs[:, 0]])
+    i, j = pairs.T
+    lengths = np.abs(points[j] - points[i])
     order = np.argsort(lengths, kind="stable")
     return pairs[order], lengths[order]
 
@@ -226,7 +228,7 @@ def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np
     """
     bounds = x0, x1, y0, y1 = bounds_of(b, reach)
     largest_raster = np.sqrt((x1 - x0) * (y1 - y0) / 1_500_000)
-    size = float(max(reach / 3.0, largest_raster, max(x1 - x0, y1 - y0) / 20000.0))
+    size = max(reach / 3.0, largest_raster, (x1 - x0) / 20000.0, (y1 - y0) / 20000.0)
     (x0, y0, _, rows, columns), row, column = _on_raster(b, bounds, size)
     near = np.zeros((rows, columns), np.uint8)
     steps = np.arange(-int(reach / size) - 2, int(reach / size) + 3)
@@ -248,8 +250,8 @@ def _on_raster(
 ) -> tuple[tuple[float, float, float, int, int], Ints, Ints]:
     """Lay a raster over bounds: ``x0, y0, size, rows, columns``; and each mark's row and column."""
     x0, x1, y0, y1 = bounds
-    x0 = float(x0 - 2 * size)
-    y0 = float(y0 - 2 * size)
+    x0 -= 2 * size
+    y0 -= 2 * size
     rows = int((y1 - y0) / size) + 3
     columns = int((x1 - x0) / size) + 3
     row = ((b.imag - y0) / size).astype(np.intp)
@@ -267,7 +269,7 @@ def _cells(
     bounds = x0, x1, y0, y1 = bounds_of(b)
     # Never more than about a million cells, however large the field.
     most_cells = np.sqrt((x1 - x0 + 4 * reach) * (y1 - y0 + 4 * reach) / 1e6)
-    size = float(max(reach, most_cells, max(x1 - x0, y1 - y0) / 1e5))
+    size = max(reach, most_cells, (x1 - x0) / 1e5, (y1 - y0) / 1e5)
     raster, row, column = _on_raster(b, bounds, size)
     *_, rows, columns = raster
     near = np.arange(-1, 2)
@@ -301,11 +303,7 @@ def log_chance(
         spread = np.sqrt(power / np.maximum(agreeing_counts, 1))
         stretches = np.where(freedom > 2.0, 0.5 * STRETCH * spread, 0.0)[:, None] / radius
         log_stretches = np.log10(np.maximum(1.0, np.pi * stretches**2))
-        log_choices = np.array([_log10_choose(n - 2, chosen) for chosen in range(1, n - 1)])
+        log_choices = np.array([log10(comb(n - 2, chosen)) for chosen in range(1, n - 1)])
         log_tests = log10(max(tests, 1) * (n - 2)) + log_choices
         log_counts = log_tests + (k - 2) * np.log10(shares) + log_stretches
     return np.where(np.isfinite(worst_squares), log_counts, np.inf).min(axis=1)
-
-
-def _log10_choose(n: int, k: int) -> float:
-    return (lgamma(n + 1) - lgamma(k + 1) - lgamma(n - k + 1)) / log(10.0)

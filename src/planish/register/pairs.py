@@ -47,7 +47,7 @@ class Pairs:
     @property
     def isotropic(self) -> bool:
         """True where no pair knows a direction better than the other."""
-        return bool(np.all(self.information == self.information[:, :1, :1] * np.eye(2)))
+        return np.array_equal(self.information, self.information[:, :1, :1] * np.eye(2))
 
     def take(self, which: Ints | Bools) -> Pairs:
         """Return some of the pairs."""
@@ -60,11 +60,11 @@ class Pairs:
 
         ``U @ error`` has equal, free parts.
         """
-        info = self.information
-        a = np.sqrt(info[:, 0, 0])
+        xx, xy, _, yy = self.information.reshape(-1, 4).T
+        a = np.sqrt(xx)
         with np.errstate(invalid="ignore", divide="ignore"):
-            b = np.where(a > 0, info[:, 0, 1] / a, 0.0)
-        c = np.sqrt(np.maximum(info[:, 1, 1] - b * b, 0.0))
+            b = np.where(a > 0, xy / a, 0.0)
+        c = np.sqrt(np.maximum(yy - b * b, 0.0))
         return np.stack([a, b, 0.0 * c, c], axis=-1).reshape(-1, 2, 2)
 
     def frame(self) -> tuple[Floats, float]:
@@ -79,12 +79,14 @@ class Pairs:
 
 def whitened(whitening: Floats, rows: Floats) -> Floats:
     """Multiply the 2 x 2 blocks (n, 2, 2) of a whitening to rows (2n, k)."""
-    return (whitening @ rows.reshape(len(whitening), 2, -1)).reshape(rows.shape)
+    blocks = rows.reshape(len(whitening), 2, -1)
+    return (whitening @ blocks).reshape(rows.shape)
 
 
 def solved(matrices: Floats, vectors: Floats) -> Floats:
     """Solve linear equations for vectors (..., p)."""
-    return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)
+    solutions = np.linalg.solve(matrices, vectors[..., None])
+    return np.asarray(solutions[..., 0], dtype=np.float64)
 
 
 def on_both_axes(rows: Floats) -> Floats:
@@ -99,14 +101,15 @@ def squared_distances(places: Floats, targets: Floats) -> Floats:
 
 def inverse_of(blocks: Floats) -> Floats:
     """Inverse of symmetric 2 x 2 blocks (n, 2, 2); NaN stays NaN."""
-    a, b, c = blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 1, 1]
+    a, b, _, c = blocks.reshape(-1, 4).T
     adjugates = np.stack([c, -b, -b, a], axis=-1).reshape(-1, 2, 2)
     return adjugates / (a * c - b * b)[:, None, None]
 
 
 def as_complex(points: Floats, mirrored: bool) -> Complexes:
     """Points as ``x + iy``, or ``-x + iy`` where mirrored."""
-    return (-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]
+    x, y = points[..., 0], points[..., 1]
+    return (-x if mirrored else x) + 1j * y
 
 
 def check_pairs(
@@ -189,7 +192,8 @@ def weighted_rms(lengths: Floats, weights: Floats) -> float:
     What has no weight counts for nothing, also where it is NaN.
     """
     used = weights > 0
-    return float(np.sqrt(np.sum(weights[used] * lengths[used] ** 2) / np.sum(weights)))
+    square_sum = np.sum(weights[used] * lengths[used] ** 2)
+    return float(np.sqrt(square_sum / np.sum(weights)))
 
 
 def points_of(marks: ArrayLike, name: str) -> Floats:
@@ -213,7 +217,7 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
     """
     weights = np.ones(n) if weights is None else np.array(weights, dtype=np.float64)
     if weights.shape == (n,):
-        if not (np.all(np.isfinite(weights)) and np.all(weights >= 0.0)):
+        if not np.all(np.isfinite(weights) & (weights >= 0.0)):
             faults.append("weights have to be finite and not negative")
         return weights[:, None, None] * np.eye(2)
     if weights.shape != (n, 2, 2):

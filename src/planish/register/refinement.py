@@ -79,7 +79,7 @@ class FreeForm:
         axes = zip(counts, self.origin_um[::-1], self.mesh_um[::-1], strict=True)
         knots = tuple(first + mesh * (np.arange(n + 4) - 2.0) for n, first, mesh in axes)
         spline: Any = NdBSpline(knots, np.moveaxis(self.coefficients_um, 0, -1), 3)
-        return np.asarray(spline(points[..., ::-1], nu=nu), dtype=np.float64)
+        return spline(points[..., ::-1], nu=nu)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -257,7 +257,8 @@ def _assess(
         )
     if faults and options.bounded:
         raise CannotRegister(faults[0])
-    strain = float(np.abs(np.linalg.svd(jacobians, compute_uv=False) - 1.0).max())
+    stretches = np.linalg.svd(jacobians, compute_uv=False)
+    strain = float(np.abs(stretches - 1.0).max())
     if strain > NOTABLE:
         faults.append(
             f"The refinement strains the map by up to {100 * strain:.1f} %. Paper strains by"
@@ -297,7 +298,8 @@ def _search(
     """
     unit_um = pixel_um[1]
     images: list[Any] = []
-    for values in (*maps, *(mask.astype(np.uint8) for mask in masks)):
+    mask_images = [mask.astype(np.uint8) for mask in masks]
+    for values in (*maps, *mask_images):
         itk_image = itk.GetImageFromArray(values)
         itk_image.SetSpacing((1.0, pixel_um[0] / unit_um))
         images.append(itk_image)
@@ -346,14 +348,13 @@ def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affi
         a, b, c, d = fitted.GetMatrix()
         centre = np.array(fitted.GetCenter())
         target = centre + np.array(fitted.GetTranslation())
-        return Affine(
-            linear=((a, b), (c, d)),
-            source=pair_of(centre * unit_um + first_um),
-            target=pair_of(target * unit_um + first_um),
-        )
+        source_um = pair_of(centre * unit_um + first_um)
+        target_um = pair_of(target * unit_um + first_um)
+        return Affine(linear=((a, b), (c, d)), source=source_um, target=target_um)
     coefficient_images = fitted.GetCoefficientImages()
-    origin_um = pair_of(np.array(coefficient_images[0].GetOrigin()) * unit_um + first_um)
-    mesh_um = pair_of(np.array(coefficient_images[0].GetSpacing()) * unit_um)
+    first_image = coefficient_images[0]
+    origin_um = pair_of(np.array(first_image.GetOrigin()) * unit_um + first_um)
+    mesh_um = pair_of(np.array(first_image.GetSpacing()) * unit_um)
     coefficients = np.stack([itk.GetArrayFromImage(c) for c in coefficient_images])
     coefficients_um = coefficients.astype(np.float64) * unit_um
     return FreeForm(coefficients_um=coefficients_um, origin_um=origin_um, mesh_um=mesh_um)

@@ -49,9 +49,9 @@ class RigidModel(ParametricModel):
                     break
                 last_length = step_length
         shift = middle - turn * z_mean
-        return Similarity(
-            rotation_rad=float(np.angle(turn)), shift_um=(shift.real, shift.imag), mirrored=mirrored
-        )
+        angle = float(np.angle(turn))
+        shift_um = (shift.real, shift.imag)
+        return Similarity(rotation_rad=angle, shift_um=shift_um, mirrored=mirrored)
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, turn."""
@@ -80,9 +80,8 @@ class SimilarityModel(ParametricModel):
             )
         design = similarity_columns(as_complex(pairs.moving - middle, mirrored) / size)
         target = pairs.share @ pairs.fixed
-        beta_x, beta_y, a, b = least_squares(
-            pairs.whitening(), design, pairs.fixed - target, self.name
-        )
+        error = pairs.fixed - target
+        beta_x, beta_y, a, b = least_squares(pairs.whitening(), design, error, self.name)
         _refuse_no_rotation(complex(a, b) / size, 1.0)
         scale = float(np.hypot(a, b)) / size
         angle = float(np.arctan2(b, a))
@@ -188,7 +187,8 @@ class ProjectiveModel(ParametricModel):
         refuse_line(pairs, self.name)
         share = pairs.share
         target = share @ pairs.fixed
-        target_size = float(np.sqrt(share @ np.sum((pairs.fixed - target) ** 2, axis=1)))
+        squares = np.sum((pairs.fixed - target) ** 2, axis=1)
+        target_size = float(np.sqrt(share @ squares))
 
         def build(h: Floats) -> Projective:
             row_1, row_2, row_3 = map(tuple, (h / h[2, 2]).tolist())
@@ -250,7 +250,7 @@ class ProjectiveModel(ParametricModel):
 
 def _direct_linear(moving: Floats, fixed: Floats, weight_roots: Floats) -> Floats:
     """Homography (3, 3) with the least algebraic error, from points scaled to size 1."""
-    homogeneous = np.concatenate([moving, np.ones((len(moving), 1))], axis=1)
+    homogeneous = np.column_stack([moving, np.ones(len(moving))])
     equations = np.zeros((len(moving), 2, 9))
     equations[:, 0, 0:3] = equations[:, 1, 3:6] = homogeneous
     equations[:, :, 6:9] = -fixed[:, :, None] * homogeneous[:, None, :]

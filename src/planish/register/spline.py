@@ -121,7 +121,7 @@ class Smoothing:
         self.span, self.triangle = full[:, :6], triangle[:6]
         self.target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
         offsets = (pairs.fixed - self.target).reshape(-1, 1)
-        self.y = whitened(self.whitening, offsets)[:, 0]
+        self.y = whitened(self.whitening, offsets).ravel()
         complement = full[:, 6:]
         projected_kernel = complement.T @ self.kernel @ complement
         eigenvalues, vectors = eigh(0.5 * (projected_kernel + projected_kernel.T))
@@ -156,13 +156,13 @@ class Smoothing:
         from scipy.optimize import minimize_scalar
 
         top = float(self.eigenvalues.max()) * self.size**2
-        logs = np.linspace(np.log(1e-9 * top), np.log(1e3 * top), 33)
+        logs = np.linspace(np.log(1e-9 * top), np.log(1e3 * top), 33).tolist()
         costs = np.array([self._cost(float(np.exp(v))) for v in logs])
         best = int(np.flatnonzero(costs <= costs.min() * (1 + 1e-9))[-1])
         chosen = float(np.exp(logs[best]))
         least = float(costs[best])
         if 0 < best < len(logs) - 1:
-            bracket = (float(logs[best - 1]), float(logs[best + 1]))
+            bracket = (logs[best - 1], logs[best + 1])
             optimum = minimize_scalar(
                 lambda v: self._cost(float(np.exp(v))), bounds=bracket, method="bounded"
             )

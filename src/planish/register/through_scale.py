@@ -86,9 +86,11 @@ def find_through_scale(
     whose variance is found by restricted maximum likelihood (Rasmussen and Williams 2006, section
     2.7); what is not certain about variances is averaged over.
     """
-    rows = np.flatnonzero((pairs.weights > 0) & np.isfinite(places).all(axis=(0, 2)))
+    is_placed = np.isfinite(places).all(axis=(0, 2))
+    rows = np.flatnonzero(is_placed & (pairs.weights > 0))
     if rows.size > _MOST:
-        rows = rows[np.linspace(0, rows.size - 1, _MOST).round().astype(np.intp)]
+        chosen = np.linspace(0, rows.size - 1, _MOST).round()
+        rows = rows[chosen.astype(np.intp)]
     if rows.size < _LEAST or scales.size < 4:
         return None
     used_pairs = pairs.take(rows)
@@ -100,7 +102,7 @@ def find_through_scale(
     spread = rms_length(target)
     # Lengths go with the square of the slope.
     spline = make_interp_spline(scales**2, places[:, rows], k=3)
-    fine_scales = np.unique(np.append(np.geomspace(scales[0], scales[-1], _STEPS), 1.0))
+    fine_scales = np.union1d(np.geomspace(scales[0], scales[-1], _STEPS), 1.0)
     designs = _centred(spline(fine_scales**2), mirrored) / spread
     marks_precision, precision = _precisions(designs, target, used_pairs, spread)
     _, misfit = _solved(designs, target, precision)
@@ -121,6 +123,7 @@ def find_through_scale(
     _, (most_stretch, least_stretch), right_vectors = np.linalg.svd(linear)
     direction_x, direction_y = right_vectors[0]
     over_stretch = affine_misfit + np.log(2 * rows.size) - misfit[best]
+    direction_deg = float(np.degrees(np.arctan2(direction_y, direction_x)))
     return ThroughScale(
         scale=float(fine_scales[best]),
         error=t_factor * _toward_one(fine_scales, misfit, best, one_index),
@@ -128,7 +131,7 @@ def find_through_scale(
         evidence=float(misfit[one_index] - misfit[best]),
         without_any=_without_any(designs, target, precision, one_index),
         stretch=float(most_stretch / least_stretch - 1),
-        stretch_deg=float(np.degrees(np.arctan2(direction_y, direction_x))) % 180,
+        stretch_deg=direction_deg % 180,
         over_stretch=float(over_stretch),
         marks=int(rows.size),
     )
@@ -196,7 +199,8 @@ def _precisions(
     precision = block_diag(*information)
     free, misfit = _free_columns(designs, target, precision)
     # Standard deviation of either part of a shear of the paper: a stretch of 0.14 %, rms.
-    shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1)
+    exchanged = target[:, ::-1]
+    shears = np.stack([target * [1, -1], exchanged], axis=-1)
     strains = shears.reshape(2 * n, 2) * 0.0005
     squares = squared_distances(target, target) / spread**2
     # Smooth displacements: their reach over the spread of the marks, and their variance over that
@@ -235,7 +239,9 @@ def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[F
     (explained,), _ = _solved(designs[[best]], slope, precision)
     slope = slope - designs[best] @ explained
     length = float(np.linalg.norm(slope))
-    columns = [designs[best], slope[..., None] / length] if length > 1e-6 else [designs[best]]
+    columns = [designs[best]]
+    if length > 1e-6:
+        columns.append(slope[..., None] / length)
     return np.concatenate(columns, axis=-1), float(misfit[best])
 
 

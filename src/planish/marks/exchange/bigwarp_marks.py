@@ -59,10 +59,8 @@ def read(content: Content) -> list[PointList]:
     labels = [row.cells[0] or f"row {row.line}" for row in rows]
     used = [_STATES[row.cells[1].lower()] for row in rows]
     list_of = partial(PointList, labels=labels, used=used, unit="um", stated=False)
-    return [
-        list_of(title="moving", points=sides[:, 0]),
-        list_of(title="target", points=sides[:, 1]),
-    ]
+    moving, target = sides.swapaxes(0, 1)
+    return [list_of(title="moving", points=moving), list_of(title="target", points=target)]
 
 
 def _coordinates(row: CsvRow, rows: Rows, faults: list[str]) -> list[float | None]:

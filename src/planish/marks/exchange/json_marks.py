@@ -177,7 +177,9 @@ def _places(layer_places: Sequence[_Place | None]) -> MarkPlaces:
             if place.covariance_um2 is not None:
                 spread[k] = place.covariance_um2
     extras = {name: _column(layer_places, key) for name, key in _POSITION.items()}
-    extras |= {"cov_xx": spread[:, 0, 0], "cov_xy": spread[:, 0, 1], "cov_yy": spread[:, 1, 1]}
+    extras["cov_xx"] = spread[:, 0, 0]
+    extras["cov_xy"] = spread[:, 0, 1]
+    extras["cov_yy"] = spread[:, 1, 1]
     um = um if np.isfinite(um[:, 2]).any() else um[:, :2]
     return MarkPlaces(um=um, source=sources, extras=extras)
 
@@ -190,7 +192,8 @@ def _place(places: MarkPlaces, k: int) -> Entries:
             extras[name] = float(column[k])
     if extras.keys() >= {"cov_xx", "cov_xy", "cov_yy"}:
         xy = extras["cov_xy"]
-        row["covariance_um2"] = [[extras["cov_xx"], xy], [xy, extras["cov_yy"]]]
+        xx, yy = extras["cov_xx"], extras["cov_yy"]
+        row["covariance_um2"] = [[xx, xy], [xy, yy]]
     row |= {key: extras[name] for name, key in _POSITION.items() if name in extras}
     return row | {"source": places.source[k]}
 

@@ -49,10 +49,8 @@ def read(content: Content) -> list[PointList]:
         )
     if not len(moving):
         raise MarkError(f"{name} holds no point. {_SAVE}")
-    return [
-        PointList(title="moving", points=moving - 1.0, unit="pixel", stated=True),
-        PointList(title="fixed", points=fixed - 1.0, unit="pixel", stated=True),
-    ]
+    sides = {"moving": moving - 1.0, "fixed": fixed - 1.0}
+    return [PointList(title=k, points=v, unit="pixel", stated=True) for k, v in sides.items()]
 
 
 def _matrices(content: Content) -> dict[str, Floats | None]:

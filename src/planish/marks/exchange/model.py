@@ -126,7 +126,8 @@ def _layer_columns(layer: str, places: MarkPlaces) -> Entries:
         if name in places.extras and np.isfinite(places.extras[name]).any():
             column = _column(places.extras[name], units, f"{text}, {where}")
             columns[f"{layer}_{name}"] = column
-    source = np.broadcast_to(np.array(places.source, dtype=np.str_), len(places.um)).copy()
+    stated = np.array(places.source, dtype=np.str_)
+    source = np.broadcast_to(stated, len(places.um)).copy()
     columns[f"{layer}_source"] = ("mark", source, {"long_name": f"Found how, {where}"})
     return columns
 

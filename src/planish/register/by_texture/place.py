@@ -63,7 +63,8 @@ def tuned_place(
         grey, is_known = image(placed(p)(points))
         if np.count_nonzero(is_known) < _LEAST_PIXELS:
             return 1.0
-        centred = maps[:, is_known] - maps[:, is_known].mean(axis=1, keepdims=True)
+        known_maps = maps[:, is_known]
+        centred = known_maps - known_maps.mean(axis=1, keepdims=True)
         grey = grey[is_known] - grey[is_known].mean()
         products = centred @ grey
         explained = products @ np.linalg.pinv(centred @ centred.T) @ products
@@ -109,7 +110,8 @@ def clearest_maps(moving: Textures, fixed: Textures, place: Similarity) -> Names
 
     def z(names: Names) -> float:
         image, is_valid = _on_moving_pixels(moving, fixed, names[1], place)
-        return abs(relate(moving.maps[names[0]], image, is_valid, moving.pixel_um).z)
+        relation = relate(moving.maps[names[0]], image, is_valid, moving.pixel_um)
+        return abs(relation.z)
 
     return max(compared(moving, fixed), key=z)
 
@@ -186,10 +188,11 @@ def tile_places(
     turn = place.matrix()
     off_um = np.hypot(*field.lag_um.T)
     there_count = np.count_nonzero(off_um <= max(pixel_um))
+    covariance_um2 = field.covariance_um2[field.distinct]
     return TilePlaces(
         at_um,
         place(at_um + lag_um),
-        turn @ field.covariance_um2[field.distinct] @ turn.T,
+        turn @ covariance_um2 @ turn.T,
         turn @ shared_um2 @ turn.T,
         relation.r,
         place.similarity,

@@ -93,8 +93,8 @@ class TexturedPlane:
 
     def scaled(self, factor: float) -> TexturedPlane:
         """The layer with lengths that are larger by a factor."""
-        grid = self.grid
-        return replace(self, grid=Grid(y_um=factor * grid.y_um, x_um=factor * grid.x_um))
+        grid = Grid(y_um=factor * self.grid.y_um, x_um=factor * self.grid.x_um)
+        return replace(self, grid=grid)
 
     def part(self, low_um: Floats, high_um: Floats) -> TexturedPlane:
         """What lies between two places ``(x, y)``."""

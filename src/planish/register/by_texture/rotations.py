@@ -101,7 +101,7 @@ class PlaceSearch:
     @property
     def has_rival(self) -> bool:
         """Whether another place is nearly as good."""
-        return len(self.candidates) > 1 and self.candidates[1].z > RIVAL * self.best.z
+        return any(candidate.z > RIVAL * self.best.z for candidate in self.candidates[1:2])
 
     @property
     def is_sure(self) -> bool:
@@ -254,13 +254,15 @@ def _promising(cells: list[list[_Peak]], search: PlaceSearch) -> list[Similarity
 def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: int) -> PlaceSearch:
     """The best places of all rotations, and how probable chance makes the first of them."""
     z = _by_null(cells)
-    best_of_cells = sorted((max(cell, key=z) for cell in cells), key=z, reverse=True)
+    best_of_cells = [max(cell, key=z) for cell in cells]
+    best_of_cells.sort(key=z, reverse=True)
     best = best_of_cells[0]
     reach_um = scanner.reach_um(best.names)
     unrelated = [p for p in best_of_cells if scanner.turned_um(p.turn, best.turn) > reach_um]
     probability = 1.0
     if len(unrelated) >= _LEAST_ROTATIONS:
-        probability = _exceeded(z(best), np.array([z(p) for p in unrelated]))
+        chance_z = np.array([*map(z, unrelated)])
+        probability = _exceeded(z(best), chance_z)
     candidates = [scanner.candidate(_finest(scanner, steps, best), z(best))]
     others = (*best_of_cells[1:], *scanner.rivals(best))
     for peak in sorted(others, key=z, reverse=True):
@@ -298,7 +300,8 @@ def _exceeded(z: float, chance_z: Floats) -> float:
     log_densities = np.log(s) + 0.5 * x**2 - np.log(x**2 - 1.0)
     log_likelihood = -_INDEPENDENT * np.sum(log_densities, axis=1)
     weights = special.softmax(log_likelihood - independent * log_sums)
-    rates = np.exp(np.minimum(_log_rates(z / s[:, 0]) - log_sums, 700.0))
+    log_rates = _log_rates(z / s[:, 0]) - log_sums
+    rates = np.exp(np.minimum(log_rates, 700.0))
     expected = (chance_z.size + 1) / _INDEPENDENT * rates
     return float(np.sum(weights * -np.expm1(-independent * np.log1p(expected))))
 
@@ -412,7 +415,8 @@ class _Scanner:
     def peaks(self, turn: Similarity, scales: Scales, near: Near | None) -> Iterator[_Peak]:
         """The highest correlation of each map at each scale."""
         for scaled, names, height, window, shifts in self._heights(turn, scales, near):
-            row, col = divmod(int(np.argmax(np.abs(height))), height.shape[1])
+            highest = int(np.argmax(np.abs(height)))
+            row, col = divmod(highest, height.shape[1])
             pixel = row + window.first[0], col + window.first[1]
             squares = float(np.vdot(height, height))
             yield _Peak(scaled, names, float(height[row, col]), pixel, near, squares, shifts)
@@ -460,7 +464,8 @@ class _Scanner:
         weights = list[Slab]()
         for window in windows:
             pairs = self._lags(window, _KNOWN, mask, half)
-            weight = np.where(pairs >= least_pairs, 1.0 / np.sqrt(np.maximum(pairs, 1.0)), 0.0)
+            weight = 1.0 / np.sqrt(np.maximum(pairs, 1.0))
+            weight[pairs < least_pairs] = 0.0
             weights.append(weight.astype(np.float32))
         for scale in scales:
             scaled = replace(turn, scale=scale)
@@ -496,7 +501,8 @@ class _Scanner:
         target = tuple(k - b + margin for k, b in zip(source, first, strict=True))
         shape = tuple(fft.next_fast_len(n + 2 * margin, real=True) for n in count)
         spectra: dict[str, NDArray[np.complex64]] = {}
-        for name, values in {**self._fixed.maps, _KNOWN: self._fixed.known}.items():
+        shown = {**self._fixed.maps, _KNOWN: self._fixed.known}
+        for name, values in shown.items():
             part = np.zeros(shape, np.float32)
             part[target] = values[source]
             spectra[name] = np.asarray(fft.rfft2(part), dtype=np.complex64)
@@ -505,8 +511,9 @@ class _Scanner:
     def _on_image(self, turn: Similarity) -> tuple[tuple[int, int], Callable[..., Slab]]:
         """Half the size and the sampling of a map on pixels of the image, no larger than needed."""
         matrix = turn.matrix()
-        corners = np.array([*product((-0.5, 0.5), repeat=2)]) * self._extent_um @ matrix.T
-        half = np.ceil(np.abs(corners).max(axis=0) / self._fixed_px).astype(int)
+        corners_um = [*product((-0.5, 0.5), repeat=2)] * self._extent_um
+        reach_um = np.abs(corners_um @ matrix.T).max(axis=0)
+        half = np.ceil(reach_um / self._fixed_px).astype(int)
         # Of pixels x, y.
         to_moving = (np.linalg.inv(matrix) * self._fixed_px) / self._moving_px[:, None]
         offset = self._middle_px - to_moving @ half

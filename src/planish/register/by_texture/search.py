@@ -171,7 +171,8 @@ def _searched(
     The second layer is tried at all sizes that the tolerance allows, in one of so many ``looks``.
     """
     half = 0.5 * _SEARCHED_UM
-    a = layers.a.part(layers.a.middle_um - half, layers.a.middle_um + half)
+    middle_um = layers.a.middle_um
+    a = layers.a.part(middle_um - half, middle_um + half)
     a_texture, a_first = a.texture(_SEARCH_UM)
     best = None
     tolerance = min(params.scale_tolerance, _GUESS_TOLERANCE)
@@ -218,7 +219,8 @@ def _seen_from(
     """What of a layer a search about places looks at."""
     fixed_um = guess * np.array([n.fixed_um for n in near])
     arms_um = [a.corners_um - (n.moving_um or a.middle_um) for n in near]
-    arm_um = (1.0 + _GUESS_TOLERANCE) * float(np.linalg.norm(arms_um, axis=-1).max())
+    longest_um = float(np.linalg.norm(arms_um, axis=-1).max())
+    arm_um = (1.0 + _GUESS_TOLERANCE) * longest_um
     reach_um = guess * max(n.radius_um for n in near) + arm_um + _AROUND_UM
     return _part_of(b, fixed_um.min(axis=0) - reach_um, fixed_um.max(axis=0) + reach_um)
 
@@ -295,7 +297,8 @@ def tiles_near(
     tiles = tiles_at(place)
     if not tiles.is_there:
         # Chance may have moved the tiles of a weak pair; then the map goes worse with the image.
-        tiles = max(tiles, _bent_tiles(tiles_at, place, strain), key=lambda t: abs(t.r))
+        bent_tiles = _bent_tiles(tiles_at, place, strain)
+        tiles = max(tiles, bent_tiles, key=lambda t: abs(t.r))
     unit_um = layers.unit_um
     moving_um = unit_um * (tiles.moving_um + moving_first)
     fixed_um = unit_um * (tiles.fixed_um + fixed_first) / scaled
