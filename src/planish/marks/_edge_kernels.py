@@ -112,8 +112,8 @@ def _level(image, centre, step, start, stop, dt):
 @njit(cache=True, nogil=True)
 def _plateaus(image, centre, step, edge, gap, width, dt):
     """Mean levels inside and outside an edge, ``gap`` away from it and over a ``width``."""
-    inner_start, inner_stop = max(0.0, edge - gap - width), max(0.0, edge - gap)
-    inner = _level(image, centre, step, inner_start, inner_stop, dt)
+    start = max(0.0, edge - gap - width)
+    inner = _level(image, centre, step, start, max(0.0, edge - gap), dt)
     return inner, _level(image, centre, step, edge + gap, edge + gap + width, dt)
 
 

@@ -157,7 +157,7 @@ def extents(b: Complexes) -> Pair:
     return long_um, short_um
 
 
-def share_within(radius: Any, b: Complexes, tolerance_um: float) -> Any:
+def share_within(radius: Floats | float, b: Complexes, tolerance_um: float) -> Floats:
     """Probability that a point anywhere in the field lies within ``radius`` of a mark of ``b``."""
     long_side, short_side = extents(b)
     along = np.minimum(1.0, 2 * radius / max(long_side, tolerance_um))

@@ -344,6 +344,7 @@ def _search(
 
 
 def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affine | FreeForm:
+    """Take a transformation of the library from its pixels to um."""
     if hasattr(fitted, "GetMatrix"):
         a, b, c, d = fitted.GetMatrix()
         centre = np.array(fitted.GetCenter())
@@ -375,21 +376,20 @@ def _prepare(
         )
     if not all(0 < v < math.inf for v in (*pixel_um, grid_um)):
         raise SizeError(f"Pixel {pixel_um} um and mesh {grid_um} um: positive lengths are needed.")
-    maps = [
-        np.where(np.isfinite(m) & is_allowed, m, np.nan).astype(np.float64) for m in (linked, image)
-    ]
     factor = math.ceil(math.sqrt(linked.size / 60_000))
     row_um, col_um = pixel_um
     first_um = (0.5 * (factor - 1) * col_um, 0.5 * (factor - 1) * row_um)
-    if factor > 1:
-        maps = [area_mean(m, (factor, factor)) for m in maps]
+    maps: list[Floats] = []
+    for values in (linked, image):
+        known = np.where(np.isfinite(values) & is_allowed, values, np.nan).astype(np.float64)
+        maps.append(area_mean(known, (factor, factor)) if factor > 1 else known)
     masks = [np.isfinite(m) for m in maps]
     count = int((masks[0] & masks[1]).sum())
     if count < 400:
         raise CannotRegister(
             f"{count} pixels are known in both maps; a refinement needs 400. Keep the marks only."
         )
-    filled = [_standardised(values, mask) for values, mask in zip(maps, masks, strict=True)]
+    filled = [*map(_standardised, maps, masks)]
     return filled, masks, (factor * row_um, factor * col_um), first_um
 
 

@@ -168,6 +168,7 @@ def _column(parts: Sequence[Part | None], key: str) -> Floats:
 
 
 def _places(layer_places: Sequence[_Place | None]) -> MarkPlaces:
+    """Positions of one layer, with what is known of them; z where some have it."""
     um = np.stack([_column(layer_places, axis) for axis in "xyz"], axis=1)
     spread = np.full((len(layer_places), 2, 2), np.nan)
     sources = ["imported"] * len(layer_places)

@@ -492,8 +492,7 @@ def _misfit(points: Floats, about: Entries, stated: bool, assumed: str) -> str:
     span = np.ptp(points, axis=0)
     placed = points - origin
     spans = f"{_size(span)}, the layer {_size(size)}"
-    numbers = placed / 1000 if assumed == "mm" else placed
-    if assumed and pixel.prod() >= 4 and _fill(numbers, count):
+    if _fill_as_pixels(placed, count, pixel, assumed):
         return (
             f"{spans}. The file states no unit, {assumed} was assumed, and as pixels they spread"
             f" over the layer: they look like pixels. {_remedy('pixel', stated)} If they are"
@@ -528,10 +527,12 @@ def _xy(sides: Mapping[str, float]) -> Floats:
     return np.array([sides["x"], sides["y"]], dtype=np.float64)
 
 
-def _fill(points: Floats, count: Floats) -> bool:
-    """Return whether points lie in so many pixels and reach over a quarter of them."""
-    span_share = (np.ptp(points, axis=0) / count).max()
-    return bool(span_share > 0.25 and _inside(points, count).all())
+def _fill_as_pixels(placed: Floats, count: Floats, pixel: Floats, assumed: str) -> bool:
+    """Return whether numbers in an ``assumed`` unit reach over a quarter of so many pixels."""
+    numbers = placed / 1000 if assumed == "mm" else placed
+    span_share = (np.ptp(numbers, axis=0) / count).max()
+    is_spread = span_share > 0.25 and _inside(numbers, count).all()
+    return bool(assumed and pixel.prod() >= 4 and is_spread)
 
 
 def _look_clicked(points: Floats, placed: Floats, pixel: Floats) -> bool:

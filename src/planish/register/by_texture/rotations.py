@@ -492,6 +492,7 @@ class _Scanner:
         return [self._spectra((row, col), (rows, cols))]
 
     def _spectra(self, first: tuple[int, int], count: Shape) -> _Window:
+        """Spectra of the part of the image in which so many middles of the map lie."""
         margin = self._margin
         pixels: list[Ints] = []
         for start, n, size in zip(first, count, self._fixed.known.shape, strict=True):

@@ -180,9 +180,7 @@ def _searched(
     count = max(math.ceil(beyond / math.log(_SCALE_GUESS)), 0)
     guesses = [_SCALE_GUESS**k for k in range(-count, count + 1)]
     for guess in sorted(guesses, key=lambda g: abs(math.log(g))):
-        b = layers.b.scaled(guess)
-        if near:
-            b = _seen_from(b, a, near, guess)
+        b = _seen_from(layers.b.scaled(guess), a, near, guess)
         b_texture, b_first = b.texture(_SEARCH_UM)
         if not (a_texture.known.any() and b_texture.known.any()):
             raise CannotRegister(
@@ -216,7 +214,9 @@ def _smaller_in_larger(
 def _seen_from(
     b: TexturedPlane, a: TexturedPlane, near: Sequence[Near], guess: float
 ) -> TexturedPlane:
-    """What of a layer a search about places looks at."""
+    """What of a layer a search about places looks at; all where no place is given."""
+    if not near:
+        return b
     fixed_um = guess * np.array([n.fixed_um for n in near])
     arms_um = [a.corners_um - (n.moving_um or a.middle_um) for n in near]
     longest_um = float(np.linalg.norm(arms_um, axis=-1).max())
