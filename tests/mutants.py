@@ -344,8 +344,8 @@ MUTANTS = [
     ),
     Mutant(
         "register/pairs.py",
-        "(-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]",
-        "points[..., 0] + 1j * points[..., 1]",
+        "(-x if mirrored else x) + 1j * y",
+        "x + 1j * y",
         "register/test_models.py",
     ),
     Mutant(
