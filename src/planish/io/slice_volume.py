@@ -78,20 +78,20 @@ def load_pictures(
     """
     folder = files[0].parent
     limit = memory_limit(memory_bytes)
-    load_one = partial(load_picture, is_slice=not photographs)
-    first = load_one(files[0], memory_bytes=limit)
+    load_one = partial(load_picture, is_slice=not photographs, memory_bytes=limit)
+    first = load_one(files[0])
     colour_attrs(channel, folder, in_colour=first.in_colour)
     grey = _grey_values(first, files[0], channel)
     dtype = supported_type(grey.dtype)
     shape = (len(files), *grey.shape)
-    header = _slice_header(files[0])
-    eager_bytes = limit if photographs or header.offset is None else min(limit, EAGER_BYTES)
+    is_decoded = photographs or _slice_header(files[0]).offset is None
+    eager_bytes = limit if is_decoded else min(limit, EAGER_BYTES)
     if math.prod(shape) * dtype.itemsize <= eager_bytes:
         values = np.empty(shape, dtype)
         values[0] = grey
 
         def read(i: int) -> None:
-            picture = load_one(files[i], memory_bytes=limit)
+            picture = load_one(files[i])
             _check_same(picture, first, file=files[i], first_file=files[0])
             values[i] = _grey_values(picture, files[i], channel)
 
@@ -100,22 +100,35 @@ def load_pictures(
     # Threads decode photographs while others are compared.
     needed_bytes = 4 * first.values.nbytes if photographs else 2 * grey.nbytes
     check_memory(folder, needed_bytes=needed_bytes, limit_bytes=limit)
-    headers = [header, *map(_slice_header, files[1:])]
-    for file, file_header in zip(files, headers, strict=True):
-        if file_header.key != header.key:
-            _check_same(load_one(file, memory_bytes=limit), first, file=file, first_file=files[0])
-    # Those of another type would lie otherwise; of several samples, one is taken.
-    alike = [h for h in headers if h.dtype == header.dtype and first.values.ndim == 2]
-    planes = [
-        (file, h.offset) for file, h in zip(files, alike, strict=False) if h.offset is not None
-    ]
-    if len(planes) == len(files):
-        return widened(stored_array(planes, shape, header.dtype)), first
-    strip_rows = max(h.strip_rows for h in headers)
     rows = partial(_slice_rows, load_one, files, channel, grey.shape)
+    return _left_in_files(files, first, load_one, dtype, rows), first
+
+
+def _left_in_files(
+    files: list[Path],
+    first: DecodedPicture,
+    load_one: Callable[[Path], DecodedPicture],
+    dtype: DType,
+    rows: Callable[[int, int, int], Array],
+) -> Values:
+    """Values of pictures like the first, read where they lie, by strips, or by `rows`."""
+    header = _slice_header(files[0])
+    shape = (len(files), *first.values.shape[:2])
+    planes: list[tuple[Path, int]] = []
+    strip_rows = header.strip_rows
+    for file in files:
+        file_header = _slice_header(file)
+        strip_rows = max(strip_rows, file_header.strip_rows)
+        if file_header.key != header.key:
+            _check_same(load_one(file), first, file=file, first_file=files[0])
+        has_same_type = file_header.dtype == header.dtype and first.values.ndim == 2
+        if has_same_type and file_header.offset is not None:
+            planes.append((file, file_header.offset))
+    if len(planes) == len(files):
+        return widened(stored_array(planes, shape, header.dtype))
     if strip_rows < shape[1]:
-        rows = partial(_strip_rows, files, grey.shape)
-    return PagedArray(folder, shape, dtype, min(strip_rows, shape[1]), rows), first
+        rows = partial(_strip_rows, files, shape[1:])
+    return PagedArray(files[0].parent, shape, dtype, min(strip_rows, shape[1]), rows)
 
 
 def _slice_rows(
