@@ -144,9 +144,7 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
     names = run_contents.map_names(run, group, request.params.maps)
     if group == "maps" and IMAGE in names:
         _check_image(request)
-    levels: dict[str, list[Path]] = {}
-    if request.store is not None:
-        levels = {name: run_contents.map_levels(request.store, group, name) for name in names}
+    levels = {name: run_contents.map_levels(request.store, group, name) for name in names}
     maps = Maps(data=run_contents.maps_of(run, group, names), group=group, levels=levels)
     rows, cols = maps.shape
     remedy_text = "Write them as tiff, txt or netcdf, which have no limit."

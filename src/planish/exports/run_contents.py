@@ -108,11 +108,13 @@ def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
     return maps[list(names)]
 
 
-def map_levels(store: Path, group: str, name: str) -> list[Path]:
+def map_levels(store: Path | None, group: str, name: str) -> list[Path]:
     """Folders of a map and its overviews in the store of a run, the finest first.
 
     None where it is not stored.
     """
+    if store is None:
+        return []
     levels = (map_folder(store, level, name) for level in (group, *overviews_of(store, group)))
     return [level for level in levels if level is not None]
 

@@ -17,13 +17,14 @@ from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 from planish.core.lazy import Where, chunk_parts
 from planish.core.typing import Array
 
+StoredArray = zarr.Array[Any]
 _BLOSC = Blosc(cname="lz4", clevel=1, shuffle=Blosc.SHUFFLE)
 # Noisy maps, bytes sorted by weight, take a fifth less room than by zstd, in a fifth of the time;
 # the sum tells damage.
 CODECS = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
 
 
-def is_ours(array: zarr.Array[Any]) -> bool:
+def is_ours(array: StoredArray) -> bool:
     """Whether an array is packed as the maps of a run are."""
     kinds = [type(codec) for codec in getattr(array.metadata, "codecs", ())]
     return (
@@ -32,7 +33,7 @@ def is_ours(array: zarr.Array[Any]) -> bool:
     )
 
 
-def write_chunks(folder: Path, array: zarr.Array[Any], where: Where, values: Array) -> None:
+def write_chunks(folder: Path, array: StoredArray, where: Where, values: Array) -> None:
     """Write a part of an array like ``array`` into its folder.
 
     Where a chunk holds more than that, what was written before stays.
@@ -46,7 +47,7 @@ def write_chunks(folder: Path, array: zarr.Array[Any], where: Where, values: Arr
         file.write_bytes(packed + crc32c(packed).to_bytes(4, "little"))
 
 
-def read_chunks(folder: Path, array: zarr.Array[Any], where: Where) -> Array:
+def read_chunks(folder: Path, array: StoredArray, where: Where) -> Array:
     """Read a part of an array that :func:`is_ours` from its folder.
 
     ValueError, RuntimeError or OSError where it is damaged.
@@ -58,7 +59,7 @@ def read_chunks(folder: Path, array: zarr.Array[Any], where: Where) -> Array:
     return values
 
 
-def _unpacked(file: Path, array: zarr.Array[Any]) -> Array:
+def _unpacked(file: Path, array: StoredArray) -> Array:
     """What a file holds, which cannot be written to; where there is none, missing values."""
     if not file.is_file():
         return np.full(array.chunks, array.fill_value, array.dtype)

@@ -17,7 +17,7 @@ from planish.core.files import check_exists, write_text
 from planish.core.lazy import ReadOnDemand
 from planish.core.threads import map_threads
 from planish.io.guard import quiet
-from planish.io.map_chunks import is_ours, write_chunks
+from planish.io.map_chunks import StoredArray, is_ours, write_chunks
 from planish.io.map_store import (
     COMPLETE,
     OVERVIEWS,
@@ -54,7 +54,7 @@ def _write_array(
     path: Path,
     group: zarr.Group,
     data: xr.Dataset,
-    first_arrays: dict[Any, zarr.Array[Any]],
+    first_arrays: dict[Any, StoredArray],
     key: str,
 ) -> None:
     """Write a variable; ``first_arrays`` has one of each kind, by dimensions, shape and type."""

@@ -29,7 +29,7 @@ from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Array, Entries, Shape, Shape2D
 from planish.io.guard import reason_of
-from planish.io.map_chunks import CODECS, is_ours, read_chunks, write_chunks
+from planish.io.map_chunks import CODECS, StoredArray, is_ours, read_chunks, write_chunks
 
 CHUNK = 512  # pixels along the edge of a chunk of a map
 # Attribute of a store: one that is not there is a damage, not a missing value.
@@ -145,7 +145,7 @@ def open_group(path: Path, name: str, data: xr.Dataset) -> zarr.Group:
     return group
 
 
-def create_array(group: zarr.Group, key: str, like: xr.Variable, shape: Shape) -> zarr.Array[Any]:
+def create_array(group: zarr.Group, key: str, like: xr.Variable, shape: Shape) -> StoredArray:
     """Make an array of a group, of the type, dimensions and attributes of a variable."""
     dtype: Any = like.dtype
     fill_value: Any = np.nan if dtype.kind == "f" else 0

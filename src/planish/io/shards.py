@@ -7,10 +7,8 @@ then an index of the place and size of each, 8 bytes little endian either, and i
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import zarr
 from imagecodecs import zstd_decode
 from zarr.codecs import (
     BytesCodec,
@@ -21,12 +19,12 @@ from zarr.codecs import (
 
 from planish.core.lazy import Where, chunk_parts
 from planish.core.typing import Array
-from planish.io.map_chunks import without_sum
+from planish.io.map_chunks import StoredArray, without_sum
 
 _ABSENT = np.uint64(2**64 - 1)  # place of a chunk that holds the fill value
 
 
-def is_plain(array: zarr.Array[Any]) -> bool:
+def is_plain(array: StoredArray) -> bool:
     """Tell whether an array lies in shards of chunks that zstd packs and nothing else.
 
     The arrays of a working store do.
@@ -44,7 +42,7 @@ def is_plain(array: zarr.Array[Any]) -> bool:
     return is_index_last and array.dtype.newbyteorder("<") == array.dtype
 
 
-def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> Array:
+def read_plain(folder: Path, array: StoredArray, where: Where) -> Array:
     """Read a part (slices without steps) of an array that :func:`is_plain`.
 
     ValueError or OSError if it is damaged.
@@ -60,7 +58,7 @@ def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> Array:
     return values
 
 
-def _read_shard(path: Path, array: zarr.Array[Any], where: Where, values: Array) -> None:
+def _read_shard(path: Path, array: StoredArray, where: Where, values: Array) -> None:
     """Put what lies ``where`` of one shard into ``values``."""
     assert array.shards is not None
     chunks_shape = [s // c for s, c in zip(array.shards, array.chunks, strict=True)]
