@@ -76,7 +76,7 @@ class PagedArray(FileArray):
         first_strip = rows.start // self.unit_rows
         end_strip = -(-rows.stop // self.unit_rows)
         first_row = first_strip * self.unit_rows
-        kept = (slice(rows.start - first_row, rows.stop - first_row, rows.step), *across)
+        within = (slice(rows.start - first_row, rows.stop - first_row, rows.step), *across)
         values = np.empty(lengths(where), self.dtype)
         for i, page in enumerate(range(pages.start, pages.stop, pages.step)):
             if self.unit_rows == 1:
@@ -84,7 +84,7 @@ class PagedArray(FileArray):
             else:
                 strips = [self._strip(page, k) for k in range(first_strip, end_strip)]
                 page_rows = strips[0] if len(strips) == 1 else np.concatenate(strips)
-            values[i] = page_rows[kept]
+            values[i] = page_rows[within]
         return values
 
     def _decoded(self, page: int, number: int) -> Array:

@@ -240,8 +240,8 @@ def _join_columns(coarse_pairs: SectionPairs, fine_pairs: SectionPairs, n: int) 
     # hides fine texture. Coarse pairs over the same sections, and the next ones, share their
     # errors: hence the factor on their sigma.
     coarse_pairs = coarse_pairs._replace(sigma=4.0 * coarse_pairs.sigma)
-    both: Any = zip(coarse_pairs.sound(1), fine_pairs.sound(1), strict=True)
-    first, second, offset, sigma = map(np.concatenate, both)
+    columns: Any = zip(coarse_pairs.sound(1), fine_pairs.sound(1), strict=True)
+    first, second, offset, sigma = map(np.concatenate, columns)
     return solve_places(first, second, offset, sigma, n)[0]
 
 
