@@ -138,10 +138,10 @@ def relax_grid(
         level.drop_springs()
         uv = _lay_on_projection(level, points, pitch, team)
     uv[is_brace] = np.nan
+    # Cells that the step rule held open are as good as folded.
+    floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
     folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
-    if n_folded or outcome is Outcome.HELD_OPEN:
-        # Cells that the step rule held open are as good as folded.
-        floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
+    if n_folded or floor:
         folded = folded_cells(points, uv, side=side, floor=floor)
     if outcome is Outcome.RESTED and folded.any():
         outcome = Outcome.FOLDED

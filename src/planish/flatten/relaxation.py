@@ -196,6 +196,15 @@ def _damping(p: RelaxationParams, c: float, gradient: float) -> float:
     return max(p.c_min, gradient / p.b, p.c_fall * c)
 
 
+def _is_at_rest(
+    p: RelaxationParams, largest_force: float, calm_time: float, period: float, *, has_moved: bool
+) -> bool:
+    """Whether a mesh that has been slow for so long rests, by Eq. (6) as ``stop`` reads it."""
+    if p.stop == "first":
+        return has_moved and calm_time > 0.0
+    return calm_time >= period if p.stop == "sustained" else largest_force < p.residual
+
+
 def _motion(
     x: Floats, springs: Springs, mask: Floats, p: RelaxationParams
 ) -> tuple[Outcome, float, Floats]:
@@ -249,18 +258,13 @@ def _motion(
         mean_speed = speed_sum / nodes
         step_log.append((dt, c, gradient, mean_speed, energy))
         time += dt
-        is_fast = mean_speed > p.mean_speed
-        has_moved |= is_fast
+        is_fast = bool(mean_speed > p.mean_speed)
+        # A mesh that has not been fast within a period of its slowest mode will never be.
+        has_moved |= is_fast or time >= period
         calm_time = 0.0 if is_fast else calm_time + dt
-        has_come_to_rest = {
-            # A mesh that has not been fast within a period of its slowest mode will never be.
-            "first": (has_moved or time >= period) and calm_time > 0.0,
-            "sustained": calm_time >= period,
-            "residual": largest_force < p.residual,
-        }[p.stop]
         if not np.isfinite(mean_speed + energy):
             outcome = Outcome.NOT_FINITE
-        elif has_come_to_rest:
+        elif _is_at_rest(p, largest_force, calm_time, period, has_moved=has_moved):
             outcome = Outcome.RESTED
     return outcome, energy, np.array(step_log).reshape(-1, 5)
 

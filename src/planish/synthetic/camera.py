@@ -308,14 +308,15 @@ def _oracle_gain(
     linear = 2 * (tr * tn - scaled_target * rn)
     constant = tr * tr - scaled_target * rr
     roots = np.roots([square, linear, constant])
-    gains = [g.real for g in roots if abs(g.imag) < 1e-12 and g.real >= 0 and tr + g.real * tn > 0]
-    if not gains:
+    gains = roots.real[np.abs(roots.imag) < 1e-12]
+    gains = gains[(gains >= 0) & (tr + gains * tn > 0)]
+    if not gains.size:
         raise ValueError(
             f"oracle_r2 = {target:g} is out of reach: over {n_points} points even the nuisance"
             f" alone has an r2 of {tn * tn / (tt * nn):.3f} with the thickness. Ask for more, or"
             " take a larger image or another seed."
         )
-    return float(min(gains))
+    return float(gains.min())
 
 
 def _dot_radii(

@@ -8,6 +8,7 @@ import numpy as np
 
 from planish.core.arrays import not_taken
 from planish.core.errors import FileError
+from planish.core.transform import grid_points
 from planish.core.typing import Floats
 from planish.synthetic.files import (
     Instrument,
@@ -74,34 +75,17 @@ def make_specimen(
             params, "SpecimenParams", 'pl.make_specimen(folder="sheet")', "pl.make_specimen"
         )
     params = params or DEMO
-    has_place_for_film = sheet.has_film if sheet else params.paper.fibres is not None
-    if params.film is not None and not has_place_for_film:
-        raise ValueError(
-            "a film lies under a base of fibres only: set paper.fibres, or give a sheet made with a"
-            " film"
-        )
+    _check_film(params, sheet)
     warp, uvz, depth_um = _place_in_volume(params)
     uv = uvz[..., :2]
     field_uv = np.concatenate([uv.min(axis=(0, 1)), uv.max(axis=(0, 1))])
     image_shape, pose = draw_pose(params.camera, field_uv, generator(params.seed, "pose"))
-    rows, cols = np.multiply(image_shape, params.camera.pixel_um)
-    corners = pose.inverse([[x, y] for x in (0.0, cols) for y in (0.0, rows)])
-    low = np.minimum(field_uv[:2], corners.min(axis=0)) - _BEYOND_UM
-    high = np.maximum(field_uv[2:], corners.max(axis=0)) + _BEYOND_UM
+    height_um, width_um = np.multiply(image_shape, params.camera.pixel_um)
+    corners = pose.inverse(grid_points(np.array([0.0, width_um]), np.array([0.0, height_um])))
+    low = np.minimum(field_uv[:2], corners.min(axis=(0, 1))) - _BEYOND_UM
+    high = np.maximum(field_uv[2:], corners.max(axis=(0, 1))) + _BEYOND_UM
     if sheet is None:
-        inner_low = np.array([uv[:, 0, 0].max(), uv[0, :, 1].max()])
-        inner_high = np.array([uv[:, -1, 0].min(), uv[-1, :, 1].min()])
-        sheet = make_sheet(
-            params.paper,
-            params.holes,
-            low=low,
-            high=high,
-            centres=hole_pattern(params.holes, inner_low, inner_high, params.seed),
-            seed=params.seed,
-            stiffness=params.stiffness,
-            film=params.film,
-            crack_um=params.crack_um,
-        )
+        sheet = _sheet_of(params, uv, low, high)
     elif not sheet.covers(field_uv[:2], field_uv[2:]):
         raise ValueError(
             "the given sheet does not reach as far as the volume shows it; bend it more or make it"
@@ -126,6 +110,32 @@ def make_specimen(
     files = write_instruments(specimen, specimen_folder)
     write_truth(specimen, specimen_folder / "truth")
     return replace(specimen, files=files)
+
+
+def _check_film(params: SpecimenParams, sheet: DrawnSheet | None) -> None:
+    has_place = sheet.has_film if sheet else params.paper.fibres is not None
+    if params.film is not None and not has_place:
+        raise ValueError(
+            "a film lies under a base of fibres only: set paper.fibres, or give a sheet made with a"
+            " film"
+        )
+
+
+def _sheet_of(params: SpecimenParams, uv: Floats, low: Floats, high: Floats) -> DrawnSheet:
+    """Draw the sheet from ``low`` to ``high``; its holes lie in all that the volume shows, uv."""
+    inner_low = np.array([uv[:, 0, 0].max(), uv[0, :, 1].max()])
+    inner_high = np.array([uv[:, -1, 0].min(), uv[-1, :, 1].min()])
+    return make_sheet(
+        params.paper,
+        params.holes,
+        low=low,
+        high=high,
+        centres=hole_pattern(params.holes, inner_low, inner_high, params.seed),
+        seed=params.seed,
+        stiffness=params.stiffness,
+        film=params.film,
+        crack_um=params.crack_um,
+    )
 
 
 def write_specimen(
