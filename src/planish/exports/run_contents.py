@@ -121,11 +121,15 @@ def map_levels(store: Path | None, group: str, name: str) -> list[Path]:
 
 def scale_of(maps: xr.Dataset, name: str) -> Scale:
     """Give limits and colours of a map, those of the page: both sides of the sheet share theirs."""
+    pooled = [name]
     other_side = partner_of(name, [str(key) for key in maps.data_vars])
-    pooled_maps = [maps[name]] if other_side is None else [maps[name], maps[other_side]]
+    if other_side is not None:
+        pooled.append(other_side)
     # The holes of an image would take most of the colours.
     is_masked = name == IMAGE and "valid" in maps
-    _, samples = thinned(*pooled_maps, *([maps["valid"]] if is_masked else []))
+    if is_masked:
+        pooled.append("valid")
+    _, samples = thinned(*(maps[key] for key in pooled))
     if is_masked:
         samples = [np.where(samples[1], samples[0], np.nan)]
     finite = np.concatenate([sample[np.isfinite(sample)] for sample in samples]).astype(np.float64)

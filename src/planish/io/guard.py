@@ -162,9 +162,8 @@ def default_memory_limit() -> int:
     """Bytes that one file may fill: three quarters of the memory that is free, or can be freed."""
     available_bytes = 0
     with suppress(OSError):
-        for line in (
-            Path("/proc/meminfo").read_text(encoding="ascii", errors="replace").splitlines()
-        ):
+        meminfo = Path("/proc/meminfo").read_text(encoding="ascii", errors="replace")
+        for line in meminfo.splitlines():
             if line.startswith("MemAvailable:"):
                 available_bytes = int(line.split()[1]) * 1024
     if not available_bytes and os.name == "nt":

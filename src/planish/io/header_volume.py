@@ -360,9 +360,8 @@ def _read_meta(path: Path, where: Where) -> Array:
     spans = [next(reversed_spans) if n > 1 else slice(0, 1) for n in reader.GetSize()]
     reader.SetExtractIndex([span.start for span in spans])
     reader.SetExtractSize([span.stop - span.start for span in spans])
-    values = np.asarray(itk.GetArrayFromImage(reader.Execute())).reshape(
-        [s.stop - s.start for s in where]
-    )
+    image = itk.GetArrayFromImage(reader.Execute())
+    values = np.asarray(image).reshape([s.stop - s.start for s in where])
     return values[tuple(slice(None, None, s.step) for s in where)]
 
 

@@ -60,8 +60,8 @@ def _write_array(
     """Write a variable; ``first_arrays`` has one of each kind, by dimensions, shape and type."""
     variable = data.variables[key].copy(deep=False)
     folder = path / group.path / key
-    coords = [k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}]
-    if named := " ".join(k for k in coords if {*data[k].dims} <= {*variable.dims}):
+    others = sorted({*map(str, data.coords)} - {key, *map(str, data.dims)})
+    if named := " ".join(k for k in others if {*data[k].dims} <= {*variable.dims}):
         variable.attrs["coordinates"] = named
     kind = variable.dims, variable.shape, variable.dtype
     if kind in first_arrays:

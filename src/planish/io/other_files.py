@@ -132,15 +132,12 @@ def folder_contents(folder: Path) -> tuple[str, str]:
     with_slices = [inner for inner, held in files_by_folder.items() if _has_slices(held)]
     texts = _counted(files)
     for inner in with_slices or [file.parent for file in most_files[:1]]:
-        texts.append(_folder_text(inner.relative_to(folder), files_by_folder[inner]))
+        counted_text = and_join_few(_counted(files_by_folder[inner]))
+        texts.append(f"a folder {inner.relative_to(folder).as_posix()} with {counted_text}")
     texts += [f"an OME-Zarr store {store.name}" for store in stores]
     contents_text = f"it holds {and_join_few(texts)}" if texts else "it is empty"
     candidates = with_slices or [*filter(_is_volume, files), *stores]
     return contents_text, _way_on(folder, candidates, files or most_files)
-
-
-def _folder_text(inner: Path, files: Sequence[Path]) -> str:
-    return f"a folder {inner.as_posix()} with {and_join_few(_counted(files))}"
 
 
 def _way_on(folder: Path, candidates: Sequence[Path], files: Sequence[Path]) -> str:

@@ -129,14 +129,16 @@ def read_section_stack(
     """
     sections = open_sections(Path(path), channel=channel, memory_bytes=memory_bytes)
     size, source = sections.agreed_size(voxel_um, override=override_size, unusual=unusual_size)
+    first = sections.first
     attrs: Entries = {
-        **size_attrs(VOXEL, size, source, sections.first.stated),
-        "full_scale": full_scale(sections.values.dtype, sections.first.bits),
+        **size_attrs(VOXEL, size, source, first.stated),
+        "full_scale": full_scale(sections.values.dtype, first.bits),
         "file_name": sections.folder.name,
         "file_bytes": sections.file_bytes,
         "section_kind": sections.kind,
-    } | colour_attrs(check_channel(channel), sections.folder, in_colour=sections.first.in_colour)
-    attrs |= picture_attrs(sections.first.orientation)
+    }
+    attrs |= colour_attrs(check_channel(channel), sections.folder, in_colour=first.in_colour)
+    attrs |= picture_attrs(first.orientation)
     return sections._replace(attrs=attrs)
 
 

@@ -134,8 +134,10 @@ def _all_rise(columns: Sequence[Sequence[Any]], order: list[int]) -> bool:
 def _number_columns(files: list[Path]) -> list[list[int]]:
     """Numbers of all names, one list for each place in a name."""
     columns: list[list[int]] = []
-    for words in zip(*(NUMBER.findall(path.stem) for path in files), strict=True):
-        is_signed = len({word[0] if word[0] in "+-" else "" for word in words}) > 1
+    numbers = [NUMBER.findall(path.stem) for path in files]
+    for words in zip(*numbers, strict=True):
+        signs = {word[0] if word[0] in "+-" else "" for word in words}
+        is_signed = len(signs) > 1
         columns.append([int(word if is_signed else word.lstrip("+-")) for word in words])
     return columns
 

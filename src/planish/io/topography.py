@@ -1,6 +1,7 @@
 """Height maps of optical and stylus instruments, in the formats that SurfaceTopography reads."""
 
 import gc
+import math
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -79,16 +80,14 @@ def read_topography(
                 f"{path.name} holds a profile of {size_words(grid_shape)} points, not a map. Give a"
                 " map of heights."
             )
-        check_memory(
-            path, needed_bytes=3 * 8 * grid_shape[0] * grid_shape[1], limit_bytes=memory_bytes
-        )
+        needed_bytes = 3 * 8 * math.prod(grid_shape)
+        check_memory(path, needed_bytes=needed_bytes, limit_bytes=memory_bytes)
         unit_length = _unit_length(channel.unit, path)
         physical_sizes: Any = channel.physical_sizes or (None, None)
         stated: list[Stated] = []
         if None not in physical_sizes:
-            x, y = (
-                float(v) / n * unit_length for v, n in zip(physical_sizes, grid_shape, strict=True)
-            )
+            sides = zip(physical_sizes, grid_shape, strict=True)
+            x, y = (float(side) / n * unit_length for side, n in sides)
             stated = [Stated("the topography file", (y, x))]
         size, source = agreed_size(
             stated,
@@ -102,9 +101,8 @@ def read_topography(
         physical_sizes = (x * grid_shape[0] / unit_length, y * grid_shape[1] / unit_length)
         size_arguments: Any = {} if stated else {"physical_sizes": physical_sizes}
         with reading(path):
-            heights = np.ma.asarray(reader.topography(**size_arguments).heights()).astype(
-                np.float64
-            )
+            stored_heights = reader.topography(**size_arguments).heights()
+            heights = np.ma.asarray(stored_heights).astype(np.float64)
             file_format = str(reader.format() if callable(getattr(reader, "format", None)) else "")
     with quiet:
         # Some readers map the file and complain when they are thrown away, which would be at any

@@ -365,9 +365,9 @@ def _check_blosc(array: Any, where: Where, folder: Path, path: Path) -> None:
         with chunk.open("rb") as file:
             first_bytes = file.read(16)
         stored_bytes = chunk.stat().st_size
-        unpacked, packed = (
-            struct.unpack_from("<4xIxxxxI", first_bytes) if len(first_bytes) == 16 else (0, 0)
-        )
+        unpacked = packed = 0
+        if len(first_bytes) == 16:
+            unpacked, packed = struct.unpack_from("<4xIxxxxI", first_bytes)
         if (unpacked, packed) != (needed_bytes, stored_bytes):
             chunk_name = chunk.relative_to(path).as_posix()
             sizes_text = f"{stored_bytes} bytes of {packed}, for {unpacked} bytes of values"
