@@ -15,6 +15,7 @@ from planish.correct.sums import (
     BASE,
     BRIGHT,
     COARSE,
+    GREY_STEP,
     GREYS,
     MATERIALS,
     Counts,
@@ -43,7 +44,8 @@ class _Fit(NamedTuple):
 def _jackknife_errors(estimates: Floats) -> Floats:
     """Standard errors (...,) from values (group, ...) with each group left out."""
     n = len(estimates)
-    return np.sqrt((n - 1) / n * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0))
+    squares = (estimates - estimates.mean(axis=0)) ** 2
+    return np.sqrt((n - 1) / n * np.sum(squares, axis=0))
 
 
 def _loss_percent(coefficient: float) -> float:
@@ -175,7 +177,7 @@ def _fit_coefficients(
     """
     low, high = limits
     row_counts = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
-    row_sums = row_counts * (GREYS[:-1] + 0.5 * (GREYS[1] - GREYS[0]))
+    row_sums = row_counts * (GREYS[:-1] + 0.5 * GREY_STEP)
     total_counts = running_sums(row_counts)
     total_greys = running_sums(row_sums)
     n_depths = histogram.shape[1]
@@ -227,7 +229,8 @@ def _coefficient_step(
     design[:, -1] = level[depth] * t
     sqrt_n = np.sqrt(n)
     residual = grey - level[depth] * factors
-    return float(np.linalg.lstsq(design * sqrt_n[:, None], residual * sqrt_n, rcond=None)[0][-1])
+    solution = np.linalg.lstsq(design * sqrt_n[:, None], residual * sqrt_n, rcond=None)[0]
+    return float(solution[-1])
 
 
 def _depth_coefficient(t: Floats, grey: Floats, n: Floats, is_used: Bools) -> float:
@@ -246,7 +249,7 @@ def _sum_between(running_sum: Floats, low: Floats, high: Floats) -> Floats:
 
 def _sum_below(running_sum: Floats, grey: Floats) -> Floats:
     rows = np.arange(len(running_sum))
-    x = np.clip((grey - GREYS[0]) / (GREYS[1] - GREYS[0]), 0.0, GREYS.size - 1.0)
+    x = np.clip((grey - GREYS[0]) / GREY_STEP, 0.0, GREYS.size - 1.0)
     i = np.minimum(x.astype(np.int64), GREYS.size - 2)
     part = x - i
     return running_sum[rows, i] * (1 - part) + running_sum[rows, i + 1] * part

@@ -245,6 +245,7 @@ AIR, BASE, BRIGHT = 0, 1, 2
 MATERIALS = ("air", "base", "coating")
 UNIT = 1024  # whole numbers to the contrast between air and sheet
 GREYS = np.linspace(-0.5, 2.5, 301)  # borders of the histogram's greys, in contrasts above air
+GREY_STEP = GREYS[1] - GREYS[0]
 COARSE = 48  # radii of the histogram
 QUARTERS = 4  # parts of the turn of the histogram
 DEPTHS = np.array([0, 5, 6, 7, 8, 10, 13, 18])
@@ -316,7 +317,7 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
                 k = min(int(number * blocks / length), blocks - 1)
                 _add_to_rings(sums, k, grey, label, depth, radius_bins, sectors)
                 # The voxels inside the sheet by quarter of the turn, radius, depth and grey.
-                grey_bins = ((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64)
+                grey_bins = ((grey / UNIT - GREYS[0]) / GREY_STEP).astype(np.int64)
                 depths = np.searchsorted(DEPTHS, depth, side="right") - 1
                 histogram = sums.histogram[k]
                 bins = quarters, coarse_bins, depths, np.clip(grey_bins, 0, GREYS.size - 2)
@@ -387,5 +388,6 @@ def _classify(
         label[is_inside] = 1 + AIR if mask is is_air else solid_label
     filled = np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0)
     contrast_share = (filled - levels.air) / levels.contrast
-    grey = np.rint(np.clip(contrast_share, GREYS[0], GREYS[-1]) * UNIT).astype(np.int64)
+    units = np.clip(contrast_share, GREYS[0], GREYS[-1]) * UNIT
+    grey = np.rint(units).astype(np.int64)
     return number, grey, label, depth

@@ -157,7 +157,8 @@ def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
             gain = distances[a, b] + distances[c, d] - distances[a, c] - distances[b, d]
             best = int(np.argmax(gain))
             if gain[best] > 1e-6:
-                tour[i + 1 : i + 2 + best] = tour[i + 1 : i + 2 + best][::-1]
+                turned = slice(i + 1, i + 2 + best)
+                tour[turned] = tour[turned][::-1]
                 is_shorter = True
     return tour[1:] - 1
 

@@ -83,7 +83,8 @@ class StageParams(Params):
     def _fits(self) -> Self:
         if self.power is not None and self.pulse_code != "m3":
             raise ValueError("a power goes with the pulse code m3 only")
-        if not (self.range_um[0] < self.range_um[2] and self.range_um[1] < self.range_um[3]):
+        x0, y0, x1, y1 = self.range_um
+        if not (x0 < x1 and y0 < y1):
             raise ValueError(
                 "the range X0,Y0,X1,Y1 of the stage is empty: X1 and Y1 have to be larger than X0"
                 " and Y0"

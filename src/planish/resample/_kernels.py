@@ -93,10 +93,10 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
                 total = (ax + bx) + (cx + dx) + ((ay + by) + (cy + dy))
                 if total - total != 0.0:  # a corner is missing
                     continue
-                top = max(np.ceil(min(min(ay, by), min(cy, dy)) - _EDGE), float(begin))
-                bottom = min(np.floor(max(max(ay, by), max(cy, dy)) + _EDGE), end - 1.0)
-                left = max(np.ceil(min(min(ax, bx), min(cx, dx)) - _EDGE), 0.0)
-                right = min(np.floor(max(max(ax, bx), max(cx, dx)) + _EDGE), width - 1.0)
+                top = max(np.ceil(min(ay, by, cy, dy) - _EDGE), float(begin))
+                bottom = min(np.floor(max(ay, by, cy, dy) + _EDGE), end - 1.0)
+                left = max(np.ceil(min(ax, bx, cx, dx) - _EDGE), 0.0)
+                right = min(np.floor(max(ax, bx, cx, dx) + _EDGE), width - 1.0)
                 if top > bottom or left > right:
                     continue
                 ex, ey = bx - ax, by - ay

@@ -280,7 +280,8 @@ def find_patches(mapping: Mapping, tile: Tile, source: Shape) -> tuple[Integers,
         y, x = (y0 + y1 + 1) // 2, (x0 + x1 + 1) // 2
         halves = product(((y0, y), (y, y1)), ((x0, x), (x, x1)))
         bounds = np.concatenate([np.stack([*rows, *cols], axis=1) for rows, cols in halves])
-        bounds = bounds[(bounds[:, 1] > bounds[:, 0]) & (bounds[:, 3] > bounds[:, 2])]
+        y0, y1, x0, x1 = bounds.T
+        bounds = bounds[(y1 > y0) & (x1 > x0)]
     all_bounds, all_nodes = zip(*patches, strict=True)
     return np.concatenate(all_bounds), np.concatenate(all_nodes)
 

@@ -120,12 +120,16 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
                 max(1, cols * chunk // chunks), min(cols - 1, cols * (chunk + 1) // chunks)
             ):
                 d = b1[c] - a1[c]
-                gr = half_r * (a2[c] - a0[c] + (b2[c] - b0[c]))
-                gc = half_c * (a1[c + 1] - a1[c - 1] + (b1[c + 1] - b1[c - 1]))
+                a_down = a2[c] - a0[c]
+                b_down = b2[c] - b0[c]
+                a_across = a1[c + 1] - a1[c - 1]
+                b_across = b1[c + 1] - b1[c - 1]
+                gr = half_r * (a_down + b_down)
+                gc = half_c * (a_across + b_across)
                 gt = gr * x[c] - gc * (y[c] + off)
                 # Half the difference of the gradients: g_a g_b' + g_b g_a' = 2 (g g' - h h').
-                hr = half_r * (b2[c] - b0[c] - (a2[c] - a0[c]))
-                hc = half_c * (b1[c + 1] - b1[c - 1] - (a1[c + 1] - a1[c - 1]))
+                hr = half_r * (b_down - a_down)
+                hc = half_c * (b_across - a_across)
                 ht = hr * x[c] - hc * (y[c] + off)
                 sound = d + gr + gc
                 w = one if sound == sound else zero

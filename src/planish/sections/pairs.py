@@ -288,7 +288,8 @@ def _solve(
     sigma = np.full((first.size, 3), np.inf)
     variance = np.einsum("pii->pi", covariance)
     sigma[:, :n_unknowns] = np.sqrt(variance * n_parts / max(n_parts - 1, 1))
-    is_sound = is_same_sheet & np.isfinite(solution).all(axis=1) & (sigma[:, :2] < 5.0).all(axis=1)
+    is_solved = np.isfinite(solution).all(axis=1) & (sigma[:, :2] < 5.0).all(axis=1)
+    is_sound = is_same_sheet & is_solved
     sigma = np.maximum(sigma, 0.02)  # no pair is better than this, whatever its parts say
     sigma[:, 2] /= _TURN_UM
     return SectionPairs(
