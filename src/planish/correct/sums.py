@@ -211,22 +211,22 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: Pair | None) -> Tu
     size = dict(zip("zyx", map(float, volume.attrs["voxel_um"]), strict=True))
     frame = Frame(through=axis)
     a, b = frame.rows, frame.cols
-    shape = (volume.sizes[axis], volume.sizes[a], volume.sizes[b])
+    shape = length, rows, cols = volume.sizes[axis], volume.sizes[a], volume.sizes[b]
     pitch = (size[a], size[b])
-    if shape[0] < _LEAST_LENGTH:
+    if length < _LEAST_LENGTH:
         raise VolumeError(
-            f"The volume has {shape[0]} voxel(s) along {axis}, the axis of rotation; at least"
+            f"The volume has {length} voxel(s) along {axis}, the axis of rotation; at least"
             f" {_LEAST_LENGTH} are needed to separate a ring from the sheet. Give the whole stack,"
             " or another axis with `rotation_axis`."
         )
-    if min(shape[1:]) < _LEAST_PLANE:
+    if min(rows, cols) < _LEAST_PLANE:
         raise VolumeError(
-            f"The volume has {shape[1]} x {shape[2]} voxels along {a} and {b}, across the axis of"
+            f"The volume has {rows} x {cols} voxels along {a} and {b}, across the axis of"
             f" rotation; at least {_LEAST_PLANE} are needed. Give the whole stack, or another"
             " `rotation_axis`."
         )
-    extent_um = ((shape[1] - 1) * pitch[0], (shape[2] - 1) * pitch[1])
-    centre = (0.5 * extent_um[0], 0.5 * extent_um[1]) if centre_um is None else centre_um
+    extent_um = height_um, width_um = (rows - 1) * size[a], (cols - 1) * size[b]
+    centre = (0.5 * height_um, 0.5 * width_um) if centre_um is None else centre_um
     for name, position_um, end_um in zip((a, b), centre, extent_um, strict=True):
         # An axis further outside is taken for a mistake.
         if not -0.5 * end_um <= position_um <= 1.5 * end_um:

@@ -60,9 +60,9 @@ class PagedArray(FileArray):
         rows: Callable[[int, int, int], Array],
     ) -> None:
         super().__init__(path, shape, dtype, self._read_pages)
-        self.unit_rows = unit_rows
+        self.unit_rows = min(unit_rows, shape[1])
         self.rows = rows
-        self.piece_bytes = min(unit_rows, shape[1]) * math.prod(shape[2:]) * dtype.itemsize
+        self.piece_bytes = self.unit_rows * math.prod(shape[2:]) * dtype.itemsize
         self.whole_slices = unit_rows >= shape[1]
         self._strip = lru_cache(max(DECODED_BYTES // self.piece_bytes, 1))(self._decoded)
 

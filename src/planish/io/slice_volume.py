@@ -128,7 +128,7 @@ def _left_in_files(
         return widened(stored_array(planes, shape, header.dtype))
     if strip_rows < shape[1]:
         rows = partial(_strip_rows, files, shape[1:])
-    return PagedArray(files[0].parent, shape, dtype, min(strip_rows, shape[1]), rows)
+    return PagedArray(files[0].parent, shape, dtype, strip_rows, rows)
 
 
 def _slice_rows(

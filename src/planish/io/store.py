@@ -208,9 +208,11 @@ def _plan_blocks(
             f" {memory_bytes / 1e6:.0f} MB are allowed for it. Allow more: `memory={needed_gb}GB`"
             " will do."
         )
-    n_across = min(int(block_ratio), -(-shape[2] // unit_shape[2]))
-    n_down = min(max(int(block_ratio / n_across), 1), -(-shape[1] // unit_shape[1]))
-    return (unit_shape[0], n_down * unit_shape[1], n_across * unit_shape[2]), n_parallel
+    _, rows, cols = shape
+    depth, unit_rows, unit_cols = unit_shape
+    n_across = min(int(block_ratio), -(-cols // unit_cols))
+    n_down = min(max(int(block_ratio / n_across), 1), -(-rows // unit_rows))
+    return (depth, n_down * unit_rows, n_across * unit_cols), n_parallel
 
 
 def _parts(levels: list[Array], where: Where) -> list[tuple[Array, Where]]:

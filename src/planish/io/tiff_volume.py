@@ -200,7 +200,7 @@ class TiffPages(PagedArray):
             self._segments.append((page.dataoffsets, page.databytecounts, tables))
         self._decode: Any = key.decode
         self._across = 1
-        strip_rows = min(key.rowsperstrip, key.imagelength)
+        strip_rows = key.rowsperstrip
         if key.is_tiled:
             self._across = -(-key.imagewidth // key.tilewidth)
             strip_rows = key.tilelength

@@ -307,14 +307,15 @@ def integrals(sums, x, y):
     out = np.zeros((rows, cols))
     for i in range(rows + 1):
         for k in range(cols + 1):
+            x0, y0 = x[i, k], y[i, k]
             if k < cols:
-                along = _under(sums, x[i, k], y[i, k], x[i, k + 1], y[i, k + 1])
+                along = _under(sums, x0, y0, x[i, k + 1], y[i, k + 1])
                 if i < rows:
                     out[i, k] += along
                 if i > 0:
                     out[i - 1, k] -= along
             if i < rows:
-                side = _under(sums, x[i, k], y[i, k], x[i + 1, k], y[i + 1, k])
+                side = _under(sums, x0, y0, x[i + 1, k], y[i + 1, k])
                 if k < cols:
                     out[i, k] -= side
                 if k > 0:

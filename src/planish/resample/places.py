@@ -104,25 +104,26 @@ def find_places(
     Where quads overlap, the first in the order of the mesh stays. A quad without one of its corners
     covers nothing.
     """
-    shape = grid.shape
-    if min(shape) < 1 or shape[0] * shape[1] > 2**31:
+    rows, cols = grid.shape
+    if min(rows, cols) < 1 or rows * cols > 2**31:
         raise SurfaceError(
-            f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size."
+            f"A grid of {rows} x {cols} pixels cannot be made. Check the pixel size."
         )
     # Two triangles per node are numbered in 32 bits.
-    if uv.shape[2:] != (2,) or uv.shape[0] * uv.shape[1] > 2**30:
+    if uv.shape[2:] != (2,) or uv.size > 2 * 2**30:
         raise SurfaceError(
             f"The flat coordinates have the shape {uv.shape}; (rows, cols, 2) is needed, with 2^30"
             " nodes at most."
         )
-    pixel = grid.pixel_um
-    origin = grid.origin_um
-    fine = min(max(1, int(np.ceil(max(pixel) / least_um - 1e-6))), 32) if least_um else 1
-    step = pixel[1] / fine, pixel[0] / fine
+    row_um, col_um = grid.pixel_um
+    u, v = grid.origin_um
+    fine = 1
+    if least_um:
+        fine = min(max(1, int(np.ceil(max(row_um, col_um) / least_um - 1e-6))), 32)
+    step = du, dv = col_um / fine, row_um / fine
     # The first sub-pixel's centre lies half a pixel less half a sub-pixel before the pixel's.
-    first_u = origin[0] - 0.5 * (pixel[1] - step[0])
-    first = (first_u, origin[1] - 0.5 * (pixel[0] - step[1]))
-    size = (shape[0] * fine, shape[1] * fine)
+    first = (u - 0.5 * (col_um - du), v - 0.5 * (row_um - dv))
+    size = (rows * fine, cols * fine)
     mesh = (uv.shape[0], uv.shape[1])
     uv = np.ascontiguousarray(uv, dtype=np.float64)
     corners = np.empty((0, 3), dtype=np.int32)
@@ -132,7 +133,7 @@ def find_places(
     if method == "delaunay":
         corners = _locate_in_delaunay(uv, first, step, triangle, weight)
     else:
-        extents = (_SEGMENT, *_extents(uv[..., 1], first[1], step[1]))
+        extents = (_SEGMENT, *_extents(uv[..., 1], first[1], dv))
         is_double = np.zeros(size, np.uint8)
 
         def band(begin: int, end: int) -> int:
