@@ -5,6 +5,7 @@ Frozen models make its ``results.json`` and its page.
 Sheets, not fields, are the sample: means, intervals and tests are over means of sheets.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -142,6 +143,9 @@ class SeriesSpecimen(DescribedModel):
     def factor(self, name: str) -> str:
         """Level of a factor; empty where the specimen has none."""
         return self.member.factors.get(name, "")
+
+
+Specimens = Sequence[SeriesSpecimen]
 
 
 class _OfGroup(DescribedModel):

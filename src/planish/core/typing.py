@@ -11,6 +11,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 Singles = NDArray[np.float32]  # of single precision
 Pair = tuple[float, float]
+IntPair = tuple[int, int]  # rows and columns, or a lag along both, in pixels
 Pixel = float | Pair  # edge of a pixel in um, or its edges along y and x
 Array = NDArray[Any]
 Window = tuple[slice, slice]  # rows and columns of a part

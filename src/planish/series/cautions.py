@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from planish.core.tables import grouped
 from planish.core.text import and_join
 from planish.series.gather import Gathered
-from planish.series_results import FACTORS, Cell, Quantity, SeriesSpecimen
+from planish.series_results import FACTORS, Cell, Quantity, Specimens
 
 NEST = ("sheet", "field")  # factors that are the sample
 _MOST_NAMES = 6
@@ -20,7 +20,7 @@ _KIND_NAMES = {
 
 def cautions_of(
     gathered: Gathered,
-    specimens: Sequence[SeriesSpecimen],
+    specimens: Specimens,
     quantities: Sequence[Quantity],
     grouped_by: Sequence[str],
     compared_by: str | None,
@@ -42,7 +42,7 @@ def cautions_of(
         yield from _column_widths([um for um in widths_um if um is not None])
 
 
-def _kinds(counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
+def _kinds(counted: Specimens) -> Iterator[str]:
     """What does not meet where runs are of different kinds."""
     kind_counts = Counter(specimen.kind for specimen in counted)
     if len(kind_counts) > 1:
@@ -61,7 +61,7 @@ def _column_widths(widths_um: Sequence[float]) -> Iterator[str]:
         )
 
 
-def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity]) -> Iterator[str]:
+def _left_out(counted: Specimens, quantities: Sequence[Quantity]) -> Iterator[str]:
     """Figures that a check or too little data keeps out of means and comparisons."""
     yield from _kept_out("withheld", "a check failed", counted, len(quantities))
     yield from _kept_out("doubtful", "a check asks for a look", counted, len(quantities))
@@ -85,9 +85,7 @@ def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity])
         )
 
 
-def _kept_out(
-    trust: str, why: str, counted: Sequence[SeriesSpecimen], n_quantities: int
-) -> Iterator[str]:
+def _kept_out(trust: str, why: str, counted: Specimens, n_quantities: int) -> Iterator[str]:
     """Which specimens have figures that a check keeps out."""
     figure_counts: dict[str, int] = {}
     for specimen in counted:
@@ -103,11 +101,11 @@ def _kept_out(
         )
 
 
-def _with_cell(counted: Sequence[SeriesSpecimen], is_meant: Callable[[Cell], bool]) -> list[str]:
+def _with_cell(counted: Specimens, is_meant: Callable[[Cell], bool]) -> list[str]:
     return [specimen.name for specimen in counted if any(map(is_meant, specimen.cells))]
 
 
-def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
+def _sheets(gathered: Gathered, counted: Specimens) -> Iterator[str]:
     """What does not match of sheets and volumes."""
     by_volumes = grouped(counted, lambda specimen: gathered.runs[specimen.name].volumes)
     without = specimens_without("sheet", counted)
@@ -132,7 +130,7 @@ def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[s
             yield f"{names} are of the same volume and count as one sheet."
 
 
-def _same_fields(counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
+def _same_fields(counted: Specimens) -> Iterator[str]:
     with_field = [specimen for specimen in counted if specimen.factor("field")]
     by_field = grouped(with_field, lambda s: (s.sheet, *s.member.factors.values()))
     for same in by_field.values():
@@ -144,7 +142,7 @@ def _same_fields(counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
             )
 
 
-def _levels(counted: Sequence[SeriesSpecimen]) -> dict[str, list[str]]:
+def _levels(counted: Specimens) -> dict[str, list[str]]:
     """Levels of each factor, in the order of the specimens."""
     levels: dict[str, list[str]] = {}
     for specimen in counted:
@@ -156,7 +154,7 @@ def _levels(counted: Sequence[SeriesSpecimen]) -> dict[str, list[str]]:
 
 
 def _factors(
-    counted: Sequence[SeriesSpecimen],
+    counted: Specimens,
     levels: Mapping[str, Sequence[str]],
     grouped_by: Sequence[str],
 ) -> Iterator[str]:
@@ -183,9 +181,7 @@ def _factors(
             )
 
 
-def _comparison(
-    counted: Sequence[SeriesSpecimen], factor: str, n_levels: int, most_levels: int
-) -> Iterator[str]:
+def _comparison(counted: Specimens, factor: str, n_levels: int, most_levels: int) -> Iterator[str]:
     """What is odd about the factor that is compared."""
     if factor not in FACTORS:
         # Sheets that pair by a factor of which the program cannot know whether it is done to a
@@ -214,7 +210,7 @@ def _comparison(
         )
 
 
-def specimens_without(factor: str, counted: Sequence[SeriesSpecimen]) -> list[str]:
+def specimens_without(factor: str, counted: Specimens) -> list[str]:
     """Names of the specimens for which a factor is not given."""
     return [specimen.name for specimen in counted if not specimen.factor(factor)]
 

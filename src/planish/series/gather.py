@@ -6,12 +6,14 @@ Each gives its figures as rows, and what a table says.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 from planish.analyze.agreement import AgreementFacts
 from planish.core.checks import State, concerned
 from planish.core.errors import FileError, InputError
 from planish.core.facts import RoughnessFacts, ThinFacts, Trust, is_known
+from planish.core.tables import grouped
 from planish.core.text import without_folders
 from planish.core.typing import Entries, Texts
 from planish.report.summary import key_of
@@ -173,25 +175,27 @@ def as_judged(member: Member, results: Results) -> Member:
 
 def _summary(member: Member, results: Results) -> RunSummary:
     """What the page of a series needs of one run."""
-    sheets = [layer for layer in results.layers if layer.kind == "sheet"]
-    widths_um: list[float] = []
-    for layer in sheets:
-        widths_um += layer.source.size_um[1:]
-        if layer.sheet is not None and layer.sheet.numbers is not None:
-            widths_um += [thin.support_um for thin in layer.sheet.numbers.thin.values()]
+    layers = grouped(results.layers, lambda layer: layer.kind)
+    sheets = layers.get("sheet", [])
     thin_um = results.parameters.get("correlate", {}).get("thin_um")
-    headlines = dict.fromkeys(layer.headline for layer in sheets)
-    images = [layer.name for layer in results.layers if layer.kind == "image"]
     return RunSummary(
         specimen=_specimen(member, results),
         sheets=tuple(layer.name for layer in sheets),
-        images=tuple(images),
-        headlines=tuple(headlines),
+        images=tuple(layer.name for layer in layers.get("image", [])),
+        headlines=tuple(dict.fromkeys(layer.headline for layer in sheets)),
         volumes=tuple(layer.source.sha256 for layer in sheets),
         thin_um=float(thin_um) if isinstance(thin_um, int | float) else None,
-        column_um=max(widths_um, default=None),
+        column_um=max(chain.from_iterable(map(_widths_um, sheets)), default=None),
         instruments=tuple(_instruments(member, results)),
     )
+
+
+def _widths_um(layer: LayerFacts) -> list[float]:
+    """Widths of the voxels of a sheet, and of its columns where thin shares state them."""
+    widths_um = [*layer.source.size_um[1:]]
+    if layer.sheet is not None and layer.sheet.numbers is not None:
+        widths_um += [thin.support_um for thin in layer.sheet.numbers.thin.values()]
+    return widths_um
 
 
 def _kind_of(results: Results) -> RunKind:
@@ -301,10 +305,9 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
     for layer in results.layers:
         rows += _of_layer(layer, results, make_row)
     rows += _of_pairs(results, make_row)
-    states: tuple[State, ...] = ("fail", "look", "unknown", "pass")
-    return rows + [
-        make_row(f"checks_{state}", float(len(results.checks_in(state)))) for state in states
-    ]
+    for state in (*_STATES, "pass"):
+        rows.append(make_row(f"checks_{state}", float(len(results.checks_in(state)))))
+    return rows
 
 
 def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
@@ -374,14 +377,8 @@ def _of_pairs(results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
         make_pair_row = partial(make_row, **pair_fields, **trust_fields, at_um=c.point_um)
         low, high = map(_number, c.interval)
         yield make_pair_row("r", _number(c.r), low=low, high=high)
-        values = {
-            "r2": c.r2,
-            "slope": c.slope,
-            "points": c.n,
-            "n_eff": c.n_eff,
-            "n_eff_interval": c.n_eff_interval,
-        }
-        for quantity, value in values.items():
+        for quantity in ("r2", "slope", "points", "n_eff", "n_eff_interval"):
+            value = c.n if quantity == "points" else getattr(c, quantity)
             yield make_pair_row(quantity, _number(float(value)))
         if c.same_quantity:
             agreement = agreement_by_pair.get(key_of(c))
@@ -404,10 +401,9 @@ def _differences(
 
     They have intervals at the points where the run states them.
     """
-    if agreement is not None and (
-        c.trust == "withheld" or not abs(agreement.point_um - c.point_um) < 1e-6
-    ):
-        agreement = None
+    if agreement is not None:
+        is_of_points = abs(agreement.point_um - c.point_um) < 1e-6
+        agreement = agreement if is_of_points and c.trust != "withheld" else None
     intervals = [None] * 3
     if agreement is not None:
         intervals = [agreement.bias_interval, *agreement.limit_intervals]
@@ -425,7 +421,6 @@ def _trusted(
 ) -> Entries:
     if trust == "ok":
         return {"trust": trust}
-    names = (
-        c.name for c in concerned(results.checks, layers, figures) if c.state in ("look", "fail")
-    )
-    return {"trust": trust, "checks": "; ".join(dict.fromkeys(names))}
+    checks = concerned(results.checks, layers, figures)
+    names = dict.fromkeys(check.name for check in checks if check.state in ("look", "fail"))
+    return {"trust": trust, "checks": "; ".join(names)}

@@ -122,23 +122,27 @@ class SeriesState:
             note = self._note_of(study, specimen)
         except PlanishError as error:
             return specimen.member.model_copy(update=_reason_of(error))
+        folder, old_note = self._place_of(specimen, note)
+        if is_run(folder):
+            return self.member(specimen, folder)
+        if old_note is not None and old_note.state == "refused":
+            return _without_run(specimen, old_note)
+        return Job(name=specimen.name, study=study, folder=folder, compute=compute, note=note)
+
+    def _place_of(self, specimen: PlannedSpecimen, note: Note) -> tuple[Path, Note | None]:
+        """Folder of a run, and its note; another folder where there is a run of something else."""
         name = specimen.name
         k = 1
-        while True:  # another folder where there is a run of something else
+        while True:
             folder = self.home / RUNS / name
             old_note = self._read(folder)
             if old_note is not None and old_note.key != note.key:
                 old_note = None
             is_free = name == specimen.name or name.casefold() not in self._reserved
             if is_free and (old_note is not None or not folder.exists()):
-                break
+                return folder, old_note
             k += 1
             name = f"{specimen.name}-{k}"
-        if is_run(folder):
-            return self.member(specimen, folder)
-        if old_note is not None and old_note.state == "refused":
-            return _without_run(specimen, old_note)
-        return Job(name=specimen.name, study=study, folder=folder, compute=compute, note=note)
 
     def close(self, specimen: PlannedSpecimen, job: Job, note: Note) -> Member:
         """Remember what became of a job."""
@@ -181,11 +185,13 @@ class SeriesState:
                     volume_bytes = max(volume_bytes, bytes_to_hold(header["bytes"]))
         except PlanishError as error:
             return Estimate(words=f"refused: {error.text}")
+        by_size_s = _START_S + _PER_VOXEL_S * voxels + _PER_PIXEL_S * pixels
+        pixel_bytes = _PER_PIXEL * pixels
         return Estimate(
             words="to do",
-            seconds=self._usual_s() or _START_S + _PER_VOXEL_S * voxels + _PER_PIXEL_S * pixels,
-            memory_bytes=PROGRAM_BYTES + min(compute.for_work, volume_bytes + _PER_PIXEL * pixels),
-            disk_bytes=_PER_COLUMN * columns + _PER_PIXEL * pixels,
+            seconds=self._usual_s() or by_size_s,
+            memory_bytes=PROGRAM_BYTES + min(compute.for_work, volume_bytes + pixel_bytes),
+            disk_bytes=_PER_COLUMN * columns + pixel_bytes,
         )
 
     def _usual_s(self) -> float | None:
@@ -204,23 +210,18 @@ class SeriesState:
             return find_place(path).name
 
         options = to_dict(with_paths(study, without))
-        old = self._read(self.home / RUNS / specimen.name)
-        stamps: dict[str, str] = {}
+        old = self._read(self.home / RUNS / specimen.name) or Note(key="")
+        stamps = {str(number): stamp_of(Path(path)) for number, path in enumerate(paths)}
         hashes: dict[str, str] = {}
-        for number, path in enumerate(paths):
-            k = str(number)
-            stamps[k] = stamp_of(Path(path))
-            if old is not None and old.stamps.get(k) == stamps[k] and k in old.hashes:
-                hashes[k] = old.hashes[k]
-            else:
-                hashes[k] = hash_of_input(path)
+        for (k, stamp), path in zip(stamps.items(), paths, strict=True):
+            is_kept = k in old.hashes and old.stamps.get(k) == stamp
+            hashes[k] = old.hashes[k] if is_kept else hash_of_input(path)
         return Note(key=run_key(options, list(hashes.values())), stamps=stamps, hashes=hashes)
 
     def _read(self, folder: Path) -> Note | None:
+        path = self.home / NOTES / f"{folder.name}.json"
         with suppress(OSError, ValidationError):
-            return Note.model_validate_json(
-                (self.home / NOTES / f"{folder.name}.json").read_bytes()
-            )
+            return Note.model_validate_json(path.read_bytes())
         return None
 
     def _write(self, folder: Path, note: Note) -> None:

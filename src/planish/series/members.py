@@ -115,11 +115,6 @@ class _TableOfRuns:
         """Factors of each run; InputError unless each has one row, and each row a run."""
         table = self._table
         rows = [self._row_of(folder) for folder in folders]
-        factors: list[dict[str, str]] = []
-        for row in rows:
-            cells = {name: table.text(row, name) for name in table.header}
-            names = cells.keys() - {"run", "name", ""}
-            factors.append({name: cell for name, cell in cells.items() if cell and name in names})
         idle = [row for row in table.rows if row not in rows]
         if idle:
             texts = [table.text(row, "run") or table.text(row, "name", "empty") for row in idle[:5]]
@@ -127,6 +122,11 @@ class _TableOfRuns:
                 f"{table.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that"
                 f" was given: {', '.join(texts)}. Give these runs, too, or take the rows out."
             )
+        names = [name for name in table.header if name not in ("run", "name", "")]
+        factors: list[dict[str, str]] = []
+        for row in rows:
+            cells = {name: table.text(row, name) for name in names}
+            factors.append({name: cell for name, cell in cells.items() if cell})
         return factors
 
     def _row_of(self, folder: Path) -> CsvRow:

@@ -51,6 +51,7 @@ OF_A_ROW = (
     "trust",
     "checks",
 )
+_NUMBERS = {"at_um", "value", "low", "high"}  # of these columns
 _OF_A_SPECIMEN = (
     "specimen",
     "state",
@@ -110,17 +111,18 @@ def write_series(
         specimens.append(specimen.model_copy(update={"member": member}))
     results = results.model_copy(update={"specimens": tuple(specimens)})
     header, rows = figures_table(gathered.rows, results.factors)
-    for name, content in (
-        (VALUES, table_text(header, rows).encode()),
-        (PARQUET, parquet_bytes(header, rows) if find_spec("pyarrow") is not None else None),
-        (SPECIMENS, _specimens_text(results).encode()),
-        (RESULTS, results.to_json().encode()),
-        (REPORT, series_page(results, small_maps).encode()),
-    ):
-        if content is None:
-            delete(out / name)  # one of an earlier time would say something else
-        else:
-            write_whole(out / name, content, over=True)
+    texts = {
+        VALUES: table_text(header, rows),
+        SPECIMENS: _specimens_text(results),
+        RESULTS: results.to_json(),
+        REPORT: series_page(results, small_maps),
+    }
+    if find_spec("pyarrow") is None:
+        delete(out / PARQUET)  # one of an earlier time would say something else
+    else:
+        write_whole(out / PARQUET, parquet_bytes(header, rows), over=True)
+    for name, text in texts.items():
+        write_whole(out / name, text.encode(), over=True)
     return results
 
 
@@ -194,11 +196,8 @@ def parquet_bytes(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes
     import pyarrow.parquet as pq  # pyright: ignore[reportMissingImports]
 
     columns = list(zip(*rows, strict=True)) or [()] * len(header)
-    numbers = {"at_um", "value", "low", "high"}
-    arrays = [
-        pa.array(c, pa.float64() if n in numbers else pa.string())
-        for n, c in zip(header, columns, strict=True)
-    ]
+    types = [pa.float64() if name in _NUMBERS else pa.string() for name in header]
+    arrays = [pa.array(column, kind) for column, kind in zip(columns, types, strict=True)]
     data = io.BytesIO()
     pq.write_table(pa.table(arrays, names=list(header)), data, compression="zstd")
     return data.getvalue()
@@ -209,7 +208,8 @@ def _columns_of(q: Quantity) -> list[str]:
     name_parts = [q.layer, q.map, q.what]
     suffixes = ("", "_trust")
     if q.what == "r":
-        name_parts += [q.other_layer, q.other_map if q.other_map != q.map else ""]
+        other_map = "" if q.other_map == q.map else q.other_map
+        name_parts += [q.other_layer, other_map]
         suffixes = ("", "_low", "_high", "_n_eff", "_trust")
     if q.at_um is not None:
         name_parts += [f"{q.at_um:g}", "um"]

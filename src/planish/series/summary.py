@@ -28,6 +28,7 @@ from planish.series_results import (
     Quantity,
     SeriesResults,
     SeriesSpecimen,
+    Specimens,
 )
 
 _MOST_LEVELS = 8
@@ -179,16 +180,12 @@ def _specimens(
     return specimens
 
 
-def _by_levels(
-    specimens: Sequence[SeriesSpecimen], factors: Sequence[str]
-) -> dict[Texts, list[SeriesSpecimen]]:
+def _by_levels(specimens: Specimens, factors: Sequence[str]) -> dict[Texts, list[SeriesSpecimen]]:
     """Specimens by their levels of some factors."""
     return grouped(specimens, lambda specimen: tuple(map(specimen.factor, factors)))
 
 
-def _fields(
-    specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = False
-) -> analyze.Fields:
+def _fields(specimens: Specimens, k: int, *, with_names: bool = False) -> analyze.Fields:
     """One quantity of some specimens; those that do not count are missing."""
     cells = [specimen.cells[k] for specimen in specimens]
     values = [cell.value if cell.counts and cell.value is not None else math.nan for cell in cells]
@@ -197,7 +194,7 @@ def _fields(
 
 
 def _groups(
-    specimens: Sequence[SeriesSpecimen], quantities: Sequence[Quantity], grouped_by: Sequence[str]
+    specimens: Specimens, quantities: Sequence[Quantity], grouped_by: Sequence[str]
 ) -> Iterator[GroupFacts]:
     """The mean of each quantity over the sheets of each group."""
     for levels, members in _by_levels(specimens, grouped_by).items():
@@ -208,7 +205,7 @@ def _groups(
             yield GroupFacts.holding(mean, quantity=k, group=group, left_out=left_out)
 
 
-def _mean_of(members: Sequence[SeriesSpecimen], k: int, quantity: Quantity) -> analyze.SheetMean:
+def _mean_of(members: Specimens, k: int, quantity: Quantity) -> analyze.SheetMean:
     fields = _fields(members, k)
     if quantity.what == "r":
         n_effs = [specimen.cells[k].n_eff_interval for specimen in members]
@@ -217,12 +214,12 @@ def _mean_of(members: Sequence[SeriesSpecimen], k: int, quantity: Quantity) -> a
     return analyze.over_sheets(fields).model_copy(update={"variances": variances})
 
 
-def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> Texts:
+def _left_out(specimens: Specimens, k: int) -> Texts:
     return tuple(specimen.name for specimen in specimens if not specimen.cells[k].counts)
 
 
 def _pairs(
-    specimens: Sequence[SeriesSpecimen],
+    specimens: Specimens,
     quantities: Sequence[Quantity],
     factor: str | None,
     grouped_by: Sequence[str],
@@ -254,7 +251,7 @@ def _pairs(
                 yield labels, _compare(before, after, k, quantity)
 
 
-def _levels_in_order(specimens: Sequence[SeriesSpecimen], factor: str) -> list[str]:
+def _levels_in_order(specimens: Specimens, factor: str) -> list[str]:
     """Levels of a factor that are given, as they come; before stands before after."""
     levels = [*filter(None, dict.fromkeys(specimen.factor(factor) for specimen in specimens))]
     if [level.casefold() for level in levels] == ["after", "before"]:
@@ -263,7 +260,7 @@ def _levels_in_order(specimens: Sequence[SeriesSpecimen], factor: str) -> list[s
 
 
 def _compare(
-    first: Sequence[SeriesSpecimen], second: Sequence[SeriesSpecimen], k: int, quantity: Quantity
+    first: Specimens, second: Specimens, k: int, quantity: Quantity
 ) -> analyze.SheetDifference:
     """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
     paired = not {s.sheet for s in first}.isdisjoint(s.sheet for s in second)
@@ -278,7 +275,7 @@ def _compare(
     return difference.model_copy(update={"unpaired": unpaired})
 
 
-def _have_fields(specimens: Sequence[SeriesSpecimen]) -> bool:
+def _have_fields(specimens: Specimens) -> bool:
     """Whether all specimens name their fields, each of a sheet once."""
     fields = [(specimen.sheet, specimen.factor("field")) for specimen in specimens]
     return all(name for _, name in fields) and len({*fields}) == len(fields)

@@ -65,12 +65,13 @@ def _specimens_in(folder: Path, params: WatchParams) -> Iterator[PlannedSpecimen
         if match is None:
             continue
         factors = match.groupdict()
-        images = [folder / params.image.format(**factors)] if params.image else []
-        if all(image.exists() for image in images):
-            volume = Path(f"{entry}:{place.part}") if place.part else entry
-            files = tuple(str(file.absolute()) for file in (volume, *images))
+        files = [Path(f"{entry}:{place.part}") if place.part else entry]
+        if params.image:
+            files.append(folder / params.image.format(**factors))
+        if all(image.exists() for image in files[1:]):
             name = checked_name("-".join(factors.values()))
-            yield PlannedSpecimen(name=name, files=files, factors=factors)
+            paths = tuple(str(file.absolute()) for file in files)
+            yield PlannedSpecimen(name=name, files=paths, factors=factors)
 
 
 def watched(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from planish.core.errors import SizeError
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats, IntPair, Pair
 from planish.texture.ncc import (
     MARGIN,
     MaskedNcc,
@@ -104,7 +104,7 @@ def lag_field(
     is_valid: Bools,
     pixel_um: Pair,
     *,
-    reach: tuple[int, int],
+    reach: IntPair,
     tile_um: float,
     unrelated: list[Floats],
     overlapping: bool = True,
