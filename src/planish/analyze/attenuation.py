@@ -89,24 +89,29 @@ def answer_attenuation(pair: ComparedMaps) -> Entries:
 
     By misplacement, by the noise of two half measurements, and by both.
     """
-    answers: Entries = {}
+    answers = _by_noise(pair)
     errors_um = _errors_of_places(pair)
-    if errors_um.size:
-        error_um = np.quantile(errors_um, np.linspace(0, 1, 65))
-        point_um = pair.point_um if pair.has_points else None
-        answers["attenuation_limit"] = attenuation_limit(
-            pair.x, error_um=error_um, pixel_um=pair.cell_um, point_um=point_um
-        )
+    if not errors_um.size:
+        return answers
+    error_um = np.quantile(errors_um, np.linspace(0, 1, 65))
+    point_um = pair.point_um if pair.has_points else None
+    limit = attenuation_limit(pair.x, error_um=error_um, pixel_um=pair.cell_um, point_um=point_um)
+    answers["attenuation_limit"] = limit
+    if "attenuation_limit_noise" in answers:
+        answers["attenuation_limit_both"] = limit * answers["attenuation_limit_noise"]
+    return answers
+
+
+def _by_noise(pair: ComparedMaps) -> Entries:
+    """Reliability of the maps of sheets, and the limit that follows from it."""
     measured = [key for key in (pair.a, pair.b) if key[0] in pair.columns]
     if not (measured and pair.has_points):
-        return answers
+        return {}
     reliabilities = tuple(reliability_of(pair, layer, name) for layer, name in measured)
-    answers["reliability"] = reliabilities
+    answers: Entries = {"reliability": reliabilities}
     noise_r = math.sqrt(math.prod(reliability.value for reliability in reliabilities))
     if not math.isnan(noise_r):
         answers["attenuation_limit_noise"] = noise_r
-        if "attenuation_limit" in answers:
-            answers["attenuation_limit_both"] = noise_r * answers["attenuation_limit"]
     return answers
 
 

@@ -16,7 +16,7 @@ from planish.analyze.distributions import around, is_distinguishable, p_of, stud
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
-from planish.core.typing import Floats, IntPair, Texts
+from planish.core.typing import IntPair, Pair, Texts
 
 _POWER = 0.8  # how often a study sees the smallest difference that it is said to see
 
@@ -97,18 +97,15 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     >>> round(change.difference, 2), [round(limit, 2) for limit in change.interval]
     (0.5, [0.37, 0.63])
     """
-    old_sheets, new_sheets = _paired_fields(before, after)
-    paired = [sheet for sheet in old_sheets if sheet in new_sheets]
+    means = _means_of_pairs(before, after)
     sheets = dict.fromkeys([*before.sheets, *after.sheets])
-    unpaired = tuple(sheet for sheet in sheets if sheet not in paired)
-    k = len(paired)
+    unpaired = tuple(sheet for sheet in sheets if sheet not in means)
+    k = len(means)
     if k == 0:
         return SheetDifference(
             kind="paired", sheets=(0, 0), unpaired=unpaired, reason="no sheet has a partner"
         )
-    means_before, means_after = (
-        np.array([values[sheet].mean() for sheet in paired]) for values in (old_sheets, new_sheets)
-    )
+    means_before, means_after = np.array([*means.values()]).T
     changes = means_after - means_before
     sd = spread_of(changes)
     if sd <= 1e-12 * np.abs([means_before, means_after]).max():
@@ -128,17 +125,21 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     return _with_interval(difference, k - 1.0)
 
 
-def _paired_fields(before: Fields, after: Fields) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Known values by their sheets; of the fields of both alone where all have names."""
-    if not (before.names and after.names):
-        return before.by_sheet, after.by_sheet
-    new_keys = zip(after.sheets, after.names, strict=True)
-    new_values = dict(zip(new_keys, after.values, strict=True))
-    old_keys = zip(before.sheets, before.names, strict=True)
-    new = np.array([new_values.get(key, math.nan) for key in old_keys])
-    old = np.where(np.isnan(new), math.nan, before.values)
-    new[np.isnan(old)] = math.nan
-    return Fields(old, before.sheets).by_sheet, Fields(new, before.sheets).by_sheet
+def _means_of_pairs(before: Fields, after: Fields) -> dict[str, Pair]:
+    """Means of sheets that are in both; over the fields of both alone where all have names."""
+    if before.names and after.names:
+        new_keys = zip(after.sheets, after.names, strict=True)
+        new_values = dict(zip(new_keys, after.values, strict=True))
+        old_keys = zip(before.sheets, before.names, strict=True)
+        new = np.array([new_values.get(key, math.nan) for key in old_keys])
+        before = Fields(np.where(np.isnan(new), math.nan, before.values), before.sheets)
+        after = Fields(np.where(np.isnan(before.values), math.nan, new), before.sheets)
+    new_sheets = after.by_sheet
+    return {
+        sheet: (values.mean(), new_sheets[sheet].mean())
+        for sheet, values in before.by_sheet.items()
+        if sheet in new_sheets
+    }
 
 
 def two_groups(first: Fields, second: Fields) -> SheetDifference:

@@ -69,7 +69,7 @@ def paired_difference(
     pixel = on_one_grid(maps[0], maps[1], pixel_um)
     for m in maps[2:]:
         on_one_grid(maps[0], m, pixel_um)
-    is_valid = np.logical_and.reduce([np.isfinite(m) for m in maps])
+    is_valid = np.logical_and.reduce(np.isfinite(maps))
     known = [m[is_valid] for m in maps]
     r = (pearson(known[0], known[1]), pearson(known[2], known[3]))
     without_interval = Difference(r=r, difference=r[1] - r[0])

@@ -229,7 +229,8 @@ class _Fit:
         def excess(value: float) -> float:
             return self.squares(*_parameters(k, value, self.refit(k, value, best))) - limit
 
-        low, high = float(_LOW[k]), float(_HIGH[k])
+        low = float(_LOW[k])
+        high = float(_HIGH[k])
         unlimited = math.inf if k == 0 else high
         return (
             _crossing(excess, best[k], low, low),

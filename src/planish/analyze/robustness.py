@@ -31,7 +31,7 @@ from planish.core.axial import refuse_axial
 from planish.core.errors import InputError, PlanishError, SizeError
 from planish.core.facts import ResultModel, Value, optional
 from planish.core.grid import shorter_side_um
-from planish.core.typing import Array, Entries, Floats, Pixel, Texts
+from planish.core.typing import Array, Bools, Entries, Floats, Pixel, Texts
 from planish.measure.registry import shared_parts
 from planish.texture.textures import low_pass_known, standard
 
@@ -309,6 +309,10 @@ def _check_beside(sheet_maps: xr.Dataset, covariates: Sequence[str]) -> None:
         refuse_axial(sheet_maps[name])
 
 
+def _constant_maps(maps: Mapping[str, Floats], is_valid: Bools) -> list[str]:
+    return [name for name, m in maps.items() if not np.ptp(m[is_valid]) > 0]
+
+
 def answer_partial(pair: ComparedMaps) -> Entries:
     """Partial correlation and commonality over the larger points.
 
@@ -341,7 +345,7 @@ def answer_partial(pair: ComparedMaps) -> Entries:
     is_valid = np.isfinite(image_points)  # all maps count where all are known
     n = int(np.count_nonzero(is_valid))
     points = dict(zip(names, sheet_points, strict=True))
-    flat_maps = [name for name, m in points.items() if n < LEAST or not np.ptp(m[is_valid]) > 0]
+    flat_maps = [*points] if n < LEAST else _constant_maps(points, is_valid)
     if flat_maps:
         reason = (
             f"Over {n} points that are valid in all maps, {', '.join(flat_maps)} does not vary."

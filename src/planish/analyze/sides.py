@@ -353,7 +353,8 @@ def _face_relation(texture: Textures, name: str, rival_name: str) -> Relation:
     face, shown = texture.maps[name], image
     rival = texture.maps.get(rival_name)
     if rival is not None:
-        face, shown = unexplained(face, rival), unexplained(image, rival)
+        face = unexplained(face, rival)
+        shown = unexplained(image, rival)
     return relate(face, shown, texture.known, texture.pixel_um, of=image)
 
 

@@ -120,14 +120,19 @@ def _sheets(gathered: Gathered, counted: Specimens) -> Iterator[str]:
             " pair. Add a column sheet."
         )
     for same in by_volumes.values():
-        names = listed([specimen.name for specimen in same])
-        if len({specimen.sheet for specimen in same}) > 1:
-            yield (
-                f"{names} are of the same volume, byte by byte, and yet count as different sheets."
-                " Correct the column sheet."
-            )
-        elif len(same) > 1 and not same[0].factor("sheet"):
-            yield f"{names} are of the same volume and count as one sheet."
+        yield from _same_volume(same)
+
+
+def _same_volume(same: Specimens) -> Iterator[str]:
+    """What is odd about specimens of one volume."""
+    names = listed([specimen.name for specimen in same])
+    if len({specimen.sheet for specimen in same}) > 1:
+        yield (
+            f"{names} are of the same volume, byte by byte, and yet count as different sheets."
+            " Correct the column sheet."
+        )
+    elif len(same) > 1 and not same[0].factor("sheet"):
+        yield f"{names} are of the same volume and count as one sheet."
 
 
 def _same_fields(counted: Specimens) -> Iterator[str]:

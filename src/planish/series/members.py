@@ -115,19 +115,23 @@ class _TableOfRuns:
         """Factors of each run; InputError unless each has one row, and each row a run."""
         table = self._table
         rows = [self._row_of(folder) for folder in folders]
-        idle = [row for row in table.rows if row not in rows]
-        if idle:
-            texts = [table.text(row, "run") or table.text(row, "name", "empty") for row in idle[:5]]
-            raise InputError(
-                f"{table.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that"
-                f" was given: {', '.join(texts)}. Give these runs, too, or take the rows out."
-            )
+        self._refuse_idle([row for row in table.rows if row not in rows])
         names = [name for name in table.header if name not in ("run", "name", "")]
         factors: list[dict[str, str]] = []
         for row in rows:
             cells = {name: table.text(row, name) for name in names}
             factors.append({name: cell for name, cell in cells.items() if cell})
         return factors
+
+    def _refuse_idle(self, idle: Sequence[CsvRow]) -> None:
+        """Raise InputError where rows have no run."""
+        table = self._table
+        texts = [table.text(row, "run") or table.text(row, "name", "empty") for row in idle[:5]]
+        if texts:
+            raise InputError(
+                f"{table.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that"
+                f" was given: {', '.join(texts)}. Give these runs, too, or take the rows out."
+            )
 
     def _row_of(self, folder: Path) -> CsvRow:
         rows = [row for row in self._table.rows if self._is_of(row, folder)]

@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -70,14 +70,19 @@ def open_study(path: str | Path) -> xr.Dataset:
     for quantity, rows in rows_by_quantity.items():
         arrays |= _arrays(quantity, rows, names, has_several_sheets)
     study = xr.Dataset(arrays)
-    columns = ("specimen", *OF_A_ROW, "state", *map(str, study.dims), *map(str, study.data_vars))
-    coords: dict[str, list[str]] = {}
-    for name, column in zip(results.factors, factor_columns(results.factors, columns), strict=True):
-        coords[column] = [specimen.factor(name) for specimen in results.specimens]
-    coords["state"] = [member.state for member in results.members]
-    study = study.assign_coords(specimen=np.array(names, dtype=object))
-    study = study.assign_coords({name: ("specimen", texts) for name, texts in coords.items()})
+    study = _with_factors(study, results)
     return study.assign_attrs(planish=results.planish, compared_by=results.compared_by or "")
+
+
+def _with_factors(study: xr.Dataset, results: SeriesResults) -> xr.Dataset:
+    """The same with names, factors and states of the specimens as coordinates."""
+    columns = ("specimen", *OF_A_ROW, "state", *map(str, study.dims), *map(str, study.data_vars))
+    names = np.array([specimen.name for specimen in results.specimens], dtype=object)
+    study = study.assign_coords(specimen=names)
+    for name, column in zip(results.factors, factor_columns(results.factors, columns), strict=True):
+        study[column] = ("specimen", [specimen.factor(name) for specimen in results.specimens])
+        study = study.set_coords(column)
+    return study.assign_coords(state=("specimen", [member.state for member in results.members]))
 
 
 def _rows_of(
@@ -133,10 +138,18 @@ def _number(text: str) -> float:
         ) from None
 
 
-def _labels_of_dim(labels: Sequence[Any]) -> list[Any]:
-    """Each label once: texts as they come, numbers in their order."""
-    once = dict.fromkeys(labels)
-    return list(once) if isinstance(labels[0], str) else sorted(once)
+def _units(rows: Sequence[Mapping[str, str]]) -> Entries:
+    """The unit of a quantity, where all its figures have one."""
+    units = {row["unit"] for row in rows}
+    return {"units": units.pop()} if len(units) == 1 else {}
+
+
+def _coordinate(figures: Sequence[Entries], dim: str) -> Array:
+    """Each label of a dim once: texts as they come, numbers in their order."""
+    labels = list(dict.fromkeys(figure[dim] for figure in figures))
+    if isinstance(labels[0], str):
+        return np.array(labels, dtype=object)
+    return np.sort(np.array(labels, dtype=np.float64))
 
 
 def _arrays(
@@ -146,30 +159,25 @@ def _arrays(
 
     With it come the ends of its intervals, where it has any, and what the checks leave of it.
     """
-    figures = [{"specimen": row["specimen"]} | _labels(row, has_several_sheets) for row in rows]
-    labels: dict[str, list[Any]] = {"specimen": list(names)}
-    coords: dict[str, Array] = {}
-    for dim in [*figures[0]][1:]:
-        labels[dim] = _labels_of_dim([figure[dim] for figure in figures])
-        is_text = isinstance(labels[dim][0], str)
-        coords[dim] = np.array(labels[dim], dtype=object if is_text else np.float64)
-    # The figure and the ends of its interval.
-    values = np.full((3, *map(len, labels.values())), np.nan)
-    trust = np.full(values.shape[1:], -1, dtype=np.int8)
+    figures = [_labels(row, has_several_sheets) for row in rows]
+    coords = {dim: _coordinate(figures, dim) for dim in figures[0]}
+    labels = {"specimen": list(names)} | {dim: axis.tolist() for dim, axis in coords.items()}
+    shape = tuple(map(len, labels.values()))
+    value, low, high = (np.full(shape, np.nan) for _ in range(3))
+    trust = np.full(shape, -1, dtype=np.int8)
     for row, figure in zip(rows, figures, strict=True):
-        index = tuple(labels[dim].index(label) for dim, label in figure.items())
-        values[(slice(None), *index)] = [_number(row[name]) for name in ("value", "low", "high")]
+        of_row = {"specimen": row["specimen"]} | figure
+        index = tuple(labels[dim].index(label) for dim, label in of_row.items())
+        value[index] = _number(row["value"])
+        low[index] = _number(row["low"])
+        high[index] = _number(row["high"])
         trust[index] = _TRUST.get(row["trust"], -1)
-    units = {row["unit"] for row in rows}
-    attrs: Entries = {"units": units.pop()} if len(units) == 1 else {}
-    variables = {quantity: (values[0], attrs)}
-    if np.isfinite(values[1]).any():
-        variables[f"{quantity}_low"] = (values[1], attrs)
-        variables[f"{quantity}_high"] = (values[2], attrs)
+    attrs = _units(rows)
+    variables = {quantity: (value, attrs)}
+    if np.isfinite(low).any():
+        variables |= {f"{quantity}_low": (low, attrs), f"{quantity}_high": (high, attrs)}
     if quantity in _JUDGED:
         flags = {"flag_values": [0, 1, 2], "flag_meanings": " ".join(_TRUST)}
         variables[_JUDGED[quantity]] = (trust, flags)
-    return {
-        name: xr.DataArray(array, dims=list(labels), coords=coords, attrs=dict(array_attrs))
-        for name, (array, array_attrs) in variables.items()
-    }
+    build_array = partial(xr.DataArray, dims=list(labels), coords=coords)
+    return {name: build_array(array, attrs={**own}) for name, (array, own) in variables.items()}

@@ -216,9 +216,7 @@ def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -
     if pair not in largest_um:
         is_linked = any(row.quantity == "r" for row in rows)
         return Cell(why_not="not measured" if is_linked else "not linked")
-    sizes_um = [row.at_um for row in pair_rows if _alike(row.at_um, q.at_um)]
-    at_um = sizes_um[-1] if sizes_um else largest_um[pair]
-    row_by_quantity = {row.quantity: row for row in pair_rows if row.at_um == at_um}
+    row_by_quantity = _rows_at(pair_rows, q.at_um) or _rows_at(pair_rows, largest_um[pair])
     r = row_by_quantity["r"]
     n_eff_interval = row_by_quantity["n_eff_interval"].value
     reason = _why_not(r, with_doubtful=with_doubtful)
@@ -233,6 +231,11 @@ def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -
         counts=not reason,
         why_not=reason,
     )
+
+
+def _rows_at(rows: Sequence[FigureRow], at_um: float | None) -> dict[str, FigureRow]:
+    """Rows of one size of points, by their quantities."""
+    return {row.quantity: row for row in rows if _alike(row.at_um, at_um)}
 
 
 def _why_not(row: FigureRow, *, with_doubtful: bool) -> str:

@@ -132,6 +132,12 @@ def _compared_by(gathered: Gathered, factors: Sequence[str], declared: Declared)
         return next(usual, None)
     if name not in factors:  # tables are read in small letters
         name = next((f for f in factors if f.casefold() == name.casefold()), name)
+    _check_comparable(name, factors)
+    return name
+
+
+def _check_comparable(name: str, factors: Sequence[str]) -> None:
+    """Raise InputError where a factor is not there, or tells the sample."""
     if name in NEST:
         comparable = ", ".join(factor for factor in factors if factor not in NEST)
         raise InputError(
@@ -144,7 +150,6 @@ def _compared_by(gathered: Gathered, factors: Sequence[str], declared: Declared)
             f" {', '.join(factors) or 'none'}.{likely(name, factors)} Add such a column to the"
             " table, or compare by another factor."
         )
-    return name
 
 
 def _varies(gathered: Gathered, factor: str) -> bool:
@@ -239,7 +244,7 @@ def _pairs(
         for stratum, members in strata.items():
             within = dict(zip(other_factors, stratum, strict=True))
             by_level = grouped(members, lambda specimen: specimen.factor(factor))
-            for pair in combinations([level for level in levels if level in by_level], 2):
+            for pair in combinations(filter(by_level.__contains__, levels), 2):
                 before, after = (by_level[level] for level in pair)
                 labels = {
                     "quantity": k,

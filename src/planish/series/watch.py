@@ -121,9 +121,9 @@ def watched(
         has_new = False
         for specimen in _specimens_in(folder, params):
             name = specimen.name
-            files = [Path(file) for file in specimen.files]
+            files = [*map(Path, specimen.files)]
             stamp = " ".join(map(stamp_of, files))
-            if name not in since or since[name][0] != stamp:
+            if since.get(name, ("", 0.0))[0] != stamp:
                 since[name] = (stamp, clock())
                 continue
             if clock() - since[name][1] < settle_s or judged_stamps.get(name) == stamp:

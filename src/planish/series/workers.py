@@ -108,22 +108,18 @@ def _run_jobs(
     running: dict[Future[Note], Job] = {}
     tries: Counter[str] = Counter()
     retries: deque[Job] = deque()
-    has_more = True
-    while has_more or running or retries:
-        is_idle = False
-        while len(running) < workers.at_once and not is_idle and (has_more or retries):
-            job = retries.popleft() if retries else next(jobs, _END)
-            if isinstance(job, Job):
-                running[workers.start(job)] = job
-            elif job is None:
-                is_idle = True
-            else:
-                has_more = False
+    while True:
+        coming = _END
+        while len(running) < workers.at_once:
+            coming = retries.popleft() if retries else next(jobs, _END)
+            if not isinstance(coming, Job):
+                break
+            running[workers.start(coming)] = coming
         if not running:
-            if is_idle:
-                time.sleep(_PAUSE)
-            continue
-        for job, note in _ended(running, workers, timeout_s=_PAUSE if is_idle else None):
+            if coming is _END:
+                return
+            time.sleep(_PAUSE)
+        for job, note in _ended(running, workers, is_idle=coming is None):
             tries[job.name] += 1
             if note is None and tries[job.name] < workers.tries:
                 retries.append(job)
@@ -132,9 +128,13 @@ def _run_jobs(
 
 
 def _ended(
-    running: dict[Future[Note], Job], workers: _Cluster | _Processes, *, timeout_s: float | None
+    running: dict[Future[Note], Job], workers: _Cluster | _Processes, *, is_idle: bool
 ) -> Iterator[tuple[Job, Note | None]]:
-    """Jobs that end within a time, taken off those that run; without a note where one was lost."""
+    """Jobs that end, taken off those that run; without a note where one was lost.
+
+    With an idle worker it is not waited for long: there may be more to do.
+    """
+    timeout_s = _PAUSE if is_idle else None
     finished, _ = wait(running, timeout=timeout_s, return_when=FIRST_COMPLETED)
     for future in finished:
         note = None

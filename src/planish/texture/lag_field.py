@@ -121,8 +121,8 @@ def lag_field(
     allowed = within(reach)
     wide = (reach[0] + MARGIN, reach[1] + MARGIN)
     rows, cols = side_px
-    is_small = rows <= 2 * wide[0] or cols <= 2 * wide[1]
-    if is_small or rows > a.shape[0] or cols > a.shape[1]:
+    is_small = np.less_equal(side_px, np.multiply(2, wide)).any()
+    if is_small or np.greater(side_px, a.shape).any():
         raise SizeError(
             f"Tiles of {tile_um:g} um are too small for the reach, or larger than the map. Take"
             f" sides above {2 * max(wide[0] * pixel_um[0], wide[1] * pixel_um[1]):.3g} um, or a"
