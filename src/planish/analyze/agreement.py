@@ -113,10 +113,10 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
     sums = sums_of(x[is_valid], y[is_valid])
     differences = y - x
     slope, _, slope_x_on_y = sums.lines
-    bias = float(differences[is_valid].mean())
+    bias = differences[is_valid].mean()
     sd = sums.difference[1]
     variance = 0.0
-    n_eff = n_eff_sd = float(sums.n)
+    n_eff = n_eff_sd = sums.n
     is_constant = np.ptp(differences[is_valid]) <= 1e-12 * np.abs([x, y]).max()
     if is_constant:
         sd = 0.0
@@ -225,9 +225,9 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
     scale = math.sqrt(error_ratio)
     a = x[is_valid].astype(np.float64)
     b = y[is_valid].astype(np.float64) / scale
-    xx = float(np.var(a))
-    xy = float(np.mean((a - a.mean()) * (b - b.mean())))
-    yy = float(np.var(b))
+    xx = np.var(a)
+    xy = np.mean((a - a.mean()) * (b - b.mean()))
+    yy = np.var(b)
     eigenvalue_gap = math.hypot(yy - xx, 2 * xy)
     if xy == 0 or not min(xx, yy) > 0 or eigenvalue_gap < 1e-12 * (xx + yy):
         raise CannotMeasure("x and y do not vary together: any slope fits. Look at the maps.")

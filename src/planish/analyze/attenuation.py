@@ -75,12 +75,12 @@ def attenuation_limit(
     if point_um is not None:
         point = np.outer(np.sinc(along_y * point_um), np.sinc(along_x * point_um))
         spectrum *= point**2
-    square = (2 * math.pi) ** 2 * (along_y[:, None] ** 2 + along_x**2)
+    turns = 2 * math.pi * np.hypot(along_y[:, None], along_x)
     quantiles = errors.ravel()
     if errors.size > 1:
         quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     # Along an axis the standard deviation is the error over the square root of 2.
-    blurred = [np.sum(spectrum * np.exp(-(e * e / 2) * square / 2)) for e in quantiles]
+    blurred = [np.sum(spectrum * np.exp(-((error * turns / 2) ** 2))) for error in quantiles]
     return float(np.clip(np.mean(blurred) / np.sum(spectrum), 0.0, 1.0))
 
 

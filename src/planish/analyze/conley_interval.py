@@ -120,8 +120,8 @@ def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
     weight = np.maximum(1.0 - distance_um / bandwidth_um, 0.0)
     rows = weight.mean(axis=1)
     centred_weight = weight - rows - rows[:, None] + rows.mean()
-    expected = float(np.trace(centred_weight))
-    free = expected**2 / float(np.sum(centred_weight * centred_weight))
+    expected = np.trace(centred_weight)
+    free = expected**2 / np.sum(centred_weight * centred_weight)
     return t_95(free) * math.sqrt(places_um.shape[0] / expected)
 
 

@@ -14,7 +14,7 @@ from planish.analyze.correlation import LEAST_CLAIMED, check_varying, filled, on
 from planish.analyze.distributions import normal_tail
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Interval, ResultModel, Value
-from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, pair_of
+from planish.core.typing import Array, Bools, Entries, Floats, IntPair, Pair, Pixel, pair_of
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.ncc import MaskedNcc
 
@@ -147,19 +147,18 @@ def correlogram_of(
     check_varying(lags.is_valid)
     check_varying(valid[0], a=a)
     check_varying(valid[1], b=b)
-    zero_row, zero_col = (
-        max(min(int(reach_um / p + 1e-9), n // 2), 1) for n, p in zip(a.shape, pixel, strict=True)
-    )
-    reach = (zero_row, zero_col)
+    most = np.array(a.shape) // 2
+    asked = np.floor(np.divide(reach_um, pixel) + 1e-9).astype(np.intp)
+    zero_row, zero_col = np.clip(asked, 1, np.maximum(most, 1)).tolist()
+    reach: IntPair = (zero_row, zero_col)
     ncc = MaskedNcc(a.astype(np.float64), a_valid=valid[0], b_valid=valid[1], reach=reach)
     r = ncc(b.astype(np.float64))
     if not np.isfinite(r).any():
         raise CannotMeasure(
             "At no lag are there enough pairs that differ. Give a larger map or a smaller mask."
         )
-    lags_y_um, lags_x_um = (
-        (np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True)
-    )
+    lags_y_um = np.arange(-zero_row, zero_row + 1) * pixel[0]
+    lags_x_um = np.arange(-zero_col, zero_col + 1) * pixel[1]
     summit, peak_r, inner = _summit(r)
     widths = (math.nan, math.nan)
     angle = math.nan
@@ -177,7 +176,7 @@ def correlogram_of(
         band_99=band,
         band_99_of_any=of_any,
         cell_um=pixel,
-        reach_um=min(float(lags_y_um[-1]), float(lags_x_um[-1])),
+        reach_um=min(lags_y_um[-1], lags_x_um[-1]),
         r_at_zero=r[reach],
         peak_r=peak_r,
         inner=inner,
@@ -196,7 +195,7 @@ def _summit(r: Floats) -> tuple[Floats, float, bool]:
     """Row and column of the largest ``|r|``, r there, and whether it is a summit."""
     row, col = divmod(int(np.nanargmax(np.abs(r))), r.shape[1])
     place = np.array([row, col], dtype=np.float64)
-    highest = float(r[row, col])
+    highest = r[row, col]
     pixel_peak = place, highest, False
     neighbours = r[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
     if neighbours.shape != (3, 3) or not np.isfinite(neighbours).all():
@@ -211,7 +210,7 @@ def _summit(r: Floats) -> tuple[Floats, float, bool]:
     shift = -np.linalg.solve(curvature, c[1:3] * sign)
     if np.abs(shift).max() > 1:
         return pixel_peak
-    r_of_summit = float(np.clip(c[0] + c[1:3] @ shift / 2, -1.0, 1.0))
+    r_of_summit = np.clip(c[0] + c[1:3] @ shift / 2, -1.0, 1.0)
     return place + shift, r_of_summit, True
 
 
@@ -239,7 +238,7 @@ def _widths(height: Floats, summit: Floats, pixel: Pair) -> tuple[Pair, float]:
         return (math.nan, math.nan), math.nan
     part = (inner - 0.5) / (inner - outer)
     half_height_um = steps[first - 1] + part * (steps[first] - steps[first - 1])
-    area = float(np.sum(half_height_um**2)) / 2
+    area = np.sum(half_height_um**2) / 2
     moments = (directions * half_height_um**4) @ directions.T / 4 / area
     values, vectors = np.linalg.eigh(moments)
     angle = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1]))

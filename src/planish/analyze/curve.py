@@ -21,7 +21,7 @@ from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Entries, Floats, Pixel
 from planish.texture.covariance import Lags, scatter_of
-from planish.texture.textures import unexplained
+from planish.texture.textures import centred, unexplained
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +63,7 @@ def independent_points(x: Array, y: Array, *, pixel_um: Pixel) -> IndependentPoi
     """
     is_valid, pixel = valid_pixels(x, y, pixel_um)
     check_varying(is_valid, x=x)
-    dx, dy = (np.where(is_valid, m - m[is_valid].mean(), 0.0) for m in (x, y))
+    dx, dy = (centred(m, is_valid) for m in (x, y))
     residuals = unexplained(dy, dx)
     n_eff, n_eff_square = (
         correlate(m, residuals, mask=is_valid, pixel_um=pixel).n_eff for m in (dx, dx * dx)
@@ -136,8 +136,8 @@ def straight_or_curved(
     """
     xs, ys, n_slope = known_points(x, y, n_eff)
     n_bend = n_slope if n_eff_square is None else known_points(x, y, n_eff_square)[2]
-    scale = float(xs.std())
-    u = (xs - float(xs.mean())) / scale
+    scale = xs.std()
+    u = (xs - xs.mean()) / scale
     line, r2_line = _least_squares(np.vander(u, 2), ys, n_slope)
     parabola, r2_parabola = _least_squares(np.vander(u, 3), ys, n_bend)
     slope, slope_width = line[:, 0] / scale
@@ -201,8 +201,8 @@ def _check_independent(n_eff: float, n: int) -> None:
 def _least_squares(terms: Floats, values: Floats, n_eff: float) -> tuple[Floats, float]:
     """Coefficients and half widths of their 95 % intervals, (2, terms), and r2."""
     coefficients = np.linalg.lstsq(terms, values, rcond=None)[0]
-    mean_square = float(np.mean((values - terms @ coefficients) ** 2))
-    variance = float(values.var())
+    mean_square = np.mean((values - terms @ coefficients) ** 2)
+    variance = values.var()
     r2 = 1 - mean_square / variance if variance > 0 else math.nan
     free = n_eff - terms.shape[1]
     spread = np.diag(np.linalg.inv(terms.T @ terms / len(values))) * mean_square / free

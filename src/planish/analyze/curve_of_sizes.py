@@ -14,7 +14,7 @@ from planish.core.errors import SizeError
 from planish.core.facts import Interval, optional
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Entries, Floats, Pixel
-from planish.texture.textures import standard
+from planish.texture.textures import influence_on_r, standard
 
 
 class SizeRow(PointsCorrelation):
@@ -98,7 +98,7 @@ def _by_tiles(x: Floats, y: Floats, r: float) -> Floats:
     """Sum what the points of each tile of the field, six along its shorter side, add to r."""
     is_valid = np.isfinite(x) & np.isfinite(y)
     x, y = (standard(m, is_valid) for m in (x, y))
-    contributions = np.where(is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
+    contributions = influence_on_r(x, y, r)
     tile_px = min(is_valid.shape) / 6
     for axis, n in enumerate(is_valid.shape):
         n_tiles = max(round(n / tile_px), 1)

@@ -11,7 +11,7 @@ from planish.analyze.distributions import around, is_distinguishable, t_95
 from planish.core.errors import InputError
 from planish.core.typing import Array, Floats, Pair, Pixel, pair_of
 from planish.texture.covariance import Lags, variance_of_products
-from planish.texture.textures import standard
+from planish.texture.textures import influence_on_r, standard
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,17 +76,17 @@ def paired_difference(
     if not all(1 - v * v >= 1e-14 for v in r):
         return without_interval
     maps = [standard(m, is_valid) for m in maps]
-    scores = [
-        (x * y - v / 2 * (x * x + y * y)) / (1 - v * v)
+    old_scores, new_scores = (
+        influence_on_r(x, y, v) / (1 - v * v)
         for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)
-    ]
+    )
     lags = Lags(is_valid, pixel)
-    products = lags.own_products(scores[1] - scores[0])
+    products = lags.own_products(new_scores - old_scores)
     if not products[0, 0] > 0:  # the same pair twice
         return replace(without_interval, interval=around(r[1] - r[0], 0.0))
     covariance = lags.covariance(products, lags.until_zero(products))
     variance = max(lags.variance_of_mean(covariance), _gaussian_variance(maps, r, lags))
-    n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
+    n_eff = covariance[0, 0] / variance if variance > 0 else 0.0
     if n_eff < LEAST_CLAIMED:
         return without_interval
     return _difference(r, t_95(n_eff - 1) * math.sqrt(variance))
@@ -95,7 +95,8 @@ def paired_difference(
 def _gaussian_variance(maps: Sequence[Floats], r: Pair, lags: Lags) -> float:
     """Variance of the difference of z that Gaussian maps of these covariances would have."""
     terms: list[tuple[int, int, float]] = []
-    for sign, pair_r, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
+    for sign, pair_r, a in ((-1.0, r[0], 0), (1.0, r[1], 2)):
+        b = a + 1
         weight = sign / (1 - pair_r * pair_r)
         weight_of_squares = -weight * pair_r / 2
         terms += [(a, b, weight), (a, a, weight_of_squares), (b, b, weight_of_squares)]

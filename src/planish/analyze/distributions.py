@@ -84,7 +84,8 @@ def largest_tail(maxima: Floats, value: float) -> float:
     if spread == 0:
         return float(value <= maxima[0])
     scale = float(optimize.brentq(excess, spread / 100, spread * 100))
-    location = float(maxima.min()) - scale * math.log(float(np.exp(-excesses / scale).mean()))
+    mean_weight = float(np.exp(-excesses / scale).mean())
+    location = float(maxima.min()) - scale * math.log(mean_weight)
     return -math.expm1(-math.exp((location - value) / scale))
 
 

@@ -233,7 +233,7 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
 def _cell_sizes(grid: Grid, cell_um: float) -> list[float]:
     """Edges of the cells of the curve, from a pixel to the field; SizeError for one beyond."""
     pixel_um = max(grid.pixel_um)
-    field_um = float(np.multiply(grid.shape, grid.pixel_um).min())
+    field_um = np.multiply(grid.shape, grid.pixel_um).min()
     least_um = pixel_um * (1 - 1e-9)
     if not least_um <= cell_um <= field_um:
         raise SizeError(
@@ -333,7 +333,7 @@ def _bearable(cells: _Cells, errors: Floats | None) -> Regression:
     model = cells.fit(errors)
     k = len(cells.names)
     fewest = int(np.argmin(np.nan_to_num(model.n_eff)))
-    n_eff = float(model.n_eff[fewest])
+    n_eff = model.n_eff[fewest]
     if n_eff >= LEAST_CLAIMED * k:
         return model
     factor = LEAST_CLAIMED * k / max(n_eff, 1.0)

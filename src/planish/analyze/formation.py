@@ -53,7 +53,7 @@ class RandomSheet(ResultModel):
         """Coefficient of variation in waves between two lengths."""
         per_um = np.linspace(1 / high_um, 1 / low_um, 65)
         ring = 2 * math.pi * per_um * self.density(per_um)
-        return math.sqrt(float(np.trapezoid(ring, per_um)))
+        return math.sqrt(np.trapezoid(ring, per_um))
 
     def cell_covariances(self, shape: IntPair, cell_um: float) -> Floats:
         """Covariance of means over square cells, over the squared mean, by wrapped lag in cells.
@@ -136,13 +136,13 @@ def formation_number(
             f"{n} cells of {cell_um:g} um are known; a formation number needs {_LEAST_CELLS}. Give"
             " a larger field, or smaller cells (`formation_cell_um`)."
         )
-    mean = float(cells[is_known].mean())
+    mean = cells[is_known].mean()
     if not mean > 0:
         raise CannotMeasure("The mean of the map is not above 0: it has no formation number.")
-    variance = float(cells[is_known].var(ddof=1))
+    variance = cells[is_known].var(ddof=1)
     if half_difference is not None:
         noise = area_mean(half_difference, factor)
-        variance -= float(np.nanvar(noise[is_known], ddof=1))
+        variance -= np.nanvar(noise[is_known], ddof=1)
     expected, degrees = _variance_of_cells(is_known, sheet, cell_um)
     cov = math.sqrt(max(variance, 0.0)) / mean
     random_cov = math.sqrt(expected)
@@ -168,9 +168,9 @@ def _variance_of_cells(is_known: Any, sheet: RandomSheet, cell_um: float) -> Pai
     covariance_sums = fft.irfft2(fft.rfft2(covariance) * mask, shape)[:rows, :cols]
     n = int(np.count_nonzero(is_known))
     of_cells = covariance_sums[is_known]
-    total = float(of_cells.sum())
-    centred = n * float(covariance[0, 0]) - total / n
-    trace = float(np.sum(pairs * covariance**2))
-    trace -= 2.0 / n * float(np.sum(of_cells**2))
+    total = of_cells.sum()
+    centred = n * covariance[0, 0] - total / n
+    trace = np.sum(pairs * covariance**2)
+    trace -= 2.0 / n * np.sum(of_cells**2)
     trace += total**2 / n**2
     return centred / (n - 1), centred**2 / trace

@@ -70,7 +70,7 @@ def weighed_regression(
     inverse = np.linalg.inv(x.T @ weighed)
     coefficients = inverse @ (weighed.T @ y)
     residuals = y - x @ coefficients
-    variance = float(residuals @ solve(residuals)) / (n - k - 1)
+    variance = (residuals @ solve(residuals)) / (n - k - 1)
     errors = np.sqrt(variance * np.diag(inverse))
     return WeighedRegression(plain=coefficients[1:] / spread, standard_errors=errors[1:] / spread)
 
@@ -84,7 +84,7 @@ class _Inverse:
         y_um, x_um = wrapped_lags_um(size, pixel_um)
         power = np.asarray(fft.rfft2(covariance(np.hypot(y_um[:, None], x_um)))).real
         self._product = self._convolution(power, size)
-        least = _LEAST_POWER * float(power.max())
+        least = _LEAST_POWER * power.max()
         self._guess = self._convolution(1 / np.maximum(power, least), size)
 
     def __call__(self, values: Floats) -> Floats:

@@ -127,13 +127,13 @@ def fit_kubelka_munk(
     ratio = float(absorption_over_scattering)
     n_level = n_slope if n_eff_level is None else float(n_eff_level)
     _check_layer(xs, ys, ratio, n_level)
-    x_mean = float(xs.mean())
+    x_mean = xs.mean()
     # S times the mean of x is about 1, as the backing is.
     fit = _Fit(xs / x_mean, ys, ratio, math.sqrt(min(n_level / n_slope, 1.0)))
     best = fit.best()
     sum_of_squares = fit.squares(*best)
     rms = math.sqrt(sum_of_squares / xs.size)
-    total_squares = float(np.sum((ys - ys.mean()) ** 2))
+    total_squares = np.sum((ys - ys.mean()) ** 2)
     if best[0] <= 1e-6 or sum_of_squares >= total_squares * (1 - 1e-9):
         raise CannotMeasure(
             f"No scattering layer of K/S = {ratio:g} fits: over {xs.size} points the grey does not"
@@ -203,12 +203,12 @@ class _Fit:
 
     def squares(self, s: float, backing: float) -> float:
         """Sum of what is left, squared."""
-        return float(np.sum(self._residuals(s, backing) ** 2))
+        return np.sum(self._residuals(s, backing) ** 2)
 
     def best(self) -> Pair:
         """Both free, from the straight line on: dR/dW of a layer is S [(1 - R)^2 - 2 R K/S]."""
-        slope = float(np.polyfit(self._x, self._y, 1)[0])
-        y_mean = float(self._y.mean())
+        slope = np.polyfit(self._x, self._y, 1)[0]
+        y_mean = self._y.mean()
         slope_of_s = (1 - y_mean) ** 2 - 2 * y_mean * self._ratio
         s = slope / slope_of_s if abs(slope_of_s) > 1e-3 else 1.0
         start = np.clip([s, y_mean - slope], [0.01, 0.01], [100.0, 0.99])
@@ -221,7 +221,7 @@ class _Fit:
         def residuals(v: Floats) -> Floats:
             return self._residuals(*_parameters(k, fixed, v[0]))
 
-        return float(_solved(residuals, best[free], free)[0])
+        return _solved(residuals, best[free], free)[0]
 
     def interval(self, k: int, best: Pair, limit: float) -> Pair:
         """Values of one parameter for which the other can keep the sum of squares below a limit."""
@@ -229,8 +229,8 @@ class _Fit:
         def excess(value: float) -> float:
             return self.squares(*_parameters(k, value, self.refit(k, value, best))) - limit
 
-        low = float(_LOW[k])
-        high = float(_HIGH[k])
+        low = _LOW[k]
+        high = _HIGH[k]
         unlimited = math.inf if k == 0 else high
         return (
             _crossing(excess, best[k], low, low),
@@ -239,7 +239,7 @@ class _Fit:
 
     def _residuals(self, s: float, backing: float) -> Floats:
         residuals = layer_over(backing, s, s * self._ratio, self._x) - self._y
-        return residuals - (1.0 - self._level) * float(residuals.mean())
+        return residuals - (1.0 - self._level) * residuals.mean()
 
 
 def _parameters(k: int, fixed_value: float, free_value: float) -> Pair:
@@ -286,7 +286,7 @@ def density_of(measured: xr.Dataset, name: str) -> float | None:
     if not is_valid.any():
         return None
     ratio = weight[is_valid].astype(np.float64) / coating[is_valid]
-    middle = float(np.median(ratio))
+    middle = np.median(ratio)
     # A weight by absorption is another measurement: no one number leads to it.
     if not np.percentile(np.abs(ratio - middle), 99) < 1e-3 * middle:
         return None

@@ -43,6 +43,11 @@ _REASONS: dict[Reason, str] = {
 }
 
 
+def inconclusive(sentence: str) -> Check:
+    """The check of a place that says nothing."""
+    return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
+
+
 class LagTile(ResultModel):
     """Lag of one part of the map."""
 
@@ -168,10 +173,9 @@ class Lag:
 
         The expected error of the registration (rms, in um) may be unknown.
         """
-        inconclusive = "Image-based check: inconclusive, because"
+        start = "Image-based check: inconclusive, because"
         if self.reason is not None:
-            sentence = f"{inconclusive} {_REASONS[self.reason]}."
-            return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
+            return inconclusive(f"{start} {_REASONS[self.reason]}.")
         length, length_error = self.length_um, self.length_se_um
         lengths_um = (length, length_error, *self.lag_um)
         length_text, error_text, x_text, y_text = (
@@ -182,7 +186,7 @@ class Lag:
             f" {y_text} um)"
         )
         if expected_error_um is None or not math.isfinite(expected_error_um):
-            sentence = f"{inconclusive} the marks give no expected error; b{offset}."
+            sentence = f"{start} the marks give no expected error; b{offset}."
             return Check(name=NAME, state="unknown", sentence=sentence, value=length, units="um")
         limit_um = self._allowed_um(expected_error_um)
         expected = f"expected error {to_spread(expected_error_um, expected_error_um)} um"
@@ -194,7 +198,7 @@ class Lag:
             return judge(state="pass", sentence=f"B{offset}, {expected}: {verdict}.")
         excess = f"more than the marks allow ({expected})"
         if length <= 3.0 * length_error:
-            sentence = f"{inconclusive} b{offset}, which is {excess} but within 3 standard errors."
+            sentence = f"{start} b{offset}, which is {excess} but within 3 standard errors."
             return judge(state="unknown", sentence=sentence)
         return judge(
             state="look",
@@ -303,7 +307,7 @@ def texture_lag(  # noqa: PLR0911
     weights = search.weights(peak.lag_px)
     n_first = len(halves[0])
     fitted = np.tensordot(weights[:n_first], x[:n_first], 1)
-    sign = float(np.vdot(fitted, texture.maps[first[0]]))
+    sign = np.vdot(fitted, texture.maps[first[0]])
     lag = replace(lag, r=math.copysign(math.sqrt(max(peak.r, 0.0)), sign))
     if not above.any():
         return lag
@@ -359,7 +363,7 @@ def _located(lag: Lag, search: LagSearch, peak: Peak, *, halves_of_slopes: int) 
     step_um = np.array(lag.pixel_um[::-1])
     covariance = search.covariance(peak, lag.pixel_um)[::-1, ::-1] * np.outer(step_um, step_um)
     covariance += (0.1 * max(lag.pixel_um)) ** 2 * np.eye(2)  # what is lost between the pixels
-    if not math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) < lag.reach_um / 4:
+    if not math.sqrt(np.linalg.eigvalsh(covariance)[-1]) < lag.reach_um / 4:
         return replace(lag, reason=unsure)
     lag_um = pair_of(peak.summit_px[::-1] * step_um)
     return replace(lag, reason=None, lag_um=lag_um, covariance_um2=covariance)

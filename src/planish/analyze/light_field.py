@@ -108,7 +108,7 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     """
     is_valid, _ = valid_pixels(a, b, point_um)
     a, b = filled(is_valid, (a, b), np.nan)
-    map_mean, grey_mean = (float(m[is_valid].mean()) for m in (a, b))
+    map_mean, grey_mean = (m[is_valid].mean() for m in (a, b))
     x = a[is_valid] - map_mean
     y = b[is_valid] - grey_mean
     side = min(np.count_nonzero(is_valid.any(axis=axis)) for axis in (0, 1))
@@ -121,15 +121,15 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     terms, _ = np.linalg.qr(terms_of_points(is_valid))
     x_rest, y_rest = (m - terms @ (terms.T @ m) for m in (x, y))
     for name, values, rest in (("map", x, x_rest), ("image", y, y_rest)):
-        if not float(rest @ rest) > 1e-10 * float(values @ values):
+        if not rest @ rest > 1e-10 * (values @ values):
             raise CannotMeasure(f"The {name} is a quadratic field of x and y itself. Look at it.")
-    slope = float(x_rest @ y_rest) / float(x_rest @ x_rest)
+    slope = x_rest @ y_rest / (x_rest @ x_rest)
     field = terms @ (terms.T @ (y - slope * x))
     field -= field.mean()
     rests = [_on_points(rest, is_valid) for rest in (x_rest, y_rest)]
     partial_row = correlate(*rests, pixel_um=point_um)
     plain_row = correlate(a, b, pixel_um=point_um)
-    inflation = math.sqrt(float(x @ x) / float(x_rest @ x_rest))
+    inflation = math.sqrt(x @ x / (x_rest @ x_rest))
     share_even, p_even = _even_light(x, y, y_rest - slope * x_rest, terms, is_valid)
     fitted = LightField(
         point_um=point_um,
@@ -140,10 +140,10 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
         inflation=inflation,
         r_plain=plain_row.r,
         interval_plain=plain_row.interval,
-        share=float(field @ field / (y @ y)),
+        share=field @ field / (y @ y),
         share_even=share_even,
         p_even=p_even,
-        span=float(np.ptp(field)) / abs(grey_mean) if grey_mean else math.nan,
+        span=np.ptp(field) / abs(grey_mean) if grey_mean else math.nan,
     )
     return fitted, _on_points(field, is_valid)
 
@@ -201,19 +201,19 @@ def _even_light(x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Boo
     covariance = (products + np.tensordot(variances, overlaps, 1)) / pairs
     # The terms of a field are those that neither the mean nor the map explain.
     field_terms = terms - terms.mean(axis=0)
-    field_terms -= np.outer(x, x @ field_terms) / float(x @ x)
+    field_terms -= np.outer(x, x @ field_terms) / (x @ x)
     basis = np.linalg.svd(field_terms, full_matrices=False)[0][:, :_TERMS]
     spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in basis.T]
     expected = np.empty((_TERMS, _TERMS))
     for row, column in np.ndindex(expected.shape):
         expected[row, column] = np.sum(lags.products(spectra[row], spectra[column]) * covariance)
-    mean = float(np.trace(expected))
-    size = float(np.sum((basis.T @ y) ** 2))
+    mean = np.trace(expected)
+    size = np.sum((basis.T @ y) ** 2)
     if not (mean > 0 and variances.min() > 0):
         return math.nan, math.nan
-    half_freedom = mean**2 / float(np.sum(expected * expected)) / 2
-    tail = float(special.gammaincc(half_freedom, half_freedom * size / mean))
-    return mean / float(y @ y), tail
+    half_freedom = mean**2 / np.sum(expected * expected) / 2
+    tail = special.gammaincc(half_freedom, half_freedom * size / mean)
+    return mean / (y @ y), tail
 
 
 def without_light(
@@ -239,7 +239,8 @@ def _less_sure(row: Correlation, ratios: Floats, share: float, inflation: float)
     n_eff = share * row.n_eff
     p = math.nan
     if n_eff >= LEAST_CLAIMED:
-        p = p_of(float(np.sinh(fisher_z(row.r))) / inflation * math.sqrt(n_eff - 2), n_eff - 2)
+        slope = math.sinh(fisher_z(row.r)) / inflation
+        p = p_of(slope * math.sqrt(n_eff - 2), n_eff - 2)
     n_eff_interval = (row.n_eff_interval - 3) / float(ratios.mean()) ** 2 + 3
     interval = widened(row.r, row.interval, ratios)
     update = {"n_eff": n_eff, "interval": interval, "p": p, "n_eff_interval": n_eff_interval}

@@ -89,7 +89,7 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
     shape = padded_shape(values.shape, reach)
     turns = 2 * math.pi * width_um * frequencies_of(shape, pixel)
     transfer = (1.0 + turns**2) ** -1.5
-    mean = float(np.mean(values[is_valid], dtype=np.float64))
+    mean = np.mean(values[is_valid], dtype=np.float64)
     rows, cols = values.shape
     centred = np.where(is_valid, values - mean, 0.0)
     blurred, weight = (

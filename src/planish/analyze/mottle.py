@@ -117,7 +117,7 @@ def print_mottle(
         )
     n_octaves = math.floor(math.log2(limit_um / shortest_um) + 1e-9)
     edges = [shortest_um * 2.0**k for k in range(n_octaves + 1)]
-    mean = float(image[is_valid].mean(dtype=np.float64))
+    mean = image[is_valid].mean(dtype=np.float64)
     if not mean > 0:
         raise CannotMeasure(
             f"The mean of the image is {mean:.3g}; variation relative to it needs one above 0. Give"
@@ -132,7 +132,7 @@ def print_mottle(
         sigma = [_HALF * edge_um / p for p in pixel]
         coarse = smooth(values, weight, is_valid, sigma, truncate=4.0)[is_valid]
         if fine.size:
-            cov = float((fine - coarse).std()) / _OCTAVE / mean
+            cov = (fine - coarse).std() / _OCTAVE / mean
             band = {"shortest_um": edge_um / 2, "longest_um": edge_um}
             bands.append(MottleBand(**band, coefficient_of_variation=cov))
         fine = coarse

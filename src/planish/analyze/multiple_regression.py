@@ -70,7 +70,7 @@ class Regression:
         weight = factors[first] * self.weights[first] - factors[second] * self.weights[second]
         error, n_eff = _error_of_mean(weight, self)
         sizes = np.abs(self.standardised)
-        difference = float(sizes[first] - sizes[second])
+        difference = sizes[first] - sizes[second]
         free = n_eff - self.plain.size - 1
         half_width = t_95(free) * error if free > 1 else math.nan
         return difference, around(difference, half_width)
@@ -127,15 +127,15 @@ def regress(
     means = values.mean(axis=0)
     spread = values.std(axis=0)
     x = (values - means) / spread
-    y_mean = float(response[is_valid].mean())
+    y_mean = response[is_valid].mean()
     y = response[is_valid] - y_mean
     covariance = x.T @ x / n
     with_response = x.T @ y / n
-    variance = float(y @ y) / n
+    variance = y @ y / n
     if errors is not None:
         covariance = covariance - errors[:-1, :-1] / np.outer(spread, spread)
         with_response = with_response - errors[:-1, -1] / spread
-        variance -= float(errors[-1, -1])
+        variance -= errors[-1, -1]
     if variance <= 0 or np.linalg.eigvalsh(covariance)[0] <= 0:
         raise CannotMeasure(
             "The stated errors are as large as what varies in the maps themselves: no correction"
@@ -151,13 +151,13 @@ def regress(
     weights = (x @ inverse).T / spread[:, None]
     fit = Regression(
         plain=plain,
-        intercept=y_mean - float(means @ plain),
+        intercept=y_mean - (means @ plain),
         standard_errors=unknown,
         n_eff=unknown,
         scale=spread * np.sqrt(variances / variance),
         vif=variances / own_share,
         unique=scaled**2 * own_share / variance,
-        r2=float(scaled @ with_response) / variance,
+        r2=(scaled @ with_response) / variance,
         weights=np.stack([_on_mask(row, is_valid) for row in weights]),
         own_variance=own_share * spread**2,
         residuals=_on_mask(y - x @ scaled, is_valid),
@@ -221,4 +221,4 @@ def out_of_sample_r2(
         coefficients = np.linalg.lstsq(x[~is_inside], fitted_y, rcond=None)[0]
         unexplained += np.sum((y[is_inside] - x[is_inside] @ coefficients) ** 2)
         variation += np.sum((y[is_inside] - fitted_y.mean()) ** 2)
-    return float(1 - unexplained / variation)
+    return 1 - unexplained / variation

@@ -115,15 +115,15 @@ def _in_common(raw: Complexes, whitened: Complexes, modes: float, count: int) ->
     """
     cross = np.vdot(whitened[0], whitened[1])
     gain = np.vdot(raw[0], raw[1])
-    power_a = float(np.vdot(raw[0], raw[0]).real)
+    power_a = np.vdot(raw[0], raw[0]).real
     squared_spread = math.prod(np.vdot(m, m).real for m in whitened)
     common = {"modes": modes} | dict.fromkeys(("coherence", "p", "phase_deg", "gain"), math.nan)
     if power_a > 0:
         common["gain"] = math.copysign(abs(gain), gain.real) / power_a
     if squared_spread > 0:
-        common["phase_deg"] = -float(np.angle(cross, deg=True))
+        common["phase_deg"] = -np.angle(cross, deg=True)
     if modes >= 4 and squared_spread > 0:
-        share = float(abs(cross) ** 2 / squared_spread)
+        share = abs(cross) ** 2 / squared_spread
         common["coherence"] = (share - 1 / modes) / (1 - 1 / modes)
         # Of m complex waves without relation the squared coherence exceeds x with the probability
         # (1 - x)^(m - 1).
@@ -143,7 +143,7 @@ class Waves:
         self.spectra = [spectrum_of(m, is_valid, window) for m in maps]
         self.frequency = frequencies_of(is_valid.shape, pixel_um)
         # Width of the window in frequency: one over the field it leaves.
-        self.joined = is_valid.size * float(np.sum(window**4) / np.sum(window**2) ** 2)
+        self.joined = is_valid.size * (np.sum(window**4) / np.sum(window**2) ** 2)
         self.resolution = math.sqrt(self.joined) / shorter_side_um(is_valid.shape, pixel_um)
         self.ring: Ints = np.rint(self.frequency / self.resolution).astype(np.intp)
         ring_numbers = self.ring.ravel()

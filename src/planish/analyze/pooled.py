@@ -63,11 +63,11 @@ def random_effects(
     q = _excess(0.0, y, v)[0]
     between = _between(y, v)
     weight = 1 / (v + between)
-    total = float(weight.sum())
-    mean = float(np.sum(weight * y)) / total
+    total = weight.sum()
+    mean = np.sum(weight * y) / total
     width = math.nan
     if k > 2:
-        squares = float(np.sum(weight * (y - mean) ** 2))
+        squares = np.sum(weight * (y - mean) ** 2)
         width = t_95(k - 1) * math.sqrt(squares / total / (k - 1))
     return RandomEffects(
         effects=k,
@@ -97,7 +97,7 @@ def _excess(between: float, y: Floats, v: Floats) -> Pair:
     """Weighted sum of squares about the weighted mean, and its fall with the variance between."""
     weight = 1 / (v + between)
     square = (y - np.sum(weight * y) / weight.sum()) ** 2
-    return float(np.sum(weight * square)), float(np.sum(weight * weight * square))
+    return np.sum(weight * square), np.sum(weight * weight * square)
 
 
 def _between(y: Floats, v: Floats) -> float:

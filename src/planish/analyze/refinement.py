@@ -220,7 +220,7 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None) -> Refin
     tail_share = largest_tail(np.array(null_z), z)
     # A tail is not known further than half of one over their number squared.
     p = max(tail_share, 0.5 / _SURROGATES**2)
-    null_95 = float(np.quantile(null, 0.95, method="higher"))
+    null_95 = np.quantile(null, 0.95, method="higher")
     basis = RegistrationBasis.SEARCHED_NULL
     return RefinementR(
         registration=basis,

@@ -103,10 +103,11 @@ def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
     weak = np.flatnonzero(sums(waves.stand_out.astype(np.float64)) < count)
     wavelengths_um = count / sums(waves.frequency)
     modes = count / waves.joined
-    strong = slice(weak[0] if weak.size else last)
+    columns = np.stack([wavelengths_um, correlation, modes], axis=1)
+    n_strong = weak[0] if weak.size else last
     rings = tuple(
         Ring(wavelength_um=um, correlation=r, threshold=half_bit(n), modes=n)
-        for um, r, n in zip(wavelengths_um[strong], correlation[strong], modes[strong], strict=True)
+        for um, r, n in columns[:n_strong].tolist()
     )
     resolution_um, sentence = _resolved(rings, leaking=bool(weak.size))
     return RingCorrelation(rings=rings, resolution_um=resolution_um, sentence=sentence)

@@ -179,7 +179,8 @@ class _Noise:
     @classmethod
     def none(cls, count: int) -> _Noise:
         """Of maps of whose noise nothing is known."""
-        return cls(np.zeros((count, count), dtype=np.complex128), np.full(count, math.inf))
+        power = np.zeros((count, count), dtype=np.complex128)
+        return cls(power, np.full(count, math.inf))
 
 
 def _noise_of(
@@ -201,8 +202,8 @@ def _noise_of(
 
 def _spread(power: OctavePower, noise: _Noise, mean: float) -> dict[str, Any]:
     """Standard deviation of the first map, with its interval."""
-    total = float(power.power[0, 0].real)
-    noise_power = float(noise.power[0, 0].real)
+    total = power.power[0, 0].real
+    noise_power = noise.power[0, 0].real
     rest = total - noise_power
     sd = math.sqrt(max(rest, 0.0))
     fields: dict[str, Any] = {"sd": sd, "modes": power.modes, "cov": sd / mean}
@@ -210,8 +211,8 @@ def _spread(power: OctavePower, noise: _Noise, mean: float) -> dict[str, Any]:
         fields["noise"] = math.sqrt(noise_power)
     if power.modes < _LEAST_MODES or power.degrees[0] < _LEAST_DEGREES:
         return fields
-    low, high = variance_interval(total, float(power.degrees[0]))
-    noise_low, noise_high = variance_interval(noise_power, float(noise.degrees[0]))
+    low, high = variance_interval(total, power.degrees[0])
+    noise_low, noise_high = variance_interval(noise_power, noise.degrees[0])
     below = math.hypot(total - low, noise_high - noise_power)
     above = math.hypot(high - total, noise_power - noise_low)
     limits = np.maximum([rest - below, rest + above], 0.0)
@@ -223,18 +224,18 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
     """Gain, coherence and phase of the first map against the second."""
     totals = np.diag(power.power).real
     shares = 1.0 - np.diag(noise.power).real / np.maximum(totals, 1e-300)
-    modes = 0.5 * min(float(power.degrees[1]), 2.0 * power.modes)
-    raw_coherence = float(power.coherence[1, 0])
+    modes = 0.5 * min(power.degrees[1], 2.0 * power.modes)
+    raw_coherence = power.coherence[1, 0]
     if modes < _LEAST_MODES or not shares.min() > _LEAST_SIGNAL or math.isnan(raw_coherence):
         return {}
     cross = complex(power.power[1, 0])
     cross_rest = cross - complex(noise.power[1, 0])
-    raw = min(abs(cross) ** 2 / float(totals.prod()), 1.0)
-    own_power = float(totals[1] * shares[1])
+    raw = min(abs(cross) ** 2 / totals.prod(), 1.0)
+    own_power = totals[1] * shares[1]
     t = t_95(2 * modes - 2)
     # Of noise in the cross power and, where noise was taken off the second map, in its power.
     error = math.sqrt((1 - raw) / (2 * modes * raw)) if raw > 0 else math.inf
-    error_of_noise = math.sqrt(2 / float(noise.degrees[1])) * (1 - shares[1]) / shares[1]
+    error_of_noise = math.sqrt(2 / noise.degrees[1]) * (1 - shares[1]) / shares[1]
     relative = t * math.hypot(error, error_of_noise)
     sign = math.copysign(1.0, cross_rest.real)
     gain = sign * abs(cross_rest) / own_power
@@ -245,7 +246,7 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
         fields["phase_interval"] = around(phase_deg, math.degrees(math.asin(t * error)))
     factor = 1.0
     if abs(cross) > 0:
-        factor = abs(cross_rest / cross) ** 2 / float(shares.prod())
+        factor = abs(cross_rest / cross) ** 2 / shares.prod()
     by_chance = 1 / power.modes
     fields["coherence"] = factor * (raw_coherence - by_chance) / (1 - by_chance)
     z = math.atanh(min(math.sqrt(raw_coherence), 1 - 1e-12))

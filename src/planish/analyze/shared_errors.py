@@ -102,5 +102,5 @@ def sharings_of(names: Sequence[str], covariance: Floats) -> tuple[SharedError, 
         a, b = names[first], names[second]
         surface = next(name for name in SIGNS[bare_name(a)] if name in SIGNS[bare_name(b)])
         correlation = covariance[first, second] / (deviations[first] * deviations[second])
-        sharings.append(SharedError(a=a, b=b, surface=surface, correlation=float(correlation)))
+        sharings.append(SharedError(a=a, b=b, surface=surface, correlation=correlation))
     return tuple(sharings)

@@ -72,7 +72,7 @@ class Fields:
         values_by_sheet: dict[str, list[float]] = {}
         for sheet, value in zip(self.sheets, self.values, strict=True):
             if not math.isnan(value):
-                values_by_sheet.setdefault(sheet, []).append(float(value))
+                values_by_sheet.setdefault(sheet, []).append(value)
         return {sheet: np.array(values) for sheet, values in values_by_sheet.items()}
 
     @property
@@ -161,7 +161,7 @@ def over_sheets(fields: Fields) -> SheetMean:
     n_fields = sum(not math.isnan(value) for value in fields.values)
     if k == 0:
         return SheetMean(sheets=k, fields=n_fields, reason=too_few(k))
-    mean = float(means.mean())
+    mean = means.mean()
     spread = spread_of(means)
     error = spread / math.sqrt(k)
     reason = too_few(k) or all_alike(spread)
@@ -184,9 +184,9 @@ def spread_of(values: Floats) -> float:
     """
     if values.size < 2:
         return math.nan
-    if float(np.ptp(values)) <= _SAME * float(np.abs(values).max()):
+    if np.ptp(values) <= _SAME * np.abs(values).max():
         return 0.0
-    return float(values.std(ddof=1))
+    return values.std(ddof=1)
 
 
 def too_few(*sheets: int) -> str:
@@ -235,27 +235,27 @@ def variances_of(fields: Fields) -> SheetVariances:
     k = len(sheets)
     n = int(counts.sum())
     if k < 2:
-        sd_within = float(sheets[0].std(ddof=1)) if n > 1 else math.nan
+        sd_within = sheets[0].std(ddof=1) if n > 1 else math.nan
         return SheetVariances(sd_within=sd_within, reason=f"{k} of at least 2 sheets")
     if n == k:
         return SheetVariances(reason="no sheet has two fields")
     means = fields.means
     within = sum(v.var() * v.size for v in sheets) / (n - k)
     spread = spread_of(means) ** 2
-    if not within > (_SAME * float(np.abs(means).max())) ** 2:
+    if not within > (_SAME * np.abs(means).max()) ** 2:
         return SheetVariances(
             sd_between=math.sqrt(spread),
             sd_within=0.0,
             share=1.0 if spread > 0 else math.nan,
             reason="all fields of a sheet have the same value",
         )
-    fields_per_sheet = k / float(np.sum(1 / counts))  # harmonic mean
+    fields_per_sheet = k / np.sum(1 / counts)  # harmonic mean
     between = max(spread - within / fields_per_sheet, 0.0)
     grand_mean = counts @ means / n
     ratio = np.sum(counts * (means - grand_mean) ** 2) / (k - 1) / within
     interval = np.full(2, math.nan)
     if not too_few(k):
-        f = special.fdtri(k - 1, n - k, [(1 + 0.95) / 2, (1 - 0.95) / 2])
+        f = special.fdtri(k - 1, n - k, [0.975, 0.025])
         excess = np.maximum(fields_per_sheet * spread / within / f - 1, 0.0)
         interval = excess / (fields_per_sheet + excess)
     return SheetVariances(

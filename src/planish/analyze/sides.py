@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 from itertools import repeat
-from typing import NamedTuple, TypeGuard
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 import xarray as xr
@@ -88,15 +88,15 @@ def image_of_sheet(
             f"{capital(image)} correlates with the coating of the {side} side"
             f" ({side_coating}){rival_text}. {side_text}."
         )
-        return SideFound(_check("pass", text, side_coating), side)
+        return _showing(side, side, text, side_coating)
     if _stands_out(other_coating, side_coating):
         text = f"{capital(image)} correlates with the coating of the {other} side ({other_coating})"
         if side_coating is not None:
             text += f"{_compared_with(side_coating, side)}. {side_text}."
-            return SideFound(_exchanged("fail", text, other_coating, other), other)
+            return _showing(other, side, text, other_coating, state="fail")
         text += f", and none is seen on the {side} side. {side_text}."
         hint = " Light that goes through the sheet may show it as well."
-        return SideFound(_exchanged("look", text, other_coating, other, hint), other)
+        return _showing(other, side, text, other_coating, hint=hint)
     strongest_coating = _strongest(coatings.values())
     if strongest_coating is not None and abs(strongest_coating.z) > Z_RELATED:
         text = (
@@ -129,9 +129,7 @@ def _by_slopes_and_thickness(
             f"{capital(image)} correlates with the slopes of the {face} face, as light from one"
             f" side shows them ({shown}){not_coatings_text}. {side_text}."
         )
-        if face == side:
-            return SideFound(_check("pass", text, shown), face)
-        return SideFound(_exchanged("look", text, shown, face), face)
+        return _showing(face, side, text, shown)
     return SideFound(_without_side(texture, coatings, slopes, side, tried_text, image))
 
 
@@ -266,40 +264,30 @@ def _by_thickness(
     return _check("look", text, coatings or thickness, advice=advice, figures=_OF_A_SPECIMEN)
 
 
-def _check(
-    state: State,
-    text: str,
-    relation: Relation | None = None,
-    *,
-    advice: str = "",
-    remedy: str = "",
-    figures: Texts = (),
-) -> Check:
+def _check(state: State, text: str, relation: Relation | None = None, **fields: Any) -> Check:
+    """A check by the z of a relation, with the fields that it has besides."""
+    z = None if relation is None else relation.z
     return Check(
-        name=NAME,
-        state=state,
-        sentence=text,
-        value=None if relation is None else relation.z,
-        limit=Z_RELATED,
-        units="z",
-        advice=advice,
-        remedy=remedy,
-        figures=figures,
+        name=NAME, state=state, sentence=text, value=z, limit=Z_RELATED, units="z", **fields
     )
 
 
-def _exchanged(
-    state: State, text: str, relation: Relation | None, side: Side, hint: str = ""
-) -> Check:
-    """The check of an image that shows the side which was not given."""
-    return _check(
-        state,
-        text,
-        relation,
-        advice=f"Top and bottom are exchanged.{hint}",
-        remedy=_TURN.format(side=side),
-        figures=_OF_SIDES,
-    )
+def _showing(
+    face: Side,
+    side: Side,
+    text: str,
+    relation: Relation | None,
+    *,
+    state: State = "look",
+    hint: str = "",
+) -> SideFound:
+    """The check of an image that shows a face; ``state`` is of one that is not the side given."""
+    if face == side:
+        return SideFound(_check("pass", text, relation), face)
+    advice = f"Top and bottom are exchanged.{hint}"
+    remedy = _TURN.format(side=face)
+    check = _check(state, text, relation, advice=advice, remedy=remedy, figures=_OF_SIDES)
+    return SideFound(check, face)
 
 
 def _relation(texture: Textures, first: str, second: str) -> Relation:
@@ -518,8 +506,7 @@ def _without_screen(check: Check) -> TextureFound:
         )
         check = Check(name=NAME, state="unknown", sentence=text)
     text = f"Image-based check: not made, because the fine texture that it aligns {screen_text}"
-    moved = Check(name=lag.NAME, state="unknown", figures=(POSITION,), sentence=text)
-    return TextureFound(None, (check, moved))
+    return TextureFound(None, (check, lag.inconclusive(text)))
 
 
 def _goes_through(texture: Textures, coating: str) -> bool:
@@ -571,7 +558,7 @@ def found_by_texture(sentence: str, false_probability: float | None) -> tuple[Ch
     text = (
         "Image-based check: not made, because the place was found by the texture that it compares."
     )
-    return check, Check(name=lag.NAME, state="unknown", sentence=text, figures=(POSITION,))
+    return check, lag.inconclusive(text)
 
 
 def holes_and_texture(apart_um: float, expected_um: float) -> Check:
@@ -610,8 +597,8 @@ def _coated(sheet: xr.Dataset) -> list[Side]:
         names = (f"coating_{side}", f"coating_{side}_se")
         use, *maps = thinned(sheet["valid"], *(sheet[k] for k in names if k in sheet))[1]
         coat_um, *errors_um = (m[use & np.isfinite(m)] for m in maps)
-        limit_um = 3.0 * sum(float(np.median(m)) for m in errors_um if m.size)
+        limit_um = 3.0 * sum(np.median(m) for m in errors_um if m.size)
         is_measured = coat_um.size >= max(1, 0.5 * np.count_nonzero(use))
-        if is_measured and float(np.median(coat_um)) > limit_um:
+        if is_measured and np.median(coat_um) > limit_um:
             sides.append(side)
     return sides

@@ -72,7 +72,7 @@ def region_difference(values: Array, inside: Bools, *, pixel_um: Pixel) -> Regio
             " needed on either side. Give another limit."
         )
     share = count[0] / sum(count)
-    mean_inside, mean_outside = (float(values[part].mean()) for part in (is_inside, is_outside))
+    mean_inside, mean_outside = (values[part].mean() for part in (is_inside, is_outside))
     difference = mean_inside - mean_outside
     contributions = np.zeros(is_valid.shape)
     contributions[is_inside] = (values[is_inside] - mean_inside) / share

@@ -94,8 +94,8 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None) -> Variogram:
     check_varying(lags.is_valid, a=a)
     products = lags.own_products(a)
     # What the mean took is known from the lags that are used, and put back at all lags.
-    sill = float(lags.covariance(products, lags.until_zero(products))[0, 0])
-    products = products + (sill - float(products[0, 0]) / lags.n) * lags.pairs
+    sill = lags.covariance(products, lags.until_zero(products))[0, 0]
+    products = products + (sill - products[0, 0] / lags.n) * lags.pairs
     distance, covariance = _by_ring(lags, products, lags.inside)
     if distance.size < _LEAST_RINGS:
         raise CannotMeasure(
@@ -170,13 +170,13 @@ def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
     def off(p: Floats) -> Floats:
         return p[0] * np.exp(-((h / math.exp(p[1])) ** p[2])) - c
 
-    farthest = float(h[-1])
+    farthest = h[-1]
     start = np.array([1.1, math.log(max(farthest / 2, step)), 1.3])
     # From the exponential to the Gaussian covariance.
     least = [0.0, math.log(step / 20), 1.0]
     most = [np.inf, math.log(1e3 * farthest), 2.0]
     fit = optimize.least_squares(off, start, bounds=(least, most))
-    return float(fit.x[0] * covariance[0])
+    return fit.x[0] * covariance[0]
 
 
 def _range(distance: Floats, covariance: Floats, shared: float) -> float:
@@ -189,7 +189,7 @@ def _range(distance: Floats, covariance: Floats, shared: float) -> float:
     if not below.size:
         return math.inf
     bracket = slice(below[0] - 1, below[0] + 1)
-    return float(np.interp(-math.exp(-1), -c[bracket], h[bracket]))
+    return np.interp(-math.exp(-1), -c[bracket], h[bracket])
 
 
 def answer_variograms(pair: ComparedMaps) -> Entries:

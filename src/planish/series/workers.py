@@ -121,10 +121,12 @@ def _run_jobs(
             time.sleep(_PAUSE)
         for job, note in _ended(running, workers, is_idle=coming is None):
             tries[job.name] += 1
-            if note is None and tries[job.name] < workers.tries:
+            if note is not None:
+                yield job, note
+            elif tries[job.name] < workers.tries:
                 retries.append(job)
             else:
-                yield job, note or job.note.model_copy(update=KILLED)
+                yield job, job.note.model_copy(update=KILLED)
 
 
 def _ended(

@@ -15,6 +15,7 @@ from scipy import fft
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Complexes, Floats, IntPair, Pair
 from planish.texture.spectra import padded_shape, padded_spectrum, wrapped_lags_um
+from planish.texture.textures import centred, influence_on_r
 
 BANDWIDTH = 0.15
 """Share of the shorter side: how far points are taken to add to r together in the second
@@ -50,8 +51,7 @@ class Lags:
 
     def own_products(self, values: Array) -> Floats:
         """Sums of products of a map (rows, cols), less its mean, with itself."""
-        mean = values[self.is_valid].mean()
-        spectrum = self.transform(np.where(self.is_valid, values - mean, 0.0))
+        spectrum = self.transform(centred(values, self.is_valid))
         return self.products(spectrum, spectrum)
 
     def products(self, a: Complexes, b: Complexes) -> Floats:
@@ -126,7 +126,7 @@ class PairCovariances:
     def __init__(self, x: Floats, y: Floats, lags: Lags) -> None:
         """Take the covariances of both maps at all lags, cut where each first turns to zero."""
         self.lags = lags
-        self._maps = [np.where(lags.is_valid, m - m[lags.is_valid].mean(), 0.0) for m in (x, y)]
+        self._maps = [centred(m, lags.is_valid) for m in (x, y)]
         a, b = (lags.transform(m) for m in self._maps)
         products = (lags.products(a, a), lags.products(b, b), lags.products(a, b))
         used_x, used_y = (lags.until_zero(p) for p in products[:2])
@@ -136,7 +136,7 @@ class PairCovariances:
         self._together = [lags.covariance(p, used_x | used_y) for p in products]
         self.variances = (products[0][0, 0] / lags.n, products[1][0, 0] / lags.n)
         # What the covariances have got back of the variance of the mean.
-        self._put_back = np.subtract((self.xx[0, 0], self.yy[0, 0]), self.variances)
+        self._put_back = np.array([self.xx[0, 0], self.yy[0, 0]]) - self.variances
 
     def variance_of_r(self, variances: Pair | None = None) -> float:
         """Variance of r of unrelated maps (Dutilleul 1993).
@@ -179,8 +179,7 @@ class PairCovariances:
         """
         bandwidth_um = BANDWIDTH * shorter_side_um(self.lags.is_valid.shape, self.lags.pixel_um)
         x, y = (m / math.sqrt(v) for m, v in zip(self._maps, self.variances, strict=True))
-        influence = np.where(self.lags.is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
-        influence_hat = self.lags.transform(influence)
+        influence_hat = self.lags.transform(influence_on_r(x, y, r))
         weight = np.maximum(1.0 - self.lags.distance_um / bandwidth_um, 0.0)
         model = self._influence(r, None)
         mean_weight = np.sum(weight * self.lags.pairs) / self.lags.n**2

@@ -16,7 +16,7 @@ from planish.core.grid import shorter_side_um
 from planish.core.robust import masked_gaussian
 from planish.core.typing import Bools, Floats, Pair
 from planish.texture.ncc import MaskedNcc, quarter_of
-from planish.texture.textures import sigma_px
+from planish.texture.textures import centred, sigma_px
 
 
 def without_trend(values: Floats, is_valid: Bools) -> Floats:
@@ -35,7 +35,7 @@ def without_trend(values: Floats, is_valid: Bools) -> Floats:
     # as the map.
     axes = (np.linspace(-1.0, 1.0, n) for n in is_valid.shape)
     rows, cols = (np.polynomial.legendre.legvander(axis, 2) for axis in axes)
-    inside = np.where(is_valid, values - values[is_valid].mean(), 0.0)
+    inside = centred(values, is_valid)
     weights = is_valid.astype(np.float64)
     products = (cols[:, :, None] * cols[:, None, :]).reshape(len(cols), 9)
     by_row = (weights @ products).reshape(-1, 3, 3)
@@ -76,11 +76,11 @@ class PhaseSurrogate:
     """
 
     def __init__(self, values: Floats, valid: Bools) -> None:
-        mean = float(values[valid].mean()) if valid.any() else 0.0
+        mean = values[valid].mean() if valid.any() else 0.0
         # The jump at the borders would whiten the spectrum, and make the null too narrow.
         taper = np.multiply.outer(*(_tapered(n) for n in values.shape))
-        centred = np.where(valid, values - mean, 0.0)
-        self.amplitude = np.abs(np.asarray(fft.rfft2(centred * taper)))
+        tapered = np.where(valid, values - mean, 0.0) * taper
+        self.amplitude = np.abs(np.asarray(fft.rfft2(tapered)))
         self._shape = values.shape
         self._plane = Plane(valid)
 
@@ -126,12 +126,11 @@ class Plane:
         """Return values (rows, cols) without their plane; 0 where they are not known."""
         if self._n < 3:
             return np.zeros(values.shape)
-        centred = np.where(self._valid, values, 0.0)
-        centred = np.where(self._valid, centred - centred.sum() / self._n, 0.0)
-        products = (self._rows @ centred.sum(axis=1), self._cols @ centred.sum(axis=0))
+        level = centred(values, self._valid)
+        products = (self._rows @ level.sum(axis=1), self._cols @ level.sum(axis=0))
         down, across = self._solve @ products
         plane = np.add.outer(down * self._rows, across * self._cols)
-        return np.where(self._valid, centred - plane, 0.0)
+        return np.where(self._valid, level - plane, 0.0)
 
 
 def in_band(

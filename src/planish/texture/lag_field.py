@@ -143,7 +143,7 @@ def lag_field(
         tile = np.s_[row : row + rows, col : col + cols]
         is_in_tile = np.zeros(a.shape, dtype=bool)
         is_in_tile[tile] = is_valid[tile]
-        share = float(is_valid[tile].mean())
+        share = is_valid[tile].mean()
         if share < 0.5:
             continue
         masks = (is_in_tile[around], is_valid[around])
@@ -158,7 +158,7 @@ def lag_field(
         r = np.nan if peak is None else peak.r
         tiles.append((centre_um, lag * step, covariance_um2, r, share))
     table = np.array(tiles, dtype=_TILE)
-    limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf
+    limit = np.quantile(null_z, 0.99, method="higher") if null_z else np.inf
     height = _z(np.abs(table["r"]), table["share"])
     distinct = np.isfinite(table["lag"][:, 0]) & (height > limit)
     return LagField(

@@ -11,7 +11,7 @@ from scipy import fft, optimize, special
 from planish.core.typing import Bools, Complexes, Floats, IntPair, Pair
 from planish.texture.ncc import LEAST_PAIRS, Peak, overlap
 from planish.texture.spectra import lags_within, padded_shape, padded_spectrum
-from planish.texture.textures import tile_sums
+from planish.texture.textures import centred, tile_sums
 
 
 class LagSearch:
@@ -93,13 +93,14 @@ class LagSearch:
         residual = np.where(is_valid, y - fitted, 0.0)
         w = np.tensordot(slopes, x, ((1, 2), (1, 2))) / n @ self._inverse  # (2, k)
         scores = (fitted - peak.r * y) * slopes + residual * np.tensordot(w, x, 1)
-        scores = np.where(is_valid, scores - scores.sum(axis=(1, 2), keepdims=True) / n, 0.0)
+        scores = np.stack([centred(score, is_valid) for score in scores])
         score_sums = tile_sums(scores, pixel_um, 150.0).reshape(2, -1)
         inverse_curvature = np.linalg.inv(-0.5 * peak.curvature)
         return inverse_curvature @ (score_sums @ score_sums.T / n**2) @ inverse_curvature
 
     def _products_at(self, lag_px: IntPair) -> Floats:
-        return self._g[:, lag_px[0] + self._wide[0], lag_px[1] + self._wide[1]]
+        row, col = np.add(lag_px, self._wide)
+        return self._g[:, row, col]
 
     def _lags(self, spectrum: Complexes | Floats) -> Floats:
         return lags_within(spectrum, self._size, self._wide)

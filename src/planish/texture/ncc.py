@@ -11,7 +11,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from planish.core.typing import Bools, Complexes, Floats, IntPair
 from planish.texture.spectra import lags_within, padded_shape, padded_spectrum
-from planish.texture.textures import standard
+from planish.texture.textures import centred, standard
 
 # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
 LEAST_PAIRS = 0.2
@@ -41,7 +41,7 @@ class MaskedNcc:
         self._a = np.conj(padded_spectrum(a, self._shape))
         mask_b = padded_spectrum(b_valid.astype(np.float64), self._shape)
         self.pairs: Floats = np.rint(self._lags(self._mask_a * mask_b))
-        enough = self.pairs >= max(LEAST_PAIRS * float(self.pairs.max()), 3.0)
+        enough = self.pairs >= max(LEAST_PAIRS * self.pairs.max(), 3.0)
         self._n = np.where(enough, self.pairs, np.nan)
         self._sum_a = self._lags(self._a * mask_b)
         squares = np.conj(padded_spectrum(a**2, self._shape))
@@ -104,7 +104,7 @@ def find_peak(r: Floats, allowed: Bools) -> Peak | None:
     row, col = divmod(int(np.argmax(height)), r.shape[1])
     if not np.isfinite(height[row, col]):
         return None
-    highest = float(r[row, col])
+    highest = r[row, col]
     lag_px = (row - r.shape[0] // 2, col - r.shape[1] // 2)
     pixel_peak = Peak(lag_px=lag_px, summit_px=np.array(lag_px, dtype=np.float64), r=highest)
     heights = r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
@@ -148,7 +148,7 @@ def rival_of(share: Floats, peak: Peak, allowed: Bools) -> float:
     labels, _ = ndimage.label(height > 0.5 * peak.r)
     middle = np.array(share.shape) // 2
     peak_label = labels[tuple(middle + peak.lag_px)]
-    return float(np.where(labels == peak_label, 0.0, height).max())
+    return np.where(labels == peak_label, 0.0, height).max()
 
 
 def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Bools) -> Floats:
@@ -164,8 +164,7 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     a_slices, b_slices = overlap(a.shape, peak.lag_px)
     # A cubic spline, as in `find_peak`: its slope in a pixel is half the difference of neighbouring
     # coefficients.
-    centred = np.where(b_valid, b - b[b_valid].mean(), 0.0)
-    spline = np.asarray(ndimage.spline_filter(centred, order=3), dtype=np.float64)
+    spline = np.asarray(ndimage.spline_filter(centred(b, b_valid), order=3), dtype=np.float64)
     spline = np.pad(spline, 1, mode="edge")
     slope_y = 0.5 * (spline[2:, 1:-1] - spline[:-2, 1:-1])
     slope_x = 0.5 * (spline[1:-1, 2:] - spline[1:-1, :-2])
@@ -174,7 +173,7 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     n = int(is_valid.sum())
     u = standard(a[a_slices], is_valid) - peak.r * standard(b[b_slices], is_valid)
     v = slopes / b[b_slices][is_valid].std()
-    v = np.where(is_valid, v - v[:, is_valid].mean(axis=1)[:, None, None], 0.0)
+    v = np.stack([centred(slope, is_valid) for slope in v])
     reach = quarter_of(u.shape)
     shape = padded_shape(u.shape, reach)
     mask_hat = padded_spectrum(is_valid.astype(np.float64), shape)

@@ -21,6 +21,7 @@ from scipy import fft, ndimage
 
 from planish.core.area import halved_values
 from planish.core.typing import Array, Bools, Complexes, Floats, Pair
+from planish.texture.spectra import padded_shape
 
 LEAST_PIXELS = 4.0
 """Pixels of the shortest wave: shorter ones are no waves on a grid."""
@@ -64,7 +65,8 @@ def octaves_of(is_valid: Bools, pixel_um: Pair) -> list[Pair]:
         sides_um.append(n_pixels * pixel_um[1 - axis])
     longest = math.floor(math.log2(SIDE_SHARE * min(sides_um) / 1000.0) + 1e-9)
     shortest = math.ceil(math.log2(LEAST_PIXELS * max(pixel_um) / 1000.0) - 1e-9)
-    return [(1000.0 * 2.0 ** (k - 1), 1000.0 * 2.0**k) for k in range(longest, shortest, -1)]
+    longest_um = [1000.0 * 2.0**k for k in range(longest, shortest, -1)]
+    return [(um / 2, um) for um in longest_um]
 
 
 class OctaveField:
@@ -103,11 +105,9 @@ class OctaveField:
         Missing pixels are filled from those around them, and borders are mirrors.
         """
         waves = fft.dctn(self._filled(values)[0], norm="ortho")
-        rows, cols = (
-            np.arange(count) / (2.0 * count * pixel)
-            for count, pixel in zip(values.shape, self.pixel_um, strict=True)
-        )
-        frequency = np.hypot(rows[:, None], cols)
+        lengths_um = np.multiply(values.shape, self.pixel_um)
+        down, across = (np.arange(n) for n in values.shape)
+        frequency = np.hypot(down[:, None] / lengths_um[0], across / lengths_um[1]) / 2
         maps: list[Array] = []
         for low_um, high_um in self.octaves:
             is_in_octave = (frequency >= 1 / high_um) & (frequency < 1 / low_um)
@@ -161,25 +161,21 @@ class _OctaveWindow:
         self._pixel_um2 = math.prod(self._pixel_um)
         self._widths: list[int] = []
         self._reach: list[int] = []
+        self._frequencies: list[Floats] = []
         for pixel, count in zip(self._pixel_um, is_known.shape, strict=True):
             # Twice a mean over n pixels halves a wave of n / 0.443 pixels.
             width = 0.443 * _HALVED * self._high_um / pixel
             self._widths.append(2 * round(width / 2) + 1)
-            self._reach.append(min(int(_REACH * self._high_um / pixel), count - 1))
-        self._shape = [
-            fft.next_fast_len(count + reach, real=True)
-            for count, reach in zip(is_known.shape, self._reach, strict=True)
-        ]
+            reach = min(int(_REACH * self._high_um / pixel), count - 1)
+            self._reach.append(reach)
+            self._frequencies.append(fft.fftfreq(fft.next_fast_len(4 * reach + 1), pixel))
+        self._shape = padded_shape(is_known.shape, self._reach)
         share = self._mean_around(is_known.astype(np.float32), mode="constant")
         self._weight = np.where(is_known, share * share, np.float32(0.0))
         squares = np.square(self._weight, dtype=np.float64)
         pixels = squares.sum() ** 2 / np.square(squares).sum()
         self._area_um2 = pixels * self._pixel_um2
         self._lag_window = self._window_of_lags()
-        self._frequencies = [
-            fft.fftfreq(fft.next_fast_len(4 * reach + 1), pixel)
-            for reach, pixel in zip(self._reach, self._pixel_um, strict=True)
-        ]
 
     def power(self, pyramids: Sequence[Levels], is_of_rows: Sequence[bool]) -> OctavePower:
         """Power in the octave of maps, by their means at each level."""
@@ -216,21 +212,20 @@ class _OctaveWindow:
             power=power,
             coherence=_coherence(densities, cells, radius),
             degrees=self._area_um2 * np.square(total) / np.maximum(squares, 1e-300),
-            modes=0.5 * float(cells.sum()) * self._area_um2,
+            modes=0.5 * cells.sum() * self._area_um2,
         )
 
     def _window_of_lags(self) -> Floats:
         """Window over lags, over the weights of the pairs at each."""
-        lags_um = [
-            np.arange(-reach, reach + 1) * pixel
-            for reach, pixel in zip(self._reach, self._pixel_um, strict=True)
-        ]
-        distance = np.hypot(lags_um[0][:, None], lags_um[1]) / (_REACH * self._high_um)
+        down, across = (np.arange(-reach, reach + 1) for reach in self._reach)
+        row_um, col_um = self._pixel_um
+        distance_um = np.hypot(down[:, None] * row_um, across * col_um)
+        distance = distance_um / (_REACH * self._high_um)
         window = np.cos(0.5 * math.pi * np.clip(2.0 * distance - 1.0, 0.0, 1.0)) ** 2
         spectrum = self._transform(self._weight)
         pairs = self._products(spectrum, spectrum)
         window[pairs < 1e-3 * pairs.max()] = 0.0
-        self._window_um2 = float(np.square(window).sum()) * self._pixel_um2
+        self._window_um2 = np.square(window).sum() * self._pixel_um2
         return np.divide(window, pairs, out=window, where=window > 0)
 
     def _density(self, first: Complexes, second: Complexes) -> Complexes:

@@ -12,7 +12,7 @@ from scipy import ndimage
 from planish.core.area import common_means
 from planish.core.bands import Rows
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.typing import Bools, Floats, Ints, Pair
+from planish.core.typing import Array, Bools, Floats, Ints, Pair
 from planish.texture.spectra import padded_shape, padded_spectrum
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
@@ -45,7 +45,8 @@ class Textures:
     @property
     def middle_um(self) -> Floats:
         """The middle, ``(x, y)`` from that of the first pixel."""
-        return 0.5 * (np.array(self.known.shape) - 1)[::-1] * self.pixel_um[::-1]
+        rows, cols = self.known.shape
+        return 0.5 * np.multiply((cols - 1, rows - 1), self.pixel_um[::-1])
 
     def middle_part(self, share: float) -> Textures:
         """A share of both sides, about the same middle."""
@@ -152,7 +153,9 @@ def textures(
         )
     factor = max(1, math.ceil(math.sqrt(valid.size / most_pixels)))
     pixel_um = (factor * pixel_um[0], factor * pixel_um[1])
-    shown = {k: common_means([m], (factor, factor), masks=[valid])[0] for k, m in maps.items()}
+    shown: dict[str, Floats] = {}
+    for name, values in maps.items():
+        (shown[name],) = common_means([values], (factor, factor), masks=[valid])
     count = {k: np.count_nonzero(np.isfinite(m)) for k, m in shown.items()}
     # Of the pixels of the map that is known best; maps with fewer are left out.
     least = max(0.7 * max(count.values(), default=0), 1)
@@ -194,8 +197,8 @@ def relate(
     if n == 0:
         return Relation(0.0, math.inf, 0.0, math.inf)
     whole = b if of is None else of
-    sd_whole = float(np.std(whole[is_valid]))
-    share = float(np.std(b[is_valid])) / sd_whole if sd_whole > 0 else 0.0
+    sd_whole = np.std(whole[is_valid])
+    share = float(np.std(b[is_valid]) / sd_whole) if sd_whole > 0 else 0.0
     a = standard(a, is_valid)
     b = standard(b, is_valid)
     r = float(np.sum(a * b)) / n
@@ -211,8 +214,18 @@ def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: Pair) -> float:
     power = np.abs(padded_spectrum(a, size) * padded_spectrum(b, size)) ** 2
     power[:, 1 : (size[1] + 1) // 2] *= 2.0  # waves that run the other way
     alike = np.sum(power) / (size[0] * size[1] * n)
-    parts = tile_sums(a * b - 0.5 * r * (a * a + b * b), pixel_um)
+    parts = tile_sums(influence_on_r(a, b, r), pixel_um)
     return math.sqrt(max(alike, np.sum(parts**2))) / n
+
+
+def centred(values: Array, is_valid: Bools) -> Floats:
+    """A map (rows, cols) less its mean over the known pixels; 0 elsewhere."""
+    return np.where(is_valid, values - values[is_valid].mean(), 0.0)
+
+
+def influence_on_r(x: Floats, y: Floats, r: float) -> Floats:
+    """What each pixel of two maps of mean 0 and standard deviation 1 adds to their r."""
+    return x * y - r / 2 * (x * x + y * y)
 
 
 def standard(values: Floats, is_valid: Bools) -> Floats:
