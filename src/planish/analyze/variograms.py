@@ -188,7 +188,7 @@ def _range(distance: Floats, covariance: Floats, shared: float) -> float:
     below = np.flatnonzero(c < math.exp(-1))
     if not below.size:
         return math.inf
-    bracket = slice(below[0] - 1, below[0] + 1)
+    bracket = slice(below[0] - 1, below[0] + 1)  # over which -c rises
     return np.interp(-math.exp(-1), -c[bracket], h[bracket])
 
 

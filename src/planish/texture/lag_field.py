@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from planish.core.errors import SizeError
 from planish.core.typing import Bools, Floats, IntPair, Pair
@@ -93,7 +93,7 @@ def _place_of(
     return peak.summit_px[::-1], covariance[::-1, ::-1]
 
 
-def _z(r: Any, share: Any) -> Any:
+def _z(r: ArrayLike, share: ArrayLike) -> Floats:
     """Fisher's z of tiles, each put to that of one which is known throughout."""
     return np.arctanh(np.minimum(r, 0.999999)) * np.sqrt(share)
 
@@ -151,7 +151,7 @@ def lag_field(
         peak = find_peak(correlate(b[around]), allowed)
         for values in unrelated:
             r = np.nanmax(correlate(values[around])[allowed], initial=0.0)
-            null_z.append(_z(r, share))
+            null_z.append(float(_z(r, share)))
         centre_um = np.array([col + (cols - 1) / 2, row + (rows - 1) / 2]) * step
         lag, covariance = _place_of(peak, a[around], b[around], *masks)
         covariance_um2 = covariance * np.outer(step, step)
