@@ -16,6 +16,7 @@ from planish.analyze.correlation import Correlation, PairAtSizes, PairSums
 from planish.analyze.differences import holm, paired_difference
 from planish.analyze.distributions import around
 from planish.analyze.light_field import without_light
+from planish.core.area import valid_in_all
 from planish.core.axial import is_axial
 from planish.core.bands import read_bands
 from planish.core.errors import MarkError
@@ -272,7 +273,7 @@ def comparison_rows(
         part = grid.part(rows)
         placed = [variant.bring(sheet_map, linked_map, part) for variant in variants]
         # Rows that are compared are of the same pixels.
-        valid = np.logical_and.reduce([is_valid, away(part), *map(np.isfinite, placed)])
+        valid = valid_in_all(placed, [is_valid, away(part)])
         compared = [np.where(valid, m, np.nan) for m in placed]
         map_threads(PairAtSizes.add, sums, repeat(rows.start), compared, repeat(image))
     of_run = _rows_with_maps(sums[-1], point_um, light_off=light_off)

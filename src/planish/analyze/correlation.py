@@ -352,6 +352,13 @@ def filled(is_valid: Bools, maps: Sequence[Array], value: float) -> list[Floats]
     return [np.where(is_valid, m, value).astype(np.float64) for m in maps]
 
 
+def placed(values: Floats, is_valid: Bools, missing: float) -> Floats:
+    """Values of the valid pixels as a map (rows, cols)."""
+    out = np.full(is_valid.shape, missing)
+    out[is_valid] = values
+    return out
+
+
 def check_varying(is_valid: Bools, **maps: Array) -> None:
     """Raise CannotMeasure where fewer than 3 pixels are valid, or a map is constant over them."""
     n = int(np.count_nonzero(is_valid))

@@ -8,6 +8,7 @@ import numpy as np
 
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
 from planish.analyze.distributions import around, is_distinguishable, t_95
+from planish.core.area import valid_in_all
 from planish.core.errors import InputError
 from planish.core.typing import Array, Floats, Pair, Pixel, pair_of
 from planish.texture.covariance import Lags, variance_of_products
@@ -69,7 +70,7 @@ def paired_difference(
     pixel = on_one_grid(maps[0], maps[1], pixel_um)
     for m in maps[2:]:
         on_one_grid(maps[0], m, pixel_um)
-    is_valid = np.logical_and.reduce(np.isfinite(maps))
+    is_valid = valid_in_all(maps)
     known = [m[is_valid] for m in maps]
     r = (pearson(known[0], known[1]), pearson(known[2], known[3]))
     without_interval = Difference(r=r, difference=r[1] - r[0])

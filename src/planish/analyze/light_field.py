@@ -18,6 +18,7 @@ from planish.analyze.correlation import (
     correlate,
     filled,
     pearson,
+    placed,
     valid_pixels,
 )
 from planish.analyze.distributions import fisher_z, p_of, widened
@@ -126,7 +127,7 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     slope = x_rest @ y_rest / (x_rest @ x_rest)
     field = terms @ (terms.T @ (y - slope * x))
     field -= field.mean()
-    rests = [_on_points(rest, is_valid) for rest in (x_rest, y_rest)]
+    rests = [placed(rest, is_valid, math.nan) for rest in (x_rest, y_rest)]
     partial_row = correlate(*rests, pixel_um=point_um)
     plain_row = correlate(a, b, pixel_um=point_um)
     inflation = math.sqrt(x @ x / (x_rest @ x_rest))
@@ -145,7 +146,7 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
         p_even=p_even,
         span=np.ptp(field) / abs(grey_mean) if grey_mean else math.nan,
     )
-    return fitted, _on_points(field, is_valid)
+    return fitted, placed(field, is_valid, math.nan)
 
 
 def _interval(partial_row: Correlation, inflation: float) -> Pair:
@@ -173,12 +174,6 @@ def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> QuadraticFie
     return QuadraticField(weights=np.asarray(weights, dtype=np.float64), points=points)
 
 
-def _on_points(values: Floats, is_valid: Bools, missing: float = math.nan) -> Floats:
-    points = np.full(is_valid.shape, missing)
-    points[is_valid] = values
-    return points
-
-
 def _even_light(x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Bools) -> Pair:
     """Mean share of a field in even light, and the probability of one as large as that seen.
 
@@ -187,12 +182,12 @@ def _even_light(x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Boo
     variance (Satterthwaite 1946).
     """
     lags = Lags(is_valid, (1.0, 1.0))
-    spectrum = lags.transform(_on_points(rest, is_valid, 0.0))
+    spectrum = lags.transform(placed(rest, is_valid, 0.0))
     products = lags.products(spectrum, spectrum)
     used = lags.until_zero(products)
     products = np.where(used, products, 0.0)
     pairs = np.maximum(np.where(used, lags.pairs, 0.0), 1e-9)
-    spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in terms.T]
+    spectra = [lags.transform(placed(term, is_valid, 0.0)) for term in terms.T]
     overlaps = np.stack([np.where(used, lags.products(m, m), 0.0) for m in spectra])
     # What a term took off the covariances depends on its own variance, which follows from them.
     taken_off = np.tensordot(overlaps / pairs, overlaps, ((1, 2), (1, 2)))
@@ -203,7 +198,7 @@ def _even_light(x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Boo
     field_terms = terms - terms.mean(axis=0)
     field_terms -= np.outer(x, x @ field_terms) / (x @ x)
     basis = np.linalg.svd(field_terms, full_matrices=False)[0][:, :_TERMS]
-    spectra = [lags.transform(_on_points(term, is_valid, 0.0)) for term in basis.T]
+    spectra = [lags.transform(placed(term, is_valid, 0.0)) for term in basis.T]
     expected = np.empty((_TERMS, _TERMS))
     for row, column in np.ndindex(expected.shape):
         expected[row, column] = np.sum(lags.products(spectra[row], spectra[column]) * covariance)

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
+from planish.analyze.correlation import placed
 from planish.analyze.distributions import around, t_95
 from planish.core.errors import CannotMeasure
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Floats, Pair
 from planish.texture.covariance import Lags, PairCovariances
 
 _MOST_BLOCKS = 10  # along an axis
@@ -158,9 +159,9 @@ def regress(
         vif=variances / own_share,
         unique=scaled**2 * own_share / variance,
         r2=(scaled @ with_response) / variance,
-        weights=np.stack([_on_mask(row, is_valid) for row in weights]),
+        weights=np.stack([placed(row, is_valid, 0.0) for row in weights]),
         own_variance=own_share * spread**2,
-        residuals=_on_mask(y - x @ scaled, is_valid),
+        residuals=placed(y - x @ scaled, is_valid, 0.0),
         lags=lags,
     )
     errors_and_n_eff = np.array([_error_of_mean(weight, fit) for weight in fit.weights])
@@ -186,12 +187,6 @@ def _independent_cells(weight: Floats, residuals: Floats, lags: Lags) -> float:
         return math.nan
     variance = max(variance, pair.unevenness(0.0) ** 2 * pair.variance_of_z(0.0))
     return min(1 + 1 / variance, float(lags.n))
-
-
-def _on_mask(values: Floats, is_valid: Bools) -> Floats:
-    placed = np.zeros(is_valid.shape)
-    placed[is_valid] = values
-    return placed
 
 
 def out_of_sample_r2(

@@ -22,10 +22,11 @@ from planish.analyze.correlation import (
     correlate,
     filled,
     pearson,
+    placed,
     valid_pixels,
 )
 from planish.analyze.curve_of_sizes import SizeRow
-from planish.core.area import common_means, square_px
+from planish.core.area import common_means, square_px, valid_in_all
 from planish.core.arrays import values_of
 from planish.core.axial import refuse_axial
 from planish.core.errors import InputError, PlanishError, SizeError
@@ -204,8 +205,7 @@ def partial(a: Array, b: Array, covariates: Sequence[Array], *, pixel_um: Pixel)
                 "The other maps explain all of one map: parts stand beside their sum. Leave one of"
                 " them out."
             )
-        residual_maps.append(np.full(m.shape, np.nan))
-        residual_maps[-1][is_valid] = residual
+        residual_maps.append(placed(residual, is_valid, math.nan))
     return correlate(*residual_maps, pixel_um=pixel)
 
 
@@ -250,7 +250,7 @@ def commonality(b: Array, parts: Mapping[str, Array]) -> dict[str, float]:
         raise InputError(f"{len(names)} maps were given. Commonality needs 2 to 4.")
     b = values_of(b, "b")
     parts = {name: values_of(values, name) for name, values in parts.items()}
-    is_valid = np.logical_and.reduce([np.isfinite(m) for m in (b, *parts.values())])
+    is_valid = valid_in_all([b, *parts.values()])
     check_varying(is_valid, b=b)
     y = b[is_valid] - b[is_valid].mean()
     columns = {name: standard(m, is_valid)[is_valid] for name, m in parts.items()}

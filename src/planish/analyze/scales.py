@@ -15,6 +15,7 @@ from pydantic import Field
 
 from planish.analyze.distributions import around, t_95, variance_interval
 from planish.analyze.formation import Formation, RandomSheet
+from planish.core.area import valid_in_all
 from planish.core.facts import Interval, ResultModel, Trust, Value, optional
 from planish.core.typing import Array, Complexes, Floats, Pair, pair_of
 from planish.texture.octave_spectra import OctaveFields, OctavePower
@@ -140,7 +141,7 @@ def octaves_of_map(
     Random Data, 4th ed., doi:10.1002/9781118032428.
     """
     arrays = [m.values for m in maps]
-    is_valid = np.logical_and.reduce([np.isfinite(values) for values in arrays])
+    is_valid = valid_in_all(arrays)
     facts = _facts_on(maps[0].facts, arrays[0], is_valid, pixel_um)
     field = fields.on(is_valid, pixel_um)
     if not field.octaves:
@@ -191,8 +192,7 @@ def _noise_of(
     for half in halves:
         numbers = list(half.of_maps)
         differences = list(half.of_maps.values())
-        is_valid = np.logical_and.reduce([np.isfinite(values) for values in differences])
-        field = fields.on(is_valid, half.pixel_um)
+        field = fields.on(valid_in_all(differences), half.pixel_um)
         for power in field.powers(differences, rows=[half.of_rows] * len(differences)):
             octave_noise = noise.setdefault(power.low_um, _Noise.none(count))
             octave_noise.power[np.ix_(numbers, numbers)] = power.power

@@ -4,7 +4,7 @@ Also what a larger pixel sees of smaller ones.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import xarray as xr
@@ -89,7 +89,7 @@ def common_means(
     return area_means.means()
 
 
-def valid_in_all(maps: Sequence[Array], masks: Sequence[Array]) -> Bools:
+def valid_in_all(maps: Iterable[Array], masks: Sequence[Array] = ()) -> Bools:
     """Where all maps have a value and all masks are true."""
     are_known = [np.isfinite(values) for values in maps]
     return np.logical_and.reduce([*are_known, *(mask.astype(bool) for mask in masks)])

@@ -21,7 +21,7 @@ from scipy import fft, ndimage
 
 from planish.core.area import halved_values
 from planish.core.typing import Array, Bools, Complexes, Floats, Pair
-from planish.texture.spectra import padded_shape
+from planish.texture.spectra import lags_within, padded_shape, padded_spectrum
 
 LEAST_PIXELS = 4.0
 """Pixels of the shortest wave: shorter ones are no waves on a grid."""
@@ -180,7 +180,8 @@ class _OctaveWindow:
     def power(self, pyramids: Sequence[Levels], is_of_rows: Sequence[bool]) -> OctavePower:
         """Power in the octave of maps, by their means at each level."""
         maps = [levels[self.step] for levels in pyramids]
-        spectra = [self._transform(self._weight * (m - self._mean_around(m))) for m in maps]
+        details = [self._weight * (m - self._mean_around(m)) for m in maps]
+        spectra = [padded_spectrum(detail, self._shape) for detail in details]
         frequency = np.hypot(self._frequencies[0][:, None], self._frequencies[1])
         cell_per_um2 = math.prod(f[1] for f in self._frequencies)
         step_per_um = math.sqrt(cell_per_um2)
@@ -222,15 +223,16 @@ class _OctaveWindow:
         distance_um = np.hypot(down[:, None] * row_um, across * col_um)
         distance = distance_um / (_REACH * self._high_um)
         window = np.cos(0.5 * math.pi * np.clip(2.0 * distance - 1.0, 0.0, 1.0)) ** 2
-        spectrum = self._transform(self._weight)
-        pairs = self._products(spectrum, spectrum)
+        spectrum = padded_spectrum(self._weight, self._shape)
+        pairs = lags_within(np.abs(spectrum) ** 2, self._shape, self._reach)
         window[pairs < 1e-3 * pairs.max()] = 0.0
         self._window_um2 = np.square(window).sum() * self._pixel_um2
         return np.divide(window, pairs, out=window, where=window > 0)
 
     def _density(self, first: Complexes, second: Complexes) -> Complexes:
         """Spectral density of the second map on the first, on the frequencies of the octave."""
-        covariance = self._products(first, second) * self._lag_window
+        products = lags_within(np.conj(first) * second, self._shape, self._reach)
+        covariance = products * self._lag_window
         placed = np.zeros([f.size for f in self._frequencies])
         placed[: covariance.shape[0], : covariance.shape[1]] = covariance
         placed = np.roll(placed, [-reach for reach in self._reach], (0, 1))
@@ -257,15 +259,6 @@ class _OctaveWindow:
         """Twice a mean over the surroundings of each pixel."""
         once = ndimage.uniform_filter(values, self._widths, mode=mode)
         return ndimage.uniform_filter(once, self._widths, mode=mode)
-
-    def _transform(self, values: Array) -> Complexes:
-        return np.asarray(fft.rfft2(values, self._shape))
-
-    def _products(self, first: Complexes, second: Complexes) -> Floats:
-        """Sums of the first at a point times the second at a lag from it; lag 0 in the middle."""
-        sums = np.asarray(fft.irfft2(np.conj(first) * second, self._shape))
-        rows, cols = (np.arange(-reach, reach + 1) for reach in self._reach)
-        return sums[np.ix_(rows, cols)].astype(np.float64)
 
 
 def _coherence(densities: Complexes, cells: Floats, radius: Array) -> Floats:

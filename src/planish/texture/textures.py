@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from planish.core.area import common_means
+from planish.core.area import common_means, valid_in_all
 from planish.core.bands import Rows
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.typing import Array, Bools, Floats, Ints, Pair
@@ -162,8 +162,7 @@ def textures(
     shown = {k: m for k, m in shown.items() if count[k] >= least}
     if not shown:
         return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
-    is_shown = np.logical_and.reduce([*map(np.isfinite, shown.values())])
-    band = _Band(is_shown, pixel_um, band_um)
+    band = _Band(valid_in_all(shown.values()), pixel_um, band_um)
     return Textures(
         maps={k: band(m) for k, m in shown.items()}, known=band.is_valid, pixel_um=pixel_um
     )
