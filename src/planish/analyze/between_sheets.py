@@ -16,7 +16,7 @@ from planish.analyze.distributions import around, is_distinguishable, p_of, stud
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
-from planish.core.typing import IntPair, Pair, Texts
+from planish.core.typing import Pair, Texts
 
 _POWER = 0.8  # how often a study sees the smallest difference that it is said to see
 
@@ -41,7 +41,7 @@ class SetDifference(ResultModel):
     kind: Literal["paired", "two groups"] = Field(
         description="Of the same sheets, or of different ones."
     )
-    sheets: IntPair = Field(description="Sheets that count.")
+    sheets: tuple[int, int] = Field(description="Sheets that count.")
     means: tuple[Value, Value] = Field(default=(NULL, NULL), description="Over these sheets.")
     difference: Value = optional("Of the means.")
     interval: Interval = optional("Its 95 % interval.")

@@ -20,7 +20,7 @@ from planish.core.axial import refuse_axial
 from planish.core.bands import Rows, read_bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
-from planish.core.typing import Array, Bools, Entries, Floats, IntPair, Pair, Pixel, Texts, pair_of
+from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, Shape2D, Texts, pair_of
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.detrend import shared_trend
 
@@ -382,7 +382,7 @@ class PairAtSizes:
 
     def __init__(
         self,
-        shape: IntPair,
+        shape: Shape2D,
         *,
         pixel_um: Pair,
         point_um: float | None,
@@ -490,7 +490,7 @@ def _stated(
 
 
 @lru_cache(maxsize=4)  # the maps of a layer have one mask, at each point size
-def _lags_of(mask_bytes: bytes, shape: IntPair, pitch_um: Pair) -> Lags:
+def _lags_of(mask_bytes: bytes, shape: Shape2D, pitch_um: Pair) -> Lags:
     return Lags(np.frombuffer(mask_bytes, dtype=bool).reshape(shape), pitch_um)
 
 

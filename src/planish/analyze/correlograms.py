@@ -14,7 +14,7 @@ from planish.analyze.correlation import LEAST_CLAIMED, check_varying, filled, on
 from planish.analyze.distributions import normal_tail
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Interval, ResultModel, Value
-from planish.core.typing import Array, Bools, Entries, Floats, IntPair, Pair, Pixel, pair_of
+from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, Shape2D, pair_of
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.ncc import MaskedNcc
 
@@ -150,7 +150,7 @@ def correlogram_of(
     most = np.array(a.shape) // 2
     asked = np.floor(np.divide(reach_um, pixel) + 1e-9).astype(np.intp)
     zero_row, zero_col = np.clip(asked, 1, np.maximum(most, 1)).tolist()
-    reach: IntPair = (zero_row, zero_col)
+    reach: Shape2D = (zero_row, zero_col)
     ncc = MaskedNcc(a.astype(np.float64), a_valid=valid[0], b_valid=valid[1], reach=reach)
     r = ncc(b.astype(np.float64))
     if not np.isfinite(r).any():

@@ -18,7 +18,7 @@ from planish.analyze.distributions import variance_interval
 from planish.core.area import area_mean, square_px
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, ResultModel, Value, optional
-from planish.core.typing import Array, Floats, IntPair, Pair, pair_of
+from planish.core.typing import Array, Floats, Pair, Shape2D, pair_of
 
 _DIRECTIONS = 2048  # of a fibre: its peak over directions is as narrow as a wave over its length
 _PARTS = 8  # of a cell, for the covariance of the means over cells
@@ -55,7 +55,7 @@ class RandomSheet(ResultModel):
         ring = 2 * math.pi * per_um * self.density(per_um)
         return math.sqrt(np.trapezoid(ring, per_um))
 
-    def cell_covariances(self, shape: IntPair, cell_um: float) -> Floats:
+    def cell_covariances(self, shape: Shape2D, cell_um: float) -> Floats:
         """Covariance of means over square cells, over the squared mean, by wrapped lag in cells.
 
         ``shape``: lags along y and x, twice those of the field.

@@ -18,7 +18,7 @@ from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.numbers import in_ascii, to_spread
-from planish.core.typing import Entries, Floats, IntPair, Pair, pair_of
+from planish.core.typing import Entries, Floats, Pair, Shape2D, pair_of
 from planish.texture.detrend import PhaseSurrogate
 from planish.texture.lag_field import LagField, lag_field
 from planish.texture.lag_search import LagSearch
@@ -332,7 +332,7 @@ def texture_lag(  # noqa: PLR0911
     return replace(lag, field=field_of_lags)
 
 
-def _reach_px(texture: Textures, reach_um: float) -> IntPair:
+def _reach_px(texture: Textures, reach_um: float) -> Shape2D:
     """The reach in pixels; SizeError where it does not fit the maps."""
     row_um, col_um = texture.pixel_um
     rows, cols = texture.known.shape

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import fft
 
 from planish.core.grid import shorter_side_um
-from planish.core.typing import Array, Bools, Complexes, Floats, IntPair, Pair
+from planish.core.typing import Array, Bools, Complexes, Floats, Pair, Shape2D
 from planish.texture.spectra import padded_shape, padded_spectrum, wrapped_lags_um
 from planish.texture.textures import centred, influence_on_r
 
@@ -217,7 +217,7 @@ def variance_of_products(
     it; ``terms`` are numbers of two maps and the weight of their product.
     """
     spectra = [lags.transform(m) for m in maps]
-    covariances: dict[IntPair, Floats] = {}
+    covariances: dict[Shape2D, Floats] = {}
     for i, j in combinations_with_replacement(range(len(maps)), 2):
         products = lags.products(spectra[i], spectra[j])
         used = lags.until_zero(products + _reversed(products))

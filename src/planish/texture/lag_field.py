@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import SizeError
-from planish.core.typing import Bools, Floats, IntPair, Pair
+from planish.core.typing import Bools, Floats, Pair, Shape2D
 from planish.texture.ncc import (
     MARGIN,
     MaskedNcc,
@@ -104,7 +104,7 @@ def lag_field(
     is_valid: Bools,
     pixel_um: Pair,
     *,
-    reach: IntPair,
+    reach: Shape2D,
     tile_um: float,
     unrelated: list[Floats],
     overlapping: bool = True,

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from scipy import fft, optimize, special
 
-from planish.core.typing import Bools, Complexes, Floats, IntPair, Pair
+from planish.core.typing import Bools, Complexes, Floats, Pair, Shape2D
 from planish.texture.ncc import LEAST_PAIRS, Peak, overlap
 from planish.texture.spectra import lags_within, padded_shape, padded_spectrum
 from planish.texture.textures import centred, tile_sums
@@ -23,7 +23,7 @@ class LagSearch:
     same, less where pairs are fewer, as it is compared with chance.
     """
 
-    def __init__(self, x: Floats, y: Floats, is_valid: Bools, wide: IntPair) -> None:
+    def __init__(self, x: Floats, y: Floats, is_valid: Bools, wide: Shape2D) -> None:
         """Correlate all maps at all lags, and solve the regressions."""
         self._x, self._y, self._is_valid, self._wide = x, y, is_valid, wide
         self._size = padded_shape(y.shape, wide)
@@ -41,17 +41,17 @@ class LagSearch:
         self.share: Floats = np.where(enough, share, np.nan)
         self.height: Floats = np.where(enough, share * pairs / max(n, 1), 0.0)
 
-    def weights(self, lag_px: IntPair) -> Floats:
+    def weights(self, lag_px: Shape2D) -> Floats:
         """Weights of the maps at a lag, (k,)."""
         return self._inverse @ self._products_at(lag_px)
 
-    def share_of(self, subset: slice, lag_px: IntPair) -> float:
+    def share_of(self, subset: slice, lag_px: Shape2D) -> float:
         """R² at a lag with some of the maps only."""
         g = self._products_at(lag_px)[subset]
         inverse = np.linalg.pinv(self._inner[subset, subset], rcond=1e-6, hermitian=True)
         return float(g @ inverse @ g)
 
-    def limit(self, reach: IntPair) -> float:
+    def limit(self, reach: Shape2D) -> float:
         """Height that unrelated textures exceed within reach in 1 of 1000 cases."""
         # Independent combinations of the maps, each of spread 1.
         values, vectors = np.linalg.eigh(self._inner)
@@ -98,7 +98,7 @@ class LagSearch:
         inverse_curvature = np.linalg.inv(-0.5 * peak.curvature)
         return inverse_curvature @ (score_sums @ score_sums.T / n**2) @ inverse_curvature
 
-    def _products_at(self, lag_px: IntPair) -> Floats:
+    def _products_at(self, lag_px: Shape2D) -> Floats:
         row, col = np.add(lag_px, self._wide)
         return self._g[:, row, col]
 
@@ -106,7 +106,7 @@ class LagSearch:
         return lags_within(spectrum, self._size, self._wide)
 
 
-def _chi2_limit(k: int, reach: IntPair, root: float) -> float:
+def _chi2_limit(k: int, reach: Shape2D, root: float) -> float:
     """Height that a smooth chi-square field of k degrees exceeds in 1 of 1000 cases.
 
     It does so in the ellipse ``reach``.

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
-from planish.core.typing import Bools, Complexes, Floats, IntPair
+from planish.core.typing import Bools, Complexes, Floats, Shape2D
 from planish.texture.spectra import lags_within, padded_shape, padded_spectrum
 from planish.texture.textures import centred, standard
 
@@ -31,7 +31,7 @@ class MaskedNcc:
     The maps are padded by ``reach``: no wrap.
     """
 
-    def __init__(self, a: Floats, *, a_valid: Bools, b_valid: Bools, reach: IntPair) -> None:
+    def __init__(self, a: Floats, *, a_valid: Bools, b_valid: Bools, reach: Shape2D) -> None:
         """Transform the map that stays and both masks, and sum over the pairs at each lag."""
         self._reach = reach
         self._shape = padded_shape(a.shape, reach)
@@ -70,7 +70,7 @@ class MaskedNcc:
 class Peak:
     """The largest correlation, in pixels (rows, columns)."""
 
-    lag_px: IntPair  # whole lag
+    lag_px: Shape2D  # whole lag
     summit_px: Floats  # (2,): lag between the pixels
     r: float  # correlation there
     # Second derivatives, negative definite.
@@ -78,7 +78,7 @@ class Peak:
     inner: bool = False  # whether it is a summit, not a slope that goes on beyond the lags searched
 
 
-def within(reach: IntPair) -> Bools:
+def within(reach: Shape2D) -> Bools:
     """Lags inside the ellipse of half axes ``reach``.
 
     The array is larger by a margin on every side.
@@ -208,13 +208,13 @@ def lost_between_pixels(peak: Peak) -> Floats:
     return np.diag(most**2 * (np.sin(2 * np.pi * peak.summit_px) ** 2 + 0.01))
 
 
-def quarter_of(shape: tuple[int, ...]) -> IntPair:
+def quarter_of(shape: tuple[int, ...]) -> Shape2D:
     """A quarter of a field along rows and columns, in pixels; longer lags have few pairs."""
     return max(shape[0] // 4, 1), max(shape[1] // 4, 1)
 
 
 def overlap(
-    shape: tuple[int, ...], lag: IntPair
+    shape: tuple[int, ...], lag: Shape2D
 ) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Return the pixels of a, and those of b that lie on them at a lag."""
     (rows, cols), (down, across) = shape, lag
